@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The contract of a camera model, and a trait that checks it.
+///
+/// A model is a plain struct templated on its scalar (float, double or ft::strict of either):
+///
+///     template <typename Scalar> struct my_camera {
+///       using scalar_type = Scalar;
+///       static constexpr int num_params = ...;
+///       static constexpr char const* name = "...";
+///       Scalar ...;                                                    // the parameters, in order
+///       projection<Scalar> project(vec3<Scalar> p) const;              // point (camera frame) -> pixel
+///       ray<Scalar> unproject(vec2<Scalar> pixel) const;               // pixel -> direction
+///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;          // d pixel / d point
+///       template <typename U> my_camera<U> cast() const;
+///     };
+///
+/// all members FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera frame has x right,
+/// y down, z forward.
+#pragma once
+
+#include <type_traits>
+#include <utility>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// A pixel, and whether the point is where the model holds.
+template <typename Scalar>
+struct projection {
+  vec2<Scalar> pixel;
+  bool valid;
+};
+
+/// A direction in the camera frame (any length), and whether the pixel is where the model holds.
+template <typename Scalar>
+struct ray {
+  vec3<Scalar> direction;
+  bool valid;
+};
+
+/// 2 x 3, row-major.
+template <typename Scalar>
+struct mat23 {
+  Scalar m[6];
+};
+
+namespace detail {
+
+template <typename C, typename = void>
+struct has_project : std::false_type {};
+template <typename C>
+struct has_project<C, std::void_t<decltype(std::declval<C const&>().project(
+                          std::declval<vec3<typename C::scalar_type>>()))>>
+    : std::is_same<decltype(std::declval<C const&>().project(
+                       std::declval<vec3<typename C::scalar_type>>())),
+                   projection<typename C::scalar_type>> {};
+
+template <typename C, typename = void>
+struct has_unproject : std::false_type {};
+template <typename C>
+struct has_unproject<C, std::void_t<decltype(std::declval<C const&>().unproject(
+                            std::declval<vec2<typename C::scalar_type>>()))>>
+    : std::is_same<decltype(std::declval<C const&>().unproject(
+                       std::declval<vec2<typename C::scalar_type>>())),
+                   ray<typename C::scalar_type>> {};
+
+template <typename C, typename = void>
+struct has_jacobian : std::false_type {};
+template <typename C>
+struct has_jacobian<C, std::void_t<decltype(std::declval<C const&>().project_jacobian(
+                           std::declval<vec3<typename C::scalar_type>>()))>>
+    : std::is_same<decltype(std::declval<C const&>().project_jacobian(
+                       std::declval<vec3<typename C::scalar_type>>())),
+                   mat23<typename C::scalar_type>> {};
+
+template <typename C, typename = void>
+struct has_names : std::false_type {};
+template <typename C>
+struct has_names<C, std::void_t<decltype(C::num_params), decltype(C::name)>> : std::true_type {};
+
+template <typename C, typename = void>
+struct has_cast : std::false_type {};
+template <typename C>
+struct has_cast<C, std::void_t<decltype(std::declval<C const&>().template cast<double>())>>
+    : std::true_type {};
+
+}  // namespace detail
+
+/// True for a type that keeps the contract above.
+template <typename C>
+inline constexpr bool is_camera_model_v =
+    std::is_trivially_copyable<C>::value && detail::has_project<C>::value &&
+    detail::has_unproject<C>::value && detail::has_jacobian<C>::value && detail::has_names<C>::value &&
+    detail::has_cast<C>::value;
+
+/// Instantiate to learn which part of the contract a type does not keep.
+template <typename C>
+struct assert_camera_model {
+  static_assert(std::is_trivially_copyable<C>::value, "a camera model is passed to kernels by value");
+  static_assert(detail::has_project<C>::value,
+                "a camera model needs: projection<Scalar> project(vec3<Scalar>) const");
+  static_assert(detail::has_unproject<C>::value,
+                "a camera model needs: ray<Scalar> unproject(vec2<Scalar>) const");
+  static_assert(detail::has_jacobian<C>::value,
+                "a camera model needs: mat23<Scalar> project_jacobian(vec3<Scalar>) const");
+  static_assert(detail::has_names<C>::value, "a camera model needs: num_params and name");
+  static_assert(detail::has_cast<C>::value,
+                "a camera model needs: template <typename U> my_camera<U> cast() const");
+  static constexpr bool value = is_camera_model_v<C>;
+};
+
+namespace detail {
+
+/// @throws bad_argument where a focal length is not positive or a value is not finite
+inline void check_pinhole(double fx, double fy, double cx, double cy) {
+  require_finite("camera fx", fx);
+  require_finite("camera fy", fy);
+  require_finite("camera cx", cx);
+  require_finite("camera cy", cy);
+  require_range("camera fx", fx, 1e-3, 1e6);
+  require_range("camera fy", fy, 1e-3, 1e6);
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

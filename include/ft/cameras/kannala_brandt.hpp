@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The Kannala-Brandt fisheye camera with four coefficients ("KB4", OpenCV fisheye, "equidistant").
+#pragma once
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// theta = atan2(sqrt(x^2 + y^2), z), r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9,
+/// u = fx r x / sqrt(x^2 + y^2) + cx, v likewise. Defined for every direction in which r grows with theta;
+/// directions behind the camera are seen too, so `valid` only asks for a finite point other than the
+/// centre. Source: Kannala and Brandt, "A generic camera model and calibration method for conventional,
+/// wide-angle, and fish-eye lenses", PAMI 2006; specification section 12.
+template <typename Scalar>
+struct kannala_brandt {
+  using scalar_type = Scalar;
+  static constexpr int num_params = 8;  ///< fx, fy, cx, cy, k1, k2, k3, k4
+  static constexpr char const* name = "kannala_brandt";
+  Scalar fx, fy, cx, cy, k1, k2, k3, k4;
+
+  /// @throws bad_argument for a focal length that is not positive, or a NaN
+  void check() const {
+    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
+                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    for (Scalar k : {k1, k2, k3, k4}) {
+      detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
+    }
+  }
+
+  FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
+    Scalar const radius = scalar::sqrt(p.x * p.x + p.y * p.y);
+    if (!(radius > Scalar(0))) { return {{cx, cy}, p.z > Scalar(0)}; }  // on the axis, or NaN
+    Scalar const theta = scalar::atan2(radius, p.z);
+    Scalar const r = distorted(theta);
+    bool const valid = scalar::is_finite(radius) && scalar::is_finite(p.z);
+    return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, valid};
+  }
+
+  /// Ray with z = 1: (x, y) tan(theta) / theta_d. Beyond 90 degrees off the axis it is the opposite ray, and
+  /// not valid. Newton on theta, at most 10 steps, until they are below 1e-6; theta_d is clamped to
+  /// [-pi/2, pi/2].
+  FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
+    Scalar const half_pi = Scalar(static_cast<plain_scalar_t<Scalar>>(1.5707963267948966));
+    Scalar const x = (pixel.x - cx) / fx;
+    Scalar const y = (pixel.y - cy) / fy;
+    Scalar theta_d = scalar::sqrt(x * x + y * y);
+    if (theta_d > half_pi) { theta_d = half_pi; }
+    Scalar factor = Scalar(1);
+    Scalar theta = theta_d;
+    if (theta_d > Scalar(static_cast<plain_scalar_t<Scalar>>(1e-8))) {
+      for (int i = 0; i < 10; ++i) {
+        Scalar const t2 = theta * theta;
+        Scalar const t4 = t2 * t2;
+        Scalar const a = k1 * t2;
+        Scalar const b = k2 * t4;
+        Scalar const c = k3 * (t4 * t2);
+        Scalar const d = k4 * (t4 * t4);
+        Scalar const step = (theta * (Scalar(1) + a + b + c + d) - theta_d) /
+                            (Scalar(1) + Scalar(3) * a + Scalar(5) * b + Scalar(7) * c + Scalar(9) * d);
+        theta = theta - step;
+        if (scalar::abs(step) < Scalar(static_cast<plain_scalar_t<Scalar>>(1e-6))) { break; }
+      }
+      factor = scalar::tan(theta) / theta_d;
+    }
+    bool const valid = scalar::is_finite(factor) && scalar::is_finite(x) && scalar::is_finite(y) &&
+                       theta < half_pi && theta >= Scalar(0);
+    return {{x * factor, y * factor, Scalar(1)}, valid};
+  }
+
+  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+    Scalar const x2 = p.x * p.x;
+    Scalar const y2 = p.y * p.y;
+    Scalar const r2 = x2 + y2;
+    Scalar const radius = scalar::sqrt(r2);
+    if (!(radius > Scalar(0))) {
+      return {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}};
+    }
+    Scalar const theta = scalar::atan2(radius, p.z);
+    Scalar const t2 = theta * theta;
+    Scalar const f = distorted(theta);
+    Scalar const fd = Scalar(1) + t2 * (Scalar(3) * k1 +
+                                        t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
+    Scalar const norm2 = r2 + p.z * p.z;
+    Scalar const r3 = radius * r2;
+    Scalar const along = fd * p.z / (r2 * norm2);
+    return {{fx * (along * x2 + f * y2 / r3), fx * (along * p.x * p.y - f * p.x * p.y / r3),
+             -(fx * (fd * p.x / norm2)), fy * (along * p.x * p.y - f * p.x * p.y / r3),
+             fy * (along * y2 + f * x2 / r3), -(fy * (fd * p.y / norm2))}};
+  }
+
+  template <typename U>
+  FT_HOST_DEVICE kannala_brandt<U> cast() const {
+    using P = plain_scalar_t<U>;
+    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
+            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
+            U(static_cast<P>(to_plain(k1))), U(static_cast<P>(to_plain(k2))),
+            U(static_cast<P>(to_plain(k3))), U(static_cast<P>(to_plain(k4)))};
+  }
+
+private:
+  FT_HOST_DEVICE Scalar distorted(Scalar theta) const {
+    Scalar const t2 = theta * theta;
+    Scalar const t3 = theta * t2;
+    Scalar const t5 = t3 * t2;
+    Scalar const t7 = t5 * t2;
+    Scalar const t9 = t7 * t2;
+    return theta + k1 * t3 + k2 * t5 + k3 * t7 + k4 * t9;
+  }
+};
+
+static_assert(assert_camera_model<kannala_brandt<float>>::value, "kannala_brandt keeps the camera contract");
+
+}  // namespace FT_ABI
+}  // namespace ft

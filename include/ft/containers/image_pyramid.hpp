@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Scale pyramids of a batch of equally sized 8-bit images.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/math.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/views.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+inline constexpr int max_levels = 16;
+inline constexpr int max_image_side = 16384;
+
+/// Sizes, scales and offsets of the levels; a plain value that kernels get by copy.
+/// Source: specification section 1.
+struct pyramid_geometry {
+  int levels = 0;
+  float scale_factor = 0;
+  int width[max_levels] = {};
+  int height[max_levels] = {};
+  int stride[max_levels] = {};          ///< bytes from row to row
+  std::ptrdiff_t offset[max_levels] = {};  ///< of a level in an image's slab, bytes
+  std::ptrdiff_t bytes = 0;             ///< of an image's slab
+  float scale[max_levels] = {};         ///< 1, s, s^2, ... in float
+  float inv_scale[max_levels] = {};
+  float sigma2[max_levels] = {};        ///< scale^2
+  float inv_sigma2[max_levels] = {};
+  int tap_offset[max_levels] = {};      ///< first resize tap of a level: its columns, then its rows
+  int taps = 0;
+
+  /// Patch diameter of a keypoint of an octave, pixels of the input image.
+  FT_HOST_DEVICE int patch_size(int octave) const {
+    return static_cast<int>(detail::mul(31.0f, scale[octave]));
+  }
+
+  /// @param w,h input size, pixels, 1 to 16384 @param levels 1 to 16 @param factor 1.01 to 4
+  /// @throws bad_argument outside these, or where a level would have no pixel
+  static pyramid_geometry make(int w, int h, int levels, float factor) {
+    detail::require_range("image width", w, 1, max_image_side);
+    detail::require_range("image height", h, 1, max_image_side);
+    detail::require_range("pyramid levels", levels, 1, max_levels);
+    detail::require_range("scale factor", factor, 1.01f, 4.0f);
+    pyramid_geometry g;
+    g.levels = levels;
+    g.scale_factor = factor;
+    for (int i = 0; i < levels; ++i) {
+      g.scale[i] = i == 0 ? 1.0f : g.scale[i - 1] * factor;
+      g.sigma2[i] = g.scale[i] * g.scale[i];
+      g.inv_scale[i] = 1.0f / g.scale[i];
+      g.inv_sigma2[i] = 1.0f / g.sigma2[i];
+      g.width[i] = i == 0 ? w : static_cast<int>(std::lrint(static_cast<float>(w) * g.inv_scale[i]));
+      g.height[i] = i == 0 ? h : static_cast<int>(std::lrint(static_cast<float>(h) * g.inv_scale[i]));
+      detail::require(g.width[i] >= 1 && g.height[i] >= 1,
+                      "the image is too small for this many pyramid levels");
+      g.stride[i] = ceil_div(g.width[i], 64) * 64;
+      g.offset[i] = g.bytes;
+      g.bytes += static_cast<std::ptrdiff_t>(g.stride[i]) * g.height[i];
+      g.tap_offset[i] = g.taps;
+      if (i > 0) { g.taps += g.width[i] + g.height[i]; }
+    }
+    return g;
+  }
+};
+
+/// Levels of a batch of images, without borders.
+struct image_pyramid_view {
+  pyramid_geometry geometry;
+  std::uint8_t* data = nullptr;
+  int batch = 0;
+
+  FT_HOST_DEVICE image_view<std::uint8_t> level(int image, int l) const {
+    return {data + image * geometry.bytes + geometry.offset[l], geometry.width[l], geometry.height[l],
+            geometry.stride[l]};
+  }
+};
+static_assert(std::is_trivially_copyable<image_pyramid_view>::value, "passed to kernels");
+
+/// Places a pyramid into an arena.
+inline void carve(carver& c, image_pyramid_view& v, pyramid_geometry const& geometry, int batch) {
+  v.geometry = geometry;
+  v.batch = batch;
+  v.data = c.take<std::uint8_t>(
+      detail::checked_mul(static_cast<std::size_t>(geometry.bytes), static_cast<std::size_t>(batch)));
+}
+
+/// Owner of a pyramid; move-only.
+template <memory_space Space>
+class image_pyramid {
+public:
+  image_pyramid() = default;
+  /// @throws bad_argument for a batch below 1
+  explicit image_pyramid(pyramid_geometry const& geometry, int batch = 1)
+      : arena_(((detail::require(batch >= 1, "a pyramid needs a batch of 1 or more")),
+                [&](carver& c) { carve(c, view_, geometry, batch); })) {}
+  image_pyramid_view view() const { return view_; }
+
+private:
+  image_pyramid_view view_;
+  arena<Space> arena_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

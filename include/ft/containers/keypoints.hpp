@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Keypoints with their descriptors, structure of arrays; one batch entry per image.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/containers/soa.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// 256 bits; bit i of byte j is test 8j+i.
+struct alignas(16) descriptor {
+  std::uint32_t words[8];
+};
+
+/// Number of differing bits, 0..256.
+FT_HOST_DEVICE inline int hamming(descriptor const& a, descriptor const& b) {
+  int distance = 0;
+  FT_UNROLL
+  for (int i = 0; i < 8; ++i) { distance += popcount(a.words[i] ^ b.words[i]); }
+  return distance;
+}
+
+namespace field {
+struct x {  ///< column in the input image, pixels
+  using type = float;
+};
+struct y {  ///< row in the input image, pixels
+  using type = float;
+};
+struct angle {  ///< degrees, [0, 360)
+  using type = float;
+};
+struct response {  ///< corner score
+  using type = float;
+};
+struct octave {  ///< pyramid level
+  using type = int;
+};
+struct orb {  ///< descriptor
+  using type = ft::descriptor;
+};
+}  // namespace field
+
+using keypoints_view = soa_view<field::x, field::y, field::angle, field::response, field::octave, field::orb>;
+template <memory_space Space>
+using keypoints = soa<Space, field::x, field::y, field::angle, field::response, field::octave, field::orb>;
+
+}  // namespace FT_ABI
+}  // namespace ft

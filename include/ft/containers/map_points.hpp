@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Map points, one array per field, addressed by slot: an update touches only the fields that
+/// changed of the points that changed.
+#pragma once
+
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/soa.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace field {
+struct position {  ///< world frame, metres
+  using type = vec3<float>;
+};
+struct normal {  ///< mean viewing direction, unit length, from the cameras to the point
+  using type = vec3<float>;
+};
+struct min_distance {  ///< raw; points are looked for from 0.8 times this, metres
+  using type = float;
+};
+struct max_distance {  ///< raw; points are looked for up to 1.2 times this, metres
+  using type = float;
+};
+struct observations {  ///< how often seen; a point without any does not keep a keypoint to itself
+  using type = int;
+};
+}  // namespace field
+
+using map_points_view = soa_view<field::position, field::normal, field::min_distance, field::max_distance,
+                                 field::orb, field::observations>;
+template <memory_space Space>
+using map_points = soa<Space, field::position, field::normal, field::min_distance, field::max_distance,
+                       field::orb, field::observations>;
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stereo matches: per left keypoint the right column and the depth.
+#pragma once
+
+#include "ft/containers/soa.hpp"
+#include "ft/core/config.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace field {
+struct right_x {  ///< column in the right image, pixels; -1 = no match
+  using type = float;
+};
+struct depth {  ///< metres along the left camera's axis; -1 = no match
+  using type = float;
+};
+struct score {  ///< sum of absolute differences of the refinement; -1 = no match
+  using type = int;
+};
+}  // namespace field
+
+using stereo_matches_view = soa_view<field::right_x, field::depth, field::score>;
+template <memory_space Space>
+using stereo_matches = soa<Space, field::right_x, field::depth, field::score>;
+
+}  // namespace FT_ABI
+}  // namespace ft

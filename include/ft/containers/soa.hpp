@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Structure of arrays with named fields, a batch axis and a count per batch entry.
+///
+/// A field is a tag type with `using type = ...`. `soa<Space, Fields...>` owns one array per field;
+/// `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so a container with
+/// a field of one's own goes wherever the plain one is asked for:
+///
+///     struct landmark_id { using type = int; };
+///     ft::soa<ft::memory_space::host, ft::field::x, ft::field::y, landmark_id> mine(1000);
+///     ft::get<landmark_id>(mine.view(), 3) = 7;
+#pragma once
+
+#include <cstddef>
+#include <type_traits>
+#include <utility>
+
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+template <typename Field>
+struct column {
+  typename Field::type* data = nullptr;
+};
+
+/// Entry i of batch entry b is at `b * capacity + i` of every column.
+template <typename... Fields>
+struct soa_view : column<Fields>... {
+  int capacity = 0;      ///< entries per batch entry
+  int batch = 0;         ///< batch entries
+  int* count = nullptr;  ///< [batch], entries in use, each at most capacity
+
+  soa_view() = default;
+  /// A view of fewer fields.
+  template <typename... Others,
+            typename = std::enable_if_t<(std::is_base_of<column<Fields>, soa_view<Others...>>::value && ...)>>
+  FT_HOST_DEVICE soa_view(soa_view<Others...> const& other)  // NOLINT(google-explicit-constructor)
+      : column<Fields>(static_cast<column<Fields> const&>(other))...,
+        capacity(other.capacity),
+        batch(other.batch),
+        count(other.count) {}
+
+  /// Batch entry b alone.
+  FT_HOST_DEVICE soa_view slice(int b) const {
+    soa_view r(*this);
+    std::ptrdiff_t const offset = static_cast<std::ptrdiff_t>(b) * capacity;
+    ((static_cast<column<Fields>&>(r).data += offset), ...);
+    r.count += b;
+    r.batch = 1;
+    return r;
+  }
+};
+
+/// Element i of a field.
+template <typename Field, typename... Fields>
+FT_HOST_DEVICE typename Field::type& get(soa_view<Fields...> const& v, int i) {
+  return static_cast<column<Field> const&>(v).data[i];
+}
+/// A field's array.
+template <typename Field, typename... Fields>
+FT_HOST_DEVICE typename Field::type* array_of(soa_view<Fields...> const& v) {
+  return static_cast<column<Field> const&>(v).data;
+}
+
+/// Places the columns and counts of a container into an arena.
+template <typename... Fields>
+void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {
+  std::size_t const n = detail::checked_mul(static_cast<std::size_t>(capacity),
+                                            static_cast<std::size_t>(batch));
+  ((static_cast<column<Fields>&>(v).data = c.take<typename Fields::type>(n)), ...);
+  v.count = c.take<int>(static_cast<std::size_t>(batch));
+  v.capacity = capacity;
+  v.batch = batch;
+}
+
+/// Owner of the arrays; move-only. Elements are not initialised; counts neither.
+template <memory_space Space, typename... Fields>
+class soa {
+public:
+  using view_type = soa_view<Fields...>;
+  static_assert(std::is_trivially_copyable<view_type>::value, "passed to kernels");
+
+  soa() = default;
+  /// @param capacity entries per batch entry @param batch batch entries
+  /// @throws bad_argument below 1, std::bad_alloc, cuda_error
+  explicit soa(int capacity, int batch = 1)
+      : arena_(((detail::require(capacity >= 1 && batch >= 1, "soa needs a capacity and a batch of 1 or more")),
+                [&](carver& c) { carve(c, view_, capacity, batch); })) {}
+
+  soa(soa&& other) noexcept
+      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
+  soa& operator=(soa&& other) noexcept {
+    view_ = std::exchange(other.view_, {});
+    arena_ = std::move(other.arena_);
+    return *this;
+  }
+
+  view_type view() const { return view_; }
+  int capacity() const { return view_.capacity; }
+  int batch() const { return view_.batch; }
+
+private:
+  view_type view_;
+  arena<Space> arena_;
+};
+
+/// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous where
+/// the executor is; allocates nothing. @throws bad_argument for different shapes
+template <typename Exec, typename... Fields>
+void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> const& from) {
+  detail::require(to.capacity == from.capacity && to.batch == from.batch,
+                  "copy between containers of different shape");
+  std::size_t const n = static_cast<std::size_t>(from.capacity) * static_cast<std::size_t>(from.batch);
+  (copy(exec, array_of<Fields>(to), static_cast<typename Fields::type const*>(array_of<Fields>(from)), n), ...);
+  copy(exec, to.count, static_cast<int const*>(from.count), static_cast<std::size_t>(from.batch));
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

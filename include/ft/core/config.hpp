@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Macros that the other headers share.
+#pragma once
+
+/// Marks a function that runs on both executors. Empty where the compiler is not a CUDA compiler.
+/// FT_ABI names the inline namespace: a host unit and a CUDA unit of one program keep separate
+/// instantiations, so neither breaks the other's one-definition rule.
+/// FT_HIDDEN keeps kernels and what launches them private to each shared library.
+#if defined(__CUDACC__)
+#define FT_HOST_DEVICE __host__ __device__
+#define FT_ABI v0_cuda
+#else
+#define FT_HOST_DEVICE
+#define FT_ABI v0_host
+#endif
+
+#if defined(__GNUC__)
+#define FT_HIDDEN __attribute__((visibility("hidden")))
+#else
+#define FT_HIDDEN
+#endif
+
+#if defined(__CUDACC__)
+#define FT_UNROLL _Pragma("unroll")
+#else
+#define FT_UNROLL
+#endif

@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Executors: where a stage runs.
+///
+/// A stage's body is a functor `op(group, scratch, item, args...)` with a nested type `scratch`. The
+/// executor runs it once per item, with the threads that the shape asks for: `per_thread`, `per_warp` or
+/// `per_block<N>` on the device; on the host always one thread per item, items spread over a pool.
+#pragma once
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <cstddef>
+#include <cstring>
+#include <memory>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/memory.hpp"
+#if defined(__CUDACC__)
+#include "ft/core/detail/cuda_launch.hpp"
+#endif
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Device: one thread per item.
+struct per_thread {};
+/// Device: one warp per item.
+struct per_warp {};
+/// Device: one block of N threads per item.
+template <int N>
+struct per_block {};
+
+/// For functors without scratch memory.
+struct no_scratch {};
+
+/// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from several
+/// threads at a time.
+class host_exec {
+public:
+  static constexpr memory_space space = memory_space::host;
+  static constexpr bool asynchronous = false;
+
+  /// @param threads how many to use, the caller's included; 0 = all that the machine has
+  /// @throws bad_argument outside [0, 4096]
+  explicit host_exec(int threads = 0) {
+    detail::require_range("host threads", threads, 0, 4096);
+    if (threads > 0) { arena_ = std::make_shared<tbb::task_arena>(threads); }
+    sequential_ = threads == 1;
+  }
+
+  template <typename Body>
+  void parallel_for(int items, Body const& body) const {
+    if (sequential_ || items <= 1) {
+      for (int i = 0; i < items; ++i) { body(i); }
+      return;
+    }
+    auto const run = [&] {
+      tbb::parallel_for(tbb::blocked_range<int>(0, items), [&](tbb::blocked_range<int> const& range) {
+        for (int i = range.begin(); i != range.end(); ++i) { body(i); }
+      });
+    };
+    if (arena_) {
+      arena_->execute(run);
+    } else {
+      run();
+    }
+  }
+
+  /// Everything is done already when a call returns.
+  void wait() const {}
+
+private:
+  std::shared_ptr<tbb::task_arena> arena_;
+  bool sequential_ = false;
+};
+
+/// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
+template <typename Shape, typename Op, typename... Args>
+void for_each_item(host_exec const& exec, int items, Op const& op, Args const&... args) {
+  exec.parallel_for(items, [&](int item) {
+    typename Op::scratch scratch;
+    op(single_group{}, scratch, item, args...);
+  });
+}
+
+inline void copy_bytes(host_exec const&, void* to, void const* from, std::size_t bytes) {
+  if (bytes != 0) { std::memcpy(to, from, bytes); }
+}
+inline void copy_rows(host_exec const&, void* to, std::size_t to_pitch, void const* from,
+                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
+  for (int y = 0; y < rows; ++y) {
+    auto const row = static_cast<std::size_t>(y);
+    std::memcpy(static_cast<unsigned char*>(to) + row * to_pitch,
+                static_cast<unsigned char const*>(from) + row * from_pitch, row_bytes);
+  }
+}
+inline void fill_bytes(host_exec const&, void* to, int value, std::size_t bytes) {
+  if (bytes != 0) { std::memset(to, value, bytes); }
+}
+
+#if defined(__CUDACC__)
+
+/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream. Nothing
+/// here synchronises but wait().
+struct cuda_exec {
+  static constexpr memory_space space = memory_space::device;
+  static constexpr bool asynchronous = true;
+
+  cudaStream_t stream;
+
+  explicit cuda_exec(cudaStream_t s) : stream(s) {}
+  /// Blocks until everything queued on the stream is done. @throws cuda_error
+  void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
+};
+
+template <typename Shape, typename Op, typename... Args>
+FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
+  if (items > 0) { detail::launch<Shape>::run(exec.stream, items, op, args...); }
+}
+
+inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {
+  if (bytes != 0) {
+    detail::check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream), "cudaMemcpyAsync");
+  }
+}
+inline void copy_rows(cuda_exec const& exec, void* to, std::size_t to_pitch, void const* from,
+                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
+  detail::check(cudaMemcpy2DAsync(to, to_pitch, from, from_pitch, row_bytes,
+                                  static_cast<std::size_t>(rows), cudaMemcpyDefault, exec.stream),
+                "cudaMemcpy2DAsync");
+}
+inline void fill_bytes(cuda_exec const& exec, void* to, int value, std::size_t bytes) {
+  if (bytes != 0) {
+    detail::check(cudaMemsetAsync(to, value, bytes, exec.stream), "cudaMemsetAsync");
+  }
+}
+
+#endif  // __CUDACC__
+
+/// Elements rather than bytes. Asynchronous where the executor is; allocates nothing.
+template <typename Exec, typename T>
+void copy(Exec const& exec, T* to, T const* from, std::size_t count) {
+  copy_bytes(exec, to, from, count * sizeof(T));
+}
+
+/// The memory in which an executor's host side prepares copies: pinned beside a device, plain otherwise.
+template <typename Exec>
+inline constexpr memory_space staging_space =
+    Exec::space == memory_space::device ? memory_space::pinned : memory_space::host;
+
+}  // namespace FT_ABI
+}  // namespace ft

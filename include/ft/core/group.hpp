@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Groups: the threads that work on one item together.
+///
+/// A stage's body sees `rank()`, `size()`, `sync()` and collectives only, and is written once. Every
+/// thread of a group must call a collective. Loops read `for (i = g.rank(); i < n; i += g.size())`.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct sum_op {
+  template <typename T>
+  FT_HOST_DEVICE T operator()(T a, T b) const {
+    return a + b;
+  }
+};
+struct min_op {
+  template <typename T>
+  FT_HOST_DEVICE T operator()(T a, T b) const {
+    return b < a ? b : a;
+  }
+};
+struct max_op {
+  template <typename T>
+  FT_HOST_DEVICE T operator()(T a, T b) const {
+    return a < b ? b : a;
+  }
+};
+
+/// One thread: every item on the host, and items of a single thread on the device.
+struct single_group {
+  static constexpr int max_threads = 1;
+  FT_HOST_DEVICE static constexpr int rank() { return 0; }
+  FT_HOST_DEVICE static constexpr int size() { return 1; }
+  FT_HOST_DEVICE static void sync() {}
+  template <typename T, typename Op>
+  FT_HOST_DEVICE T reduce(T value, Op) const {
+    return value;
+  }
+  /// Sum over the lower ranks' values; `total` gets the sum over all.
+  FT_HOST_DEVICE int exclusive_scan(int value, int& total) const {
+    total = value;
+    return 0;
+  }
+  /// Exclusive sum over data[0, n) in place; returns the total.
+  FT_HOST_DEVICE int exclusive_scan_array(int* data, int n) const {
+    int sum = 0;
+    for (int i = 0; i < n; ++i) {
+      int const v = data[i];
+      data[i] = sum;
+      sum += v;
+    }
+    return sum;
+  }
+  /// Ascending sort of distinct keys.
+  template <typename Key>
+  FT_HOST_DEVICE void sort(Key* keys, int n) const {
+#if defined(__CUDA_ARCH__)
+    for (int i = 1; i < n; ++i) {
+      Key const k = keys[i];
+      int j = i - 1;
+      for (; j >= 0 && k < keys[j]; --j) { keys[j + 1] = keys[j]; }
+      keys[j + 1] = k;
+    }
+#else
+    std::sort(keys, keys + n);
+#endif
+  }
+};
+
+#if defined(__CUDACC__)
+
+namespace detail {
+
+/// Exchanges any trivially copyable value between lanes, word by word.
+template <typename T>
+__device__ T shuffle_xor(T value, int mask) {
+  static_assert(std::is_trivially_copyable<T>::value && sizeof(T) % 4 == 0, "whole words");
+  int words[sizeof(T) / 4];
+  memcpy(words, &value, sizeof(T));
+  FT_UNROLL
+  for (int i = 0; i < static_cast<int>(sizeof(T) / 4); ++i) {
+    words[i] = __shfl_xor_sync(0xffffffffu, words[i], mask);
+  }
+  memcpy(&value, words, sizeof(T));
+  return value;
+}
+
+template <typename T, typename Op>
+__device__ T warp_reduce(T value, Op op) {
+  FT_UNROLL
+  for (int mask = 16; mask > 0; mask /= 2) { value = op(value, shuffle_xor(value, mask)); }
+  return value;
+}
+
+__device__ inline int warp_inclusive_scan(int value) {
+  int const lane = static_cast<int>(threadIdx.x) & 31;
+  FT_UNROLL
+  for (int d = 1; d < 32; d *= 2) {
+    int const other = __shfl_up_sync(0xffffffffu, value, static_cast<unsigned>(d));
+    if (lane >= d) { value += other; }
+  }
+  return value;
+}
+
+/// Bitonic merge sort of n distinct keys, any n, by all threads of a group.
+template <typename Group, typename Key>
+__device__ void bitonic_sort(Group const& g, Key* keys, int n) {
+  for (int width = 2; width / 2 < n; width *= 2) {
+    // The first step of each merge mirrors, so that every comparison is ascending and indices past n,
+    // which count as +infinity, never move.
+    for (int step = width / 2; step > 0; step /= 2) {
+      g.sync();
+      for (int i = g.rank();; i += g.size()) {
+        int const block = i / step;
+        int const low = block * 2 * step + i % step;
+        if (low >= n) { break; }
+        int const high = step == width / 2 ? block * 2 * step + 2 * step - 1 - i % step : low + step;
+        if (high < n && keys[high] < keys[low]) {
+          Key const k = keys[high];
+          keys[high] = keys[low];
+          keys[low] = k;
+        }
+      }
+    }
+  }
+  g.sync();
+}
+
+}  // namespace detail
+
+/// A warp of 32 threads.
+struct warp_group {
+  static constexpr int max_threads = 32;
+  __device__ static int rank() { return static_cast<int>(threadIdx.x) & 31; }
+  __device__ static constexpr int size() { return 32; }
+  __device__ static void sync() { __syncwarp(); }
+  template <typename T, typename Op>
+  __device__ T reduce(T value, Op op) const {
+    return detail::warp_reduce(value, op);
+  }
+  __device__ int exclusive_scan(int value, int& total) const {
+    int const inclusive = detail::warp_inclusive_scan(value);
+    total = __shfl_sync(0xffffffffu, inclusive, 31);
+    return inclusive - value;
+  }
+  __device__ int exclusive_scan_array(int* data, int n) const {
+    int carry = 0;
+    for (int base = 0; base < n; base += 32) {
+      int const i = base + rank();
+      int total = 0;
+      int const v = exclusive_scan(i < n ? data[i] : 0, total);
+      if (i < n) { data[i] = carry + v; }
+      carry += total;
+    }
+    sync();
+    return carry;
+  }
+  template <typename Key>
+  __device__ void sort(Key* keys, int n) const {
+    detail::bitonic_sort(*this, keys, n);
+  }
+};
+
+/// A thread block of N threads, a multiple of 32. Its collectives use scratch that the executor owns.
+template <int N>
+struct block_group {
+  static_assert(N % 32 == 0 && N >= 32 && N <= 1024, "whole warps");
+  static constexpr int max_threads = N;
+  static constexpr int warps = N / 32;
+  struct scratch {
+    alignas(16) unsigned char words[warps][16];
+  };
+  scratch* temp;
+
+  __device__ static int rank() { return static_cast<int>(threadIdx.x); }
+  __device__ static constexpr int size() { return N; }
+  __device__ static void sync() { __syncthreads(); }
+  /// The same value in every thread; T of at most 16 bytes.
+  template <typename T, typename Op>
+  __device__ T reduce(T value, Op op) const {
+    static_assert(sizeof(T) <= 16, "block scratch holds 16 bytes a warp");
+    value = detail::warp_reduce(value, op);
+    if ((rank() & 31) == 0) { memcpy(temp->words[rank() / 32], &value, sizeof(T)); }
+    sync();
+    T result;
+    memcpy(&result, temp->words[0], sizeof(T));
+    for (int w = 1; w < warps; ++w) {
+      T other;
+      memcpy(&other, temp->words[w], sizeof(T));
+      result = op(result, other);
+    }
+    sync();
+    return result;
+  }
+  __device__ int exclusive_scan(int value, int& total) const {
+    int const inclusive = detail::warp_inclusive_scan(value);
+    if ((rank() & 31) == 31) { memcpy(temp->words[rank() / 32], &inclusive, sizeof(int)); }
+    sync();
+    int before = 0;
+    int sum = 0;
+    for (int w = 0; w < warps; ++w) {
+      int v;
+      memcpy(&v, temp->words[w], sizeof(int));
+      if (w < rank() / 32) { before += v; }
+      sum += v;
+    }
+    sync();
+    total = sum;
+    return before + inclusive - value;
+  }
+  __device__ int exclusive_scan_array(int* data, int n) const {
+    int carry = 0;
+    for (int base = 0; base < n; base += N) {
+      int const i = base + rank();
+      int total = 0;
+      int const v = exclusive_scan(i < n ? data[i] : 0, total);
+      if (i < n) { data[i] = carry + v; }
+      carry += total;
+    }
+    sync();
+    return carry;
+  }
+  template <typename Key>
+  __device__ void sort(Key* keys, int n) const {
+    detail::bitonic_sort(*this, keys, n);
+  }
+};
+
+#endif  // __CUDACC__
+
+// ---- atomics on integers: results do not depend on the order of the calls -----------------------
+
+/// Adds and returns the value before.
+FT_HOST_DEVICE inline int atomic_add(int* address, int value) {
+#if defined(__CUDA_ARCH__)
+  return atomicAdd(address, value);
+#else
+  return __atomic_fetch_add(address, value, __ATOMIC_RELAXED);
+#endif
+}
+
+template <typename T>
+FT_HOST_DEVICE void atomic_min(T* address, T value) {
+#if defined(__CUDA_ARCH__)
+  atomicMin(address, value);
+#else
+  T seen = __atomic_load_n(address, __ATOMIC_RELAXED);
+  while (value < seen && !__atomic_compare_exchange_n(address, &seen, value, true, __ATOMIC_RELAXED,
+                                                      __ATOMIC_RELAXED)) {}
+#endif
+}
+
+template <typename T>
+FT_HOST_DEVICE void atomic_max(T* address, T value) {
+#if defined(__CUDA_ARCH__)
+  atomicMax(address, value);
+#else
+  T seen = __atomic_load_n(address, __ATOMIC_RELAXED);
+  while (seen < value && !__atomic_compare_exchange_n(address, &seen, value, true, __ATOMIC_RELAXED,
+                                                      __ATOMIC_RELAXED)) {}
+#endif
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Memory spaces, owning buffers, and the carver that lays out a pipeline's one arena.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <new>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#if defined(__CUDACC__)
+#include <cuda_runtime.h>
+#endif
+
+namespace ft {
+inline namespace FT_ABI {
+
+enum class memory_space {
+  host,    ///< ordinary memory
+  pinned,  ///< host memory that the device copies from and to asynchronously
+  device,  ///< the current CUDA device's memory
+};
+
+namespace detail {
+
+inline constexpr std::size_t alignment = 256;
+
+#if defined(__CUDACC__)
+/// @throws cuda_error naming the call; the runtime's sticky-free error state is cleared
+inline void check(cudaError_t status, char const* call) {
+  if (status != cudaSuccess) {
+    cudaGetLastError();
+    throw cuda_error(std::string("ft: ") + call + ": " + cudaGetErrorName(status) + ", " +
+                     cudaGetErrorString(status));
+  }
+}
+#endif
+
+template <memory_space Space>
+void* allocate(std::size_t bytes) {
+  if constexpr (Space == memory_space::host) {
+    return ::operator new(bytes, std::align_val_t(alignment));
+  } else {
+#if defined(__CUDACC__)
+    void* p = nullptr;
+    if constexpr (Space == memory_space::pinned) {
+      check(cudaMallocHost(&p, bytes), "cudaMallocHost");
+    } else {
+      check(cudaMalloc(&p, bytes), "cudaMalloc");
+    }
+    return p;
+#else
+    static_assert(Space == memory_space::host, "pinned and device memory need a CUDA compiler");
+    return nullptr;
+#endif
+  }
+}
+
+/// Never throws: a runtime that is already unloaded is left alone.
+template <memory_space Space>
+void deallocate(void* p) noexcept {
+  if (p == nullptr) { return; }
+  if constexpr (Space == memory_space::host) {
+    ::operator delete(p, std::align_val_t(alignment));
+  } else {
+#if defined(__CUDACC__)
+    if constexpr (Space == memory_space::pinned) {
+      static_cast<void>(cudaFreeHost(p));
+    } else {
+      static_cast<void>(cudaFree(p));
+    }
+#endif
+  }
+}
+
+}  // namespace detail
+
+/// `size` elements of T in one space; move-only. Elements are not initialised.
+/// Allocates on construction only. @throws std::bad_alloc, cuda_error
+template <typename T, memory_space Space>
+class buffer {
+  static_assert(std::is_trivially_copyable<T>::value, "moved between spaces as bytes");
+
+public:
+  static constexpr memory_space space = Space;
+
+  buffer() = default;
+  explicit buffer(std::size_t size)
+      : data_(size == 0 ? nullptr
+                        : static_cast<T*>(
+                              detail::allocate<Space>(detail::checked_mul(size, sizeof(T))))),
+        size_(size) {}
+  buffer(buffer&& other) noexcept
+      : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+  buffer& operator=(buffer&& other) noexcept {
+    if (this != &other) {
+      detail::deallocate<Space>(data_);
+      data_ = std::exchange(other.data_, nullptr);
+      size_ = std::exchange(other.size_, 0);
+    }
+    return *this;
+  }
+  buffer(buffer const&) = delete;
+  buffer& operator=(buffer const&) = delete;
+  ~buffer() { detail::deallocate<Space>(data_); }
+
+  T* data() const noexcept { return data_; }
+  std::size_t size() const noexcept { return size_; }
+  std::size_t bytes() const noexcept { return size_ * sizeof(T); }
+
+private:
+  T* data_ = nullptr;
+  std::size_t size_ = 0;
+};
+
+/// Hands out aligned pieces of one block. Run a layout once on a default carver to learn `used()`, then
+/// again on the block: the same calls give the same pieces.
+class carver {
+public:
+  carver() = default;
+  explicit carver(std::byte* base) : base_(base) {}
+
+  template <typename T>
+  T* take(std::size_t count) {
+    used_ = (used_ + detail::alignment - 1) / detail::alignment * detail::alignment;
+    T* const piece = base_ == nullptr ? nullptr : reinterpret_cast<T*>(base_ + used_);
+    std::size_t const bytes = detail::checked_mul(count, sizeof(T));
+    if (used_ + bytes < used_) { throw bad_argument("ft: arena size overflow"); }
+    used_ += bytes;
+    return piece;
+  }
+  std::size_t used() const { return used_; }
+
+private:
+  std::byte* base_ = nullptr;
+  std::size_t used_ = 0;
+};
+
+/// One block of memory, carved once by a layout function `void(carver&)`.
+template <memory_space Space>
+class arena {
+public:
+  arena() = default;
+  template <typename Layout>
+  explicit arena(Layout&& layout) {
+    carver measure;
+    layout(measure);
+    block_ = buffer<std::byte, Space>(measure.used() + detail::alignment);
+    carver place(block_.data());
+    layout(place);
+  }
+  std::size_t bytes() const { return block_.bytes(); }
+  std::byte* data() const { return block_.data(); }
+
+private:
+  buffer<std::byte, Space> block_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

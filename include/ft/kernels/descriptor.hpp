@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: place of each kept corner in the output, and its orientation and descriptor.
+/// Source: specification section 4.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/detail/orb_pattern.hpp"
+#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/orientation.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Pixel columns seen by both cameras of a fisheye pair; keypoints inside go to the end of the list. The
+/// default meets no keypoint.
+struct stereo_overlap {
+  float left = 0;
+  float right = 0;
+};
+
+/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and sine
+FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a, float b,
+                                                    pattern_pair const* pattern, int index) {
+  strict_float const ca = a;
+  strict_float const sb = b;
+  auto const sample = [&](int px, int py) {
+    strict_float const fx = static_cast<float>(px);
+    strict_float const fy = static_cast<float>(py);
+    int const dx = round_to_even((fx * ca - fy * sb).value);
+    int const dy = round_to_even((fx * sb + fy * ca).value);
+    return blurred(x + dx, y + dy);
+  };
+  std::uint32_t byte = 0;
+  for (int bit = 0; bit < 8; ++bit) {
+    pattern_pair const p = pattern[8 * index + bit];
+    byte |= static_cast<std::uint32_t>(sample(p.x0, p.y0) < sample(p.x1, p.y1)) << bit;
+  }
+  return byte;
+}
+
+/// One image: where each kept corner goes. Level by level in list order; inside the overlap from the end
+/// of the array backwards.
+struct order_image {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int image, pyramid_geometry const& geometry,
+                                 distribution_view const& kept, stereo_overlap const* overlaps, int* place,
+                                 keypoints_view const& out, int* mono_count) const {
+    distribution_layout const& layout = kept.layout;
+    int const* const counts = kept.kept_count + image * layout.levels;
+    int all = 0;
+    for (int l = 0; l < layout.levels; ++l) { all += counts[l]; }
+    stereo_overlap const overlap = overlaps[image];
+    int mono = 0;
+    int stereo = 0;
+    for (int l = 0; l < layout.levels; ++l) {
+      int const at = image * layout.total + layout.first[l];
+      for (int base = 0; base < counts[l]; base += g.size()) {
+        int const i = base + g.rank();
+        bool const valid = i < counts[l];
+        bool inside = false;
+        if (valid) {
+          float x = static_cast<float>(kept.kept[at + i].x + corner_border);
+          if (l > 0) { x = detail::mul(x, geometry.scale[l]); }
+          inside = x >= overlap.left && x <= overlap.right;
+        }
+        int total = 0;
+        int const rank = g.exclusive_scan(static_cast<int>(valid && inside), total);
+        if (valid) { place[at + i] = inside ? all - 1 - (stereo + rank) : mono + g.rank() - rank; }
+        stereo += total;
+        mono += min_of(g.size(), counts[l] - base) - total;
+      }
+    }
+    if (g.rank() == 0) {
+      out.count[image] = all;
+      mono_count[image] = mono;
+    }
+  }
+};
+
+/// One kept corner: its keypoint and descriptor, written to its place.
+struct describe_corner {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
+                                 image_pyramid_view const& blurred, distribution_view const& kept,
+                                 pattern_pair const* pattern, int const* place,
+                                 keypoints_view const& out) const {
+    distribution_layout const& layout = kept.layout;
+    int const image = item / layout.total;
+    int const slot = item % layout.total;
+    int l = 0;
+    while (l + 1 < layout.levels && slot >= layout.first[l + 1]) { ++l; }
+    if (slot - layout.first[l] >= kept.kept_count[image * layout.levels + l]) { return; }
+
+    corner const c = kept.kept[item];
+    int const x = c.x + corner_border;
+    int const y = c.y + corner_border;
+    float const angle = orientation(g, pyramid.level(image, l), x, y);
+    float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
+    float const a = static_cast<float>(::cos(static_cast<double>(radians)));
+    float const b = static_cast<float>(::sin(static_cast<double>(radians)));
+
+    int const to = image * out.capacity + place[item];
+    unsigned char* const bytes = reinterpret_cast<unsigned char*>(&get<field::orb>(out, to));
+    gray_view const level = blurred.level(image, l);
+    for (int i = g.rank(); i < 32; i += g.size()) {
+      bytes[i] = static_cast<unsigned char>(descriptor_byte(level, x, y, a, b, pattern, i));
+    }
+    if (g.rank() == 0) {
+      float const scale = pyramid.geometry.scale[l];
+      get<field::x>(out, to) = l == 0 ? static_cast<float>(x) : detail::mul(static_cast<float>(x), scale);
+      get<field::y>(out, to) = l == 0 ? static_cast<float>(y) : detail::mul(static_cast<float>(y), scale);
+      get<field::angle>(out, to) = angle;
+      get<field::response>(out, to) = static_cast<float>(c.response);
+      get<field::octave>(out, to) = l;
+    }
+  }
+};
+
+/// Keypoints and descriptors of a batch of images from their kept corners, in the contract's order.
+/// Asynchronous on `exec`; allocates nothing; two launches.
+/// @param overlaps [batch] @param pattern [256] @param place workspace [batch][layout.total]
+/// @param mono_count [batch] keypoints outside the overlap; all in executor memory
+template <typename Exec>
+void describe_corners(Exec const& exec, image_pyramid_view const& pyramid, image_pyramid_view const& blurred,
+                      distribution_view const& kept, stereo_overlap const* overlaps,
+                      pattern_pair const* pattern, keypoints_view const& out, int* mono_count, int* place) {
+  for_each_item<per_block<256>>(exec, pyramid.batch, order_image{}, pyramid.geometry, kept, overlaps, place,
+                                out, mono_count);
+  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid, blurred, kept,
+                          pattern, place, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

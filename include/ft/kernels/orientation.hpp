@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: orientation of a corner by the intensity centroid of a disc. Source: specification
+/// section 4; Rosin, "Measuring corner properties", CVIU 1999.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/math.hpp"
+#include "ft/core/views.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+inline constexpr int orientation_radius = 15;
+
+/// Angle of (x, y) in degrees, [0, 360]; a polynomial in float with an error of about 0.01 degrees,
+/// bit-identical to cv::fastAtan2. (0, 0) gives 0.
+FT_HOST_DEVICE inline float fast_atan2_degrees(float y, float x) {
+  constexpr float k = static_cast<float>(180.0 / 3.14159265358979323846);
+  constexpr float p1 = 0.9997878412794807f * k;
+  constexpr float p3 = -0.3258083974640975f * k;
+  constexpr float p5 = 0.1555786518463281f * k;
+  constexpr float p7 = -0.04432655554792128f * k;
+  constexpr float eps = static_cast<float>(2.2204460492503131e-16);
+  float const ax = ::fabsf(x);
+  float const ay = ::fabsf(y);
+  bool const wide = ax >= ay;
+  strict_float const c = wide ? strict_float(ay) / (ax + eps) : strict_float(ax) / (ay + eps);
+  strict_float const q = c * c;
+  strict_float a = (((p7 * q + p5) * q + p3) * q + p1) * c;
+  if (!wide) { a = 90.0f - a; }
+  if (x < 0) { a = 180.0f - a; }
+  if (y < 0) { a = 360.0f - a; }
+  return a.value;
+}
+
+namespace detail {
+
+/// Half width of row v of the disc, v in 0..15.
+FT_HOST_DEVICE inline int disc_half_width(int v) {
+  // 15 15 15 15 14 14 14 13 | 13 12 11 10 9 8 6 3, four bits each
+  constexpr std::uint64_t widths = 0x3689abcddeeeffffull;
+  return static_cast<int>(widths >> (4 * v) & 15u);
+}
+
+struct moments {
+  int m10, m01;
+  friend FT_HOST_DEVICE moments operator+(moments a, moments b) {
+    return {a.m10 + b.m10, a.m01 + b.m01};
+  }
+};
+
+}  // namespace detail
+
+/// Orientation of the disc of radius 15 around (x, y) of an unblurred level; degrees, the same in every
+/// thread of the group. The disc must lie inside the level.
+template <typename Group>
+FT_HOST_DEVICE float orientation(Group g, gray_view level, int x, int y) {
+  detail::moments m{0, 0};
+  constexpr int side = 2 * orientation_radius + 1;
+  for (int r = g.rank(); r < side; r += g.size()) {
+    int const v = r - orientation_radius;
+    int const half = detail::disc_half_width(v < 0 ? -v : v);
+    std::uint8_t const* const row = level.row(y + v) + x;
+    int sum = 0;
+    for (int u = -half; u <= half; ++u) {
+      sum += row[u];
+      m.m10 += u * row[u];
+    }
+    m.m01 += v * sum;
+  }
+  m = g.reduce(m, sum_op{});
+  return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

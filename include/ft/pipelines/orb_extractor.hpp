@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Pipeline: ORB keypoints and descriptors of a batch of images, on memory taken once.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <vector>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/blur.hpp"
+#include "ft/kernels/corners.hpp"
+#include "ft/kernels/descriptor.hpp"
+#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/pyramid.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct orb_params {
+  int width = 0;   ///< of every image, pixels
+  int height = 0;
+  int features = 1200;  ///< wanted per image; a few more may come
+  int levels = 8;
+  float scale_factor = 1.2f;
+  int ini_threshold = 20;  ///< corner threshold, grey levels
+  int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
+};
+
+/// Extracts ORB features of `batch` images at once. All memory is taken by the constructor; extract()
+/// is asynchronous on the executor, allocates nothing and never waits. Not thread-safe; any number of
+/// instances may work side by side. Move-only.
+template <typename Exec>
+class orb_extractor {
+public:
+  static constexpr memory_space space = Exec::space;
+
+  orb_extractor() = default;
+  /// @param batch images per call @param overlaps one per image (fisheye pairs), or empty
+  /// Waits for the upload of its tables. @throws bad_argument naming the value and the limit;
+  ///   std::bad_alloc or cuda_error where memory is short
+  orb_extractor(Exec const& exec, orb_params const& params, int batch,
+                std::vector<stereo_overlap> const& overlaps = {})
+      : params_(checked(params, batch, overlaps)),
+        geometry_(pyramid_geometry::make(params.width, params.height, params.levels, params.scale_factor)),
+        batch_(batch) {
+    corner_layout const cells = corner_layout::make(geometry_);
+    distribution_layout const quad = distribution_layout::make(geometry_, params.features);
+    blur_layout_ = blur_layout::make(geometry_);
+    auto const b = static_cast<std::size_t>(batch);
+    arena_ = arena<space>([&](carver& c) {
+      carve(c, pyramid_, geometry_, batch);
+      carve(c, blurred_, geometry_, batch);
+      carve(c, corners_, cells, batch);
+      carve(c, distribution_, quad, cells, batch);
+      carve(c, keypoints_, max_of(quad.total, 1), batch);
+      taps_ = c.take<resize_tap>(static_cast<std::size_t>(geometry_.taps));
+      pattern_ = c.take<pattern_pair>(256);
+      overlaps_ = c.take<stereo_overlap>(b);
+      place_ = c.take<int>(b * static_cast<std::size_t>(quad.total));
+      mono_count_ = c.take<int>(b);
+    });
+    std::vector<resize_tap> taps(static_cast<std::size_t>(geometry_.taps));
+    make_resize_taps(geometry_, taps.data());
+    std::vector<stereo_overlap> all(overlaps);
+    all.resize(b);
+    copy(exec, taps_, static_cast<resize_tap const*>(taps.data()), taps.size());
+    copy(exec, pattern_, detail::orb_pattern, std::size_t{256});
+    copy(exec, overlaps_, static_cast<stereo_overlap const*>(all.data()), b);
+    fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
+    exec.wait();
+  }
+
+  /// Queues the copy of image `i` into the pyramid's level 0. Pinned memory makes it asynchronous.
+  /// @throws bad_argument for a null image, another size or a stride below the width
+  void upload(Exec const& exec, int i, gray_view image) {
+    detail::require_range("image index", i, 0, batch_ - 1);
+    detail::require(image.data != nullptr, "the image is null");
+    if (image.width != params_.width || image.height != params_.height) {
+      throw bad_argument("ft: the image is " + std::to_string(image.width) + "x" +
+                         std::to_string(image.height) + ", the extractor was made for " +
+                         std::to_string(params_.width) + "x" + std::to_string(params_.height));
+    }
+    detail::require(image.stride >= image.width, "the image's stride is below its width");
+    auto const to = pyramid_.level(i, 0);
+    copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), image.data,
+              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width), image.height);
+  }
+
+  /// Queues all stages over the uploaded images.
+  void extract(Exec const& exec) {
+    build_pyramid(exec, pyramid_, taps_);
+    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    distribute_corners(exec, corners_, distribution_);
+    blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
+    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_, mono_count_,
+                     place_);
+  }
+
+  // Views into executor memory, valid as long as the extractor.
+  keypoints_view keypoints() const { return keypoints_; }        ///< one batch entry per image
+  int const* mono_count() const { return mono_count_; }          ///< [batch], outside the stereo overlap
+  image_pyramid_view pyramid() const { return pyramid_; }
+  image_pyramid_view blurred() const { return blurred_; }
+  corners_view corners() const { return corners_; }
+  distribution_view distribution() const { return distribution_; }
+
+  orb_params const& params() const { return params_; }
+  pyramid_geometry const& geometry() const { return geometry_; }
+  int batch() const { return batch_; }
+  int capacity() const { return keypoints_.capacity; }  ///< most keypoints that an image can yield
+  std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
+
+private:
+  static orb_params const& checked(orb_params const& p, int batch,
+                                   std::vector<stereo_overlap> const& overlaps) {
+    detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
+    detail::require_range("min_threshold", p.min_threshold, 0, 255);
+    detail::require_range("batch", batch, 1, 4096);
+    detail::require(overlaps.empty() || overlaps.size() == static_cast<std::size_t>(batch),
+                    "give one stereo overlap per image, or none");
+    return p;
+  }
+
+  orb_params params_;
+  pyramid_geometry geometry_;
+  blur_layout blur_layout_;
+  int batch_ = 0;
+  image_pyramid_view pyramid_;
+  image_pyramid_view blurred_;
+  corners_view corners_;
+  distribution_view distribution_;
+  keypoints_view keypoints_;
+  resize_tap* taps_ = nullptr;
+  pattern_pair* pattern_ = nullptr;
+  stereo_overlap* overlaps_ = nullptr;
+  int* place_ = nullptr;
+  int* mono_count_ = nullptr;
+  arena<space> arena_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Plain types shared by the generator, the readers, the evaluation and the report.
+/// Not part of the ft library: applications and tests only. Eigen is used freely here.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace seq {
+
+/// What any function of this room throws on bad input: the message names the file and the reason.
+struct error : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// 8-bit grey image, row-major, no padding.
+struct image {
+  int width = 0;
+  int height = 0;
+  std::vector<std::uint8_t> pixels;
+
+  bool empty() const { return pixels.empty(); }
+  std::uint8_t const* row(int y) const {
+    return pixels.data() + static_cast<std::size_t>(y) * static_cast<std::size_t>(width);
+  }
+  std::uint8_t* row(int y) {
+    return pixels.data() + static_cast<std::size_t>(y) * static_cast<std::size_t>(width);
+  }
+};
+
+enum class lens {
+  pinhole,           ///< no distortion
+  radial_tangential, ///< OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6]]
+  kannala_brandt,    ///< k1 k2 k3 k4 (OpenCV fisheye, "equidistant")
+};
+
+struct camera_intrinsics {
+  lens model = lens::pinhole;
+  int width = 0;
+  int height = 0;
+  double fx = 0, fy = 0, cx = 0, cy = 0; ///< pixels
+  std::vector<double> distortion;        ///< as `model` says; empty for a pinhole
+};
+
+/// A calibrated pair. Camera frames: x right, y down, z forward; metres.
+struct stereo_rig {
+  camera_intrinsics left;
+  camera_intrinsics right;
+  Eigen::Isometry3d T_left_right = Eigen::Isometry3d::Identity(); ///< maps right-camera points to the left camera
+  Eigen::Isometry3d T_body_left = Eigen::Isometry3d::Identity();  ///< maps left-camera points to the body (IMU) frame
+  double fps = 0;                                                 ///< 0 = unknown
+
+  double baseline() const { return T_left_right.translation().norm(); }
+  /// True where rows of both images correspond: two equal pinholes, T_left_right a translation along x.
+  bool rectified() const;
+};
+
+/// Pose of the left camera in the world at a time: x_world = T_world_camera * x_camera.
+struct stamped_pose {
+  std::int64_t time_ns = 0;
+  Eigen::Isometry3d T_world_camera = Eigen::Isometry3d::Identity();
+};
+/// Sorted by time.
+using trajectory = std::vector<stamped_pose>;
+
+struct stereo_frame {
+  std::int64_t time_ns = 0;
+  image left;
+  image right;
+};
+
+struct imu_sample {
+  std::int64_t time_ns = 0;
+  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();  ///< rad/s, body frame
+  Eigen::Vector3d accel = Eigen::Vector3d::Zero(); ///< m/s^2, body frame, gravity included
+};
+
+}  // namespace seq

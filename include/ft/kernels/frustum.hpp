@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: visibility of map points, and the search windows of those in view.
+/// Source: specification sections 8 and 9.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/search_window.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// What the frustum test found for one point and one camera.
+struct visibility {
+  float x, y;      ///< projection, pixels
+  float right_x;   ///< in the right image of a rectified pair
+  float cosine;    ///< between viewing direction and the point's normal
+  float distance;  ///< from the camera's centre, metres
+  int level;       ///< predicted octave; -1 = not in view
+};
+
+struct frustum_params {
+  float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
+  float min_cosine = 0.5f;
+  float log_scale_factor = 0;  ///< natural logarithm of the pyramid's scale factor
+  int levels = 0;
+};
+
+/// Natural logarithm, computed in double and rounded once, so that host and device agree.
+FT_HOST_DEVICE inline float log_rounded(float v) {
+  return static_cast<float>(::log(static_cast<double>(v)));
+}
+
+/// Tests one point against one camera. @param T_cw world to this camera @param bf 0 where there is no right
+/// coordinate
+template <typename Camera>
+FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw, map_points_view const& map,
+                                          int slot, float bf, frustum_params const& params) {
+  visibility none{0, 0, 0, 0, 0, -1};
+  auto const T = T_cw.cast<strict_float>();
+  vec3<float> const world = get<field::position>(map, slot);
+  vec3<strict_float> const P{world.x, world.y, world.z};
+  vec3<strict_float> const Pc = T * P;
+  if (!(Pc.z >= 0.0f)) { return none; }
+  auto const seen = camera.template cast<strict_float>().project(Pc);
+  float const x = seen.pixel.x.value;
+  float const y = seen.pixel.y.value;
+  if (!seen.valid ||
+      !(x >= params.min_x && x <= params.max_x && y >= params.min_y && y <= params.max_y)) {
+    return none;
+  }
+  vec3<strict_float> const view = P - T.centre();
+  strict_float const distance = scalar::sqrt(dot(view, view));
+  float const max_distance = get<field::max_distance>(map, slot);
+  if (!(distance >= strict_float(0.8f) * get<field::min_distance>(map, slot) &&
+        distance <= strict_float(1.2f) * max_distance)) {
+    return none;
+  }
+  vec3<float> const n = get<field::normal>(map, slot);
+  strict_float const cosine = dot(view, {n.x, n.y, n.z}) / distance;
+  if (!(cosine >= params.min_cosine)) { return none; }
+  strict_float const ratio = strict_float(max_distance) / distance;
+  float const level = ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
+  return {x,
+          y,
+          (seen.pixel.x - bf / Pc.z).value,
+          cosine.value,
+          distance.value,
+          static_cast<int>(clamp(level, 0.0f, static_cast<float>(params.levels - 1)))};
+}
+
+struct local_search_params {
+  float th = 1;                ///< factor on the search radius
+  float far_distance = 0;      ///< points further away are left out; 0 = no limit, metres
+};
+
+/// Search window of a visible point. @param th 1 for the right camera of a fisheye pair
+FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th, bool right_column,
+                                              pyramid_geometry const& geometry) {
+  strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
+  float const radius = (base * th * geometry.scale[v.level]).value;
+  search_window w{};
+  w.x = v.x;
+  w.y = v.y;
+  w.radius = radius;
+  w.right_x = v.right_x;
+  w.min_level = v.level - 1;
+  w.max_level = v.level;
+  w.slot = slot;
+  w.check_right = right_column;
+  return w;
+}
+
+/// One entry of the local map.
+template <typename Rig>
+struct frustum_point {
+  using scratch = no_scratch;
+
+  /// @param poses [batch] T_cw @param slots [batch][capacity], -1 = none @param slot_count [batch]
+  /// @param stamps [batch][slots] frame in which a slot was matched last @param stamp this frame's
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, pose const* poses,
+                                 map_points_view const& map, int const* slots, int const* slot_count,
+                                 int const* stamps, int const* stamp, frustum_params const& params,
+                                 local_search_params const& search, pyramid_geometry const& geometry,
+                                 search_windows_view const& out, visibility* seen) const {
+    int const b = item / out.capacity;
+    int const i = item % out.capacity;
+    if (i == 0) { out.count[b] = slot_count[b]; }
+    if (i >= slot_count[b]) { return; }
+    map_points_view const points = map.slice(b);
+    int const slot = slots[item];
+    bool const skip = slot < 0 || slot >= points.capacity ||
+                      (stamps != nullptr && stamps[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] == stamp[b]);
+    pose const T_cw = poses[b];
+    constexpr int cameras = Rig::rectified ? 1 : 2;
+    for (int c = 0; c < cameras; ++c) {
+      visibility v{0, 0, 0, 0, 0, -1};
+      if (!skip) {
+        if constexpr (Rig::rectified) {
+          v = test_visibility(rig.camera, T_cw, points, slot, rig.bf, params);
+        } else if (c == 0) {
+          v = test_visibility(rig.left, T_cw, points, slot, 0.0f, params);
+        } else {
+          pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>()).template cast<float>();
+          v = test_visibility(rig.right, T_rw, points, slot, 0.0f, params);
+        }
+      }
+      std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(c) * out.batch * out.capacity + item;
+      if (seen != nullptr) { seen[at] = v; }
+      bool const out_of_reach =
+          v.level < 0 || (search.far_distance > 0 && v.distance > search.far_distance);
+      out.windows[at] = out_of_reach ? search_window::none()
+                                     : window_of(v, slot, c == 0 ? search.th : 1.0f, Rig::rectified, geometry);
+    }
+  }
+};
+
+/// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates nothing; one
+/// launch. @param seen [cameras][batch][out.capacity], or null @param stamps may be null: nothing skipped
+template <typename Exec, typename Rig>
+void find_visible_points(Exec const& exec, Rig const& rig, pose const* poses, map_points_view const& map,
+                         int const* slots, int const* slot_count, int const* stamps, int const* stamp,
+                         frustum_params const& params, local_search_params const& search,
+                         pyramid_geometry const& geometry, search_windows_view const& out, visibility* seen) {
+  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, rig, poses, map, slots,
+                            slot_count, stamps, stamp, params, search, geometry, out, seen);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,568 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: search by projection, from the last frame and in the local map.
+/// Source: specification sections 9 and 10.
+///
+/// The searches are sequential by definition: map points come in order, and a keypoint taken by one is
+/// not there for the next. Here all points list their candidates at once; then, in rounds, every point
+/// without an answer marks the keypoints it may take with its number, and a point whose candidates carry no
+/// lower number has the same choice as in the sequential loop and makes it. The lowest open point always
+/// does, so the rounds end; in practice a few are enough. (Deterministic reservations: Blelloch, Fineman,
+/// Gibbons, Shun, "Internally deterministic parallel algorithms can be fast", PPoPP 2012.)
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/feature_grid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/search_window.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The current frame as the searches see it. One camera, or two of a fisheye pair: keypoints of camera c of
+/// batch entry b are batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of camera c has number
+/// c * capacity + k in the arrays below, which have `cameras * capacity` entries per batch entry.
+struct frame_view {
+  keypoints_view keypoints;
+  int keypoint_step = 2;
+  int cameras = 1;
+  int batch = 1;
+  feature_grid_view grids;         ///< batch entry cameras * b + c
+  float const* right_x = nullptr;  ///< [batch][capacity] column in the right image, -1 = none; or null
+  int const* partner = nullptr;    ///< number of the stereo partner, -1 = none; or null
+  int* holder = nullptr;           ///< slot of the map point that a keypoint holds, -1 = none
+
+  FT_HOST_DEVICE int capacity() const { return keypoints.capacity; }
+  FT_HOST_DEVICE int numbers() const { return cameras * keypoints.capacity; }
+  FT_HOST_DEVICE keypoints_view camera(int b, int c) const { return keypoints.slice(keypoint_step * b + c); }
+};
+
+enum class search_kind {
+  last_frame,  ///< no ratio test; the right camera only where the left window held a keypoint
+  local_map,   ///< ratio test; a refusal on the left ends the point; stereo partners are taken too
+};
+
+struct search_params {
+  search_kind kind = search_kind::local_map;
+  int max_distance = 100;  ///< descriptors differ in at most this many bits
+  float ratio = 0.8f;      ///< best over second best, same octave; local map only
+};
+
+/// Candidates of one search and the state of the assignment.
+struct search_workspace {
+  static constexpr int list_size = 16;  ///< longer lists are walked in the grid again, none is cut
+  std::uint32_t* list = nullptr;  ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
+  int* list_count = nullptr;      ///< [cameras][batch][capacity], may exceed list_size
+  int* match = nullptr;           ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
+  int* touch = nullptr;           ///< [batch][numbers] lowest open window that may take a keypoint
+  int* open = nullptr;            ///< [batch][capacity] 1 = without an answer
+  int* matches = nullptr;         ///< [batch] keypoints that were given a point
+  int capacity = 0;               ///< windows
+  int batch = 0;
+  int cameras = 1;
+
+  FT_HOST_DEVICE std::ptrdiff_t window(int camera, int b, int i) const {
+    return (static_cast<std::ptrdiff_t>(camera) * batch + b) * capacity + i;
+  }
+};
+
+inline void carve(carver& c, search_workspace& v, int windows, int keypoints, int batch, int cameras) {
+  v.capacity = windows;
+  v.batch = batch;
+  v.cameras = cameras;
+  std::size_t const b = static_cast<std::size_t>(batch);
+  std::size_t const n = static_cast<std::size_t>(cameras) * b * static_cast<std::size_t>(windows);
+  v.list = c.take<std::uint32_t>(detail::checked_mul(n, search_workspace::list_size));
+  v.list_count = c.take<int>(n);
+  v.match = c.take<int>(n);
+  v.touch = c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
+  v.open = c.take<int>(b * static_cast<std::size_t>(windows));
+  v.matches = c.take<int>(b);
+}
+
+/// Lets a repeated search be skipped on the device: nothing is done where the first gave enough.
+struct search_gate {
+  int const* matches = nullptr;  ///< [batch], of the first search; null = always search
+  int enough = 0;
+
+  FT_HOST_DEVICE bool closed(int b) const { return matches != nullptr && matches[b] >= enough; }
+};
+
+namespace detail {
+
+/// Largest descriptor distance that can matter: to be taken, or to be second best.
+FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
+  return p.kind == search_kind::local_map && p.ratio > 0
+             ? max_of(p.max_distance, min_of(256, static_cast<int>(static_cast<float>(p.max_distance) / p.ratio) + 1))
+             : p.max_distance;
+}
+
+/// Distance of keypoint k where it can be a candidate at all, else -1; whatever holds it.
+FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_view const& kp,
+                                             float const* right_x, descriptor const& wanted, int k,
+                                             int limit) {
+  if (!inside(w, kp, k)) { return -1; }
+  if (w.check_right && right_x != nullptr) {
+    float const r = right_x[k];
+    if (r > 0 && ::fabsf(w.right_x - r) > w.radius) { return -1; }
+  }
+  int const distance = hamming(wanted, get<field::orb>(kp, k));
+  return distance <= limit ? distance : -1;
+}
+
+}  // namespace detail
+
+/// One window (of both cameras): its candidates, in the grid's order.
+struct list_candidates {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, frame_view const& frame,
+                                 map_points_view const& map, search_windows_view const& windows,
+                                 search_params const& params, search_gate const& gate,
+                                 search_workspace const& work) const {
+    int const b = item / windows.capacity;
+    int const i = item % windows.capacity;
+    if (gate.closed(b) || i >= windows.count[b]) { return; }
+    map_points_view const points = map.slice(b);
+    int const limit = detail::listed_distance(params);
+    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    float const* const right_x =
+        frame.right_x == nullptr ? nullptr : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
+    bool left_empty = false;
+    for (int c = 0; c < frame.cameras; ++c) {
+      search_window const w = windows.at(c, b, i);
+      std::ptrdiff_t const at = work.window(c, b, i);
+      int found = 0;
+      int in_window = 0;
+      if (w.slot >= 0 && !left_empty) {
+        keypoints_view const kp = frame.camera(b, c);
+        descriptor const wanted = get<field::orb>(points, w.slot);
+        visit_cells(g, w, frame.grids.slice(frame.cameras * b + c), [&](int k) {
+          int distance = -1;
+          if (k >= 0) {
+            // With one camera a keypoint that is taken stays taken.
+            int const held = frame.cameras == 1 ? holder[k] : -1;
+            if (held < 0 || get<field::observations>(points, held) <= 0) {
+              distance = detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
+            }
+            in_window += static_cast<int>(inside(w, kp, k));
+          }
+          int total = 0;
+          int const place = found + g.exclusive_scan(static_cast<int>(distance >= 0), total);
+          if (distance >= 0 && place < search_workspace::list_size) {
+            work.list[at * search_workspace::list_size + place] =
+                static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
+          }
+          found += total;
+        });
+      }
+      if (g.rank() == 0) { work.list_count[at] = found; }
+      if (params.kind == search_kind::last_frame && frame.cameras == 2) {
+        left_empty = g.reduce(in_window, sum_op{}) == 0;
+      }
+    }
+  }
+};
+
+/// All windows of one frame: who takes which keypoint.
+/// @tparam Rounds true: deterministic reservations; false: the plain loop, for groups of one thread
+template <bool Rounds>
+struct assign_keypoints {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+                                 map_points_view const& map, search_windows_view const& windows,
+                                 search_params const& params, search_gate const& gate,
+                                 search_workspace const& work) const {
+    if (gate.closed(b)) { return; }
+    static_assert(Rounds || Group::max_threads == 1, "the plain loop is for one thread");
+    context const ctx{b, frame, map.slice(b), windows, params, work,
+                      frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
+                      work.touch + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
+                      frame.partner == nullptr
+                          ? nullptr
+                          : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
+    int const n = windows.count[b];
+    int taken = 0;
+    if constexpr (!Rounds) {
+      for (int i = 0; i < n; ++i) { taken += decide(ctx, i); }
+      work.matches[b] = taken;
+      return;
+    }
+    constexpr int untouched = 0x7fffffff;
+    int* const open = work.open + static_cast<std::ptrdiff_t>(b) * work.capacity;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      open[i] = 1;
+    }
+    for (;;) {
+      for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.touch[k] = untouched; }
+      g.sync();
+      for (int i = g.rank(); i < n; i += g.size()) {
+        if (open[i] != 0) {
+          for_each_touched(ctx, i, [&](int number) { atomic_min(ctx.touch + number, i); });
+        }
+      }
+      g.sync();
+      int left_open = 0;
+      for (int i = g.rank(); i < n; i += g.size()) {
+        if (open[i] == 0) { continue; }
+        bool mine = true;
+        for_each_touched(ctx, i, [&](int number) { mine = mine && ctx.touch[number] == i; });
+        if (mine) {
+          taken += decide(ctx, i);
+          open[i] = 0;
+        } else {
+          ++left_open;
+        }
+      }
+      // The reduction also separates this round's reads of `touch` from the next one's reset.
+      if (g.reduce(left_open, sum_op{}) == 0) { break; }
+      g.sync();
+    }
+    taken = g.reduce(taken, sum_op{});
+    if (g.rank() == 0) { work.matches[b] = taken; }
+  }
+
+private:
+  struct context {
+    int b;
+    frame_view const& frame;
+    map_points_view points;
+    search_windows_view const& windows;
+    search_params const& params;
+    search_workspace const& work;
+    int* holder;
+    int* touch;
+    int const* partner;
+  };
+
+  /// Calls visit(keypoint, distance) for the candidates of window i in camera c, in order.
+  template <typename Visit>
+  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i, Visit const& visit) {
+    std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
+    int const n = ctx.work.list_count[at];
+    if (n <= search_workspace::list_size) {
+      for (int j = 0; j < n; ++j) {
+        std::uint32_t const entry = ctx.work.list[at * search_workspace::list_size + j];
+        visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
+      }
+      return;
+    }
+    search_window const w = ctx.windows.at(c, ctx.b, i);
+    keypoints_view const kp = ctx.frame.camera(ctx.b, c);
+    descriptor const wanted = get<field::orb>(ctx.points, w.slot);
+    int const limit = detail::listed_distance(ctx.params);
+    float const* const right_x =
+        ctx.frame.right_x == nullptr || c != 0
+            ? nullptr
+            : ctx.frame.right_x + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.capacity();
+    visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c), [&](int k) {
+      int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
+      if (distance >= 0) { visit(k, distance); }
+    });
+  }
+
+  FT_HOST_DEVICE static bool passes_on(context const& ctx) {
+    return ctx.partner != nullptr && ctx.params.kind == search_kind::local_map;
+  }
+
+  /// Calls visit(number) for every keypoint that window i may read or write.
+  template <typename Visit>
+  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, Visit const& visit) {
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for_each_candidate(ctx, c, i, [&](int k, int) {
+        int const number = c * ctx.frame.capacity() + k;
+        visit(number);
+        if (passes_on(ctx) && ctx.partner[number] >= 0) { visit(ctx.partner[number]); }
+      });
+    }
+  }
+
+  FT_HOST_DEVICE static bool occupied(context const& ctx, int number) {
+    int const held = ctx.holder[number];
+    return held >= 0 && get<field::observations>(ctx.points, held) > 0;
+  }
+
+  /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was given.
+  FT_HOST_DEVICE static int decide(context const& ctx, int i) {
+    int taken = 0;
+    bool refused = false;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      int& match = ctx.work.match[ctx.work.window(c, ctx.b, i)];
+      match = -1;
+      if (refused) { continue; }
+      keypoints_view const kp = ctx.frame.camera(ctx.b, c);
+      int best = 256;
+      int second = 256;
+      int best_octave = -1;
+      int second_octave = -1;
+      int best_k = -1;
+      for_each_candidate(ctx, c, i, [&](int k, int distance) {
+        if (occupied(ctx, c * ctx.frame.capacity() + k)) { return; }
+        if (distance < best) {
+          second = best;
+          second_octave = best_octave;
+          best = distance;
+          best_octave = get<field::octave>(kp, k);
+          best_k = k;
+        } else if (distance < second) {
+          second = distance;
+          second_octave = get<field::octave>(kp, k);
+        }
+      });
+      if (best_k < 0 || best > ctx.params.max_distance) { continue; }
+      if (ctx.params.kind == search_kind::local_map && best_octave == second_octave &&
+          static_cast<float>(best) > detail::mul(ctx.params.ratio, static_cast<float>(second))) {
+        refused = c == 0;
+        continue;
+      }
+      int const number = c * ctx.frame.capacity() + best_k;
+      int const slot = ctx.windows.at(c, ctx.b, i).slot;
+      ctx.holder[number] = slot;
+      match = best_k;
+      ++taken;
+      if (passes_on(ctx) && ctx.partner[number] >= 0) {
+        ctx.holder[ctx.partner[number]] = slot;
+        ++taken;
+      }
+    }
+    return taken;
+  }
+};
+
+/// Candidates and greedy assignment of a search, equal to the sequential loop for any input: fills
+/// `frame.holder`, `work.match` and `work.matches`. Asynchronous on `exec`; allocates nothing; two launches.
+template <typename Exec>
+void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
+                          search_windows_view const& windows, search_params const& params,
+                          search_gate const& gate, search_workspace const& work) {
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_candidates{}, frame, map, windows,
+                          params, gate, work);
+  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame, map,
+                                windows, params, gate, work);
+}
+
+// ---- search from the last frame -------------------------------------------------------------------
+
+/// The frame before, as far as the search needs it: keypoints of both cameras of a fisheye pair, left then
+/// right; of a rectified pair the left ones.
+struct last_frame_view {
+  keypoints_view keypoints;
+  int keypoint_step = 2;
+  int cameras = 1;
+  int const* holder = nullptr;  ///< [batch][cameras * capacity] slot of an inlier map point, -1 = none
+};
+
+struct last_search_params {
+  float th = 7;             ///< window half side at scale 1, pixels
+  bool mono = false;        ///< no direction of motion
+  bool reference_quirks = false;  ///< project into the right fisheye camera with the left one's model
+  float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
+};
+
+/// One keypoint of the last frame: the windows of its map point.
+template <typename Rig>
+struct project_last_point {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, pose const* poses,
+                                 pose const* last_poses, last_frame_view const& last,
+                                 map_points_view const& map, last_search_params const& params,
+                                 pyramid_geometry const& geometry, search_gate const& gate,
+                                 search_windows_view const& out) const {
+    int const b = item / out.capacity;
+    int const i = item % out.capacity;
+    if (gate.closed(b)) { return; }
+    // Left keypoints then right ones, without a gap: the order of the search.
+    int const left_count = last.keypoints.count[last.keypoint_step * b];
+    int const right_count = last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0;
+    if (i == 0) { out.count[b] = left_count + right_count; }
+    if (i >= left_count + right_count) { return; }
+    int const c_last = i < left_count ? 0 : 1;
+    int const k = i < left_count ? i : i - left_count;
+    int const number = c_last * last.keypoints.capacity + k;
+    int const slot = last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity + number];
+    constexpr int cameras = Rig::rectified ? 1 : 2;
+    for (int c = 0; c < cameras; ++c) { at(out, c, item) = search_window::none(); }
+    map_points_view const points = map.slice(b);
+    if (slot < 0 || slot >= points.capacity) { return; }
+
+    auto const T_cw = poses[b].cast<strict_float>();
+    auto const T_lw = last_poses[b].cast<strict_float>();
+    vec3<float> const world = get<field::position>(points, slot);
+    vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
+    strict_float const inv_z = strict_float(1.0f) / Pc.z;
+    if (!(inv_z >= 0.0f)) { return; }
+    int const octave = get<field::octave>(last.keypoints.slice(last.keypoint_step * b + c_last), k);
+    strict_float const baseline = base(rig);
+    strict_float const ahead = (T_lw * T_cw.centre()).z;
+    bool const forward = ahead > baseline && !params.mono;
+    bool const backward = -ahead > baseline && !params.mono;
+
+    search_window w{};
+    w.radius = detail::mul(params.th, geometry.scale[octave]);
+    w.min_level = forward ? octave : (backward ? 0 : octave - 1);
+    w.max_level = forward ? -1 : (backward ? octave : octave + 1);
+    w.slot = slot;
+    if constexpr (Rig::rectified) {
+      auto const seen = rig.camera.template cast<strict_float>().project(Pc);
+      if (!in_bounds(seen, params)) { return; }
+      w.x = seen.pixel.x.value;
+      w.y = seen.pixel.y.value;
+      w.right_x = (seen.pixel.x - rig.bf * inv_z).value;
+      w.check_right = true;
+      at(out, 0, item) = w;
+    } else {
+      auto const seen = rig.left.template cast<strict_float>().project(Pc);
+      if (!in_bounds(seen, params)) { return; }
+      w.x = seen.pixel.x.value;
+      w.y = seen.pixel.y.value;
+      at(out, 0, item) = w;
+      vec3<strict_float> const Pr = rig.T_rl.template cast<strict_float>() * Pc;
+      auto const right = project_right(rig, Pr, params.reference_quirks);
+      if (!right.valid) { return; }
+      w.x = right.pixel.x.value;
+      w.y = right.pixel.y.value;
+      at(out, 1, item) = w;
+    }
+  }
+
+private:
+  FT_HOST_DEVICE static search_window& at(search_windows_view const& out, int camera, int item) {
+    return out.windows[static_cast<std::ptrdiff_t>(camera) * out.batch * out.capacity + item];
+  }
+  FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p, last_search_params const& b) {
+    return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&
+           p.pixel.y <= b.max_y;
+  }
+  FT_HOST_DEVICE static strict_float base(Rig const& rig) {
+    if constexpr (Rig::rectified) {
+      return rig.baseline;
+    } else {
+      auto const t = rig.T_rl.template cast<strict_float>().t;
+      return scalar::sqrt(dot(t, t));
+    }
+  }
+  FT_HOST_DEVICE static projection<strict_float> project_right(Rig const& rig, vec3<strict_float> p,
+                                                               bool quirks) {
+    if (quirks) { return rig.left.template cast<strict_float>().project(p); }
+    return rig.right.template cast<strict_float>().project(p);
+  }
+};
+
+/// One frame: drops the matches whose rotation is not among the three most frequent.
+struct check_orientation {
+  static constexpr int bins = 30;
+  struct scratch {
+    int histogram[bins];
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
+                                 last_frame_view const& last, search_windows_view const& windows,
+                                 search_gate const& gate, search_workspace const& work) const {
+    if (gate.closed(b)) { return; }
+    for (int i = g.rank(); i < bins; i += g.size()) { s.histogram[i] = 0; }
+    g.sync();
+    int const n = windows.count[b];
+    for (int c = 0; c < frame.cameras; ++c) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int const k = work.match[work.window(c, b, i)];
+        if (k >= 0) { atomic_add(s.histogram + bin(frame, last, b, c, i, k), 1); }
+      }
+    }
+    g.sync();
+    // The three fullest, the lowest index winning a tie.
+    int top[3] = {-1, -1, -1};
+    int size[3] = {0, 0, 0};
+    for (int i = 0; i < bins; ++i) {
+      int const v = s.histogram[i];
+      if (v > size[0]) {
+        top[2] = top[1], size[2] = size[1];
+        top[1] = top[0], size[1] = size[0];
+        top[0] = i, size[0] = v;
+      } else if (v > size[1]) {
+        top[2] = top[1], size[2] = size[1];
+        top[1] = i, size[1] = v;
+      } else if (v > size[2]) {
+        top[2] = i, size[2] = v;
+      }
+    }
+    float const least = detail::mul(0.1f, static_cast<float>(size[0]));
+    if (static_cast<float>(size[1]) < least) {
+      top[1] = top[2] = -1;
+    } else if (static_cast<float>(size[2]) < least) {
+      top[2] = -1;
+    }
+    int dropped = 0;
+    for (int c = 0; c < frame.cameras; ++c) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int& k = work.match[work.window(c, b, i)];
+        if (k < 0) { continue; }
+        int const r = bin(frame, last, b, c, i, k);
+        if (r != top[0] && r != top[1] && r != top[2]) {
+          frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] = -1;
+          k = -1;
+          ++dropped;
+        }
+      }
+    }
+    dropped = g.reduce(dropped, sum_op{});
+    if (g.rank() == 0) { work.matches[b] -= dropped; }
+  }
+
+private:
+  FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c, int i,
+                                int k) {
+    int const left_count = last.keypoints.count[last.keypoint_step * b];
+    keypoints_view const from = last.keypoints.slice(last.keypoint_step * b + (i < left_count ? 0 : 1));
+    float rotation = get<field::angle>(from, i < left_count ? i : i - left_count) -
+                     get<field::angle>(frame.camera(b, c), k);
+    if (rotation < 0.0f) { rotation += 360.0f; }
+    int const r = round_away(detail::mul(rotation, 1.0f / static_cast<float>(bins)));
+    return r == bins ? 0 : clamp(r, 0, bins - 1);
+  }
+};
+
+/// Empties the holders of a frame.
+struct clear_holders {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
+                                 search_gate const& gate) const {
+    if (!gate.closed(item / frame.numbers())) { frame.holder[item] = -1; }
+  }
+};
+
+/// Search from the last frame: windows, candidates, assignment, orientation check; from empty holders.
+/// Asynchronous on `exec`; allocates nothing; five launches.
+/// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
+template <typename Exec, typename Rig>
+void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
+                       frame_view const& frame, last_frame_view const& last, map_points_view const& map,
+                       last_search_params const& params, pyramid_geometry const& geometry,
+                       search_gate const& gate, search_windows_view const& windows,
+                       search_workspace const& work, bool orientation_check = true) {
+  for_each_item<per_thread>(exec, frame.batch * frame.numbers(), clear_holders{}, frame, gate);
+  for_each_item<per_thread>(exec, windows.batch * windows.capacity, project_last_point<Rig>{}, rig, poses,
+                            last_poses, last, map, params, geometry, gate, windows);
+  search_params search;
+  search.kind = search_kind::last_frame;
+  search_by_projection(exec, frame, map, windows, search, gate, work);
+  if (orientation_check) {
+    for_each_item<per_block<256>>(exec, frame.batch, check_orientation{}, frame, last, windows, gate, work);
+  }
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

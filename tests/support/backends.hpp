@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The executors that a test body runs on, and copies to and from their memory.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <cstdlib>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+
+namespace test {
+
+struct host_backend {
+  using exec_type = ft::host_exec;
+  static constexpr char const* name = "host";
+  exec_type exec{};
+  static bool available() { return true; }
+};
+
+#if defined(__CUDACC__)
+struct cuda_backend {
+  using exec_type = ft::cuda_exec;
+  static constexpr char const* name = "cuda";
+  exec_type exec;
+
+  cuda_backend() : exec(make()) {}
+  cuda_backend(cuda_backend const&) = delete;
+  cuda_backend& operator=(cuda_backend const&) = delete;
+  ~cuda_backend() { cudaStreamDestroy(exec.stream); }
+  /// Without a device: false, so that the test skips; with FT_REQUIRE_GPU=1 that is a failure.
+  static bool available() {
+    int devices = 0;
+    bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
+    cudaGetLastError();
+    char const* const require = std::getenv("FT_REQUIRE_GPU");
+    if (!found && require != nullptr && std::string(require) == "1") {
+      ADD_FAILURE() << "FT_REQUIRE_GPU=1 but there is no CUDA device";
+    }
+    return found;
+  }
+
+private:
+  static ft::cuda_exec make() {
+    cudaStream_t stream = nullptr;
+    ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
+    return ft::cuda_exec(stream);
+  }
+};
+using backends = ::testing::Types<host_backend, cuda_backend>;
+#else
+using backends = ::testing::Types<host_backend>;
+#endif
+
+/// Base of typed test suites over executors.
+template <typename Backend>
+class on_backend : public ::testing::Test {
+protected:
+  void SetUp() override {
+    if (!Backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+  }
+};
+
+/// A copy of `values` in an executor's memory.
+template <typename T, typename Exec>
+ft::buffer<T, Exec::space> to_exec(Exec const& exec, std::vector<T> const& values) {
+  ft::buffer<T, Exec::space> memory(values.size());
+  ft::copy(exec, memory.data(), values.data(), values.size());
+  exec.wait();
+  return memory;
+}
+
+template <typename T, typename Exec>
+std::vector<T> from_exec(Exec const& exec, T const* data, std::size_t count) {
+  std::vector<T> values(count);
+  ft::copy(exec, values.data(), data, count);
+  exec.wait();
+  return values;
+}
+
+/// Waits, then reads one column of a container: all batch entries, capacity each.
+template <typename Field, typename Exec, typename View>
+std::vector<typename Field::type> column(Exec const& exec, View const& view) {
+  return from_exec(exec, static_cast<typename Field::type const*>(ft::array_of<Field>(view)),
+                   static_cast<std::size_t>(view.capacity) * static_cast<std::size_t>(view.batch));
+}
+
+/// A grey image with structure at all scales: flat areas, edges and noise; the same for the same seed.
+inline std::vector<std::uint8_t> random_image(int width, int height, unsigned seed) {
+  std::mt19937 random(seed);
+  std::vector<std::uint8_t> image(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 90);
+  int const boxes = 40 + width * height / 1500;
+  for (int i = 0; i < boxes; ++i) {
+    int const w = 1 + static_cast<int>(random() % static_cast<unsigned>(2 + width / (2 + i % 40)));
+    int const h = 1 + static_cast<int>(random() % static_cast<unsigned>(2 + height / (2 + i % 40)));
+    int const x0 = static_cast<int>(random() % static_cast<unsigned>(width));
+    int const y0 = static_cast<int>(random() % static_cast<unsigned>(height));
+    auto const grey = static_cast<std::uint8_t>(random());
+    for (int y = y0; y < y0 + h && y < height; ++y) {
+      for (int x = x0; x < x0 + w && x < width; ++x) {
+        image[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] = grey;
+      }
+    }
+  }
+  for (auto& p : image) {
+    p = static_cast<std::uint8_t>(std::min(255, std::max(0, static_cast<int>(p) + static_cast<int>(random() % 9) - 4)));
+  }
+  return image;
+}
+
+}  // namespace test

@@ -49,6 +49,17 @@ inline void print(conformance_table const& table, std::string const& title) {
   }
 }
 
+/// The pose stage on one list of observations.
+template <typename Rig>
+struct optimize_problem {
+  using scratch = typename ft::optimize_pose<Rig>::scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig, ft::pose_problem const& problem,
+                                 ft::pose_params const& params) const {
+    ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
+  }
+};
+
 /// One golden sequence on one executor.
 template <typename Exec>
 class golden_sequence {
@@ -502,16 +513,6 @@ private:
     r.add(worst < 1e-4, worst);
     for (int i = 0; i < n; ++i) { r.add(flags[static_cast<std::size_t>(i)] == outlier(i)); }
   }
-
-  template <typename Rig>
-  struct optimize_problem {
-    using scratch = typename ft::optimize_pose<Rig>::scratch;
-    template <typename Group>
-    FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig, ft::pose_problem const& problem,
-                                   ft::pose_params const& params) const {
-      ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
-    }
-  };
 
   Exec exec_;
   std::string folder_;

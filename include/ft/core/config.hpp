@@ -20,7 +20,7 @@
 #define FT_HIDDEN
 #endif
 
-#if defined(__CUDACC__)
+#if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #else
 #define FT_UNROLL

@@ -34,7 +34,11 @@ struct image_view {
     return data + static_cast<std::ptrdiff_t>(y) * static_cast<std::ptrdiff_t>(stride);
   }
   FT_HOST_DEVICE T& operator()(int x, int y) const { return row(y)[x]; }
-  FT_HOST_DEVICE operator image_view<T const>() const { return {data, width, height, stride}; }
+  /// To a view that only reads.
+  template <typename U, typename = std::enable_if_t<std::is_same<U, T const>::value && !std::is_const<T>::value>>
+  FT_HOST_DEVICE operator image_view<U>() const {  // NOLINT(google-explicit-constructor)
+    return {data, width, height, stride};
+  }
 };
 
 using gray_view = image_view<std::uint8_t const>;

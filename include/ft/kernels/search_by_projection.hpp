@@ -355,7 +355,7 @@ void search_by_projection(Exec const& exec, frame_view const& frame, map_points_
 /// The frame before, as far as the search needs it: keypoints of both cameras of a fisheye pair, left then
 /// right; of a rectified pair the left ones.
 struct last_frame_view {
-  keypoints_view keypoints;
+  soa_view<field::angle, field::octave> keypoints;
   int keypoint_step = 2;
   int cameras = 1;
   int const* holder = nullptr;  ///< [batch][cameras * capacity] slot of an inlier map point, -1 = none
@@ -524,7 +524,7 @@ private:
   FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c, int i,
                                 int k) {
     int const left_count = last.keypoints.count[last.keypoint_step * b];
-    keypoints_view const from = last.keypoints.slice(last.keypoint_step * b + (i < left_count ? 0 : 1));
+    auto const from = last.keypoints.slice(last.keypoint_step * b + (i < left_count ? 0 : 1));
     float rotation = get<field::angle>(from, i < left_count ? i : i - left_count) -
                      get<field::angle>(frame.camera(b, c), k);
     if (rotation < 0.0f) { rotation += 360.0f; }

@@ -21,6 +21,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// For callers that do not time stages.
+struct no_mark {
+  void operator()(char const*) const {}
+};
+
 struct orb_params {
   int width = 0;   ///< of every image, pixels
   int height = 0;
@@ -91,14 +96,20 @@ public:
               static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width), image.height);
   }
 
-  /// Queues all stages over the uploaded images.
-  void extract(Exec const& exec) {
+  /// Queues all stages over the uploaded images. @param mark called with a stage's name once it is queued
+  template <typename Mark = no_mark>
+  void extract(Exec const& exec, Mark&& mark = {}) {
     build_pyramid(exec, pyramid_, taps_);
+    mark("pyramid");
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    mark("corners");
     distribute_corners(exec, corners_, distribution_);
+    mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
+    mark("blur");
     describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_, mono_count_,
                      place_);
+    mark("descriptors");
   }
 
   // Views into executor memory, valid as long as the extractor.

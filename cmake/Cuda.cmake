@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+# Finds CUDA as FT_ENABLE_CUDA asks, sets FT_HAS_CUDA, and defines ft::cuda. The target works whether or
+# not the including project enables the CUDA language; ft enables it only to build its own binaries.
+
+set(FT_HAS_CUDA OFF)
+if(FT_ENABLE_CUDA STREQUAL "AUTO")
+  if(NOT CMAKE_CUDA_COMPILER)
+    include(CheckLanguage)
+    check_language(CUDA)
+  endif()
+  if(CMAKE_CUDA_COMPILER)
+    find_package(CUDAToolkit QUIET)
+    set(FT_HAS_CUDA ${CUDAToolkit_FOUND})
+  endif()
+elseif(FT_ENABLE_CUDA)
+  find_package(CUDAToolkit REQUIRED)
+  set(FT_HAS_CUDA ON)
+endif()
+
+if(FT_HAS_CUDA)
+  message(STATUS "ft: CUDA ${CUDAToolkit_VERSION}")
+else()
+  message(STATUS "ft: no CUDA, host executor only")
+  return()
+endif()
+
+add_library(ft_cuda INTERFACE)
+add_library(ft::cuda ALIAS ft_cuda)
+include(${CMAKE_CURRENT_LIST_DIR}/CudaRuntime.cmake)
+ft_link_cuda_runtime(ft_cuda)
+target_link_libraries(ft_cuda INTERFACE ft)
+
+macro(ft_enable_cuda_language)
+  if(NOT DEFINED CMAKE_CUDA_ARCHITECTURES AND NOT DEFINED ENV{CUDAARCHS})
+    set(CMAKE_CUDA_ARCHITECTURES ${FT_CUDA_ARCHITECTURES})
+    if(CUDAToolkit_VERSION VERSION_LESS 11.8)
+      list(REMOVE_ITEM CMAKE_CUDA_ARCHITECTURES 90)
+    endif()
+  endif()
+  enable_language(CUDA)
+  message(STATUS "ft: GPU architectures ${CMAKE_CUDA_ARCHITECTURES}")
+endmacro()

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+# Compiles each public header alone, as C++ and, with CUDA, as CUDA for one architecture.
+
+file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/include
+     ${PROJECT_SOURCE_DIR}/include/ft/*.hpp)
+list(FILTER headers EXCLUDE REGEX "/detail/")
+
+# Headers of interop need their third party: Thrust comes with CUDA, OpenCV is optional.
+set(host_headers ${headers})
+list(FILTER host_headers EXCLUDE REGEX "^ft/interop/thrust.hpp$")
+if(NOT OpenCV_FOUND)
+  list(FILTER headers EXCLUDE REGEX "^ft/interop/opencv.hpp$")
+  list(FILTER host_headers EXCLUDE REGEX "^ft/interop/opencv.hpp$")
+endif()
+
+function(ft_add_header_check target extension)
+  set(units)
+  foreach(header IN LISTS ARGN)
+    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${target}/${header}.${extension})
+    # Twice, so that a missing include guard shows as well.
+    file(CONFIGURE OUTPUT ${unit} CONTENT "#include \"${header}\"\n#include \"${header}\"\n" @ONLY)
+    list(APPEND units ${unit})
+  endforeach()
+  if(units)
+    add_library(${target} OBJECT ${units})
+    ft_target_defaults(${target})
+    if(OpenCV_FOUND)
+      target_link_libraries(${target} PRIVATE ${OpenCV_LIBS})
+    endif()
+  endif()
+endfunction()
+
+ft_add_header_check(header_check_host cpp ${host_headers})
+if(TARGET header_check_host)
+  target_link_libraries(header_check_host PRIVATE ft::ft)
+  add_dependencies(ft_host_tests header_check_host)
+endif()
+if(FT_HAS_CUDA)
+  ft_add_header_check(header_check_cuda cu ${headers})
+  if(TARGET header_check_cuda)
+    target_link_libraries(header_check_cuda PRIVATE ft::cuda)
+    list(GET CMAKE_CUDA_ARCHITECTURES -1 architecture)
+    set_target_properties(header_check_cuda PROPERTIES CUDA_ARCHITECTURES ${architecture})
+  endif()
+endif()

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+# Headers, CMake package (find_package(ft)) and pkg-config file. All of it is independent of machine and
+# compiler, so it goes to share/.
+
+include(CMakePackageConfigHelpers)
+include(GNUInstallDirs)
+
+set(package_dir ${CMAKE_INSTALL_DATADIR}/cmake/ft)
+
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/ft TYPE INCLUDE)
+install(TARGETS ft EXPORT ftTargets)
+install(EXPORT ftTargets NAMESPACE ft:: DESTINATION ${package_dir})
+
+configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/ftConfig.cmake.in
+  ${PROJECT_BINARY_DIR}/ftConfig.cmake INSTALL_DESTINATION ${package_dir})
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/ftConfigVersion.cmake
+  COMPATIBILITY SameMajorVersion ARCH_INDEPENDENT)
+install(FILES ${PROJECT_BINARY_DIR}/ftConfig.cmake ${PROJECT_BINARY_DIR}/ftConfigVersion.cmake
+              ${CMAKE_CURRENT_LIST_DIR}/CudaRuntime.cmake
+        DESTINATION ${package_dir})
+
+configure_file(${CMAKE_CURRENT_LIST_DIR}/ft.pc.in ${PROJECT_BINARY_DIR}/ft.pc @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/ft.pc DESTINATION ${CMAKE_INSTALL_DATADIR}/pkgconfig)
+install(FILES ${PROJECT_SOURCE_DIR}/LICENSE ${PROJECT_SOURCE_DIR}/NOTICE TYPE DOC)

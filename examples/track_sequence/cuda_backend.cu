@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/track_sequence/visual_odometry.hpp"
+
+namespace app {
+
+namespace {
+
+/// A stream that outlives what runs on it.
+class owned_stream {
+public:
+  owned_stream() { ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "cudaStreamCreate"); }
+  owned_stream(owned_stream const&) = delete;
+  owned_stream& operator=(owned_stream const&) = delete;
+  ~owned_stream() { static_cast<void>(cudaStreamDestroy(stream_)); }
+  cudaStream_t get() const { return stream_; }
+
+private:
+  cudaStream_t stream_ = nullptr;
+};
+
+class cuda_odometry final : public odometry {
+public:
+  explicit cuda_odometry(odometry_options const& options)
+      : inner_(ft::cuda_exec(stream_.get()), options, cuda_device_name()) {}
+  frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) override {
+    return inner_.track(left, right);
+  }
+  std::vector<std::string> const& stage_names() const override { return inner_.stage_names(); }
+  std::vector<seen_keypoint> keypoints() const override { return inner_.keypoints(); }
+  int keyframes() const override { return inner_.keyframes(); }
+  int map_points() const override { return inner_.map_points(); }
+  std::string device() const override { return inner_.device(); }
+
+private:
+  owned_stream stream_;
+  visual_odometry<ft::cuda_exec> inner_;
+};
+
+}  // namespace
+
+std::string cuda_device_name() {
+  int devices = 0;
+  cudaDeviceProp properties;
+  if (cudaGetDeviceCount(&devices) != cudaSuccess || devices < 1 ||
+      cudaGetDeviceProperties(&properties, 0) != cudaSuccess) {
+    static_cast<void>(cudaGetLastError());
+    return {};
+  }
+  return properties.name;
+}
+
+std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options) {
+  return std::make_unique<cuda_odometry>(options);
+}
+
+}  // namespace app

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stereo visual odometry behind an interface of plain types, so that the host and the CUDA version
+/// live in one program.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace app {
+
+/// x -> R x + t, row-major R; metres.
+struct rigid_pose {
+  std::array<double, 9> R{1, 0, 0, 0, 1, 0, 0, 0, 1};
+  std::array<double, 3> t{};
+
+  std::array<double, 3> operator*(std::array<double, 3> const& p) const;
+  rigid_pose operator*(rigid_pose const& other) const;
+  rigid_pose inverse() const;
+  /// The nearest rotation, after many products.
+  void orthonormalize();
+};
+
+enum class pose_optimization { both, last_frame, off };
+
+struct odometry_options {
+  int width = 0, height = 0;
+  double fx = 0, fy = 0, cx = 0, cy = 0;  ///< of the rectified pair, pixels
+  double baseline = 0;                    ///< metres
+  int features = 1200;
+  int levels = 8;
+  double scale_factor = 1.2;
+  int ini_threshold = 20;
+  int min_threshold = 7;
+  double near_depth = 40;  ///< points nearer than this many baselines become map points
+  double fps = 20;
+  pose_optimization optimize = pose_optimization::both;
+  int threads = 0;  ///< of the host version; 0 = all
+};
+
+/// One keypoint of the last processed frame, for drawing.
+struct seen_keypoint {
+  float x, y;
+  int octave;
+  float depth;  ///< metres, -1 = no stereo match
+  int point;    ///< map point held, -1 = none
+};
+
+struct frame_outcome {
+  bool tracked = false;
+  bool keyframe = false;
+  rigid_pose T_cw;  ///< world to left camera
+  int keypoints = 0;
+  int stereo_matches = 0;
+  int inliers = 0;
+  int local_points = 0;
+  std::vector<double> stage_ms;  ///< one per stage_names()
+};
+
+/// Tracks a rectified stereo camera; the world is the first tracked frame's left camera.
+class odometry {
+public:
+  virtual ~odometry() = default;
+  /// @param left,right width x height bytes without padding
+  virtual frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) = 0;
+  virtual std::vector<std::string> const& stage_names() const = 0;  ///< the last one is "total"
+  virtual std::vector<seen_keypoint> keypoints() const = 0;         ///< of the last frame
+  virtual int keyframes() const = 0;
+  virtual int map_points() const = 0;
+  virtual std::string device() const = 0;
+};
+
+std::unique_ptr<odometry> make_host_odometry(odometry_options const& options);
+
+/// Empty where there is no usable CUDA device, else its name.
+std::string cuda_device_name();
+std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options);
+
+}  // namespace app

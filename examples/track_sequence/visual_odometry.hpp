@@ -1,0 +1,346 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stereo visual odometry from ft stages alone, for either executor.
+///
+/// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose -> local
+/// map of the keyframes that share points (chosen on the host) -> frustum, search, pose -> a keyframe where
+/// too few points are left. A frame that is not found so is looked for around the last poses with a wide
+/// search; where that fails for long, a new map is begun.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "examples/track_sequence/odometry.hpp"
+#include "examples/track_sequence/sparse_map.hpp"
+#include "examples/track_sequence/stage_timer.hpp"
+#include "ft/pipelines/frame_tracker.hpp"
+
+namespace app {
+
+namespace vo {
+
+constexpr int min_stereo_points = 60;    ///< to begin a map
+constexpr int min_inliers = 20;          ///< to call a frame tracked
+constexpr int min_motion_inliers = 10;   ///< to trust the pose from the last frame
+constexpr int min_recovered = 30;        ///< to call a lost camera found
+constexpr float wide_search = 6;         ///< factor on the local search's radius when lost
+constexpr int patience = 5;              ///< lost frames with features before a new map is begun
+constexpr int wanted_near_points = 100;  ///< a keyframe has at least as many near points
+constexpr int new_near_points = 70;      ///< and is made where so many could be added
+constexpr double keep_share = 0.75;      ///< of the last keyframe's tracked points
+
+}  // namespace vo
+
+template <typename Exec>
+class visual_odometry final : public odometry {
+public:
+  visual_odometry(Exec exec, odometry_options const& options, std::string device)
+      : exec_(std::move(exec)),
+        options_(options),
+        device_(std::move(device)),
+        tracker_(exec_,
+                 ft::rectified_rig::make({static_cast<float>(options.fx), static_cast<float>(options.fy),
+                                          static_cast<float>(options.cx), static_cast<float>(options.cy)},
+                                         static_cast<float>(options.baseline)),
+                 tracker_params_of(options)),
+        map_(tracker_.params().map_slots,
+             std::vector<float>(tracker_.geometry().scale, tracker_.geometry().scale + options.levels)),
+        sums_({"upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid", "stereo",
+               "search last frame", "pose last frame", "update local map", "frustum", "search local map",
+               "pose local map", "download", "keyframe", "total"}),
+        timer_(exec_),
+        descriptors_(static_cast<std::size_t>(tracker_.capacity())) {}
+
+  frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) override {
+    sums_.reset();
+    double const start = now_ms();
+    ++frame_;
+    auto const& p = tracker_.params().orb;
+    tracker_.set_image(0, 0, {left, p.width, p.height, p.width});
+    tracker_.set_image(0, 1, {right, p.width, p.height, p.width});
+
+    frame_outcome out;
+    bool found = false;
+    bool const has_map = map_.keyframe_count() > 0;
+    if (has_map && lost_frames_ == 0) {
+      found = track_from_last(out);
+    } else {
+      run([&](auto&& mark) { tracker_.extract(exec_, mark); });
+    }
+    if (has_map && !found) { found = recover(out); }
+    finish(out, found, has_map);
+    out.keypoints = tracker_.result().keypoints[0];
+    out.stereo_matches = count([&](int i) { return tracker_.result().depth[i] > 0; });
+    sums_.add("total", now_ms() - start);
+    out.stage_ms = sums_.ms();
+    return out;
+  }
+
+  std::vector<std::string> const& stage_names() const override { return sums_.names(); }
+
+  std::vector<seen_keypoint> keypoints() const override {
+    auto const& r = tracker_.result();
+    std::vector<seen_keypoint> all;
+    for (int i = 0; i < r.keypoints[0]; ++i) {
+      all.push_back({r.x[i], r.y[i], r.octave[i], r.depth[i], held_[static_cast<std::size_t>(i)]});
+    }
+    return all;
+  }
+  int keyframes() const override { return keyframes_made_; }
+  int map_points() const override { return map_.point_count(); }
+  std::string device() const override { return device_; }
+
+private:
+  static ft::tracker_params tracker_params_of(odometry_options const& o) {
+    ft::tracker_params p;
+    p.orb.width = o.width;
+    p.orb.height = o.height;
+    p.orb.features = o.features;
+    p.orb.levels = o.levels;
+    p.orb.scale_factor = static_cast<float>(o.scale_factor);
+    p.orb.ini_threshold = o.ini_threshold;
+    p.orb.min_threshold = o.min_threshold;
+    p.optimize_last = o.optimize != pose_optimization::off;
+    p.optimize_local = o.optimize == pose_optimization::both;
+    p.map_slots = std::max(1 << 17, 8 * o.features);
+    p.updates = std::max(1 << 13, 2 * o.features);
+    return p;
+  }
+  static ft::pose to_ft(rigid_pose const& T) {
+    ft::pose p;
+    for (std::size_t i = 0; i < 9; ++i) { p.R.m[i] = static_cast<float>(T.R[i]); }
+    p.t = {static_cast<float>(T.t[0]), static_cast<float>(T.t[1]), static_cast<float>(T.t[2])};
+    return p;
+  }
+  static rigid_pose from_ft(ft::pose const& p) {
+    rigid_pose T;
+    for (std::size_t i = 0; i < 9; ++i) { T.R[i] = static_cast<double>(p.R.m[i]); }
+    T.t = {static_cast<double>(p.t.x), static_cast<double>(p.t.y), static_cast<double>(p.t.z)};
+    T.orthonormalize();
+    return T;
+  }
+
+  /// Queues a call of the tracker and waits for its result.
+  template <typename Call>
+  void run(Call const& call) {
+    timer_.start();
+    call([&](char const* stage) { timer_.mark(stage, sums_); });
+    exec_.wait();
+    timer_.collect(sums_);
+  }
+  template <typename Host>
+  void timed(char const* stage, Host const& body) {
+    double const start = now_ms();
+    body();
+    sums_.add(stage, now_ms() - start);
+  }
+  template <typename Condition>
+  int count(Condition const& condition) const {
+    int n = 0;
+    for (int i = 0; i < tracker_.result().keypoints[0]; ++i) { n += static_cast<int>(condition(i)); }
+    return n;
+  }
+
+  bool track_from_last(frame_outcome& out) {
+    tracker_.predicted()[0] = to_ft(velocity_ * T_cw_);
+    tracker_.last_pose()[0] = to_ft(T_cw_);
+    tracker_.stamp()[0] = ++stamp_;
+    for (int i = 0; i < tracker_.capacity(); ++i) {
+      int const slot = held_.empty() ? -1 : held_[static_cast<std::size_t>(i)];
+      tracker_.last_holder()[i] = map_.alive(slot) ? slot : -1;
+    }
+    run([&](auto&& mark) { tracker_.track_motion(exec_, mark); });
+    if (tracker_.result().inliers[0] < vo::min_motion_inliers) { return false; }
+    std::vector<int> held = holders();
+    timed("update local map", [&] { choose_local(map_.local_points(held, tracker_.params().local_points)); });
+    run([&](auto&& mark) { tracker_.track_local(exec_, ft::local_search_params{}, false, mark); });
+    // Points matched from the last frame were not tested again: they are in view.
+    for (int slot : held) { map_.count_visible(slot); }
+    count_in_view();
+    out.local_points = static_cast<int>(local_.size());
+    out.inliers = tracker_.result().inliers[0];
+    return out.inliers >= vo::min_inliers;
+  }
+
+  /// A wide search around poses where the camera may be.
+  bool recover(frame_outcome& out) {
+    std::vector<rigid_pose> const guesses{velocity_ * T_cw_, T_cw_, map_.last_keyframe_pose()};
+    for (auto const& guess : guesses) {
+      tracker_.predicted()[0] = to_ft(guess);
+      tracker_.stamp()[0] = ++stamp_;
+      timed("update local map", [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
+      ft::local_search_params wide;
+      wide.th = vo::wide_search;
+      run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
+      out.local_points = static_cast<int>(local_.size());
+      out.inliers = tracker_.result().inliers[0];
+      if (out.inliers >= vo::min_recovered) { return true; }
+    }
+    return false;
+  }
+
+  void choose_local(std::vector<int> slots) {
+    local_ = std::move(slots);
+    std::copy(local_.begin(), local_.end(), tracker_.local_slots());
+    tracker_.local_count()[0] = static_cast<int>(local_.size());
+  }
+  void count_in_view() {
+    for (std::size_t i = 0; i < local_.size(); ++i) {
+      if (tracker_.result().in_view[i] != 0) { map_.count_visible(local_[i]); }
+    }
+  }
+  std::vector<int> holders() const {
+    std::vector<int> held;
+    for (int i = 0; i < tracker_.result().keypoints[0]; ++i) {
+      if (tracker_.result().holder[i] >= 0) { held.push_back(tracker_.result().holder[i]); }
+    }
+    return held;
+  }
+
+  void finish(frame_outcome& out, bool found, bool has_map) {
+    auto const& r = tracker_.result();
+    if (found) {
+      rigid_pose const T = from_ft(r.T_cw[0]);
+      if (lost_frames_ == 0) {
+        velocity_ = T * T_cw_.inverse();
+        velocity_.orthonormalize();
+      } else {
+        velocity_ = {};
+      }
+      T_cw_ = T;
+      lost_frames_ = 0;
+      hold();
+      for (int slot : holders()) { map_.count_found(slot); }
+      out.tracked = true;
+      timed("keyframe", [&] {
+        if (needs_keyframe()) {
+          insert_keyframe();
+          out.keyframe = true;
+        }
+      });
+    } else {
+      held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+      out.inliers = 0;
+      int const depths = count([&](int i) { return r.depth[i] > 0; });
+      bool const usable = depths >= vo::min_stereo_points;
+      if (has_map) {
+        T_cw_ = velocity_ * T_cw_;  // the best guess goes on, slower and slower
+        slow_down();
+        lost_frames_ += 1;
+        lost_with_features_ = usable ? lost_with_features_ + 1 : 0;
+      }
+      if (usable && (!has_map || lost_with_features_ >= vo::patience)) {
+        timed("keyframe", [&] {
+          map_.clear();
+          velocity_ = {};
+          lost_frames_ = 0;
+          lost_with_features_ = 0;
+          insert_keyframe();
+        });
+        out.tracked = out.keyframe = true;
+        out.inliers = count([&](int i) { return held_[static_cast<std::size_t>(i)] >= 0; });
+      }
+    }
+    out.T_cw = T_cw_;
+  }
+
+  void slow_down() {
+    for (auto& t : velocity_.t) { t *= 0.5; }
+    rigid_pose still;
+    for (std::size_t i = 0; i < 9; ++i) { velocity_.R[i] = 0.5 * (velocity_.R[i] + still.R[i]); }
+    velocity_.orthonormalize();
+  }
+
+  void hold() {
+    auto const& r = tracker_.result();
+    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+    std::copy(r.holder, r.holder + r.keypoints[0], held_.begin());
+  }
+
+  double near() const { return options_.near_depth * options_.baseline; }
+
+  bool needs_keyframe() const {
+    auto const& r = tracker_.result();
+    auto const is_near = [&](int i) { return r.depth[i] > 0 && static_cast<double>(r.depth[i]) < near(); };
+    int const tracked = count([&](int i) { return r.holder[i] >= 0; });
+    int const near_tracked = count([&](int i) { return is_near(i) && r.holder[i] >= 0; });
+    int const near_free = count([&](int i) { return is_near(i) && r.holder[i] < 0; });
+    bool const short_of_near = near_tracked < vo::wanted_near_points && near_free > vo::new_near_points;
+    return short_of_near || tracked < vo::keep_share * reference_tracked_;
+  }
+
+  void insert_keyframe() {
+    auto const& r = tracker_.result();
+    tracker_.download_descriptors(exec_, 0, descriptors_.data());
+    exec_.wait();
+    std::vector<keyframe_feature> features(static_cast<std::size_t>(r.keypoints[0]));
+    for (int i = 0; i < r.keypoints[0]; ++i) {
+      auto& f = features[static_cast<std::size_t>(i)];
+      f.slot = held_.empty() ? -1 : held_[static_cast<std::size_t>(i)];
+      double const z = static_cast<double>(r.depth[i]);
+      f.camera = {(static_cast<double>(r.x[i]) - options_.cx) / options_.fx * z,
+                  (static_cast<double>(r.y[i]) - options_.cy) / options_.fy * z, z};
+      f.octave = r.octave[i];
+      std::memcpy(f.orb.data(), &descriptors_[static_cast<std::size_t>(i)], sizeof f.orb);
+    }
+    map_.cull();
+    map_.insert(T_cw_, features, near(), vo::wanted_near_points);
+    ++keyframes_made_;
+    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+    reference_tracked_ = 0;
+    for (std::size_t i = 0; i < features.size(); ++i) {
+      held_[i] = features[i].slot;
+      reference_tracked_ += static_cast<int>(features[i].slot >= 0);
+    }
+    send_changes();
+  }
+
+  void send_changes() {
+    std::vector<ft::point_update> updates;
+    for (int slot : map_.take_changes()) {
+      auto const& p = map_.point(slot);
+      ft::point_update u;
+      u.slot = slot;
+      u.observations = map_.observations(slot);
+      u.position = {p.position[0], p.position[1], p.position[2]};
+      u.normal = {p.normal[0], p.normal[1], p.normal[2]};
+      u.min_distance = p.min_distance;
+      u.max_distance = p.max_distance;
+      std::memcpy(u.orb.words, p.orb.data(), sizeof u.orb.words);
+      updates.push_back(u);
+    }
+    for (std::size_t first = 0; first < updates.size();) {
+      std::size_t const n = std::min(updates.size() - first, static_cast<std::size_t>(tracker_.params().updates));
+      tracker_.update_map(exec_, 0, updates.data() + first, static_cast<int>(n));
+      exec_.wait();
+      first += n;
+    }
+  }
+
+  Exec exec_;
+  odometry_options options_;
+  std::string device_;
+  ft::frame_tracker<Exec> tracker_;
+  sparse_map map_;
+  stage_sums sums_;
+  stage_timer<Exec> timer_;
+  std::vector<ft::descriptor> descriptors_;
+  std::vector<int> held_;   ///< slot of each keypoint of the last frame
+  std::vector<int> local_;  ///< slots of the local map
+  rigid_pose T_cw_;
+  rigid_pose velocity_;     ///< T_cw of a frame times the inverse of the one before
+  int frame_ = 0;
+  int stamp_ = 0;
+  int lost_frames_ = 0;
+  int lost_with_features_ = 0;
+  int reference_tracked_ = 0;
+  int keyframes_made_ = 0;
+};
+
+}  // namespace app

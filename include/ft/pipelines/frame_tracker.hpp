@@ -1,0 +1,486 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Pipeline: the tracking of stereo frames against a map, on memory taken once.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/feature_grid.hpp"
+#include "ft/kernels/frustum.hpp"
+#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/search_by_projection.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/stereo_matcher.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct tracker_params {
+  orb_params orb;
+  int map_slots = 1 << 16;     ///< map points on the device at a time, per camera pair
+  int local_points = 1 << 13;  ///< points of one local-map search
+  int updates = 1 << 13;       ///< map points that one update_map() can send
+  float last_th = 7;           ///< search radius at scale 1 from the last frame, pixels
+  int enough_matches = 20;     ///< with fewer, the search is repeated with twice the radius
+  bool optimize_last = true;   ///< pose optimisation after the search from the last frame
+  bool optimize_local = true;  ///< and after the search in the local map
+};
+
+/// One map point as the host sends it.
+struct point_update {
+  int slot;
+  int observations;
+  vec3<float> position;  ///< world, metres
+  vec3<float> normal;
+  float min_distance, max_distance;  ///< metres
+  descriptor orb;
+};
+
+/// What the host reads after a frame. Arrays have one entry per left keypoint, [batch][capacity].
+struct tracked_frame_view {
+  int* keypoints = nullptr;       ///< [batch] left keypoints
+  pose* T_cw = nullptr;           ///< [batch]
+  int* matches = nullptr;         ///< [batch] keypoints given a point by the last search
+  int* inliers = nullptr;         ///< [batch] of the last pose optimisation; matches where there was none
+  float* x = nullptr;             ///< pixels
+  float* y = nullptr;
+  int* octave = nullptr;
+  float* right_x = nullptr;       ///< -1 = no stereo match
+  float* depth = nullptr;         ///< metres, -1 = no stereo match
+  int* holder = nullptr;          ///< slot of the map point held, -1 = none
+  unsigned char* in_view = nullptr;  ///< [batch][local_points] 1 = passed the frustum test of track_local()
+  int capacity = 0;
+  int local_points = 0;
+};
+
+namespace detail {
+
+inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int local_points) {
+  auto const b = static_cast<std::size_t>(batch);
+  std::size_t const n = checked_mul(b, static_cast<std::size_t>(capacity));
+  v.capacity = capacity;
+  v.keypoints = c.take<int>(b);
+  v.T_cw = c.take<pose>(b);
+  v.matches = c.take<int>(b);
+  v.inliers = c.take<int>(b);
+  v.x = c.take<float>(n);
+  v.y = c.take<float>(n);
+  v.octave = c.take<int>(n);
+  v.right_x = c.take<float>(n);
+  v.depth = c.take<float>(n);
+  v.holder = c.take<int>(n);
+  v.local_points = local_points;
+  v.in_view = c.take<unsigned char>(checked_mul(b, static_cast<std::size_t>(local_points)));
+}
+
+/// What the host gives for a frame before the search from the last one.
+struct motion_input {
+  pose* predicted = nullptr;   ///< [batch] T_cw
+  pose* last = nullptr;        ///< [batch] T_cw of the last frame
+  int* last_holder = nullptr;  ///< [batch][capacity]
+  int* stamp = nullptr;        ///< [batch] number of this frame
+};
+
+inline void carve(carver& c, motion_input& v, int capacity, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  v.predicted = c.take<pose>(b);
+  v.last = c.take<pose>(b);
+  v.stamp = c.take<int>(b);
+  v.last_holder = c.take<int>(b * static_cast<std::size_t>(capacity));
+}
+
+/// And before the search in the local map.
+struct local_input {
+  int* count = nullptr;  ///< [batch]
+  int* slots = nullptr;  ///< [batch][local_points]
+};
+
+inline void carve(carver& c, local_input& v, int points, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  v.count = c.take<int>(b);
+  v.slots = c.take<int>(b * static_cast<std::size_t>(points));
+}
+
+/// A layout in executor memory with a twin beside the host: one copy moves all of it.
+template <typename View, memory_space Device, memory_space Host>
+struct twin {
+  View device;
+  View host;
+  arena<Device> device_memory;
+  arena<Host> host_memory;
+
+  twin() = default;
+  template <typename... Sizes>
+  explicit twin(int capacity, Sizes... sizes)
+      : device_memory([&](carver& c) { carve(c, device, capacity, sizes...); }),
+        host_memory([&](carver& c) { carve(c, host, capacity, sizes...); }) {
+    std::memset(host_memory.data(), 0, host_memory.bytes());
+  }
+  template <typename Exec>
+  void upload(Exec const& exec) {
+    copy_bytes(exec, device_memory.data(), host_memory.data(), host_memory.bytes());
+  }
+  template <typename Exec>
+  void download(Exec const& exec) {
+    copy_bytes(exec, host_memory.data(), device_memory.data(), device_memory.bytes());
+  }
+};
+
+}  // namespace detail
+
+/// Writes the points of an update into the map.
+struct apply_updates {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, point_update const* updates,
+                                 map_points_view const& map) const {
+    point_update const u = updates[item];
+    get<field::position>(map, u.slot) = u.position;
+    get<field::normal>(map, u.slot) = u.normal;
+    get<field::min_distance>(map, u.slot) = u.min_distance;
+    get<field::max_distance>(map, u.slot) = u.max_distance;
+    get<field::orb>(map, u.slot) = u.orb;
+    get<field::observations>(map, u.slot) = u.observations;
+  }
+};
+
+/// Keeps of the frame before what the next search needs.
+struct remember_keypoint {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, keypoints_view const& keypoints,
+                                 soa_view<field::angle, field::octave> const& last) const {
+    int const image = item / keypoints.capacity;
+    int const i = item % keypoints.capacity;
+    if (i == 0) { last.count[image] = keypoints.count[image]; }
+    if (i >= keypoints.count[image]) { return; }
+    get<field::angle>(last, item) = get<field::angle>(keypoints, item);
+    get<field::octave>(last, item) = get<field::octave>(keypoints, item);
+  }
+};
+
+/// Notes the points that a frame's keypoints hold, so that the local search leaves them out.
+struct stamp_held_point {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame, int map_slots,
+                                 int const* stamp, int* stamps) const {
+    int const b = item / frame.numbers();
+    int const k = item % frame.numbers() % frame.capacity();
+    int const camera = item % frame.numbers() / frame.capacity();
+    if (k >= *frame.camera(b, camera).count) { return; }
+    int const slot = frame.holder[item];
+    if (slot >= 0) { stamps[static_cast<std::ptrdiff_t>(b) * map_slots + slot] = stamp[b]; }
+  }
+};
+
+/// Collects the frame's result for the one copy to the host.
+struct pack_result {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
+                                 stereo_matches_view const& stereo, pose const* poses, int const* matches,
+                                 int const* inliers, tracked_frame_view const& out) const {
+    int const b = item / frame.capacity();
+    int const i = item % frame.capacity();
+    keypoints_view const kp = frame.camera(b, 0);
+    if (i == 0) {
+      out.keypoints[b] = *kp.count;
+      out.T_cw[b] = poses[b];
+      out.matches[b] = matches[b];
+      out.inliers[b] = inliers != nullptr ? inliers[b] : matches[b];
+    }
+    bool const there = i < *kp.count;
+    out.x[item] = there ? get<field::x>(kp, i) : 0.0f;
+    out.y[item] = there ? get<field::y>(kp, i) : 0.0f;
+    out.octave[item] = there ? get<field::octave>(kp, i) : 0;
+    out.right_x[item] = there ? get<field::right_x>(stereo, item) : -1.0f;
+    out.depth[item] = there ? get<field::depth>(stereo, item) : -1.0f;
+    out.holder[item] = there ? frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + i] : -1;
+  }
+};
+
+/// Notes which points of the local map are in view, for the same copy.
+struct pack_visibility {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen, int const* count,
+                                 tracked_frame_view const& out) const {
+    int const i = item % out.local_points;
+    out.in_view[item] =
+        static_cast<unsigned char>(i < count[item / out.local_points] && seen[item].level >= 0);
+  }
+};
+
+/// Tracks `batch` rectified stereo cameras, each against its own map. Per frame:
+///
+///     upload images -> track_motion(): extraction, grid, stereo, search from the last frame, pose
+///                   -> [host: choose the local map] -> track_local(): frustum, search, pose
+///
+/// or extract() alone where there is no last frame. All memory is taken by the constructor. The calls are
+/// asynchronous on the executor, allocate nothing and never wait; the host fills the input views before a
+/// call and reads result() after exec.wait(). It must not touch either in between. Counts stay in executor
+/// memory: launches are sized by capacity. Move-only; not thread-safe; instances are independent.
+template <typename Exec>
+class frame_tracker {
+public:
+  static constexpr memory_space space = Exec::space;
+  static constexpr memory_space staging = staging_space<Exec>;
+
+  frame_tracker() = default;
+  /// @param batch camera pairs. Waits once. @throws bad_argument, std::bad_alloc, cuda_error
+  frame_tracker(Exec const& exec, rectified_rig const& rig, tracker_params const& params, int batch = 1)
+      : rig_(rig), params_(params), batch_(batch) {
+    rig.check();
+    detail::require_range("batch of camera pairs", batch, 1, 2048);
+    detail::require_range("map_slots", params.map_slots, 1, 1 << 26);
+    detail::require_range("local_points", params.local_points, 1, 1 << 24);
+    detail::require_range("updates", params.updates, 1, 1 << 24);
+    detail::require_range("last_th", params.last_th, 0.1f, 1000.0f);
+    extractor_ = orb_extractor<Exec>(exec, params.orb, 2 * batch);
+    matcher_ = stereo_matcher<Exec>(rig, extractor_);
+    int const capacity = extractor_.capacity();
+    auto const b = static_cast<std::size_t>(batch);
+    auto const slots = detail::checked_mul(b, static_cast<std::size_t>(params.map_slots));
+    grid_geometry const cells =
+        grid_geometry::over(0, 0, static_cast<float>(params.orb.width), static_cast<float>(params.orb.height));
+    int const windows = max_of(capacity, params.local_points);
+    arena_ = arena<space>([&](carver& c) {
+      carve(c, map_, params.map_slots, batch);
+      carve(c, frame_.grids, cells, capacity, batch);
+      carve(c, last_keypoints_, capacity, 2 * batch);
+      carve(c, last_windows_, capacity, batch, 1);
+      carve(c, local_windows_, params.local_points, batch, 1);
+      carve(c, work_[0], windows, capacity, batch, 1);
+      carve(c, work_[1], 1, 1, batch, 1);
+      carve(c, observations_, capacity, batch);
+      frame_.holder = c.take<int>(b * static_cast<std::size_t>(capacity));
+      stamps_ = c.take<int>(slots);
+      poses_ = c.take<pose>(b);
+      visible_ = c.take<visibility>(b * static_cast<std::size_t>(params.local_points));
+      updates_ = c.take<point_update>(static_cast<std::size_t>(params.updates));
+    });
+    staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
+    images_ = buffer<std::uint8_t, staging>(
+        detail::checked_mul(2 * b, static_cast<std::size_t>(params.orb.width) *
+                                       static_cast<std::size_t>(params.orb.height)));
+    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, params.local_points);
+    motion_ = detail::twin<detail::motion_input, space, staging>(capacity, batch);
+    local_ = detail::twin<detail::local_input, space, staging>(params.local_points, batch);
+    frame_.keypoints = extractor_.keypoints();
+    frame_.batch = batch;
+    frame_.right_x = array_of<field::right_x>(matcher_.matches());
+    frustum_.max_x = static_cast<float>(params.orb.width);
+    frustum_.max_y = static_cast<float>(params.orb.height);
+    frustum_.log_scale_factor = log_rounded(params.orb.scale_factor);
+    frustum_.levels = params.orb.levels;
+    last_.keypoints = last_keypoints_;
+    last_.holder = motion_.device.last_holder;
+    // 0 is no frame's number; nothing is held, nothing was seen before.
+    fill_bytes(exec, stamps_, 0, slots * sizeof(int));
+    fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
+    fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
+    fill_bytes(exec, result_.device_memory.data(), 0, result_.device_memory.bytes());
+    exec.wait();
+  }
+
+  // ---- inputs, in host memory (pinned beside a device) ---------------------------------------------
+
+  /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
+  /// @throws bad_argument as orb_extractor::upload
+  void set_image(int b, int camera, gray_view image) {
+    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera", camera, 0, 1);
+    detail::require(image.data != nullptr, "the image is null");
+    auto const& p = params_.orb;
+    detail::require(image.width == p.width && image.height == p.height && image.stride >= image.width,
+                    "the image's size is not the tracker's, or its stride is below its width");
+    copy_rows(host_exec(1), staged_image(b, camera), static_cast<std::size_t>(p.width), image.data,
+              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(p.width), p.height);
+  }
+  /// For callers that decode straight into the staging memory: width x height bytes without padding.
+  std::uint8_t* staged_image(int b, int camera) {
+    auto const size = static_cast<std::size_t>(params_.orb.width) * static_cast<std::size_t>(params_.orb.height);
+    return images_.data() + (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * size;
+  }
+  pose* predicted() { return motion_.host.predicted; }   ///< [batch] T_cw expected for the next frame
+  pose* last_pose() { return motion_.host.last; }        ///< [batch] T_cw of the last frame
+  int* last_holder() { return motion_.host.last_holder; } ///< [batch][capacity()] slots of the last frame's inliers
+  int* stamp() { return motion_.host.stamp; }            ///< [batch] the frame's number, above 0 and rising
+  int* local_count() { return local_.host.count; }       ///< [batch] at most params().local_points
+  int* local_slots() { return local_.host.slots; }       ///< [batch][local_points] in search order
+
+  /// Queues the writing of map points. Must not follow another one before exec.wait().
+  /// @throws bad_argument for more than params().updates points or a slot outside the map
+  void update_map(Exec const& exec, int b, point_update const* updates, int count) {
+    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("map updates", count, 0, params_.updates);
+    for (int i = 0; i < count; ++i) {
+      detail::require_range("map slot", updates[i].slot, 0, params_.map_slots - 1);
+      staged_updates_.data()[i] = updates[i];
+    }
+    copy(exec, updates_, static_cast<point_update const*>(staged_updates_.data()), static_cast<std::size_t>(count));
+    for_each_item<per_thread>(exec, count, apply_updates{}, static_cast<point_update const*>(updates_),
+                              map_.slice(b));
+  }
+
+  // ---- the frame ----------------------------------------------------------------------------------
+
+  /// Queues: images up, features, grid, stereo; result down with nothing held.
+  template <typename Mark = no_mark>
+  void extract(Exec const& exec, Mark&& mark = {}) {
+    motion_.upload(exec);
+    features(exec, mark);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_, search_gate{});
+    fill_bytes(exec, work_[0].matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
+    download(exec, motion_.device.predicted, work_[0].matches, nullptr);
+    mark("download");
+  }
+
+  /// Queues: images and motion up, features, grid, stereo, search from the last frame (repeated with twice
+  /// the radius where it finds too little), pose; result down.
+  template <typename Mark = no_mark>
+  void track_motion(Exec const& exec, Mark&& mark = {}) {
+    motion_.upload(exec);
+    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{}, extractor_.keypoints(),
+                              last_keypoints_);
+    features(exec, mark);
+    auto const& input = motion_.device;
+    last_search_params search;
+    search.th = params_.last_th;
+    search.max_x = frustum_.max_x;
+    search.max_y = frustum_.max_y;
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search, geometry(),
+                      search_gate{}, last_windows_, work_[0]);
+    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches), static_cast<std::size_t>(batch_));
+    search.th *= 2;
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search, geometry(),
+                      search_gate{work_[1].matches, params_.enough_matches}, last_windows_, work_[0]);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_, params_.map_slots,
+                              static_cast<int const*>(input.stamp), stamps_);
+    mark("search last frame");
+    if (params_.optimize_last) {
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_, observations_);
+      mark("pose last frame");
+    } else {
+      copy(exec, poses_, static_cast<pose const*>(input.predicted), static_cast<std::size_t>(batch_));
+    }
+    download(exec, poses_, work_[0].matches, params_.optimize_last ? observations_.inliers : nullptr);
+    mark("download");
+  }
+
+  /// Queues: local map up, frustum, search, pose; result down. Follows track_motion().
+  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded anew: for a
+  ///   frame after extract(), or another try with another pose; needs a new stamp() where there was one
+  template <typename Mark = no_mark>
+  void track_local(Exec const& exec, local_search_params const& search = {}, bool restart = false,
+                   Mark&& mark = {}) {
+    for (int b = 0; b < batch_; ++b) {
+      detail::require_range("local map points", local_.host.count[b], 0, params_.local_points);
+    }
+    local_.upload(exec);
+    auto const& input = motion_.device;
+    if (restart) {
+      motion_.upload(exec);
+      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_, search_gate{});
+      copy(exec, poses_, static_cast<pose const*>(input.predicted), static_cast<std::size_t>(batch_));
+    }
+    find_visible_points(exec, rig_, static_cast<pose const*>(poses_), map_,
+                        static_cast<int const*>(local_.device.slots), static_cast<int const*>(local_.device.count),
+                        static_cast<int const*>(stamps_), static_cast<int const*>(input.stamp), frustum_, search,
+                        geometry(), local_windows_, visible_);
+    for_each_item<per_thread>(exec, batch_ * params_.local_points, pack_visibility{},
+                              static_cast<visibility const*>(visible_),
+                              static_cast<int const*>(local_.device.count), result_.device);
+    mark("frustum");
+    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{}, work_[0]);
+    mark("search local map");
+    if (params_.optimize_local) {
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_, observations_);
+      mark("pose local map");
+    }
+    download(exec, poses_, work_[0].matches, params_.optimize_local ? observations_.inliers : nullptr);
+    mark("download");
+  }
+
+  // ---- results ------------------------------------------------------------------------------------
+
+  /// The last queued call's result, in host memory: valid after exec.wait(), until the next call.
+  tracked_frame_view const& result() const { return result_.host; }
+  /// Queues a copy of the left descriptors of pair b. @param to [capacity()] host memory
+  void download_descriptors(Exec const& exec, int b, descriptor* to) const {
+    copy(exec, to, static_cast<descriptor const*>(array_of<field::orb>(frame_.camera(b, 0))),
+         static_cast<std::size_t>(capacity()));
+  }
+
+  int capacity() const { return extractor_.capacity(); }
+  int batch() const { return batch_; }
+  tracker_params const& params() const { return params_; }
+  rectified_rig const& rig() const { return rig_; }
+  pyramid_geometry const& geometry() const { return extractor_.geometry(); }
+  orb_extractor<Exec> const& extractor() const { return extractor_; }
+  stereo_matcher<Exec> const& matcher() const { return matcher_; }
+  map_points_view map() const { return map_; }
+  frame_view const& frame() const { return frame_; }
+
+private:
+  template <typename Mark>
+  void features(Exec const& exec, Mark& mark) {
+    auto const& p = params_.orb;
+    for (int i = 0; i < 2 * batch_; ++i) {
+      extractor_.upload(exec, i, {staged_image(i / 2, i % 2), p.width, p.height, p.width});
+    }
+    mark("upload");
+    extractor_.extract(exec, mark);
+    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, 2, batch_, frame_.grids);
+    mark("grid");
+    matcher_.match(exec, extractor_);
+    mark("stereo");
+  }
+
+  void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
+    for_each_item<per_thread>(exec, batch_ * frame_.capacity(), pack_result{}, frame_, matcher_.matches(), poses,
+                              matches, inliers, result_.device);
+    result_.download(exec);
+  }
+
+  rectified_rig rig_{};
+  tracker_params params_;
+  int batch_ = 0;
+  orb_extractor<Exec> extractor_;
+  stereo_matcher<Exec> matcher_;
+  frame_view frame_;
+  last_frame_view last_;
+  soa_view<field::angle, field::octave> last_keypoints_;
+  map_points_view map_;
+  search_windows_view last_windows_;
+  search_windows_view local_windows_;
+  search_workspace work_[2];
+  observations_view observations_;
+  frustum_params frustum_;
+  int* stamps_ = nullptr;
+  pose* poses_ = nullptr;
+  visibility* visible_ = nullptr;
+  point_update* updates_ = nullptr;
+  arena<space> arena_;
+  buffer<point_update, staging> staged_updates_;
+  buffer<std::uint8_t, staging> images_;
+  detail::twin<tracked_frame_view, space, staging> result_;
+  detail::twin<detail::motion_input, space, staging> motion_;
+  detail::twin<detail::local_input, space, staging> local_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,268 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Checks which part of ft includes which, and where kernels are launched.
+
+    core <- cameras, containers <- kernels <- pipelines <- everything outside include/ft
+    core, containers <- interop
+
+A folder detail/ belongs to its room; the one of core is open to all of include/ft. Violations are printed
+as file:line; the exit status is 1 if there are any. --self-test checks the checker.
+"""
+
+import argparse
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+# What the headers of a room may include, besides the version.
+ALLOWED_ROOMS = {
+    "core": {"core"},
+    "cameras": {"core", "cameras"},
+    "containers": {"core", "containers"},
+    "kernels": {"core", "cameras", "containers", "kernels"},
+    "pipelines": {"core", "cameras", "containers", "kernels", "pipelines"},
+    "interop": {"core", "containers", "interop"},
+}
+UMBRELLA = "ft/ft.hpp"
+VERSION = "ft/version.hpp"
+
+# Third parties that one header alone may include.
+GUARDED = {
+    "OpenCV": (re.compile(r"opencv2?/"), "ft/interop/opencv.hpp"),
+    "Thrust": (re.compile(r"thrust/"), "ft/interop/thrust.hpp"),
+}
+FORBIDDEN = {
+    "Eigen": re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"),
+    "the support library": re.compile(r"sequence/"),
+    "an example": re.compile(r"examples/"),
+    "a test": re.compile(r"(tests|bench|gtest|gmock|benchmark)/"),
+}
+OUTSIDE = ("sequence", "examples", "tests", "bench", "integration")
+SUFFIXES = {".hpp", ".h", ".cpp", ".cu", ".cuh", ".inl", ".inc"}
+
+INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
+COMMENT_OR_STRING = re.compile(
+    r'//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])\'', re.DOTALL
+)
+
+
+def blank(match):
+    """Keeps strings, which includes need, and the line count of comments."""
+    text = match.group(0)
+    return text if text[0] in "\"'" else "\n" * text.count("\n")
+
+
+def code_lines(path):
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return COMMENT_OR_STRING.sub(blank, text).split("\n")
+
+
+def room_of(header):
+    """'ft/core/detail/x.hpp' -> 'core'; None for the umbrella and the version."""
+    parts = header.split("/")
+    return parts[1] if len(parts) > 2 else None
+
+
+class Checker:
+    def __init__(self, root):
+        self.root = root
+        self.include_dir = root / "include"
+        self.violations = []
+        self.launches = {}  # header -> first line with <<<
+        self.umbrella_includes = set()
+
+    def report(self, path, line, message):
+        self.violations.append(f"{path.relative_to(self.root)}:{line}: {message}")
+
+    def check(self):
+        headers = sorted(p for p in self.include_dir.rglob("*") if p.suffix in SUFFIXES)
+        for path in headers:
+            self.check_header(path)
+        for folder in OUTSIDE:
+            for path in sorted((self.root / folder).rglob("*")):
+                if path.suffix in SUFFIXES:
+                    self.check_outside(path)
+        for path, line in sorted(self.launches.items())[1:]:
+            first = sorted(self.launches)[0].relative_to(self.root)
+            self.report(path, line, f"launches a kernel; {first} is where that is done")
+        self.check_umbrella(headers)
+        return self.violations
+
+    def check_header(self, path):
+        name = path.relative_to(self.include_dir).as_posix()
+        room = room_of(name)
+        if room is not None and room not in ALLOWED_ROOMS:
+            self.report(path, 1, f"'{room}' is not a room of ft")
+            return
+        for number, line in enumerate(code_lines(path), 1):
+            if "<<<" in line:
+                self.launches.setdefault(path, number)
+            match = INCLUDE.match(line)
+            if match:
+                self.check_include(path, number, name, room, *match.groups())
+
+    def check_include(self, path, number, name, room, bracket, target):
+        for party, (pattern, home) in GUARDED.items():
+            if pattern.match(target):
+                if name != home:
+                    self.report(path, number, f"includes {party}, which only {home} may")
+                return
+        for party, pattern in FORBIDDEN.items():
+            if pattern.match(target):
+                self.report(path, number, f"includes {party} ({target})")
+                return
+        if bracket == '"' and not target.startswith("ft/"):
+            self.report(path, number, f'"{target}" does not start with "ft/"')
+        if not target.startswith("ft/"):
+            return
+        if not (self.include_dir / target).is_file():
+            self.report(path, number, f"there is no {target}")
+        if name == UMBRELLA:
+            self.umbrella_includes.add(target)
+            if "/detail/" in target or target.startswith("ft/interop/"):
+                self.report(path, number, f"{target} does not belong in the umbrella")
+        elif target == UMBRELLA:
+            self.report(path, number, "includes the umbrella")
+        elif target != VERSION:
+            self.check_direction(path, number, room, target)
+
+    def check_direction(self, path, number, room, target):
+        to = room_of(target)
+        if room is None or to is None:
+            self.report(path, number, f"includes {target}")
+        elif to not in ALLOWED_ROOMS[room]:
+            self.report(path, number, f"{room} may not include {to} ({target})")
+        elif "/detail/" in target and to not in (room, "core"):
+            self.report(path, number, f"{target} belongs to {to} alone")
+
+    def check_outside(self, path):
+        folder = path.relative_to(self.root).parts[0]
+        for number, line in enumerate(code_lines(path), 1):
+            match = INCLUDE.match(line)
+            if not match:
+                continue
+            target = match.group(2)
+            if target.startswith("ft/") and "/detail/" in target:
+                self.report(path, number, f"{target} is not API")
+            elif target.startswith("sequence/detail/") and "sequence" not in path.parts:
+                self.report(path, number, f"{target} is not API")
+            elif folder == "sequence" and target.startswith(("examples/", "tests/", "bench/")):
+                self.report(path, number, f"the support library may not include {target}")
+
+    def check_umbrella(self, headers):
+        umbrella = self.include_dir / UMBRELLA
+        if not umbrella.is_file():
+            return
+        for path in headers:
+            name = path.relative_to(self.include_dir).as_posix()
+            room = room_of(name)
+            public = name == VERSION or room in ALLOWED_ROOMS.keys() - {"interop"}
+            if public and "/detail/" not in name and name not in self.umbrella_includes:
+                self.report(umbrella, 1, f"does not include {name}")
+
+
+# --- self-test -------------------------------------------------------------------------------------
+
+CLEAN = {
+    "include/ft/ft.hpp": "\n".join(
+        f'#include "ft/{name}"'
+        for name in (
+            "version.hpp", "core/math.hpp", "core/launch.hpp", "cameras/pinhole.hpp",
+            "containers/soa.hpp", "kernels/blur.hpp", "pipelines/tracker.hpp",
+        )
+    ),
+    "include/ft/version.hpp": "#pragma once",
+    "include/ft/core/math.hpp": "#include <cmath>\n// kernel<<<1, 1>>>(); in a comment is no launch",
+    "include/ft/core/detail/bits.hpp": '#include "ft/core/math.hpp"',
+    "include/ft/core/launch.hpp": '#include "ft/core/detail/bits.hpp"\nvoid f() { k<<<1, 1>>>(); }',
+    "include/ft/cameras/pinhole.hpp": '#include "ft/core/math.hpp"',
+    "include/ft/containers/soa.hpp": '#include "ft/core/detail/bits.hpp"',
+    "include/ft/kernels/blur.hpp": '#include "ft/kernels/detail/row.hpp"',
+    "include/ft/kernels/detail/row.hpp": '#include "ft/cameras/pinhole.hpp"',
+    "include/ft/pipelines/tracker.hpp": '#include "ft/kernels/blur.hpp"\n#include "ft/version.hpp"',
+    "include/ft/interop/opencv.hpp": '#include <opencv2/core.hpp>\n#include "ft/containers/soa.hpp"',
+    "include/ft/interop/thrust.hpp": "#include <thrust/sort.h>",
+    "sequence/reader.cpp": '#include "sequence/detail/text.hpp"\n#include <Eigen/Core>',
+    "tests/unit/blur_test.cpp": '#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
+    "tests/sequence/text_test.cpp": '#include "sequence/detail/text.hpp"',
+}
+
+# file, a line added to it, what the checker must say and where
+VIOLATIONS = [
+    ("include/ft/core/math.hpp", '#include "ft/cameras/pinhole.hpp"', "core may not include cameras"),
+    ("include/ft/core/math.hpp", '  #  include "ft/kernels/blur.hpp"', "core may not include kernels"),
+    ("include/ft/core/math.hpp", "#include <ft/pipelines/tracker.hpp>", "core may not include pipe"),
+    ("include/ft/core/math.hpp", '#include "ft/ft.hpp"', "includes the umbrella"),
+    ("include/ft/core/math.hpp", '#include "detail/bits.hpp"', "does not start with"),
+    ("include/ft/core/math.hpp", '#include "ft/core/nowhere.hpp"', "there is no"),
+    ("include/ft/core/math.hpp", "#include <Eigen/Core>", "includes Eigen"),
+    ("include/ft/core/math.hpp", "void g() { k<<<2, 2>>>(); }", "launches a kernel"),
+    ("include/ft/version.hpp", '#include "ft/core/math.hpp"', "includes ft/core/math.hpp"),
+    ("include/ft/cameras/pinhole.hpp", '#include "ft/containers/soa.hpp"', "cameras may not include"),
+    ("include/ft/containers/soa.hpp", '#include "ft/cameras/pinhole.hpp"', "containers may not"),
+    ("include/ft/containers/soa.hpp", "#include <thrust/sort.h>", "includes Thrust"),
+    ("include/ft/kernels/blur.hpp", '#include "ft/pipelines/tracker.hpp"', "kernels may not include"),
+    ("include/ft/kernels/blur.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
+    ("include/ft/kernels/detail/row.hpp", '#include "sequence/reader.hpp"', "the support library"),
+    ("include/ft/pipelines/tracker.hpp", '#include "ft/kernels/detail/row.hpp"', "belongs to kernels"),
+    ("include/ft/pipelines/tracker.hpp", '#include "ft/interop/opencv.hpp"', "may not include interop"),
+    ("include/ft/interop/thrust.hpp", '#include "ft/kernels/blur.hpp"', "interop may not include"),
+    ("include/ft/interop/thrust.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
+    ("include/ft/ft.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
+    ("include/ft/ft.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
+    ("include/ft/tools/extra.hpp", "", "is not a room"),
+    ("include/ft/core/forgotten.hpp", "", "does not include ft/core/forgotten.hpp"),
+    ("examples/track/main.cpp", '#include "ft/core/detail/bits.hpp"', "is not API"),
+    ("integration/orbslam3/shim.hpp", "#include <ft/kernels/detail/row.hpp>", "is not API"),
+    ("bench/blur.cu", '#include "sequence/detail/text.hpp"', "is not API"),
+    ("sequence/reader.cpp", '#include "tests/support/data.hpp"', "may not include tests/"),
+]
+
+
+def run_on(files):
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for name, text in files.items():
+            path = root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text + "\n", encoding="utf-8")
+        return Checker(root).check()
+
+
+def self_test():
+    failures = []
+    found = run_on(CLEAN)
+    if found:
+        failures.append("reported in a clean tree:\n  " + "\n  ".join(found))
+    for name, added, expected in VIOLATIONS:
+        text = CLEAN.get(name, "// new")
+        line = text.count("\n") + 2 if added else 1
+        found = run_on({**CLEAN, name: f"{text}\n{added}" if added else text})
+        where = "include/ft/ft.hpp:1" if "forgotten" in name else f"{name}:{line}"
+        if not any(v.startswith(where + ":") and expected in v for v in found):
+            failures.append(f"missed in {where}: {added or '(the file)'}; found: {found}")
+        if len(found) != 1:
+            failures.append(f"expected one violation for {added or name}, found: {found}")
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    print(f"self-test: {len(VIOLATIONS)} violations planted, {len(failures)} failures")
+    return 1 if failures else 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--self-test", action="store_true", help="check the checker")
+    parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parent.parent)
+    arguments = parser.parse_args()
+    if arguments.self_test:
+        return self_test()
+    violations = Checker(arguments.root.resolve()).check()
+    for violation in violations:
+        print(violation)
+    print(f"include directions: {len(violations)} violations")
+    return 1 if violations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+set -euo pipefail
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# shellcheck source=scripts/deps.sh
+source "$ft_root/scripts/deps.sh"
+
+usage() {
+  cat <<EOF
+usage: scripts/demo.sh [SEQUENCE_DIR] [options of track_sequence]
+
+Builds ft and tracks a stereo sequence. The first time it installs what is missing (apt-get).
+SEQUENCE_DIR is a folder in EuRoC (ASL) layout; without it, a sequence is generated, with ground truth.
+The GPU is used where there are one and a CUDA toolkit, else the CPU; '--backend host' asks for the CPU.
+The report is written to build/demo/report.
+
+  scripts/demo.sh
+  scripts/demo.sh ~/data/MH_01_easy/mav0
+  scripts/demo.sh --backend host
+EOF
+}
+
+sequence=
+case ${1:-} in
+  -h | --help) usage; exit 0 ;;
+  '' | -*) ;;
+  *)
+    sequence=$1
+    shift
+    if [[ ! -d $sequence ]]; then
+      echo "ft: no folder '$sequence'" >&2
+      exit 2
+    fi
+    ;;
+esac
+
+build=$ft_root/build
+report=$build/demo/report
+
+ft_install_missing build
+ft_find_nvcc || echo "ft: no CUDA toolkit found, building for the CPU"
+
+options=(-DFT_BUILD_EXAMPLES=ON)
+if [[ ! -f $build/CMakeCache.txt ]]; then options+=(-DFT_BUILD_TESTS=OFF -DFT_BUILD_BENCH=OFF); fi
+ft_configure "$build" "${options[@]}"
+cmake --build "$build" --parallel "$(ft_jobs)" --target track_sequence generate_sequence
+
+if [[ -z $sequence ]]; then
+  sequence=$build/demo/sequence
+  if [[ ! -f $sequence/.complete ]]; then
+    rm -rf "$sequence"
+    "$build/bin/generate_sequence" --out "$sequence"
+    touch "$sequence/.complete"
+  fi
+fi
+
+"$build/bin/track_sequence" --sequence "$sequence" --backend auto --out "$report" "$@"
+echo
+echo "The report is in $report"
+ls -1 "$report" | sed 's/^/  /'

@@ -1,0 +1,144 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+set -euo pipefail
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# shellcheck source=scripts/deps.sh
+source "$ft_root/scripts/deps.sh"
+cd "$ft_root"
+
+usage() {
+  cat <<EOF
+usage: scripts/test.sh [--quick]
+
+The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
+  --quick   without the sanitizers and the consumer projects
+FT_JOBS is the number of compile jobs at a time; FT_DATA the folder of the recorded data of the golden
+tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
+EOF
+}
+
+quick=0
+for argument in "$@"; do
+  case $argument in
+    -h | --help) usage; exit 0 ;;
+    --quick) quick=1 ;;
+    *) usage >&2; exit 2 ;;
+  esac
+done
+
+build=$ft_root/build
+asan=$ft_root/build-asan
+jobs=$(ft_jobs)
+if [[ -z ${FT_DATA:-} && -d $ft_root/../shared ]]; then
+  FT_DATA=$(cd "$ft_root/../shared" && pwd)
+  export FT_DATA
+fi
+export UBSAN_OPTIONS=${UBSAN_OPTIONS:-print_stacktrace=1}
+export CTEST_OUTPUT_ON_FAILURE=1
+
+summaries=()
+timings=()
+current=start
+
+# step NAME COMMAND...: a heading, the command, the time it took. The first failure ends the run.
+step() {
+  current=$1
+  shift
+  local begin=$SECONDS
+  printf '\n== %s\n' "$current"
+  "$@"
+  timings+=("$(printf '%5d s  %s' $((SECONDS - begin)) "$current")")
+}
+
+finish() {
+  local status=$?
+  printf '\n== Summary\n'
+  if ((${#timings[@]} > 0)); then printf '%s\n' "${timings[@]}"; fi
+  if ((${#summaries[@]} > 0)); then printf '%s\n' "${summaries[@]}"; fi
+  if ((status != 0)); then
+    printf 'FAILED: %s\n' "$current" >&2
+    exit "$status"
+  fi
+}
+trap finish EXIT
+trap 'exit 130' INT TERM
+
+# run_ctest NAME BUILD_DIR OPTION...: shows ctest's output and keeps its closing line for the summary.
+run_ctest() {
+  local name=$1 dir=$2 log status=0
+  shift 2
+  log=$dir/ctest-$name.log
+  ctest --test-dir "$dir" --parallel "$jobs" --no-tests=error "$@" 2>&1 | tee "$log" |
+    { grep -vE '^ *(Start +[0-9]+:|[0-9]+/[0-9]+ Test .*(Passed|\*\*\*Skipped) )' || true; } ||
+    status=$?
+  local closing
+  closing=$(grep -E '^[0-9]+% tests passed, ' "$log" | tail -1 || true)
+  summaries+=("${closing:-no test ran} ($name)")
+  return "$status"
+}
+
+check_includes() {
+  python3 scripts/check_includes.py --self-test
+  python3 scripts/check_includes.py
+}
+
+build_all() {
+  cmake --build "$1" --parallel "$jobs"
+}
+
+# One folder serves both executors: first the tests of the C++ compiler, then the rest.
+configure_build() {
+  ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON
+}
+build_host() {
+  cmake --build "$build" --parallel "$jobs" --target ft_host_tests
+}
+
+configure_asan() {
+  ft_configure "$asan" -DCMAKE_BUILD_TYPE=RelWithDebInfo -DFT_ENABLE_CUDA=OFF -DFT_BUILD_TESTS=ON \
+    -DFT_BUILD_BENCH=OFF -DFT_HEADER_CHECKS=OFF -DFT_WARNINGS_AS_ERRORS=ON \
+    -DFT_SANITIZE=address,undefined,float-cast-overflow
+}
+
+check_headers_with_clang() {
+  local header failed=0 count=0
+  while IFS= read -r header; do
+    count=$((count + 1))
+    clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
+      -Iinclude -include "$header" -x c++ /dev/null || {
+      echo "clang++: include/$header" >&2
+      failed=1
+    }
+  done < <(cd include && find ft -name '*.hpp' -not -path '*/detail/*' -not -path '*/interop/*' | sort)
+  echo "$count headers"
+  return "$failed"
+}
+
+step "Dependencies" ft_install_missing test
+have_cuda=1
+ft_find_nvcc || have_cuda=0
+
+step "Formatting" scripts/format.sh --check
+step "Include directions" check_includes
+step "Host: configure" configure_build
+step "Host: build, warnings are errors" build_host
+step "Host: tests" run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$'
+if command -v clang++ >/dev/null; then
+  step "Host: headers with clang++" check_headers_with_clang
+else
+  echo "clang++ is not installed: headers not compiled with it"
+fi
+if ((have_cuda)); then
+  step "CUDA, examples, benches: build" build_all "$build"
+  step "CUDA: tests, skipped without a device" run_ctest cuda "$build" -L 'gpu|cuda'
+else
+  printf '\nno CUDA toolkit found: nothing of CUDA is built\n'
+  step "Examples, benches: build" build_all "$build"
+fi
+if ((!quick)); then
+  step "Sanitizers: configure" configure_asan
+  step "Sanitizers: build" build_all "$asan"
+  step "Sanitizers: tests" run_ctest sanitizers "$asan" -LE slow
+  step "Consumers" scripts/test_consumers.sh "$build"
+fi

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Temporary folders, text files, test calibrations and the place of real data, for the
+/// tests.
+#pragma once
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include "sequence/types.hpp"
+
+namespace seq_test {
+
+/// A folder that exists as long as this object; unique to the process and the object.
+class temp_folder {
+public:
+  temp_folder() {
+    std::string pattern =
+        (std::filesystem::temp_directory_path() / "ft_sequence_test_XXXXXX").string();
+    if (::mkdtemp(pattern.data()) == nullptr) {
+      throw std::runtime_error("no temporary folder " + pattern);
+    }
+    path_ = pattern;
+  }
+  temp_folder(temp_folder const&) = delete;
+  temp_folder& operator=(temp_folder const&) = delete;
+  ~temp_folder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+
+  std::string path() const { return path_.string(); }
+  std::string path(std::string const& name) const { return (path_ / name).string(); }
+  /// Writes a file, making the folders that it needs. @return its path
+  std::string write(std::string const& name, std::string const& text) const {
+    std::filesystem::create_directories((path_ / name).parent_path());
+    std::ofstream(path_ / name, std::ios::binary) << text;
+    return path(name);
+  }
+
+private:
+  std::filesystem::path path_;
+};
+
+/// The folder with `data` and `golden`: FT_DATA, or `shared` next to the project; empty where
+/// neither.
+inline std::string shared_folder() {
+  namespace fs = std::filesystem;
+  if (char const* given = std::getenv("FT_DATA")) { return given; }
+  fs::path const project = fs::absolute(__FILE__).parent_path().parent_path().parent_path();
+  for (fs::path const& candidate : {project.parent_path() / "shared", fs::path("../shared")}) {
+    std::error_code ignored;
+    if (fs::is_directory(candidate / "data", ignored)) { return candidate.string(); }
+  }
+  return {};
+}
+
+/// `text` with the one occurrence of `from` replaced.
+inline std::string replaced(std::string text, std::string const& from, std::string const& to) {
+  std::size_t const at = text.find(from);
+  if (at == std::string::npos) { throw std::runtime_error("test text holds no '" + from + "'"); }
+  return text.replace(at, from.size(), to);
+}
+
+/// What `function` throws as seq::error; empty, and a test failure, where it does not.
+template <typename F>
+std::string message_of(F const& function) {
+  try {
+    function();
+  } catch (seq::error const& e) { return e.what(); }
+  ADD_FAILURE() << "no seq::error thrown";
+  return {};
+}
+
+inline bool contains(std::string const& text, std::string const& part) {
+  return text.find(part) != std::string::npos;
+}
+
+}  // namespace seq_test
+
+/// Skips where the real data are not on this machine.
+#define SEQ_TEST_SHARED_OR_SKIP(name)                                      \
+  std::string const name = seq_test::shared_folder();                      \
+  if (name.empty())                                                        \
+  GTEST_SKIP() << "no reference data: set FT_DATA to the folder of data/ " \
+                  "and golden/"

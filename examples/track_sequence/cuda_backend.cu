@@ -18,6 +18,7 @@ private:
   cudaStream_t stream_ = nullptr;
 };
 
+template <typename Rig>
 class cuda_odometry final : public odometry {
 public:
   explicit cuda_odometry(odometry_options const& options)
@@ -33,7 +34,7 @@ public:
 
 private:
   owned_stream stream_;
-  visual_odometry<ft::cuda_exec> inner_;
+  visual_odometry<ft::cuda_exec, Rig> inner_;
 };
 
 }  // namespace
@@ -50,7 +51,8 @@ std::string cuda_device_name() {
 }
 
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options) {
-  return std::make_unique<cuda_odometry>(options);
+  if (options.fisheye) { return std::make_unique<cuda_odometry<fisheye_rig>>(options); }
+  return std::make_unique<cuda_odometry<ft::rectified_rig>>(options);
 }
 
 }  // namespace app

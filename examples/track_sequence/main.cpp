@@ -2,8 +2,11 @@
 // Tracks a stereo sequence with ft and writes a trajectory, times, a summary and a report.
 #include <unistd.h>
 
+#include <tbb/task_arena.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
@@ -28,6 +31,7 @@ struct arguments {
   std::string calibration;
   std::string backend = "auto";
   std::string optimize = "both";
+  std::string rig = "auto";
   std::string out = "track_sequence_out";
   int features = 0;
   int threads = 0;
@@ -45,12 +49,16 @@ int parse(int argc, char** argv, arguments& a) {
                  "default: the sequence's own");
   app.add_option("--backend", a.backend, "auto (a GPU if there is one), host or cuda")
       ->check(CLI::IsMember({"auto", "host", "cuda"}))->capture_default_str();
+  app.add_option("--rig", a.rig,
+                 "auto (fisheye cameras as they are, others rectified), rectified or fisheye (two Kannala-Brandt "
+                 "cameras, not rectified)")
+      ->check(CLI::IsMember({"auto", "rectified", "fisheye"}))->capture_default_str();
   app.add_option("--features", a.features,
                  "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
   app.add_option("--pose-optimization", a.optimize, "both, last-frame (none after the local map) or off")
       ->check(CLI::IsMember({"both", "last-frame", "off"}))->capture_default_str();
-  app.add_option("--near", a.near_depth, "depth of map points, in baselines; default: the settings file's, or 40");
+  app.add_option("--near", a.near_depth, "depth of map points, in baselines; default: the settings file's, or 50");
   app.add_option("--threads", a.threads, "threads of the host backend; 0 = all")->check(CLI::Range(0, 4096));
   app.add_option("--frames", a.frames, "stop after so many; 0 = all")->check(CLI::NonNegativeNumber);
   app.add_flag("--realtime", a.realtime,
@@ -60,10 +68,19 @@ int parse(int argc, char** argv, arguments& a) {
   app.add_flag("--quiet", a.quiet, "no progress display");
   try {
     app.parse(argc, argv);
+    if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // NaN neither
+      throw CLI::ValidationError("--near", "must be above 0 and at most 1e6");
+    }
   } catch (CLI::ParseError const& e) {
     return app.exit(e) == 0 ? -1 : 2;
   }
   return 0;
+}
+
+std::array<double, 8> kannala_brandt_of(seq::camera_intrinsics const& c) {
+  std::array<double, 8> p{c.fx, c.fy, c.cx, c.cy};
+  for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) { p[4 + i] = c.distortion[i]; }
+  return p;
 }
 
 app::odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
@@ -78,13 +95,24 @@ app::odometry_options options_of(arguments const& a, seq::sequence const& sequen
   o.cy = rig.left.cy;
   o.baseline = rig.baseline();
   o.fps = rig.fps;
+  o.fisheye = sequence.fisheye();
+  if (o.fisheye) {
+    o.left = kannala_brandt_of(rig.left);
+    o.right = kannala_brandt_of(rig.right);
+    Eigen::Isometry3d const T = rig.T_left_right.inverse();
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 3; ++c) { o.T_right_left.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c); }
+      o.T_right_left.t[static_cast<std::size_t>(r)] = T.translation()(r);
+    }
+  }
   o.features = a.features > 0 ? a.features : settings.features.value_or(rig.left.width > 1000 ? 2000 : 1200);
   o.levels = settings.levels.value_or(o.levels);
   o.scale_factor = settings.scale_factor.value_or(o.scale_factor);
   o.ini_threshold = settings.ini_threshold.value_or(o.ini_threshold);
   o.min_threshold = settings.min_threshold.value_or(o.min_threshold);
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
-  o.threads = a.threads;
+  // TBB starts no more threads than there are cores, and warns on stderr where asked for more.
+  o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   o.optimize = a.optimize == "both" ? app::pose_optimization::both
                : a.optimize == "off" ? app::pose_optimization::off
                                      : app::pose_optimization::last_frame;
@@ -97,7 +125,11 @@ std::unique_ptr<app::odometry> make_odometry(arguments const& a, app::odometry_o
     throw std::runtime_error("--backend cuda: no CUDA device here, or the program was built without CUDA");
   }
   backend = gpu.empty() ? "host" : "cuda";
-  return gpu.empty() ? app::make_host_odometry(o) : app::make_cuda_odometry(o);
+  try {
+    return gpu.empty() ? app::make_host_odometry(o) : app::make_cuda_odometry(o);
+  } catch (std::exception const& e) {  // what does not fit together came from there
+    throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
+  }
 }
 
 seq::stamped_pose stamped(std::int64_t time_ns, app::rigid_pose const& T_cw) {
@@ -151,9 +183,12 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<app::seen
 int run(arguments const& a) {
   seq::open_options open;
   open.calibration = a.calibration;
-  open.keep_fisheye = false;
+  open.keep_fisheye = a.rig != "rectified";
   open.max_frames = a.frames;
   auto const sequence = seq::sequence::open(a.sequence, open);
+  if (a.rig == "fisheye" && !sequence.fisheye()) {
+    throw seq::error("--rig fisheye: the cameras of " + a.sequence + " are not a pair of Kannala-Brandt cameras");
+  }
   app::odometry_options const options = options_of(a, sequence);
   std::filesystem::create_directories(a.out);
 
@@ -168,6 +203,7 @@ int run(arguments const& a) {
   report.options = {{"features", std::to_string(options.features)},
                     {"levels", std::to_string(options.levels)},
                     {"layout", sequence.layout()},
+                    {"rig", options.fisheye ? "fisheye" : "rectified"},
                     {"pose-optimization", a.optimize},
                     {"realtime", a.realtime ? "yes" : "no"},
                     {"near points, baselines", std::to_string(options.near_depth)}};
@@ -233,7 +269,8 @@ int run(arguments const& a) {
   seq::print_summary(std::cout, report);
   std::cout << "report    " << std::filesystem::absolute(a.out + "/report.html").string() << "\n";
   if (report.tracked == 0) {
-    std::cerr << "track_sequence: no frame could be tracked: the images show too few corners seen by both cameras\n";
+    std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: too few corners are seen by both "
+              << "cameras (--features " << options.features << ")\n";
     return 1;
   }
   return 0;

@@ -29,18 +29,21 @@ struct odometry_options {
   int width = 0, height = 0;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< of the rectified pair, pixels
   double baseline = 0;                    ///< metres
+  bool fisheye = false;                   ///< two Kannala-Brandt cameras, not rectified:
+  std::array<double, 8> left{}, right{};  ///< fx fy cx cy k1 k2 k3 k4
+  rigid_pose T_right_left;                ///< left-camera points to the right camera
   int features = 1200;
   int levels = 8;
   double scale_factor = 1.2;
   int ini_threshold = 20;
   int min_threshold = 7;
-  double near_depth = 40;  ///< points nearer than this many baselines become map points
+  double near_depth = 50;  ///< points nearer than this many baselines become map points
   double fps = 20;
   pose_optimization optimize = pose_optimization::both;
   int threads = 0;  ///< of the host version; 0 = all
 };
 
-/// One keypoint of the last processed frame, for drawing.
+/// One left keypoint of the last processed frame, for drawing.
 struct seen_keypoint {
   float x, y;
   int octave;
@@ -59,7 +62,7 @@ struct frame_outcome {
   std::vector<double> stage_ms;  ///< one per stage_names()
 };
 
-/// Tracks a rectified stereo camera; the world is the first tracked frame's left camera.
+/// Tracks a stereo camera; the world is the first tracked frame's left camera.
 class odometry {
 public:
   virtual ~odometry() = default;

@@ -161,17 +161,38 @@ void sparse_map::observe(int slot, int id, keyframe_feature const& feature) {
   touch(slot);
 }
 
+void sparse_map::measure(map_point& p, rigid_pose const& T_cw, keyframe_feature const& feature) const {
+  std::array<double, 3> camera = feature.camera;
+  double const scale = static_cast<double>(scales_[static_cast<std::size_t>(feature.octave)]);
+  double before = 0;  // inverse depth
+  if (p.weight > 0) {
+    before = 1.0 / (T_cw * std::array<double, 3>{static_cast<double>(p.position[0]), static_cast<double>(p.position[1]),
+                                                 static_cast<double>(p.position[2])})[2];
+    if (!(before > 0)) { return; }
+  }
+  // Stereo measures inverse depth with an error that grows with the octave's scale and the inverse of the
+  // baseline, not with depth itself: the mean of inverse depths has no bias.
+  double const weight = 1.0 / (scale * scale);
+  double const inverse = (p.weight * before + weight / camera[2]) / (p.weight + weight);
+  for (double& v : camera) { v /= inverse * feature.camera[2]; }
+  auto const world = T_cw.inverse() * camera;
+  for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(world[k]); }
+  p.weight += weight;
+}
+
 void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
                         int at_least) {
   int const id = static_cast<int>(keyframes_.size());
   keyframes_.push_back({T_cw, {}});
-  rigid_pose const T_wc = T_cw.inverse();
   std::vector<std::pair<double, std::size_t>> candidates;
   for (std::size_t i = 0; i < features.size(); ++i) {
     auto& f = features[i];
     if (alive(f.slot)) {
       auto const& seen = points_[static_cast<std::size_t>(f.slot)].keyframes;
-      if (seen.empty() || seen.back() != id) { observe(f.slot, id, f); }
+      if (seen.empty() || seen.back() != id) {
+        if (f.camera[2] > 0) { measure(points_[static_cast<std::size_t>(f.slot)], T_cw, f); }
+        observe(f.slot, id, f);
+      }
     } else {
       f.slot = -1;
     }
@@ -186,8 +207,7 @@ void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& f
     if (f.slot >= 0) { continue; }
     int const slot = take_slot();
     auto& p = points_[static_cast<std::size_t>(slot)];
-    auto const world = T_wc * f.camera;
-    for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(world[k]); }
+    measure(p, T_cw, f);
     p.alive = true;
     ++alive_;
     p.max_distance = static_cast<float>(norm(f.camera)) * scales_[static_cast<std::size_t>(f.octave)];

@@ -19,6 +19,7 @@ struct map_point {
   orb_words orb{};
   int visible = 1;  ///< frames in whose view it was
   int found = 1;    ///< frames that matched it
+  double weight = 0;  ///< of the position, from the stereo measurements that it is the mean of
   bool alive = false;
   std::vector<int> keyframes;       ///< that see it, oldest first
   std::vector<orb_words> recent;    ///< descriptors of the last few of them
@@ -70,6 +71,8 @@ private:
   int take_slot();
   void remove(int slot);
   void observe(int slot, int keyframe_id, keyframe_feature const& feature);
+  /// Takes a keyframe's stereo measurement of a point into its position.
+  void measure(map_point& p, rigid_pose const& T_cw, keyframe_feature const& feature) const;
   void touch(int slot);
   std::vector<int> collect(std::vector<int> const& keyframe_ids, int most) const;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stereo visual odometry from ft stages alone, for either executor.
+/// @file Stereo visual odometry from ft stages alone, for either executor and either kind of rig.
 ///
 /// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose -> local
 /// map of the keyframes that share points (chosen on the host) -> frustum, search, pose -> a keyframe where
@@ -19,6 +19,7 @@
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/sparse_map.hpp"
 #include "examples/track_sequence/stage_timer.hpp"
+#include "ft/cameras/kannala_brandt.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
 namespace app {
@@ -37,18 +38,39 @@ constexpr double keep_share = 0.75;      ///< of the last keyframe's tracked poi
 
 }  // namespace vo
 
-template <typename Exec>
+inline ft::pose to_ft(rigid_pose const& T) {
+  ft::pose p;
+  for (std::size_t i = 0; i < 9; ++i) { p.R.m[i] = static_cast<float>(T.R[i]); }
+  p.t = {static_cast<float>(T.t[0]), static_cast<float>(T.t[1]), static_cast<float>(T.t[2])};
+  return p;
+}
+
+using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
+
+/// The options' rig as ft has it.
+template <typename Rig>
+Rig rig_of(odometry_options const& o) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  if constexpr (Rig::rectified) {
+    return ft::rectified_rig::make({f(o.fx), f(o.fy), f(o.cx), f(o.cy)}, f(o.baseline));
+  } else {
+    auto const camera = [&](std::array<double, 8> const& p) {
+      return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]), f(p[4]), f(p[5]), f(p[6]), f(p[7])};
+    };
+    return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
+  }
+}
+
+template <typename Exec, typename Rig>
 class visual_odometry final : public odometry {
+  static constexpr int cameras = ft::frame_tracker<Exec, Rig>::cameras;
+
 public:
   visual_odometry(Exec exec, odometry_options const& options, std::string device)
       : exec_(std::move(exec)),
         options_(options),
         device_(std::move(device)),
-        tracker_(exec_,
-                 ft::rectified_rig::make({static_cast<float>(options.fx), static_cast<float>(options.fy),
-                                          static_cast<float>(options.cx), static_cast<float>(options.cy)},
-                                         static_cast<float>(options.baseline)),
-                 tracker_params_of(options)),
+        tracker_(exec_, rig_of<Rig>(options), tracker_params_of(options)),
         map_(tracker_.params().map_slots,
              std::vector<float>(tracker_.geometry().scale, tracker_.geometry().scale + options.levels)),
         sums_({"upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid", "stereo",
@@ -112,12 +134,6 @@ private:
     p.updates = std::max(1 << 13, 2 * o.features);
     return p;
   }
-  static ft::pose to_ft(rigid_pose const& T) {
-    ft::pose p;
-    for (std::size_t i = 0; i < 9; ++i) { p.R.m[i] = static_cast<float>(T.R[i]); }
-    p.t = {static_cast<float>(T.t[0]), static_cast<float>(T.t[1]), static_cast<float>(T.t[2])};
-    return p;
-  }
   static rigid_pose from_ft(ft::pose const& p) {
     rigid_pose T;
     for (std::size_t i = 0; i < 9; ++i) { T.R[i] = static_cast<double>(p.R.m[i]); }
@@ -151,7 +167,7 @@ private:
     tracker_.predicted()[0] = to_ft(velocity_ * T_cw_);
     tracker_.last_pose()[0] = to_ft(T_cw_);
     tracker_.stamp()[0] = ++stamp_;
-    for (int i = 0; i < tracker_.capacity(); ++i) {
+    for (int i = 0; i < cameras * tracker_.capacity(); ++i) {
       int const slot = held_.empty() ? -1 : held_[static_cast<std::size_t>(i)];
       tracker_.last_holder()[i] = map_.alive(slot) ? slot : -1;
     }
@@ -195,11 +211,18 @@ private:
       if (tracker_.result().in_view[i] != 0) { map_.count_visible(local_[i]); }
     }
   }
+  /// Every map point that the frame's keypoints hold, once.
   std::vector<int> holders() const {
+    auto const& r = tracker_.result();
     std::vector<int> held;
-    for (int i = 0; i < tracker_.result().keypoints[0]; ++i) {
-      if (tracker_.result().holder[i] >= 0) { held.push_back(tracker_.result().holder[i]); }
+    for (int c = 0; c < cameras; ++c) {
+      for (int i = 0; i < r.keypoints[c]; ++i) {
+        int const slot = r.holder[c * r.capacity + i];
+        if (slot >= 0) { held.push_back(slot); }
+      }
     }
+    std::sort(held.begin(), held.end());
+    held.erase(std::unique(held.begin(), held.end()), held.end());
     return held;
   }
 
@@ -225,7 +248,7 @@ private:
         }
       });
     } else {
-      held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+      held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
       out.inliers = 0;
       int const depths = count([&](int i) { return r.depth[i] > 0; });
       bool const usable = depths >= vo::min_stereo_points;
@@ -259,8 +282,8 @@ private:
 
   void hold() {
     auto const& r = tracker_.result();
-    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
-    std::copy(r.holder, r.holder + r.keypoints[0], held_.begin());
+    held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
+    std::copy(r.holder, r.holder + cameras * r.capacity, held_.begin());
   }
 
   double near() const { return options_.near_depth * options_.baseline; }
@@ -277,26 +300,27 @@ private:
 
   void insert_keyframe() {
     auto const& r = tracker_.result();
-    tracker_.download_descriptors(exec_, 0, descriptors_.data());
+    tracker_.download_descriptors(exec_, 0, descriptors_.data(), r.keypoints[0]);
     exec_.wait();
     std::vector<keyframe_feature> features(static_cast<std::size_t>(r.keypoints[0]));
     for (int i = 0; i < r.keypoints[0]; ++i) {
       auto& f = features[static_cast<std::size_t>(i)];
       f.slot = held_.empty() ? -1 : held_[static_cast<std::size_t>(i)];
-      double const z = static_cast<double>(r.depth[i]);
-      f.camera = {(static_cast<double>(r.x[i]) - options_.cx) / options_.fx * z,
-                  (static_cast<double>(r.y[i]) - options_.cy) / options_.fy * z, z};
+      f.camera = {static_cast<double>(r.point[i].x), static_cast<double>(r.point[i].y),
+                  static_cast<double>(r.point[i].z)};
       f.octave = r.octave[i];
       std::memcpy(f.orb.data(), &descriptors_[static_cast<std::size_t>(i)], sizeof f.orb);
     }
     map_.cull();
     map_.insert(T_cw_, features, near(), vo::wanted_near_points);
     ++keyframes_made_;
-    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+    held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
     reference_tracked_ = 0;
-    for (std::size_t i = 0; i < features.size(); ++i) {
-      held_[i] = features[i].slot;
-      reference_tracked_ += static_cast<int>(features[i].slot >= 0);
+    for (int i = 0; i < r.keypoints[0]; ++i) {
+      int const slot = features[static_cast<std::size_t>(i)].slot;
+      held_[static_cast<std::size_t>(i)] = slot;
+      reference_tracked_ += static_cast<int>(slot >= 0);
+      if (slot >= 0 && r.partner[i] >= 0) { held_[static_cast<std::size_t>(r.partner[i])] = slot; }
     }
     send_changes();
   }
@@ -326,7 +350,7 @@ private:
   Exec exec_;
   odometry_options options_;
   std::string device_;
-  ft::frame_tracker<Exec> tracker_;
+  ft::frame_tracker<Exec, Rig> tracker_;
   sparse_map map_;
   stage_sums sums_;
   stage_timer<Exec> timer_;

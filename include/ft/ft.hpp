@@ -28,6 +28,7 @@
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/pyramid.hpp"
 #include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/kernels/stereo_rectified.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/orb_extractor.hpp"

@@ -20,6 +20,7 @@
 #include "ft/kernels/frustum.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/kernels/stereo_rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
@@ -150,7 +151,11 @@ private:
     }
     compare_keypoints(table, k);
     compare_grid(table["grid"], k);
-    if (!fisheye_) { compare_stereo(table, k); }
+    if (fisheye_) {
+      compare_fisheye(table["stereo_fisheye"], k);
+    } else {
+      compare_stereo(table, k);
+    }
   }
 
   void compare_image(stage_result& r, std::string const& file, std::vector<std::uint8_t> const& slab, int c, int l) {
@@ -283,6 +288,30 @@ private:
                                     depth[at] - want_d(i));
       table["stereo_depth"].add(depth[at] == want_d(i), depth[at] - want_d(i));
     }
+  }
+
+  void compare_fisheye(stage_result& r, int k) {
+    load_frame(k);
+    int const capacity = orb_.capacity();
+    auto const mono = to_exec(exec_, read_npy<std::int32_t>(path("frame", k, "mono")).data);
+    ft::fisheye_matches_view matches;
+    ft::arena<Exec::space> memory([&](ft::carver& c) { ft::carve(c, matches, capacity, 1); });
+    ft::match_stereo_fisheye(exec_, fisheye_rig_, frame_keypoints_.view(), mono.data(), orb_.geometry(), {},
+                             matches);
+    auto const partner = get_array<int>(matches.partner, static_cast<std::size_t>(2 * capacity));
+    auto const point = get_array<ft::vec3<float>>(matches.point, static_cast<std::size_t>(capacity));
+    auto const l2r = read_npy<std::int32_t>(path("frame", k, "l2r"));
+    auto const r2l = read_npy<std::int32_t>(path("frame", k, "r2l"));
+    auto const p3d = read_npy<float>(path("frame", k, "stereo3d"));
+    for (int i = 0; i < l2r.rows(); ++i) {
+      int const got = partner[static_cast<std::size_t>(i)];
+      auto const& p = point[static_cast<std::size_t>(i)];
+      double const diff = got < 0 || l2r(i) < 0 ? 0.0
+                                                : std::max({std::abs(p.x - p3d(i, 0)), std::abs(p.y - p3d(i, 1)),
+                                                            std::abs(p.z - p3d(i, 2))});
+      r.add((got < 0 ? -1 : got - capacity) == l2r(i), diff);
+    }
+    for (int j = 0; j < r2l.rows(); ++j) { r.add(partner[static_cast<std::size_t>(capacity + j)] == r2l(j)); }
   }
 
   ft::pose read_pose(int k, std::string const& name) {

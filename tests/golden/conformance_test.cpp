@@ -45,7 +45,7 @@ TYPED_TEST(golden, every_stage_gives_the_recorded_answers) {
   }
   test::print(all, std::string("golden files on ") + TypeParam::name);
   for (char const* stage : {"pyramid", "corners", "distribution", "orientation", "blur", "descriptor",
-                            "keypoint_order", "grid", "stereo_rectified", "search_last_frame", "frustum",
+                            "keypoint_order", "grid", "stereo_rectified", "stereo_fisheye", "search_last_frame", "frustum",
                             "search_local_map", "pose_optimization"}) {
     EXPECT_GT(all[stage].items, 0) << stage << " was not compared";
   }

@@ -12,9 +12,10 @@
 ///       ray<Scalar> unproject(vec2<Scalar> pixel) const;               // pixel -> direction
 ///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;          // d pixel / d point
 ///       template <typename U> my_camera<U> cast() const;
+///       void check() const;                                            // host: throws bad_argument
 ///     };
 ///
-/// all members FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera frame has x right,
+/// all members but check() FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera frame has x right,
 /// y down, z forward.
 #pragma once
 
@@ -88,6 +89,11 @@ template <typename C>
 struct has_cast<C, std::void_t<decltype(std::declval<C const&>().template cast<double>())>>
     : std::true_type {};
 
+template <typename C, typename = void>
+struct has_check : std::false_type {};
+template <typename C>
+struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : std::true_type {};
+
 }  // namespace detail
 
 /// True for a type that keeps the contract above.
@@ -95,7 +101,7 @@ template <typename C>
 inline constexpr bool is_camera_model_v =
     std::is_trivially_copyable<C>::value && detail::has_project<C>::value &&
     detail::has_unproject<C>::value && detail::has_jacobian<C>::value && detail::has_names<C>::value &&
-    detail::has_cast<C>::value;
+    detail::has_cast<C>::value && detail::has_check<C>::value;
 
 /// Instantiate to learn which part of the contract a type does not keep.
 template <typename C>
@@ -110,6 +116,7 @@ struct assert_camera_model {
   static_assert(detail::has_names<C>::value, "a camera model needs: num_params and name");
   static_assert(detail::has_cast<C>::value,
                 "a camera model needs: template <typename U> my_camera<U> cast() const");
+  static_assert(detail::has_check<C>::value, "a camera model needs: void check() const");
   static constexpr bool value = is_camera_model_v<C>;
 };
 

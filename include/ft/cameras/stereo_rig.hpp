@@ -2,6 +2,8 @@
 /// @file Two cameras fixed to each other.
 #pragma once
 
+#include <cmath>
+
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/core/config.hpp"
@@ -20,6 +22,26 @@ struct stereo_rig {
   Left left;
   Right right;
   pose T_rl;
+
+  /// Distance of the two centres, metres.
+  FT_HOST_DEVICE strict_float baseline_length() const {
+    auto const t = T_rl.template cast<strict_float>().t;
+    return scalar::sqrt(dot(t, t));
+  }
+  /// @throws bad_argument for a camera that cannot be, a motion that is not rigid, or a zero baseline
+  void check() const {
+    left.check();
+    right.check();
+    for (float v : T_rl.R.m) { detail::require_finite("rig rotation", v); }
+    mat3<float> const RRt = T_rl.R * T_rl.R.transposed();
+    for (int i = 0; i < 9; ++i) {
+      detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0f : 0.0f)) < 1e-3f,
+                      "the rig's rotation is not a rotation matrix");
+    }
+    float const length = baseline_length().value;
+    detail::require_finite("rig translation", length);
+    detail::require_range("baseline", length, 1e-6f, 1e6f);
+  }
 };
 
 /// A rectified pair: one pinhole, rows correspond, the right camera `baseline` metres to the right.
@@ -29,6 +51,7 @@ struct rectified_rig {
   float baseline = 0;  ///< metres
   float bf = 0;        ///< baseline times fx, metres x pixels
 
+  FT_HOST_DEVICE strict_float baseline_length() const { return baseline; }
   static rectified_rig make(pinhole<float> const& camera, float baseline) {
     return {camera, baseline, baseline * camera.fx};
   }

@@ -403,7 +403,7 @@ struct project_last_point {
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
     if (!(inv_z >= 0.0f)) { return; }
     int const octave = get<field::octave>(last.keypoints.slice(last.keypoint_step * b + c_last), k);
-    strict_float const baseline = base(rig);
+    strict_float const baseline = rig.baseline_length();
     strict_float const ahead = (T_lw * T_cw.centre()).z;
     bool const forward = ahead > baseline && !params.mono;
     bool const backward = -ahead > baseline && !params.mono;
@@ -443,14 +443,6 @@ private:
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p, last_search_params const& b) {
     return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&
            p.pixel.y <= b.max_y;
-  }
-  FT_HOST_DEVICE static strict_float base(Rig const& rig) {
-    if constexpr (Rig::rectified) {
-      return rig.baseline;
-    } else {
-      auto const t = rig.T_rl.template cast<strict_float>().t;
-      return scalar::sqrt(dot(t, t));
-    }
   }
   FT_HOST_DEVICE static projection<strict_float> project_right(Rig const& rig, vec3<strict_float> p,
                                                                bool quirks) {

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <type_traits>
+#include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
@@ -31,6 +32,9 @@ struct tracker_params {
   int enough_matches = 20;     ///< with fewer, the search is repeated with twice the radius
   bool optimize_last = true;   ///< pose optimisation after the search from the last frame
   bool optimize_local = true;  ///< and after the search in the local map
+  /// Columns of the left and the right image that see the same: pairs that are not rectified only. The
+  /// default is the whole image.
+  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
 };
 
 /// One map point as the host sends it.
@@ -43,40 +47,46 @@ struct point_update {
   descriptor orb;
 };
 
-/// What the host reads after a frame. Arrays have one entry per left keypoint, [batch][capacity].
+/// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed by right
+/// ones: keypoint k of camera c has number c * capacity + k.
 struct tracked_frame_view {
-  int* keypoints = nullptr;       ///< [batch] left keypoints
+  int* keypoints = nullptr;       ///< [batch][cameras]
   pose* T_cw = nullptr;           ///< [batch]
   int* matches = nullptr;         ///< [batch] keypoints given a point by the last search
   int* inliers = nullptr;         ///< [batch] of the last pose optimisation; matches where there was none
-  float* x = nullptr;             ///< pixels
-  float* y = nullptr;
-  int* octave = nullptr;
-  float* right_x = nullptr;       ///< -1 = no stereo match
-  float* depth = nullptr;         ///< metres, -1 = no stereo match
-  int* holder = nullptr;          ///< slot of the map point held, -1 = none
+  float* x = nullptr;             ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;             ///< likewise
+  int* octave = nullptr;          ///< likewise
+  int* holder = nullptr;          ///< likewise: slot of the map point held, -1 = none
+  float* depth = nullptr;         ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
+  vec3<float>* point = nullptr;   ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
+  int* partner = nullptr;         ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
   unsigned char* in_view = nullptr;  ///< [batch][local_points] 1 = passed the frustum test of track_local()
   int capacity = 0;
+  int cameras = 1;
   int local_points = 0;
 };
 
 namespace detail {
 
-inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int local_points) {
+inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int cameras, int local_points) {
   auto const b = static_cast<std::size_t>(batch);
   std::size_t const n = checked_mul(b, static_cast<std::size_t>(capacity));
+  std::size_t const numbers = n * static_cast<std::size_t>(cameras);
   v.capacity = capacity;
-  v.keypoints = c.take<int>(b);
+  v.cameras = cameras;
+  v.local_points = local_points;
+  v.keypoints = c.take<int>(b * static_cast<std::size_t>(cameras));
   v.T_cw = c.take<pose>(b);
   v.matches = c.take<int>(b);
   v.inliers = c.take<int>(b);
-  v.x = c.take<float>(n);
-  v.y = c.take<float>(n);
-  v.octave = c.take<int>(n);
-  v.right_x = c.take<float>(n);
+  v.x = c.take<float>(numbers);
+  v.y = c.take<float>(numbers);
+  v.octave = c.take<int>(numbers);
+  v.holder = c.take<int>(numbers);
+  v.partner = c.take<int>(numbers);
   v.depth = c.take<float>(n);
-  v.holder = c.take<int>(n);
-  v.local_points = local_points;
+  v.point = c.take<vec3<float>>(n);
   v.in_view = c.take<unsigned char>(checked_mul(b, static_cast<std::size_t>(local_points)));
 }
 
@@ -84,16 +94,16 @@ inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int
 struct motion_input {
   pose* predicted = nullptr;   ///< [batch] T_cw
   pose* last = nullptr;        ///< [batch] T_cw of the last frame
-  int* last_holder = nullptr;  ///< [batch][capacity]
+  int* last_holder = nullptr;  ///< [batch][cameras * capacity]
   int* stamp = nullptr;        ///< [batch] number of this frame
 };
 
-inline void carve(carver& c, motion_input& v, int capacity, int batch) {
+inline void carve(carver& c, motion_input& v, int numbers, int batch) {
   auto const b = static_cast<std::size_t>(batch);
   v.predicted = c.take<pose>(b);
   v.last = c.take<pose>(b);
   v.stamp = c.take<int>(b);
-  v.last_holder = c.take<int>(b * static_cast<std::size_t>(capacity));
+  v.last_holder = c.take<int>(b * static_cast<std::size_t>(numbers));
 }
 
 /// And before the search in the local map.
@@ -185,46 +195,63 @@ struct stamp_held_point {
 };
 
 /// Collects the frame's result for the one copy to the host.
+template <typename Rig>
 struct pack_result {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
-                                 stereo_matches_view const& stereo, pose const* poses, int const* matches,
-                                 int const* inliers, tracked_frame_view const& out) const {
-    int const b = item / frame.capacity();
-    int const i = item % frame.capacity();
-    keypoints_view const kp = frame.camera(b, 0);
-    if (i == 0) {
-      out.keypoints[b] = *kp.count;
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
+                                 float const* depth, fisheye_matches_view const& fisheye, pose const* poses,
+                                 int const* matches, int const* inliers, tracked_frame_view const& out) const {
+    int const b = item / frame.numbers();
+    int const number = item % frame.numbers();
+    int const c = number / frame.capacity();
+    int const i = number % frame.capacity();
+    keypoints_view const kp = frame.camera(b, c);
+    if (i == 0) { out.keypoints[b * frame.cameras + c] = *kp.count; }
+    if (number == 0) {
       out.T_cw[b] = poses[b];
       out.matches[b] = matches[b];
       out.inliers[b] = inliers != nullptr ? inliers[b] : matches[b];
     }
     bool const there = i < *kp.count;
-    out.x[item] = there ? get<field::x>(kp, i) : 0.0f;
-    out.y[item] = there ? get<field::y>(kp, i) : 0.0f;
+    float const x = there ? get<field::x>(kp, i) : 0.0f;
+    float const y = there ? get<field::y>(kp, i) : 0.0f;
+    out.x[item] = x;
+    out.y[item] = y;
     out.octave[item] = there ? get<field::octave>(kp, i) : 0;
-    out.right_x[item] = there ? get<field::right_x>(stereo, item) : -1.0f;
-    out.depth[item] = there ? get<field::depth>(stereo, item) : -1.0f;
-    out.holder[item] = there ? frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + i] : -1;
+    out.holder[item] = there ? frame.holder[item] : -1;
+    out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
+    if (c != 0) { return; }
+    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.capacity() + i;
+    float const z = there ? depth[at] : -1.0f;
+    out.depth[at] = z;
+    if constexpr (Rig::rectified) {
+      auto const r = rig.camera.template cast<strict_float>().unproject({x, y}).direction;
+      out.point[at] = z > 0 ? vec3<float>{(r.x * z).value, (r.y * z).value, z} : vec3<float>{0, 0, 0};
+    } else {
+      out.point[at] = z > 0 ? fisheye.point[at] : vec3<float>{0, 0, 0};
+    }
   }
 };
 
-/// Notes which points of the local map are in view, for the same copy.
+/// Notes which points of the local map a camera has in view, for the same copy.
 struct pack_visibility {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen, int const* count,
-                                 tracked_frame_view const& out) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen, int const* count, int batch,
+                                 int cameras, tracked_frame_view const& out) const {
     int const i = item % out.local_points;
-    out.in_view[item] =
-        static_cast<unsigned char>(i < count[item / out.local_points] && seen[item].level >= 0);
+    bool in_view = false;
+    for (int c = 0; c < cameras && i < count[item / out.local_points]; ++c) {
+      in_view = in_view || seen[static_cast<std::ptrdiff_t>(c) * batch * out.local_points + item].level >= 0;
+    }
+    out.in_view[item] = static_cast<unsigned char>(in_view);
   }
 };
 
-/// Tracks `batch` rectified stereo cameras, each against its own map. Per frame:
+/// Tracks `batch` stereo cameras of the same kind, each against its own map. Per frame:
 ///
 ///     upload images -> track_motion(): extraction, grid, stereo, search from the last frame, pose
 ///                   -> [host: choose the local map] -> track_local(): frustum, search, pose
@@ -233,15 +260,17 @@ struct pack_visibility {
 /// asynchronous on the executor, allocate nothing and never wait; the host fills the input views before a
 /// call and reads result() after exec.wait(). It must not touch either in between. Counts stay in executor
 /// memory: launches are sized by capacity. Move-only; not thread-safe; instances are independent.
-template <typename Exec>
+/// @tparam Rig rectified_rig, or stereo_rig of any two cameras: then both images are searched
+template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
 public:
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
+  static constexpr int cameras = Rig::rectified ? 1 : 2;  ///< whose keypoints are searched
 
   frame_tracker() = default;
   /// @param batch camera pairs. Waits once. @throws bad_argument, std::bad_alloc, cuda_error
-  frame_tracker(Exec const& exec, rectified_rig const& rig, tracker_params const& params, int batch = 1)
+  frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1)
       : rig_(rig), params_(params), batch_(batch) {
     rig.check();
     detail::require_range("batch of camera pairs", batch, 1, 2048);
@@ -249,39 +278,49 @@ public:
     detail::require_range("local_points", params.local_points, 1, 1 << 24);
     detail::require_range("updates", params.updates, 1, 1 << 24);
     detail::require_range("last_th", params.last_th, 0.1f, 1000.0f);
-    extractor_ = orb_extractor<Exec>(exec, params.orb, 2 * batch);
-    matcher_ = stereo_matcher<Exec>(rig, extractor_);
+    std::vector<stereo_overlap> overlaps;
+    for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) { overlaps.push_back(params.overlap[i % 2]); }
+    extractor_ = orb_extractor<Exec>(exec, params.orb, 2 * batch, overlaps);
+    matcher_ = stereo_matcher<Exec, Rig>(rig, extractor_);
     int const capacity = extractor_.capacity();
     auto const b = static_cast<std::size_t>(batch);
     auto const slots = detail::checked_mul(b, static_cast<std::size_t>(params.map_slots));
     grid_geometry const cells =
         grid_geometry::over(0, 0, static_cast<float>(params.orb.width), static_cast<float>(params.orb.height));
-    int const windows = max_of(capacity, params.local_points);
+    int const numbers = cameras * capacity;
+    int const windows = max_of(numbers, params.local_points);
     arena_ = arena<space>([&](carver& c) {
       carve(c, map_, params.map_slots, batch);
-      carve(c, frame_.grids, cells, capacity, batch);
+      carve(c, frame_.grids, cells, capacity, cameras * batch);
       carve(c, last_keypoints_, capacity, 2 * batch);
-      carve(c, last_windows_, capacity, batch, 1);
-      carve(c, local_windows_, params.local_points, batch, 1);
-      carve(c, work_[0], windows, capacity, batch, 1);
+      carve(c, last_windows_, numbers, batch, cameras);
+      carve(c, local_windows_, params.local_points, batch, cameras);
+      carve(c, work_[0], windows, capacity, batch, cameras);
       carve(c, work_[1], 1, 1, batch, 1);
-      carve(c, observations_, capacity, batch);
-      frame_.holder = c.take<int>(b * static_cast<std::size_t>(capacity));
+      carve(c, observations_, numbers, batch);
+      frame_.holder = c.take<int>(b * static_cast<std::size_t>(numbers));
       stamps_ = c.take<int>(slots);
       poses_ = c.take<pose>(b);
-      visible_ = c.take<visibility>(b * static_cast<std::size_t>(params.local_points));
+      visible_ = c.take<visibility>(b * static_cast<std::size_t>(cameras) *
+                                    static_cast<std::size_t>(params.local_points));
       updates_ = c.take<point_update>(static_cast<std::size_t>(params.updates));
     });
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
     images_ = buffer<std::uint8_t, staging>(
         detail::checked_mul(2 * b, static_cast<std::size_t>(params.orb.width) *
                                        static_cast<std::size_t>(params.orb.height)));
-    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, params.local_points);
-    motion_ = detail::twin<detail::motion_input, space, staging>(capacity, batch);
+    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, cameras, params.local_points);
+    motion_ = detail::twin<detail::motion_input, space, staging>(numbers, batch);
     local_ = detail::twin<detail::local_input, space, staging>(params.local_points, batch);
     frame_.keypoints = extractor_.keypoints();
     frame_.batch = batch;
-    frame_.right_x = array_of<field::right_x>(matcher_.matches());
+    frame_.cameras = cameras;
+    if constexpr (Rig::rectified) {
+      frame_.right_x = array_of<field::right_x>(matcher_.matches());
+    } else {
+      frame_.partner = matcher_.fisheye_matches().partner;
+    }
+    last_.cameras = cameras;
     frustum_.max_x = static_cast<float>(params.orb.width);
     frustum_.max_y = static_cast<float>(params.orb.height);
     frustum_.log_scale_factor = log_rounded(params.orb.scale_factor);
@@ -317,7 +356,7 @@ public:
   }
   pose* predicted() { return motion_.host.predicted; }   ///< [batch] T_cw expected for the next frame
   pose* last_pose() { return motion_.host.last; }        ///< [batch] T_cw of the last frame
-  int* last_holder() { return motion_.host.last_holder; } ///< [batch][capacity()] slots of the last frame's inliers
+  int* last_holder() { return motion_.host.last_holder; } ///< [batch][cameras * capacity()] slots of the last frame's inliers
   int* stamp() { return motion_.host.stamp; }            ///< [batch] the frame's number, above 0 and rising
   int* local_count() { return local_.host.count; }       ///< [batch] at most params().local_points
   int* local_slots() { return local_.host.slots; }       ///< [batch][local_points] in search order
@@ -403,7 +442,7 @@ public:
                         geometry(), local_windows_, visible_);
     for_each_item<per_thread>(exec, batch_ * params_.local_points, pack_visibility{},
                               static_cast<visibility const*>(visible_),
-                              static_cast<int const*>(local_.device.count), result_.device);
+                              static_cast<int const*>(local_.device.count), batch_, int{cameras}, result_.device);
     mark("frustum");
     search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{}, work_[0]);
     mark("search local map");
@@ -419,19 +458,22 @@ public:
 
   /// The last queued call's result, in host memory: valid after exec.wait(), until the next call.
   tracked_frame_view const& result() const { return result_.host; }
-  /// Queues a copy of the left descriptors of pair b. @param to [capacity()] host memory
-  void download_descriptors(Exec const& exec, int b, descriptor* to) const {
+  /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many, as in
+  /// result().keypoints @throws bad_argument for more than capacity()
+  void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
+    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("descriptors", count, 0, capacity());
     copy(exec, to, static_cast<descriptor const*>(array_of<field::orb>(frame_.camera(b, 0))),
-         static_cast<std::size_t>(capacity()));
+         static_cast<std::size_t>(count));
   }
 
   int capacity() const { return extractor_.capacity(); }
   int batch() const { return batch_; }
   tracker_params const& params() const { return params_; }
-  rectified_rig const& rig() const { return rig_; }
+  Rig const& rig() const { return rig_; }
   pyramid_geometry const& geometry() const { return extractor_.geometry(); }
   orb_extractor<Exec> const& extractor() const { return extractor_; }
-  stereo_matcher<Exec> const& matcher() const { return matcher_; }
+  stereo_matcher<Exec, Rig> const& matcher() const { return matcher_; }
   map_points_view map() const { return map_; }
   frame_view const& frame() const { return frame_; }
 
@@ -444,23 +486,23 @@ private:
     }
     mark("upload");
     extractor_.extract(exec, mark);
-    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, 2, batch_, frame_.grids);
+    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, Rig::rectified ? 2 : 1, cameras * batch_, frame_.grids);
     mark("grid");
     matcher_.match(exec, extractor_);
     mark("stereo");
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
-    for_each_item<per_thread>(exec, batch_ * frame_.capacity(), pack_result{}, frame_, matcher_.matches(), poses,
-                              matches, inliers, result_.device);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_, matcher_.depth(),
+                              matcher_.fisheye_matches(), poses, matches, inliers, result_.device);
     result_.download(exec);
   }
 
-  rectified_rig rig_{};
+  Rig rig_{};
   tracker_params params_;
   int batch_ = 0;
   orb_extractor<Exec> extractor_;
-  stereo_matcher<Exec> matcher_;
+  stereo_matcher<Exec, Rig> matcher_;
   frame_view frame_;
   last_frame_view last_;
   soa_view<field::angle, field::octave> last_keypoints_;

@@ -3,54 +3,77 @@
 #pragma once
 
 #include <cstddef>
+#include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/kernels/stereo_rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// Rectified stereo: images 2 b and 2 b + 1 of an extractor are pair b. match() is asynchronous on the
-/// executor, allocates nothing and never waits. Move-only; not thread-safe; instances are independent.
-template <typename Exec>
+/// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the executor,
+/// allocates nothing and never waits. Move-only; not thread-safe; instances are independent.
+/// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap, triangulated)
+template <typename Exec, typename Rig = rectified_rig>
 class stereo_matcher {
 public:
   static constexpr memory_space space = Exec::space;
 
   stereo_matcher() = default;
   /// @throws bad_argument for a rig that cannot be, or an extractor with an odd batch
-  stereo_matcher(rectified_rig const& rig, orb_extractor<Exec> const& extractor) {
+  stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor) : rig_(rig) {
     rig.check();
     detail::require(extractor.batch() >= 2 && extractor.batch() % 2 == 0,
                     "stereo needs an extractor with an even number of images");
-    params_.bf = rig.bf;
-    params_.max_disparity = rig.bf / rig.baseline;
     int const pairs = extractor.batch() / 2;
+    if constexpr (Rig::rectified) {
+      params_.bf = rig.bf;
+      params_.max_disparity = rig.bf / rig.baseline;
+    }
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = extractor.params().height;
     arena_ = arena<space>([&](carver& c) {
-      carve(c, matches_, extractor.capacity(), pairs);
-      carve(c, right_rows_, rows, extractor.capacity(), pairs);
+      if constexpr (Rig::rectified) {
+        carve(c, matches_, extractor.capacity(), pairs);
+        carve(c, right_rows_, rows, extractor.capacity(), pairs);
+      } else {
+        carve(c, fisheye_, extractor.capacity(), pairs);
+      }
     });
   }
 
   /// Queues the matching of the extractor's current images.
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
-    match_stereo_rectified(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_, right_rows_);
+    if constexpr (Rig::rectified) {
+      match_stereo_rectified(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_, right_rows_);
+    } else {
+      match_stereo_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(), extractor.geometry(),
+                           fisheye_params_, fisheye_);
+    }
   }
 
-  stereo_matches_view matches() const { return matches_; }  ///< one batch entry per pair, executor memory
+  // Executor memory, valid as long as the matcher.
+  stereo_matches_view matches() const { return matches_; }        ///< rectified: one batch entry per pair
+  fisheye_matches_view fisheye_matches() const { return fisheye_; }  ///< otherwise
+  /// [pairs][capacity] depth of left keypoints, metres, -1 = none
+  float const* depth() const {
+    return Rig::rectified ? static_cast<column<field::depth> const&>(matches_).data : fisheye_.depth;
+  }
   stereo_params const& params() const { return params_; }
 
 private:
+  Rig rig_{};
   stereo_params params_;
+  fisheye_stereo_params fisheye_params_;
   stereo_matches_view matches_;
   feature_grid_view right_rows_;
+  fisheye_matches_view fisheye_;
   arena<space> arena_;
 };
 

@@ -54,7 +54,14 @@ if [[ -z $sequence ]]; then
   fi
 fi
 
-"$build/bin/track_sequence" --sequence "$sequence" --backend auto --out "$report" "$@"
-echo
-echo "The report is in $report"
-ls -1 "$report" | sed 's/^/  /'
+# What the caller says goes before what the demo would say.
+given=" $* "
+defaults=()
+if [[ $given != *" --backend"* ]]; then defaults+=(--backend auto); fi
+if [[ $given != *" --out"* ]]; then defaults+=(--out "$report"); fi
+"$build/bin/track_sequence" --sequence "$sequence" "${defaults[@]}" "$@"
+
+if [[ $given != *" --out"* ]]; then
+  printf '\nThe report is in %s\n' "$report"
+  ls -1 "$report" | sed 's/^/  /'
+fi

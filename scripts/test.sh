@@ -95,12 +95,6 @@ build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests
 }
 
-configure_asan() {
-  ft_configure "$asan" -DCMAKE_BUILD_TYPE=RelWithDebInfo -DFT_ENABLE_CUDA=OFF -DFT_BUILD_TESTS=ON \
-    -DFT_BUILD_BENCH=OFF -DFT_HEADER_CHECKS=OFF -DFT_WARNINGS_AS_ERRORS=ON \
-    -DFT_SANITIZE=address,undefined,float-cast-overflow
-}
-
 check_headers_with_clang() {
   local header failed=0 count=0
   while IFS= read -r header; do
@@ -137,7 +131,7 @@ else
   step "Examples, benches: build" build_all "$build"
 fi
 if ((!quick)); then
-  step "Sanitizers: configure" configure_asan
+  step "Sanitizers: configure" cmake --preset host-asan
   step "Sanitizers: build" build_all "$asan"
   step "Sanitizers: tests" run_ctest sanitizers "$asan" -LE slow
   step "Consumers" scripts/test_consumers.sh "$build"

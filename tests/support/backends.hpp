@@ -12,6 +12,7 @@
 
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "tests/support/memory.hpp"
 
 namespace test {
 
@@ -64,30 +65,6 @@ protected:
     if (!Backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   }
 };
-
-/// A copy of `values` in an executor's memory.
-template <typename T, typename Exec>
-ft::buffer<T, Exec::space> to_exec(Exec const& exec, std::vector<T> const& values) {
-  ft::buffer<T, Exec::space> memory(values.size());
-  ft::copy(exec, memory.data(), values.data(), values.size());
-  exec.wait();
-  return memory;
-}
-
-template <typename T, typename Exec>
-std::vector<T> from_exec(Exec const& exec, T const* data, std::size_t count) {
-  std::vector<T> values(count);
-  ft::copy(exec, values.data(), data, count);
-  exec.wait();
-  return values;
-}
-
-/// Waits, then reads one column of a container: all batch entries, capacity each.
-template <typename Field, typename Exec, typename View>
-std::vector<typename Field::type> column(Exec const& exec, View const& view) {
-  return from_exec(exec, static_cast<typename Field::type const*>(ft::array_of<Field>(view)),
-                   static_cast<std::size_t>(view.capacity) * static_cast<std::size_t>(view.batch));
-}
 
 /// A grey image with structure at all scales: flat areas, edges and noise; the same for the same seed.
 inline std::vector<std::uint8_t> random_image(int width, int height, unsigned seed) {

@@ -23,7 +23,8 @@
 #include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/kernels/stereo_rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
-#include "tests/support/backends.hpp"
+#include "ft/pipelines/stereo_matcher.hpp"
+#include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {
@@ -153,8 +154,55 @@ private:
     compare_grid(table["grid"], k);
     if (fisheye_) {
       compare_fisheye(table["stereo_fisheye"], k);
+      compare_end_to_end(table["end_to_end"], k, fisheye_rig_);
     } else {
       compare_stereo(table, k);
+      compare_end_to_end(table["end_to_end"], k, rectified_rig_);
+    }
+  }
+
+  /// Images in; keypoints, descriptors and stereo out, with nothing recorded in between.
+  template <typename Rig>
+  void compare_end_to_end(stage_result& r, int k, Rig const& rig) {
+    ft::stereo_matcher<Exec, Rig> matcher(rig, orb_);
+    matcher.match(exec_, orb_);
+    auto const kp = orb_.keypoints();
+    auto const capacity = static_cast<std::size_t>(kp.capacity);
+    auto const x = column<ft::field::x>(exec_, kp);
+    auto const y = column<ft::field::y>(exec_, kp);
+    auto const angle = column<ft::field::angle>(exec_, kp);
+    auto const octave = column<ft::field::octave>(exec_, kp);
+    auto const orb = column<ft::field::orb>(exec_, kp);
+    auto const count = get_array<int>(kp.count, 2);
+    std::vector<float> right_x(capacity, -1.0f);
+    std::vector<int> partner(2 * capacity, -1);
+    npy<float> want_right;
+    npy<std::int32_t> want_partner[2];
+    if constexpr (Rig::rectified) {
+      right_x = column<ft::field::right_x>(exec_, matcher.matches());
+      want_right = read_npy<float>(path("frame", k, "mvuRight"));
+    } else {
+      partner = get_array<int>(matcher.fisheye_matches().partner, 2 * capacity);
+      want_partner[0] = read_npy<std::int32_t>(path("frame", k, "l2r"));
+      want_partner[1] = read_npy<std::int32_t>(path("frame", k, "r2l"));
+    }
+    for (int c = 0; c < 2; ++c) {
+      auto const want = read_npy<float>(path("frame", k, c == 0 ? "kpL" : "kpR"));
+      auto const desc = read_npy<std::uint8_t>(path("frame", k, c == 0 ? "descL" : "descR"));
+      int const n = count[static_cast<std::size_t>(c)];
+      for (int i = 0; i < std::max(n, want.rows()); ++i) {
+        auto const at = static_cast<std::size_t>(c) * capacity + static_cast<std::size_t>(i);
+        bool same = i < n && i < want.rows() && x[at] == want(i, 0) && y[at] == want(i, 1) &&
+                    angle[at] == want(i, 3) && static_cast<float>(octave[at]) == want(i, 5) &&
+                    std::memcmp(&orb[at], &desc(i, 0), 32) == 0;
+        if constexpr (Rig::rectified) {
+          same = same && (c == 1 || right_x[at] == want_right(i));
+        } else {
+          int const got = partner[at] < 0 || c == 1 ? partner[at] : partner[at] - kp.capacity;
+          same = same && got == want_partner[c](i);
+        }
+        r.add(same);
+      }
     }
   }
 

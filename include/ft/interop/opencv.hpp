@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Bridges to OpenCV's types; the only header that includes OpenCV. Host memory only.
+#pragma once
+
+#include <cstring>
+#include <opencv2/core.hpp>
+#include <vector>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/views.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The pixels of an 8-bit grey matrix, without a copy. @throws bad_argument for another type
+inline gray_view as_view(cv::Mat const& image) {
+  detail::require(image.type() == CV_8UC1 && image.dims == 2, "an 8-bit grey cv::Mat is needed");
+  return {image.data, image.cols, image.rows, static_cast<int>(image.step)};
+}
+
+/// The keypoints of one image as OpenCV has them. @param keypoints one batch entry, host memory
+inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints, pyramid_geometry const& geometry) {
+  std::vector<cv::KeyPoint> all;
+  for (int i = 0; i < *keypoints.count; ++i) {
+    int const octave = get<field::octave>(keypoints, i);
+    all.emplace_back(get<field::x>(keypoints, i), get<field::y>(keypoints, i),
+                     static_cast<float>(geometry.patch_size(octave)), get<field::angle>(keypoints, i),
+                     get<field::response>(keypoints, i), octave);
+  }
+  return all;
+}
+
+/// The descriptors of one image, a row of 32 bytes each. @param keypoints one batch entry, host memory
+inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
+  cv::Mat rows(*keypoints.count, 32, CV_8UC1);
+  for (int i = 0; i < *keypoints.count; ++i) {
+    std::memcpy(rows.ptr(i), &get<field::orb>(keypoints, i), sizeof(descriptor));
+  }
+  return rows;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tests/conformance/backends.hpp"
+#include "tests/conformance/golden_sequence.hpp"
+
+namespace conformance {
+
+bool cuda_available() {
+  int devices = 0;
+  bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
+  static_cast<void>(cudaGetLastError());
+  return found;
+}
+
+table run_cuda(std::string const& folder) {
+  cudaStream_t stream = nullptr;
+  ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
+  test::conformance_table t;
+  test::golden_sequence<ft::cuda_exec>(ft::cuda_exec(stream), folder).run(t);
+  ft::detail::check(cudaStreamDestroy(stream), "cudaStreamDestroy");
+  return plain(t);
+}
+
+}  // namespace conformance

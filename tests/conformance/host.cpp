@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <stdexcept>
+
+#include "tests/conformance/backends.hpp"
+#include "tests/conformance/golden_sequence.hpp"
+
+namespace conformance {
+
+table run_host(std::string const& folder) {
+  test::conformance_table t;
+  test::golden_sequence<ft::host_exec>(ft::host_exec(), folder).run(t);
+  return plain(t);
+}
+
+#if !FT_APP_HAS_CUDA
+bool cuda_available() { return false; }
+table run_cuda(std::string const&) { throw std::runtime_error("this program was built without CUDA"); }
+#endif
+
+}  // namespace conformance

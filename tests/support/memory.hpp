@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Copies to and from an executor's memory.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "ft/containers/soa.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+
+namespace test {
+
+/// A copy of `values` in an executor's memory.
+template <typename T, typename Exec>
+ft::buffer<T, Exec::space> to_exec(Exec const& exec, std::vector<T> const& values) {
+  ft::buffer<T, Exec::space> memory(values.size());
+  ft::copy(exec, memory.data(), values.data(), values.size());
+  exec.wait();
+  return memory;
+}
+
+template <typename T, typename Exec>
+std::vector<T> from_exec(Exec const& exec, T const* data, std::size_t count) {
+  std::vector<T> values(count);
+  ft::copy(exec, values.data(), data, count);
+  exec.wait();
+  return values;
+}
+
+/// Waits, then reads one column of a container: all batch entries, capacity each.
+template <typename Field, typename Exec, typename View>
+std::vector<typename Field::type> column(Exec const& exec, View const& view) {
+  return from_exec(exec, static_cast<typename Field::type const*>(ft::array_of<Field>(view)),
+                   static_cast<std::size_t>(view.capacity) * static_cast<std::size_t>(view.batch));
+}
+
+}  // namespace test

@@ -224,6 +224,7 @@ void print_summary(std::ostream& out, run_report const& report) {
   line("dropped", std::to_string(report.dropped));
   line("keyframes", std::to_string(report.keyframes));
   line("map points", std::to_string(report.map_points));
+  line("maps begun", std::to_string(report.maps));
   line("mean keypoints", fixed(f.mean_keypoints, 1));
   line("mean inliers", fixed(f.mean_inliers, 1));
   line("throughput", fixed(f.fps, 1, " frames/s"));
@@ -259,6 +260,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["dropped"] = report.dropped;
   root["keyframes"] = report.keyframes;
   root["map_points"] = report.map_points;
+  root["maps"] = report.maps;
   root["path_m"] = number(f.path_m);
   root["truth_path_m"] = with_truth(report.error.truth_path_m);
   root["estimate_path_m"] = with_truth(report.error.estimate_path_m);

@@ -30,11 +30,21 @@ std::string escape(std::string const& text) {
   out.reserve(text.size());
   for (char const c : text) {
     switch (c) {
-      case '&': out += "&amp;"; break;
-      case '<': out += "&lt;"; break;
-      case '>': out += "&gt;"; break;
-      case '"': out += "&quot;"; break;
-      case '\'': out += "&#39;"; break;
+      case '&':
+        out += "&amp;";
+        break;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      case '"':
+        out += "&quot;";
+        break;
+      case '\'':
+        out += "&#39;";
+        break;
       default:
         // control characters are not allowed in HTML
         out += static_cast<unsigned char>(c) < 0x20 || c == 0x7f ? ' ' : c;
@@ -223,12 +233,18 @@ enum class mark { line, area, dot, tick };
 std::string legend_entry(std::string const& style, mark shape, std::string const& words) {
   std::string out = "<span class=\"key\"><svg class=\"swatch\" viewBox=\"0 0 22 12\">";
   switch (shape) {
-    case mark::line: out += "<path class=\"" + style + "\" d=\"M1 6H21\"/>"; break;
+    case mark::line:
+      out += "<path class=\"" + style + "\" d=\"M1 6H21\"/>";
+      break;
     case mark::area:
       out += "<rect class=\"" + style + "\" x=\"5\" y=\"0\" width=\"12\" height=\"12\" rx=\"2\"/>";
       break;
-    case mark::tick: out += "<path class=\"" + style + "\" d=\"M11 2V10\"/>"; break;
-    case mark::dot: out += "<circle class=\"" + style + "\" cx=\"11\" cy=\"6\" r=\"4.5\"/>"; break;
+    case mark::tick:
+      out += "<path class=\"" + style + "\" d=\"M11 2V10\"/>";
+      break;
+    case mark::dot:
+      out += "<circle class=\"" + style + "\" cx=\"11\" cy=\"6\" r=\"4.5\"/>";
+      break;
   }
   return out + "</svg>" + escape(words) + "</span>\n";
 }

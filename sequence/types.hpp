@@ -32,29 +32,32 @@ struct image {
 };
 
 enum class lens {
-  pinhole,           ///< no distortion
-  radial_tangential, ///< OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6]]
-  kannala_brandt,    ///< k1 k2 k3 k4 (OpenCV fisheye, "equidistant")
+  pinhole,            ///< no distortion
+  radial_tangential,  ///< OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6]]
+  kannala_brandt,     ///< k1 k2 k3 k4 (OpenCV fisheye, "equidistant")
 };
 
 struct camera_intrinsics {
   lens model = lens::pinhole;
   int width = 0;
   int height = 0;
-  double fx = 0, fy = 0, cx = 0, cy = 0; ///< pixels
-  std::vector<double> distortion;        ///< as `model` says; empty for a pinhole
+  double fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
+  std::vector<double> distortion;         ///< as `model` says; empty for a pinhole
 };
 
 /// A calibrated pair. Camera frames: x right, y down, z forward; metres.
 struct stereo_rig {
   camera_intrinsics left;
   camera_intrinsics right;
-  Eigen::Isometry3d T_left_right = Eigen::Isometry3d::Identity(); ///< maps right-camera points to the left camera
-  Eigen::Isometry3d T_body_left = Eigen::Isometry3d::Identity();  ///< maps left-camera points to the body (IMU) frame
-  double fps = 0;                                                 ///< 0 = unknown
+  Eigen::Isometry3d T_left_right =
+      Eigen::Isometry3d::Identity();  ///< maps right-camera points to the left camera
+  Eigen::Isometry3d T_body_left =
+      Eigen::Isometry3d::Identity();  ///< maps left-camera points to the body (IMU) frame
+  double fps = 0;                     ///< 0 = unknown
 
   double baseline() const { return T_left_right.translation().norm(); }
-  /// True where rows of both images correspond: two equal pinholes, T_left_right a translation along x.
+  /// True where rows of both images correspond: two equal pinholes, T_left_right a translation
+  /// along x.
   bool rectified() const;
 };
 
@@ -74,8 +77,8 @@ struct stereo_frame {
 
 struct imu_sample {
   std::int64_t time_ns = 0;
-  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();  ///< rad/s, body frame
-  Eigen::Vector3d accel = Eigen::Vector3d::Zero(); ///< m/s^2, body frame, gravity included
+  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< rad/s, body frame
+  Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< m/s^2, body frame, gravity included
 };
 
 }  // namespace seq

@@ -8,7 +8,10 @@ namespace {
 /// A stream that outlives what runs on it.
 class owned_stream {
 public:
-  owned_stream() { ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "cudaStreamCreate"); }
+  owned_stream() {
+    ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
+                      "cudaStreamCreate");
+  }
   owned_stream(owned_stream const&) = delete;
   owned_stream& operator=(owned_stream const&) = delete;
   ~owned_stream() { static_cast<void>(cudaStreamDestroy(stream_)); }
@@ -30,6 +33,7 @@ public:
   std::vector<seen_keypoint> keypoints() const override { return inner_.keypoints(); }
   int keyframes() const override { return inner_.keyframes(); }
   int map_points() const override { return inner_.map_points(); }
+  int maps() const override { return inner_.maps(); }
   std::string device() const override { return inner_.device(); }
 
 private:

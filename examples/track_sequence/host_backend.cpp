@@ -21,9 +21,11 @@ std::string processor_name() {
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options) {
   ft::host_exec const exec(options.threads);
   if (options.fisheye) {
-    return std::make_unique<visual_odometry<ft::host_exec, fisheye_rig>>(exec, options, processor_name());
+    return std::make_unique<visual_odometry<ft::host_exec, fisheye_rig>>(exec, options,
+                                                                         processor_name());
   }
-  return std::make_unique<visual_odometry<ft::host_exec, ft::rectified_rig>>(exec, options, processor_name());
+  return std::make_unique<visual_odometry<ft::host_exec, ft::rectified_rig>>(exec, options,
+                                                                             processor_name());
 }
 
 #if !FT_APP_HAS_CUDA

@@ -45,24 +45,36 @@ int parse(int argc, char** argv, arguments& a) {
   CLI::App app("Tracks a stereo sequence (EuRoC or KITTI odometry layout) with ft.");
   app.add_option("--sequence", a.sequence, "folder of the sequence")->required();
   app.add_option("--calibration", a.calibration,
-                 "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt or a folder with cam0, cam1; "
+                 "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt or a folder with "
+                 "cam0, cam1; "
                  "default: the sequence's own");
   app.add_option("--backend", a.backend, "auto (a GPU if there is one), host or cuda")
-      ->check(CLI::IsMember({"auto", "host", "cuda"}))->capture_default_str();
+      ->check(CLI::IsMember({"auto", "host", "cuda"}))
+      ->capture_default_str();
   app.add_option("--rig", a.rig,
-                 "auto (fisheye cameras as they are, others rectified), rectified or fisheye (two Kannala-Brandt "
+                 "auto (fisheye cameras as they are, others rectified), rectified or fisheye (two "
+                 "Kannala-Brandt "
                  "cameras, not rectified)")
-      ->check(CLI::IsMember({"auto", "rectified", "fisheye"}))->capture_default_str();
-  app.add_option("--features", a.features,
-                 "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
+      ->check(CLI::IsMember({"auto", "rectified", "fisheye"}))
+      ->capture_default_str();
+  app.add_option(
+         "--features", a.features,
+         "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
-  app.add_option("--pose-optimization", a.optimize, "both, last-frame (none after the local map) or off")
-      ->check(CLI::IsMember({"both", "last-frame", "off"}))->capture_default_str();
-  app.add_option("--near", a.near_depth, "depth of map points, in baselines; default: the settings file's, or 50");
-  app.add_option("--threads", a.threads, "threads of the host backend; 0 = all")->check(CLI::Range(0, 4096));
-  app.add_option("--frames", a.frames, "stop after so many; 0 = all")->check(CLI::NonNegativeNumber);
-  app.add_flag("--realtime", a.realtime,
-               "frames arrive by their time stamps; those that come while one is processed are dropped");
+  app.add_option("--pose-optimization", a.optimize,
+                 "both, last-frame (none after the local map) or off (the predicted pose is kept: "
+                 "for timing)")
+      ->check(CLI::IsMember({"both", "last-frame", "off"}))
+      ->capture_default_str();
+  app.add_option("--near", a.near_depth,
+                 "depth of map points, in baselines; default: the settings file's, or 50");
+  app.add_option("--threads", a.threads, "threads of the host backend; 0 = all")
+      ->check(CLI::Range(0, 4096));
+  app.add_option("--frames", a.frames, "stop after so many; 0 = all")
+      ->check(CLI::NonNegativeNumber);
+  app.add_flag(
+      "--realtime", a.realtime,
+      "frames arrive by their time stamps; those that come while one is processed are dropped");
   app.add_option("--out", a.out, "folder for trajectory.txt, times.csv, summary.json, report.html")
       ->capture_default_str();
   app.add_flag("--quiet", a.quiet, "no progress display");
@@ -71,9 +83,7 @@ int parse(int argc, char** argv, arguments& a) {
     if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // NaN neither
       throw CLI::ValidationError("--near", "must be above 0 and at most 1e6");
     }
-  } catch (CLI::ParseError const& e) {
-    return app.exit(e) == 0 ? -1 : 2;
-  }
+  } catch (CLI::ParseError const& e) { return app.exit(e) == 0 ? -1 : 2; }
   return 0;
 }
 
@@ -101,11 +111,14 @@ app::odometry_options options_of(arguments const& a, seq::sequence const& sequen
     o.right = kannala_brandt_of(rig.right);
     Eigen::Isometry3d const T = rig.T_left_right.inverse();
     for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 3; ++c) { o.T_right_left.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c); }
+      for (int c = 0; c < 3; ++c) {
+        o.T_right_left.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c);
+      }
       o.T_right_left.t[static_cast<std::size_t>(r)] = T.translation()(r);
     }
   }
-  o.features = a.features > 0 ? a.features : settings.features.value_or(rig.left.width > 1000 ? 2000 : 1200);
+  o.features =
+      a.features > 0 ? a.features : settings.features.value_or(rig.left.width > 1000 ? 2000 : 1200);
   o.levels = settings.levels.value_or(o.levels);
   o.scale_factor = settings.scale_factor.value_or(o.scale_factor);
   o.ini_threshold = settings.ini_threshold.value_or(o.ini_threshold);
@@ -113,16 +126,18 @@ app::odometry_options options_of(arguments const& a, seq::sequence const& sequen
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
   // TBB starts no more threads than there are cores, and warns on stderr where asked for more.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
-  o.optimize = a.optimize == "both" ? app::pose_optimization::both
+  o.optimize = a.optimize == "both"  ? app::pose_optimization::both
                : a.optimize == "off" ? app::pose_optimization::off
                                      : app::pose_optimization::last_frame;
   return o;
 }
 
-std::unique_ptr<app::odometry> make_odometry(arguments const& a, app::odometry_options const& o, std::string& backend) {
+std::unique_ptr<app::odometry> make_odometry(arguments const& a, app::odometry_options const& o,
+                                             std::string& backend) {
   std::string const gpu = a.backend == "host" ? std::string() : app::cuda_device_name();
   if (a.backend == "cuda" && gpu.empty()) {
-    throw std::runtime_error("--backend cuda: no CUDA device here, or the program was built without CUDA");
+    throw std::runtime_error(
+        "--backend cuda: no CUDA device here, or the program was built without CUDA");
   }
   backend = gpu.empty() ? "host" : "cuda";
   try {
@@ -137,7 +152,9 @@ seq::stamped_pose stamped(std::int64_t time_ns, app::rigid_pose const& T_cw) {
   seq::stamped_pose s;
   s.time_ns = time_ns;
   for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) { s.T_world_camera.linear()(r, c) = T.R[static_cast<std::size_t>(3 * r + c)]; }
+    for (int c = 0; c < 3; ++c) {
+      s.T_world_camera.linear()(r, c) = T.R[static_cast<std::size_t>(3 * r + c)];
+    }
     s.T_world_camera.translation()(r) = T.t[static_cast<std::size_t>(r)];
   }
   return s;
@@ -153,7 +170,8 @@ bool is_sample(int i, int frames) {
   return false;
 }
 
-seq::sample_frame sample_of(int index, seq::image picture, std::vector<app::seen_keypoint> const& now,
+seq::sample_frame sample_of(int index, seq::image picture,
+                            std::vector<app::seen_keypoint> const& now,
                             std::vector<app::seen_keypoint> const& before) {
   std::map<int, app::seen_keypoint const*> seen_before;
   for (auto const& k : before) {
@@ -187,7 +205,8 @@ int run(arguments const& a) {
   open.max_frames = a.frames;
   auto const sequence = seq::sequence::open(a.sequence, open);
   if (a.rig == "fisheye" && !sequence.fisheye()) {
-    throw seq::error("--rig fisheye: the cameras of " + a.sequence + " are not a pair of Kannala-Brandt cameras");
+    throw seq::error("--rig fisheye: the cameras of " + a.sequence +
+                     " are not a pair of Kannala-Brandt cameras");
   }
   app::odometry_options const options = options_of(a, sequence);
   std::filesystem::create_directories(a.out);
@@ -207,8 +226,8 @@ int run(arguments const& a) {
                     {"pose-optimization", a.optimize},
                     {"realtime", a.realtime ? "yes" : "no"},
                     {"near points, baselines", std::to_string(options.near_depth)}};
-  std::cout << "sequence  " << sequence.name() << ", " << sequence.size() << " stereo pairs of " << options.width
-            << "x" << options.height << ", baseline " << options.baseline << " m\n"
+  std::cout << "sequence  " << sequence.name() << ", " << sequence.size() << " stereo pairs of "
+            << options.width << "x" << options.height << ", baseline " << options.baseline << " m\n"
             << "backend   " << report.backend << ", " << report.device << "\n";
 
   seq::progress progress(std::cout, isatty(STDOUT_FILENO) != 0, "track", sequence.size());
@@ -219,15 +238,17 @@ int run(arguments const& a) {
     double const arrival_ms = static_cast<double>(sequence.time_ns(i) - sequence.time_ns(0)) / 1e6;
     if (a.realtime && arrival_ms < busy_until_ms) {
       // It came while another was being processed; the last one to come is taken when that is done.
-      bool const newest = i + 1 >= sequence.size() ||
-                          static_cast<double>(sequence.time_ns(i + 1) - sequence.time_ns(0)) / 1e6 > busy_until_ms;
+      bool const newest =
+          i + 1 >= sequence.size() ||
+          static_cast<double>(sequence.time_ns(i + 1) - sequence.time_ns(0)) / 1e6 > busy_until_ms;
       if (!newest) {
         ++report.dropped;
         continue;
       }
     }
     seq::stereo_frame frame = sequence.load(i);
-    app::frame_outcome const outcome = odometry->track(frame.left.pixels.data(), frame.right.pixels.data());
+    app::frame_outcome const outcome =
+        odometry->track(frame.left.pixels.data(), frame.right.pixels.data());
     busy_until_ms = std::max(busy_until_ms, arrival_ms) + outcome.stage_ms.back();
     ++report.frames;
     report.tracked += static_cast<int>(outcome.tracked);
@@ -248,8 +269,9 @@ int run(arguments const& a) {
     if (sample || is_sample(i + 1, sequence.size())) {
       auto now = odometry->keypoints();
       if (sample) {
-        report.samples.push_back(sample_of(i, std::move(frame.left), now,
-                                           before_index == i - 1 ? before : std::vector<app::seen_keypoint>()));
+        report.samples.push_back(
+            sample_of(i, std::move(frame.left), now,
+                      before_index == i - 1 ? before : std::vector<app::seen_keypoint>()));
       }
       before = std::move(now);
       before_index = i;
@@ -260,8 +282,10 @@ int run(arguments const& a) {
 
   report.keyframes = odometry->keyframes();
   report.map_points = odometry->map_points();
+  report.maps = odometry->maps();
   report.truth = sequence.ground_truth();
-  report.error = seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
+  report.error =
+      seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
   seq::write_tum(a.out + "/trajectory.txt", report.estimate);
   seq::write_times_csv(a.out + "/times.csv", report);
   seq::write_summary_json(a.out + "/summary.json", report);
@@ -269,7 +293,8 @@ int run(arguments const& a) {
   seq::print_summary(std::cout, report);
   std::cout << "report    " << std::filesystem::absolute(a.out + "/report.html").string() << "\n";
   if (report.tracked == 0) {
-    std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: too few corners are seen by both "
+    std::cerr << "track_sequence: " << a.sequence
+              << ": no frame could be tracked: too few corners are seen by both "
               << "cameras (--features " << options.features << ")\n";
     return 1;
   }

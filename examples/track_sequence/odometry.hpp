@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stereo visual odometry behind an interface of plain types, so that the host and the CUDA version
-/// live in one program.
+/// @file Stereo visual odometry behind an interface of plain types, so that the host and the CUDA
+/// version live in one program.
 #pragma once
 
 #include <array>
@@ -72,6 +72,7 @@ public:
   virtual std::vector<seen_keypoint> keypoints() const = 0;         ///< of the last frame
   virtual int keyframes() const = 0;
   virtual int map_points() const = 0;
+  virtual int maps() const = 0;  ///< begun: more than one where the camera was lost for long
   virtual std::string device() const = 0;
 };
 

@@ -37,12 +37,15 @@ orb_words most_typical(std::vector<orb_words> const& all) {
   return all[best];
 }
 
-double norm(std::array<double, 3> const& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+double norm(std::array<double, 3> const& v) {
+  return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
 
 }  // namespace
 
 std::array<double, 3> rigid_pose::operator*(std::array<double, 3> const& p) const {
-  return {R[0] * p[0] + R[1] * p[1] + R[2] * p[2] + t[0], R[3] * p[0] + R[4] * p[1] + R[5] * p[2] + t[1],
+  return {R[0] * p[0] + R[1] * p[1] + R[2] * p[2] + t[0],
+          R[3] * p[0] + R[4] * p[1] + R[5] * p[2] + t[1],
           R[6] * p[0] + R[7] * p[1] + R[8] * p[2] + t[2]};
 }
 
@@ -50,7 +53,8 @@ rigid_pose rigid_pose::operator*(rigid_pose const& other) const {
   rigid_pose r;
   for (std::size_t i = 0; i < 3; ++i) {
     for (std::size_t j = 0; j < 3; ++j) {
-      r.R[3 * i + j] = R[3 * i] * other.R[j] + R[3 * i + 1] * other.R[3 + j] + R[3 * i + 2] * other.R[6 + j];
+      r.R[3 * i + j] =
+          R[3 * i] * other.R[j] + R[3 * i + 1] * other.R[3 + j] + R[3 * i + 2] * other.R[6 + j];
     }
   }
   r.t = *this * other.t;
@@ -112,7 +116,8 @@ std::vector<int> sparse_map::take_changes() {
   std::vector<int> taken;
   taken.swap(changed_);
   for (int s : taken) { is_changed_[static_cast<std::size_t>(s)] = 0; }
-  taken.erase(std::remove_if(taken.begin(), taken.end(), [&](int s) { return !alive(s); }), taken.end());
+  taken.erase(std::remove_if(taken.begin(), taken.end(), [&](int s) { return !alive(s); }),
+              taken.end());
   return taken;
 }
 
@@ -148,7 +153,8 @@ void sparse_map::observe(int slot, int id, keyframe_feature const& feature) {
   p.orb = most_typical(p.recent);
 
   std::array<double, 3> sum{};
-  std::array<double, 3> const at{static_cast<double>(p.position[0]), static_cast<double>(p.position[1]),
+  std::array<double, 3> const at{static_cast<double>(p.position[0]),
+                                 static_cast<double>(p.position[1]),
                                  static_cast<double>(p.position[2])};
   for (int k : p.keyframes) {
     auto const centre = keyframes_[static_cast<std::size_t>(k)].T_cw.inverse().t;
@@ -161,17 +167,19 @@ void sparse_map::observe(int slot, int id, keyframe_feature const& feature) {
   touch(slot);
 }
 
-void sparse_map::measure(map_point& p, rigid_pose const& T_cw, keyframe_feature const& feature) const {
+void sparse_map::measure(map_point& p, rigid_pose const& T_cw,
+                         keyframe_feature const& feature) const {
   std::array<double, 3> camera = feature.camera;
   double const scale = static_cast<double>(scales_[static_cast<std::size_t>(feature.octave)]);
   double before = 0;  // inverse depth
   if (p.weight > 0) {
-    before = 1.0 / (T_cw * std::array<double, 3>{static_cast<double>(p.position[0]), static_cast<double>(p.position[1]),
+    before = 1.0 / (T_cw * std::array<double, 3>{static_cast<double>(p.position[0]),
+                                                 static_cast<double>(p.position[1]),
                                                  static_cast<double>(p.position[2])})[2];
     if (!(before > 0)) { return; }
   }
-  // Stereo measures inverse depth with an error that grows with the octave's scale and the inverse of the
-  // baseline, not with depth itself: the mean of inverse depths has no bias.
+  // Stereo measures inverse depth with an error that grows with the octave's scale and the inverse
+  // of the baseline, not with depth itself: the mean of inverse depths has no bias.
   double const weight = 1.0 / (scale * scale);
   double const inverse = (p.weight * before + weight / camera[2]) / (p.weight + weight);
   for (double& v : camera) { v /= inverse * feature.camera[2]; }
@@ -180,8 +188,8 @@ void sparse_map::measure(map_point& p, rigid_pose const& T_cw, keyframe_feature 
   p.weight += weight;
 }
 
-void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
-                        int at_least) {
+void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features,
+                        double near, int at_least) {
   int const id = static_cast<int>(keyframes_.size());
   keyframes_.push_back({T_cw, {}});
   std::vector<std::pair<double, std::size_t>> candidates;
@@ -210,7 +218,8 @@ void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& f
     measure(p, T_cw, f);
     p.alive = true;
     ++alive_;
-    p.max_distance = static_cast<float>(norm(f.camera)) * scales_[static_cast<std::size_t>(f.octave)];
+    p.max_distance =
+        static_cast<float>(norm(f.camera)) * scales_[static_cast<std::size_t>(f.octave)];
     p.min_distance = p.max_distance / scales_.back();
     f.slot = slot;
     observe(slot, id, f);
@@ -254,14 +263,18 @@ std::vector<int> sparse_map::local_points(std::vector<int> const& held, int most
 
 std::vector<int> sparse_map::recent_points(int most) const {
   std::vector<int> ids;
-  for (int id = keyframe_count() - 1; id >= 0 && ids.size() < local_keyframes; --id) { ids.push_back(id); }
+  for (int id = keyframe_count() - 1; id >= 0 && ids.size() < local_keyframes; --id) {
+    ids.push_back(id);
+  }
   return collect(ids, most);
 }
 
 void sparse_map::cull() {
   for (int s = 0; s < static_cast<int>(points_.size()); ++s) {
     auto const& p = points_[static_cast<std::size_t>(s)];
-    if (p.alive && p.visible >= cull_after_frames && p.found < cull_ratio * p.visible) { remove(s); }
+    if (p.alive && p.visible >= cull_after_frames && p.found < cull_ratio * p.visible) {
+      remove(s);
+    }
   }
 }
 

@@ -17,12 +17,12 @@ struct map_point {
   std::array<float, 3> normal{};    ///< mean viewing direction, unit length
   float min_distance = 0, max_distance = 0;
   orb_words orb{};
-  int visible = 1;  ///< frames in whose view it was
-  int found = 1;    ///< frames that matched it
+  int visible = 1;    ///< frames in whose view it was
+  int found = 1;      ///< frames that matched it
   double weight = 0;  ///< of the position, from the stereo measurements that it is the mean of
   bool alive = false;
-  std::vector<int> keyframes;       ///< that see it, oldest first
-  std::vector<orb_words> recent;    ///< descriptors of the last few of them
+  std::vector<int> keyframes;     ///< that see it, oldest first
+  std::vector<orb_words> recent;  ///< descriptors of the last few of them
 };
 
 struct keyframe {
@@ -32,23 +32,25 @@ struct keyframe {
 
 /// One keypoint of a new keyframe.
 struct keyframe_feature {
-  int slot;                       ///< map point it holds, -1 = none
-  std::array<double, 3> camera;   ///< stereo point in the camera frame; z <= 0 = none
+  int slot;                      ///< map point it holds, -1 = none
+  std::array<double, 3> camera;  ///< stereo point in the camera frame; z <= 0 = none
   int octave;
   orb_words orb;
 };
 
-/// Slots are handed out again after their point is gone. When all are in use the points of the oldest
-/// keyframes make room.
+/// Slots are handed out again after their point is gone. When all are in use the points of the
+/// oldest keyframes make room.
 class sparse_map {
 public:
   /// @param scales of the pyramid's levels
   sparse_map(int slots, std::vector<float> scales);
 
   void clear();
-  /// Adds a keyframe: matched features get an observation, near unmatched ones become points. `features[i]
-  /// .slot` is updated. @param near metres; with fewer than `at_least` near points the nearest are taken
-  void insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near, int at_least);
+  /// Adds a keyframe: matched features get an observation, near unmatched ones become points.
+  /// `features[i] .slot` is updated. @param near metres; with fewer than `at_least` near points the
+  /// nearest are taken
+  void insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
+              int at_least);
   /// Slots of the keyframes that share points with a frame, the best keyframes first.
   std::vector<int> local_points(std::vector<int> const& held, int most) const;
   /// Slots of the most recent keyframes.

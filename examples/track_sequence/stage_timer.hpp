@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Time per stage: wall clock where stages are synchronous, events on the stream where they are not.
+/// @file Time per stage: wall clock where stages are synchronous, events on the stream where they
+/// are not.
 #pragma once
 
 #include <chrono>
@@ -15,7 +16,8 @@ namespace app {
 /// Sums of milliseconds by stage, for one frame at a time.
 class stage_sums {
 public:
-  explicit stage_sums(std::vector<std::string> const& names) : names_(names), ms_(names.size(), 0.0) {
+  explicit stage_sums(std::vector<std::string> const& names)
+      : names_(names), ms_(names.size(), 0.0) {
     for (std::size_t i = 0; i < names.size(); ++i) { index_[names[i]] = i; }
   }
   void reset() { ms_.assign(ms_.size(), 0.0); }
@@ -30,7 +32,9 @@ private:
 };
 
 inline double now_ms() {
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now().time_since_epoch()).count();
+  return std::chrono::duration<double, std::milli>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
 }
 
 template <typename Exec>
@@ -78,7 +82,8 @@ public:
   void collect(stage_sums& sums) {
     for (int i = 0; i + 1 < used_; ++i) {
       float ms = 0;
-      ft::detail::check(cudaEventElapsedTime(&ms, events_[i], events_[i + 1]), "cudaEventElapsedTime");
+      ft::detail::check(cudaEventElapsedTime(&ms, events_[i], events_[i + 1]),
+                        "cudaEventElapsedTime");
       sums.add(names_[i], static_cast<double>(ms));
     }
     used_ = 0;
@@ -86,7 +91,9 @@ public:
 
 private:
   static constexpr int most = 32;
-  void record() { ft::detail::check(cudaEventRecord(events_[used_++], stream_), "cudaEventRecord"); }
+  void record() {
+    ft::detail::check(cudaEventRecord(events_[used_++], stream_), "cudaEventRecord");
+  }
   cudaStream_t stream_;
   cudaEvent_t events_[most];
   char const* names_[most] = {};

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stereo visual odometry from ft stages alone, for either executor and either kind of rig.
 ///
-/// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose -> local
-/// map of the keyframes that share points (chosen on the host) -> frustum, search, pose -> a keyframe where
-/// too few points are left. A frame that is not found so is looked for around the last poses with a wide
-/// search; where that fails for long, a new map is begun.
+/// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose
+/// -> local map of the keyframes that share points (chosen on the host) -> frustum, search, pose ->
+/// a keyframe where too few points are left. A frame that is not found so is looked for around the
+/// last poses with a wide search; where that fails for long, a new map is begun.
 #pragma once
 
 #include <algorithm>
@@ -55,7 +55,8 @@ Rig rig_of(odometry_options const& o) {
     return ft::rectified_rig::make({f(o.fx), f(o.fy), f(o.cx), f(o.cy)}, f(o.baseline));
   } else {
     auto const camera = [&](std::array<double, 8> const& p) {
-      return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]), f(p[4]), f(p[5]), f(p[6]), f(p[7])};
+      return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
+                                       f(p[4]), f(p[5]), f(p[6]), f(p[7])};
     };
     return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
   }
@@ -72,10 +73,11 @@ public:
         device_(std::move(device)),
         tracker_(exec_, rig_of<Rig>(options), tracker_params_of(options)),
         map_(tracker_.params().map_slots,
-             std::vector<float>(tracker_.geometry().scale, tracker_.geometry().scale + options.levels)),
-        sums_({"upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid", "stereo",
-               "search last frame", "pose last frame", "update local map", "frustum", "search local map",
-               "pose local map", "download", "keyframe", "total"}),
+             std::vector<float>(tracker_.geometry().scale,
+                                tracker_.geometry().scale + options.levels)),
+        sums_({"upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid",
+               "stereo", "search last frame", "pose last frame", "update local map", "frustum",
+               "search local map", "pose local map", "download", "keyframe", "total"}),
         timer_(exec_),
         descriptors_(static_cast<std::size_t>(tracker_.capacity())) {}
 
@@ -116,6 +118,7 @@ public:
   }
   int keyframes() const override { return keyframes_made_; }
   int map_points() const override { return map_.point_count(); }
+  int maps() const override { return maps_; }
   std::string device() const override { return device_; }
 
 private:
@@ -159,7 +162,9 @@ private:
   template <typename Condition>
   int count(Condition const& condition) const {
     int n = 0;
-    for (int i = 0; i < tracker_.result().keypoints[0]; ++i) { n += static_cast<int>(condition(i)); }
+    for (int i = 0; i < tracker_.result().keypoints[0]; ++i) {
+      n += static_cast<int>(condition(i));
+    }
     return n;
   }
 
@@ -174,7 +179,8 @@ private:
     run([&](auto&& mark) { tracker_.track_motion(exec_, mark); });
     if (tracker_.result().inliers[0] < vo::min_motion_inliers) { return false; }
     std::vector<int> held = holders();
-    timed("update local map", [&] { choose_local(map_.local_points(held, tracker_.params().local_points)); });
+    timed("update local map",
+          [&] { choose_local(map_.local_points(held, tracker_.params().local_points)); });
     run([&](auto&& mark) { tracker_.track_local(exec_, ft::local_search_params{}, false, mark); });
     // Points matched from the last frame were not tested again: they are in view.
     for (int slot : held) { map_.count_visible(slot); }
@@ -190,7 +196,8 @@ private:
     for (auto const& guess : guesses) {
       tracker_.predicted()[0] = to_ft(guess);
       tracker_.stamp()[0] = ++stamp_;
-      timed("update local map", [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
+      timed("update local map",
+            [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
       ft::local_search_params wide;
       wide.th = vo::wide_search;
       run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
@@ -266,7 +273,9 @@ private:
           lost_with_features_ = 0;
           insert_keyframe();
         });
-        out.tracked = out.keyframe = true;
+        ++maps_;
+        out.keyframe = true;
+        out.tracked = !has_map;  // a later map hangs on a guessed pose
         out.inliers = count([&](int i) { return held_[static_cast<std::size_t>(i)] >= 0; });
       }
     }
@@ -290,11 +299,14 @@ private:
 
   bool needs_keyframe() const {
     auto const& r = tracker_.result();
-    auto const is_near = [&](int i) { return r.depth[i] > 0 && static_cast<double>(r.depth[i]) < near(); };
+    auto const is_near = [&](int i) {
+      return r.depth[i] > 0 && static_cast<double>(r.depth[i]) < near();
+    };
     int const tracked = count([&](int i) { return r.holder[i] >= 0; });
     int const near_tracked = count([&](int i) { return is_near(i) && r.holder[i] >= 0; });
     int const near_free = count([&](int i) { return is_near(i) && r.holder[i] < 0; });
-    bool const short_of_near = near_tracked < vo::wanted_near_points && near_free > vo::new_near_points;
+    bool const short_of_near =
+        near_tracked < vo::wanted_near_points && near_free > vo::new_near_points;
     return short_of_near || tracked < vo::keep_share * reference_tracked_;
   }
 
@@ -340,7 +352,8 @@ private:
       updates.push_back(u);
     }
     for (std::size_t first = 0; first < updates.size();) {
-      std::size_t const n = std::min(updates.size() - first, static_cast<std::size_t>(tracker_.params().updates));
+      std::size_t const n =
+          std::min(updates.size() - first, static_cast<std::size_t>(tracker_.params().updates));
       tracker_.update_map(exec_, 0, updates.data() + first, static_cast<int>(n));
       exec_.wait();
       first += n;
@@ -358,13 +371,14 @@ private:
   std::vector<int> held_;   ///< slot of each keypoint of the last frame
   std::vector<int> local_;  ///< slots of the local map
   rigid_pose T_cw_;
-  rigid_pose velocity_;     ///< T_cw of a frame times the inverse of the one before
+  rigid_pose velocity_;  ///< T_cw of a frame times the inverse of the one before
   int frame_ = 0;
   int stamp_ = 0;
   int lost_frames_ = 0;
   int lost_with_features_ = 0;
   int reference_tracked_ = 0;
   int keyframes_made_ = 0;
+  int maps_ = 0;
 };
 
 }  // namespace app

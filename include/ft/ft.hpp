@@ -17,6 +17,7 @@
 #include "ft/core/group.hpp"
 #include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners.hpp"

@@ -39,15 +39,18 @@ struct stage_result {
     identical += static_cast<long>(same);
     max_abs_diff = std::max(max_abs_diff, std::abs(difference));
   }
-  double share() const { return items == 0 ? 1.0 : static_cast<double>(identical) / static_cast<double>(items); }
+  double share() const {
+    return items == 0 ? 1.0 : static_cast<double>(identical) / static_cast<double>(items);
+  }
 };
 using conformance_table = std::map<std::string, stage_result>;
 
 inline void print(conformance_table const& table, std::string const& title) {
-  std::printf("%s\n%-22s %10s %10s %10s %14s\n", title.c_str(), "stage", "items", "identical", "share", "max diff");
+  std::printf("%s\n%-22s %10s %10s %10s %14s\n", title.c_str(), "stage", "items", "identical",
+              "share", "max diff");
   for (auto const& [name, r] : table) {
-    std::printf("%-22s %10ld %10ld %9.4f%% %14.3g\n", name.c_str(), r.items, r.identical, 100 * r.share(),
-                r.max_abs_diff);
+    std::printf("%-22s %10ld %10ld %9.4f%% %14.3g\n", name.c_str(), r.items, r.identical,
+                100 * r.share(), r.max_abs_diff);
   }
 }
 
@@ -56,7 +59,8 @@ template <typename Rig>
 struct optimize_problem {
   using scratch = typename ft::optimize_pose<Rig>::scratch;
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig, ft::pose_problem const& problem,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
+                                 ft::pose_problem const& problem,
                                  ft::pose_params const& params) const {
     ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
   }
@@ -78,19 +82,22 @@ public:
     params_.min_threshold = json_["minThFAST"];
     fisheye_ = json_["camera"] == "KannalaBrandt8";
     auto const overlap = [&](char const* key) {
-      return ft::stereo_overlap{json_[key][0].template get<float>(), json_[key][1].template get<float>()};
+      return ft::stereo_overlap{json_[key][0].template get<float>(),
+                                json_[key][1].template get<float>()};
     };
     orb_ = ft::orb_extractor<Exec>(exec_, params_, 2, {overlap("lappingL"), overlap("lappingR")});
     std::vector<float> const c1 = json_["camera1_params"];
     if (fisheye_) {
       std::vector<float> const c2 = json_["camera2_params"];
       std::vector<float> const T = json_["Tlr_rowmajor"];
-      ft::pose const T_lr{{{T[0], T[1], T[2], T[4], T[5], T[6], T[8], T[9], T[10]}}, {T[3], T[7], T[11]}};
+      ft::pose const T_lr{{{T[0], T[1], T[2], T[4], T[5], T[6], T[8], T[9], T[10]}},
+                          {T[3], T[7], T[11]}};
       fisheye_rig_ = {{c1[0], c1[1], c1[2], c1[3], c1[4], c1[5], c1[6], c1[7]},
                       {c2[0], c2[1], c2[2], c2[3], c2[4], c2[5], c2[6], c2[7]},
                       T_lr.cast<ft::strict_float>().inverse().template cast<float>()};
     } else {
-      rectified_rig_ = {{c1[0], c1[1], c1[2], c1[3]}, json_["mb"].template get<float>(),
+      rectified_rig_ = {{c1[0], c1[1], c1[2], c1[3]},
+                        json_["mb"].template get<float>(),
                         json_["bf"].template get<float>()};
     }
   }
@@ -131,11 +138,14 @@ private:
     auto const pyramid = get_array<std::uint8_t>(orb_.pyramid().data, pyramid_bytes);
     auto const blurred = get_array<std::uint8_t>(orb_.blurred().data, pyramid_bytes);
     auto const cv = orb_.corners();
-    auto const list = get_array<ft::corner>(cv.list, static_cast<std::size_t>(cv.layout.total_slots) * 2);
-    auto const list_count = get_array<int>(cv.list_count, static_cast<std::size_t>(2 * params_.levels));
+    auto const list =
+        get_array<ft::corner>(cv.list, static_cast<std::size_t>(cv.layout.total_slots) * 2);
+    auto const list_count =
+        get_array<int>(cv.list_count, static_cast<std::size_t>(2 * params_.levels));
     auto const dv = orb_.distribution();
     auto const kept = get_array<ft::corner>(dv.kept, static_cast<std::size_t>(dv.layout.total) * 2);
-    auto const kept_count = get_array<int>(dv.kept_count, static_cast<std::size_t>(2 * params_.levels));
+    auto const kept_count =
+        get_array<int>(dv.kept_count, static_cast<std::size_t>(2 * params_.levels));
     for (int c = 0; c < 2; ++c) {
       std::string const side = c == 0 ? "L_" : "R_";
       for (int l = 0; l < params_.levels; ++l) {
@@ -206,15 +216,17 @@ private:
     }
   }
 
-  void compare_image(stage_result& r, std::string const& file, std::vector<std::uint8_t> const& slab, int c, int l) {
+  void compare_image(stage_result& r, std::string const& file,
+                     std::vector<std::uint8_t> const& slab, int c, int l) {
     if (!exists(file)) { return; }
     auto const want = read_npy<std::uint8_t>(file);
     auto const& g = orb_.geometry();
     for (int y = 0; y < want.rows(); ++y) {
       for (int x = 0; x < want.cols(); ++x) {
-        int const got = y < g.height[l] && x < g.width[l]
-                            ? slab[static_cast<std::size_t>(c * g.bytes + g.offset[l] + y * g.stride[l] + x)]
-                            : -1;
+        int const got =
+            y < g.height[l] && x < g.width[l]
+                ? slab[static_cast<std::size_t>(c * g.bytes + g.offset[l] + y * g.stride[l] + x)]
+                : -1;
         r.add(got == want(y, x), got - want(y, x));
       }
     }
@@ -224,7 +236,8 @@ private:
     if (!exists(file)) { return; }
     auto const want = read_npy<float>(file);
     for (int i = 0; i < std::max(want.rows(), count); ++i) {
-      bool const same = i < want.rows() && i < count && static_cast<float>(got[i].x) == want(i, 0) &&
+      bool const same = i < want.rows() && i < count &&
+                        static_cast<float>(got[i].x) == want(i, 0) &&
                         static_cast<float>(got[i].y) == want(i, 1) &&
                         static_cast<float>(got[i].response) == want(i, 2);
       r.add(same);
@@ -251,10 +264,12 @@ private:
       for (int i = 0; i < std::max(want.rows(), count[static_cast<std::size_t>(c)]); ++i) {
         bool const there = i < want.rows() && i < count[static_cast<std::size_t>(c)];
         auto const at = static_cast<std::size_t>(c * kp.capacity + i);
-        table["keypoint_order"].add(there && x[at] == want(i, 0) && y[at] == want(i, 1) &&
-                                    static_cast<float>(orb_.geometry().patch_size(octave[at])) == want(i, 2) &&
-                                    response[at] == want(i, 4) && static_cast<float>(octave[at]) == want(i, 5));
-        table["orientation"].add(there && angle[at] == want(i, 3), there ? angle[at] - want(i, 3) : 0.0f);
+        table["keypoint_order"].add(
+            there && x[at] == want(i, 0) && y[at] == want(i, 1) &&
+            static_cast<float>(orb_.geometry().patch_size(octave[at])) == want(i, 2) &&
+            response[at] == want(i, 4) && static_cast<float>(octave[at]) == want(i, 5));
+        table["orientation"].add(there && angle[at] == want(i, 3),
+                                 there ? angle[at] - want(i, 3) : 0.0f);
         table["descriptor"].add(there && std::memcmp(&orb[at], &desc(i, 0), 32) == 0);
       }
     }
@@ -274,7 +289,9 @@ private:
       auto const view = grid.view().slice(c);
       auto const start = get_array<int>(view.start, static_cast<std::size_t>(geometry.cells() + 1));
       auto const indices = get_array<int>(view.indices, static_cast<std::size_t>(view.capacity));
-      for (std::size_t i = 0; i < count.data.size(); ++i) { r.add(start[i + 1] - start[i] == count.data[i]); }
+      for (std::size_t i = 0; i < count.data.size(); ++i) {
+        r.add(start[i + 1] - start[i] == count.data[i]);
+      }
       for (std::size_t i = 0; i < index.data.size(); ++i) { r.add(indices[i] == index.data[i]); }
     }
   }
@@ -322,16 +339,16 @@ private:
     ft::stereo_params params;
     params.bf = rectified_rig_.bf;
     params.max_disparity = rectified_rig_.bf / rectified_rig_.baseline;
-    ft::match_stereo_rectified(exec_, orb_.pyramid(), frame_keypoints_.view(), params, matches.view(),
-                               right_rows.view());
+    ft::match_stereo_rectified(exec_, orb_.pyramid(), frame_keypoints_.view(), params,
+                               matches.view(), right_rows.view());
     auto const right_x = column<ft::field::right_x>(exec_, matches.view());
     auto const depth = column<ft::field::depth>(exec_, matches.view());
     auto const want_u = read_npy<float>(path("frame", k, "mvuRight"));
     auto const want_d = read_npy<float>(path("frame", k, "mvDepth"));
     for (int i = 0; i < want_u.rows(); ++i) {
       auto const at = static_cast<std::size_t>(i);
-      // The stage's items are the matches and the refined column; the depth, a division of it, may round
-      // differently in a reference that contracts.
+      // The stage's items are the matches and the refined column; the depth, a division of it, may
+      // round differently in a reference that contracts.
       table["stereo_rectified"].add(right_x[at] == want_u(i) && (depth[at] > 0) == (want_d(i) > 0),
                                     depth[at] - want_d(i));
       table["stereo_depth"].add(depth[at] == want_d(i), depth[at] - want_d(i));
@@ -344,22 +361,26 @@ private:
     auto const mono = to_exec(exec_, read_npy<std::int32_t>(path("frame", k, "mono")).data);
     ft::fisheye_matches_view matches;
     ft::arena<Exec::space> memory([&](ft::carver& c) { ft::carve(c, matches, capacity, 1); });
-    ft::match_stereo_fisheye(exec_, fisheye_rig_, frame_keypoints_.view(), mono.data(), orb_.geometry(), {},
-                             matches);
+    ft::match_stereo_fisheye(exec_, fisheye_rig_, frame_keypoints_.view(), mono.data(),
+                             orb_.geometry(), {}, matches);
     auto const partner = get_array<int>(matches.partner, static_cast<std::size_t>(2 * capacity));
-    auto const point = get_array<ft::vec3<float>>(matches.point, static_cast<std::size_t>(capacity));
+    auto const point =
+        get_array<ft::vec3<float>>(matches.point, static_cast<std::size_t>(capacity));
     auto const l2r = read_npy<std::int32_t>(path("frame", k, "l2r"));
     auto const r2l = read_npy<std::int32_t>(path("frame", k, "r2l"));
     auto const p3d = read_npy<float>(path("frame", k, "stereo3d"));
     for (int i = 0; i < l2r.rows(); ++i) {
       int const got = partner[static_cast<std::size_t>(i)];
       auto const& p = point[static_cast<std::size_t>(i)];
-      double const diff = got < 0 || l2r(i) < 0 ? 0.0
-                                                : std::max({std::abs(p.x - p3d(i, 0)), std::abs(p.y - p3d(i, 1)),
-                                                            std::abs(p.z - p3d(i, 2))});
+      double const diff = got < 0 || l2r(i) < 0
+                              ? 0.0
+                              : std::max({std::abs(p.x - p3d(i, 0)), std::abs(p.y - p3d(i, 1)),
+                                          std::abs(p.z - p3d(i, 2))});
       r.add((got < 0 ? -1 : got - capacity) == l2r(i), diff);
     }
-    for (int j = 0; j < r2l.rows(); ++j) { r.add(partner[static_cast<std::size_t>(capacity + j)] == r2l(j)); }
+    for (int j = 0; j < r2l.rows(); ++j) {
+      r.add(partner[static_cast<std::size_t>(capacity + j)] == r2l(j));
+    }
   }
 
   ft::pose read_pose(int k, std::string const& name) {
@@ -468,22 +489,28 @@ private:
       params.reference_quirks = true;
       params.max_x = static_cast<float>(params_.width);
       params.max_y = static_cast<float>(params_.height);
-      ft::search_last_frame(exec_, rig, d_pred.data(), d_tlw.data(), frame, last, map.view(), params,
-                            orb_.geometry(), {}, windows, work, ori != 0);
-      compare_holders(table["search_last_frame"], spread(read_npy<std::int32_t>(path("pair", k, name)).data, counts),
-                      counts, get_array<int>(frame.holder, numbers));
-      table["search_last_frame"].add(get_array<int>(work.matches, 1)[0] == static_cast<int>(setting(2)));
+      ft::search_last_frame(exec_, rig, d_pred.data(), d_tlw.data(), frame, last, map.view(),
+                            params, orb_.geometry(), {}, windows, work, ori != 0);
+      compare_holders(table["search_last_frame"],
+                      spread(read_npy<std::int32_t>(path("pair", k, name)).data, counts), counts,
+                      get_array<int>(frame.holder, numbers));
+      table["search_last_frame"].add(get_array<int>(work.matches, 1)[0] ==
+                                     static_cast<int>(setting(2)));
     }
 
     // 2. and 5. pose optimisation
-    for (std::string const po : {"po1_", "po2_"}) { compare_pose(table["pose_optimization"], k, po, rig, observations); }
+    for (std::string const po : {"po1_", "po2_"}) {
+      compare_pose(table["pose_optimization"], k, po, rig, observations);
+    }
 
     // 3. frustum
     auto const local = read_npy<std::int32_t>(path("pair", k, "local_mp"));
     auto const skip = read_npy<std::uint8_t>(path("pair", k, "local_skip"));
     int const q = local.rows();
     std::vector<std::int32_t> slots(static_cast<std::size_t>(most), -1);
-    for (int i = 0; i < q; ++i) { slots[static_cast<std::size_t>(i)] = skip(i) != 0 ? -1 : local(i); }
+    for (int i = 0; i < q; ++i) {
+      slots[static_cast<std::size_t>(i)] = skip(i) != 0 ? -1 : local(i);
+    }
     auto const d_slots = to_exec(exec_, slots);
     auto const d_count = to_exec(exec_, std::vector<int>{q});
     auto const d_local = to_exec(exec_, std::vector<ft::pose>{read_pose(k, "Tcw_local")});
@@ -496,9 +523,10 @@ private:
     fp.levels = params_.levels;
     ft::local_search_params lp;
     lp.th = setting(0);
-    ft::find_visible_points(exec_, rig, d_local.data(), map.view(), d_slots.data(), d_count.data(), nullptr,
-                            nullptr, fp, lp, orb_.geometry(), windows, seen.data());
-    auto const vis = get_array<ft::visibility>(seen.data(), static_cast<std::size_t>(most * cameras));
+    ft::find_visible_points(exec_, rig, d_local.data(), map.view(), d_slots.data(), d_count.data(),
+                            nullptr, nullptr, fp, lp, orb_.geometry(), windows, seen.data());
+    auto const vis =
+        get_array<ft::visibility>(seen.data(), static_cast<std::size_t>(most * cameras));
     auto const inview = read_npy<std::int32_t>(path("pair", k, "local_inview"));
     auto const level = read_npy<std::int32_t>(path("pair", k, "local_level"));
     auto const proj = read_npy<float>(path("pair", k, "local_proj"));
@@ -510,21 +538,27 @@ private:
         if (v.level >= 0 && c == 0 && inview(i, 0) != 0) {
           diff = std::max(std::abs(v.x - proj(i, 0)), std::abs(v.y - proj(i, 1)));
         }
-        table["frustum"].add((v.level >= 0) == (inview(i, c) != 0) &&
-                                 (v.level < 0 || v.level == level(i, c)), diff);
+        table["frustum"].add(
+            (v.level >= 0) == (inview(i, c) != 0) && (v.level < 0 || v.level == level(i, c)), diff);
       }
     }
 
     // 4. search in the local map, from the recorded projections
-    auto const before = spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_before_local")).data, counts);
+    auto const before =
+        spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_before_local")).data, counts);
     ft::copy(exec_, holder.data(), before.data(), numbers);
-    std::vector<ft::search_window> recorded(static_cast<std::size_t>(most * cameras), ft::search_window::none());
-    auto const right_proj = fisheye_ ? read_npy<float>(path("pair", k, "local_projR")) : npy<float>{};
+    std::vector<ft::search_window> recorded(static_cast<std::size_t>(most * cameras),
+                                            ft::search_window::none());
+    auto const right_proj =
+        fisheye_ ? read_npy<float>(path("pair", k, "local_projR")) : npy<float>{};
     for (int i = 0; i < q; ++i) {
       for (int c = 0; c < cameras; ++c) {
         if (inview(i, c) == 0) { continue; }
-        ft::visibility const v = c == 0 ? ft::visibility{proj(i, 0), proj(i, 1), proj(i, 2), proj(i, 3), proj(i, 4), level(i, 0)}
-                                        : ft::visibility{right_proj(i, 0), right_proj(i, 1), 0, right_proj(i, 2), right_proj(i, 3), level(i, 1)};
+        ft::visibility const v =
+            c == 0 ? ft::visibility{proj(i, 0), proj(i, 1), proj(i, 2),
+                                    proj(i, 3), proj(i, 4), level(i, 0)}
+                   : ft::visibility{right_proj(i, 0), right_proj(i, 1), 0,
+                                    right_proj(i, 2), right_proj(i, 3), level(i, 1)};
         recorded[static_cast<std::size_t>(c * most + i)] =
             ft::window_of(v, local(i), c == 0 ? setting(0) : 1.0f, !fisheye_, orb_.geometry());
       }
@@ -533,10 +567,12 @@ private:
     ft::search_params sp;
     sp.ratio = setting(1);
     ft::search_by_projection(exec_, frame, map.view(), windows, sp, {}, work);
-    compare_holders(table["search_local_map"],
-                    spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_after_local")).data, counts), counts,
-                    get_array<int>(frame.holder, numbers));
-    table["search_local_map"].add(get_array<int>(work.matches, 1)[0] == static_cast<int>(setting(2)));
+    compare_holders(
+        table["search_local_map"],
+        spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_after_local")).data, counts), counts,
+        get_array<int>(frame.holder, numbers));
+    table["search_local_map"].add(get_array<int>(work.matches, 1)[0] ==
+                                  static_cast<int>(setting(2)));
   }
 
   std::vector<int> read_last_outlier(int k, int n) {
@@ -547,8 +583,8 @@ private:
     return v;
   }
 
-  void compare_holders(stage_result& r, std::vector<int> const& want, std::vector<int> const& counts,
-                       std::vector<int> const& got) {
+  void compare_holders(stage_result& r, std::vector<int> const& want,
+                       std::vector<int> const& counts, std::vector<int> const& got) {
     int const capacity = orb_.capacity();
     for (int c = 0; c < (fisheye_ ? 2 : 1); ++c) {
       for (int i = 0; i < counts[static_cast<std::size_t>(c)]; ++i) {
@@ -570,20 +606,28 @@ private:
     int const n = X.rows();
     std::vector<ft::observation> items;
     for (int i = 0; i < n; ++i) {
-      items.push_back({{X(i, 0), X(i, 1), X(i, 2)}, obs(i, 0), obs(i, 1), fisheye_ ? -1.0f : obs(i, 2), w(i), right(i)});
+      items.push_back({{X(i, 0), X(i, 1), X(i, 2)},
+                       obs(i, 0),
+                       obs(i, 1),
+                       fisheye_ ? -1.0f : obs(i, 2),
+                       w(i),
+                       right(i)});
     }
     ft::copy(exec_, memory.items, items.data(), items.size());
     auto const start = to_exec(exec_, std::vector<ft::pose>{read_pose(k, po + "Tin")});
     ft::buffer<ft::pose, Exec::space> result(1);
     ft::for_each_item<ft::per_block<ft::sum_lanes>>(
         exec_, 1, optimize_problem<Rig>{}, rig,
-        ft::pose_problem{memory.items, n, start.data(), result.data(), memory.outlier, memory.inliers},
+        ft::pose_problem{memory.items, n, start.data(), result.data(), memory.outlier,
+                         memory.inliers},
         ft::pose_params{});
     auto const got = get_array<ft::pose>(result.data(), 1)[0];
     auto const flags = get_array<unsigned char>(memory.outlier, static_cast<std::size_t>(n));
     auto const want = read_pose(k, po + "Tout");
     double worst = 0;
-    for (int i = 0; i < 9; ++i) { worst = std::max(worst, static_cast<double>(std::abs(got.R.m[i] - want.R.m[i]))); }
+    for (int i = 0; i < 9; ++i) {
+      worst = std::max(worst, static_cast<double>(std::abs(got.R.m[i] - want.R.m[i])));
+    }
     worst = std::max({worst, std::abs(static_cast<double>(got.t.x - want.t.x)),
                       std::abs(static_cast<double>(got.t.y - want.t.y)),
                       std::abs(static_cast<double>(got.t.z - want.t.z))});

@@ -14,7 +14,9 @@ table run_host(std::string const& folder) {
 
 #if !FT_APP_HAS_CUDA
 bool cuda_available() { return false; }
-table run_cuda(std::string const&) { throw std::runtime_error("this program was built without CUDA"); }
+table run_cuda(std::string const&) {
+  throw std::runtime_error("this program was built without CUDA");
+}
 #endif
 
 }  // namespace conformance

@@ -24,7 +24,9 @@ std::vector<std::string> folders_of(std::string const& root) {
     if (fs::exists(entry.path() / "params.json")) { found.push_back(entry.path().string()); }
   }
   std::sort(found.begin(), found.end());
-  if (found.empty()) { throw std::runtime_error("no params.json in '" + root + "' or in a folder below it"); }
+  if (found.empty()) {
+    throw std::runtime_error("no params.json in '" + root + "' or in a folder below it");
+  }
   return found;
 }
 
@@ -37,27 +39,41 @@ std::string default_golden() {
   return std::filesystem::is_directory(root) ? root : std::string();
 }
 
-char const* const all_stages[] = {"pyramid",          "corners",       "distribution",      "orientation",
-                                  "blur",             "descriptor",    "keypoint_order",    "grid",
-                                  "stereo_rectified", "stereo_fisheye", "search_last_frame", "frustum",
-                                  "search_local_map", "pose_optimization", "end_to_end"};
+char const* const all_stages[] = {"pyramid",
+                                  "corners",
+                                  "distribution",
+                                  "orientation",
+                                  "blur",
+                                  "descriptor",
+                                  "keypoint_order",
+                                  "grid",
+                                  "stereo_rectified",
+                                  "stereo_fisheye",
+                                  "search_last_frame",
+                                  "frustum",
+                                  "search_local_map",
+                                  "pose_optimization",
+                                  "end_to_end"};
 
 int run(std::string golden, std::string const& backend, std::string const& json, bool need_all) {
   if (golden.empty()) { golden = default_golden(); }
   if (golden.empty()) {
-    std::cerr << "conformance: skipped: no recorded answers here; set FT_DATA to the folder that holds golden/, or "
+    std::cerr << "conformance: skipped: no recorded answers here; set FT_DATA to the folder that "
+                 "holds golden/, or "
                  "give --golden\n";
     return skipped;
   }
   char const* const require = std::getenv("FT_REQUIRE_GPU");
-  if (backend == "cuda" && !conformance::cuda_available() && (require == nullptr || std::string(require) != "1")) {
+  if (backend == "cuda" && !conformance::cuda_available() &&
+      (require == nullptr || std::string(require) != "1")) {
     std::cerr << "conformance: skipped: no CUDA device\n";
     return skipped;
   }
   conformance::table all;
   for (auto const& folder : folders_of(golden)) {
     std::cerr << "compare " << folder << "\n";
-    auto const table = backend == "cuda" ? conformance::run_cuda(folder) : conformance::run_host(folder);
+    auto const table =
+        backend == "cuda" ? conformance::run_cuda(folder) : conformance::run_host(folder);
     for (auto const& [name, f] : table) {
       auto& sum = all[name];
       sum.items += f.items;
@@ -69,12 +85,16 @@ int run(std::string golden, std::string const& backend, std::string const& json,
   out["backend"] = backend;
   long items = 0;
   long identical = 0;
-  std::printf("%-20s %12s %12s %10s %16s\n", "stage", "items", "identical", "share", "worst difference");
+  std::printf("%-20s %12s %12s %10s %16s\n", "stage", "items", "identical", "share",
+              "worst difference");
   for (auto const& [name, f] : all) {
     if (f.items == 0) { continue; }  // the folder lacks it
     double const share = static_cast<double>(f.identical) / static_cast<double>(f.items);
-    std::printf("%-20s %12ld %12ld %9.4f%% %16.3g\n", name.c_str(), f.items, f.identical, 100 * share, f.max_abs_diff);
-    out["stages"][name] = {{"items", f.items}, {"identical", f.identical}, {"share", share},
+    std::printf("%-20s %12ld %12ld %9.4f%% %16.3g\n", name.c_str(), f.items, f.identical,
+                100 * share, f.max_abs_diff);
+    out["stages"][name] = {{"items", f.items},
+                           {"identical", f.identical},
+                           {"share", share},
                            {"max_abs_diff", f.max_abs_diff}};
     items += f.items;
     identical += f.identical;
@@ -104,9 +124,13 @@ int main(int argc, char** argv) {
   std::string backend = "host";
   std::string json;
   bool need_all = false;
-  CLI::App app("Runs every stage of ft on recorded inputs and counts the answers that are identical.");
-  app.add_option("--golden", golden, "a golden folder, or a folder of them; default: $FT_DATA/golden");
-  app.add_option("--backend", backend, "host or cuda")->check(CLI::IsMember({"host", "cuda"}))->capture_default_str();
+  CLI::App app(
+      "Runs every stage of ft on recorded inputs and counts the answers that are identical.");
+  app.add_option("--golden", golden,
+                 "a golden folder, or a folder of them; default: $FT_DATA/golden");
+  app.add_option("--backend", backend, "host or cuda")
+      ->check(CLI::IsMember({"host", "cuda"}))
+      ->capture_default_str();
   app.add_option("--json", json, "also write the table to this file");
   app.add_flag("--all-stages", need_all, "fail where a stage has nothing to compare");
   CLI11_PARSE(app, argc, argv);

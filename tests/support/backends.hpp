@@ -48,7 +48,8 @@ struct cuda_backend {
 private:
   static ft::cuda_exec make() {
     cudaStream_t stream = nullptr;
-    ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
+    ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
+                      "cudaStreamCreate");
     return ft::cuda_exec(stream);
   }
 };
@@ -66,10 +67,12 @@ protected:
   }
 };
 
-/// A grey image with structure at all scales: flat areas, edges and noise; the same for the same seed.
+/// A grey image with structure at all scales: flat areas, edges and noise; the same for the same
+/// seed.
 inline std::vector<std::uint8_t> random_image(int width, int height, unsigned seed) {
   std::mt19937 random(seed);
-  std::vector<std::uint8_t> image(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 90);
+  std::vector<std::uint8_t> image(
+      static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 90);
   int const boxes = 40 + width * height / 1500;
   for (int i = 0; i < boxes; ++i) {
     int const w = 1 + static_cast<int>(random() % static_cast<unsigned>(2 + width / (2 + i % 40)));
@@ -79,12 +82,14 @@ inline std::vector<std::uint8_t> random_image(int width, int height, unsigned se
     auto const grey = static_cast<std::uint8_t>(random());
     for (int y = y0; y < y0 + h && y < height; ++y) {
       for (int x = x0; x < x0 + w && x < width; ++x) {
-        image[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] = grey;
+        image[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
+              static_cast<std::size_t>(x)] = grey;
       }
     }
   }
   for (auto& p : image) {
-    p = static_cast<std::uint8_t>(std::min(255, std::max(0, static_cast<int>(p) + static_cast<int>(random() % 9) - 4)));
+    p = static_cast<std::uint8_t>(
+        std::min(255, std::max(0, static_cast<int>(p) + static_cast<int>(random() % 9) - 4)));
   }
   return image;
 }

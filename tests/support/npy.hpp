@@ -23,7 +23,9 @@ struct npy {
     for (std::size_t i = 1; i < shape.size(); ++i) { n *= shape[i]; }
     return n;
   }
-  T const& operator()(int r, int c = 0) const { return data.at(static_cast<std::size_t>(r * cols() + c)); }
+  T const& operator()(int r, int c = 0) const {
+    return data.at(static_cast<std::size_t>(r * cols() + c));
+  }
 };
 
 template <typename T>
@@ -77,7 +79,8 @@ npy<T> read_npy(std::string const& path) {
     }
   }
   array.data.resize(n);
-  if (!file.read(reinterpret_cast<char*>(array.data.data()), static_cast<std::streamsize>(n * sizeof(T)))) {
+  if (!file.read(reinterpret_cast<char*>(array.data.data()),
+                 static_cast<std::streamsize>(n * sizeof(T)))) {
     throw std::runtime_error(path + ": truncated");
   }
   return array;

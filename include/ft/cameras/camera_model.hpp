@@ -8,15 +8,16 @@
 ///       static constexpr int num_params = ...;
 ///       static constexpr char const* name = "...";
 ///       Scalar ...;                                                    // the parameters, in order
-///       projection<Scalar> project(vec3<Scalar> p) const;              // point (camera frame) -> pixel
-///       ray<Scalar> unproject(vec2<Scalar> pixel) const;               // pixel -> direction
+///       projection<Scalar> project(vec3<Scalar> p) const;              // point (camera frame) ->
+///       pixel ray<Scalar> unproject(vec2<Scalar> pixel) const;               // pixel -> direction
 ///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;          // d pixel / d point
 ///       template <typename U> my_camera<U> cast() const;
-///       void check() const;                                            // host: throws bad_argument
+///       void check() const;                                            // host: throws
+///       bad_argument
 ///     };
 ///
-/// all members but check() FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera frame has x right,
-/// y down, z forward.
+/// all members but check() FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera
+/// frame has x right, y down, z forward.
 #pragma once
 
 #include <type_traits>
@@ -99,14 +100,15 @@ struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : s
 /// True for a type that keeps the contract above.
 template <typename C>
 inline constexpr bool is_camera_model_v =
-    std::is_trivially_copyable<C>::value && detail::has_project<C>::value &&
-    detail::has_unproject<C>::value && detail::has_jacobian<C>::value && detail::has_names<C>::value &&
-    detail::has_cast<C>::value && detail::has_check<C>::value;
+    std::is_trivially_copyable<C>::value&& detail::has_project<C>::value&&
+        detail::has_unproject<C>::value&& detail::has_jacobian<C>::value&&
+            detail::has_names<C>::value&& detail::has_cast<C>::value&& detail::has_check<C>::value;
 
 /// Instantiate to learn which part of the contract a type does not keep.
 template <typename C>
 struct assert_camera_model {
-  static_assert(std::is_trivially_copyable<C>::value, "a camera model is passed to kernels by value");
+  static_assert(std::is_trivially_copyable<C>::value,
+                "a camera model is passed to kernels by value");
   static_assert(detail::has_project<C>::value,
                 "a camera model needs: projection<Scalar> project(vec3<Scalar>) const");
   static_assert(detail::has_unproject<C>::value,

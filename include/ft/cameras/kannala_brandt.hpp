@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The Kannala-Brandt fisheye camera with four coefficients ("KB4", OpenCV fisheye, "equidistant").
+/// @file The Kannala-Brandt fisheye camera with four coefficients ("KB4", OpenCV fisheye,
+/// "equidistant").
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
@@ -9,11 +10,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// theta = atan2(sqrt(x^2 + y^2), z), r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9,
-/// u = fx r x / sqrt(x^2 + y^2) + cx, v likewise. Defined for every direction in which r grows with theta;
-/// directions behind the camera are seen too, so `valid` only asks for a finite point other than the
-/// centre. Source: Kannala and Brandt, "A generic camera model and calibration method for conventional,
-/// wide-angle, and fish-eye lenses", PAMI 2006; specification section 12.
+/// theta = atan2(sqrt(x^2 + y^2), z), r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4
+/// theta^9, u = fx r x / sqrt(x^2 + y^2) + cx, v likewise. Defined for every direction in which r
+/// grows with theta; directions behind the camera are seen too, so `valid` only asks for a finite
+/// point other than the centre. Source: Kannala and Brandt, "A generic camera model and calibration
+/// method for conventional, wide-angle, and fish-eye lenses", PAMI 2006; specification section 12.
 template <typename Scalar>
 struct kannala_brandt {
   using scalar_type = Scalar;
@@ -39,8 +40,9 @@ struct kannala_brandt {
     return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, valid};
   }
 
-  /// Ray with z = 1: (x, y) tan(theta) / theta_d. Beyond 90 degrees off the axis it is the opposite ray, and
-  /// not valid. Newton on theta, at most 10 steps, until they are below 1e-6; theta_d is clamped to
+  /// Ray with z = 1: (x, y) tan(theta) / theta_d. Beyond 90 degrees off the axis it is the opposite
+  /// ray, and not valid. Newton on theta, at most 10 steps, until they are below 1e-6; theta_d is
+  /// clamped to
   /// [-pi/2, pi/2].
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const half_pi = Scalar(static_cast<plain_scalar_t<Scalar>>(1.5707963267948966));
@@ -58,8 +60,9 @@ struct kannala_brandt {
         Scalar const b = k2 * t4;
         Scalar const c = k3 * (t4 * t2);
         Scalar const d = k4 * (t4 * t4);
-        Scalar const step = (theta * (Scalar(1) + a + b + c + d) - theta_d) /
-                            (Scalar(1) + Scalar(3) * a + Scalar(5) * b + Scalar(7) * c + Scalar(9) * d);
+        Scalar const step =
+            (theta * (Scalar(1) + a + b + c + d) - theta_d) /
+            (Scalar(1) + Scalar(3) * a + Scalar(5) * b + Scalar(7) * c + Scalar(9) * d);
         theta = theta - step;
         if (scalar::abs(step) < Scalar(static_cast<plain_scalar_t<Scalar>>(1e-6))) { break; }
       }
@@ -81,8 +84,9 @@ struct kannala_brandt {
     Scalar const theta = scalar::atan2(radius, p.z);
     Scalar const t2 = theta * theta;
     Scalar const f = distorted(theta);
-    Scalar const fd = Scalar(1) + t2 * (Scalar(3) * k1 +
-                                        t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
+    Scalar const fd =
+        Scalar(1) + t2 * (Scalar(3) * k1 +
+                          t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
     Scalar const norm2 = r2 + p.z * p.z;
     Scalar const r3 = radius * r2;
     Scalar const along = fd * p.z / (r2 * norm2);
@@ -111,7 +115,8 @@ private:
   }
 };
 
-static_assert(assert_camera_model<kannala_brandt<float>>::value, "kannala_brandt keeps the camera contract");
+static_assert(assert_camera_model<kannala_brandt<float>>::value,
+              "kannala_brandt keeps the camera contract");
 
 }  // namespace FT_ABI
 }  // namespace ft

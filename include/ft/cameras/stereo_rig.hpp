@@ -28,7 +28,8 @@ struct stereo_rig {
     auto const t = T_rl.template cast<strict_float>().t;
     return scalar::sqrt(dot(t, t));
   }
-  /// @throws bad_argument for a camera that cannot be, a motion that is not rigid, or a zero baseline
+  /// @throws bad_argument for a camera that cannot be, a motion that is not rigid, or a zero
+  /// baseline
   void check() const {
     left.check();
     right.check();

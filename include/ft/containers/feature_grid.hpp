@@ -21,14 +21,20 @@ struct grid_geometry {
 
   static grid_geometry over(float min_x, float min_y, float max_x, float max_y, int cols = 64,
                             int rows = 48) {
-    return {cols, rows, min_x, min_y, max_x, max_y, static_cast<float>(cols) / (max_x - min_x),
+    return {cols,
+            rows,
+            min_x,
+            min_y,
+            max_x,
+            max_y,
+            static_cast<float>(cols) / (max_x - min_x),
             static_cast<float>(rows) / (max_y - min_y)};
   }
   FT_HOST_DEVICE int cells() const { return cols * rows; }
 };
 
-/// Cell c of batch entry b holds indices[b * capacity + start[b * (cells + 1) + c] .. next start), in
-/// ascending order. Cells are numbered column by column: c = column * rows + row.
+/// Cell c of batch entry b holds indices[b * capacity + start[b * (cells + 1) + c] .. next start),
+/// in ascending order. Cells are numbered column by column: c = column * rows + row.
 struct feature_grid_view {
   grid_geometry geometry;
   int capacity = 0;
@@ -44,10 +50,12 @@ struct feature_grid_view {
 };
 
 /// Places a grid into an arena.
-inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry, int capacity, int batch) {
+inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry, int capacity,
+                  int batch) {
   v.geometry = geometry;
   v.capacity = capacity;
-  v.start = c.take<int>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(geometry.cells() + 1));
+  v.start =
+      c.take<int>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(geometry.cells() + 1));
   v.indices = c.take<int>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(capacity));
 }
 

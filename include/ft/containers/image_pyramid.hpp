@@ -26,14 +26,14 @@ struct pyramid_geometry {
   float scale_factor = 0;
   int width[max_levels] = {};
   int height[max_levels] = {};
-  int stride[max_levels] = {};          ///< bytes from row to row
+  int stride[max_levels] = {};             ///< bytes from row to row
   std::ptrdiff_t offset[max_levels] = {};  ///< of a level in an image's slab, bytes
-  std::ptrdiff_t bytes = 0;             ///< of an image's slab
-  float scale[max_levels] = {};         ///< 1, s, s^2, ... in float
+  std::ptrdiff_t bytes = 0;                ///< of an image's slab
+  float scale[max_levels] = {};            ///< 1, s, s^2, ... in float
   float inv_scale[max_levels] = {};
-  float sigma2[max_levels] = {};        ///< scale^2
+  float sigma2[max_levels] = {};  ///< scale^2
   float inv_sigma2[max_levels] = {};
-  int tap_offset[max_levels] = {};      ///< first resize tap of a level: its columns, then its rows
+  int tap_offset[max_levels] = {};  ///< first resize tap of a level: its columns, then its rows
   int taps = 0;
 
   /// Patch diameter of a keypoint of an octave, pixels of the input image.
@@ -56,8 +56,10 @@ struct pyramid_geometry {
       g.sigma2[i] = g.scale[i] * g.scale[i];
       g.inv_scale[i] = 1.0f / g.scale[i];
       g.inv_sigma2[i] = 1.0f / g.sigma2[i];
-      g.width[i] = i == 0 ? w : static_cast<int>(std::lrint(static_cast<float>(w) * g.inv_scale[i]));
-      g.height[i] = i == 0 ? h : static_cast<int>(std::lrint(static_cast<float>(h) * g.inv_scale[i]));
+      g.width[i] =
+          i == 0 ? w : static_cast<int>(std::lrint(static_cast<float>(w) * g.inv_scale[i]));
+      g.height[i] =
+          i == 0 ? h : static_cast<int>(std::lrint(static_cast<float>(h) * g.inv_scale[i]));
       detail::require(g.width[i] >= 1 && g.height[i] >= 1,
                       "the image is too small for this many pyramid levels");
       g.stride[i] = ceil_div(g.width[i], 64) * 64;
@@ -77,8 +79,8 @@ struct image_pyramid_view {
   int batch = 0;
 
   FT_HOST_DEVICE image_view<std::uint8_t> level(int image, int l) const {
-    return {data + image * geometry.bytes + geometry.offset[l], geometry.width[l], geometry.height[l],
-            geometry.stride[l]};
+    return {data + image * geometry.bytes + geometry.offset[l], geometry.width[l],
+            geometry.height[l], geometry.stride[l]};
   }
 };
 static_assert(std::is_trivially_copyable<image_pyramid_view>::value, "passed to kernels");
@@ -87,8 +89,8 @@ static_assert(std::is_trivially_copyable<image_pyramid_view>::value, "passed to 
 inline void carve(carver& c, image_pyramid_view& v, pyramid_geometry const& geometry, int batch) {
   v.geometry = geometry;
   v.batch = batch;
-  v.data = c.take<std::uint8_t>(
-      detail::checked_mul(static_cast<std::size_t>(geometry.bytes), static_cast<std::size_t>(batch)));
+  v.data = c.take<std::uint8_t>(detail::checked_mul(static_cast<std::size_t>(geometry.bytes),
+                                                    static_cast<std::size_t>(batch)));
 }
 
 /// Owner of a pyramid; move-only.

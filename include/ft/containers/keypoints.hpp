@@ -45,9 +45,11 @@ struct orb {  ///< descriptor
 };
 }  // namespace field
 
-using keypoints_view = soa_view<field::x, field::y, field::angle, field::response, field::octave, field::orb>;
+using keypoints_view =
+    soa_view<field::x, field::y, field::angle, field::response, field::octave, field::orb>;
 template <memory_space Space>
-using keypoints = soa<Space, field::x, field::y, field::angle, field::response, field::octave, field::orb>;
+using keypoints =
+    soa<Space, field::x, field::y, field::angle, field::response, field::octave, field::orb>;
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -28,11 +28,11 @@ struct observations {  ///< how often seen; a point without any does not keep a 
 };
 }  // namespace field
 
-using map_points_view = soa_view<field::position, field::normal, field::min_distance, field::max_distance,
-                                 field::orb, field::observations>;
+using map_points_view = soa_view<field::position, field::normal, field::min_distance,
+                                 field::max_distance, field::orb, field::observations>;
 template <memory_space Space>
-using map_points = soa<Space, field::position, field::normal, field::min_distance, field::max_distance,
-                       field::orb, field::observations>;
+using map_points = soa<Space, field::position, field::normal, field::min_distance,
+                       field::max_distance, field::orb, field::observations>;
 
 }  // namespace FT_ABI
 }  // namespace ft

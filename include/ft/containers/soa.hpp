@@ -2,8 +2,8 @@
 /// @file Structure of arrays with named fields, a batch axis and a count per batch entry.
 ///
 /// A field is a tag type with `using type = ...`. `soa<Space, Fields...>` owns one array per field;
-/// `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so a container with
-/// a field of one's own goes wherever the plain one is asked for:
+/// `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so a
+/// container with a field of one's own goes wherever the plain one is asked for:
 ///
 ///     struct landmark_id { using type = int; };
 ///     ft::soa<ft::memory_space::host, ft::field::x, ft::field::y, landmark_id> mine(1000);
@@ -36,7 +36,8 @@ struct soa_view : column<Fields>... {
   soa_view() = default;
   /// A view of fewer fields.
   template <typename... Others,
-            typename = std::enable_if_t<(std::is_base_of<column<Fields>, soa_view<Others...>>::value && ...)>>
+            typename = std::enable_if_t<
+                (std::is_base_of<column<Fields>, soa_view<Others...>>::value && ...)>>
   FT_HOST_DEVICE soa_view(soa_view<Others...> const& other)  // NOLINT(google-explicit-constructor)
       : column<Fields>(static_cast<column<Fields> const&>(other))...,
         capacity(other.capacity),
@@ -68,8 +69,8 @@ FT_HOST_DEVICE typename Field::type* array_of(soa_view<Fields...> const& v) {
 /// Places the columns and counts of a container into an arena.
 template <typename... Fields>
 void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {
-  std::size_t const n = detail::checked_mul(static_cast<std::size_t>(capacity),
-                                            static_cast<std::size_t>(batch));
+  std::size_t const n =
+      detail::checked_mul(static_cast<std::size_t>(capacity), static_cast<std::size_t>(batch));
   ((static_cast<column<Fields>&>(v).data = c.take<typename Fields::type>(n)), ...);
   v.count = c.take<int>(static_cast<std::size_t>(batch));
   v.capacity = capacity;
@@ -87,7 +88,8 @@ public:
   /// @param capacity entries per batch entry @param batch batch entries
   /// @throws bad_argument below 1, std::bad_alloc, cuda_error
   explicit soa(int capacity, int batch = 1)
-      : arena_(((detail::require(capacity >= 1 && batch >= 1, "soa needs a capacity and a batch of 1 or more")),
+      : arena_(((detail::require(capacity >= 1 && batch >= 1,
+                                 "soa needs a capacity and a batch of 1 or more")),
                 [&](carver& c) { carve(c, view_, capacity, batch); })) {}
 
   soa(soa&& other) noexcept
@@ -107,14 +109,17 @@ private:
   arena<Space> arena_;
 };
 
-/// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous where
-/// the executor is; allocates nothing. @throws bad_argument for different shapes
+/// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous
+/// where the executor is; allocates nothing. @throws bad_argument for different shapes
 template <typename Exec, typename... Fields>
 void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> const& from) {
   detail::require(to.capacity == from.capacity && to.batch == from.batch,
                   "copy between containers of different shape");
-  std::size_t const n = static_cast<std::size_t>(from.capacity) * static_cast<std::size_t>(from.batch);
-  (copy(exec, array_of<Fields>(to), static_cast<typename Fields::type const*>(array_of<Fields>(from)), n), ...);
+  std::size_t const n =
+      static_cast<std::size_t>(from.capacity) * static_cast<std::size_t>(from.batch);
+  (copy(exec, array_of<Fields>(to),
+        static_cast<typename Fields::type const*>(array_of<Fields>(from)), n),
+   ...);
   copy(exec, to.count, static_cast<int const*>(from.count), static_cast<std::size_t>(from.batch));
 }
 

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Executors: where a stage runs.
 ///
-/// A stage's body is a functor `op(group, scratch, item, args...)` with a nested type `scratch`. The
-/// executor runs it once per item, with the threads that the shape asks for: `per_thread`, `per_warp` or
-/// `per_block<N>` on the device; on the host always one thread per item, items spread over a pool.
+/// A stage's body is a functor `op(group, scratch, item, args...)` with a nested type `scratch`.
+/// The executor runs it once per item, with the threads that the shape asks for: `per_thread`,
+/// `per_warp` or `per_block<N>` on the device; on the host always one thread per item, items spread
+/// over a pool.
 #pragma once
 
 #include <tbb/blocked_range.h>
@@ -37,8 +38,8 @@ struct per_block {};
 /// For functors without scratch memory.
 struct no_scratch {};
 
-/// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from several
-/// threads at a time.
+/// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from
+/// several threads at a time.
 class host_exec {
 public:
   static constexpr memory_space space = memory_space::host;
@@ -59,9 +60,10 @@ public:
       return;
     }
     auto const run = [&] {
-      tbb::parallel_for(tbb::blocked_range<int>(0, items), [&](tbb::blocked_range<int> const& range) {
-        for (int i = range.begin(); i != range.end(); ++i) { body(i); }
-      });
+      tbb::parallel_for(tbb::blocked_range<int>(0, items),
+                        [&](tbb::blocked_range<int> const& range) {
+                          for (int i = range.begin(); i != range.end(); ++i) { body(i); }
+                        });
     };
     if (arena_) {
       arena_->execute(run);
@@ -104,8 +106,8 @@ inline void fill_bytes(host_exec const&, void* to, int value, std::size_t bytes)
 
 #if defined(__CUDACC__)
 
-/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream. Nothing
-/// here synchronises but wait().
+/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream.
+/// Nothing here synchronises but wait().
 struct cuda_exec {
   static constexpr memory_space space = memory_space::device;
   static constexpr bool asynchronous = true;
@@ -124,7 +126,8 @@ FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Arg
 
 inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {
   if (bytes != 0) {
-    detail::check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream), "cudaMemcpyAsync");
+    detail::check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream),
+                  "cudaMemcpyAsync");
   }
 }
 inline void copy_rows(cuda_exec const& exec, void* to, std::size_t to_pitch, void const* from,
@@ -147,7 +150,8 @@ void copy(Exec const& exec, T* to, T const* from, std::size_t count) {
   copy_bytes(exec, to, from, count * sizeof(T));
 }
 
-/// The memory in which an executor's host side prepares copies: pinned beside a device, plain otherwise.
+/// The memory in which an executor's host side prepares copies: pinned beside a device, plain
+/// otherwise.
 template <typename Exec>
 inline constexpr memory_space staging_space =
     Exec::space == memory_space::device ? memory_space::pinned : memory_space::host;

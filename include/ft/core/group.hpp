@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Groups: the threads that work on one item together.
 ///
-/// A stage's body sees `rank()`, `size()`, `sync()` and collectives only, and is written once. Every
-/// thread of a group must call a collective. Loops read `for (i = g.rank(); i < n; i += g.size())`.
+/// A stage's body sees `rank()`, `size()`, `sync()` and collectives only, and is written once.
+/// Every thread of a group must call a collective. Loops read `for (i = g.rank(); i < n; i +=
+/// g.size())`.
 #pragma once
 
 #include <algorithm>
@@ -115,15 +116,16 @@ __device__ inline int warp_inclusive_scan(int value) {
 template <typename Group, typename Key>
 __device__ void bitonic_sort(Group const& g, Key* keys, int n) {
   for (int width = 2; width / 2 < n; width *= 2) {
-    // The first step of each merge mirrors, so that every comparison is ascending and indices past n,
-    // which count as +infinity, never move.
+    // The first step of each merge mirrors, so that every comparison is ascending and indices past
+    // n, which count as +infinity, never move.
     for (int step = width / 2; step > 0; step /= 2) {
       g.sync();
       for (int i = g.rank();; i += g.size()) {
         int const block = i / step;
         int const low = block * 2 * step + i % step;
         if (low >= n) { break; }
-        int const high = step == width / 2 ? block * 2 * step + 2 * step - 1 - i % step : low + step;
+        int const high =
+            step == width / 2 ? block * 2 * step + 2 * step - 1 - i % step : low + step;
         if (high < n && keys[high] < keys[low]) {
           Key const k = keys[high];
           keys[high] = keys[low];
@@ -170,7 +172,8 @@ struct warp_group {
   }
 };
 
-/// A thread block of N threads, a multiple of 32. Its collectives use scratch that the executor owns.
+/// A thread block of N threads, a multiple of 32. Its collectives use scratch that the executor
+/// owns.
 template <int N>
 struct block_group {
   static_assert(N % 32 == 0 && N >= 32 && N <= 1024, "whole warps");

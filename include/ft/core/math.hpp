@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Small vectors, poses, and arithmetic that is the same on every executor.
 ///
-/// Compilers may fuse `a * b + c` into one rounding, and host and device compilers choose differently.
-/// `strict<T>` is a T whose products are always rounded on their own; formulas written with it give the
-/// same bits everywhere. Division and square root are correctly rounded. Where a fused product is wanted,
-/// call `fma` on plain numbers.
+/// Compilers may fuse `a * b + c` into one rounding, and host and device compilers choose
+/// differently. `strict<T>` is a T whose products are always rounded on their own; formulas written
+/// with it give the same bits everywhere. Division and square root are correctly rounded. Where a
+/// fused product is wanted, call `fma` on plain numbers.
 #pragma once
 
 #include <cmath>
@@ -80,7 +80,8 @@ FT_HOST_DEVICE inline double square_root(double a) {
 
 }  // namespace detail
 
-/// A number whose products are never fused with a following sum. Converts implicitly from T, explicitly
+/// A number whose products are never fused with a following sum. Converts implicitly from T,
+/// explicitly
 /// (`.value`) to T.
 template <typename T>
 struct strict {
@@ -92,8 +93,12 @@ struct strict {
 
   friend FT_HOST_DEVICE strict operator+(strict a, strict b) { return {a.value + b.value}; }
   friend FT_HOST_DEVICE strict operator-(strict a, strict b) { return {a.value - b.value}; }
-  friend FT_HOST_DEVICE strict operator*(strict a, strict b) { return {detail::mul(a.value, b.value)}; }
-  friend FT_HOST_DEVICE strict operator/(strict a, strict b) { return {detail::div(a.value, b.value)}; }
+  friend FT_HOST_DEVICE strict operator*(strict a, strict b) {
+    return {detail::mul(a.value, b.value)};
+  }
+  friend FT_HOST_DEVICE strict operator/(strict a, strict b) {
+    return {detail::div(a.value, b.value)};
+  }
   friend FT_HOST_DEVICE strict operator-(strict a) { return {-a.value}; }
   FT_HOST_DEVICE strict& operator+=(strict b) { return *this = *this + b; }
   FT_HOST_DEVICE strict& operator-=(strict b) { return *this = *this - b; }
@@ -145,7 +150,8 @@ FT_HOST_DEVICE S abs(S v) {
 template <typename S>
 FT_HOST_DEVICE S atan2(S y, S x) {
   using P = plain_scalar_t<S>;
-  return S(static_cast<P>(::atan2(static_cast<double>(to_plain(y)), static_cast<double>(to_plain(x)))));
+  return S(
+      static_cast<P>(::atan2(static_cast<double>(to_plain(y)), static_cast<double>(to_plain(x)))));
 }
 template <typename S>
 FT_HOST_DEVICE S tan(S v) {
@@ -207,7 +213,8 @@ struct mat3 {
   }
 };
 
-/// A rigid motion x -> R x + t. Named `T_ab`, it maps coordinates in frame b to frame a; lengths in metres.
+/// A rigid motion x -> R x + t. Named `T_ab`, it maps coordinates in frame b to frame a; lengths in
+/// metres.
 template <typename S>
 struct rigid {
   mat3<S> R;

@@ -90,9 +90,9 @@ public:
 
   buffer() = default;
   explicit buffer(std::size_t size)
-      : data_(size == 0 ? nullptr
-                        : static_cast<T*>(
-                              detail::allocate<Space>(detail::checked_mul(size, sizeof(T))))),
+      : data_(size == 0
+                  ? nullptr
+                  : static_cast<T*>(detail::allocate<Space>(detail::checked_mul(size, sizeof(T))))),
         size_(size) {}
   buffer(buffer&& other) noexcept
       : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
@@ -117,8 +117,8 @@ private:
   std::size_t size_ = 0;
 };
 
-/// Hands out aligned pieces of one block. Run a layout once on a default carver to learn `used()`, then
-/// again on the block: the same calls give the same pieces.
+/// Hands out aligned pieces of one block. Run a layout once on a default carver to learn `used()`,
+/// then again on the block: the same calls give the same pieces.
 class carver {
 public:
   carver() = default;

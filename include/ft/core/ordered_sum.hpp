@@ -17,8 +17,8 @@ struct ordered_sum_scratch {
   double warp[sum_lanes / 32][K];
 };
 
-/// K sums over i in [0, n): `add(i, acc)` adds term i to `double acc[K]`. Every thread gets the result.
-/// Groups of one thread or of 128.
+/// K sums over i in [0, n): `add(i, acc)` adds term i to `double acc[K]`. Every thread gets the
+/// result. Groups of one thread or of 128.
 template <int K, typename Group, typename Add>
 FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add,
                                 double (&result)[K]) {

@@ -35,7 +35,8 @@ struct image_view {
   }
   FT_HOST_DEVICE T& operator()(int x, int y) const { return row(y)[x]; }
   /// To a view that only reads.
-  template <typename U, typename = std::enable_if_t<std::is_same<U, T const>::value && !std::is_const<T>::value>>
+  template <typename U, typename = std::enable_if_t<std::is_same<U, T const>::value &&
+                                                    !std::is_const<T>::value>>
   FT_HOST_DEVICE operator image_view<U>() const {  // NOLINT(google-explicit-constructor)
     return {data, width, height, stride};
   }

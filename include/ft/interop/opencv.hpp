@@ -22,18 +22,20 @@ inline gray_view as_view(cv::Mat const& image) {
 }
 
 /// The keypoints of one image as OpenCV has them. @param keypoints one batch entry, host memory
-inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints, pyramid_geometry const& geometry) {
+inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints,
+                                           pyramid_geometry const& geometry) {
   std::vector<cv::KeyPoint> all;
   for (int i = 0; i < *keypoints.count; ++i) {
     int const octave = get<field::octave>(keypoints, i);
     all.emplace_back(get<field::x>(keypoints, i), get<field::y>(keypoints, i),
-                     static_cast<float>(geometry.patch_size(octave)), get<field::angle>(keypoints, i),
-                     get<field::response>(keypoints, i), octave);
+                     static_cast<float>(geometry.patch_size(octave)),
+                     get<field::angle>(keypoints, i), get<field::response>(keypoints, i), octave);
   }
   return all;
 }
 
-/// The descriptors of one image, a row of 32 bytes each. @param keypoints one batch entry, host memory
+/// The descriptors of one image, a row of 32 bytes each. @param keypoints one batch entry, host
+/// memory
 inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
   cv::Mat rows(*keypoints.count, 32, CV_8UC1);
   for (int i = 0; i < *keypoints.count; ++i) {

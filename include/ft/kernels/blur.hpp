@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stage: blur. 7 x 7 binomial-like kernel in integers, reflected borders, bit-identical to
-/// cv::GaussianBlur(7x7, sigma 2, BORDER_REFLECT_101) on 8-bit images. Source: specification section 4.
+/// cv::GaussianBlur(7x7, sigma 2, BORDER_REFLECT_101) on 8-bit images. Source: specification
+/// section 4.
 #pragma once
 
 #include <cstdint>
@@ -33,7 +34,8 @@ struct blur_layout {
 
 namespace detail {
 
-/// Index inside [0, n) of a position outside by reflection that does not repeat the edge; any distance.
+/// Index inside [0, n) of a position outside by reflection that does not repeat the edge; any
+/// distance.
 FT_HOST_DEVICE inline int reflect_101(int i, int n) {
   if (n == 1) { return 0; }
   while (i < 0 || i >= n) { i = i < 0 ? -i : 2 * n - 2 - i; }
@@ -101,13 +103,13 @@ struct blur_tile {
   }
 };
 
-/// Every level of every image of `from`, blurred, into `to`. Asynchronous on `exec`; allocates nothing;
-/// one launch.
+/// Every level of every image of `from`, blurred, into `to`. Asynchronous on `exec`; allocates
+/// nothing; one launch.
 template <typename Exec>
 void blur_pyramid(Exec const& exec, image_pyramid_view const& from, image_pyramid_view const& to,
                   blur_layout const& layout) {
-  for_each_item<per_block<64>>(exec, from.batch * layout.first[layout.levels], blur_tile{}, from, to,
-                               layout);
+  for_each_item<per_block<64>>(exec, from.batch * layout.first[layout.levels], blur_tile{}, from,
+                               to, layout);
 }
 
 }  // namespace FT_ABI

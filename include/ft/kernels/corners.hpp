@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: corners. FAST-9/16 with non-maximum suppression per cell, a strict threshold first and a
-/// lenient one where a cell would stay empty. Source: specification section 2; Rosten and Drummond,
-/// "Machine learning for high-speed corner detection", ECCV 2006.
+/// @file Stage: corners. FAST-9/16 with non-maximum suppression per cell, a strict threshold first
+/// and a lenient one where a cell would stay empty. Source: specification section 2; Rosten and
+/// Drummond, "Machine learning for high-speed corner detection", ECCV 2006.
 #pragma once
 
 #include <cmath>
@@ -21,9 +21,9 @@ struct corner {
   std::int32_t response;
 };
 
-inline constexpr int corner_border = 16;    ///< the work area starts here
+inline constexpr int corner_border = 16;  ///< the work area starts here
 inline constexpr int corner_cell_size = 35;
-inline constexpr int max_cell_side = 69;    ///< of a level with a single cell
+inline constexpr int max_cell_side = 69;  ///< of a level with a single cell
 inline constexpr int max_patch_side = max_cell_side + 6;
 
 /// Cells of all levels of one image, numbered level by level.
@@ -33,11 +33,12 @@ struct corner_layout {
   int rows[max_levels] = {};
   int cell_width[max_levels] = {};
   int cell_height[max_levels] = {};
-  int first_cell[max_levels] = {};      ///< of a level
-  int cells = 0;                        ///< of an image
-  int slots[max_levels] = {};           ///< corners that a cell of this level can hold at most
+  int first_cell[max_levels] = {};  ///< of a level
+  int cells = 0;                    ///< of an image
+  int slots[max_levels] = {};       ///< corners that a cell of this level can hold at most
   std::ptrdiff_t first_slot[max_levels] = {};
-  std::ptrdiff_t total_slots = 0;       ///< of an image: suppression bounds the number, nothing can overflow
+  std::ptrdiff_t total_slots =
+      0;  ///< of an image: suppression bounds the number, nothing can overflow
 
   static corner_layout make(pyramid_geometry const& g) {
     corner_layout c;
@@ -110,10 +111,10 @@ namespace detail {
 struct fast_circle {
   int offset[16];
   FT_HOST_DEVICE explicit fast_circle(int stride)
-      : offset{3 * stride,      3 * stride + 1,  2 * stride + 2,  stride + 3,
-               3,               -stride + 3,     -2 * stride + 2, -3 * stride + 1,
-               -3 * stride,     -3 * stride - 1, -2 * stride - 2, -stride - 3,
-               -3,              stride - 3,      2 * stride - 2,  3 * stride - 1} {}
+      : offset{3 * stride,  3 * stride + 1,  2 * stride + 2,  stride + 3,
+               3,           -stride + 3,     -2 * stride + 2, -3 * stride + 1,
+               -3 * stride, -3 * stride - 1, -2 * stride - 2, -stride - 3,
+               -3,          stride - 3,      2 * stride - 2,  3 * stride - 1} {}
 };
 
 /// True where `mask` (16 bits, cyclic) has 9 ones in a row.
@@ -127,7 +128,8 @@ FT_HOST_DEVICE inline bool has_arc_of_9(unsigned mask) {
 
 /// The largest threshold below which the pixel is a corner, 0 where it is none above `threshold`:
 /// over the 16 arcs of 9, the largest of the smallest difference, less one.
-FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle const& circle, int threshold) {
+FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle const& circle,
+                                     int threshold) {
   int const v = center[0];
   // Nine in a row hold one of every opposite pair.
   int const high = v + threshold;
@@ -228,8 +230,8 @@ struct detect_cell {
     }
     g.sync();
 
-    // Scores do not depend on the threshold: what survives suppression at the lenient one and passes the
-    // strict one is what the strict one alone gives.
+    // Scores do not depend on the threshold: what survives suppression at the lenient one and
+    // passes the strict one is what the strict one alone gives.
     int strict_count = 0;
     for (int i = g.rank(); i < inner_w * inner_h; i += g.size()) {
       int const score = suppressed_score(s, i, inner_w, pitch);
@@ -297,11 +299,13 @@ struct gather_cell {
 /// Corners of all levels of all images: `out.list`, per level in cell order, and `out.list_count`.
 /// Asynchronous on `exec`; allocates nothing; two launches.
 template <typename Exec>
-void detect_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_params const& params,
-                    corners_view const& out) {
+void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
+                    corner_params const& params, corners_view const& out) {
   fill_bytes(exec, out.list_count, 0,
-             static_cast<std::size_t>(out.batch * out.layout.levels) * sizeof(int));  // levels without a cell
-  for_each_item<per_block<128>>(exec, out.batch * out.layout.cells, detect_cell{}, pyramid, out, params);
+             static_cast<std::size_t>(out.batch * out.layout.levels) *
+                 sizeof(int));  // levels without a cell
+  for_each_item<per_block<128>>(exec, out.batch * out.layout.cells, detect_cell{}, pyramid, out,
+                                params);
   for_each_item<per_warp>(exec, out.batch * out.layout.cells, gather_cell{}, out);
 }
 

@@ -18,16 +18,18 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Pixel columns seen by both cameras of a fisheye pair; keypoints inside go to the end of the list. The
-/// default meets no keypoint.
+/// Pixel columns seen by both cameras of a fisheye pair; keypoints inside go to the end of the
+/// list. The default meets no keypoint.
 struct stereo_overlap {
   float left = 0;
   float right = 0;
 };
 
-/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and sine
-FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a, float b,
-                                                    pattern_pair const* pattern, int index) {
+/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and
+/// sine
+FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a,
+                                                    float b, pattern_pair const* pattern,
+                                                    int index) {
   strict_float const ca = a;
   strict_float const sb = b;
   auto const sample = [&](int px, int py) {
@@ -45,15 +47,15 @@ FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, in
   return byte;
 }
 
-/// One image: where each kept corner goes. Level by level in list order; inside the overlap from the end
-/// of the array backwards.
+/// One image: where each kept corner goes. Level by level in list order; inside the overlap from
+/// the end of the array backwards.
 struct order_image {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int image, pyramid_geometry const& geometry,
-                                 distribution_view const& kept, stereo_overlap const* overlaps, int* place,
-                                 keypoints_view const& out, int* mono_count) const {
+                                 distribution_view const& kept, stereo_overlap const* overlaps,
+                                 int* place, keypoints_view const& out, int* mono_count) const {
     distribution_layout const& layout = kept.layout;
     int const* const counts = kept.kept_count + image * layout.levels;
     int all = 0;
@@ -118,8 +120,10 @@ struct describe_corner {
     }
     if (g.rank() == 0) {
       float const scale = pyramid.geometry.scale[l];
-      get<field::x>(out, to) = l == 0 ? static_cast<float>(x) : detail::mul(static_cast<float>(x), scale);
-      get<field::y>(out, to) = l == 0 ? static_cast<float>(y) : detail::mul(static_cast<float>(y), scale);
+      get<field::x>(out, to) =
+          l == 0 ? static_cast<float>(x) : detail::mul(static_cast<float>(x), scale);
+      get<field::y>(out, to) =
+          l == 0 ? static_cast<float>(y) : detail::mul(static_cast<float>(y), scale);
       get<field::angle>(out, to) = angle;
       get<field::response>(out, to) = static_cast<float>(c.response);
       get<field::octave>(out, to) = l;
@@ -132,13 +136,14 @@ struct describe_corner {
 /// @param overlaps [batch] @param pattern [256] @param place workspace [batch][layout.total]
 /// @param mono_count [batch] keypoints outside the overlap; all in executor memory
 template <typename Exec>
-void describe_corners(Exec const& exec, image_pyramid_view const& pyramid, image_pyramid_view const& blurred,
-                      distribution_view const& kept, stereo_overlap const* overlaps,
-                      pattern_pair const* pattern, keypoints_view const& out, int* mono_count, int* place) {
-  for_each_item<per_block<256>>(exec, pyramid.batch, order_image{}, pyramid.geometry, kept, overlaps, place,
-                                out, mono_count);
-  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid, blurred, kept,
-                          pattern, place, out);
+void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
+                      image_pyramid_view const& blurred, distribution_view const& kept,
+                      stereo_overlap const* overlaps, pattern_pair const* pattern,
+                      keypoints_view const& out, int* mono_count, int* place) {
+  for_each_item<per_block<256>>(exec, pyramid.batch, order_image{}, pyramid.geometry, kept,
+                                overlaps, place, out, mono_count);
+  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid,
+                          blurred, kept, pattern, place, out);
 }
 
 }  // namespace FT_ABI

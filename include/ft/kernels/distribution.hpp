@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: even distribution of corners over a level by a quadtree. Source: specification section 3.
+/// @file Stage: even distribution of corners over a level by a quadtree. Source: specification
+/// section 3.
 ///
-/// The rule is sequential (a list of nodes, children pushed to its front); here a whole round is done at
-/// once. In a round every node with more than one point is split, so with C children in creation order
-/// the new list is: child C-1, ..., child 0, then the nodes that were not split, in their old order. When
-/// nodes are split one by one until enough are there, a prefix sum over the splitting order tells how many
-/// splits are made. Points never move: each remembers its node.
+/// The rule is sequential (a list of nodes, children pushed to its front); here a whole round is
+/// done at once. In a round every node with more than one point is split, so with C children in
+/// creation order the new list is: child C-1, ..., child 0, then the nodes that were not split, in
+/// their old order. When nodes are split one by one until enough are there, a prefix sum over the
+/// splitting order tells how many splits are made. Points never move: each remembers its node.
 #pragma once
 
 #include <cmath>
@@ -22,13 +23,13 @@ inline namespace FT_ABI {
 /// How many corners each level should keep and how much memory that takes.
 struct distribution_layout {
   int levels = 0;
-  int wanted[max_levels] = {};      ///< features of a level
+  int wanted[max_levels] = {};  ///< features of a level
   int roots[max_levels] = {};
-  int width[max_levels] = {};       ///< of the work area
+  int width[max_levels] = {};  ///< of the work area
   int height[max_levels] = {};
-  int capacity[max_levels] = {};    ///< nodes, and kept corners, of a level
-  int first[max_levels] = {};       ///< of a level among an image's
-  int total = 0;                    ///< of an image
+  int capacity[max_levels] = {};  ///< nodes, and kept corners, of a level
+  int first[max_levels] = {};     ///< of a level among an image's
+  int total = 0;                  ///< of an image
 
   /// @param features wanted in all levels together, 1 to 2^20. Source: specification section 2.
   static distribution_layout make(pyramid_geometry const& g, int features) {
@@ -37,7 +38,8 @@ struct distribution_layout {
     d.levels = g.levels;
     float const factor = 1.0f / g.scale_factor;
     float n = static_cast<float>(features) * (1.0f - factor) /
-              (1.0f - static_cast<float>(std::pow(static_cast<double>(factor), static_cast<double>(g.levels))));
+              (1.0f - static_cast<float>(
+                          std::pow(static_cast<double>(factor), static_cast<double>(g.levels))));
     int sum = 0;
     for (int l = 0; l < g.levels; ++l) {
       bool const last = l + 1 == g.levels;
@@ -49,8 +51,9 @@ struct distribution_layout {
       bool const empty = d.width[l] < corner_cell_size || d.height[l] < corner_cell_size;
       d.roots[l] = empty ? 0
                          : max_of(1, static_cast<int>(std::round(static_cast<float>(d.width[l]) /
-                                                                static_cast<float>(d.height[l]))));
-      // One unconditional round makes at most four nodes of a root; from n-1 nodes a split makes n+2.
+                                                                 static_cast<float>(d.height[l]))));
+      // One unconditional round makes at most four nodes of a root; from n-1 nodes a split makes
+      // n+2.
       d.capacity[l] = empty ? 0 : max_of(d.wanted[l] + 3, 4 * d.roots[l]);
       d.first[l] = d.total;
       d.total += d.capacity[l];
@@ -69,14 +72,14 @@ struct quad_node {
 struct distribution_view {
   distribution_layout layout;
   int batch = 0;
-  corner* kept = nullptr;      ///< [batch][total], per level in list order
-  int* kept_count = nullptr;   ///< [batch][levels]
-  quad_node* nodes[2] = {};    ///< [batch][total]
-  int* quadrant = nullptr;     ///< [batch][total][4], points per quadrant, then the place of the child
-  int* place = nullptr;        ///< [batch][total], scan of children; then the place of an unsplit node
-  int* order = nullptr;        ///< [batch][total], nodes in splitting order
+  corner* kept = nullptr;     ///< [batch][total], per level in list order
+  int* kept_count = nullptr;  ///< [batch][levels]
+  quad_node* nodes[2] = {};   ///< [batch][total]
+  int* quadrant = nullptr;  ///< [batch][total][4], points per quadrant, then the place of the child
+  int* place = nullptr;     ///< [batch][total], scan of children; then the place of an unsplit node
+  int* order = nullptr;     ///< [batch][total], nodes in splitting order
   unsigned long long* keys = nullptr;  ///< [batch][total], sort keys, then the best point of a node
-  int* node_of = nullptr;      ///< [batch][total_slots], list position of each point's node
+  int* node_of = nullptr;              ///< [batch][total_slots], list position of each point's node
 };
 
 inline void carve(carver& c, distribution_view& v, distribution_layout const& layout,
@@ -129,8 +132,8 @@ struct distribute_level {
     bool one_by_one = false;
     for (;;) {
       int const before = size;
-      int const splits = one_by_one ? choose_splits(g, t, children, size, wanted)
-                                    : choose_all(g, t, size);
+      int const splits =
+          one_by_one ? choose_splits(g, t, children, size, wanted) : choose_all(g, t, size);
       int multiple = 0;
       size = split(g, t, size, splits, children, multiple);
       if (size >= wanted || size <= before) { break; }
@@ -187,8 +190,8 @@ private:
     }
     g.sync();
     for (int i = g.rank(); i < t.point_count; i += g.size()) {
-      int const r = min_of(static_cast<int>(detail::div(static_cast<float>(t.points[i].x), root_width)),
-                           roots - 1);
+      int const r = min_of(
+          static_cast<int>(detail::div(static_cast<float>(t.points[i].x), root_width)), roots - 1);
       t.node_of[i] = r;
       atomic_add(&t.next[r].count, 1);
     }
@@ -201,7 +204,9 @@ private:
     for (int i = g.rank(); i < roots; i += g.size()) {
       if (t.next[i].count > 0) { t.nodes[t.place[i]] = t.next[i]; }
     }
-    for (int i = g.rank(); i < t.point_count; i += g.size()) { t.node_of[i] = t.place[t.node_of[i]]; }
+    for (int i = g.rank(); i < t.point_count; i += g.size()) {
+      t.node_of[i] = t.place[t.node_of[i]];
+    }
     g.sync();
     return size;
   }
@@ -236,9 +241,9 @@ private:
     return splits;
   }
 
-  /// Node by node: of the nodes made last (the first `children` of the list) those with more than one
-  /// point, the fullest first, among equals the one furthest right, among these the one made last; as many
-  /// as it takes to reach `wanted` nodes. Returns how many.
+  /// Node by node: of the nodes made last (the first `children` of the list) those with more than
+  /// one point, the fullest first, among equals the one furthest right, among these the one made
+  /// last; as many as it takes to reach `wanted` nodes. Returns how many.
   template <typename Group>
   FT_HOST_DEVICE static int choose_splits(Group g, tree& t, int children, int size, int wanted) {
     count_quadrants(g, t, size);
@@ -248,9 +253,11 @@ private:
       bool const chosen = i < children && t.nodes[i].count > 1;
       int total = 0;
       int const at = g.exclusive_scan(static_cast<int>(chosen), total);
-      if (chosen) {  // 26 bits of count, 14 of column, 24 of place: a node made later is nearer to the front
+      if (chosen) {  // 26 bits of count, 14 of column, 24 of place: a node made later is nearer to
+                     // the front
         t.keys[candidates + at] =
-            static_cast<unsigned long long>(0x3ffffffu - static_cast<unsigned>(t.nodes[i].count)) << 38 |
+            static_cast<unsigned long long>(0x3ffffffu - static_cast<unsigned>(t.nodes[i].count))
+                << 38 |
             static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(t.nodes[i].x0)) << 24 |
             static_cast<unsigned long long>(i);
       }
@@ -277,10 +284,11 @@ private:
     return splits;
   }
 
-  /// Splits the nodes t.order[0, splits) in that order. Returns the size of the new list; `children` gets
-  /// the number of nodes made, `multiple` that of those with more than one point.
+  /// Splits the nodes t.order[0, splits) in that order. Returns the size of the new list;
+  /// `children` gets the number of nodes made, `multiple` that of those with more than one point.
   template <typename Group>
-  FT_HOST_DEVICE static int split(Group g, tree& t, int size, int splits, int& children, int& multiple) {
+  FT_HOST_DEVICE static int split(Group g, tree& t, int size, int splits, int& children,
+                                  int& multiple) {
     for (int i = g.rank(); i < size; i += g.size()) { t.place[i] = 0; }
     g.sync();
     // Places of the children, in creation order.
@@ -303,9 +311,10 @@ private:
             int const sy = split_y(parent);
             bool const right = (q & 1) != 0;
             bool const bottom = (q & 2) != 0;
-            // Written to the end of the new list first; turned around below, where their number is known.
-            t.next[created] = {right ? sx : parent.x0, bottom ? sy : parent.y0, right ? parent.x1 : sx,
-                               bottom ? parent.y1 : sy, points};
+            // Written to the end of the new list first; turned around below, where their number is
+            // known.
+            t.next[created] = {right ? sx : parent.x0, bottom ? sy : parent.y0,
+                               right ? parent.x1 : sx, bottom ? parent.y1 : sy, points};
             points = created++;
           }
         }
@@ -349,11 +358,13 @@ private:
   }
 };
 
-/// Thins the corners of every level of every image to about the wanted number. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// Thins the corners of every level of every image to about the wanted number. Asynchronous on
+/// `exec`; allocates nothing; one launch.
 template <typename Exec>
-void distribute_corners(Exec const& exec, corners_view const& corners, distribution_view const& out) {
-  for_each_item<per_block<256>>(exec, out.batch * out.layout.levels, distribute_level{}, corners, out);
+void distribute_corners(Exec const& exec, corners_view const& corners,
+                        distribution_view const& out) {
+  for_each_item<per_block<256>>(exec, out.batch * out.layout.levels, distribute_level{}, corners,
+                                out);
 }
 
 }  // namespace FT_ABI

@@ -18,7 +18,8 @@ struct nearest_cell {
   FT_HOST_DEVICE static int of(grid_geometry const& g, float x, float y) {
     float const fx = detail::mul(x - g.min_x, g.inv_width);
     float const fy = detail::mul(y - g.min_y, g.inv_height);
-    if (!(fx > -1.0f && fx < static_cast<float>(g.cols) && fy > -1.0f && fy < static_cast<float>(g.rows))) {
+    if (!(fx > -1.0f && fx < static_cast<float>(g.cols) && fy > -1.0f &&
+          fy < static_cast<float>(g.rows))) {
       return -1;  // also NaN
     }
     int const cx = round_away(fx);
@@ -34,8 +35,9 @@ struct row_cell {
   }
 };
 
-/// The grid of one image. Keypoints are taken in portions of one per thread, in order; inside a portion a
-/// thread counts the earlier ones of its cell. No sort, and the same lists on every executor.
+/// The grid of one image. Keypoints are taken in portions of one per thread, in order; inside a
+/// portion a thread counts the earlier ones of its cell. No sort, and the same lists on every
+/// executor.
 /// @tparam Cell nearest_cell or row_cell @tparam Threads of the block
 template <typename Cell, int Threads>
 struct fill_grid {
@@ -44,8 +46,8 @@ struct fill_grid {
   };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, keypoints_view const& all, int first,
-                                 int step, feature_grid_view const& grids) const {
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, keypoints_view const& all,
+                                 int first, int step, feature_grid_view const& grids) const {
     keypoints_view const kp = all.slice(first + item * step);
     feature_grid_view const grid = grids.slice(item);
     int const cells = grid.geometry.cells();
@@ -62,7 +64,8 @@ struct fill_grid {
     // start[c] moves forward while its cell fills and ends as start[c + 1]; shifted back below.
     for (int base = 0; base < n; base += g.size()) {
       int const i = base + g.rank();
-      int const c = i < n ? Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i)) : -1;
+      int const c =
+          i < n ? Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i)) : -1;
       s.cell[g.rank()] = c;
       g.sync();
       if (c >= 0) {
@@ -84,13 +87,15 @@ struct fill_grid {
   }
 };
 
-/// Grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on `exec`; allocates
-/// nothing; one launch. @tparam Cell nearest_cell (search windows) or row_cell (rectified stereo)
+/// Grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on `exec`;
+/// allocates nothing; one launch. @tparam Cell nearest_cell (search windows) or row_cell (rectified
+/// stereo)
 template <typename Cell, typename Exec>
 void build_grid(Exec const& exec, keypoints_view const& keypoints, int first, int step, int images,
                 feature_grid_view const& grids) {
   constexpr int threads = 256;
-  for_each_item<per_block<threads>>(exec, images, fill_grid<Cell, threads>{}, keypoints, first, step, grids);
+  for_each_item<per_block<threads>>(exec, images, fill_grid<Cell, threads>{}, keypoints, first,
+                                    step, grids);
 }
 
 /// The cells that a search window touches: [x0, x1] x [y0, y1], empty where x0 > x1 or y0 > y1.

@@ -37,11 +37,12 @@ FT_HOST_DEVICE inline float log_rounded(float v) {
   return static_cast<float>(::log(static_cast<double>(v)));
 }
 
-/// Tests one point against one camera. @param T_cw world to this camera @param bf 0 where there is no right
-/// coordinate
+/// Tests one point against one camera. @param T_cw world to this camera @param bf 0 where there is
+/// no right coordinate
 template <typename Camera>
-FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw, map_points_view const& map,
-                                          int slot, float bf, frustum_params const& params) {
+FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw,
+                                          map_points_view const& map, int slot, float bf,
+                                          frustum_params const& params) {
   visibility none{0, 0, 0, 0, 0, -1};
   auto const T = T_cw.cast<strict_float>();
   vec3<float> const world = get<field::position>(map, slot);
@@ -66,7 +67,8 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
   strict_float const cosine = dot(view, {n.x, n.y, n.z}) / distance;
   if (!(cosine >= params.min_cosine)) { return none; }
   strict_float const ratio = strict_float(max_distance) / distance;
-  float const level = ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
+  float const level =
+      ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
   return {x,
           y,
           (seen.pixel.x - bf / Pc.z).value,
@@ -76,13 +78,13 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
 }
 
 struct local_search_params {
-  float th = 1;                ///< factor on the search radius
-  float far_distance = 0;      ///< points further away are left out; 0 = no limit, metres
+  float th = 1;            ///< factor on the search radius
+  float far_distance = 0;  ///< points further away are left out; 0 = no limit, metres
 };
 
 /// Search window of a visible point. @param th 1 for the right camera of a fisheye pair
-FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th, bool right_column,
-                                              pyramid_geometry const& geometry) {
+FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th,
+                                              bool right_column, pyramid_geometry const& geometry) {
   strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
   float const radius = (base * th * geometry.scale[v.level]).value;
   search_window w{};
@@ -106,10 +108,11 @@ struct frustum_point {
   /// @param stamps [batch][slots] frame in which a slot was matched last @param stamp this frame's
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, pose const* poses,
-                                 map_points_view const& map, int const* slots, int const* slot_count,
-                                 int const* stamps, int const* stamp, frustum_params const& params,
-                                 local_search_params const& search, pyramid_geometry const& geometry,
-                                 search_windows_view const& out, visibility* seen) const {
+                                 map_points_view const& map, int const* slots,
+                                 int const* slot_count, int const* stamps, int const* stamp,
+                                 frustum_params const& params, local_search_params const& search,
+                                 pyramid_geometry const& geometry, search_windows_view const& out,
+                                 visibility* seen) const {
     int const b = item / out.capacity;
     int const i = item % out.capacity;
     if (i == 0) { out.count[b] = slot_count[b]; }
@@ -117,7 +120,8 @@ struct frustum_point {
     map_points_view const points = map.slice(b);
     int const slot = slots[item];
     bool const skip = slot < 0 || slot >= points.capacity ||
-                      (stamps != nullptr && stamps[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] == stamp[b]);
+                      (stamps != nullptr &&
+                       stamps[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] == stamp[b]);
     pose const T_cw = poses[b];
     constexpr int cameras = Rig::rectified ? 1 : 2;
     for (int c = 0; c < cameras; ++c) {
@@ -128,7 +132,8 @@ struct frustum_point {
         } else if (c == 0) {
           v = test_visibility(rig.left, T_cw, points, slot, 0.0f, params);
         } else {
-          pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>()).template cast<float>();
+          pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
+                                .template cast<float>();
           v = test_visibility(rig.right, T_rw, points, slot, 0.0f, params);
         }
       }
@@ -136,21 +141,24 @@ struct frustum_point {
       if (seen != nullptr) { seen[at] = v; }
       bool const out_of_reach =
           v.level < 0 || (search.far_distance > 0 && v.distance > search.far_distance);
-      out.windows[at] = out_of_reach ? search_window::none()
-                                     : window_of(v, slot, c == 0 ? search.th : 1.0f, Rig::rectified, geometry);
+      out.windows[at] =
+          out_of_reach ? search_window::none()
+                       : window_of(v, slot, c == 0 ? search.th : 1.0f, Rig::rectified, geometry);
     }
   }
 };
 
-/// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates nothing; one
-/// launch. @param seen [cameras][batch][out.capacity], or null @param stamps may be null: nothing skipped
+/// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates
+/// nothing; one launch. @param seen [cameras][batch][out.capacity], or null @param stamps may be
+/// null: nothing skipped
 template <typename Exec, typename Rig>
-void find_visible_points(Exec const& exec, Rig const& rig, pose const* poses, map_points_view const& map,
-                         int const* slots, int const* slot_count, int const* stamps, int const* stamp,
-                         frustum_params const& params, local_search_params const& search,
-                         pyramid_geometry const& geometry, search_windows_view const& out, visibility* seen) {
-  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, rig, poses, map, slots,
-                            slot_count, stamps, stamp, params, search, geometry, out, seen);
+void find_visible_points(Exec const& exec, Rig const& rig, pose const* poses,
+                         map_points_view const& map, int const* slots, int const* slot_count,
+                         int const* stamps, int const* stamp, frustum_params const& params,
+                         local_search_params const& search, pyramid_geometry const& geometry,
+                         search_windows_view const& out, visibility* seen) {
+  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, rig, poses, map,
+                            slots, slot_count, stamps, stamp, params, search, geometry, out, seen);
 }
 
 }  // namespace FT_ABI

@@ -54,8 +54,8 @@ struct moments {
 
 }  // namespace detail
 
-/// Orientation of the disc of radius 15 around (x, y) of an unblurred level; degrees, the same in every
-/// thread of the group. The disc must lie inside the level.
+/// Orientation of the disc of radius 15 around (x, y) of an unblurred level; degrees, the same in
+/// every thread of the group. The disc must lie inside the level.
 template <typename Group>
 FT_HOST_DEVICE float orientation(Group g, gray_view level, int x, int y) {
   detail::moments m{0, 0};

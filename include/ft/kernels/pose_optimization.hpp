@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stage: pose-only optimisation. Levenberg-Marquardt over the camera's pose with robust
-/// reprojection errors, mono and stereo. Source: specification section 11; Nielsen, "Damping parameter in
-/// Marquardt's method", 1999.
+/// reprojection errors, mono and stereo. Source: specification section 11; Nielsen, "Damping
+/// parameter in Marquardt's method", 1999.
 ///
-/// All in double with products kept apart and sums in a fixed order: the same pose, to the last bit, on
-/// every executor (up to the camera model's own use of trigonometric functions).
+/// All in double with products kept apart and sums in a fixed order: the same pose, to the last
+/// bit, on every executor (up to the camera model's own use of trigonometric functions).
 #pragma once
 
 #include <cstddef>
@@ -23,19 +23,21 @@ inline namespace FT_ABI {
 
 /// A map point seen at a keypoint.
 struct observation {
-  vec3<float> point;   ///< world frame, metres
-  float u, v;          ///< pixels
-  float right_u;       ///< column in the right image of a rectified pair; negative = none
-  float inv_sigma2;    ///< weight, 1 / pixels^2
-  int right_camera;    ///< 1 = seen by the right camera of a fisheye pair
+  vec3<float> point;  ///< world frame, metres
+  float u, v;         ///< pixels
+  float right_u;      ///< column in the right image of a rectified pair; negative = none
+  float inv_sigma2;   ///< weight, 1 / pixels^2
+  int right_camera;   ///< 1 = seen by the right camera of a fisheye pair
 };
 
 struct pose_params {
   int rounds = 4;
-  int steps = 10;           ///< per round
-  int trials = 10;          ///< of the damping, per step
-  double chi2_mono = 5.991;   ///< 95 % of 2 degrees of freedom
-  double chi2_stereo = 7.815; ///< 95 % of 3
+  int steps = 10;   ///< per round
+  int trials = 10;  ///< of the damping, per step
+  double small_step =
+      1e-6;  ///< a round ends after a step shorter than this in every component; rad, m
+  double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
+  double chi2_stereo = 7.815;  ///< 95 % of 3
 };
 
 namespace detail {
@@ -60,12 +62,14 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   real b = 0.0;
   real c = 0.0;
   real term = 1.0;
+  FT_UNROLL
   for (int k = 0; k < 10; ++k) {
     double const n = 2.0 * k;
     a = a + term;
-    b = b + term / (n + 2.0);
-    c = c + term / ((n + 2.0) * (n + 3.0));
-    term = -(term * theta2) / ((n + 2.0) * (n + 3.0));
+    b = b + term * (1.0 / (n + 2.0));
+    term = term * (1.0 / ((n + 2.0) * (n + 3.0)));
+    c = c + term;
+    term = -(term * theta2);
   }
   // Terms so far: 1/(2k+1)! in a, 1/(2k+2)! = that / (2k+2) in b, and so on.
   mat3<real> const W{{0.0, -w.z, w.y, w.z, 0.0, -w.x, -w.y, w.x, 0.0}};
@@ -82,8 +86,8 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   return t;
 }
 
-/// Solves the symmetric positive definite system A x = b of size 6 by LDL^T; A as upper triangle by rows.
-/// False where A is not positive definite.
+/// Solves the symmetric positive definite system A x = b of size 6 by LDL^T; A as upper triangle by
+/// rows. False where A is not positive definite.
 FT_HOST_DEVICE inline bool solve_6(double const (&upper)[21], double damping, double const (&b)[6],
                                    real (&x)[6]) {
   real L[6][6];
@@ -118,15 +122,16 @@ FT_HOST_DEVICE inline bool solve_6(double const (&upper)[21], double damping, do
 
 }  // namespace detail
 
-/// Reprojection error of one observation, its weight and Jacobian. @tparam Rig rectified_rig or stereo_rig
+/// Reprojection error of one observation, its weight and Jacobian. @tparam Rig rectified_rig or
+/// stereo_rig
 template <typename Rig>
 struct reprojection {
   using real = detail::real;
 
-  real error[3];        ///< measured minus predicted; the third only with a right column
-  int rows;             ///< 2 or 3
-  vec3<real> in_body;   ///< point in the left camera's frame
-  vec3<real> in_camera; ///< point in the seeing camera's frame
+  real error[3];         ///< measured minus predicted; the third only with a right column
+  int rows;              ///< 2 or 3
+  vec3<real> in_body;    ///< point in the left camera's frame
+  vec3<real> in_camera;  ///< point in the seeing camera's frame
 
   FT_HOST_DEVICE reprojection(Rig const& rig, detail::transform const& T_cw, observation const& o) {
     in_body = T_cw * vec3<real>{static_cast<double>(o.point.x), static_cast<double>(o.point.y),
@@ -143,7 +148,8 @@ struct reprojection {
         real const iz = static_cast<double>(static_cast<float>((1.0 / in_body.z).value));
         u = real(static_cast<double>(c.fx)) * in_body.x * iz + static_cast<double>(c.cx);
         v = real(static_cast<double>(c.fy)) * in_body.y * iz + static_cast<double>(c.cy);
-        error[2] = real(static_cast<double>(o.right_u)) - (u - real(static_cast<double>(rig.bf)) * iz);
+        error[2] =
+            real(static_cast<double>(o.right_u)) - (u - real(static_cast<double>(rig.bf)) * iz);
       } else {
         u = real(static_cast<double>(c.fx)) * in_body.x / in_body.z + static_cast<double>(c.cx);
         v = real(static_cast<double>(c.fy)) * in_body.y / in_body.z + static_cast<double>(c.cy);
@@ -186,7 +192,8 @@ struct reprojection {
         mat3<real> const R = rig.T_rl.template cast<real>().R;
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) {
-            P[r][k] = j.m[3 * r] * R.m[k] + j.m[3 * r + 1] * R.m[3 + k] + j.m[3 * r + 2] * R.m[6 + k];
+            P[r][k] =
+                j.m[3 * r] * R.m[k] + j.m[3 * r + 1] * R.m[3 + k] + j.m[3 * r + 2] * R.m[6 + k];
           }
         }
       } else {
@@ -214,9 +221,9 @@ struct reprojection {
 struct pose_problem {
   observation const* observations;
   int count;
-  pose const* start;           ///< T_cw
-  pose* result;                ///< T_cw; the start where nothing can be done
-  unsigned char* outlier;      ///< [count]
+  pose const* start;       ///< T_cw
+  pose* result;            ///< T_cw; the start where nothing can be done
+  unsigned char* outlier;  ///< [count]
   int* inliers;
 };
 
@@ -269,8 +276,9 @@ struct optimize_pose {
 private:
   /// Cost, gradient and curvature over the inliers at T.
   template <typename Group>
-  FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig, pose_problem const& problem,
-                                       pose_params const& params, detail::transform const& T, bool robust,
+  FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig,
+                                       pose_problem const& problem, pose_params const& params,
+                                       detail::transform const& T, bool robust,
                                        double (&sums)[terms]) {
     using detail::real;
     ordered_sum<terms>(
@@ -309,7 +317,8 @@ private:
 
   template <typename Group>
   FT_HOST_DEVICE static detail::transform run_round(Group g, scratch& s, Rig const& rig,
-                                                    pose_problem const& problem, pose_params const& params,
+                                                    pose_problem const& problem,
+                                                    pose_params const& params,
                                                     detail::transform const& start, bool robust) {
     using detail::real;
     detail::transform T = start;
@@ -344,12 +353,16 @@ private:
           real const gain = (real(now[0]) - trial_sums[0]) / expected;
           if (gain > 0.0 && scalar::is_finite(real(trial_sums[0]))) {
             real const m = real(2.0) * gain - 1.0;
-            real const factor = max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
+            real const factor =
+                max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
             lambda = (real(lambda) * factor).value;
             growth = 2;
             T = next;
             for (int k = 0; k < terms; ++k) { now[k] = trial_sums[k]; }
             accepted = true;
+            bool small = true;
+            for (int k = 0; k < 6; ++k) { small = small && scalar::abs(d[k]) < params.small_step; }
+            if (small) { return T; }
           }
         }
         if (!accepted) {
@@ -364,13 +377,14 @@ private:
   }
 };
 
-/// Observations of a frame: every keypoint that holds a map point, in the order of keypoint numbers.
+/// Observations of a frame: every keypoint that holds a map point, in the order of keypoint
+/// numbers.
 struct observations_view {
-  observation* items = nullptr;     ///< [batch][capacity]
-  int* number = nullptr;            ///< [batch][capacity] keypoint number of an observation
-  unsigned char* outlier = nullptr; ///< [batch][capacity]
-  int* count = nullptr;             ///< [batch]
-  int* inliers = nullptr;           ///< [batch]
+  observation* items = nullptr;      ///< [batch][capacity]
+  int* number = nullptr;             ///< [batch][capacity] keypoint number of an observation
+  unsigned char* outlier = nullptr;  ///< [batch][capacity]
+  int* count = nullptr;              ///< [batch]
+  int* inliers = nullptr;            ///< [batch]
   int capacity = 0;
 };
 
@@ -391,9 +405,10 @@ struct optimize_frame_pose {
   using scratch = typename optimize_pose<Rig>::scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, Rig const& rig, frame_view const& frame,
-                                 map_points_view const& map, pyramid_geometry const& geometry,
-                                 pose_params const& params, pose const* start, pose* result,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, Rig const& rig,
+                                 frame_view const& frame, map_points_view const& map,
+                                 pyramid_geometry const& geometry, pose_params const& params,
+                                 pose const* start, pose* result,
                                  observations_view const& out) const {
     map_points_view const points = map.slice(b);
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
@@ -408,12 +423,16 @@ struct optimize_frame_pose {
         int total = 0;
         int const place = n + g.exclusive_scan(static_cast<int>(slot >= 0), total);
         if (slot >= 0) {
-          float const right = Rig::rectified && frame.right_x != nullptr
-                                  ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
-                                  : -1.0f;
-          out.items[at + place] = {get<field::position>(points, slot), get<field::x>(kp, k),
-                                   get<field::y>(kp, k), right,
-                                   geometry.inv_sigma2[get<field::octave>(kp, k)], c};
+          float const right =
+              Rig::rectified && frame.right_x != nullptr
+                  ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
+                  : -1.0f;
+          out.items[at + place] = {get<field::position>(points, slot),
+                                   get<field::x>(kp, k),
+                                   get<field::y>(kp, k),
+                                   right,
+                                   geometry.inv_sigma2[get<field::octave>(kp, k)],
+                                   c};
           out.number[at + place] = number;
         }
         n += total;
@@ -421,9 +440,10 @@ struct optimize_frame_pose {
     }
     g.sync();
     if (g.rank() == 0) { out.count[b] = n; }
-    optimize_pose<Rig>{}(g, s, rig,
-                         pose_problem{out.items + at, n, start + b, result + b, out.outlier + at, out.inliers + b},
-                         params);
+    optimize_pose<Rig>{}(
+        g, s, rig,
+        pose_problem{out.items + at, n, start + b, result + b, out.outlier + at, out.inliers + b},
+        params);
     g.sync();
     for (int i = g.rank(); i < n; i += g.size()) {
       if (out.outlier[at + i] != 0) { holder[out.number[at + i]] = -1; }
@@ -431,15 +451,17 @@ struct optimize_frame_pose {
   }
 };
 
-/// Pose of every frame from the map points that its keypoints hold; outliers are released. Asynchronous on
-/// `exec`; allocates nothing; one launch. @param start,result [batch] T_cw, may be the same
+/// Pose of every frame from the map points that its keypoints hold; outliers are released.
+/// Asynchronous on `exec`; allocates nothing; one launch. @param start,result [batch] T_cw, may be
+/// the same
 /// @param out capacity at least frame.numbers()
 template <typename Exec, typename Rig>
-void optimize_poses(Exec const& exec, Rig const& rig, frame_view const& frame, map_points_view const& map,
-                    pyramid_geometry const& geometry, pose_params const& params, pose const* start,
-                    pose* result, observations_view const& out) {
-  for_each_item<per_block<sum_lanes>>(exec, frame.batch, optimize_frame_pose<Rig>{}, rig, frame, map, geometry,
-                                      params, start, result, out);
+void optimize_poses(Exec const& exec, Rig const& rig, frame_view const& frame,
+                    map_points_view const& map, pyramid_geometry const& geometry,
+                    pose_params const& params, pose const* start, pose* result,
+                    observations_view const& out) {
+  for_each_item<per_block<sum_lanes>>(exec, frame.batch, optimize_frame_pose<Rig>{}, rig, frame,
+                                      map, geometry, params, start, result, out);
 }
 
 }  // namespace FT_ABI

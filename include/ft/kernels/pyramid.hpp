@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: scale pyramid. Each level is the bilinear resize of the one before it, bit-identical to
-/// cv::resize(INTER_LINEAR) on 8-bit images. Source: specification section 1.
+/// @file Stage: scale pyramid. Each level is the bilinear resize of the one before it,
+/// bit-identical to cv::resize(INTER_LINEAR) on 8-bit images. Source: specification section 1.
 #pragma once
 
 #include <cmath>
@@ -78,18 +78,20 @@ struct resize_row {
       int const x1 = h.first + h.offset;
       int const h0 = row0[h.first] * h.w0 + row0[x1] * h.w1;
       int const h1 = row1[h.first] * h.w0 + row1[x1] * h.w1;
-      out[x] = static_cast<std::uint8_t>((((b0 * (h0 >> 4)) >> 16) + ((b1 * (h1 >> 4)) >> 16) + 2) >> 2);
+      out[x] =
+          static_cast<std::uint8_t>((((b0 * (h0 >> 4)) >> 16) + ((b1 * (h1 >> 4)) >> 16) + 2) >> 2);
     }
   }
 };
 
-/// Levels 1.. of every image from its level 0. Asynchronous on `exec`; allocates nothing; one launch per
-/// level, whatever the batch. @param taps from make_resize_taps, in the executor's memory
+/// Levels 1.. of every image from its level 0. Asynchronous on `exec`; allocates nothing; one
+/// launch per level, whatever the batch. @param taps from make_resize_taps, in the executor's
+/// memory
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps) {
   for (int l = 1; l < pyramid.geometry.levels; ++l) {
-    for_each_item<per_block<128>>(exec, pyramid.batch * pyramid.geometry.height[l], resize_row{}, pyramid,
-                                  taps, l);
+    for_each_item<per_block<128>>(exec, pyramid.batch * pyramid.geometry.height[l], resize_row{},
+                                  pyramid, taps, l);
   }
 }
 

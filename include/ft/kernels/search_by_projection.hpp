@@ -2,12 +2,13 @@
 /// @file Stage: search by projection, from the last frame and in the local map.
 /// Source: specification sections 9 and 10.
 ///
-/// The searches are sequential by definition: map points come in order, and a keypoint taken by one is
-/// not there for the next. Here all points list their candidates at once; then, in rounds, every point
-/// without an answer marks the keypoints it may take with its number, and a point whose candidates carry no
-/// lower number has the same choice as in the sequential loop and makes it. The lowest open point always
-/// does, so the rounds end; in practice a few are enough. (Deterministic reservations: Blelloch, Fineman,
-/// Gibbons, Shun, "Internally deterministic parallel algorithms can be fast", PPoPP 2012.)
+/// The searches are sequential by definition: map points come in order, and a keypoint taken by one
+/// is not there for the next. Here all points list their candidates at once; then, in rounds, every
+/// point without an answer marks the keypoints it may take with its number, and a point whose
+/// candidates carry no lower number has the same choice as in the sequential loop and makes it. The
+/// lowest open point always does, so the rounds end; in practice a few are enough. (Deterministic
+/// reservations: Blelloch, Fineman, Gibbons, Shun, "Internally deterministic parallel algorithms
+/// can be fast", PPoPP 2012.)
 #pragma once
 
 #include <cmath>
@@ -25,22 +26,26 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The current frame as the searches see it. One camera, or two of a fisheye pair: keypoints of camera c of
-/// batch entry b are batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of camera c has number
-/// c * capacity + k in the arrays below, which have `cameras * capacity` entries per batch entry.
+/// The current frame as the searches see it. One camera, or two of a fisheye pair: keypoints of
+/// camera c of batch entry b are batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of
+/// camera c has number c * capacity + k in the arrays below, which have `cameras * capacity`
+/// entries per batch entry.
 struct frame_view {
   keypoints_view keypoints;
   int keypoint_step = 2;
   int cameras = 1;
   int batch = 1;
-  feature_grid_view grids;         ///< batch entry cameras * b + c
-  float const* right_x = nullptr;  ///< [batch][capacity] column in the right image, -1 = none; or null
-  int const* partner = nullptr;    ///< number of the stereo partner, -1 = none; or null
-  int* holder = nullptr;           ///< slot of the map point that a keypoint holds, -1 = none
+  feature_grid_view grids;  ///< batch entry cameras * b + c
+  float const* right_x =
+      nullptr;  ///< [batch][capacity] column in the right image, -1 = none; or null
+  int const* partner = nullptr;  ///< number of the stereo partner, -1 = none; or null
+  int* holder = nullptr;         ///< slot of the map point that a keypoint holds, -1 = none
 
   FT_HOST_DEVICE int capacity() const { return keypoints.capacity; }
   FT_HOST_DEVICE int numbers() const { return cameras * keypoints.capacity; }
-  FT_HOST_DEVICE keypoints_view camera(int b, int c) const { return keypoints.slice(keypoint_step * b + c); }
+  FT_HOST_DEVICE keypoints_view camera(int b, int c) const {
+    return keypoints.slice(keypoint_step * b + c);
+  }
 };
 
 enum class search_kind {
@@ -57,13 +62,14 @@ struct search_params {
 /// Candidates of one search and the state of the assignment.
 struct search_workspace {
   static constexpr int list_size = 16;  ///< longer lists are walked in the grid again, none is cut
-  std::uint32_t* list = nullptr;  ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
-  int* list_count = nullptr;      ///< [cameras][batch][capacity], may exceed list_size
-  int* match = nullptr;           ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
-  int* touch = nullptr;           ///< [batch][numbers] lowest open window that may take a keypoint
-  int* open = nullptr;            ///< [batch][capacity] 1 = without an answer
-  int* matches = nullptr;         ///< [batch] keypoints that were given a point
-  int capacity = 0;               ///< windows
+  std::uint32_t* list =
+      nullptr;                ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
+  int* list_count = nullptr;  ///< [cameras][batch][capacity], may exceed list_size
+  int* match = nullptr;    ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
+  int* touch = nullptr;    ///< [batch][numbers] lowest open window that may take a keypoint
+  int* open = nullptr;     ///< [batch][capacity] 1 = without an answer
+  int* matches = nullptr;  ///< [batch] keypoints that were given a point
+  int capacity = 0;        ///< windows
   int batch = 0;
   int cameras = 1;
 
@@ -72,7 +78,8 @@ struct search_workspace {
   }
 };
 
-inline void carve(carver& c, search_workspace& v, int windows, int keypoints, int batch, int cameras) {
+inline void carve(carver& c, search_workspace& v, int windows, int keypoints, int batch,
+                  int cameras) {
   v.capacity = windows;
   v.batch = batch;
   v.cameras = cameras;
@@ -81,7 +88,8 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.list = c.take<std::uint32_t>(detail::checked_mul(n, search_workspace::list_size));
   v.list_count = c.take<int>(n);
   v.match = c.take<int>(n);
-  v.touch = c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
+  v.touch =
+      c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
   v.open = c.take<int>(b * static_cast<std::size_t>(windows));
   v.matches = c.take<int>(b);
 }
@@ -99,7 +107,9 @@ namespace detail {
 /// Largest descriptor distance that can matter: to be taken, or to be second best.
 FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
   return p.kind == search_kind::local_map && p.ratio > 0
-             ? max_of(p.max_distance, min_of(256, static_cast<int>(static_cast<float>(p.max_distance) / p.ratio) + 1))
+             ? max_of(
+                   p.max_distance,
+                   min_of(256, static_cast<int>(static_cast<float>(p.max_distance) / p.ratio) + 1))
              : p.max_distance;
 }
 
@@ -134,7 +144,9 @@ struct list_candidates {
     int const limit = detail::listed_distance(params);
     int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     float const* const right_x =
-        frame.right_x == nullptr ? nullptr : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
+        frame.right_x == nullptr
+            ? nullptr
+            : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
     bool left_empty = false;
     for (int c = 0; c < frame.cameras; ++c) {
       search_window const w = windows.at(c, b, i);
@@ -150,7 +162,8 @@ struct list_candidates {
             // With one camera a keypoint that is taken stays taken.
             int const held = frame.cameras == 1 ? holder[k] : -1;
             if (held < 0 || get<field::observations>(points, held) <= 0) {
-              distance = detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
+              distance =
+                  detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
             }
             in_window += static_cast<int>(inside(w, kp, k));
           }
@@ -184,7 +197,12 @@ struct assign_keypoints {
                                  search_workspace const& work) const {
     if (gate.closed(b)) { return; }
     static_assert(Rounds || Group::max_threads == 1, "the plain loop is for one thread");
-    context const ctx{b, frame, map.slice(b), windows, params, work,
+    context const ctx{b,
+                      frame,
+                      map.slice(b),
+                      windows,
+                      params,
+                      work,
                       frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
                       work.touch + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
                       frame.partner == nullptr
@@ -199,9 +217,7 @@ struct assign_keypoints {
     }
     constexpr int untouched = 0x7fffffff;
     int* const open = work.open + static_cast<std::ptrdiff_t>(b) * work.capacity;
-    for (int i = g.rank(); i < n; i += g.size()) {
-      open[i] = 1;
-    }
+    for (int i = g.rank(); i < n; i += g.size()) { open[i] = 1; }
     for (;;) {
       for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.touch[k] = untouched; }
       g.sync();
@@ -246,7 +262,8 @@ private:
 
   /// Calls visit(keypoint, distance) for the candidates of window i in camera c, in order.
   template <typename Visit>
-  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i, Visit const& visit) {
+  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i,
+                                                Visit const& visit) {
     std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
     int const n = ctx.work.list_count[at];
     if (n <= search_workspace::list_size) {
@@ -264,10 +281,11 @@ private:
         ctx.frame.right_x == nullptr || c != 0
             ? nullptr
             : ctx.frame.right_x + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.capacity();
-    visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c), [&](int k) {
-      int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
-      if (distance >= 0) { visit(k, distance); }
-    });
+    visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c),
+                [&](int k) {
+                  int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
+                  if (distance >= 0) { visit(k, distance); }
+                });
   }
 
   FT_HOST_DEVICE static bool passes_on(context const& ctx) {
@@ -291,7 +309,8 @@ private:
     return held >= 0 && get<field::observations>(ctx.points, held) > 0;
   }
 
-  /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was given.
+  /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was
+  /// given.
   FT_HOST_DEVICE static int decide(context const& ctx, int i) {
     int taken = 0;
     bool refused = false;
@@ -339,32 +358,36 @@ private:
 };
 
 /// Candidates and greedy assignment of a search, equal to the sequential loop for any input: fills
-/// `frame.holder`, `work.match` and `work.matches`. Asynchronous on `exec`; allocates nothing; two launches.
+/// `frame.holder`, `work.match` and `work.matches`. Asynchronous on `exec`; allocates nothing; two
+/// launches.
 template <typename Exec>
 void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
                           search_windows_view const& windows, search_params const& params,
                           search_gate const& gate, search_workspace const& work) {
-  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_candidates{}, frame, map, windows,
-                          params, gate, work);
-  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame, map,
-                                windows, params, gate, work);
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_candidates{}, frame, map,
+                          windows, params, gate, work);
+  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame,
+                                map, windows, params, gate, work);
 }
 
-// ---- search from the last frame -------------------------------------------------------------------
+// ---- search from the last frame
+// -------------------------------------------------------------------
 
-/// The frame before, as far as the search needs it: keypoints of both cameras of a fisheye pair, left then
-/// right; of a rectified pair the left ones.
+/// The frame before, as far as the search needs it: keypoints of both cameras of a fisheye pair,
+/// left then right; of a rectified pair the left ones.
 struct last_frame_view {
   soa_view<field::angle, field::octave> keypoints;
   int keypoint_step = 2;
   int cameras = 1;
-  int const* holder = nullptr;  ///< [batch][cameras * capacity] slot of an inlier map point, -1 = none
+  int const* holder =
+      nullptr;  ///< [batch][cameras * capacity] slot of an inlier map point, -1 = none
 };
 
 struct last_search_params {
-  float th = 7;             ///< window half side at scale 1, pixels
-  bool mono = false;        ///< no direction of motion
-  bool reference_quirks = false;  ///< project into the right fisheye camera with the left one's model
+  float th = 7;       ///< window half side at scale 1, pixels
+  bool mono = false;  ///< no direction of motion
+  bool reference_quirks =
+      false;  ///< project into the right fisheye camera with the left one's model
   float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
 };
 
@@ -384,13 +407,16 @@ struct project_last_point {
     if (gate.closed(b)) { return; }
     // Left keypoints then right ones, without a gap: the order of the search.
     int const left_count = last.keypoints.count[last.keypoint_step * b];
-    int const right_count = last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0;
+    int const right_count =
+        last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0;
     if (i == 0) { out.count[b] = left_count + right_count; }
     if (i >= left_count + right_count) { return; }
     int const c_last = i < left_count ? 0 : 1;
     int const k = i < left_count ? i : i - left_count;
     int const number = c_last * last.keypoints.capacity + k;
-    int const slot = last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity + number];
+    int const slot =
+        last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity +
+                    number];
     constexpr int cameras = Rig::rectified ? 1 : 2;
     for (int c = 0; c < cameras; ++c) { at(out, c, item) = search_window::none(); }
     map_points_view const points = map.slice(b);
@@ -440,7 +466,8 @@ private:
   FT_HOST_DEVICE static search_window& at(search_windows_view const& out, int camera, int item) {
     return out.windows[static_cast<std::ptrdiff_t>(camera) * out.batch * out.capacity + item];
   }
-  FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p, last_search_params const& b) {
+  FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,
+                                       last_search_params const& b) {
     return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&
            p.pixel.y <= b.max_y;
   }
@@ -502,7 +529,9 @@ struct check_orientation {
         if (k < 0) { continue; }
         int const r = bin(frame, last, b, c, i, k);
         if (r != top[0] && r != top[1] && r != top[2]) {
-          frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] = -1;
+          frame
+              .holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] =
+              -1;
           k = -1;
           ++dropped;
         }
@@ -513,8 +542,8 @@ struct check_orientation {
   }
 
 private:
-  FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c, int i,
-                                int k) {
+  FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c,
+                                int i, int k) {
     int const left_count = last.keypoints.count[last.keypoint_step * b];
     auto const from = last.keypoints.slice(last.keypoint_step * b + (i < left_count ? 0 : 1));
     float rotation = get<field::angle>(from, i < left_count ? i : i - left_count) -
@@ -536,23 +565,25 @@ struct clear_holders {
   }
 };
 
-/// Search from the last frame: windows, candidates, assignment, orientation check; from empty holders.
-/// Asynchronous on `exec`; allocates nothing; five launches.
+/// Search from the last frame: windows, candidates, assignment, orientation check; from empty
+/// holders. Asynchronous on `exec`; allocates nothing; five launches.
 /// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
-                       frame_view const& frame, last_frame_view const& last, map_points_view const& map,
-                       last_search_params const& params, pyramid_geometry const& geometry,
-                       search_gate const& gate, search_windows_view const& windows,
-                       search_workspace const& work, bool orientation_check = true) {
+                       frame_view const& frame, last_frame_view const& last,
+                       map_points_view const& map, last_search_params const& params,
+                       pyramid_geometry const& geometry, search_gate const& gate,
+                       search_windows_view const& windows, search_workspace const& work,
+                       bool orientation_check = true) {
   for_each_item<per_thread>(exec, frame.batch * frame.numbers(), clear_holders{}, frame, gate);
-  for_each_item<per_thread>(exec, windows.batch * windows.capacity, project_last_point<Rig>{}, rig, poses,
-                            last_poses, last, map, params, geometry, gate, windows);
+  for_each_item<per_thread>(exec, windows.batch * windows.capacity, project_last_point<Rig>{}, rig,
+                            poses, last_poses, last, map, params, geometry, gate, windows);
   search_params search;
   search.kind = search_kind::last_frame;
   search_by_projection(exec, frame, map, windows, search, gate, work);
   if (orientation_check) {
-    for_each_item<per_block<256>>(exec, frame.batch, check_orientation{}, frame, last, windows, gate, work);
+    for_each_item<per_block<256>>(exec, frame.batch, check_orientation{}, frame, last, windows,
+                                  gate, work);
   }
 }
 

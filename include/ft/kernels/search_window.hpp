@@ -15,13 +15,13 @@ inline namespace FT_ABI {
 
 /// A square of keypoint positions and a range of octaves.
 struct search_window {
-  float x, y;          ///< centre, pixels
-  float radius;        ///< half side, and tolerance of the right column; pixels
-  float right_x;       ///< predicted column in the right image
-  int min_level;       ///< 0 or below: no lower limit
-  int max_level;       ///< below 0: no upper limit
-  int slot;            ///< map point looked for; -1 = this window is not searched
-  bool check_right;    ///< compare right columns where the keypoint has one
+  float x, y;        ///< centre, pixels
+  float radius;      ///< half side, and tolerance of the right column; pixels
+  float right_x;     ///< predicted column in the right image
+  int min_level;     ///< 0 or below: no lower limit
+  int max_level;     ///< below 0: no upper limit
+  int slot;          ///< map point looked for; -1 = this window is not searched
+  bool check_right;  ///< compare right columns where the keypoint has one
 
   FT_HOST_DEVICE static search_window none() { return {0, 0, 0, 0, 0, 0, -1, false}; }
 };
@@ -43,13 +43,14 @@ inline void carve(carver& c, search_windows_view& v, int capacity, int batch, in
   v.capacity = capacity;
   v.batch = batch;
   v.cameras = cameras;
-  v.windows = c.take<search_window>(static_cast<std::size_t>(cameras) * static_cast<std::size_t>(batch) *
-                                    static_cast<std::size_t>(capacity));
+  v.windows =
+      c.take<search_window>(static_cast<std::size_t>(cameras) * static_cast<std::size_t>(batch) *
+                            static_cast<std::size_t>(capacity));
   v.count = c.take<int>(static_cast<std::size_t>(batch));
 }
 
-/// Calls visit(k) in the grid's order for every keypoint of the window's cells, k = -1 for threads of the
-/// group that have none in a step; every thread takes part in every call.
+/// Calls visit(k) in the grid's order for every keypoint of the window's cells, k = -1 for threads
+/// of the group that have none in a step; every thread takes part in every call.
 template <typename Group, typename Visit>
 FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_view const& grid,
                                 Visit const& visit) {
@@ -70,7 +71,8 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
 FT_HOST_DEVICE inline bool inside(search_window const& w, keypoints_view const& kp, int k) {
   int const octave = get<field::octave>(kp, k);
   return octave >= w.min_level && (w.max_level < 0 || octave <= w.max_level) &&
-         ::fabsf(get<field::x>(kp, k) - w.x) < w.radius && ::fabsf(get<field::y>(kp, k) - w.y) < w.radius;
+         ::fabsf(get<field::x>(kp, k) - w.x) < w.radius &&
+         ::fabsf(get<field::y>(kp, k) - w.y) < w.radius;
 }
 
 }  // namespace FT_ABI

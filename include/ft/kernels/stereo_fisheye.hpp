@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: stereo matching of two cameras without rectification: brute force with a ratio test, then
-/// triangulation and its checks. Source: specification section 6; Hartley and Zisserman, "Multiple View
-/// Geometry", section 12.2 (linear triangulation).
+/// @file Stage: stereo matching of two cameras without rectification: brute force with a ratio
+/// test, then triangulation and its checks. Source: specification section 6; Hartley and Zisserman,
+/// "Multiple View Geometry", section 12.2 (linear triangulation).
 #pragma once
 
 #include <cstddef>
@@ -17,19 +17,19 @@ namespace ft {
 inline namespace FT_ABI {
 
 struct fisheye_stereo_params {
-  int ratio_num = 7;           ///< best distance below ratio_num / ratio_den of the second best
+  int ratio_num = 7;  ///< best distance below ratio_num / ratio_den of the second best
   int ratio_den = 10;
   float max_cosine = 0.9998f;  ///< between the two rays; above, the parallax is too small
   float chi2 = 5.991f;         ///< reprojection error, in units of the octave's variance
   float min_depth = 1e-4f;     ///< metres
 };
 
-/// Stereo partners and points of a batch of pairs. Keypoint k of the left camera has number k, of the right
-/// one capacity + k.
+/// Stereo partners and points of a batch of pairs. Keypoint k of the left camera has number k, of
+/// the right one capacity + k.
 struct fisheye_matches_view {
-  int* partner = nullptr;       ///< [batch][2 * capacity] number of the partner, -1 = none
-  float* depth = nullptr;       ///< [batch][capacity] of left keypoints, metres, -1 = none
-  vec3<float>* point = nullptr; ///< [batch][capacity] in the left camera's frame, 0 = none
+  int* partner = nullptr;        ///< [batch][2 * capacity] number of the partner, -1 = none
+  float* depth = nullptr;        ///< [batch][capacity] of left keypoints, metres, -1 = none
+  vec3<float>* point = nullptr;  ///< [batch][capacity] in the left camera's frame, 0 = none
   int capacity = 0;
   int batch = 0;
 };
@@ -68,7 +68,8 @@ struct merge_two_nearest {
   }
 };
 
-/// Eigenvector of the smallest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations in a fixed order.
+/// Eigenvector of the smallest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations in a
+/// fixed order.
 FT_HOST_DEVICE inline void smallest_eigenvector_4(strict_double (&a)[4][4], strict_double (&v)[4]) {
   strict_double e[4][4];
   for (int i = 0; i < 4; ++i) {
@@ -113,8 +114,10 @@ FT_HOST_DEVICE inline void smallest_eigenvector_4(strict_double (&a)[4][4], stri
   }
 }
 
-/// Point in the left frame whose images are the z = 1 rays `left` and `right`. @param T_rl left to right
-FT_HOST_DEVICE inline vec3<float> triangulate(vec3<float> left, vec3<float> right, pose const& T_rl) {
+/// Point in the left frame whose images are the z = 1 rays `left` and `right`. @param T_rl left to
+/// right
+FT_HOST_DEVICE inline vec3<float> triangulate(vec3<float> left, vec3<float> right,
+                                              pose const& T_rl) {
   strict_double P[2][3][4];
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 4; ++j) { P[0][i][j] = i == j ? 1.0 : 0.0; }
@@ -155,7 +158,8 @@ struct clear_partners {
     out.partner[item] = -1;
     int const k = item % (2 * out.capacity);
     if (k < out.capacity) {
-      std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(item / (2 * out.capacity)) * out.capacity + k;
+      std::ptrdiff_t const at =
+          static_cast<std::ptrdiff_t>(item / (2 * out.capacity)) * out.capacity + k;
       out.depth[at] = -1;
       out.point[at] = {0, 0, 0};
     }
@@ -168,9 +172,11 @@ struct match_fisheye_keypoint {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, Rig const& rig, keypoints_view const& keypoints,
-                                 int const* mono_count, pyramid_geometry const& geometry,
-                                 fisheye_stereo_params const& params, fisheye_matches_view const& out) const {
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, Rig const& rig,
+                                 keypoints_view const& keypoints, int const* mono_count,
+                                 pyramid_geometry const& geometry,
+                                 fisheye_stereo_params const& params,
+                                 fisheye_matches_view const& out) const {
     int const pair = item / out.capacity;
     int const i = item % out.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
@@ -201,7 +207,8 @@ struct match_fisheye_keypoint {
 
 private:
   FT_HOST_DEVICE static bool accept(Rig const& rig, keypoints_view const& left, int i,
-                                    keypoints_view const& right, int j, pyramid_geometry const& geometry,
+                                    keypoints_view const& right, int j,
+                                    pyramid_geometry const& geometry,
                                     fisheye_stereo_params const& params, vec3<float>& point) {
     using real = strict_float;
     vec2<real> const pl{get<field::x>(left, i), get<field::y>(left, i)};
@@ -212,14 +219,18 @@ private:
     vec3<real> const r = cam_r.unproject(pr).direction;
     auto const T_rl = rig.T_rl.template cast<real>();
     vec3<real> const r_in_l = T_rl.R.transposed() * r;
-    real const cosine = dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
+    real const cosine =
+        dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
     if (!(cosine <= params.max_cosine)) { return false; }
-    point = detail::triangulate({l.x.value, l.y.value, l.z.value}, {r.x.value, r.y.value, r.z.value}, rig.T_rl);
+    point = detail::triangulate({l.x.value, l.y.value, l.z.value},
+                                {r.x.value, r.y.value, r.z.value}, rig.T_rl);
     vec3<real> const in_l{point.x, point.y, point.z};
     vec3<real> const in_r = T_rl * in_l;
     if (!(in_l.z > 0.0f && in_r.z > 0.0f)) { return false; }
-    return near_enough(cam_l.project(in_l).pixel, pl, geometry.sigma2[get<field::octave>(left, i)], params) &&
-           near_enough(cam_r.project(in_r).pixel, pr, geometry.sigma2[get<field::octave>(right, j)], params) &&
+    return near_enough(cam_l.project(in_l).pixel, pl, geometry.sigma2[get<field::octave>(left, i)],
+                       params) &&
+           near_enough(cam_r.project(in_r).pixel, pr, geometry.sigma2[get<field::octave>(right, j)],
+                       params) &&
            point.z > params.min_depth;
   }
   FT_HOST_DEVICE static bool near_enough(vec2<strict_float> a, vec2<strict_float> b, float sigma2,
@@ -230,16 +241,16 @@ private:
   }
 };
 
-/// Partners, depths and points of the keypoints in the overlap of every pair; images 2 b and 2 b + 1 are
-/// pair b. Asynchronous on `exec`; allocates nothing; two launches.
+/// Partners, depths and points of the keypoints in the overlap of every pair; images 2 b and 2 b +
+/// 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param mono_count [images] keypoints before the overlap's, from describe_corners
 template <typename Exec, typename Rig>
 void match_stereo_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
                           int const* mono_count, pyramid_geometry const& geometry,
                           fisheye_stereo_params const& params, fisheye_matches_view const& out) {
   for_each_item<per_thread>(exec, 2 * out.batch * out.capacity, clear_partners{}, out);
-  for_each_item<per_warp>(exec, out.batch * out.capacity, match_fisheye_keypoint<Rig>{}, rig, keypoints,
-                          mono_count, geometry, params, out);
+  for_each_item<per_warp>(exec, out.batch * out.capacity, match_fisheye_keypoint<Rig>{}, rig,
+                          keypoints, mono_count, geometry, params, out);
 }
 
 }  // namespace FT_ABI

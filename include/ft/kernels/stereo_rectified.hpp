@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: stereo matching of a rectified pair, with sub-pixel refinement and a cut of outliers.
-/// Source: specification section 5.
+/// @file Stage: stereo matching of a rectified pair, with sub-pixel refinement and a cut of
+/// outliers. Source: specification section 5.
 #pragma once
 
 #include <cmath>
@@ -26,15 +26,16 @@ struct stereo_params {
 
 /// One left keypoint: its best right one on the row band, then the refined column.
 struct match_left_keypoint {
-  static constexpr int half = 5;       ///< of the window, and the largest shift
+  static constexpr int half = 5;  ///< of the window, and the largest shift
   static constexpr int side = 2 * half + 1;
   using scratch = no_scratch;
 
   /// Images 2 b and 2 b + 1 of the batch are pair b.
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
-                                 keypoints_view const& keypoints, feature_grid_view const& right_rows,
-                                 stereo_params const& params, stereo_matches_view const& out) const {
+                                 keypoints_view const& keypoints,
+                                 feature_grid_view const& right_rows, stereo_params const& params,
+                                 stereo_matches_view const& out) const {
     int const pair = item / keypoints.capacity;
     int const i = item % keypoints.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
@@ -59,8 +60,10 @@ struct match_left_keypoint {
     int const vl = round_away(detail::mul(get<field::y>(left, i), inv));
     int const ur = round_away(detail::mul(get<field::x>(right, j), inv));
     if (ur < 0 || ur + side >= level_r.width) { return; }
-    // Cannot happen for extracted keypoints, which stay 19 px inside; a caller's own may be anywhere.
-    if (ur < 2 * half || ul < half || ul + half >= level_l.width || vl < half || vl + half >= level_l.height) {
+    // Cannot happen for extracted keypoints, which stay 19 px inside; a caller's own may be
+    // anywhere.
+    if (ur < 2 * half || ul < half || ul + half >= level_l.width || vl < half ||
+        vl + half >= level_l.height) {
       return;
     }
 
@@ -97,8 +100,9 @@ struct match_left_keypoint {
     strict_float const d3 = static_cast<float>(after);
     strict_float const delta = (d1 - d3) / (2.0f * (d1 + d3 - 2.0f * d2));
     if (!(delta >= -1.0f && delta <= 1.0f)) { return; }
-    strict_float column = pyramid.geometry.scale[octave] *
-                          (strict_float(static_cast<float>(ur)) + static_cast<float>(best - half) + delta);
+    strict_float column =
+        pyramid.geometry.scale[octave] *
+        (strict_float(static_cast<float>(ur)) + static_cast<float>(best - half) + delta);
     strict_float disparity = u - column;
     if (!(disparity >= 0.0f && disparity < params.max_disparity)) { return; }
     if (disparity <= 0.0f) {
@@ -111,11 +115,12 @@ struct match_left_keypoint {
   }
 
 private:
-  /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 for none near enough.
+  /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 for none near
+  /// enough.
   template <typename Group>
-  FT_HOST_DEVICE static int nearest(Group g, pyramid_geometry const& geometry, keypoints_view const& left,
-                                    int i, keypoints_view const& right, feature_grid_view const& rows,
-                                    stereo_params const& params) {
+  FT_HOST_DEVICE static int nearest(Group g, pyramid_geometry const& geometry,
+                                    keypoints_view const& left, int i, keypoints_view const& right,
+                                    feature_grid_view const& rows, stereo_params const& params) {
     float const u = get<field::x>(left, i);
     float const y = get<field::y>(left, i);
     int const octave = get<field::octave>(left, i);
@@ -124,7 +129,8 @@ private:
     int const row = row_cell::of(rows.geometry, 0, y);
     float const lowest_u = u - params.max_disparity;
     if (row < 0 || u < 0) { return -1; }
-    int const reach = static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
+    int const reach =
+        static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
     int const begin = rows.start[max_of(row - reach, 0)];
     int const end = rows.start[min_of(row + reach, height - 1) + 1];
     unsigned long long best = ~0ull;
@@ -135,11 +141,13 @@ private:
       if (o < octave - 1 || o > octave + 1 || x < lowest_u || x > u) { continue; }
       float const yr = get<field::y>(right, j);
       float const band = 2.0f * geometry.scale[o];
-      if (row < static_cast<int>(::floorf(yr - band)) || row > static_cast<int>(::ceilf(yr + band))) {
+      if (row < static_cast<int>(::floorf(yr - band)) ||
+          row > static_cast<int>(::ceilf(yr + band))) {
         continue;
       }
       int const distance = hamming(mine, get<field::orb>(right, j));
-      best = min_of(best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j));
+      best =
+          min_of(best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j));
     }
     best = g.reduce(best, min_op{});
     return static_cast<int>(best >> 32) < params.max_distance && best != ~0ull
@@ -155,11 +163,14 @@ struct cut_stereo_outliers {
   };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair, stereo_matches_view const& matches) const {
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair,
+                                 stereo_matches_view const& matches) const {
     stereo_matches_view const m = matches.slice(pair);
     int const n = *m.count;
     int found = 0;
-    for (int i = g.rank(); i < n; i += g.size()) { found += static_cast<int>(get<field::score>(m, i) >= 0); }
+    for (int i = g.rank(); i < n; i += g.size()) {
+      found += static_cast<int>(get<field::score>(m, i) >= 0);
+    }
     found = g.reduce(found, sum_op{});
     if (found == 0) { return; }
     // The score of rank found / 2, byte by byte: scores are below 2^16.
@@ -177,16 +188,18 @@ struct cut_stereo_outliers {
   }
 
 private:
-  /// Byte at `shift` of the score of the given rank among those whose higher byte is `high` (any if -1);
-  /// `rank` becomes the rank inside that byte's bin.
+  /// Byte at `shift` of the score of the given rank among those whose higher byte is `high` (any if
+  /// -1); `rank` becomes the rank inside that byte's bin.
   template <typename Group>
-  FT_HOST_DEVICE static int select(Group g, scratch& s, stereo_matches_view const& m, int n, int& rank,
-                                   int shift, int high) {
+  FT_HOST_DEVICE static int select(Group g, scratch& s, stereo_matches_view const& m, int n,
+                                   int& rank, int shift, int high) {
     for (int b = g.rank(); b < 256; b += g.size()) { s.histogram[b] = 0; }
     g.sync();
     for (int i = g.rank(); i < n; i += g.size()) {
       int const score = get<field::score>(m, i);
-      if (score >= 0 && (high < 0 || score >> 8 == high)) { atomic_add(s.histogram + (score >> shift & 255), 1); }
+      if (score >= 0 && (high < 0 || score >> 8 == high)) {
+        atomic_add(s.histogram + (score >> shift & 255), 1);
+      }
     }
     g.sync();
     int bin = 0;
@@ -197,16 +210,16 @@ private:
 };
 
 /// Right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are pair b.
-/// Asynchronous on `exec`; allocates nothing; three launches. @param right_rows a grid of one column and
-/// `image height` rows per pair; workspace
+/// Asynchronous on `exec`; allocates nothing; three launches. @param right_rows a grid of one
+/// column and `image height` rows per pair; workspace
 template <typename Exec>
 void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
                             keypoints_view const& keypoints, stereo_params const& params,
                             stereo_matches_view const& out, feature_grid_view const& right_rows) {
   int const pairs = keypoints.batch / 2;
   build_grid<row_cell>(exec, keypoints, 1, 2, pairs, right_rows);
-  for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid, keypoints,
-                          right_rows, params, out);
+  for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
+                          keypoints, right_rows, params, out);
   for_each_item<per_block<256>>(exec, pairs, cut_stereo_outliers{}, out);
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <type_traits>
 #include <vector>
 
@@ -13,6 +14,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/frustum.hpp"
 #include "ft/kernels/pose_optimization.hpp"
@@ -32,8 +34,8 @@ struct tracker_params {
   int enough_matches = 20;     ///< with fewer, the search is repeated with twice the radius
   bool optimize_last = true;   ///< pose optimisation after the search from the last frame
   bool optimize_local = true;  ///< and after the search in the local map
-  /// Columns of the left and the right image that see the same: pairs that are not rectified only. The
-  /// default is the whole image.
+  /// Columns of the left and the right image that see the same: pairs that are not rectified only.
+  /// The default is the whole image.
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
 };
 
@@ -47,21 +49,23 @@ struct point_update {
   descriptor orb;
 };
 
-/// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed by right
-/// ones: keypoint k of camera c has number c * capacity + k.
+/// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed
+/// by right ones: keypoint k of camera c has number c * capacity + k.
 struct tracked_frame_view {
-  int* keypoints = nullptr;       ///< [batch][cameras]
-  pose* T_cw = nullptr;           ///< [batch]
-  int* matches = nullptr;         ///< [batch] keypoints given a point by the last search
-  int* inliers = nullptr;         ///< [batch] of the last pose optimisation; matches where there was none
-  float* x = nullptr;             ///< [batch][cameras * capacity] pixels
-  float* y = nullptr;             ///< likewise
-  int* octave = nullptr;          ///< likewise
-  int* holder = nullptr;          ///< likewise: slot of the map point held, -1 = none
-  float* depth = nullptr;         ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
-  vec3<float>* point = nullptr;   ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
-  int* partner = nullptr;         ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
-  unsigned char* in_view = nullptr;  ///< [batch][local_points] 1 = passed the frustum test of track_local()
+  int* keypoints = nullptr;  ///< [batch][cameras]
+  pose* T_cw = nullptr;      ///< [batch]
+  int* matches = nullptr;    ///< [batch] keypoints given a point by the last search
+  int* inliers = nullptr;  ///< [batch] of the last pose optimisation; matches where there was none
+  float* x = nullptr;      ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;      ///< likewise
+  int* octave = nullptr;   ///< likewise
+  int* holder = nullptr;   ///< likewise: slot of the map point held, -1 = none
+  float* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
+  vec3<float>* point =
+      nullptr;             ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
+  int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
+  unsigned char* in_view =
+      nullptr;  ///< [batch][local_points] 1 = passed the frustum test of track_local()
   int capacity = 0;
   int cameras = 1;
   int local_points = 0;
@@ -69,7 +73,8 @@ struct tracked_frame_view {
 
 namespace detail {
 
-inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int cameras, int local_points) {
+inline void carve(carver& c, tracked_frame_view& v, int capacity, int batch, int cameras,
+                  int local_points) {
   auto const b = static_cast<std::size_t>(batch);
   std::size_t const n = checked_mul(b, static_cast<std::size_t>(capacity));
   std::size_t const numbers = n * static_cast<std::size_t>(cameras);
@@ -201,8 +206,9 @@ struct pack_result {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
-                                 float const* depth, fisheye_matches_view const& fisheye, pose const* poses,
-                                 int const* matches, int const* inliers, tracked_frame_view const& out) const {
+                                 float const* depth, fisheye_matches_view const& fisheye,
+                                 pose const* poses, int const* matches, int const* inliers,
+                                 tracked_frame_view const& out) const {
     int const b = item / frame.numbers();
     int const number = item % frame.numbers();
     int const c = number / frame.capacity();
@@ -228,7 +234,8 @@ struct pack_result {
     out.depth[at] = z;
     if constexpr (Rig::rectified) {
       auto const r = rig.camera.template cast<strict_float>().unproject({x, y}).direction;
-      out.point[at] = z > 0 ? vec3<float>{(r.x * z).value, (r.y * z).value, z} : vec3<float>{0, 0, 0};
+      out.point[at] =
+          z > 0 ? vec3<float>{(r.x * z).value, (r.y * z).value, z} : vec3<float>{0, 0, 0};
     } else {
       out.point[at] = z > 0 ? fisheye.point[at] : vec3<float>{0, 0, 0};
     }
@@ -240,12 +247,14 @@ struct pack_visibility {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen, int const* count, int batch,
-                                 int cameras, tracked_frame_view const& out) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen,
+                                 int const* count, int batch, int cameras,
+                                 tracked_frame_view const& out) const {
     int const i = item % out.local_points;
     bool in_view = false;
     for (int c = 0; c < cameras && i < count[item / out.local_points]; ++c) {
-      in_view = in_view || seen[static_cast<std::ptrdiff_t>(c) * batch * out.local_points + item].level >= 0;
+      in_view = in_view ||
+                seen[static_cast<std::ptrdiff_t>(c) * batch * out.local_points + item].level >= 0;
     }
     out.in_view[item] = static_cast<unsigned char>(in_view);
   }
@@ -256,10 +265,11 @@ struct pack_visibility {
 ///     upload images -> track_motion(): extraction, grid, stereo, search from the last frame, pose
 ///                   -> [host: choose the local map] -> track_local(): frustum, search, pose
 ///
-/// or extract() alone where there is no last frame. All memory is taken by the constructor. The calls are
-/// asynchronous on the executor, allocate nothing and never wait; the host fills the input views before a
-/// call and reads result() after exec.wait(). It must not touch either in between. Counts stay in executor
-/// memory: launches are sized by capacity. Move-only; not thread-safe; instances are independent.
+/// or extract() alone where there is no last frame. All memory is taken by the constructor. The
+/// calls are asynchronous on the executor, allocate nothing and never wait; the host fills the
+/// input views before a call and reads result() after exec.wait(). It must not touch either in
+/// between. Counts stay in executor memory: launches are sized by capacity. Move-only; not
+/// thread-safe; instances are independent.
 /// @tparam Rig rectified_rig, or stereo_rig of any two cameras: then both images are searched
 template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
@@ -279,14 +289,16 @@ public:
     detail::require_range("updates", params.updates, 1, 1 << 24);
     detail::require_range("last_th", params.last_th, 0.1f, 1000.0f);
     std::vector<stereo_overlap> overlaps;
-    for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) { overlaps.push_back(params.overlap[i % 2]); }
+    for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) {
+      overlaps.push_back(params.overlap[i % 2]);
+    }
     extractor_ = orb_extractor<Exec>(exec, params.orb, 2 * batch, overlaps);
     matcher_ = stereo_matcher<Exec, Rig>(rig, extractor_);
     int const capacity = extractor_.capacity();
     auto const b = static_cast<std::size_t>(batch);
     auto const slots = detail::checked_mul(b, static_cast<std::size_t>(params.map_slots));
-    grid_geometry const cells =
-        grid_geometry::over(0, 0, static_cast<float>(params.orb.width), static_cast<float>(params.orb.height));
+    grid_geometry const cells = grid_geometry::over(0, 0, static_cast<float>(params.orb.width),
+                                                    static_cast<float>(params.orb.height));
     int const numbers = cameras * capacity;
     int const windows = max_of(numbers, params.local_points);
     arena_ = arena<space>([&](carver& c) {
@@ -306,10 +318,10 @@ public:
       updates_ = c.take<point_update>(static_cast<std::size_t>(params.updates));
     });
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
-    images_ = buffer<std::uint8_t, staging>(
-        detail::checked_mul(2 * b, static_cast<std::size_t>(params.orb.width) *
-                                       static_cast<std::size_t>(params.orb.height)));
-    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, cameras, params.local_points);
+    images_ = buffer<std::uint8_t, staging>(detail::checked_mul(2 * b, staged_bytes()));
+    std::memset(images_.data(), 0, images_.bytes());
+    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, cameras,
+                                                               params.local_points);
     motion_ = detail::twin<detail::motion_input, space, staging>(numbers, batch);
     local_ = detail::twin<detail::local_input, space, staging>(params.local_points, batch);
     frame_.keypoints = extractor_.keypoints();
@@ -333,9 +345,13 @@ public:
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
     fill_bytes(exec, result_.device_memory.data(), 0, result_.device_memory.bytes());
     exec.wait();
+    extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
+    motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
+    local_recording_.record(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
   }
 
-  // ---- inputs, in host memory (pinned beside a device) ---------------------------------------------
+  // ---- inputs, in host memory (pinned beside a device)
+  // ---------------------------------------------
 
   /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
   /// @throws bad_argument as orb_extractor::upload
@@ -344,22 +360,30 @@ public:
     detail::require_range("camera", camera, 0, 1);
     detail::require(image.data != nullptr, "the image is null");
     auto const& p = params_.orb;
-    detail::require(image.width == p.width && image.height == p.height && image.stride >= image.width,
-                    "the image's size is not the tracker's, or its stride is below its width");
-    copy_rows(host_exec(1), staged_image(b, camera), static_cast<std::size_t>(p.width), image.data,
-              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(p.width), p.height);
+    detail::require(
+        image.width == p.width && image.height == p.height && image.stride >= image.width,
+        "the image's size is not the tracker's, or its stride is below its width");
+    copy_rows(host_exec(1), staged_image(b, camera), static_cast<std::size_t>(staged_stride()),
+              image.data, static_cast<std::size_t>(image.stride), static_cast<std::size_t>(p.width),
+              p.height);
   }
-  /// For callers that decode straight into the staging memory: width x height bytes without padding.
+  /// For callers that decode straight into the staging memory: height rows of staged_stride()
+  /// bytes.
   std::uint8_t* staged_image(int b, int camera) {
-    auto const size = static_cast<std::size_t>(params_.orb.width) * static_cast<std::size_t>(params_.orb.height);
-    return images_.data() + (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * size;
+    return images_.data() +
+           (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
   }
-  pose* predicted() { return motion_.host.predicted; }   ///< [batch] T_cw expected for the next frame
-  pose* last_pose() { return motion_.host.last; }        ///< [batch] T_cw of the last frame
-  int* last_holder() { return motion_.host.last_holder; } ///< [batch][cameras * capacity()] slots of the last frame's inliers
-  int* stamp() { return motion_.host.stamp; }            ///< [batch] the frame's number, above 0 and rising
-  int* local_count() { return local_.host.count; }       ///< [batch] at most params().local_points
-  int* local_slots() { return local_.host.slots; }       ///< [batch][local_points] in search order
+  int staged_stride() const { return geometry().stride[0]; }
+  pose* predicted() {
+    return motion_.host.predicted;
+  }                                                ///< [batch] T_cw expected for the next frame
+  pose* last_pose() { return motion_.host.last; }  ///< [batch] T_cw of the last frame
+  int* last_holder() {
+    return motion_.host.last_holder;
+  }  ///< [batch][cameras * capacity()] slots of the last frame's inliers
+  int* stamp() { return motion_.host.stamp; }  ///< [batch] the frame's number, above 0 and rising
+  int* local_count() { return local_.host.count; }  ///< [batch] at most params().local_points
+  int* local_slots() { return local_.host.slots; }  ///< [batch][local_points] in search order
 
   /// Queues the writing of map points. Must not follow another one before exec.wait().
   /// @throws bad_argument for more than params().updates points or a slot outside the map
@@ -370,96 +394,97 @@ public:
       detail::require_range("map slot", updates[i].slot, 0, params_.map_slots - 1);
       staged_updates_.data()[i] = updates[i];
     }
-    copy(exec, updates_, static_cast<point_update const*>(staged_updates_.data()), static_cast<std::size_t>(count));
-    for_each_item<per_thread>(exec, count, apply_updates{}, static_cast<point_update const*>(updates_),
-                              map_.slice(b));
+    copy(exec, updates_, static_cast<point_update const*>(staged_updates_.data()),
+         static_cast<std::size_t>(count));
+    for_each_item<per_thread>(exec, count, apply_updates{},
+                              static_cast<point_update const*>(updates_), map_.slice(b));
   }
 
-  // ---- the frame ----------------------------------------------------------------------------------
+  // ---- the frame
+  // ----------------------------------------------------------------------------------
+
+  // Without a `mark` a call on a device is one launch of a graph recorded by the constructor; with
+  // one, stage after stage is queued, and mark(name) called after each.
 
   /// Queues: images up, features, grid, stereo; result down with nothing held.
-  template <typename Mark = no_mark>
-  void extract(Exec const& exec, Mark&& mark = {}) {
+  void extract(Exec const& exec) {
+    extract_recording_.replay(exec, [this](Exec const& e) { extract(e, no_mark{}); });
+  }
+  template <typename Mark>
+  void extract(Exec const& exec, Mark&& mark) {
     motion_.upload(exec);
     features(exec, mark);
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_, search_gate{});
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_,
+                              search_gate{});
     fill_bytes(exec, work_[0].matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_[0].matches, nullptr);
     mark("download");
   }
 
-  /// Queues: images and motion up, features, grid, stereo, search from the last frame (repeated with twice
-  /// the radius where it finds too little), pose; result down.
-  template <typename Mark = no_mark>
-  void track_motion(Exec const& exec, Mark&& mark = {}) {
+  /// Queues: images and motion up, features, grid, stereo, search from the last frame (repeated
+  /// with twice the radius where it finds too little), pose; result down.
+  void track_motion(Exec const& exec) {
+    motion_recording_.replay(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
+  }
+  template <typename Mark>
+  void track_motion(Exec const& exec, Mark&& mark) {
     motion_.upload(exec);
-    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{}, extractor_.keypoints(),
-                              last_keypoints_);
+    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{},
+                              extractor_.keypoints(), last_keypoints_);
     features(exec, mark);
     auto const& input = motion_.device;
     last_search_params search;
     search.th = params_.last_th;
     search.max_x = frustum_.max_x;
     search.max_y = frustum_.max_y;
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search, geometry(),
-                      search_gate{}, last_windows_, work_[0]);
-    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches), static_cast<std::size_t>(batch_));
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
+                      geometry(), search_gate{}, last_windows_, work_[0]);
+    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches),
+         static_cast<std::size_t>(batch_));
     search.th *= 2;
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search, geometry(),
-                      search_gate{work_[1].matches, params_.enough_matches}, last_windows_, work_[0]);
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_, params_.map_slots,
-                              static_cast<int const*>(input.stamp), stamps_);
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
+                      geometry(), search_gate{work_[1].matches, params_.enough_matches},
+                      last_windows_, work_[0]);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_,
+                              params_.map_slots, static_cast<int const*>(input.stamp), stamps_);
     mark("search last frame");
     if (params_.optimize_last) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_, observations_);
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
+                     observations_);
       mark("pose last frame");
     } else {
-      copy(exec, poses_, static_cast<pose const*>(input.predicted), static_cast<std::size_t>(batch_));
+      copy(exec, poses_, static_cast<pose const*>(input.predicted),
+           static_cast<std::size_t>(batch_));
     }
-    download(exec, poses_, work_[0].matches, params_.optimize_last ? observations_.inliers : nullptr);
+    download(exec, poses_, work_[0].matches,
+             params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
   }
 
   /// Queues: local map up, frustum, search, pose; result down. Follows track_motion().
-  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded anew: for a
-  ///   frame after extract(), or another try with another pose; needs a new stamp() where there was one
+  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
+  /// anew: for a
+  ///   frame after extract(), or another try with another pose; needs a new stamp() where there was
+  ///   one
+  /// @throws bad_argument for more local points than params().local_points
+  void track_local(Exec const& exec) {
+    check_local_counts();
+    local_recording_.replay(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
+  }
   template <typename Mark = no_mark>
-  void track_local(Exec const& exec, local_search_params const& search = {}, bool restart = false,
+  void track_local(Exec const& exec, local_search_params const& search, bool restart = false,
                    Mark&& mark = {}) {
-    for (int b = 0; b < batch_; ++b) {
-      detail::require_range("local map points", local_.host.count[b], 0, params_.local_points);
-    }
-    local_.upload(exec);
-    auto const& input = motion_.device;
-    if (restart) {
-      motion_.upload(exec);
-      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_, search_gate{});
-      copy(exec, poses_, static_cast<pose const*>(input.predicted), static_cast<std::size_t>(batch_));
-    }
-    find_visible_points(exec, rig_, static_cast<pose const*>(poses_), map_,
-                        static_cast<int const*>(local_.device.slots), static_cast<int const*>(local_.device.count),
-                        static_cast<int const*>(stamps_), static_cast<int const*>(input.stamp), frustum_, search,
-                        geometry(), local_windows_, visible_);
-    for_each_item<per_thread>(exec, batch_ * params_.local_points, pack_visibility{},
-                              static_cast<visibility const*>(visible_),
-                              static_cast<int const*>(local_.device.count), batch_, int{cameras}, result_.device);
-    mark("frustum");
-    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{}, work_[0]);
-    mark("search local map");
-    if (params_.optimize_local) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_, observations_);
-      mark("pose local map");
-    }
-    download(exec, poses_, work_[0].matches, params_.optimize_local ? observations_.inliers : nullptr);
-    mark("download");
+    check_local_counts();
+    queue_local(exec, search, restart, mark);
   }
 
-  // ---- results ------------------------------------------------------------------------------------
+  // ---- results
+  // ------------------------------------------------------------------------------------
 
   /// The last queued call's result, in host memory: valid after exec.wait(), until the next call.
   tracked_frame_view const& result() const { return result_.host; }
-  /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many, as in
-  /// result().keypoints @throws bad_argument for more than capacity()
+  /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many,
+  /// as in result().keypoints @throws bad_argument for more than capacity()
   void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
     detail::require_range("camera pair", b, 0, batch_ - 1);
     detail::require_range("descriptors", count, 0, capacity());
@@ -478,23 +503,71 @@ public:
   frame_view const& frame() const { return frame_; }
 
 private:
+  void check_local_counts() const {
+    for (int b = 0; b < batch_; ++b) {
+      detail::require_range("local map points", local_.host.count[b], 0, params_.local_points);
+    }
+  }
+
+  template <typename Mark>
+  void queue_local(Exec const& exec, local_search_params const& search, bool restart, Mark&& mark) {
+    local_.upload(exec);
+    auto const& input = motion_.device;
+    if (restart) {
+      motion_.upload(exec);
+      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_,
+                                search_gate{});
+      copy(exec, poses_, static_cast<pose const*>(input.predicted),
+           static_cast<std::size_t>(batch_));
+    }
+    find_visible_points(exec, rig_, static_cast<pose const*>(poses_), map_,
+                        static_cast<int const*>(local_.device.slots),
+                        static_cast<int const*>(local_.device.count),
+                        static_cast<int const*>(stamps_), static_cast<int const*>(input.stamp),
+                        frustum_, search, geometry(), local_windows_, visible_);
+    for_each_item<per_thread>(exec, batch_ * params_.local_points, pack_visibility{},
+                              static_cast<visibility const*>(visible_),
+                              static_cast<int const*>(local_.device.count), batch_, int{cameras},
+                              result_.device);
+    mark("frustum");
+    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{},
+                         work_[0]);
+    mark("search local map");
+    if (params_.optimize_local) {
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_,
+                     observations_);
+      mark("pose local map");
+    }
+    download(exec, poses_, work_[0].matches,
+             params_.optimize_local ? observations_.inliers : nullptr);
+    mark("download");
+  }
+
+  std::size_t staged_bytes() const {
+    return static_cast<std::size_t>(geometry().stride[0]) *
+           static_cast<std::size_t>(params_.orb.height);
+  }
+
   template <typename Mark>
   void features(Exec const& exec, Mark& mark) {
-    auto const& p = params_.orb;
     for (int i = 0; i < 2 * batch_; ++i) {
-      extractor_.upload(exec, i, {staged_image(i / 2, i % 2), p.width, p.height, p.width});
+      auto const level = extractor_.pyramid().level(i, 0);
+      copy_bytes(exec, level.data, staged_image(i / 2, i % 2),
+                 static_cast<std::size_t>(level.stride) * static_cast<std::size_t>(level.height));
     }
     mark("upload");
     extractor_.extract(exec, mark);
-    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, Rig::rectified ? 2 : 1, cameras * batch_, frame_.grids);
+    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, Rig::rectified ? 2 : 1,
+                             cameras * batch_, frame_.grids);
     mark("grid");
     matcher_.match(exec, extractor_);
     mark("stereo");
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_, matcher_.depth(),
-                              matcher_.fisheye_matches(), poses, matches, inliers, result_.device);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_,
+                              matcher_.depth(), matcher_.fisheye_matches(), poses, matches, inliers,
+                              result_.device);
     result_.download(exec);
   }
 
@@ -522,6 +595,9 @@ private:
   detail::twin<tracked_frame_view, space, staging> result_;
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
+  recording<Exec> extract_recording_;
+  recording<Exec> motion_recording_;
+  recording<Exec> local_recording_;
 };
 
 }  // namespace FT_ABI

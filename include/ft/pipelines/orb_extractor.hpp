@@ -27,7 +27,7 @@ struct no_mark {
 };
 
 struct orb_params {
-  int width = 0;   ///< of every image, pixels
+  int width = 0;  ///< of every image, pixels
   int height = 0;
   int features = 1200;  ///< wanted per image; a few more may come
   int levels = 8;
@@ -36,9 +36,9 @@ struct orb_params {
   int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
 };
 
-/// Extracts ORB features of `batch` images at once. All memory is taken by the constructor; extract()
-/// is asynchronous on the executor, allocates nothing and never waits. Not thread-safe; any number of
-/// instances may work side by side. Move-only.
+/// Extracts ORB features of `batch` images at once. All memory is taken by the constructor;
+/// extract() is asynchronous on the executor, allocates nothing and never waits. Not thread-safe;
+/// any number of instances may work side by side. Move-only.
 template <typename Exec>
 class orb_extractor {
 public:
@@ -51,7 +51,8 @@ public:
   orb_extractor(Exec const& exec, orb_params const& params, int batch,
                 std::vector<stereo_overlap> const& overlaps = {})
       : params_(checked(params, batch, overlaps)),
-        geometry_(pyramid_geometry::make(params.width, params.height, params.levels, params.scale_factor)),
+        geometry_(pyramid_geometry::make(params.width, params.height, params.levels,
+                                         params.scale_factor)),
         batch_(batch) {
     corner_layout const cells = corner_layout::make(geometry_);
     distribution_layout const quad = distribution_layout::make(geometry_, params.features);
@@ -93,10 +94,12 @@ public:
     detail::require(image.stride >= image.width, "the image's stride is below its width");
     auto const to = pyramid_.level(i, 0);
     copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), image.data,
-              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width), image.height);
+              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width),
+              image.height);
   }
 
-  /// Queues all stages over the uploaded images. @param mark called with a stage's name once it is queued
+  /// Queues all stages over the uploaded images. @param mark called with a stage's name once it is
+  /// queued
   template <typename Mark = no_mark>
   void extract(Exec const& exec, Mark&& mark = {}) {
     build_pyramid(exec, pyramid_, taps_);
@@ -107,14 +110,14 @@ public:
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
-    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_, mono_count_,
-                     place_);
+    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_,
+                     mono_count_, place_);
     mark("descriptors");
   }
 
   // Views into executor memory, valid as long as the extractor.
-  keypoints_view keypoints() const { return keypoints_; }        ///< one batch entry per image
-  int const* mono_count() const { return mono_count_; }          ///< [batch], outside the stereo overlap
+  keypoints_view keypoints() const { return keypoints_; }  ///< one batch entry per image
+  int const* mono_count() const { return mono_count_; }    ///< [batch], outside the stereo overlap
   image_pyramid_view pyramid() const { return pyramid_; }
   image_pyramid_view blurred() const { return blurred_; }
   corners_view corners() const { return corners_; }

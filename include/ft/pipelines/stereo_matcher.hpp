@@ -16,9 +16,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the executor,
-/// allocates nothing and never waits. Move-only; not thread-safe; instances are independent.
-/// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap, triangulated)
+/// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the
+/// executor, allocates nothing and never waits. Move-only; not thread-safe; instances are
+/// independent.
+/// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap,
+/// triangulated)
 template <typename Exec, typename Rig = rectified_rig>
 class stereo_matcher {
 public:
@@ -51,19 +53,21 @@ public:
   /// Queues the matching of the extractor's current images.
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     if constexpr (Rig::rectified) {
-      match_stereo_rectified(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_, right_rows_);
+      match_stereo_rectified(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
+                             right_rows_);
     } else {
-      match_stereo_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(), extractor.geometry(),
-                           fisheye_params_, fisheye_);
+      match_stereo_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
+                           extractor.geometry(), fisheye_params_, fisheye_);
     }
   }
 
   // Executor memory, valid as long as the matcher.
-  stereo_matches_view matches() const { return matches_; }        ///< rectified: one batch entry per pair
+  stereo_matches_view matches() const { return matches_; }  ///< rectified: one batch entry per pair
   fisheye_matches_view fisheye_matches() const { return fisheye_; }  ///< otherwise
   /// [pairs][capacity] depth of left keypoints, metres, -1 = none
   float const* depth() const {
-    return Rig::rectified ? static_cast<column<field::depth> const&>(matches_).data : fisheye_.depth;
+    return Rig::rectified ? static_cast<column<field::depth> const&>(matches_).data
+                          : fisheye_.depth;
   }
   stereo_params const& params() const { return params_; }
 

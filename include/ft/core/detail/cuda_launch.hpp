@@ -19,7 +19,8 @@ struct per_block;
 namespace detail {
 
 template <int Threads, typename Op, typename... Args>
-FT_HIDDEN __global__ void __launch_bounds__(Threads) per_thread_kernel(int items, Op op, Args... args) {
+FT_HIDDEN __global__ void __launch_bounds__(Threads)
+    per_thread_kernel(int items, Op op, Args... args) {
   int const item = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   if (item < items) {
     typename Op::scratch scratch;
@@ -51,8 +52,9 @@ struct launch<per_thread> {
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
     constexpr int threads = 128;
-    per_thread_kernel<threads><<<static_cast<unsigned>(ceil_div(items, threads)), threads, 0, stream>>>(
-        items, op, args...);
+    per_thread_kernel<threads>
+        <<<static_cast<unsigned>(ceil_div(items, threads)), threads, 0, stream>>>(items, op,
+                                                                                  args...);
     check(cudaGetLastError(), "kernel launch");
   }
 };
@@ -62,8 +64,9 @@ struct launch<per_warp> {
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
     constexpr int warps = 4;
-    per_warp_kernel<warps><<<static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, stream>>>(
-        items, op, args...);
+    per_warp_kernel<warps>
+        <<<static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, stream>>>(items, op,
+                                                                                   args...);
     check(cudaGetLastError(), "kernel launch");
   }
 };
@@ -72,8 +75,9 @@ template <int N>
 struct launch<per_block<N>> {
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
-    static_assert(sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
-                  "static shared memory");
+    static_assert(
+        sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
+        "static shared memory");
     per_block_kernel<N><<<static_cast<unsigned>(items), N, 0, stream>>>(op, args...);
     check(cudaGetLastError(), "kernel launch");
   }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The 256 learned point pairs of ORB. Source: Rublee et al., "ORB: an efficient alternative to
-/// SIFT or SURF", ICCV 2011.
+/// @file The 256 learned point pairs of ORB. Source: Rublee et al., "ORB: an efficient alternative
+/// to SIFT or SURF", ICCV 2011.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A descriptor test: is the blurred image darker at (x0, y0) than at (x1, y1)? Pixels, relative to the
-/// keypoint, before rotation.
+/// A descriptor test: is the blurred image darker at (x0, y0) than at (x1, y1)? Pixels, relative to
+/// the keypoint, before rotation.
 struct pattern_pair {
   std::int8_t x0, y0, x1, y1;
 };

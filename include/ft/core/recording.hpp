@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file A sequence of launches and copies, recorded once and replayed: a CUDA graph on a device,
+/// the calls themselves on the host.
+#pragma once
+
+#include <utility>
+
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// On the host there is nothing to record: replay() makes the calls.
+template <typename Exec>
+class recording {
+public:
+  /// @param queue callable with an executor; what it queues must use memory that stays where it is
+  template <typename Queue>
+  void record(Exec const&, Queue const&) {}
+  template <typename Queue>
+  void replay(Exec const& exec, Queue const& queue) const {
+    queue(exec);
+  }
+};
+
+#if defined(__CUDACC__)
+/// Owns an executable CUDA graph; move-only. record() waits for nothing and runs nothing; replay()
+/// is asynchronous, one launch, allocates nothing.
+template <>
+class recording<cuda_exec> {
+public:
+  recording() = default;
+  recording(recording&& other) noexcept : graph_(std::exchange(other.graph_, nullptr)) {}
+  recording& operator=(recording&& other) noexcept {
+    std::swap(graph_, other.graph_);
+    return *this;
+  }
+  recording(recording const&) = delete;
+  recording& operator=(recording const&) = delete;
+  ~recording() {
+    if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
+  }
+
+  /// Captures on a stream of its own, so that the caller's may be any, also the default one.
+  /// @throws cuda_error
+  template <typename Queue>
+  void record(cuda_exec const&, Queue const& queue) {
+    cudaStream_t stream = nullptr;
+    cudaGraph_t graph = nullptr;
+    detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
+                  "cudaStreamCreateWithFlags");
+    try {
+      detail::check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal),
+                    "cudaStreamBeginCapture");
+      try {
+        queue(cuda_exec(stream));
+      } catch (...) {
+        static_cast<void>(cudaStreamEndCapture(stream, &graph));
+        throw;
+      }
+      detail::check(cudaStreamEndCapture(stream, &graph), "cudaStreamEndCapture");
+      cudaGraphExec_t made = nullptr;
+      detail::check(cudaGraphInstantiateWithFlags(&made, graph, 0), "cudaGraphInstantiate");
+      if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
+      graph_ = made;
+    } catch (...) {
+      if (graph != nullptr) { static_cast<void>(cudaGraphDestroy(graph)); }
+      static_cast<void>(cudaStreamDestroy(stream));
+      throw;
+    }
+    static_cast<void>(cudaGraphDestroy(graph));
+    static_cast<void>(cudaStreamDestroy(stream));
+  }
+  template <typename Queue>
+  void replay(cuda_exec const& exec, Queue const& queue) const {
+    if (graph_ == nullptr) {
+      queue(exec);
+      return;
+    }
+    detail::check(cudaGraphLaunch(graph_, exec.stream), "cudaGraphLaunch");
+  }
+
+private:
+  cudaGraphExec_t graph_ = nullptr;
+};
+#endif
+
+}  // namespace FT_ABI
+}  // namespace ft

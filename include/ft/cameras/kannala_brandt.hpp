@@ -33,7 +33,9 @@ struct kannala_brandt {
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
     Scalar const radius = scalar::sqrt(p.x * p.x + p.y * p.y);
-    if (!(radius > Scalar(0))) { return {{cx, cy}, p.z > Scalar(0)}; }  // on the axis, or NaN
+    if (!(radius > Scalar(0))) {  // on the axis, or NaN
+      return {{cx + radius, cy + radius}, radius == Scalar(0) && p.z > Scalar(0)};
+    }
     Scalar const theta = scalar::atan2(radius, p.z);
     Scalar const r = distorted(theta);
     bool const valid = scalar::is_finite(radius) && scalar::is_finite(p.z);
@@ -52,8 +54,10 @@ struct kannala_brandt {
     if (theta_d > half_pi) { theta_d = half_pi; }
     Scalar factor = Scalar(1);
     Scalar theta = theta_d;
+    bool converged = true;
     if (theta_d > Scalar(static_cast<plain_scalar_t<Scalar>>(1e-8))) {
-      for (int i = 0; i < 10; ++i) {
+      converged = false;
+      for (int i = 0; i < 10 && !converged; ++i) {
         Scalar const t2 = theta * theta;
         Scalar const t4 = t2 * t2;
         Scalar const a = k1 * t2;
@@ -64,12 +68,12 @@ struct kannala_brandt {
             (theta * (Scalar(1) + a + b + c + d) - theta_d) /
             (Scalar(1) + Scalar(3) * a + Scalar(5) * b + Scalar(7) * c + Scalar(9) * d);
         theta = theta - step;
-        if (scalar::abs(step) < Scalar(static_cast<plain_scalar_t<Scalar>>(1e-6))) { break; }
+        converged = scalar::abs(step) < Scalar(static_cast<plain_scalar_t<Scalar>>(1e-6));
       }
       factor = scalar::tan(theta) / theta_d;
     }
-    bool const valid = scalar::is_finite(factor) && scalar::is_finite(x) && scalar::is_finite(y) &&
-                       theta < half_pi && theta >= Scalar(0);
+    bool const valid = converged && scalar::is_finite(factor) && scalar::is_finite(x) &&
+                       scalar::is_finite(y) && theta < half_pi && theta >= Scalar(0);
     return {{x * factor, y * factor, Scalar(1)}, valid};
   }
 

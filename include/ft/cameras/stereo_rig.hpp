@@ -39,6 +39,11 @@ struct stereo_rig {
       detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0f : 0.0f)) < 1e-3f,
                       "the rig's rotation is not a rotation matrix");
     }
+    auto const& m = T_rl.R.m;
+    detail::require(m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
+                            m[2] * (m[3] * m[7] - m[4] * m[6]) >
+                        0,
+                    "the rig's rotation is a reflection");
     float const length = baseline_length().value;
     detail::require_finite("rig translation", length);
     detail::require_range("baseline", length, 1e-6f, 1e6f);

@@ -64,6 +64,7 @@ template <memory_space Space>
 class feature_grid {
 public:
   feature_grid() = default;
+  /// @throws bad_argument for a grid without cells, capacity or batch
   feature_grid(grid_geometry const& geometry, int capacity, int batch = 1)
       : arena_([&](carver& c) { carve(c, view_, geometry, capacity, batch); }) {}
   feature_grid_view view() const { return view_; }

@@ -251,6 +251,14 @@ FT_HOST_DEVICE inline int atomic_add(int* address, int value) {
 #endif
 }
 
+FT_HOST_DEVICE inline void atomic_or(unsigned* address, unsigned bits) {
+#if defined(__CUDA_ARCH__)
+  atomicOr(address, bits);
+#else
+  __atomic_fetch_or(address, bits, __ATOMIC_RELAXED);
+#endif
+}
+
 template <typename T>
 FT_HOST_DEVICE void atomic_min(T* address, T value) {
 #if defined(__CUDA_ARCH__)

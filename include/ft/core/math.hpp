@@ -255,8 +255,9 @@ FT_HOST_DEVICE inline int round_to_even(float v) {
 #endif
 }
 
-/// Nearest integer, halves away from zero (std::round).
+/// Nearest integer, halves away from zero (std::round); 0 for NaN and what no int can hold.
 FT_HOST_DEVICE inline int round_away(float v) {
+  if (!(::fabsf(v) < 2147483648.0f)) { return 0; }
   float const t = ::truncf(v);
   float const rest = ::fabsf(v - t);  // exact
   return static_cast<int>(t) + (rest >= 0.5f ? (v < 0 ? -1 : 1) : 0);

@@ -126,11 +126,12 @@ public:
 
   template <typename T>
   T* take(std::size_t count) {
-    used_ = (used_ + detail::alignment - 1) / detail::alignment * detail::alignment;
-    T* const piece = base_ == nullptr ? nullptr : reinterpret_cast<T*>(base_ + used_);
+    std::size_t const start =
+        (used_ + detail::alignment - 1) / detail::alignment * detail::alignment;
     std::size_t const bytes = detail::checked_mul(count, sizeof(T));
-    if (used_ + bytes < used_) { throw bad_argument("ft: arena size overflow"); }
-    used_ += bytes;
+    if (start < used_ || start + bytes < start) { throw bad_argument("ft: arena size overflow"); }
+    T* const piece = base_ == nullptr ? nullptr : reinterpret_cast<T*>(base_ + start);
+    used_ = start + bytes;
     return piece;
   }
   std::size_t used() const { return used_; }

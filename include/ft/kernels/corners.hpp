@@ -131,19 +131,6 @@ FT_HOST_DEVICE inline bool has_arc_of_9(unsigned mask) {
 FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle const& circle,
                                      int threshold) {
   int const v = center[0];
-  // Nine in a row hold one of every opposite pair.
-  int const high = v + threshold;
-  int const low = v - threshold;
-  int const p0 = center[circle.offset[0]];
-  int const p8 = center[circle.offset[8]];
-  bool bright = p0 > high || p8 > high;
-  bool dark = p0 < low || p8 < low;
-  if (!bright && !dark) { return 0; }
-  int const p4 = center[circle.offset[4]];
-  int const p12 = center[circle.offset[12]];
-  bright = bright && (p4 > high || p12 > high);
-  dark = dark && (p4 < low || p12 < low);
-  if (!bright && !dark) { return 0; }
   int d[16];
   unsigned bright_mask = 0;
   unsigned dark_mask = 0;
@@ -176,9 +163,15 @@ FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle con
 
 /// One cell: scores, suppression, choice of the threshold, corners in raster order.
 struct detect_cell {
+  static constexpr int mask_words = (max_cell_side + 31) / 32;
   struct scratch {
     std::uint8_t pixels[max_patch_side * max_patch_side];
     std::uint8_t scores[(max_cell_side + 2) * (max_cell_side + 2)];  ///< with a rim of zeros
+    std::uint16_t candidates[max_cell_side * max_cell_side];         ///< y << 8 | x, any order
+    int candidate_count;
+    unsigned kept[2][max_cell_side]
+                 [mask_words];  ///< bit per pixel: above the lenient, the strict threshold
+    int row_start[max_cell_side];
   };
 
   template <typename Group>
@@ -203,28 +196,35 @@ struct detect_cell {
       if (g.rank() == 0) { count = 0; }
       return;
     }
-
-    for (int i = g.rank(); i < patch_w * patch_h; i += g.size()) {
-      s.pixels[i] = level(x0 + i % patch_w, y0 + i / patch_w);
-    }
     int const inner_w = patch_w - 6;
     int const inner_h = patch_h - 6;
     int const pitch = inner_w + 2;
-    for (int i = g.rank(); i < pitch; i += g.size()) {
-      s.scores[i] = 0;
-      s.scores[(inner_h + 1) * pitch + i] = 0;
+    tile_threads const t(g);
+
+    for (int y = t.row; y < patch_h; y += t.rows) {
+      std::uint8_t const* const from = level.row(y0 + y) + x0;
+      for (int x = t.lane; x < patch_w; x += t.lanes) { s.pixels[y * patch_w + x] = from[x]; }
     }
-    for (int i = g.rank(); i < inner_h; i += g.size()) {
-      s.scores[(i + 1) * pitch] = 0;
-      s.scores[(i + 1) * pitch + inner_w + 1] = 0;
+    for (int y = t.row; y < inner_h + 2; y += t.rows) {
+      for (int x = t.lane; x < pitch; x += t.lanes) { s.scores[y * pitch + x] = 0; }
     }
+    for (int i = g.rank(); i < 2 * inner_h * mask_words; i += g.size()) {
+      s.kept[i / (inner_h * mask_words)][i / mask_words % inner_h][i % mask_words] = 0;
+    }
+    if (g.rank() == 0) { s.candidate_count = 0; }
     g.sync();
 
     int const low = min_of(params.min_threshold, params.ini_threshold);
+    for (int y = t.row; y < inner_h; y += t.rows) {
+      find_candidates(t, s, y, inner_w, patch_w, low);
+    }
+    g.sync();
+
+    int const candidates = s.candidate_count;
     detail::fast_circle const circle(patch_w);
-    for (int i = g.rank(); i < inner_w * inner_h; i += g.size()) {
-      int const x = i % inner_w;
-      int const y = i / inner_w;
+    for (int i = g.rank(); i < candidates; i += g.size()) {
+      int const x = s.candidates[i] & 255;
+      int const y = s.candidates[i] >> 8;
       s.scores[(y + 1) * pitch + x + 1] = static_cast<std::uint8_t>(
           detail::fast_score(s.pixels + (y + 3) * patch_w + x + 3, circle, low));
     }
@@ -232,36 +232,93 @@ struct detect_cell {
 
     // Scores do not depend on the threshold: what survives suppression at the lenient one and
     // passes the strict one is what the strict one alone gives.
-    int strict_count = 0;
-    for (int i = g.rank(); i < inner_w * inner_h; i += g.size()) {
-      int const score = suppressed_score(s, i, inner_w, pitch);
-      strict_count += static_cast<int>(score >= params.ini_threshold && score > 0);
+    int const lenient = max_of(params.min_threshold, 1);
+    int const strict_threshold = max_of(params.ini_threshold, 1);
+    for (int i = g.rank(); i < candidates; i += g.size()) {
+      int const x = s.candidates[i] & 255;
+      int const y = s.candidates[i] >> 8;
+      int const score = suppressed_score(s.scores + (y + 1) * pitch + x + 1, pitch);
+      unsigned const bit = 1u << (x & 31);
+      if (score >= lenient) { atomic_or(&s.kept[0][y][x / 32], bit); }
+      if (score >= strict_threshold) { atomic_or(&s.kept[1][y][x / 32], bit); }
     }
-    bool const any_strict = g.reduce(strict_count, sum_op{}) > 0;
-    int const threshold = max_of(any_strict ? params.ini_threshold : params.min_threshold, 1);
+    g.sync();
+
+    bool any_strict = false;
+    for (int i = g.rank(); i < inner_h * mask_words; i += g.size()) {
+      any_strict = any_strict || s.kept[1][i / mask_words][i % mask_words] != 0;
+    }
+    int const chosen = g.reduce(static_cast<int>(any_strict), max_op{});
+    for (int y = g.rank(); y < inner_h; y += g.size()) {
+      int in_row = 0;
+      for (int w = 0; w < mask_words; ++w) { in_row += popcount(s.kept[chosen][y][w]); }
+      s.row_start[y] = in_row;
+    }
+    g.sync();
+    int const found = g.exclusive_scan_array(s.row_start, inner_h);
+    g.sync();
 
     corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
                          static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
-    int found = 0;
-    for (int base = 0; base < inner_w * inner_h; base += g.size()) {
-      int const i = base + g.rank();
-      int const score = i < inner_w * inner_h ? suppressed_score(s, i, inner_w, pitch) : 0;
-      bool const keep = score >= threshold;
-      int total = 0;
-      int const at = g.exclusive_scan(static_cast<int>(keep), total);
-      if (keep) {
-        list[found + at] = {static_cast<std::uint16_t>(x_rel + 3 + i % inner_w),
-                            static_cast<std::uint16_t>(y_rel + 3 + i / inner_w), score};
-      }
-      found += total;
+    for (int i = g.rank(); i < candidates; i += g.size()) {
+      int const x = s.candidates[i] & 255;
+      int const y = s.candidates[i] >> 8;
+      unsigned const* const row = s.kept[chosen][y];
+      unsigned const bit = 1u << (x & 31);
+      if ((row[x / 32] & bit) == 0) { continue; }
+      int at = s.row_start[y] + popcount(row[x / 32] & (bit - 1));
+      for (int w = 0; w < x / 32; ++w) { at += popcount(row[w]); }
+      list[at] = {static_cast<std::uint16_t>(x_rel + 3 + x),
+                  static_cast<std::uint16_t>(y_rel + 3 + y), s.scores[(y + 1) * pitch + x + 1]};
     }
     if (g.rank() == 0) { count = found; }
   }
 
 private:
+  /// A group's threads as rows of up to 32 lanes.
+  struct tile_threads {
+    int lane, lanes, row, rows;
+    template <typename Group>
+    FT_HOST_DEVICE explicit tile_threads(Group g)
+        : lane(g.rank() % min_of(g.size(), 32)),
+          lanes(min_of(g.size(), 32)),
+          row(g.rank() / lanes),
+          rows(g.size() / lanes) {}
+  };
+
+  /// Lists the pixels of a row that can be corners: nine in a row on the circle hold one of each
+  /// opposite pair, so one of both pairs on the axes must be brighter, or one of both darker.
+  FT_HOST_DEVICE static void find_candidates(tile_threads const& t, scratch& s, int y, int inner_w,
+                                             int patch_w, int threshold) {
+    constexpr int run = 16;  // on the host, as many tests at a time without a branch between them
+    std::uint8_t const* const p = s.pixels + (y + 3) * patch_w + 3;
+    int const step = t.lanes == 1 ? run : t.lanes;
+    for (int base = t.lane; base < inner_w; base += step) {
+      int const n = t.lanes == 1 ? min_of(run, inner_w - base) : 1;
+      std::uint8_t flags[run];
+      for (int k = 0; k < n; ++k) {
+        std::uint8_t const* const c = p + base + k;
+        int const v = c[0];
+        int const up = c[-3 * patch_w];
+        int const down = c[3 * patch_w];
+        int const left = c[-3];
+        int const right = c[3];
+        int const brightest = min_of(max_of(up, down), max_of(left, right));
+        int const darkest = max_of(min_of(up, down), min_of(left, right));
+        flags[k] =
+            static_cast<std::uint8_t>((brightest > v + threshold) | (darkest < v - threshold));
+      }
+      for (int k = 0; k < n; ++k) {
+        if (flags[k] != 0) {
+          int const at = atomic_add(&s.candidate_count, 1);
+          s.candidates[at] = static_cast<std::uint16_t>(y << 8 | (base + k));
+        }
+      }
+    }
+  }
+
   /// The score where it exceeds those of all eight neighbours, else 0.
-  FT_HOST_DEVICE static int suppressed_score(scratch const& s, int i, int inner_w, int pitch) {
-    std::uint8_t const* const p = s.scores + (i / inner_w + 1) * pitch + i % inner_w + 1;
+  FT_HOST_DEVICE static int suppressed_score(std::uint8_t const* p, int pitch) {
     int const v = p[0];
     if (v == 0) { return 0; }
     bool const largest = v > p[-1] && v > p[1] && v > p[-pitch - 1] && v > p[-pitch] &&

@@ -108,14 +108,14 @@ struct cell_window {
     w.x1 = min_of(g.cols - 1, to_cell(::ceilf(detail::mul(x - g.min_x + r, g.inv_width)), g.cols));
     w.y0 = max_of(0, to_cell(::floorf(detail::mul(y - g.min_y - r, g.inv_height)), g.rows));
     w.y1 = min_of(g.rows - 1, to_cell(::ceilf(detail::mul(y - g.min_y + r, g.inv_height)), g.rows));
-    if (!(r >= 0)) { w.x1 = -1; }  // NaN
+    if (!(r >= 0 && x - x == 0 && y - y == 0)) { w.x1 = -1; }  // no numbers, no cells
     return w;
   }
 
 private:
   /// Keeps the conversion defined for values far outside.
   FT_HOST_DEVICE static int to_cell(float v, int n) {
-    return static_cast<int>(clamp(v, -1.0f, static_cast<float>(n)));
+    return v >= -1.0f ? static_cast<int>(min_of(v, static_cast<float>(n))) : -1;  // NaN, too
   }
 };
 

@@ -240,16 +240,22 @@ struct optimize_pose {
                                  pose_params const& params) const {
     using detail::real;
     int const n = problem.count;
-    for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
     if (n < 3) {
+      for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
       if (g.rank() == 0) {
         *problem.result = *problem.start;
         *problem.inliers = 0;
       }
       return;
     }
-    g.sync();
     detail::transform const start = problem.start->template cast<strict_double>();
+    // All start as inliers but those without a number: one NaN would spoil every sum.
+    for (int i = g.rank(); i < n; i += g.size()) {
+      observation const& o = problem.observations[i];
+      problem.outlier[i] =
+          static_cast<unsigned char>(!scalar::is_finite(reprojection<Rig>(rig, start, o).chi2(o)));
+    }
+    g.sync();
     detail::transform T = start;
     int inliers = 0;
     for (int round = 0; round < params.rounds; ++round) {

@@ -1,0 +1,384 @@
+// SPDX-License-Identifier: Apache-2.0
+// Collectives of every group against plain loops, for sizes around and far from the group's own.
+#include "ft/core/group.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <functional>
+#include <numeric>
+#include <random>
+#include <vector>
+
+#include "ft/containers/soa.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/ordered_sum.hpp"
+#include "tests/support/backends.hpp"
+
+namespace group_test {
+
+/// Sizes of the items: edges of warps and blocks, and random ones.
+inline std::vector<int> item_sizes() {
+  std::vector<int> sizes{0,   1,   2,   3,   31,  32,  33,  63,   64,   65,   127,  128,
+                         129, 255, 256, 257, 511, 512, 513, 1023, 1024, 1025, 4999, 5000};
+  std::mt19937 random(7);
+  for (int i = 0; i < 16; ++i) { sizes.push_back(static_cast<int>(random() % 5001u)); }
+  return sizes;
+}
+
+/// Item i owns elements [start[i], start[i + 1]).
+inline std::vector<int> starts_of(std::vector<int> const& sizes) {
+  std::vector<int> starts{0};
+  for (int const n : sizes) { starts.push_back(starts.back() + n); }
+  return starts;
+}
+
+/// A value of the largest size that a block's collectives take.
+struct tally {
+  int sum, minimum, maximum, count;
+  friend FT_HOST_DEVICE tally operator+(tally a, tally b) {
+    return {a.sum + b.sum, ft::min_of(a.minimum, b.minimum), ft::max_of(a.maximum, b.maximum),
+            a.count + b.count};
+  }
+};
+static_assert(sizeof(tally) == 16, "the largest that block_group::reduce takes");
+
+/// What every thread of an item must be told; `agree` counts the threads that were told the same.
+struct reduced {
+  long long sum;
+  int minimum, maximum;
+  tally all;
+  int agree;
+};
+
+struct reduce_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts, int const* data,
+                                 reduced* out, int* threads) const {
+    long long sum = 0;
+    int minimum = 2147483647;
+    int maximum = -2147483647;
+    tally all{0, 2147483647, -2147483647, 0};
+    for (int i = starts[item] + g.rank(); i < starts[item + 1]; i += g.size()) {
+      sum += data[i];
+      minimum = ft::min_of(minimum, data[i]);
+      maximum = ft::max_of(maximum, data[i]);
+      all = all + tally{data[i], data[i], data[i], 1};
+    }
+    sum = g.reduce(sum, ft::sum_op{});
+    minimum = g.reduce(minimum, ft::min_op{});
+    maximum = g.reduce(maximum, ft::max_op{});
+    all = g.reduce(all, ft::sum_op{});
+    if (g.rank() == g.size() - 1) {
+      out[item] = {sum, minimum, maximum, all, 0};
+      threads[item] = g.size();
+    }
+    g.sync();
+    bool const same = out[item].sum == sum && out[item].minimum == minimum &&
+                      out[item].maximum == maximum && out[item].all.sum == all.sum &&
+                      out[item].all.count == all.count;
+    ft::atomic_add(&out[item].agree, static_cast<int>(same));
+  }
+};
+
+/// Scans an array in place, and one value per thread in portions of the group's size.
+struct scan_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts, int const* data,
+                                 int* in_place, int* by_portions, int* totals) const {
+    int const n = starts[item + 1] - starts[item];
+    int const total = g.exclusive_scan_array(in_place + starts[item], n);
+    int before = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      int here = 0;
+      int const scanned = g.exclusive_scan(i < n ? data[starts[item] + i] : 0, here);
+      if (i < n) { by_portions[starts[item] + i] = before + scanned; }
+      before += here;
+    }
+    if (g.rank() == g.size() - 1) {
+      totals[2 * item] = total;
+      totals[2 * item + 1] = before;
+    }
+  }
+};
+
+struct sort_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts,
+                                 unsigned long long* keys) const {
+    g.sort(keys + starts[item], starts[item + 1] - starts[item]);
+  }
+};
+
+inline constexpr int sums = 3;
+
+struct sum_item {
+  using scratch = ft::ordered_sum_scratch<sums>;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, int const* starts,
+                                 double const* data, double* out) const {
+    double result[sums];
+    double const* const mine = data + starts[item];
+    ft::ordered_sum<sums>(
+        g, s, starts[item + 1] - starts[item],
+        [&](int i, double* acc) {
+          acc[0] += mine[i];
+          acc[1] += 1.0;
+          acc[2] += mine[i] * 0.5;  // exact, so that fusing cannot matter
+        },
+        result);
+    if (g.rank() == g.size() - 1) {
+      for (int k = 0; k < sums; ++k) { out[sums * item + k] = result[k]; }
+    }
+  }
+};
+
+/// The documented order of additions: 128 lanes, halves of a warp's lanes, then the warps.
+inline double sum_in_order(double const* data, int n) {
+  std::vector<double> lanes(128, 0.0);
+  for (int i = 0; i < n; ++i) { lanes[static_cast<std::size_t>(i % 128)] += data[i]; }
+  double total = 0;
+  for (std::size_t warp = 0; warp < 4; ++warp) {
+    // In each step the upper half of what is left is added to the lower half.
+    std::vector<double> rest(lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp),
+                             lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp + 32));
+    while (rest.size() > 1) {
+      std::size_t const half = rest.size() / 2;
+      for (std::size_t i = 0; i < half; ++i) { rest[i] += rest[i + half]; }
+      rest.resize(half);
+    }
+    total = warp == 0 ? rest[0] : total + rest[0];
+  }
+  return total;
+}
+
+template <typename Backend>
+class group_unit : public test::on_backend<Backend> {
+protected:
+  Backend backend;
+  std::vector<int> sizes = item_sizes();
+  std::vector<int> starts = starts_of(sizes);
+  int items() const { return static_cast<int>(sizes.size()); }
+
+  std::vector<int> random_values(int low, int high) const {
+    std::mt19937 random(11);
+    std::uniform_int_distribution<int> value(low, high);
+    std::vector<int> values(static_cast<std::size_t>(starts.back()));
+    for (auto& v : values) { v = value(random); }
+    return values;
+  }
+
+  template <typename Shape>
+  void check_reduce() {
+    auto const data = random_values(-1000, 1000);
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_data = test::to_exec(backend.exec, data);
+    auto const d_out = test::to_exec(backend.exec, std::vector<reduced>(sizes.size(), reduced{}));
+    auto const d_threads = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
+    ft::for_each_item<Shape>(
+        backend.exec, items(), reduce_item{}, static_cast<int const*>(d_starts.data()),
+        static_cast<int const*>(d_data.data()), d_out.data(), d_threads.data());
+    auto const out =
+        test::from_exec(backend.exec, static_cast<reduced const*>(d_out.data()), sizes.size());
+    auto const threads =
+        test::from_exec(backend.exec, static_cast<int const*>(d_threads.data()), sizes.size());
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      auto const first = data.begin() + starts[item];
+      auto const last = data.begin() + starts[item + 1];
+      long long const sum = std::accumulate(first, last, 0LL);
+      EXPECT_EQ(out[item].sum, sum) << sizes[item];
+      EXPECT_EQ(out[item].all.sum, sum) << sizes[item];
+      EXPECT_EQ(out[item].all.count, sizes[item]);
+      EXPECT_EQ(out[item].minimum, first == last ? 2147483647 : *std::min_element(first, last));
+      EXPECT_EQ(out[item].maximum, first == last ? -2147483647 : *std::max_element(first, last));
+      EXPECT_EQ(out[item].all.minimum, out[item].minimum);
+      EXPECT_EQ(out[item].all.maximum, out[item].maximum);
+      EXPECT_EQ(out[item].agree, threads[item]) << "every thread gets the result";
+    }
+  }
+
+  template <typename Shape>
+  void check_scan() {
+    auto const data = random_values(0, 9);
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_data = test::to_exec(backend.exec, data);
+    auto const d_in_place = test::to_exec(backend.exec, data);
+    auto const d_portions = test::to_exec(backend.exec, std::vector<int>(data.size(), -1));
+    auto const d_totals = test::to_exec(backend.exec, std::vector<int>(2 * sizes.size(), -1));
+    ft::for_each_item<Shape>(backend.exec, items(), scan_item{},
+                             static_cast<int const*>(d_starts.data()),
+                             static_cast<int const*>(d_data.data()), d_in_place.data(),
+                             d_portions.data(), d_totals.data());
+    auto const in_place =
+        test::from_exec(backend.exec, static_cast<int const*>(d_in_place.data()), data.size());
+    auto const portions =
+        test::from_exec(backend.exec, static_cast<int const*>(d_portions.data()), data.size());
+    auto const totals =
+        test::from_exec(backend.exec, static_cast<int const*>(d_totals.data()), 2 * sizes.size());
+    std::vector<int> want(data.size());
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      int sum = 0;
+      for (int i = starts[item]; i < starts[item + 1]; ++i) {
+        want[static_cast<std::size_t>(i)] = sum;
+        sum += data[static_cast<std::size_t>(i)];
+      }
+      EXPECT_EQ(totals[2 * item], sum) << sizes[item];
+      EXPECT_EQ(totals[2 * item + 1], sum) << sizes[item];
+    }
+    EXPECT_EQ(in_place, want);
+    EXPECT_EQ(portions, want);
+  }
+
+  template <typename Shape>
+  void check_sort() {
+    // Distinct keys: a random upper half, the position in the lower; some items hold sorted or
+    // falling keys.
+    std::mt19937_64 random(13);
+    std::vector<unsigned long long> keys(static_cast<std::size_t>(starts.back()));
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      keys[i] = (random() & 0xffffffff00000000ull) | static_cast<unsigned long long>(i);
+    }
+    auto const part = [&](std::size_t item) { return keys.begin() + starts[item]; };
+    std::sort(part(9), part(10));
+    std::sort(part(14), part(15), std::greater<unsigned long long>());
+    std::sort(part(23), part(24), std::greater<unsigned long long>());
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_keys = test::to_exec(backend.exec, keys);
+    ft::for_each_item<Shape>(backend.exec, items(), sort_item{},
+                             static_cast<int const*>(d_starts.data()), d_keys.data());
+    auto const got = test::from_exec(
+        backend.exec, static_cast<unsigned long long const*>(d_keys.data()), keys.size());
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      std::sort(part(item), part(item + 1));
+    }
+    EXPECT_EQ(got, keys);
+  }
+
+  template <typename Shape>
+  void check_ordered_sum() {
+    // Magnitudes far apart, so that another order gives other bits.
+    std::mt19937 random(17);
+    std::uniform_real_distribution<double> mantissa(-1.0, 1.0);
+    std::vector<double> data(static_cast<std::size_t>(starts.back()));
+    for (auto& v : data) {
+      v = std::ldexp(mantissa(random), static_cast<int>(random() % 60u) - 30);
+    }
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_data = test::to_exec(backend.exec, data);
+    auto const d_out = test::to_exec(backend.exec, std::vector<double>(sums * sizes.size(), -1.0));
+    ft::for_each_item<Shape>(backend.exec, items(), sum_item{},
+                             static_cast<int const*>(d_starts.data()),
+                             static_cast<double const*>(d_data.data()), d_out.data());
+    auto const out = test::from_exec(backend.exec, static_cast<double const*>(d_out.data()),
+                                     sums * sizes.size());
+    int differs_from_plain_order = 0;
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      double const* const mine = data.data() + starts[item];
+      double const want = sum_in_order(mine, sizes[item]);
+      EXPECT_EQ(std::memcmp(&out[sums * item], &want, sizeof want), 0)
+          << out[sums * item] << " and " << want << " for " << sizes[item];
+      EXPECT_EQ(out[sums * item + 1], sizes[item]);
+      EXPECT_EQ(out[sums * item + 2], 0.5 * want);
+      differs_from_plain_order +=
+          static_cast<int>(std::accumulate(mine, mine + sizes[item], 0.0) != want);
+    }
+    EXPECT_GT(differs_from_plain_order, 5) << "the data must be able to tell orders apart";
+  }
+};
+TYPED_TEST_SUITE(group_unit, test::backends);
+
+TYPED_TEST(group_unit, reduce_over_one_thread) { this->template check_reduce<ft::per_thread>(); }
+TYPED_TEST(group_unit, reduce_over_a_warp) { this->template check_reduce<ft::per_warp>(); }
+TYPED_TEST(group_unit, reduce_over_blocks) {
+  this->template check_reduce<ft::per_block<64>>();
+  this->template check_reduce<ft::per_block<128>>();
+  this->template check_reduce<ft::per_block<256>>();
+  this->template check_reduce<ft::per_block<512>>();
+}
+TYPED_TEST(group_unit, scan_over_one_thread) { this->template check_scan<ft::per_thread>(); }
+TYPED_TEST(group_unit, scan_over_a_warp) { this->template check_scan<ft::per_warp>(); }
+TYPED_TEST(group_unit, scan_over_blocks) {
+  this->template check_scan<ft::per_block<64>>();
+  this->template check_scan<ft::per_block<128>>();
+  this->template check_scan<ft::per_block<256>>();
+  this->template check_scan<ft::per_block<512>>();
+}
+TYPED_TEST(group_unit, sort_over_one_thread) { this->template check_sort<ft::per_thread>(); }
+TYPED_TEST(group_unit, sort_over_a_warp) { this->template check_sort<ft::per_warp>(); }
+TYPED_TEST(group_unit, sort_over_blocks) {
+  this->template check_sort<ft::per_block<64>>();
+  this->template check_sort<ft::per_block<128>>();
+  this->template check_sort<ft::per_block<256>>();
+  this->template check_sort<ft::per_block<512>>();
+}
+TYPED_TEST(group_unit, ordered_sum_has_the_documented_bits) {
+  this->template check_ordered_sum<ft::per_thread>();
+  this->template check_ordered_sum<ft::per_block<ft::sum_lanes>>();
+}
+
+/// Every item adds to the same counters: integers, so any order gives the same.
+struct use_atomics {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, int const* values, int* out) const {
+    ft::atomic_add(out, values[item]);
+    ft::atomic_min(out + 1, values[item]);
+    ft::atomic_max(out + 2, values[item]);
+  }
+};
+
+TYPED_TEST(group_unit, atomics_count_every_item) {
+  auto const values = this->random_values(-100000, 100000);
+  auto const d_values = test::to_exec(this->backend.exec, values);
+  auto const d_out = test::to_exec(this->backend.exec, std::vector<int>{0, 1 << 30, -(1 << 30)});
+  ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(values.size()),
+                                    use_atomics{}, static_cast<int const*>(d_values.data()),
+                                    d_out.data());
+  auto const out = test::from_exec(this->backend.exec, static_cast<int const*>(d_out.data()), 3);
+  EXPECT_EQ(out[0], std::accumulate(values.begin(), values.end(), 0));
+  EXPECT_EQ(out[1], *std::min_element(values.begin(), values.end()));
+  EXPECT_EQ(out[2], *std::max_element(values.begin(), values.end()));
+}
+
+struct count_visit {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int* visits) const {
+    if (g.rank() == 0) { ft::atomic_add(visits + item, 1); }
+  }
+};
+
+TYPED_TEST(group_unit, every_item_runs_once) {
+  for (int const n : {0, 1, 3, 4, 5, 127, 128, 129, 1000}) {
+    auto const visits =
+        test::to_exec(this->backend.exec, std::vector<int>(static_cast<std::size_t>(n + 1), 0));
+    ft::for_each_item<ft::per_thread>(this->backend.exec, n, count_visit{}, visits.data());
+    ft::for_each_item<ft::per_warp>(this->backend.exec, n, count_visit{}, visits.data());
+    ft::for_each_item<ft::per_block<64>>(this->backend.exec, n, count_visit{}, visits.data());
+    auto const got = test::from_exec(this->backend.exec, static_cast<int const*>(visits.data()),
+                                     static_cast<std::size_t>(n + 1));
+    std::vector<int> want(static_cast<std::size_t>(n), 3);
+    want.push_back(0);
+    EXPECT_EQ(got, want);
+  }
+}
+
+TEST(host_exec_unit, takes_a_number_of_threads) {
+  EXPECT_THROW(ft::host_exec(-1), ft::bad_argument);
+  EXPECT_THROW(ft::host_exec(4097), ft::bad_argument);
+  for (int const threads : {0, 1, 2, 3}) {
+    ft::host_exec const exec(threads);
+    std::vector<int> visits(1000, 0);
+    ft::for_each_item<ft::per_thread>(exec, 1000, count_visit{}, visits.data());
+    EXPECT_EQ(visits, std::vector<int>(1000, 1)) << threads;
+  }
+}
+
+}  // namespace group_test

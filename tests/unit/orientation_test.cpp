@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+// The arc tangent of the orientation stage, and the intensity centroid against plain sums.
+#include "ft/kernels/orientation.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <random>
+#include <vector>
+
+#include "ft/containers/soa.hpp"
+#include "ft/core/execution.hpp"
+#include "tests/support/backends.hpp"
+
+namespace orientation_test {
+
+struct arc_tangent {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* y, float const* x,
+                                 float* out) const {
+    out[i] = ft::fast_atan2_degrees(y[i], x[i]);
+  }
+};
+
+struct spot {
+  int x, y;
+};
+/// Writes what every thread of the group gets, as seen by its last.
+struct orient {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int i, ft::gray_view const& image,
+                                 spot const* spots, float* out) const {
+    float const angle = ft::orientation(g, image, spots[i].x, spots[i].y);
+    if (g.rank() == g.size() - 1) { out[i] = angle; }
+  }
+};
+
+template <typename Backend>
+class orientation_unit : public test::on_backend<Backend> {
+protected:
+  Backend backend;
+
+  std::vector<float> angles(std::vector<float> const& y, std::vector<float> const& x) {
+    auto const d_y = test::to_exec(backend.exec, y);
+    auto const d_x = test::to_exec(backend.exec, x);
+    auto const d_out = test::to_exec(backend.exec, std::vector<float>(x.size(), -1.0f));
+    ft::for_each_item<ft::per_thread>(backend.exec, static_cast<int>(x.size()), arc_tangent{},
+                                      static_cast<float const*>(d_y.data()),
+                                      static_cast<float const*>(d_x.data()), d_out.data());
+    return test::from_exec(backend.exec, static_cast<float const*>(d_out.data()), x.size());
+  }
+
+  template <typename Shape>
+  std::vector<float> orientations(std::vector<std::uint8_t> const& image, int width,
+                                  std::vector<spot> const& spots) {
+    auto const d_image = test::to_exec(backend.exec, image);
+    auto const d_spots = test::to_exec(backend.exec, spots);
+    auto const d_out = test::to_exec(backend.exec, std::vector<float>(spots.size(), -1.0f));
+    ft::gray_view const view{d_image.data(), width, static_cast<int>(image.size()) / width, width};
+    ft::for_each_item<Shape>(backend.exec, static_cast<int>(spots.size()), orient{}, view,
+                             static_cast<spot const*>(d_spots.data()), d_out.data());
+    return test::from_exec(backend.exec, static_cast<float const*>(d_out.data()), spots.size());
+  }
+};
+TYPED_TEST_SUITE(orientation_unit, test::backends);
+
+TYPED_TEST(orientation_unit, the_arc_tangent_is_near_the_true_one) {
+  std::vector<float> y;
+  std::vector<float> x;
+  std::mt19937 random(2);
+  std::uniform_real_distribution<float> value(-1e6f, 1e6f);
+  for (int i = 0; i < 5000; ++i) {
+    y.push_back(std::round(value(random)));
+    x.push_back(std::round(value(random)));
+  }
+  for (int i = 0; i < 3600; ++i) {
+    double const angle = i * 0.1 * 3.14159265358979 / 180;
+    y.push_back(static_cast<float>(1000 * std::sin(angle)));
+    x.push_back(static_cast<float>(1000 * std::cos(angle)));
+  }
+  auto const got = this->angles(y, x);
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    double want = std::atan2(static_cast<double>(y[i]), static_cast<double>(x[i])) * 180 /
+                  3.14159265358979323846;
+    if (want < 0) { want += 360; }
+    double const difference = std::remainder(static_cast<double>(got[i]) - want, 360.0);
+    EXPECT_LT(std::abs(difference), 0.02) << y[i] << ", " << x[i];
+    EXPECT_GE(got[i], 0.0f);
+    EXPECT_LE(got[i], 360.0f);
+  }
+}
+
+TYPED_TEST(orientation_unit, the_arc_tangent_is_exact_on_the_axes) {
+  auto const got =
+      this->angles({0, 7, 0, -7, 0, 1e6f, -1e6f, 0, -0.0f}, {7, 0, -7, 0, 0, 0, 0, 1e6f, 5});
+  EXPECT_EQ(got, (std::vector<float>{0, 90, 180, 270, 0, 90, 270, 0, 0}));
+}
+
+TYPED_TEST(orientation_unit, is_the_direction_of_the_centroid) {
+  constexpr int width = 200;
+  constexpr int height = 120;
+  auto const image = test::random_image(width, height, 31);
+  std::vector<spot> spots{{15, 15}, {width - 16, height - 16}, {15, height - 16}, {width - 16, 15}};
+  std::mt19937 random(3);
+  for (int i = 0; i < 200; ++i) {
+    spots.push_back({15 + static_cast<int>(random() % (width - 30u)),
+                     15 + static_cast<int>(random() % (height - 30u))});
+  }
+  int const half_width[16] = {15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3};
+  std::vector<float> m01;
+  std::vector<float> m10;
+  for (auto const& s : spots) {
+    long sum_y = 0;
+    long sum_x = 0;
+    for (int v = -15; v <= 15; ++v) {
+      for (int u = -half_width[std::abs(v)]; u <= half_width[std::abs(v)]; ++u) {
+        int const grey = image[static_cast<std::size_t>((s.y + v) * width + s.x + u)];
+        sum_y += v * grey;
+        sum_x += u * grey;
+      }
+    }
+    m01.push_back(static_cast<float>(sum_y));
+    m10.push_back(static_cast<float>(sum_x));
+  }
+  auto const want = this->angles(m01, m10);
+  EXPECT_EQ(this->template orientations<ft::per_thread>(image, width, spots), want);
+  EXPECT_EQ(this->template orientations<ft::per_warp>(image, width, spots), want);
+  EXPECT_EQ(this->template orientations<ft::per_block<64>>(image, width, spots), want);
+}
+
+TYPED_TEST(orientation_unit, points_to_the_brighter_side) {
+  constexpr int side = 41;
+  auto const ramp = [](int dx, int dy) {
+    std::vector<std::uint8_t> image;
+    for (int y = 0; y < side; ++y) {
+      for (int x = 0; x < side; ++x) {
+        image.push_back(static_cast<std::uint8_t>(128 + 3 * (dx * (x - 20) + dy * (y - 20))));
+      }
+    }
+    return image;
+  };
+  std::vector<spot> const centre{{20, 20}};
+  EXPECT_EQ(this->template orientations<ft::per_warp>(ramp(1, 0), side, centre)[0], 0.0f);
+  EXPECT_EQ(this->template orientations<ft::per_warp>(ramp(0, 1), side, centre)[0], 90.0f);
+  EXPECT_EQ(this->template orientations<ft::per_warp>(ramp(-1, 0), side, centre)[0], 180.0f);
+  EXPECT_EQ(this->template orientations<ft::per_warp>(ramp(0, -1), side, centre)[0], 270.0f);
+  std::vector<std::uint8_t> const flat(side * side, 200);
+  EXPECT_EQ(this->template orientations<ft::per_warp>(flat, side, centre)[0], 0.0f)
+      << "no direction: 0";
+}
+
+}  // namespace orientation_test

@@ -1,0 +1,506 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pose optimisation on scenes with a known pose, on inputs that cannot be solved, and its
+// derivatives.
+#include "ft/kernels/pose_optimization.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/pinhole.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/core/execution.hpp"
+#include "tests/support/backends.hpp"
+
+namespace pose_test {
+
+using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
+using motion = ft::rigid<double>;
+inline constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+inline constexpr float infinity = std::numeric_limits<float>::infinity();
+
+/// Rotation by `angle` about (x, y, z), then a translation.
+inline motion turn(double x, double y, double z, double angle, ft::vec3<double> t) {
+  double const length = std::sqrt(x * x + y * y + z * z);
+  x /= length;
+  y /= length;
+  z /= length;
+  double const c = std::cos(angle);
+  double const s = std::sin(angle);
+  double const d = 1 - c;
+  return {{{c + x * x * d, x * y * d - z * s, x * z * d + y * s, y * x * d + z * s, c + y * y * d,
+            y * z * d - x * s, z * x * d - y * s, z * y * d + x * s, c + z * z * d}},
+          t};
+}
+
+template <typename Rig>
+Rig make_rig();
+template <>
+inline ft::rectified_rig make_rig<ft::rectified_rig>() {
+  return ft::rectified_rig::make({435.2f, 436.1f, 367.2f, 252.3f}, 0.11f);
+}
+template <>
+inline fisheye_rig make_rig<fisheye_rig>() {
+  return {{190.9f, 190.8f, 254.9f, 256.8f, 0.0034f, 0.0007f, -0.0020f, 0.0002f},
+          {190.4f, 190.5f, 252.6f, 255.0f, 0.0040f, -0.0010f, -0.0010f, 0.0001f},
+          turn(0.1, 1, 0.2, 0.03, {-0.1, 0.002, 0.001}).cast<float>()};
+}
+
+/// Pixel of a point given in the left camera's frame, in double.
+inline ft::vec2<double> pixel_of(ft::rectified_rig const& rig, ft::vec3<double> p, int) {
+  return rig.camera.cast<double>().project(p).pixel;
+}
+inline ft::vec2<double> pixel_of(fisheye_rig const& rig, ft::vec3<double> p, int camera) {
+  return camera == 0 ? rig.left.cast<double>().project(p).pixel
+                     : rig.right.cast<double>().project(rig.T_rl.cast<double>() * p).pixel;
+}
+
+struct scene {
+  std::vector<ft::observation> observations;
+  std::vector<unsigned char> outlier;  ///< made one on purpose
+  motion truth;
+  ft::pose start;
+};
+
+/// Points seen from a known pose; every second in stereo, or by the right camera; some with a wrong
+/// pixel.
+template <typename Rig>
+scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> unit(-1, 1);
+  scene s;
+  s.truth = turn(0.3, -0.7, 0.2, 0.8, {0.5, -0.2, 1.1});
+  s.start = (turn(unit(random), unit(random), unit(random), 0.04, {0.05, -0.04, 0.06}) * s.truth)
+                .template cast<float>();
+  for (int i = 0; i < n; ++i) {
+    double const depth = 2 + 5 * (1 + unit(random));
+    ft::vec3<double> const seen{0.6 * depth * unit(random), 0.5 * depth * unit(random), depth};
+    ft::vec3<double> const world = s.truth.inverse() * seen;
+    int const second = i % 2;
+    ft::observation o{};
+    o.point = {static_cast<float>(world.x), static_cast<float>(world.y),
+               static_cast<float>(world.z)};
+    bool const bad = std::uniform_real_distribution<double>(0, 1)(random) < share_of_outliers;
+    double const error_u = bad ? (unit(random) > 0 ? 1 : -1) * (30 + 20 * unit(random)) : 0;
+    double const error_v = bad ? (unit(random) > 0 ? 1 : -1) * (30 + 20 * unit(random)) : 0;
+    auto const pixel = pixel_of(rig, seen, Rig::rectified ? 0 : second);
+    o.u = static_cast<float>(pixel.x + error_u);
+    o.v = static_cast<float>(pixel.y + error_v);
+    o.right_u = -1;
+    if constexpr (Rig::rectified) {
+      double const right = pixel.x - static_cast<double>(rig.bf) / depth;
+      if (second != 0 && right >= 0) { o.right_u = static_cast<float>(right); }
+    } else {
+      o.right_camera = second;
+    }
+    o.inv_sigma2 = static_cast<float>(std::pow(1.44, -(i % 5)));
+    s.observations.push_back(o);
+    s.outlier.push_back(static_cast<unsigned char>(bad));
+  }
+  return s;
+}
+
+struct result {
+  ft::pose pose;
+  std::vector<unsigned char> outlier;
+  int inliers;
+};
+
+/// Largest difference of entries.
+inline double distance(ft::pose const& a, motion const& b) {
+  auto const wide = a.cast<double>();
+  double worst = std::max(
+      {std::abs(wide.t.x - b.t.x), std::abs(wide.t.y - b.t.y), std::abs(wide.t.z - b.t.z)});
+  for (int i = 0; i < 9; ++i) { worst = std::max(worst, std::abs(wide.R.m[i] - b.R.m[i])); }
+  return worst;
+}
+inline bool same_bits(ft::pose const& a, ft::pose const& b) {
+  bool same = a.t.x == b.t.x && a.t.y == b.t.y && a.t.z == b.t.z;
+  for (int i = 0; i < 9; ++i) { same = same && a.R.m[i] == b.R.m[i]; }
+  return same;
+}
+inline bool is_rigid(ft::pose const& a) {
+  auto const product = a.cast<double>().R * a.cast<double>().R.transposed();
+  for (int i = 0; i < 9; ++i) {
+    if (!(std::abs(product.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-5)) { return false; }  // NaN, too
+  }
+  return std::isfinite(a.t.x) && std::isfinite(a.t.y) && std::isfinite(a.t.z);
+}
+inline int number_of_inliers(std::vector<unsigned char> const& outlier) {
+  return static_cast<int>(std::count(outlier.begin(), outlier.end(), 0));
+}
+
+/// One problem per item.
+template <typename Rig>
+struct solve_problem {
+  using scratch = typename ft::optimize_pose<Rig>::scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
+                                 ft::pose_problem const& problem,
+                                 ft::pose_params const& params) const {
+    ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
+  }
+};
+
+/// Analytic and numeric derivatives of one observation.
+struct derivatives {
+  double analytic[3][6];
+  double numeric[3][6];
+  double error[3];
+  int rows;
+};
+template <typename Rig>
+struct differentiate {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, Rig const& rig,
+                                 ft::observation const* observations, ft::pose const& T_cw,
+                                 double step, derivatives* out) const {
+    using real = ft::strict_double;
+    ft::observation const o = observations[i];
+    auto const T = T_cw.template cast<real>();
+    ft::reprojection<Rig> const here(rig, T, o);
+    real J[3][6];
+    here.jacobian(rig, o, J);
+    derivatives& d = out[i];
+    d.rows = here.rows;
+    for (int r = 0; r < 3; ++r) {
+      d.error[r] = here.error[r].value;
+      for (int k = 0; k < 6; ++k) { d.analytic[r][k] = J[r][k].value; }
+    }
+    for (int k = 0; k < 6; ++k) {
+      real twist[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+      twist[k] = step;
+      ft::reprojection<Rig> const ahead(rig, ft::detail::exp_se3(twist) * T, o);
+      twist[k] = -step;
+      ft::reprojection<Rig> const behind(rig, ft::detail::exp_se3(twist) * T, o);
+      // Errors are measured minus predicted.
+      for (int r = 0; r < 3; ++r) {
+        d.numeric[r][k] = ((behind.error[r] - ahead.error[r]) / (2 * step)).value;
+      }
+    }
+  }
+};
+
+template <typename Backend>
+class pose_unit : public test::on_backend<Backend> {
+protected:
+  static constexpr ft::memory_space space = Backend::exec_type::space;
+  Backend backend;
+
+  template <typename Rig>
+  result solve(Rig const& rig, std::vector<ft::observation> const& observations,
+               ft::pose const& start) {
+    auto const& exec = backend.exec;
+    auto const n = observations.size();
+    auto const d_observations = test::to_exec(exec, observations);
+    auto const d_start = test::to_exec(exec, std::vector<ft::pose>{start});
+    auto const d_result = test::to_exec(exec, std::vector<ft::pose>{ft::pose{}});
+    auto const d_outlier = test::to_exec(exec, std::vector<unsigned char>(n + 1, 77));
+    auto const d_inliers = test::to_exec(exec, std::vector<int>{-1});
+    ft::for_each_item<ft::per_block<ft::sum_lanes>>(
+        exec, 1, solve_problem<Rig>{}, rig,
+        ft::pose_problem{d_observations.data(), static_cast<int>(n), d_start.data(),
+                         d_result.data(), d_outlier.data(), d_inliers.data()},
+        ft::pose_params{});
+    result r;
+    r.pose = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), 1)[0];
+    r.outlier = test::from_exec(exec, static_cast<unsigned char const*>(d_outlier.data()), n + 1);
+    EXPECT_EQ(r.outlier.back(), 77) << "nothing is written past the end";
+    r.outlier.pop_back();
+    r.inliers = test::from_exec(exec, static_cast<int const*>(d_inliers.data()), 1)[0];
+    EXPECT_EQ(r.inliers, n < 3 ? 0 : number_of_inliers(r.outlier))
+        << "the number is that of the flags";
+    return r;
+  }
+
+  template <typename Rig>
+  void check_recovery() {
+    auto const rig = make_rig<Rig>();
+    for (int const n : {3, 4, 10, 127, 128, 129, 600}) {
+      auto const s = make_scene(rig, n, 0, static_cast<unsigned>(n));
+      auto const r = solve(rig, s.observations, s.start);
+      EXPECT_LT(distance(r.pose, s.truth), n < 10 ? 1e-2 : 1e-3) << n;
+      EXPECT_EQ(r.inliers, n);
+    }
+    for (unsigned seed = 0; seed < 5; ++seed) {
+      auto const s = make_scene(rig, 200, 0.2, seed);
+      auto const r = solve(rig, s.observations, s.start);
+      EXPECT_LT(distance(r.pose, s.truth), 1e-3) << seed;
+      EXPECT_EQ(r.outlier, s.outlier) << seed;
+      EXPECT_TRUE(is_rigid(r.pose));
+    }
+  }
+
+  template <typename Rig>
+  void check_too_few() {
+    auto const rig = make_rig<Rig>();
+    auto const s = make_scene(rig, 2, 0, 1);
+    for (std::size_t n = 0; n < 3; ++n) {
+      std::vector<ft::observation> const few(
+          s.observations.begin(), s.observations.begin() + static_cast<std::ptrdiff_t>(n));
+      auto const r = solve(rig, few, s.start);
+      EXPECT_EQ(r.inliers, 0);
+      EXPECT_TRUE(same_bits(r.pose, s.start)) << "the pose is left alone";
+      for (auto const flag : r.outlier) { EXPECT_EQ(flag, 0); }
+    }
+  }
+
+  /// Observations that no pose explains.
+  template <typename Rig>
+  void check_points_behind() {
+    auto const rig = make_rig<Rig>();
+    auto s = make_scene(rig, 60, 0, 3);
+    for (auto& o : s.observations) {
+      ft::vec3<double> const seen = s.truth * ft::vec3<double>{o.point.x, o.point.y, o.point.z};
+      ft::vec3<double> const world =
+          s.truth.inverse() * ft::vec3<double>{seen.x, seen.y + 1.0, -seen.z};
+      o.point = {static_cast<float>(world.x), static_cast<float>(world.y),
+                 static_cast<float>(world.z)};
+    }
+    auto const r = solve(rig, s.observations, s.start);
+    EXPECT_TRUE(is_rigid(r.pose));
+    EXPECT_LT(r.inliers, 30);
+  }
+
+  /// One bad observation among 100 good ones, at `at`.
+  template <typename Rig>
+  result solve_with(scene& s, std::size_t at, ft::observation const& bad) {
+    s.observations[at] = bad;
+    return solve(make_rig<Rig>(), s.observations, s.start);
+  }
+  template <typename Rig>
+  std::vector<ft::observation> bad_observations(ft::observation const& good) {
+    std::vector<ft::observation> all(7, good);
+    all[0].point = {nan, nan, nan};
+    all[1].point.z = nan;
+    all[2].point.x = infinity;
+    all[3].u = nan;
+    all[4].v = -infinity;
+    all[5].inv_sigma2 = nan;
+    all[6].point.y = -infinity;
+    return all;
+  }
+  template <typename Rig>
+  void check_bad_observation_is_flagged() {
+    auto const rig = make_rig<Rig>();
+    auto const s = make_scene(rig, 100, 0, 4);
+    for (std::size_t const at : {0, 1, 99}) {
+      for (auto const& bad : bad_observations<Rig>(s.observations[at])) {
+        auto copy = s;
+        auto const r = solve_with<Rig>(copy, at, bad);
+        EXPECT_TRUE(is_rigid(r.pose));
+        EXPECT_EQ(r.outlier[at], 1);
+      }
+    }
+  }
+  template <typename Rig>
+  void check_bad_observation_spoils_nothing() {
+    auto const rig = make_rig<Rig>();
+    auto const s = make_scene(rig, 100, 0, 5);
+    for (auto const& bad : bad_observations<Rig>(s.observations[7])) {
+      auto copy = s;
+      auto const r = solve_with<Rig>(copy, 7, bad);
+      EXPECT_LT(distance(r.pose, s.truth), 1e-3);
+      EXPECT_EQ(r.inliers, 99);
+    }
+  }
+
+  template <typename Rig>
+  void check_jacobian(double step, double tolerance, bool stereo) {
+    auto const& exec = backend.exec;
+    auto const rig = make_rig<Rig>();
+    auto s = make_scene(rig, 100, 0, 6);
+    for (auto& o : s.observations) {
+      if (!stereo) { o.right_u = -1; }
+    }
+    auto const n = s.observations.size();
+    auto const d_observations = test::to_exec(exec, s.observations);
+    auto const d_out = test::to_exec(exec, std::vector<derivatives>(n, derivatives{}));
+    ft::for_each_item<ft::per_thread>(exec, static_cast<int>(n), differentiate<Rig>{}, rig,
+                                      static_cast<ft::observation const*>(d_observations.data()),
+                                      s.start, step, d_out.data());
+    auto const out = test::from_exec(exec, static_cast<derivatives const*>(d_out.data()), n);
+    int with_three = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+      EXPECT_EQ(out[i].rows, s.observations[i].right_u >= 0 ? 3 : 2);
+      with_three += static_cast<int>(out[i].rows == 3);
+      for (int r = 0; r < out[i].rows; ++r) {
+        double size = 0;
+        for (int k = 0; k < 6; ++k) { size = std::max(size, std::abs(out[i].analytic[r][k])); }
+        for (int k = 0; k < 6; ++k) {
+          EXPECT_NEAR(out[i].analytic[r][k], out[i].numeric[r][k], tolerance * size)
+              << "observation " << i << " row " << r << " column " << k;
+        }
+      }
+    }
+    EXPECT_EQ(with_three > 20, stereo);
+  }
+
+  /// Frames of a batch, from keypoints that hold map points.
+  template <typename Rig>
+  void check_frames() {
+    auto const& exec = backend.exec;
+    auto const rig = make_rig<Rig>();
+    auto const geometry = ft::pyramid_geometry::make(752, 480, 8, 1.2f);
+    constexpr int batch = 2;
+    constexpr int capacity = 160;
+    constexpr int points = 300;
+    constexpr int cameras = Rig::rectified ? 1 : 2;
+    constexpr int numbers = cameras * capacity;
+    std::vector<scene> scenes;
+    ft::keypoints<ft::memory_space::host> const kp(capacity, 2 * batch);
+    ft::map_points<ft::memory_space::host> const map(points, batch);
+    std::vector<int> holder(batch * numbers, -1);
+    std::vector<float> right_x(batch * capacity, -1.0f);
+    for (int b = 0; b < batch; ++b) {
+      scenes.push_back(make_scene(rig, 200 + b, 0.1, static_cast<unsigned>(20 + b)));
+      auto const& all = scenes.back().observations;
+      for (int c = 0; c < 2; ++c) { kp.view().count[2 * b + c] = 0; }
+      map.view().count[b] = points;
+      for (std::size_t i = 0; i < all.size(); ++i) {
+        int const c = all[i].right_camera;
+        if (!Rig::rectified || i < capacity) {
+          auto const view = kp.view().slice(2 * b + c);
+          int const k = (*view.count)++;
+          ft::get<ft::field::x>(view, k) = all[i].u;
+          ft::get<ft::field::y>(view, k) = all[i].v;
+          ft::get<ft::field::octave>(view, k) = static_cast<int>(i % 8);
+          int const slot = points - 1 - static_cast<int>(i);
+          ft::get<ft::field::position>(map.view().slice(b), slot) = all[i].point;
+          // Every tenth keypoint holds no point.
+          holder[static_cast<std::size_t>(b * numbers + c * capacity + k)] =
+              k % 10 == 9 ? -1 : slot;
+          right_x[static_cast<std::size_t>(b * capacity + k)] = c == 0 ? all[i].right_u : -1.0f;
+        }
+      }
+    }
+    ft::keypoints<space> const d_kp(capacity, 2 * batch);
+    ft::map_points<space> const d_map(points, batch);
+    ft::copy(exec, d_kp.view(), kp.view());
+    ft::copy(exec, d_map.view(), map.view());
+    exec.wait();
+    auto const d_holder = test::to_exec(exec, holder);
+    auto const d_right = test::to_exec(exec, right_x);
+    auto const d_start =
+        test::to_exec(exec, std::vector<ft::pose>{scenes[0].start, scenes[1].start});
+    auto const d_result = test::to_exec(exec, std::vector<ft::pose>(batch));
+    ft::observations_view observations;
+    ft::arena<space> const memory(
+        [&](ft::carver& c) { ft::carve(c, observations, numbers, batch); });
+    ft::frame_view frame;
+    frame.keypoints = d_kp.view();
+    frame.cameras = cameras;
+    frame.batch = batch;
+    frame.right_x = Rig::rectified ? d_right.data() : nullptr;
+    frame.holder = d_holder.data();
+    ft::optimize_poses(exec, rig, frame, d_map.view(), geometry, {}, d_start.data(),
+                       d_result.data(), observations);
+    auto const got = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), batch);
+    auto const after =
+        test::from_exec(exec, static_cast<int const*>(d_holder.data()), holder.size());
+    auto const counts = test::from_exec(exec, static_cast<int const*>(observations.count), batch);
+    auto const inliers =
+        test::from_exec(exec, static_cast<int const*>(observations.inliers), batch);
+    for (int b = 0; b < batch; ++b) {
+      auto const at = static_cast<std::size_t>(b);
+      EXPECT_LT(distance(got[at], scenes[at].truth), 1e-3);
+      // A keypoint lets go of its point exactly where that is an outlier.
+      int held = 0;
+      int kept = 0;
+      int seen[2] = {0, 0};
+      for (std::size_t i = 0; i < scenes[at].observations.size(); ++i) {
+        int const c = scenes[at].observations[i].right_camera;
+        if (Rig::rectified && i >= capacity) { break; }
+        auto const number = static_cast<std::size_t>(b * numbers + c * capacity + seen[c]++);
+        bool const drop = holder[number] < 0 || scenes[at].outlier[i] != 0;
+        EXPECT_EQ(after[number], drop ? -1 : holder[number])
+            << "frame " << b << " observation " << i;
+        held += static_cast<int>(holder[number] >= 0);
+        kept += static_cast<int>(!drop);
+      }
+      EXPECT_EQ(counts[at], held);
+      EXPECT_EQ(inliers[at], kept);
+    }
+  }
+};
+TYPED_TEST_SUITE(pose_unit, test::backends);
+
+TYPED_TEST(pose_unit, recovers_a_rectified_pose) {
+  this->template check_recovery<ft::rectified_rig>();
+}
+TYPED_TEST(pose_unit, recovers_a_fisheye_pose) { this->template check_recovery<fisheye_rig>(); }
+TYPED_TEST(pose_unit, fewer_than_three_observations_change_nothing) {
+  this->template check_too_few<ft::rectified_rig>();
+  this->template check_too_few<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, points_behind_the_camera_give_a_pose_still) {
+  this->template check_points_behind<ft::rectified_rig>();
+  this->template check_points_behind<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, a_rectified_observation_that_is_no_number_is_an_outlier) {
+  this->template check_bad_observation_is_flagged<ft::rectified_rig>();
+}
+TYPED_TEST(pose_unit, a_fisheye_observation_that_is_no_number_is_an_outlier) {
+  this->template check_bad_observation_is_flagged<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, a_rectified_observation_that_is_no_number_spoils_no_other) {
+  this->template check_bad_observation_spoils_nothing<ft::rectified_rig>();
+}
+TYPED_TEST(pose_unit, a_fisheye_observation_that_is_no_number_spoils_no_other) {
+  this->template check_bad_observation_spoils_nothing<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, a_fisheye_point_that_is_no_number_is_not_at_the_principal_point) {
+  auto const rig = make_rig<fisheye_rig>();
+  auto s = make_scene(rig, 50, 0, 7);
+  s.start = s.truth.template cast<float>();  // so that this observation alone is in question
+  s.observations[10].point = {nan, nan, nan};
+  s.observations[10].right_camera = 0;
+  s.observations[10].u = rig.left.cx;
+  s.observations[10].v = rig.left.cy;
+  auto const r = this->solve(rig, s.observations, s.start);
+  EXPECT_EQ(r.outlier[10], 1);
+  EXPECT_EQ(r.inliers, 49);
+}
+TYPED_TEST(pose_unit, the_rectified_mono_jacobian_is_the_derivative) {
+  this->template check_jacobian<ft::rectified_rig>(1e-5, 1e-6, false);
+}
+TYPED_TEST(pose_unit, the_rectified_stereo_jacobian_is_the_derivative) {
+  // The prediction uses 1/z rounded to float: a wide step keeps that rounding out of the
+  // difference.
+  this->template check_jacobian<ft::rectified_rig>(2e-3, 1e-3, true);
+}
+TYPED_TEST(pose_unit, the_fisheye_jacobian_is_the_derivative_for_both_cameras) {
+  this->template check_jacobian<fisheye_rig>(1e-5, 1e-6, false);
+}
+TYPED_TEST(pose_unit, rectified_frames_let_go_of_outliers) {
+  this->template check_frames<ft::rectified_rig>();
+}
+TYPED_TEST(pose_unit, fisheye_frames_let_go_of_outliers) {
+  this->template check_frames<fisheye_rig>();
+}
+
+TYPED_TEST(pose_unit, a_perfect_start_stays) {
+  auto const rig = make_rig<ft::rectified_rig>();
+  auto const s = make_scene(rig, 50, 0, 8);
+  auto const r = this->solve(rig, s.observations, s.truth.template cast<float>());
+  EXPECT_LT(distance(r.pose, s.truth), 1e-5);
+  EXPECT_EQ(r.inliers, 50);
+}
+
+TYPED_TEST(pose_unit, repeated_runs_give_the_same_bits) {
+  auto const rig = make_rig<fisheye_rig>();
+  auto const s = make_scene(rig, 333, 0.2, 9);
+  auto const first = this->solve(rig, s.observations, s.start);
+  auto const second = this->solve(rig, s.observations, s.start);
+  EXPECT_TRUE(same_bits(first.pose, second.pose));
+  EXPECT_EQ(first.outlier, second.outlier);
+}
+
+}  // namespace pose_test

@@ -72,9 +72,10 @@ int parse(int argc, char** argv, arguments& a) {
       ->check(CLI::Range(0, 4096));
   app.add_option("--frames", a.frames, "stop after so many; 0 = all")
       ->check(CLI::NonNegativeNumber);
-  app.add_flag(
-      "--realtime", a.realtime,
-      "frames arrive by their time stamps; those that come while one is processed are dropped");
+  app.add_flag("--realtime", a.realtime,
+               "frames arrive by their time stamps; of those that come while one is processed all "
+               "but the newest are "
+               "dropped");
   app.add_option("--out", a.out, "folder for trajectory.txt, times.csv, summary.json, report.html")
       ->capture_default_str();
   app.add_flag("--quiet", a.quiet, "no progress display");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What a stranger's first program looks like. Every consumer project builds it, as C++ or as CUDA.
+/// @file What a stranger's first program looks like. Every consumer project builds it, as C++ or as
+/// CUDA.
 #include <ft/ft.hpp>
 
 #include <cstdio>

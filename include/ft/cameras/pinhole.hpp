@@ -25,7 +25,9 @@ struct pinhole {
 
   /// @param p point in the camera frame, metres. Behind the camera: the principal point, not valid.
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    if (!(p.z > Scalar(0))) { return {{cx, cy}, false}; }  // also rejects NaN
+    if (!(p.z > Scalar(0))) {
+      return {{cx, cy}, false};
+    }  // also a NaN z; a NaN x or y ends in a NaN pixel
     return {{fx * p.x / p.z + cx, fy * p.y / p.z + cy}, true};
   }
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {

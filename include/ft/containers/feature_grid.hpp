@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
 #include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
 
@@ -54,9 +55,9 @@ inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry
                   int batch) {
   v.geometry = geometry;
   v.capacity = capacity;
-  v.start =
-      c.take<int>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(geometry.cells() + 1));
-  v.indices = c.take<int>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(capacity));
+  auto const b = static_cast<std::size_t>(batch);
+  v.start = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(geometry.cells() + 1)));
+  v.indices = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(capacity)));
 }
 
 /// Owner of a grid.
@@ -66,7 +67,9 @@ public:
   feature_grid() = default;
   /// @throws bad_argument for a grid without cells, capacity or batch
   feature_grid(grid_geometry const& geometry, int capacity, int batch = 1)
-      : arena_([&](carver& c) { carve(c, view_, geometry, capacity, batch); }) {}
+      : arena_(((detail::require(capacity >= 1 && batch >= 1 && geometry.cells() >= 1,
+                                 "a grid needs cells, a capacity and a batch of 1 or more")),
+                [&](carver& c) { carve(c, view_, geometry, capacity, batch); })) {}
   feature_grid_view view() const { return view_; }
 
 private:

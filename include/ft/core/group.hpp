@@ -240,7 +240,8 @@ struct block_group {
 
 #endif  // __CUDACC__
 
-// ---- atomics on integers: results do not depend on the order of the calls -----------------------
+// ---- atomics on integers: what ends up in memory does not depend on the order of the calls
+// -------
 
 /// Adds and returns the value before.
 FT_HOST_DEVICE inline int atomic_add(int* address, int value) {

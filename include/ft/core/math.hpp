@@ -146,7 +146,7 @@ template <typename S>
 FT_HOST_DEVICE S abs(S v) {
   return v < S(0) ? -v : v;
 }
-/// Computed in double and rounded once, so that host and device agree.
+/// Computed in double; for float scalars rounded once, so that host and device agree.
 template <typename S>
 FT_HOST_DEVICE S atan2(S y, S x) {
   using P = plain_scalar_t<S>;

@@ -69,10 +69,6 @@ struct corner_layout {
     return l;
   }
   FT_HOST_DEVICE int cells_of(int l) const { return cols[l] * rows[l]; }
-  /// Where a level's corners start in the gathered list of an image, and how many fit.
-  FT_HOST_DEVICE std::ptrdiff_t level_slots(int l) const {
-    return static_cast<std::ptrdiff_t>(cells_of(l)) * slots[l];
-  }
 };
 
 struct corner_params {

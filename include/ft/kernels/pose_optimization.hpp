@@ -122,7 +122,7 @@ FT_HOST_DEVICE inline bool solve_6(double const (&upper)[21], double damping, do
 
 }  // namespace detail
 
-/// Reprojection error of one observation, its weight and Jacobian. @tparam Rig rectified_rig or
+/// Reprojection error of one observation, its chi-square and Jacobian. @tparam Rig rectified_rig or
 /// stereo_rig
 template <typename Rig>
 struct reprojection {

@@ -279,7 +279,8 @@ public:
   static constexpr int cameras = Rig::rectified ? 1 : 2;  ///< whose keypoints are searched
 
   frame_tracker() = default;
-  /// @param batch camera pairs. Waits once. @throws bad_argument, std::bad_alloc, cuda_error
+  /// @param batch camera pairs. Waits for its own set-up. @throws bad_argument, std::bad_alloc,
+  /// cuda_error
   frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1)
       : rig_(rig), params_(params), batch_(batch) {
     rig.check();
@@ -363,9 +364,10 @@ public:
     detail::require(
         image.width == p.width && image.height == p.height && image.stride >= image.width,
         "the image's size is not the tracker's, or its stride is below its width");
-    copy_rows(host_exec(1), staged_image(b, camera), static_cast<std::size_t>(staged_stride()),
-              image.data, static_cast<std::size_t>(image.stride), static_cast<std::size_t>(p.width),
-              p.height);
+    for (int y = 0; y < p.height; ++y) {
+      std::memcpy(staged_image(b, camera) + static_cast<std::ptrdiff_t>(y) * staged_stride(),
+                  image.row(y), static_cast<std::size_t>(p.width));
+    }
   }
   /// For callers that decode straight into the staging memory: height rows of staged_stride()
   /// bytes.
@@ -385,7 +387,8 @@ public:
   int* local_count() { return local_.host.count; }  ///< [batch] at most params().local_points
   int* local_slots() { return local_.host.slots; }  ///< [batch][local_points] in search order
 
-  /// Queues the writing of map points. Must not follow another one before exec.wait().
+  /// Queues the writing of map points, each slot at most once. Must not follow another one before
+  /// exec.wait().
   /// @throws bad_argument for more than params().updates points or a slot outside the map
   void update_map(Exec const& exec, int b, point_update const* updates, int count) {
     detail::require_range("camera pair", b, 0, batch_ - 1);
@@ -403,8 +406,8 @@ public:
   // ---- the frame
   // ----------------------------------------------------------------------------------
 
-  // Without a `mark` a call on a device is one launch of a graph recorded by the constructor; with
-  // one, stage after stage is queued, and mark(name) called after each.
+  // A call with the executor alone is, on a device, one launch of a graph recorded by the
+  // constructor; with more arguments stage after stage is queued, and mark(name) called after each.
 
   /// Queues: images up, features, grid, stereo; result down with nothing held.
   void extract(Exec const& exec) {

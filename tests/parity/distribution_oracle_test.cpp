@@ -1,0 +1,288 @@
+// SPDX-License-Identifier: Apache-2.0
+// The parallel quadtree against the rule as it is told in section 3 of the specification: a list of
+// nodes that hold their points, split one after the other.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <iterator>
+#include <list>
+#include <memory>
+#include <random>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "ft/containers/soa.hpp"
+#include "ft/kernels/corners.hpp"
+#include "ft/kernels/distribution.hpp"
+#include "tests/support/backends.hpp"
+
+namespace distribution_oracle {
+
+using corners_list = std::vector<ft::corner>;
+
+struct node {
+  int x0, y0, x1, y1;
+  corners_list points;
+};
+using node_list = std::list<node>;
+
+/// Pushes the quadrants of a node to the front of the list; those with more than one point are
+/// noted.
+void push_children(node_list& nodes, node const& parent,
+                   std::vector<node_list::iterator>& multiple) {
+  int const sx =
+      parent.x0 + static_cast<int>(std::ceil(static_cast<float>(parent.x1 - parent.x0) / 2));
+  int const sy =
+      parent.y0 + static_cast<int>(std::ceil(static_cast<float>(parent.y1 - parent.y0) / 2));
+  node quadrants[4] = {{parent.x0, parent.y0, sx, sy, {}},
+                       {sx, parent.y0, parent.x1, sy, {}},
+                       {parent.x0, sy, sx, parent.y1, {}},
+                       {sx, sy, parent.x1, parent.y1, {}}};
+  for (auto const& p : parent.points) {
+    quadrants[(p.x < sx ? 0 : 1) + (p.y < sy ? 0 : 2)].points.push_back(p);
+  }
+  for (auto& q : quadrants) {
+    if (q.points.empty()) { continue; }
+    nodes.push_front(std::move(q));
+    if (nodes.front().points.size() > 1) { multiple.push_back(nodes.begin()); }
+  }
+}
+
+node_list make_roots(corners_list const& points, int width, int height) {
+  int const k = std::max(
+      1, static_cast<int>(std::round(static_cast<float>(width) / static_cast<float>(height))));
+  float const root_width = static_cast<float>(width) / static_cast<float>(k);
+  std::vector<node> roots;
+  for (int i = 0; i < k; ++i) {
+    roots.push_back({static_cast<int>(root_width * static_cast<float>(i)),
+                     0,
+                     static_cast<int>(root_width * static_cast<float>(i + 1)),
+                     height,
+                     {}});
+  }
+  for (auto const& p : points) {
+    auto const r = static_cast<std::size_t>(static_cast<float>(p.x) / root_width);
+    roots[std::min(r, roots.size() - 1)].points.push_back(p);
+  }
+  node_list nodes;
+  for (auto& r : roots) {
+    if (!r.points.empty()) { nodes.push_back(std::move(r)); }
+  }
+  return nodes;
+}
+
+/// What a level keeps, in list order.
+corners_list distribute(corners_list const& points, int width, int height, int wanted) {
+  corners_list kept;
+  if (points.empty()) { return kept; }
+  auto const enough = static_cast<std::size_t>(wanted);
+  node_list nodes = make_roots(points, width, height);
+  std::vector<node_list::iterator>
+      multiple;  // nodes to split again, in the order of their creation
+  bool done = false;
+  while (!done) {
+    auto const before = nodes.size();
+    multiple.clear();
+    for (auto it = nodes.begin(); it != nodes.end();) {
+      if (it->points.size() == 1) {
+        ++it;
+        continue;
+      }
+      push_children(nodes, *it, multiple);
+      it = nodes.erase(it);
+    }
+    if (nodes.size() >= enough || nodes.size() == before) { break; }
+    if (nodes.size() + 3 * multiple.size() <= enough) { continue; }
+    while (!done) {
+      auto const before_batch = nodes.size();
+      auto batch = std::exchange(multiple, {});
+      std::stable_sort(batch.begin(), batch.end(), [](auto const& a, auto const& b) {
+        return std::make_pair(a->points.size(), a->x0) < std::make_pair(b->points.size(), b->x0);
+      });
+      for (auto it = batch.rbegin(); it != batch.rend() && nodes.size() < enough; ++it) {
+        push_children(nodes, **it, multiple);
+        nodes.erase(*it);
+      }
+      done = nodes.size() >= enough || nodes.size() <= before_batch;
+    }
+  }
+  for (auto const& n : nodes) {
+    kept.push_back(
+        *std::max_element(n.points.begin(), n.points.end(), [](auto const& a, auto const& b) {
+          return a.response < b.response;  // the first of equals
+        }));
+  }
+  return kept;
+}
+
+/// A number in [0, n).
+int below(std::mt19937& random, int n) {
+  return static_cast<int>(random() % static_cast<unsigned>(std::max(n, 1)));
+}
+
+enum class scatter { uniform, clustered, grid, line, corner_of_the_level, coincident, count };
+
+corners_list random_points(std::mt19937& random, scatter kind, int n, int width, int height) {
+  int const responses = 1 + below(random, 3) * below(random, 100);  // often all equal
+  std::vector<std::pair<int, int>> centres(static_cast<std::size_t>(1 + below(random, 5)));
+  for (auto& c : centres) { c = {below(random, width), below(random, height)}; }
+  int const spread = 2 + below(random, 40);
+  int const pitch = 1 + below(random, 9);
+  std::set<std::pair<int, int>> taken;
+  corners_list points;
+  for (int i = 0; i < n; ++i) {
+    int x = below(random, width);
+    int y = below(random, height);
+    if (kind == scatter::clustered) {
+      auto const& c =
+          centres[static_cast<std::size_t>(below(random, static_cast<int>(centres.size())))];
+      x = c.first + below(random, spread) - spread / 2;
+      y = c.second + below(random, spread) - spread / 2;
+    } else if (kind == scatter::grid) {
+      x = (i % (width / pitch + 1)) * pitch;
+      y = (i / (width / pitch + 1)) * pitch;
+    } else if (kind == scatter::line) {
+      y = static_cast<int>(static_cast<std::int64_t>(x) * height / width);
+    } else if (kind == scatter::corner_of_the_level) {
+      x = width - 1 - below(random, 8);
+      y = height - 1 - below(random, 8);
+    } else if (kind == scatter::coincident) {
+      x = centres[0].first + below(random, 2);
+      y = centres[0].second;
+    }
+    x = std::min(std::max(x, 0), width - 1);
+    y = std::min(std::max(y, 0), height - 1);
+    // Corners are at places of their own; the rule must end for any input all the same.
+    if (kind != scatter::coincident && !taken.insert({x, y}).second) { continue; }
+    points.push_back({static_cast<std::uint16_t>(x), static_cast<std::uint16_t>(y),
+                      7 + below(random, responses)});
+  }
+  return points;
+}
+
+template <typename Backend>
+class distribution_oracle_test : public test::on_backend<Backend> {
+protected:
+  void SetUp() override {
+    test::on_backend<Backend>::SetUp();
+    if (!this->IsSkipped() && !this->HasFailure()) { backend_ = std::make_unique<Backend>(); }
+  }
+
+  /// Distributes random points over all levels of `batch` images and compares with the plain rule.
+  void compare(std::mt19937& random, int width, int height, int levels, int wanted, int batch,
+               int most_points) {
+    auto const geometry = ft::pyramid_geometry::make(width, height, levels, 1.2f);
+    auto const cells = ft::corner_layout::make(geometry);
+    auto const layout = ft::distribution_layout::make(geometry, wanted);
+    auto const& exec = backend_->exec;
+    ft::corners_view corners;
+    ft::distribution_view out;
+    ft::arena<std::decay_t<decltype(exec)>::space> memory([&](ft::carver& c) {
+      ft::carve(c, corners, cells, batch);
+      ft::carve(c, out, layout, cells, batch);
+    });
+    corners_list list(static_cast<std::size_t>(batch) *
+                      static_cast<std::size_t>(cells.total_slots));
+    std::vector<int> counts(static_cast<std::size_t>(batch * levels), 0);
+    std::vector<corners_list> points(counts.size());
+    for (int b = 0; b < batch; ++b) {
+      for (int l = 0; l < levels; ++l) {
+        auto const at = static_cast<std::size_t>(b * levels + l);
+        int const slots = static_cast<int>(cells.level_slots(l));
+        int const n = std::min(
+            below(random, 6) == 0 ? below(random, 4) : below(random, most_points + 1), slots);
+        auto const kind = static_cast<scatter>(below(random, static_cast<int>(scatter::count)));
+        if (n > 0) {
+          points[at] = random_points(random, kind, n, layout.width[l], layout.height[l]);
+        }
+        counts[at] = static_cast<int>(points[at].size());
+        std::copy(points[at].begin(), points[at].end(),
+                  list.begin() + b * cells.total_slots + cells.first_slot[l]);
+      }
+    }
+    ft::copy(exec, corners.list, list.data(), list.size());
+    ft::copy(exec, corners.list_count, counts.data(), counts.size());
+    ft::distribute_corners(exec, corners, out);
+    auto const kept =
+        test::from_exec(exec, out.kept, static_cast<std::size_t>(batch * layout.total));
+    auto const kept_count = test::from_exec(exec, out.kept_count, counts.size());
+    for (int b = 0; b < batch; ++b) {
+      for (int l = 0; l < levels; ++l) {
+        auto const at = static_cast<std::size_t>(b * levels + l);
+        auto const want =
+            distribute(points[at], layout.width[l], layout.height[l], layout.wanted[l]);
+        SCOPED_TRACE("image " + std::to_string(b) + " level " + std::to_string(l) + " of " +
+                     std::to_string(width) + "x" + std::to_string(height) + ", " +
+                     std::to_string(points[at].size()) + " points, wanted " +
+                     std::to_string(layout.wanted[l]));
+        ASSERT_LE(static_cast<int>(want.size()), layout.capacity[l]);
+        ASSERT_EQ(kept_count[at], static_cast<int>(want.size()));
+        auto const first = static_cast<std::size_t>(b * layout.total + layout.first[l]);
+        for (std::size_t i = 0; i < want.size(); ++i) {
+          auto const& got = kept[first + i];
+          ASSERT_TRUE(got.x == want[i].x && got.y == want[i].y && got.response == want[i].response)
+              << "node " << i << ": (" << got.x << ", " << got.y << ") " << got.response
+              << " instead of (" << want[i].x << ", " << want[i].y << ") " << want[i].response;
+        }
+        levels_compared_ += static_cast<int>(!want.empty());
+      }
+    }
+  }
+
+  std::unique_ptr<Backend> backend_;  // made where there is a device only
+  int levels_compared_ = 0;
+};
+TYPED_TEST_SUITE(distribution_oracle_test, test::backends);
+
+TYPED_TEST(distribution_oracle_test, keeps_what_the_list_of_nodes_keeps) {
+  struct shape {
+    int min_width, max_width, min_height, max_height, most_points;
+  };
+  constexpr shape shapes[] = {
+      {160, 900, 120, 600, 1500},  // landscape
+      {100, 300, 200, 900, 800},   // portrait: one root
+      {600, 1800, 70, 130, 600},   // wide: many roots
+      {67, 80, 67, 80, 60},        // one cell
+      {9000, 16384, 67, 90, 700},  // more roots than wanted features
+  };
+  for (unsigned seed = 0; seed < 1000; ++seed) {
+    std::mt19937 random(1000 + seed);
+    auto const& s = shapes[seed % std::size(shapes)];
+    int const wanted = 1 + below(random, 1 << (1 + below(random, 11)));
+    int const width = s.min_width + below(random, s.max_width - s.min_width + 1);
+    int const height = s.min_height + below(random, s.max_height - s.min_height + 1);
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    this->compare(random, width, height, 1 + below(random, 3), wanted, 1 + below(random, 4),
+                  s.most_points);
+    if (this->HasFatalFailure()) { return; }
+  }
+  EXPECT_GT(this->levels_compared_, 2000);
+}
+
+TYPED_TEST(distribution_oracle_test, many_points_and_up_to_3000_features) {
+  for (unsigned seed = 0; seed < 8; ++seed) {
+    std::mt19937 random(9000 + seed);
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    this->compare(random, 752 + below(random, 500), 370 + below(random, 300), 1,
+                  seed == 0 ? 3000 : 1 + below(random, 3000), 2, 12000);
+    if (this->HasFatalFailure()) { return; }
+  }
+}
+
+TYPED_TEST(distribution_oracle_test, few_points_for_any_number_of_wanted_features) {
+  for (int wanted = 1; wanted <= 40; ++wanted) {
+    for (int most = 0; most <= 3; ++most) {
+      std::mt19937 random(static_cast<unsigned>(100 * wanted + most));
+      SCOPED_TRACE("wanted " + std::to_string(wanted) + ", up to " + std::to_string(most) +
+                   " points");
+      this->compare(random, 120, 90, 2, wanted, 3, most);
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+}
+
+}  // namespace distribution_oracle

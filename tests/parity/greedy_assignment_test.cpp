@@ -1,0 +1,636 @@
+// SPDX-License-Identifier: Apache-2.0
+// Searches by projection are sequential by definition: sections 9 and 10 of the specification. The
+// oracle below is that loop, told from the specification alone, over all keypoints of a frame. Both
+// ways in which ft assigns keypoints, the plain one and the reservation rounds, must give its
+// answer for any input.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <random>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "ft/containers/feature_grid.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/kernels/feature_grid.hpp"
+#include "ft/kernels/search_by_projection.hpp"
+#include "tests/support/backends.hpp"
+
+namespace greedy_assignment {
+
+std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
+
+constexpr int poison = 0x55555555;  ///< what outputs hold before a search
+
+/// Everything that a search reads. Arrays are laid out as the library's.
+struct scene {
+  int batch = 1;
+  int cameras = 1;
+  int step = 1;      ///< images per batch entry
+  int capacity = 0;  ///< keypoints of an image
+  int slots = 0;     ///< map points of a batch entry
+  int windows = 0;   ///< of a batch entry and camera
+  int spare = 0;     ///< by how much the workspace is larger than it need be
+  ft::grid_geometry geometry;
+  std::vector<float> x, y;  ///< [step * batch][capacity]
+  std::vector<int> octave;
+  std::vector<ft::descriptor> orb;
+  std::vector<int> count;                 ///< [step * batch]
+  std::vector<ft::descriptor> wanted;     ///< [batch][slots]
+  std::vector<int> observations;          ///< [batch][slots]
+  std::vector<ft::search_window> window;  ///< [cameras][batch][windows]
+  std::vector<int> window_count;          ///< [batch]
+  std::vector<float> right_x;             ///< [batch][capacity], or empty
+  std::vector<int> partner;               ///< [batch][cameras * capacity], or empty
+  std::vector<int> holder;                ///< [batch][cameras * capacity]
+  std::vector<int> gate;                  ///< [batch], or empty
+  int enough = 0;
+  ft::search_params params;
+
+  int numbers() const { return cameras * capacity; }
+  int image(int b, int c) const { return step * b + c; }
+  bool closed(int b) const { return !gate.empty() && gate[at(b)] >= enough; }
+};
+
+struct outcome {
+  std::vector<int> holder;   ///< [batch][cameras * capacity]
+  std::vector<int> match;    ///< [cameras][batch][windows]
+  std::vector<int> matches;  ///< [batch]
+};
+
+/// How often the oracle met what the scenes are made for.
+struct tally {
+  long frames = 0;
+  long windows = 0;
+  long taken = 0;
+  long long_lists = 0;         ///< windows with more candidates than a list holds
+  long blocked = 0;            ///< best keypoint held by a point of this very search
+  long retaken = 0;            ///< a keypoint taken from a point without observations
+  long refused_left = 0;       ///< by the ratio test, where a right window follows
+  long partner_overrun = 0;    ///< a partner taken although it held another point
+  long outside_column = 0;     ///< kept out by the right column
+  long equal_distances = 0;    ///< the first of equals was taken
+  long right_not_reached = 0;  ///< last frame: nothing in the left window
+};
+
+// ---- the sequential loop ----------------------------------------------------------------------
+
+int bit_distance(ft::descriptor const& a, ft::descriptor const& b) {
+  int distance = 0;
+  for (int i = 0; i < 8; ++i) {
+    for (std::uint32_t bits = a.words[i] ^ b.words[i]; bits != 0; bits &= bits - 1) { ++distance; }
+  }
+  return distance;
+}
+
+/// Keypoints of an image inside a window, in the order of an area query: section 7, over all
+/// keypoints.
+std::vector<int> keypoints_in_area(scene const& s, int image, ft::search_window const& w) {
+  auto const& g = s.geometry;
+  auto const clamped = [](float v, float low, float high) {
+    return static_cast<int>(std::min(std::max(v, low), high));
+  };
+  auto const cols = static_cast<float>(g.cols);
+  auto const rows = static_cast<float>(g.rows);
+  float const x0 = std::floor((w.x - g.min_x - w.radius) * g.inv_width);
+  float const x1 = std::ceil((w.x - g.min_x + w.radius) * g.inv_width);
+  float const y0 = std::floor((w.y - g.min_y - w.radius) * g.inv_height);
+  float const y1 = std::ceil((w.y - g.min_y + w.radius) * g.inv_height);
+  if (x0 >= cols || x1 < 0 || y0 >= rows || y1 < 0) { return {}; }
+  int const cx0 = clamped(x0, 0, cols);
+  int const cx1 = clamped(x1, 0, cols - 1);
+  int const cy0 = clamped(y0, 0, rows);
+  int const cy1 = clamped(y1, 0, rows - 1);
+  bool const check_level = w.min_level > 0 || w.max_level >= 0;
+  std::vector<std::tuple<int, int, int>> found;
+  for (int k = 0; k < s.count[at(image)]; ++k) {
+    auto const i = at(static_cast<std::ptrdiff_t>(image) * s.capacity + k);
+    int const cx = static_cast<int>(std::round((s.x[i] - g.min_x) * g.inv_width));
+    int const cy = static_cast<int>(std::round((s.y[i] - g.min_y) * g.inv_height));
+    if (cx < cx0 || cx > cx1 || cy < cy0 || cy > cy1 || cx >= g.cols || cy >= g.rows) { continue; }
+    if (check_level &&
+        (s.octave[i] < w.min_level || (w.max_level >= 0 && s.octave[i] > w.max_level))) {
+      continue;
+    }
+    if (std::fabs(s.x[i] - w.x) < w.radius && std::fabs(s.y[i] - w.y) < w.radius) {
+      found.emplace_back(cx, cy, k);
+    }
+  }
+  std::sort(found.begin(), found.end());
+  std::vector<int> keypoints;
+  for (auto const& f : found) { keypoints.push_back(std::get<2>(f)); }
+  return keypoints;
+}
+
+/// Sections 9 and 10, map point after map point.
+outcome search_in_order(scene const& s, tally& seen) {
+  outcome out{s.holder, std::vector<int>(s.window.size(), poison),
+              std::vector<int>(at(s.batch), poison)};
+  bool const local = s.params.kind == ft::search_kind::local_map;
+  for (int b = 0; b < s.batch; ++b) {
+    if (s.closed(b)) { continue; }
+    ++seen.frames;
+    int* const holder = out.holder.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
+    int const* const observations =
+        s.observations.data() + static_cast<std::ptrdiff_t>(b) * s.slots;
+    int const* const partner =
+        s.partner.empty() ? nullptr
+                          : s.partner.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
+    int taken = 0;
+    for (int i = 0; i < s.window_count[at(b)]; ++i) {
+      bool search_right = true;
+      for (int c = 0; c < s.cameras; ++c) {
+        auto const number = at((static_cast<std::ptrdiff_t>(c) * s.batch + b) * s.windows + i);
+        out.match[number] = -1;
+        ft::search_window const& w = s.window[number];
+        if (c == 1 && !search_right) { continue; }
+        if (w.slot < 0) {
+          if (!local) { search_right = false; }  // the left projection was out of bounds
+          continue;
+        }
+        ++seen.windows;
+        int const image = s.image(b, c);
+        auto const area = keypoints_in_area(s, image, w);
+        if (!local && c == 0 && area.empty()) {
+          search_right = false;
+          seen.right_not_reached += static_cast<long>(s.cameras == 2);
+        }
+        ft::descriptor const& wanted =
+            s.wanted[at(static_cast<std::ptrdiff_t>(b) * s.slots + w.slot)];
+        int best = 256, second = 256, best_octave = -1, second_octave = -1, best_k = -1,
+            best_blocked = 256;
+        int candidates = 0;
+        for (int const k : area) {
+          auto const j = at(static_cast<std::ptrdiff_t>(image) * s.capacity + k);
+          int const distance = bit_distance(wanted, s.orb[j]);
+          int const held = holder[c * s.capacity + k];
+          if (c == 0 && !s.right_x.empty() && w.check_right) {
+            float const right = s.right_x[at(static_cast<std::ptrdiff_t>(b) * s.capacity + k)];
+            if (right > 0 && std::fabs(w.right_x - right) > w.radius) {
+              ++seen.outside_column;
+              continue;
+            }
+          }
+          candidates += static_cast<int>(distance <= s.params.max_distance);
+          if (held >= 0 && observations[held] > 0) {
+            best_blocked = std::min(best_blocked, distance);
+            continue;
+          }
+          if (distance < best) {
+            second = best;
+            second_octave = best_octave;
+            best = distance;
+            best_octave = s.octave[j];
+            best_k = k;
+          } else if (distance < second) {
+            second = distance;
+            second_octave = s.octave[j];
+          }
+        }
+        seen.long_lists += static_cast<long>(candidates > ft::search_workspace::list_size);
+        seen.blocked +=
+            static_cast<long>(best_blocked < best && best_blocked <= s.params.max_distance);
+        if (best_k < 0 || best > s.params.max_distance) { continue; }
+        if (local && best_octave == second_octave &&
+            static_cast<float>(best) > s.params.ratio * static_cast<float>(second)) {
+          if (c == 0) {
+            search_right = false;
+            seen.refused_left += static_cast<long>(s.cameras == 2);
+          }
+          continue;
+        }
+        int const k = c * s.capacity + best_k;
+        seen.retaken += static_cast<long>(holder[k] >= 0);
+        seen.equal_distances += static_cast<long>(best == second);
+        holder[k] = w.slot;
+        out.match[number] = best_k;
+        ++taken;
+        if (local && partner != nullptr && partner[k] >= 0) {
+          int& other = holder[partner[k]];
+          seen.partner_overrun +=
+              static_cast<long>(other >= 0 && other != w.slot && observations[other] > 0);
+          other = w.slot;
+          ++taken;
+        }
+      }
+    }
+    out.matches[at(b)] = taken;
+    seen.taken += taken;
+  }
+  return out;
+}
+
+// ---- ft ---------------------------------------------------------------------------------------
+
+/// The same search by ft. @tparam Rounds reservation rounds, or the plain loop
+template <bool Rounds, typename Exec>
+outcome search(Exec const& exec, scene const& s) {
+  ft::keypoints<ft::memory_space::host> host_keypoints(s.capacity, s.step * s.batch);
+  auto const kp = host_keypoints.view();
+  std::copy(s.x.begin(), s.x.end(), ft::array_of<ft::field::x>(kp));
+  std::copy(s.y.begin(), s.y.end(), ft::array_of<ft::field::y>(kp));
+  std::copy(s.octave.begin(), s.octave.end(), ft::array_of<ft::field::octave>(kp));
+  std::copy(s.orb.begin(), s.orb.end(), ft::array_of<ft::field::orb>(kp));
+  std::copy(s.count.begin(), s.count.end(), kp.count);
+
+  ft::keypoints_view keypoints;
+  ft::map_points_view map;
+  ft::feature_grid_view grids;
+  ft::search_windows_view windows;
+  ft::search_workspace work;
+  float* right_x = nullptr;
+  int* partner = nullptr;
+  int* holder = nullptr;
+  int* gate = nullptr;
+  ft::arena<Exec::space> memory([&](ft::carver& c) {
+    ft::carve(c, keypoints, s.capacity, s.step * s.batch);
+    ft::carve(c, map, s.slots, s.batch);
+    ft::carve(c, grids, s.geometry, s.capacity, s.cameras * s.batch);
+    ft::carve(c, windows, s.windows, s.batch, s.cameras);
+    ft::carve(c, work, s.windows + s.spare, s.capacity, s.batch, s.cameras);
+    right_x = c.take<float>(s.right_x.size());
+    partner = c.take<int>(s.partner.size());
+    holder = c.take<int>(s.holder.size());
+    gate = c.take<int>(s.gate.size());
+  });
+  ft::fill_bytes(exec, memory.data(), poison & 0xff, memory.bytes());
+  auto const put = [&](auto* to, auto const& values) {
+    ft::copy(exec, to, values.data(), values.size());
+  };
+  ft::copy(exec, keypoints, kp);
+  put(ft::array_of<ft::field::orb>(map), s.wanted);
+  put(ft::array_of<ft::field::observations>(map), s.observations);
+  put(windows.windows, s.window);
+  put(windows.count, s.window_count);
+  put(right_x, s.right_x);
+  put(partner, s.partner);
+  put(holder, s.holder);
+  put(gate, s.gate);
+
+  ft::frame_view frame;
+  frame.keypoints = keypoints;
+  frame.keypoint_step = s.step;
+  frame.cameras = s.cameras;
+  frame.batch = s.batch;
+  frame.grids = grids;
+  frame.right_x = s.right_x.empty() ? nullptr : right_x;
+  frame.partner = s.partner.empty() ? nullptr : partner;
+  frame.holder = holder;
+  ft::search_gate const closed{s.gate.empty() ? nullptr : gate, s.enough};
+
+  bool const all_images = s.cameras == s.step;
+  ft::build_grid<ft::nearest_cell>(exec, keypoints, 0, all_images ? 1 : s.step, s.cameras * s.batch,
+                                   grids);
+  if constexpr (Rounds == Exec::asynchronous) {
+    ft::search_by_projection(exec, frame, map, windows, s.params, closed, work);
+  } else {
+    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
+                                    frame, map, windows, s.params, closed, work);
+    ft::for_each_item<ft::per_block<512>>(exec, windows.batch, ft::assign_keypoints<Rounds>{},
+                                          frame, map, windows, s.params, closed, work);
+  }
+  outcome out;
+  out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());
+  out.matches = test::from_exec(exec, static_cast<int const*>(work.matches), at(s.batch));
+  auto const match =
+      test::from_exec(exec, static_cast<int const*>(work.match),
+                      at(static_cast<std::ptrdiff_t>(s.cameras) * s.batch * work.capacity));
+  for (int row = 0; row < s.cameras * s.batch; ++row) {
+    auto const first = match.begin() + static_cast<std::ptrdiff_t>(row) * work.capacity;
+    out.match.insert(out.match.end(), first, first + s.windows);
+  }
+  return out;
+}
+
+struct plain_loop_on_host {
+  using backend = test::host_backend;
+  static constexpr bool rounds = false;
+};
+struct rounds_on_host {
+  using backend = test::host_backend;
+  static constexpr bool rounds = true;
+};
+#if defined(__CUDACC__)
+struct rounds_on_device {
+  using backend = test::cuda_backend;
+  static constexpr bool rounds = true;
+};
+using ways = ::testing::Types<plain_loop_on_host, rounds_on_host, rounds_on_device>;
+#else
+using ways = ::testing::Types<plain_loop_on_host, rounds_on_host>;
+#endif
+
+// ---- scenes -----------------------------------------------------------------------------------
+
+class generator {
+public:
+  explicit generator(unsigned seed) : random_(seed) {}
+  int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(std::max(n, 1))); }
+  int from_to(int low, int high) { return low + below(high - low + 1); }
+  bool chance(int percent) { return below(100) < percent; }
+  float real(float low, float high) {
+    return low + (high - low) * static_cast<float>(random_() >> 8) * (1.0f / 16777216.0f);
+  }
+  ft::descriptor flipped(ft::descriptor d, int bits) {
+    for (int i = 0; i < bits; ++i) {
+      int const bit = below(256);
+      d.words[bit / 32] ^= 1u << (bit % 32);
+    }
+    return d;
+  }
+  ft::descriptor any_descriptor() {
+    ft::descriptor d;
+    for (auto& w : d.words) { w = static_cast<std::uint32_t>(random_()); }
+    return d;
+  }
+
+private:
+  std::mt19937 random_;
+};
+
+struct scene_limits {
+  int batch = 6;
+  int keypoints = 90;
+  int windows = 140;
+  int min_windows = 0;
+  int width = 300, height = 220;
+  float radius = 60;
+};
+
+/// A crowded scene. Descriptors come from a handful, so that distances are often equal.
+scene random_scene(unsigned seed, ft::search_kind kind, int cameras, scene_limits const& limits) {
+  generator g(seed);
+  scene s;
+  s.batch = g.from_to(1, limits.batch);
+  s.cameras = cameras;
+  s.step = cameras == 2 ? 2 : g.from_to(1, 2);
+  s.capacity = g.from_to(1, limits.keypoints);
+  s.slots = g.from_to(1, 1 + limits.windows);
+  s.windows = g.from_to(std::max(1, limits.min_windows), std::max(1, limits.windows));
+  s.spare = g.chance(50) ? 0 : g.below(20);
+  auto const width = static_cast<float>(g.from_to(8, limits.width));
+  auto const height = static_cast<float>(g.from_to(8, limits.height));
+  float const min_x = g.chance(70) ? 0.0f : g.real(-30, 30);
+  float const min_y = g.chance(70) ? 0.0f : g.real(-30, 30);
+  s.geometry = g.chance(70) ? ft::grid_geometry::over(min_x, min_y, min_x + width, min_y + height)
+                            : ft::grid_geometry::over(min_x, min_y, min_x + width, min_y + height,
+                                                      g.from_to(1, 20), g.from_to(1, 20));
+  s.params.kind = kind;
+  if (g.chance(20)) { s.params.max_distance = g.below(257); }
+  if (g.chance(20)) { s.params.ratio = g.real(0.05f, 1.2f); }
+
+  std::vector<ft::descriptor> looks(at(g.from_to(1, 6)));
+  looks[0] = g.any_descriptor();
+  for (std::size_t i = 1; i < looks.size(); ++i) { looks[i] = g.flipped(looks[0], g.below(160)); }
+  int const flips = g.chance(40) ? 1 : g.from_to(1, 40);
+  auto const look = [&] {
+    return g.flipped(looks[at(g.below(static_cast<int>(looks.size())))], g.below(flips));
+  };
+  int const octaves = g.from_to(1, 8);
+  bool const whole_pixels = g.chance(50);
+  auto const place = [&](float low, float size) {
+    float const v = low + g.real(-0.05f, 1.05f) * size;
+    return whole_pixels ? std::floor(v) : v;
+  };
+
+  int const images = s.step * s.batch;
+  for (int image = 0; image < images; ++image) {
+    s.count.push_back(g.chance(5) ? 0 : g.from_to(1, s.capacity));
+    for (int k = 0; k < s.capacity; ++k) {
+      s.x.push_back(place(min_x, width));
+      s.y.push_back(place(min_y, height));
+      s.octave.push_back(g.below(octaves));
+      s.orb.push_back(look());
+    }
+  }
+  int const unobserved = g.chance(50) ? 0 : g.below(60);
+  for (int i = 0; i < s.batch * s.slots; ++i) {
+    s.wanted.push_back(look());
+    s.observations.push_back(g.chance(unobserved) ? -g.below(2) : g.from_to(1, 9));
+  }
+
+  float const radius = g.real(1, limits.radius);
+  int const absent = g.below(30);
+  bool const columns = cameras == 1 && g.chance(60);
+  std::ptrdiff_t const windows = static_cast<std::ptrdiff_t>(cameras) * s.batch * s.windows;
+  for (std::ptrdiff_t i = 0; i < windows; ++i) {
+    ft::search_window w{};
+    w.x = place(min_x, width);
+    w.y = place(min_y, height);
+    if (g.chance(1)) { w.x = g.real(-1e7f, 1e7f); }
+    w.radius = whole_pixels && g.chance(50) ? std::floor(radius) : radius * g.real(0.5f, 1.5f);
+    w.right_x = w.x - g.real(0, 20);
+    int const level = g.below(octaves + 1);
+    int const way = g.below(5);
+    w.min_level = way == 0 ? level : (way == 1 ? 0 : level - 1);
+    w.max_level = way == 0 ? -1 : (way == 2 ? level + 1 : level);
+    w.slot = g.chance(absent) ? -1 : g.below(s.slots);
+    w.check_right = columns && g.chance(90);
+    s.window.push_back(w);
+  }
+  for (int b = 0; b < s.batch; ++b) {
+    s.window_count.push_back(g.chance(5) ? 0 : g.from_to(s.windows / 2, s.windows));
+  }
+  if (columns) {
+    for (int i = 0; i < s.batch * s.capacity; ++i) {
+      float const x = s.x[at(static_cast<std::ptrdiff_t>(i / s.capacity) * s.step * s.capacity +
+                             i % s.capacity)];
+      s.right_x.push_back(g.chance(30) ? -1.0f : x - g.real(0, 40));
+    }
+  }
+  if (cameras == 2 && g.chance(85)) {
+    int const paired = g.below(100);
+    for (int i = 0; i < s.batch * s.numbers(); ++i) {
+      int const other = i % s.numbers() < s.capacity ? s.capacity : 0;
+      s.partner.push_back(g.chance(paired) ? other + g.below(s.capacity) : -1);
+    }
+    if (g.chance(60)) {  // as stereo matching leaves it: right entries point back
+      for (int b = 0; b < s.batch; ++b) {
+        int* const p = s.partner.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
+        std::fill(p + s.capacity, p + s.numbers(), -1);
+        for (int k = 0; k < s.capacity; ++k) {
+          if (p[k] >= 0) { p[p[k]] = k; }
+        }
+      }
+    }
+  }
+  int const held = g.chance(40) ? 0 : g.below(70);
+  for (int i = 0; i < s.batch * s.numbers(); ++i) {
+    s.holder.push_back(g.chance(held) ? g.below(s.slots) : -1);
+  }
+  if (g.chance(30)) {
+    s.enough = 20;
+    for (int b = 0; b < s.batch; ++b) { s.gate.push_back(g.from_to(18, 21)); }
+  }
+  return s;
+}
+
+/// Points that displace each other: point i wants keypoint i - 1 most and keypoint i next.
+scene chain(int links, bool backwards) {
+  scene s;
+  s.capacity = links + 1;
+  s.slots = links;
+  s.windows = links;
+  s.geometry = ft::grid_geometry::over(0, 0, static_cast<float>(8 * links + 16), 48);
+  s.count = {links + 1};
+  s.params.kind = ft::search_kind::last_frame;
+  ft::descriptor const none{};
+  for (int k = 0; k <= links; ++k) {
+    s.x.push_back(static_cast<float>(8 * k + 4));
+    s.y.push_back(20);
+    s.octave.push_back(0);
+    ft::descriptor d = none;
+    d.words[0] = (1u << (k % 20)) - 1u;  // nearer to the zero descriptor, the smaller k % 20
+    s.orb.push_back(d);
+    s.holder.push_back(-1);
+  }
+  for (int i = 0; i < links; ++i) {
+    int const k = backwards ? links - 1 - i : i;
+    s.wanted.push_back(none);
+    s.observations.push_back(1);
+    s.window.push_back({static_cast<float>(8 * k + 8), 20, 5, 0, 0, -1, i, false});
+  }
+  s.window_count = {links};
+  return s;
+}
+
+template <typename Way>
+class greedy_assignment_test : public ::testing::Test {
+protected:
+  void SetUp() override {
+    if (!Way::backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+    backend_ = std::make_unique<typename Way::backend>();
+  }
+
+  void compare(scene const& s) {
+    outcome const want = search_in_order(s, seen_);
+    outcome const got = search<Way::rounds>(backend_->exec, s);
+    for (int b = 0; b < s.batch; ++b) {
+      ASSERT_EQ(got.matches[at(b)], want.matches[at(b)])
+          << "number of matches of batch entry " << b;
+      for (int k = 0; k < s.numbers(); ++k) {
+        auto const i = at(static_cast<std::ptrdiff_t>(b) * s.numbers() + k);
+        ASSERT_EQ(got.holder[i], want.holder[i])
+            << "holder of keypoint " << k << " of batch entry " << b;
+      }
+      for (int c = 0; c < s.cameras; ++c) {
+        for (int i = 0; i < s.window_count[at(b)]; ++i) {
+          auto const w = at((static_cast<std::ptrdiff_t>(c) * s.batch + b) * s.windows + i);
+          ASSERT_EQ(got.match[w], want.match[w])
+              << "match of window " << i << ", camera " << c << ", batch entry " << b;
+        }
+      }
+    }
+  }
+
+  void compare_many(ft::search_kind kind, int cameras, int scenes, scene_limits const& limits,
+                    unsigned first_seed) {
+    for (int i = 0; i < scenes; ++i) {
+      unsigned const seed = first_seed + static_cast<unsigned>(i);
+      SCOPED_TRACE("seed " + std::to_string(seed));
+      compare(random_scene(seed, kind, cameras, limits));
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+
+  std::unique_ptr<typename Way::backend> backend_;  // made where there is a device only
+  tally seen_;
+};
+TYPED_TEST_SUITE(greedy_assignment_test, ways);
+
+TYPED_TEST(greedy_assignment_test, local_map_with_one_camera) {
+  this->compare_many(ft::search_kind::local_map, 1, 600, {}, 10000);
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.frames, 1000);
+  EXPECT_GT(seen.taken, 2000);
+  EXPECT_GT(seen.long_lists, 1000);
+  EXPECT_GT(seen.blocked, 2000);
+  EXPECT_GT(seen.retaken, 200);
+  EXPECT_GT(seen.outside_column, 2000);
+  EXPECT_GT(seen.equal_distances, 100);
+}
+
+TYPED_TEST(greedy_assignment_test, last_frame_with_one_camera) {
+  this->compare_many(ft::search_kind::last_frame, 1, 600, {}, 20000);
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.taken, 5000);
+  EXPECT_GT(seen.long_lists, 1000);
+  EXPECT_GT(seen.blocked, 2000);
+  EXPECT_GT(seen.retaken, 200);
+  EXPECT_GT(seen.equal_distances, 1000);
+}
+
+TYPED_TEST(greedy_assignment_test, local_map_with_two_cameras) {
+  this->compare_many(ft::search_kind::local_map, 2, 600, {}, 30000);
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.taken, 5000);
+  EXPECT_GT(seen.long_lists, 1000);
+  EXPECT_GT(seen.blocked, 2000);
+  EXPECT_GT(seen.refused_left, 2000);
+  EXPECT_GT(seen.partner_overrun, 500);
+}
+
+TYPED_TEST(greedy_assignment_test, last_frame_with_two_cameras) {
+  this->compare_many(ft::search_kind::last_frame, 2, 600, {}, 40000);
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.taken, 5000);
+  EXPECT_GT(seen.long_lists, 1000);
+  EXPECT_GT(seen.right_not_reached, 1000);
+}
+
+TYPED_TEST(greedy_assignment_test, one_point_or_one_keypoint) {
+  scene_limits few;
+  few.keypoints = 2;
+  few.windows = 3;
+  few.width = few.height = 40;
+  for (int cameras = 1; cameras <= 2; ++cameras) {
+    this->compare_many(ft::search_kind::local_map, cameras, 200, few, 50000);
+    this->compare_many(ft::search_kind::last_frame, cameras, 200, few, 51000);
+  }
+}
+
+TYPED_TEST(greedy_assignment_test, many_points_want_few_keypoints) {
+  scene_limits crowd;
+  crowd.batch = 3;
+  crowd.keypoints = 12;
+  crowd.windows = 1500;
+  crowd.min_windows = 500;
+  crowd.width = crowd.height = 30;
+  for (int cameras = 1; cameras <= 2; ++cameras) {
+    this->compare_many(ft::search_kind::local_map, cameras, 20, crowd, 60000);
+    this->compare_many(ft::search_kind::last_frame, cameras, 20, crowd, 61000);
+  }
+}
+
+TYPED_TEST(greedy_assignment_test, twenty_thousand_points) {
+  scene_limits large;
+  large.batch = 2;
+  large.keypoints = 2000;
+  large.windows = 20000;
+  large.min_windows = 20000;
+  large.width = 752;
+  large.height = 480;
+  large.radius = 12;
+  this->compare_many(ft::search_kind::local_map, 1, 1, large, 70001);
+  this->compare_many(ft::search_kind::last_frame, 1, 1, large, 70002);
+  this->compare_many(ft::search_kind::local_map, 2, 1, large, 70003);
+}
+
+TYPED_TEST(greedy_assignment_test, chains_of_displacement) {
+  for (int const links : {1, 2, 17, 100, 700}) {
+    for (bool const backwards : {false, true}) {
+      SCOPED_TRACE(std::to_string(links) + " links");
+      this->compare(chain(links, backwards));
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+  EXPECT_GT(this->seen_.blocked, 500);
+}
+
+}  // namespace greedy_assignment

@@ -49,7 +49,7 @@ public:
   /// @throws bad_argument outside [0, 4096]
   explicit host_exec(int threads = 0) {
     detail::require_range("host threads", threads, 0, 4096);
-    if (threads > 0) { arena_ = std::make_shared<tbb::task_arena>(threads); }
+    if (threads > 1) { arena_ = std::make_shared<tbb::task_arena>(threads); }
     sequential_ = threads == 1;
   }
 

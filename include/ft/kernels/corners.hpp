@@ -69,6 +69,10 @@ struct corner_layout {
     return l;
   }
   FT_HOST_DEVICE int cells_of(int l) const { return cols[l] * rows[l]; }
+  /// How many corners a level's list can hold.
+  FT_HOST_DEVICE std::ptrdiff_t level_slots(int l) const {
+    return static_cast<std::ptrdiff_t>(cells_of(l)) * slots[l];
+  }
 };
 
 struct corner_params {

@@ -101,10 +101,18 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
 
 /// The quadtree of one level of one image.
 struct distribute_level {
-  using scratch = no_scratch;
+  /// Levels of up to so many nodes keep them in block scratch, others in the workspace.
+  static constexpr int scratch_nodes = 512;
+  struct scratch {
+    quad_node nodes[2][scratch_nodes];
+    int quadrant[4 * scratch_nodes];
+    int place[scratch_nodes];
+    int order[scratch_nodes];
+    unsigned long long keys[scratch_nodes];
+  };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, corners_view const& corners,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
     int const image = item / layout.levels;
@@ -119,12 +127,13 @@ struct distribute_level {
     t.points = corners.level_list(image, l);
     t.point_count = points;
     t.node_of = v.node_of + image * corners.layout.total_slots + corners.layout.first_slot[l];
-    t.nodes = v.nodes[0] + at;
-    t.next = v.nodes[1] + at;
-    t.quadrant = v.quadrant + 4 * static_cast<std::ptrdiff_t>(at);
-    t.place = v.place + at;
-    t.order = v.order + at;
-    t.keys = v.keys + at;
+    bool const in_scratch = layout.capacity[l] <= scratch_nodes;
+    t.nodes = in_scratch ? s.nodes[0] : v.nodes[0] + at;
+    t.next = in_scratch ? s.nodes[1] : v.nodes[1] + at;
+    t.quadrant = in_scratch ? s.quadrant : v.quadrant + 4 * static_cast<std::ptrdiff_t>(at);
+    t.place = in_scratch ? s.place : v.place + at;
+    t.order = in_scratch ? s.order : v.order + at;
+    t.keys = in_scratch ? s.keys : v.keys + at;
 
     int size = make_roots(g, t, layout.roots[l], layout.width[l], layout.height[l]);
     int const wanted = layout.wanted[l];
@@ -363,7 +372,7 @@ private:
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners,
                         distribution_view const& out) {
-  for_each_item<per_block<256>>(exec, out.batch * out.layout.levels, distribute_level{}, corners,
+  for_each_item<per_block<512>>(exec, out.batch * out.layout.levels, distribute_level{}, corners,
                                 out);
 }
 

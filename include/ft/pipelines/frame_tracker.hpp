@@ -349,6 +349,7 @@ public:
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
     motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
     local_recording_.record(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
+    track_recording_.record(exec, [this](Exec const& e) { queue_track(e, no_mark{}); });
   }
 
   // ---- inputs, in host memory (pinned beside a device)
@@ -431,37 +432,24 @@ public:
   }
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
-    motion_.upload(exec);
-    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{},
-                              extractor_.keypoints(), last_keypoints_);
-    features(exec, mark);
-    auto const& input = motion_.device;
-    last_search_params search;
-    search.th = params_.last_th;
-    search.max_x = frustum_.max_x;
-    search.max_y = frustum_.max_y;
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{}, last_windows_, work_[0]);
-    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches),
-         static_cast<std::size_t>(batch_));
-    search.th *= 2;
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{work_[1].matches, params_.enough_matches},
-                      last_windows_, work_[0]);
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_,
-                              params_.map_slots, static_cast<int const*>(input.stamp), stamps_);
-    mark("search last frame");
-    if (params_.optimize_last) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
-                     observations_);
-      mark("pose last frame");
-    } else {
-      copy(exec, poses_, static_cast<pose const*>(input.predicted),
-           static_cast<std::size_t>(batch_));
-    }
+    queue_motion(exec, mark);
     download(exec, poses_, work_[0].matches,
              params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
+  }
+
+  /// Both in one, with nothing for the host in between: for callers who choose the local map before
+  /// the frame. Queues what track_motion() and then track_local() do, but for the result down in
+  /// the middle.
+  /// @throws bad_argument for more local points than params().local_points
+  void track(Exec const& exec) {
+    check_local_counts();
+    track_recording_.replay(exec, [this](Exec const& e) { queue_track(e, no_mark{}); });
+  }
+  template <typename Mark>
+  void track(Exec const& exec, Mark&& mark) {
+    check_local_counts();
+    queue_track(exec, mark);
   }
 
   /// Queues: local map up, frustum, search, pose; result down. Follows track_motion().
@@ -510,6 +498,44 @@ private:
     for (int b = 0; b < batch_; ++b) {
       detail::require_range("local map points", local_.host.count[b], 0, params_.local_points);
     }
+  }
+
+  template <typename Mark>
+  void queue_motion(Exec const& exec, Mark&& mark) {
+    motion_.upload(exec);
+    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{},
+                              extractor_.keypoints(), last_keypoints_);
+    features(exec, mark);
+    auto const& input = motion_.device;
+    last_search_params search;
+    search.th = params_.last_th;
+    search.max_x = frustum_.max_x;
+    search.max_y = frustum_.max_y;
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
+                      geometry(), search_gate{}, last_windows_, work_[0]);
+    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches),
+         static_cast<std::size_t>(batch_));
+    search.th *= 2;
+    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
+                      geometry(), search_gate{work_[1].matches, params_.enough_matches},
+                      last_windows_, work_[0]);
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_,
+                              params_.map_slots, static_cast<int const*>(input.stamp), stamps_);
+    mark("search last frame");
+    if (params_.optimize_last) {
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
+                     observations_);
+      mark("pose last frame");
+    } else {
+      copy(exec, poses_, static_cast<pose const*>(input.predicted),
+           static_cast<std::size_t>(batch_));
+    }
+  }
+
+  template <typename Mark>
+  void queue_track(Exec const& exec, Mark&& mark) {
+    queue_motion(exec, mark);
+    queue_local(exec, {}, false, mark);
   }
 
   template <typename Mark>
@@ -601,6 +627,7 @@ private:
   recording<Exec> extract_recording_;
   recording<Exec> motion_recording_;
   recording<Exec> local_recording_;
+  recording<Exec> track_recording_;
 };
 
 }  // namespace FT_ABI

@@ -249,7 +249,7 @@ TYPED_TEST(distribution_oracle_test, keeps_what_the_list_of_nodes_keeps) {
       {67, 80, 67, 80, 60},        // one cell
       {9000, 16384, 67, 90, 700},  // more roots than wanted features
   };
-  for (unsigned seed = 0; seed < 1000; ++seed) {
+  for (unsigned seed = 0; seed < static_cast<unsigned>(test::effort(1000)); ++seed) {
     std::mt19937 random(1000 + seed);
     auto const& s = shapes[seed % std::size(shapes)];
     int const wanted = 1 + below(random, 1 << (1 + below(random, 11)));
@@ -260,11 +260,11 @@ TYPED_TEST(distribution_oracle_test, keeps_what_the_list_of_nodes_keeps) {
                   s.most_points);
     if (this->HasFatalFailure()) { return; }
   }
-  EXPECT_GT(this->levels_compared_, 2000);
+  EXPECT_GT(this->levels_compared_, test::effort(2000));
 }
 
 TYPED_TEST(distribution_oracle_test, many_points_and_up_to_3000_features) {
-  for (unsigned seed = 0; seed < 8; ++seed) {
+  for (unsigned seed = 0; seed < static_cast<unsigned>(test::effort(8)); ++seed) {
     std::mt19937 random(9000 + seed);
     SCOPED_TRACE("seed " + std::to_string(seed));
     this->compare(random, 752 + below(random, 500), 370 + below(random, 300), 1,
@@ -274,7 +274,7 @@ TYPED_TEST(distribution_oracle_test, many_points_and_up_to_3000_features) {
 }
 
 TYPED_TEST(distribution_oracle_test, few_points_for_any_number_of_wanted_features) {
-  for (int wanted = 1; wanted <= 40; ++wanted) {
+  for (int wanted = 1; wanted <= test::effort(40); ++wanted) {
     for (int most = 0; most <= 3; ++most) {
       std::mt19937 random(static_cast<unsigned>(100 * wanted + most));
       SCOPED_TRACE("wanted " + std::to_string(wanted) + ", up to " + std::to_string(most) +

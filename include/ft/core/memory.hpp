@@ -40,10 +40,28 @@ inline void check(cudaError_t status, char const* call) {
 }
 #endif
 
+/// With FT_NEW_MEMORY_BYTE defined (a debugging aid, for a whole program) new memory is filled with
+/// that byte: what is read before it is written is then wrong in the same way on every run.
+template <memory_space Space>
+void* fill_new(void* p, std::size_t bytes) {
+#if defined(FT_NEW_MEMORY_BYTE)
+  if constexpr (Space != memory_space::device) {
+    std::memset(p, FT_NEW_MEMORY_BYTE, bytes);
+  } else {
+#if defined(__CUDACC__)
+    check(cudaMemset(p, FT_NEW_MEMORY_BYTE, bytes), "cudaMemset");
+    check(cudaDeviceSynchronize(), "cudaDeviceSynchronize");
+#endif
+  }
+#endif
+  static_cast<void>(bytes);
+  return p;
+}
+
 template <memory_space Space>
 void* allocate(std::size_t bytes) {
   if constexpr (Space == memory_space::host) {
-    return ::operator new(bytes, std::align_val_t(alignment));
+    return fill_new<Space>(::operator new(bytes, std::align_val_t(alignment)), bytes);
   } else {
 #if defined(__CUDACC__)
     void* p = nullptr;
@@ -52,7 +70,7 @@ void* allocate(std::size_t bytes) {
     } else {
       check(cudaMalloc(&p, bytes), "cudaMalloc");
     }
-    return p;
+    return fill_new<Space>(p, bytes);
 #else
     static_assert(Space == memory_space::host, "pinned and device memory need a CUDA compiler");
     return nullptr;

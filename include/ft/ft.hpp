@@ -18,6 +18,7 @@
 #include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
+#include "ft/core/side_branch.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners.hpp"

@@ -91,7 +91,7 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.match = c.take<int>(n);
   v.touch =
       c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
-  v.open = c.take<int>(b * static_cast<std::size_t>(windows));
+  v.open = c.take<int>(detail::checked_mul(2 * b, static_cast<std::size_t>(windows)));
   v.matches = c.take<int>(b);
 }
 
@@ -189,10 +189,12 @@ struct list_candidates {
 /// @tparam Rounds true: deterministic reservations; false: the plain loop, for groups of one thread
 template <bool Rounds>
 struct assign_keypoints {
-  using scratch = no_scratch;
+  struct scratch {
+    int left_open;
+  };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_gate const& gate,
                                  search_workspace const& work) const {
@@ -217,32 +219,44 @@ struct assign_keypoints {
       return;
     }
     constexpr int untouched = 0x7fffffff;
-    int* const open = work.open + static_cast<std::ptrdiff_t>(b) * work.capacity;
-    for (int i = g.rank(); i < n; i += g.size()) { open[i] = 1; }
-    for (;;) {
+    // Open windows, listed in any order: two lists that take turns.
+    int* open = work.open + static_cast<std::ptrdiff_t>(b) * 2 * work.capacity;
+    int* next = open + work.capacity;
+    int count = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      bool const any = i < n && has_candidates(ctx, i);
+      if (i < n && !any) { clear_matches(ctx, i); }
+      int total = 0;
+      int const at = g.exclusive_scan(static_cast<int>(any), total);
+      if (any) { open[count + at] = i; }
+      count += total;
+    }
+    while (count > 0) {
       for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.touch[k] = untouched; }
+      if (g.rank() == 0) { s.left_open = 0; }
       g.sync();
-      for (int i = g.rank(); i < n; i += g.size()) {
-        if (open[i] != 0) {
-          for_each_touched(ctx, i, [&](int number) { atomic_min(ctx.touch + number, i); });
-        }
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open[at];
+        for_each_touched(ctx, i, [&](int number) { atomic_min(ctx.touch + number, i); });
       }
       g.sync();
-      int left_open = 0;
-      for (int i = g.rank(); i < n; i += g.size()) {
-        if (open[i] == 0) { continue; }
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open[at];
         bool mine = true;
         for_each_touched(ctx, i, [&](int number) { mine = mine && ctx.touch[number] == i; });
         if (mine) {
           taken += decide(ctx, i);
-          open[i] = 0;
         } else {
-          ++left_open;
+          next[atomic_add(&s.left_open, 1)] = i;
         }
       }
-      // The reduction also separates this round's reads of `touch` from the next one's reset.
-      if (g.reduce(left_open, sum_op{}) == 0) { break; }
       g.sync();
+      count = s.left_open;
+      g.sync();
+      int* const turn = open;
+      open = next;
+      next = turn;
     }
     taken = g.reduce(taken, sum_op{});
     if (g.rank() == 0) { work.matches[b] = taken; }
@@ -287,6 +301,19 @@ private:
                   int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
                   if (distance >= 0) { visit(k, distance); }
                 });
+  }
+
+  FT_HOST_DEVICE static bool has_candidates(context const& ctx, int i) {
+    bool any = false;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
+    }
+    return any;
+  }
+  FT_HOST_DEVICE static void clear_matches(context const& ctx, int i) {
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      ctx.work.match[ctx.work.window(c, ctx.b, i)] = -1;
+    }
   }
 
   FT_HOST_DEVICE static bool passes_on(context const& ctx) {

@@ -15,6 +15,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
+#include "ft/core/side_branch.hpp"
 #include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/frustum.hpp"
 #include "ft/kernels/pose_optimization.hpp"
@@ -346,6 +347,7 @@ public:
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
     fill_bytes(exec, result_.device_memory.data(), 0, result_.device_memory.bytes());
     exec.wait();
+    grid_branch_.make();
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
     motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
     local_recording_.record(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
@@ -585,11 +587,20 @@ private:
                  static_cast<std::size_t>(level.stride) * static_cast<std::size_t>(level.height));
     }
     mark("upload");
-    extractor_.extract(exec, mark);
-    build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, Rig::rectified ? 2 : 1,
-                             cameras * batch_, frame_.grids);
-    mark("grid");
-    matcher_.match(exec, extractor_);
+    constexpr int step = Rig::rectified ? 2 : 1;
+    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
+      extractor_.extract(exec);
+      build_grid<nearest_cell>(grid_branch_.fork(exec), extractor_.keypoints(), 0, step,
+                               cameras * batch_, frame_.grids);
+      matcher_.match(exec, extractor_);
+      grid_branch_.join(exec);
+    } else {
+      extractor_.extract(exec, mark);
+      build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, step, cameras * batch_,
+                               frame_.grids);
+      mark("grid");
+      matcher_.match(exec, extractor_);
+    }
     mark("stereo");
   }
 
@@ -624,6 +635,7 @@ private:
   detail::twin<tracked_frame_view, space, staging> result_;
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
+  side_branch<Exec> grid_branch_;
   recording<Exec> extract_recording_;
   recording<Exec> motion_recording_;
   recording<Exec> local_recording_;

@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/side_branch.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners.hpp"
 #include "ft/kernels/descriptor.hpp"
@@ -70,6 +71,7 @@ public:
       place_ = c.take<int>(b * static_cast<std::size_t>(quad.total));
       mono_count_ = c.take<int>(b);
     });
+    blur_branch_.make();
     std::vector<resize_tap> taps(static_cast<std::size_t>(geometry_.taps));
     make_resize_taps(geometry_, taps.data());
     std::vector<stereo_overlap> all(overlaps);
@@ -98,10 +100,18 @@ public:
               image.height);
   }
 
-  /// Queues all stages over the uploaded images. @param mark called with a stage's name once it is
-  /// queued
-  template <typename Mark = no_mark>
-  void extract(Exec const& exec, Mark&& mark = {}) {
+  /// Queues all stages over the uploaded images; the blur beside corners and distribution.
+  void extract(Exec const& exec) {
+    build_pyramid(exec, pyramid_, taps_);
+    blur_pyramid(blur_branch_.fork(exec), pyramid_, blurred_, blur_layout_);
+    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    distribute_corners(exec, corners_, distribution_);
+    blur_branch_.join(exec);
+    describe(exec);
+  }
+  /// The same, one stage after the other. @param mark called with a stage's name once it is queued
+  template <typename Mark>
+  void extract(Exec const& exec, Mark&& mark) {
     build_pyramid(exec, pyramid_, taps_);
     mark("pyramid");
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
@@ -110,8 +120,7 @@ public:
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
-    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_,
-                     mono_count_, place_);
+    describe(exec);
     mark("descriptors");
   }
 
@@ -130,6 +139,11 @@ public:
   std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
 
 private:
+  void describe(Exec const& exec) {
+    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_,
+                     mono_count_, place_);
+  }
+
   static orb_params const& checked(orb_params const& p, int batch,
                                    std::vector<stereo_overlap> const& overlaps) {
     detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
@@ -155,6 +169,7 @@ private:
   int* place_ = nullptr;
   int* mono_count_ = nullptr;
   arena<space> arena_;
+  side_branch<Exec> blur_branch_;
 };
 
 }  // namespace FT_ABI

@@ -49,8 +49,9 @@ void* fill_new(void* p, std::size_t bytes) {
     std::memset(p, FT_NEW_MEMORY_BYTE, bytes);
   } else {
 #if defined(__CUDACC__)
-    check(cudaMemset(p, FT_NEW_MEMORY_BYTE, bytes), "cudaMemset");
-    check(cudaDeviceSynchronize(), "cudaDeviceSynchronize");
+    // On a stream of the thread's own: another thread may be recording a graph.
+    check(cudaMemsetAsync(p, FT_NEW_MEMORY_BYTE, bytes, cudaStreamPerThread), "cudaMemsetAsync");
+    check(cudaStreamSynchronize(cudaStreamPerThread), "cudaStreamSynchronize");
 #endif
   }
 #endif

@@ -173,7 +173,7 @@ bool is_sample(int i, int frames) {
 
 seq::sample_frame sample_of(int index, seq::image picture,
                             std::vector<app::seen_keypoint> const& now,
-                            std::vector<app::seen_keypoint> const& before) {
+                            std::vector<app::seen_keypoint> const& before, double scale_factor) {
   std::map<int, app::seen_keypoint const*> seen_before;
   for (auto const& k : before) {
     if (k.point >= 0) { seen_before[k.point] = &k; }
@@ -186,7 +186,7 @@ seq::sample_frame sample_of(int index, seq::image picture,
     drawn.x = k.x;
     drawn.y = k.y;
     drawn.octave = k.octave;
-    drawn.size = 31.0f * std::pow(1.2f, static_cast<float>(k.octave));
+    drawn.size = static_cast<float>(31.0 * std::pow(scale_factor, k.octave));
     drawn.depth = k.depth;
     drawn.matched = k.point >= 0;
     auto const at = seen_before.find(k.point);
@@ -272,7 +272,8 @@ int run(arguments const& a) {
       if (sample) {
         report.samples.push_back(
             sample_of(i, std::move(frame.left), now,
-                      before_index == i - 1 ? before : std::vector<app::seen_keypoint>()));
+                      before_index == i - 1 ? before : std::vector<app::seen_keypoint>(),
+                      options.scale_factor));
       }
       before = std::move(now);
       before_index = i;

@@ -47,7 +47,7 @@ public:
 
   void clear();
   /// Adds a keyframe: matched features get an observation, near unmatched ones become points.
-  /// `features[i] .slot` is updated. @param near metres; with fewer than `at_least` near points the
+  /// Their slots are updated. @param near metres; with fewer than `at_least` near points the
   /// nearest are taken
   void insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
               int at_least);

@@ -309,8 +309,8 @@ public:
       carve(c, last_keypoints_, capacity, 2 * batch);
       carve(c, last_windows_, numbers, batch, cameras);
       carve(c, local_windows_, params.local_points, batch, cameras);
-      carve(c, work_[0], windows, capacity, batch, cameras);
-      carve(c, work_[1], 1, 1, batch, 1);
+      carve(c, work_, windows, capacity, batch, cameras);
+      first_matches_ = c.take<int>(b);
       carve(c, observations_, numbers, batch);
       frame_.holder = c.take<int>(b * static_cast<std::size_t>(numbers));
       stamps_ = c.take<int>(slots);
@@ -355,7 +355,6 @@ public:
   }
 
   // ---- inputs, in host memory (pinned beside a device)
-  // ---------------------------------------------
 
   /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
   /// @throws bad_argument as orb_extractor::upload
@@ -379,16 +378,18 @@ public:
            (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
   }
   int staged_stride() const { return geometry().stride[0]; }
-  pose* predicted() {
-    return motion_.host.predicted;
-  }                                                ///< [batch] T_cw expected for the next frame
-  pose* last_pose() { return motion_.host.last; }  ///< [batch] T_cw of the last frame
-  int* last_holder() {
-    return motion_.host.last_holder;
-  }  ///< [batch][cameras * capacity()] slots of the last frame's inliers
-  int* stamp() { return motion_.host.stamp; }  ///< [batch] the frame's number, above 0 and rising
-  int* local_count() { return local_.host.count; }  ///< [batch] at most params().local_points
-  int* local_slots() { return local_.host.slots; }  ///< [batch][local_points] in search order
+  /// [batch] T_cw expected for the next frame
+  pose* predicted() { return motion_.host.predicted; }
+  /// [batch] T_cw of the last frame
+  pose* last_pose() { return motion_.host.last; }
+  /// [batch][cameras * capacity()] slots of the last frame's inliers
+  int* last_holder() { return motion_.host.last_holder; }
+  /// [batch] the frame's number, above 0 and rising
+  int* stamp() { return motion_.host.stamp; }
+  /// [batch] at most params().local_points
+  int* local_count() { return local_.host.count; }
+  /// [batch][local_points] in search order
+  int* local_slots() { return local_.host.slots; }
 
   /// Queues the writing of map points, each slot at most once. Must not follow another one before
   /// exec.wait().
@@ -407,7 +408,6 @@ public:
   }
 
   // ---- the frame
-  // ----------------------------------------------------------------------------------
 
   // A call with the executor alone is, on a device, one launch of a graph recorded by the
   // constructor; with more arguments stage after stage is queued, and mark(name) called after each.
@@ -422,8 +422,8 @@ public:
     features(exec, mark);
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_,
                               search_gate{});
-    fill_bytes(exec, work_[0].matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
-    download(exec, motion_.device.predicted, work_[0].matches, nullptr);
+    fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
+    download(exec, motion_.device.predicted, work_.matches, nullptr);
     mark("download");
   }
 
@@ -435,8 +435,7 @@ public:
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
     queue_motion(exec, mark);
-    download(exec, poses_, work_[0].matches,
-             params_.optimize_last ? observations_.inliers : nullptr);
+    download(exec, poses_, work_.matches, params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
   }
 
@@ -472,7 +471,6 @@ public:
   }
 
   // ---- results
-  // ------------------------------------------------------------------------------------
 
   /// The last queued call's result, in host memory: valid after exec.wait(), until the next call.
   tracked_frame_view const& result() const { return result_.host; }
@@ -514,13 +512,13 @@ private:
     search.max_x = frustum_.max_x;
     search.max_y = frustum_.max_y;
     search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{}, last_windows_, work_[0]);
-    copy(exec, work_[1].matches, static_cast<int const*>(work_[0].matches),
+                      geometry(), search_gate{}, last_windows_, work_);
+    copy(exec, first_matches_, static_cast<int const*>(work_.matches),
          static_cast<std::size_t>(batch_));
     search.th *= 2;
     search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{work_[1].matches, params_.enough_matches},
-                      last_windows_, work_[0]);
+                      geometry(), search_gate{first_matches_, params_.enough_matches},
+                      last_windows_, work_);
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_,
                               params_.map_slots, static_cast<int const*>(input.stamp), stamps_);
     mark("search last frame");
@@ -561,16 +559,14 @@ private:
                               static_cast<int const*>(local_.device.count), batch_, int{cameras},
                               result_.device);
     mark("frustum");
-    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{},
-                         work_[0]);
+    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{}, work_);
     mark("search local map");
     if (params_.optimize_local) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_,
                      observations_);
       mark("pose local map");
     }
-    download(exec, poses_, work_[0].matches,
-             params_.optimize_local ? observations_.inliers : nullptr);
+    download(exec, poses_, work_.matches, params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
   }
 
@@ -622,7 +618,9 @@ private:
   map_points_view map_;
   search_windows_view last_windows_;
   search_windows_view local_windows_;
-  search_workspace work_[2];
+  search_workspace work_;
+  int* first_matches_ =
+      nullptr;  ///< [batch] of the search from the last frame, before it is repeated
   observations_view observations_;
   frustum_params frustum_;
   int* stamps_ = nullptr;

@@ -221,9 +221,10 @@ private:
     vec3<real> const r_in_l = T_rl.R.transposed() * r;
     real const cosine =
         dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
-    if (!(cosine <= params.max_cosine)) { return false; }
-    point = detail::triangulate({l.x.value, l.y.value, l.z.value},
-                                {r.x.value, r.y.value, r.z.value}, rig.T_rl);
+    if (!(cosine <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
+    // Rays come in any length; of some models they have z = 1 already, and nothing changes.
+    point = detail::triangulate({(l.x / l.z).value, (l.y / l.z).value, 1.0f},
+                                {(r.x / r.z).value, (r.y / r.z).value, 1.0f}, rig.T_rl);
     vec3<real> const in_l{point.x, point.y, point.z};
     vec3<real> const in_r = T_rl * in_l;
     if (!(in_l.z > 0.0f && in_r.z > 0.0f)) { return false; }

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The field-of-view camera ("FOV", "ATAN"), a fisheye with one parameter.
+#pragma once
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// With r = sqrt(x^2 + y^2): the distorted radius is r_d = atan2(2 r tan(omega / 2), z) / omega,
+///
+///     u = fx r_d x / r + cx,   v = fy r_d y / r + cy
+///
+/// On the axis the image is enlarged by fx 2 tan(omega / 2) / omega. As omega goes to 0 this
+/// becomes the pinhole; below 1e-8, where the two differ by less than a rounding of a double, the
+/// pinhole is used, so omega = 0 is allowed.
+///
+/// Domain of project: z > 0 (the formula goes on smoothly beyond 90 degrees, but says nothing about
+/// lenses there). Outside: the principal point, not valid.
+/// Domain of unproject: omega r_d < pi / 2. Rays have z = 1.
+///
+/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; omega in [0, 3.14] radians.
+/// Source: Devernay and Faugeras, "Straight lines have to be straight", Machine Vision and
+/// Applications 2001.
+template <typename Scalar>
+struct field_of_view {
+  using scalar_type = Scalar;
+  static constexpr int num_params = 5;  ///< fx, fy, cx, cy, omega
+  static constexpr char const* name = "field_of_view";
+  Scalar fx, fy, cx, cy, omega;
+
+  /// @throws bad_argument for a value out of the ranges above
+  void check() const {
+    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
+                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    detail::require_range("camera omega", static_cast<double>(to_plain(omega)), 0.0, 3.14);
+  }
+
+  FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
+    projection<Scalar> const outside{{cx, cy}, false};
+    if (!(p.z > Scalar(0)) || !scalar::is_finite(p.z)) { return outside; }
+    Scalar const r = scalar::sqrt(p.x * p.x + p.y * p.y);
+    Scalar const g = enlargement(r, p.z);
+    Scalar const u = fx * (p.x * g) + cx;
+    Scalar const v = fy * (p.y * g) + cy;
+    if (!scalar::is_finite(u) || !scalar::is_finite(v) || !scalar::is_finite(r)) { return outside; }
+    return {{u, v}, true};
+  }
+  /// Ray with z = 1; not valid: the axis.
+  FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
+    Scalar const x = (pixel.x - cx) / fx;
+    Scalar const y = (pixel.y - cy) / fy;
+    Scalar const r_d = scalar::sqrt(x * x + y * y);
+    Scalar factor = Scalar(1);
+    bool valid = true;
+    if (!is_pinhole()) {
+      Scalar const angle = omega * r_d;
+      valid = angle < number(1.5707963267948966);
+      factor = r_d > Scalar(0) ? scalar::tan(angle) / (slope() * r_d) : omega / slope();
+    }
+    vec3<Scalar> const d{x * factor, y * factor, Scalar(1)};
+    // Next to a right angle the tangent of a rounded angle may have changed its sign.
+    valid = valid && factor > Scalar(0) && scalar::is_finite(d.x) && scalar::is_finite(d.y);
+    if (!valid) { return {{Scalar(0), Scalar(0), Scalar(1)}, false}; }
+    return {d, true};
+  }
+  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+    Scalar const r2 = p.x * p.x + p.y * p.y;
+    Scalar const r = scalar::sqrt(r2);
+    Scalar const g = enlargement(r, p.z);
+    Scalar by_r = Scalar(0);  // r d g / d r
+    Scalar by_z = -(g / p.z);
+    if (!is_pinhole()) {
+      Scalar const a = slope();
+      Scalar const share = a / (omega * (p.z * p.z + a * a * r2));
+      by_z = -share;
+      by_r = share * p.z - g;
+    }
+    Scalar const x = r > Scalar(0) ? p.x / r : Scalar(0);
+    Scalar const y = r > Scalar(0) ? p.y / r : Scalar(0);
+    return {{fx * (g + x * x * by_r), fx * (x * y * by_r), fx * (p.x * by_z), fy * (x * y * by_r),
+             fy * (g + y * y * by_r), fy * (p.y * by_z)}};
+  }
+  template <typename U>
+  FT_HOST_DEVICE field_of_view<U> cast() const {
+    using P = plain_scalar_t<U>;
+    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
+            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
+            U(static_cast<P>(to_plain(omega)))};
+  }
+
+private:
+  FT_HOST_DEVICE static Scalar number(double v) {
+    return Scalar(static_cast<plain_scalar_t<Scalar>>(v));
+  }
+  FT_HOST_DEVICE bool is_pinhole() const { return omega < number(1e-8); }
+  FT_HOST_DEVICE Scalar slope() const { return Scalar(2) * scalar::tan(omega * number(0.5)); }
+  /// r_d / r.
+  FT_HOST_DEVICE Scalar enlargement(Scalar r, Scalar z) const {
+    if (is_pinhole()) { return Scalar(1) / z; }
+    if (!(r > Scalar(0))) { return slope() / (omega * z) + r; }  // + r: a NaN stays one
+    return scalar::atan2(slope() * r, z) / (omega * r);
+  }
+};
+
+static_assert(assert_camera_model<field_of_view<float>>::value,
+              "field_of_view keeps the camera contract");
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The unified omnidirectional camera with distortion ("Mei", OpenCV's omnidir).
+#pragma once
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/radtan.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/math.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// A point is projected on the unit sphere, from there by a pinhole that is shifted by xi, and
+/// distorted as in radtan4. With d = |(x, y, z)|:
+///
+///     m = (x, y) / (z + xi d),  (u, v) = (fx m'x + cx, fy m'y + cy),  m' = m distorted by
+///     k1, k2, p1, p2
+///
+/// OpenCV's cv::omnidir with a skew of 0. On the axis the image is enlarged by fx / (1 + xi).
+///
+/// Domain of project: z > -w d, with w = xi for xi <= 1, else 1 / xi, and m inside the disc on
+/// which the distortion is one-to-one (see radtan). It reaches behind the camera (z < 0). Outside:
+/// the principal point, not valid.
+/// Domain of unproject: pixels whose undistorted m is in that disc and, for xi > 1, has
+/// (xi^2 - 1) |m|^2 < 1. Rays have length 1 and may have z <= 0.
+///
+/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; xi in [0, 1000].
+/// Source: Mei and Rives, "Single View Point Omnidirectional Camera Calibration from Planar
+/// Grids", ICRA 2007.
+template <typename Scalar>
+struct unified {
+  using scalar_type = Scalar;
+  static constexpr int num_params = 9;  ///< fx, fy, cx, cy, xi, k1, k2, p1, p2
+  static constexpr char const* name = "unified";
+  Scalar fx, fy, cx, cy, xi;
+  Scalar distortion[4];  ///< k1, k2, p1, p2
+
+  /// @throws bad_argument for a value out of the ranges above
+  void check() const {
+    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
+                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    detail::require_range("camera xi", static_cast<double>(to_plain(xi)), 0.0, 1000.0);
+    for (Scalar k : distortion) {
+      detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
+    }
+  }
+
+  FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
+    projection<Scalar> const outside{{cx, cy}, false};
+    Scalar const reach = xi <= Scalar(1) ? xi : Scalar(1) / xi;
+    Scalar const d = scalar::sqrt(dot(p, p));
+    Scalar const depth = p.z + xi * d;
+    if (!(p.z > -(reach * d)) || !(depth > Scalar(0)) || !scalar::is_finite(d)) { return outside; }
+    vec2<Scalar> const m{p.x / depth, p.y / depth};
+    if (!lens().one_to_one(m.x * m.x + m.y * m.y)) { return outside; }
+    vec2<Scalar> const m2 = lens().distort(m);
+    Scalar const u = fx * m2.x + cx;
+    Scalar const v = fy * m2.y + cy;
+    if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
+    return {{u, v}, true};
+  }
+  /// Ray of length 1; not valid: the axis.
+  FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
+    Scalar const one = Scalar(1);
+    ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};
+    auto const found = lens().undistort({(pixel.x - cx) / fx, (pixel.y - cy) / fy});
+    if (!found.valid) { return none; }
+    vec2<Scalar> const m = found.at;
+    Scalar const r2 = m.x * m.x + m.y * m.y;
+    Scalar const rest = one + (one - xi) * (one + xi) * r2;
+    if (!(rest > Scalar(0))) { return none; }
+    Scalar const root = scalar::sqrt(rest);
+    vec3<Scalar> const way{(xi + root) * m.x, (xi + root) * m.y, root - xi * r2};
+    Scalar const norm = scalar::sqrt(dot(way, way));
+    if (!(norm > Scalar(0)) || !scalar::is_finite(norm)) { return none; }
+    return {{way.x / norm, way.y / norm, way.z / norm}, true};
+  }
+  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+    Scalar const one = Scalar(1);
+    Scalar const d = scalar::sqrt(dot(p, p));
+    Scalar const s = one / (p.z + xi * d);
+    vec2<Scalar> const m{p.x * s, p.y * s};
+    auto const j = lens().jacobian(m);
+    Scalar const shift = xi / d;
+    vec3<Scalar> const depth{shift * p.x, shift * p.y, shift * p.z + one};
+    // Rows of d m / d p, over s.
+    vec3<Scalar> const a{one - m.x * depth.x, -(m.x * depth.y), -(m.x * depth.z)};
+    vec3<Scalar> const b{-(m.y * depth.x), one - m.y * depth.y, -(m.y * depth.z)};
+    Scalar const f = fx * s;
+    Scalar const g = fy * s;
+    return {{f * (j.xx * a.x + j.xy * b.x), f * (j.xx * a.y + j.xy * b.y),
+             f * (j.xx * a.z + j.xy * b.z), g * (j.xy * a.x + j.yy * b.x),
+             g * (j.xy * a.y + j.yy * b.y), g * (j.xy * a.z + j.yy * b.z)}};
+  }
+  template <typename U>
+  FT_HOST_DEVICE unified<U> cast() const {
+    using P = plain_scalar_t<U>;
+    unified<U> c{U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
+                 U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
+                 U(static_cast<P>(to_plain(xi))), {}};
+    for (int i = 0; i < 4; ++i) { c.distortion[i] = U(static_cast<P>(to_plain(distortion[i]))); }
+    return c;
+  }
+
+private:
+  FT_HOST_DEVICE detail::radtan_distortion<Scalar, 4> lens() const { return {distortion}; }
+};
+
+static_assert(assert_camera_model<unified<float>>::value, "unified keeps the camera contract");
+
+}  // namespace FT_ABI
+}  // namespace ft

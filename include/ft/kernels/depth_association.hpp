@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: depth of keypoints from a registered depth image (RGB-D), as stereo matches with a
+/// virtual right camera. Source: Mur-Artal and Tardos, "ORB-SLAM2: an open-source SLAM system for
+/// monocular, stereo and RGB-D cameras", T-RO 2017, section III.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <string>
+#include <type_traits>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/matches.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/math.hpp"
+#include "ft/kernels/undistort.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Depth images of a batch, registered to the grey ones. @tparam T float or std::uint16_t
+template <typename T>
+struct depth_images_view {
+  static_assert(std::is_same<T, float>::value || std::is_same<T, std::uint16_t>::value,
+                "depth is float or 16-bit unsigned");
+  T const* data = nullptr;
+  int width = 0;
+  int height = 0;
+  std::ptrdiff_t pitch = 0;  ///< bytes from row to row
+  std::ptrdiff_t step = 0;   ///< bytes from image to image
+  int batch = 0;
+
+  /// Pixel of image b; inside the image.
+  FT_HOST_DEVICE T at(int b, int x, int y) const {
+    char const* const row = reinterpret_cast<char const*>(data) + b * step + y * pitch;
+    return reinterpret_cast<T const*>(row)[x];
+  }
+};
+static_assert(std::is_trivially_copyable<depth_images_view<float>>::value, "passed to kernels");
+
+struct depth_params {
+  float bf = 0;         ///< virtual baseline times fx of the undistorted camera, metres x pixels
+  float scale = 1;      ///< metres of one unit of the depth image: 1 / 5000 for TUM's 16-bit images
+  float min_depth = 0;  ///< metres; depths below give no match
+  float max_depth = std::numeric_limits<float>::infinity();  ///< metres; nor do depths above
+
+  /// @throws bad_argument naming the value and the limit
+  void check() const {
+    detail::require_range("baseline x fx", bf, 1e-9f, 1e12f);
+    detail::require_range("depth scale", scale, 1e-9f, 1e9f);
+    detail::require_range("min_depth", min_depth, 0.0f, std::numeric_limits<float>::max());
+    detail::require_range("max_depth", max_depth, min_depth,
+                          std::numeric_limits<float>::infinity());
+  }
+};
+
+/// One keypoint of one image.
+template <typename T>
+struct associate_keypoint_depth {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, pixels_view const& raw,
+                                 pixels_view const& undistorted, depth_images_view<T> const& images,
+                                 depth_params const& params, stereo_matches_view const& out) const {
+    int const image = item / raw.capacity;
+    int const i = item % raw.capacity;
+    int const count = raw.count[image];
+    if (i == 0) { out.count[image] = count; }
+    float depth = -1;
+    float right_x = -1;
+    int score = -1;
+    if (i < count) {
+      float const u = get<field::x>(raw, item);
+      float const v = get<field::y>(raw, item);
+      // What truncation puts inside; NaN is outside.
+      if (u > -1.0f && u < static_cast<float>(images.width) && v > -1.0f &&
+          v < static_cast<float>(images.height)) {
+        T const value = images.at(image, static_cast<int>(u), static_cast<int>(v));
+        strict_float const d = strict_float(static_cast<float>(value)) * params.scale;
+        strict_float const column = get<field::x>(undistorted, item) - params.bf / d;
+        if (d > 0.0f && d >= params.min_depth && d <= params.max_depth && scalar::is_finite(d) &&
+            scalar::is_finite(column)) {
+          depth = d.value;
+          right_x = column.value;
+          score = 0;
+        }
+      }
+    }
+    get<field::depth>(out, item) = depth;
+    get<field::right_x>(out, item) = right_x;
+    get<field::score>(out, item) = score;
+  }
+};
+
+/// Depth and virtual right column of every keypoint. The depth is the pixel at the raw position,
+/// coordinates truncated towards zero, times the scale; where it is positive, finite and within
+/// [min_depth, max_depth], right_x is the undistorted column minus bf / depth and the score is 0.
+/// right_x is below 0 where the virtual camera does not see the point: it has a depth then, and
+/// counts as monocular in what follows. All others, keypoints outside the depth image or not
+/// numbers included, and entries past a count: -1, -1, -1. In strict float. Asynchronous on `exec`;
+/// allocates nothing; one launch.
+/// @param raw positions as extracted @param undistorted the same keypoints by undistort_keypoints,
+///   or `raw` again for a camera without distortion @param out same shape
+/// @throws bad_argument for null views, different shapes, sizes or parameters out of range, rows
+///   that overlap, or a pitch that is no multiple of a pixel
+template <typename Exec, typename T>
+void associate_depth(Exec const& exec, pixels_view const& raw, pixels_view const& undistorted,
+                     depth_images_view<T> const& images, depth_params const& params,
+                     stereo_matches_view const& out) {
+  params.check();
+  detail::require_pixels("raw keypoints", raw);
+  detail::require_pixels("undistorted keypoints", undistorted);
+  detail::require_same_shape("raw and undistorted keypoints", raw, undistorted);
+  detail::require(array_of<field::right_x>(out) != nullptr &&
+                      array_of<field::depth>(out) != nullptr &&
+                      array_of<field::score>(out) != nullptr && out.count != nullptr,
+                  "the matches are null");
+  detail::require_same_shape("keypoints and matches", raw, out);
+  detail::require(images.data != nullptr, "the depth images are null");
+  detail::require_range("depth image width", images.width, 1, max_image_side);
+  detail::require_range("depth image height", images.height, 1, max_image_side);
+  if (images.batch != raw.batch) {
+    throw bad_argument("ft: " + std::to_string(images.batch) + " depth images for " +
+                       std::to_string(raw.batch) + " images of keypoints, must be as many");
+  }
+  constexpr auto pixel = static_cast<std::ptrdiff_t>(sizeof(T));
+  detail::require(images.pitch >= images.width * pixel,
+                  "the depth images' pitch is below their width in bytes");
+  detail::require(images.pitch % pixel == 0 && images.step % pixel == 0 && images.step >= 0 &&
+                      reinterpret_cast<std::uintptr_t>(images.data) % sizeof(T) == 0,
+                  "the depth images' address, pitch and step must be multiples of a pixel");
+  for_each_item<per_thread>(exec, raw.batch * raw.capacity, associate_keypoint_depth<T>{}, raw,
+                            undistorted, images, params, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: keypoints without lens distortion, and the bounds of an image without it.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <string>
+#include <type_traits>
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/soa.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/math.hpp"
+#include "ft/kernels/detail/transfer_pixel.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Positions alone; any container with field::x and field::y converts to it, keypoints too.
+using pixels_view = soa_view<field::x, field::y>;
+template <memory_space Space>
+using pixels = soa<Space, field::x, field::y>;
+
+namespace detail {
+
+/// @throws bad_argument for a view without memory, without entries, or with more than an int counts
+inline void require_pixels(char const* name, pixels_view const& v) {
+  if (array_of<field::x>(v) == nullptr || array_of<field::y>(v) == nullptr || v.count == nullptr) {
+    throw bad_argument(std::string("ft: the ") + name + " are null");
+  }
+  if (v.capacity < 1 || v.batch < 1 || v.capacity > std::numeric_limits<int>::max() / v.batch) {
+    throw bad_argument(std::string("ft: the ") + name + " have capacity " +
+                       std::to_string(v.capacity) + " and batch " + std::to_string(v.batch) +
+                       ", each must be 1 or more and their product fit an int");
+  }
+}
+
+template <typename A, typename B>
+void require_same_shape(char const* names, A const& a, B const& b) {
+  if (a.capacity != b.capacity || a.batch != b.batch) {
+    throw bad_argument(std::string("ft: ") + names + " have capacities " +
+                       std::to_string(a.capacity) + " and " + std::to_string(b.capacity) +
+                       ", batches " + std::to_string(a.batch) + " and " + std::to_string(b.batch) +
+                       ", must be equal");
+  }
+}
+
+}  // namespace detail
+
+/// One keypoint of one image, by camera models of strict_double.
+template <typename Source, typename Target>
+struct undistort_keypoint {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Source const& camera,
+                                 mat3<strict_double> const& R_target_source, Target const& target,
+                                 pixels_view const& raw, pixels_view const& out,
+                                 std::uint8_t* valid) const {
+    int const image = item / raw.capacity;
+    int const i = item % raw.capacity;
+    int const count = raw.count[image];
+    if (i == 0 && out.count != raw.count) { out.count[image] = count; }
+    if (i >= count) { return; }
+    float const x = get<field::x>(raw, item);
+    float const y = get<field::y>(raw, item);
+    auto const p = detail::transfer_pixel(camera, R_target_source, target,
+                                          {static_cast<double>(x), static_cast<double>(y)});
+    auto const u = static_cast<float>(p.pixel.x.value);
+    auto const v = static_cast<float>(p.pixel.y.value);
+    bool const good = p.valid && scalar::is_finite(u) && scalar::is_finite(v);
+    get<field::x>(out, item) = good ? u : x;
+    get<field::y>(out, item) = good ? v : y;
+    if (valid != nullptr) { valid[item] = static_cast<std::uint8_t>(good); }
+  }
+};
+
+/// Where the keypoints would be in an image of the camera `target`, turned by `R_target_source`:
+/// each one's ray, turned and projected. Computed in double and rounded to float once, so that host
+/// and device agree: models with an arc tangent or tangent rely on the rounding to hide its last
+/// bit. A keypoint without a ray in `camera` or without a place in `target` keeps its raw position
+/// and is marked as not valid. Entries past a count are not written. Asynchronous on `exec`;
+/// allocates nothing; one launch.
+/// @param raw positions as extracted, pixels @param out same shape; gets the counts too; may be the
+///   same memory as `raw`
+/// @param valid [batch][capacity] 1 or 0, or null
+/// @throws bad_argument for null views or different shapes, a camera that cannot be, or a matrix
+///   that is not a rotation
+template <typename Exec, typename Source, typename Target>
+void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
+                         mat3<double> const& R_target_source, pixels_view const& raw,
+                         pixels_view const& out, std::uint8_t* valid) {
+  static_assert(is_camera_model_v<Source> && is_camera_model_v<Target>,
+                "camera models as in cameras/camera_model.hpp");
+  camera.check();
+  target.check();
+  detail::require_rotation(R_target_source);
+  detail::require_pixels("raw keypoints", raw);
+  detail::require_pixels("undistorted keypoints", out);
+  detail::require_same_shape("raw and undistorted keypoints", raw, out);
+  auto const from = camera.template cast<strict_double>();
+  auto const to = target.template cast<strict_double>();
+  using stage = undistort_keypoint<std::decay_t<decltype(from)>, std::decay_t<decltype(to)>>;
+  for_each_item<per_thread>(exec, raw.batch * raw.capacity, stage{}, from,
+                            detail::strict_rotation(R_target_source), to, raw, out, valid);
+}
+
+/// The same without turning.
+template <typename Exec, typename Source, typename Target>
+void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
+                         pixels_view const& raw, pixels_view const& out, std::uint8_t* valid) {
+  undistort_keypoints(exec, camera, target, mat3<double>::identity(), raw, out, valid);
+}
+
+/// A rectangle of pixels, as grid_geometry::over() takes it.
+struct image_bounds {
+  float min_x, min_y, max_x, max_y;
+};
+
+/// Bounds of the undistorted image, from the four corners (0, 0), (width, 0), (0, height) and
+/// (width, height): the smaller x of the left ones to the larger of the right ones, the same for y.
+/// Without distortion, which is every corner within 1e-6 pixels of itself, exactly the image. On
+/// the host; allocates nothing. @param R_target_source as in undistort_keypoints
+/// @throws bad_argument for sizes out of range, a camera that cannot be, a corner without a ray
+///   (lenses that see far to the side: such images are used as they are), or bounds without area
+template <typename Source, typename Target>
+image_bounds undistorted_bounds(Source const& camera, Target const& target, int width, int height,
+                                mat3<double> const& R_target_source = mat3<double>::identity()) {
+  detail::require_range("image width", width, 1, 16384);
+  detail::require_range("image height", height, 1, 16384);
+  camera.check();
+  target.check();
+  detail::require_rotation(R_target_source);
+  auto const from = camera.template cast<strict_double>();
+  auto const to = target.template cast<strict_double>();
+  auto const R = detail::strict_rotation(R_target_source);
+  double x[4];
+  double y[4];
+  bool moved = false;
+  for (int i = 0; i < 4; ++i) {
+    double const u = i % 2 == 0 ? 0.0 : width;
+    double const v = i / 2 == 0 ? 0.0 : height;
+    auto const p = detail::transfer_pixel(from, R, to, {u, v});
+    if (!p.valid) {
+      throw bad_argument("ft: the image corner (" + std::to_string(static_cast<int>(u)) + ", " +
+                         std::to_string(static_cast<int>(v)) +
+                         ") has no place in the undistorted image");
+    }
+    x[i] = p.pixel.x.value;
+    y[i] = p.pixel.y.value;
+    moved = moved || std::abs(x[i] - u) > 1e-6 || std::abs(y[i] - v) > 1e-6;
+  }
+  if (!moved) { return {0, 0, static_cast<float>(width), static_cast<float>(height)}; }
+  image_bounds const b{
+      static_cast<float>(min_of(x[0], x[2])), static_cast<float>(min_of(y[0], y[1])),
+      static_cast<float>(max_of(x[1], x[3])), static_cast<float>(max_of(y[2], y[3]))};
+  detail::require(b.min_x < b.max_x && b.min_y < b.max_y,
+                  "the undistorted image bounds have no area");
+  return b;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

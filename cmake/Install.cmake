@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# Headers, CMake package (find_package(ft)) and pkg-config file. All of it is independent of machine and
-# compiler, so it goes to share/.
+# Headers, the camera contract, CMake package (find_package(ft)) and pkg-config file. All of it is
+# independent of machine and compiler, so it goes to share/.
 
 include(CMakePackageConfigHelpers)
 include(GNUInstallDirs)
@@ -8,7 +8,10 @@ include(GNUInstallDirs)
 set(package_dir ${CMAKE_INSTALL_DATADIR}/cmake/ft)
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/ft TYPE INCLUDE)
-install(TARGETS ft EXPORT ftTargets)
+set(contract_dir ${CMAKE_INSTALL_DATADIR}/ft)
+install(FILES ${PROJECT_SOURCE_DIR}/tests/camera_contract.hpp DESTINATION ${contract_dir}/tests)
+target_include_directories(ft_camera_contract INTERFACE $<INSTALL_INTERFACE:${contract_dir}>)
+install(TARGETS ft ft_camera_contract EXPORT ftTargets)
 install(EXPORT ftTargets NAMESPACE ft:: DESTINATION ${package_dir})
 
 configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/ftConfig.cmake.in

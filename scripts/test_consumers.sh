@@ -3,7 +3,8 @@
 # Uses ft as strangers do: installed, as a subdirectory, and as plain headers without CMake.
 #   scripts/test_consumers.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
-# prefix. With nvcc each consumer is built as CUDA as well; a CUDA program runs only where there is a GPU.
+# prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
+# The example project of docs/new_camera_model.md is one of them; it needs GoogleTest.
 set -euo pipefail
 ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # shellcheck source=scripts/deps.sh
@@ -32,6 +33,21 @@ cmake_consumer() {
   run "$dir/consumer"
 }
 
+# example NAME CONFIGURE_OPTION...: examples/new_camera_model, with the contract on its model
+example() {
+  local name=$1
+  shift
+  heading "examples/new_camera_model, $name"
+  local dir=$work/new_camera_model-$name
+  cmake -S "$ft_root/examples/new_camera_model" -B "$dir" -DCMAKE_BUILD_TYPE=Release \
+    -DCMAKE_CUDA_ARCHITECTURES=90 "$@" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
+  cmake --build "$dir" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
+  ctest --test-dir "$dir" --output-on-failure --no-tests=error >"$work/log" 2>&1 ||
+    { cat "$work/log"; return 1; }
+  grep -E '^[0-9]+% tests passed, ' "$work/log"
+  run "$dir/stereo_depth"
+}
+
 heading install
 prefix=$work/prefix
 cmake --install "$build" --prefix "$prefix" >"$work/log" || { cat "$work/log"; exit 1; }
@@ -43,6 +59,9 @@ for mode in "${modes[@]}"; do
   cmake_consumer find_package "$mode" -DCMAKE_PREFIX_PATH="$prefix"
   cmake_consumer add_subdirectory "$mode" -DFT_SOURCE_DIR="$ft_root"
 done
+
+example host -DCMAKE_PREFIX_PATH="$prefix"
+if [[ $cuda == ON ]]; then example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON; fi
 
 heading "plain_include, ${CXX:-g++}"
 make --no-print-directory -C "$consumers/plain_include" OUT="$work" FT_INCLUDE="$prefix/include" \

@@ -489,8 +489,9 @@ private:
       params.reference_quirks = true;
       params.max_x = static_cast<float>(params_.width);
       params.max_y = static_cast<float>(params_.height);
+      params.orientation_check = ori != 0;
       ft::search_last_frame(exec_, rig, d_pred.data(), d_tlw.data(), frame, last, map.view(),
-                            params, orb_.geometry(), {}, windows, work, ori != 0);
+                            params, orb_.geometry(), windows, work);
       compare_holders(table["search_last_frame"],
                       spread(read_npy<std::int32_t>(path("pair", k, name)).data, counts), counts,
                       get_array<int>(frame.holder, numbers));
@@ -523,8 +524,12 @@ private:
     fp.levels = params_.levels;
     ft::local_search_params lp;
     lp.th = setting(0);
-    ft::find_visible_points(exec_, rig, d_local.data(), map.view(), d_slots.data(), d_count.data(),
-                            nullptr, nullptr, fp, lp, orb_.geometry(), windows, seen.data());
+    using rig_type = std::decay_t<decltype(rig)>;
+    ft::find_visible_points(
+        exec_,
+        ft::local_search<rig_type>{
+            rig, d_local.data(), d_slots.data(), d_count.data(), {}, fp, lp, seen.data()},
+        map.view(), orb_.geometry(), windows);
     auto const vis =
         get_array<ft::visibility>(seen.data(), static_cast<std::size_t>(most * cameras));
     auto const inview = read_npy<std::int32_t>(path("pair", k, "local_inview"));
@@ -566,7 +571,7 @@ private:
     ft::copy(exec_, windows.windows, recorded.data(), recorded.size());
     ft::search_params sp;
     sp.ratio = setting(1);
-    ft::search_by_projection(exec_, frame, map.view(), windows, sp, {}, work);
+    ft::search_by_projection(exec_, frame, map.view(), windows, sp, work);
     compare_holders(
         table["search_local_map"],
         spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_after_local")).data, counts), counts,

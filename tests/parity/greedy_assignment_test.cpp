@@ -49,13 +49,10 @@ struct scene {
   std::vector<float> right_x;             ///< [batch][capacity], or empty
   std::vector<int> partner;               ///< [batch][cameras * capacity], or empty
   std::vector<int> holder;                ///< [batch][cameras * capacity]
-  std::vector<int> gate;                  ///< [batch], or empty
-  int enough = 0;
   ft::search_params params;
 
   int numbers() const { return cameras * capacity; }
   int image(int b, int c) const { return step * b + c; }
-  bool closed(int b) const { return !gate.empty() && gate[at(b)] >= enough; }
 };
 
 struct outcome {
@@ -134,7 +131,6 @@ outcome search_in_order(scene const& s, tally& seen) {
               std::vector<int>(at(s.batch), poison)};
   bool const local = s.params.kind == ft::search_kind::local_map;
   for (int b = 0; b < s.batch; ++b) {
-    if (s.closed(b)) { continue; }
     ++seen.frames;
     int* const holder = out.holder.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
     int const* const observations =
@@ -142,6 +138,7 @@ outcome search_in_order(scene const& s, tally& seen) {
     int const* const partner =
         s.partner.empty() ? nullptr
                           : s.partner.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
+    if (s.params.from_empty) { std::fill(holder, holder + s.numbers(), -1); }
     int taken = 0;
     for (int i = 0; i < s.window_count[at(b)]; ++i) {
       bool search_right = true;
@@ -247,7 +244,6 @@ outcome search(Exec const& exec, scene const& s) {
   float* right_x = nullptr;
   int* partner = nullptr;
   int* holder = nullptr;
-  int* gate = nullptr;
   ft::arena<Exec::space> memory([&](ft::carver& c) {
     ft::carve(c, keypoints, s.capacity, s.step * s.batch);
     ft::carve(c, map, s.slots, s.batch);
@@ -257,7 +253,6 @@ outcome search(Exec const& exec, scene const& s) {
     right_x = c.take<float>(s.right_x.size());
     partner = c.take<int>(s.partner.size());
     holder = c.take<int>(s.holder.size());
-    gate = c.take<int>(s.gate.size());
   });
   ft::fill_bytes(exec, memory.data(), poison & 0xff, memory.bytes());
   auto const put = [&](auto* to, auto const& values) {
@@ -271,7 +266,6 @@ outcome search(Exec const& exec, scene const& s) {
   put(right_x, s.right_x);
   put(partner, s.partner);
   put(holder, s.holder);
-  put(gate, s.gate);
 
   ft::frame_view frame;
   frame.keypoints = keypoints;
@@ -282,18 +276,17 @@ outcome search(Exec const& exec, scene const& s) {
   frame.right_x = s.right_x.empty() ? nullptr : right_x;
   frame.partner = s.partner.empty() ? nullptr : partner;
   frame.holder = holder;
-  ft::search_gate const closed{s.gate.empty() ? nullptr : gate, s.enough};
 
   bool const all_images = s.cameras == s.step;
   ft::build_grid<ft::nearest_cell>(exec, keypoints, 0, all_images ? 1 : s.step, s.cameras * s.batch,
                                    grids);
   if constexpr (Rounds == Exec::asynchronous) {
-    ft::search_by_projection(exec, frame, map, windows, s.params, closed, work);
+    ft::search_by_projection(exec, frame, map, windows, s.params, work);
   } else {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
-                                    frame, map, windows, s.params, closed, work);
+                                    frame, map, windows, s.params, work);
     ft::for_each_item<ft::per_block<512>>(exec, windows.batch, ft::assign_keypoints<Rounds>{},
-                                          frame, map, windows, s.params, closed, work);
+                                          frame, map, windows, s.params, work);
   }
   outcome out;
   out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());
@@ -464,10 +457,7 @@ scene random_scene(unsigned seed, ft::search_kind kind, int cameras, scene_limit
   for (int i = 0; i < s.batch * s.numbers(); ++i) {
     s.holder.push_back(g.chance(held) ? g.below(s.slots) : -1);
   }
-  if (g.chance(30)) {
-    s.enough = 20;
-    for (int b = 0; b < s.batch; ++b) { s.gate.push_back(g.from_to(18, 21)); }
-  }
+  s.params.from_empty = g.chance(30);
   return s;
 }
 

@@ -761,20 +761,31 @@ public:
 
   record search_last(bool orientation_check, bool again) {
     ft::last_frame_view const last{last_keypoints_.view(), 2, cameras, last_holder_};
-    ft::search_last_frame(exec_, case_.rig, predicted_, last_, frame_, last, map_,
-                          case_.last_params, case_.geometry, {}, windows_, work_,
-                          orientation_check);
-    if (again) {  // as the tracker does: with twice the radius where there are few
+    ft::last_search_params params = case_.last_params;
+    params.orientation_check = orientation_check;
+    auto const run = [&](ft::last_search_params const& with) {
+      ft::search_last_frame(exec_, case_.rig, predicted_, last_, frame_, last, map_, with,
+                            case_.geometry, windows_, work_);
+      return test::from_exec(exec_, static_cast<int const*>(holder_),
+                             at(case_.batch) * at(frame_.numbers()));
+    };
+    auto const once = run(params);
+    if (again) {  // those of the batch with fewer than the first, then, with twice the radius
       auto const first =
           test::from_exec(exec_, static_cast<int const*>(work_.matches), at(case_.batch));
-      auto const gate = test::to_exec(exec_, first);
-      auto wider = case_.last_params;
+      auto wider = params;
       wider.th *= 2;
-      int const enough = first[0];
-      ft::search_last_frame(exec_, case_.rig, predicted_, last_, frame_, last, map_, wider,
-                            case_.geometry, {gate.data(), enough}, windows_, work_,
-                            orientation_check);
-      exec_.wait();
+      auto const wide = run(wider);
+      params.retry_below = first[0];
+      auto const got = run(params);
+      for (int b = 0; b < case_.batch; ++b) {
+        auto const& want = first[at(b)] < first[0] ? wide : once;
+        auto const begin = static_cast<std::ptrdiff_t>(b) * frame_.numbers();
+        EXPECT_TRUE(std::equal(got.begin() + begin, got.begin() + begin + frame_.numbers(),
+                               want.begin() + begin))
+            << "entry " << b << " with " << first[at(b)] << " matches at first";
+        repeated_ += static_cast<long>(first[at(b)] < first[0]);
+      }
     }
     record r;
     add_windows(r);
@@ -782,9 +793,17 @@ public:
     return r;
   }
   record find_visible() {
-    ft::find_visible_points(exec_, case_.rig, predicted_, map_, slots_, slot_count_, stamps_,
-                            stamp_, case_.frustum, case_.local_params, case_.geometry, windows_,
-                            seen_);
+    using rig_type = std::decay_t<decltype(case_.rig)>;
+    ft::find_visible_points(exec_,
+                            ft::local_search<rig_type>{case_.rig,
+                                                       predicted_,
+                                                       slots_,
+                                                       slot_count_,
+                                                       {stamp_, stamps_},
+                                                       case_.frustum,
+                                                       case_.local_params,
+                                                       seen_},
+                            map_, case_.geometry, windows_);
     record r;
     auto const all = test::from_exec(exec_, static_cast<ft::visibility const*>(seen_),
                                      at(cameras) * at(case_.batch) * at(windows_capacity_));
@@ -801,7 +820,7 @@ public:
     return r;
   }
   record search_local(ft::search_params const& params) {
-    ft::search_by_projection(exec_, frame_, map_, windows_, params, {}, work_);
+    ft::search_by_projection(exec_, frame_, map_, windows_, params, work_);
     record r;
     add_search(r);
     return r;
@@ -844,6 +863,7 @@ public:
                            at(cameras) * at(case_.batch) * at(windows_capacity_));
   }
   long visible() const { return visible_; }
+  long repeated() const { return repeated_; }
   /// Makes the next stage start from what another executor found.
   void take(std::vector<int> const& holders) { put(holder_, holders); }
   void take(std::vector<ft::search_window> const& windows) { put(windows_.windows, windows); }
@@ -917,6 +937,7 @@ private:
   ft::visibility* seen_ = nullptr;
   ft::arena<Exec::space> memory_;
   long visible_ = 0;
+  long repeated_ = 0;  ///< searches that found too little at first
 };
 
 /// True where two numbers are within 1e-9, or where floats cannot say so: neighbours.
@@ -942,7 +963,7 @@ template <typename Rig>
 constexpr bool exact_poses = Rig::rectified || std::is_same<Rig, pinhole_rig>::value;
 
 struct tracking_totals {
-  long last_matches = 0, local_matches = 0, visible = 0, held = 0, kept = 0;
+  long last_matches = 0, local_matches = 0, visible = 0, held = 0, kept = 0, repeated = 0;
 };
 
 template <typename Rig>
@@ -979,6 +1000,7 @@ void compare_tracking(executors& on, int cases, int most_points, unsigned first_
       SCOPED_TRACE("frustum");
       expect_same_bits(a.find_visible(), b.find_visible());
       totals.visible += a.visible();
+      totals.repeated += a.repeated();
     }
     b.take(a.windows());
     ft::search_params params;
@@ -1003,6 +1025,7 @@ void expect_worked(tracking_totals const& t, long least) {
   EXPECT_GT(t.last_matches, least);
   EXPECT_GT(t.local_matches, least);
   EXPECT_GT(t.visible, least);
+  EXPECT_GT(t.repeated, 5);
   EXPECT_GT(t.kept, least / 2);
   EXPECT_LT(t.kept, t.held);  // there were outliers to let go of
 }

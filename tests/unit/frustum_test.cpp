@@ -292,9 +292,18 @@ struct local_map_run {
     auto const d_stamp = test::to_exec(exec, stamp);
     auto const d_seen =
         test::to_exec(exec, std::vector<ft::visibility>(n, ft::visibility{0, 0, 0, 0, 0, -77}));
-    ft::find_visible_points(exec, rig, d_poses.data(), map, d_slots.data(), d_count.data(),
-                            stamps.empty() ? nullptr : d_stamps.data(), d_stamp.data(), bounds(),
-                            search, g, out, d_seen.data());
+    using rig_type = std::decay_t<decltype(rig)>;
+    ft::find_visible_points(
+        exec,
+        ft::local_search<rig_type>{rig,
+                                   d_poses.data(),
+                                   d_slots.data(),
+                                   d_count.data(),
+                                   {d_stamp.data(), stamps.empty() ? nullptr : d_stamps.data()},
+                                   bounds(),
+                                   search,
+                                   d_seen.data()},
+        map, g, out);
     windows = test::from_exec(exec, static_cast<ft::search_window const*>(out.windows), n);
     seen = test::from_exec(exec, static_cast<ft::visibility const*>(d_seen.data()), n);
     count =

@@ -124,30 +124,34 @@ struct sum_item {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, int const* starts,
                                  double const* data, double* out) const {
-    double result[sums];
     double const* const mine = data + starts[item];
-    ft::ordered_sum<sums>(
-        g, s, starts[item + 1] - starts[item],
-        [&](int i, double* acc) {
-          acc[0] += mine[i];
-          acc[1] += 1.0;
-          acc[2] += mine[i] * 0.5;  // exact, so that fusing cannot matter
-        },
-        result);
+    ft::ordered_sum<sums>(g, s, starts[item + 1] - starts[item],
+                          [&](int i, ft::sum_terms<sums>& acc) {
+                            acc.wide += mine[i];
+                            acc.narrow[0] += static_cast<float>(mine[i]);
+                            acc.narrow[1] += 1.0f;
+                            acc.narrow[2] += static_cast<float>(mine[i]) * 0.5f;  // exact
+                          });
     if (g.rank() == g.size() - 1) {
-      for (int k = 0; k < sums; ++k) { out[sums * item + k] = result[k]; }
+      out[(sums + 1) * item] = s.total.wide;
+      for (int k = 0; k < sums; ++k) {
+        out[(sums + 1) * item + 1 + k] = static_cast<double>(s.total.narrow[k]);
+      }
     }
   }
 };
 
-/// The documented order of additions: 128 lanes, halves of a warp's lanes, then the warps.
-inline double sum_in_order(double const* data, int n) {
-  std::vector<double> lanes(128, 0.0);
-  for (int i = 0; i < n; ++i) { lanes[static_cast<std::size_t>(i % 128)] += data[i]; }
-  double total = 0;
-  for (std::size_t warp = 0; warp < 4; ++warp) {
+/// The documented order of additions: 256 lanes, halves of a warp's lanes, then the warps.
+template <typename Number>
+Number sum_in_order(double const* data, int n) {
+  std::vector<Number> lanes(256, Number(0));
+  for (int i = 0; i < n; ++i) {
+    lanes[static_cast<std::size_t>(i % 256)] += static_cast<Number>(data[i]);
+  }
+  Number total = 0;
+  for (std::size_t warp = 0; warp < 8; ++warp) {
     // In each step the upper half of what is left is added to the lower half.
-    std::vector<double> rest(lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp),
+    std::vector<Number> rest(lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp),
                              lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp + 32));
     while (rest.size() > 1) {
       std::size_t const half = rest.size() / 2;
@@ -272,20 +276,22 @@ protected:
     }
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
-    auto const d_out = test::to_exec(backend.exec, std::vector<double>(sums * sizes.size(), -1.0));
+    auto const d_out = test::to_exec(backend.exec, std::vector<double>((sums + 1) * sizes.size(), -1.0));
     ft::for_each_item<Shape>(backend.exec, items(), sum_item{},
                              static_cast<int const*>(d_starts.data()),
                              static_cast<double const*>(d_data.data()), d_out.data());
     auto const out = test::from_exec(backend.exec, static_cast<double const*>(d_out.data()),
-                                     sums * sizes.size());
+                                     (sums + 1) * sizes.size());
     int differs_from_plain_order = 0;
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       double const* const mine = data.data() + starts[item];
-      double const want = sum_in_order(mine, sizes[item]);
-      EXPECT_EQ(std::memcmp(&out[sums * item], &want, sizeof want), 0)
-          << out[sums * item] << " and " << want << " for " << sizes[item];
-      EXPECT_EQ(out[sums * item + 1], sizes[item]);
-      EXPECT_EQ(out[sums * item + 2], 0.5 * want);
+      double const* const got = &out[(sums + 1) * item];
+      double const want = sum_in_order<double>(mine, sizes[item]);
+      EXPECT_EQ(got[0], want) << sizes[item];
+      float const narrow = sum_in_order<float>(mine, sizes[item]);
+      EXPECT_EQ(got[1], static_cast<double>(narrow)) << sizes[item];
+      EXPECT_EQ(got[2], sizes[item]);
+      EXPECT_EQ(got[3], 0.5 * static_cast<double>(narrow)) << sizes[item];
       differs_from_plain_order +=
           static_cast<int>(std::accumulate(mine, mine + sizes[item], 0.0) != want);
     }

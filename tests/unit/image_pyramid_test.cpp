@@ -16,6 +16,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/pyramid_tiles.hpp"
 #include "tests/support/backends.hpp"
 
 namespace image_pyramid_test {
@@ -245,6 +246,53 @@ TYPED_TEST(image_pyramid_unit, every_image_of_a_batch_is_resized_and_blurred) {
       }
     }
   }
+}
+
+TYPED_TEST(image_pyramid_unit, tiles_give_the_same_pixels_as_rows) {
+  auto const& exec = this->backend.exec;
+  struct shape {
+    int w, h, levels;
+    float factor;
+    int side;
+  };
+  int several_groups = 0;
+  for (shape const s : {shape{752, 480, 8, 1.2f, 72},
+                        {331, 257, 8, 1.2f, 72},
+                        {331, 257, 8, 1.2f, 16},
+                        {640, 400, 16, 1.2f, 72},
+                        {640, 400, 16, 1.2f, 9},
+                        {700, 450, 4, 4.0f, 72},
+                        {500, 70, 6, 1.7f, 500},
+                        {75, 80, 4, 1.01f, 72},
+                        {2, 3, 2, 1.2f, 72},
+                        {5, 4, 1, 1.2f, 72}}) {
+    auto const g = ft::pyramid_geometry::make(s.w, s.h, s.levels, s.factor);
+    constexpr int batch = 2;
+    typename TestFixture::pyramid const by_rows(g, batch);
+    typename TestFixture::pyramid const by_tiles(g, batch);
+    std::vector<ft::resize_tap> taps(static_cast<std::size_t>(g.taps));
+    ft::make_resize_taps(g, taps.data());
+    std::vector<ft::tile_span> spans;
+    ft::pyramid_tiles tiles = ft::make_pyramid_tiles(g, taps.data(), spans, s.side);
+    several_groups += static_cast<int>(tiles.groups > 1);
+    auto const d_taps = test::to_exec(exec, taps);
+    auto const d_spans = test::to_exec(exec, spans);
+    tiles.spans = d_spans.data();
+    for (int b = 0; b < batch; ++b) {
+      auto const pixels = test::random_image(s.w, s.h, static_cast<unsigned>(s.w + b));
+      this->set_level_0(by_rows, b, pixels);
+      this->set_level_0(by_tiles, b, pixels);
+    }
+    ft::build_pyramid(exec, by_rows.view(), d_taps.data());
+    ft::build_pyramid(exec, by_tiles.view(), d_taps.data(), tiles);
+    for (int b = 0; b < batch; ++b) {
+      for (int l = 0; l < s.levels; ++l) {
+        EXPECT_EQ(this->level_of(by_tiles, b, l), this->level_of(by_rows, b, l))
+            << s.w << "x" << s.h << " side " << s.side << " image " << b << " level " << l;
+      }
+    }
+  }
+  EXPECT_GT(several_groups, 0) << "some geometry must need more than one launch";
 }
 
 TYPED_TEST(image_pyramid_unit, flat_images_stay_flat) {

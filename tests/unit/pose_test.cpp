@@ -223,7 +223,7 @@ protected:
   template <typename Rig>
   void check_recovery() {
     auto const rig = make_rig<Rig>();
-    for (int const n : {3, 4, 10, 127, 128, 129, 600}) {
+    for (int const n : {3, 4, 10, 127, 255, 256, 257, 600}) {
       auto const s = make_scene(rig, n, 0, static_cast<unsigned>(n));
       auto const r = solve(rig, s.observations, s.start);
       EXPECT_LT(distance(r.pose, s.truth), n < 10 ? 1e-2 : 1e-3) << n;

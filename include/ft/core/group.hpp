@@ -42,6 +42,10 @@ struct single_group {
   FT_HOST_DEVICE static constexpr int rank() { return 0; }
   FT_HOST_DEVICE static constexpr int size() { return 1; }
   FT_HOST_DEVICE static void sync() {}
+  /// The groups that this one is made of: itself; of a block its warps.
+  FT_HOST_DEVICE static single_group part() { return {}; }
+  FT_HOST_DEVICE static constexpr int part_index() { return 0; }
+  FT_HOST_DEVICE static constexpr int parts() { return 1; }
   template <typename T, typename Op>
   FT_HOST_DEVICE T reduce(T value, Op) const {
     return value;
@@ -187,6 +191,9 @@ struct block_group {
   __device__ static int rank() { return static_cast<int>(threadIdx.x); }
   __device__ static constexpr int size() { return N; }
   __device__ static void sync() { __syncthreads(); }
+  __device__ static warp_group part() { return {}; }
+  __device__ static int part_index() { return static_cast<int>(threadIdx.x) / 32; }
+  __device__ static constexpr int parts() { return warps; }
   /// The same value in every thread; T of at most 16 bytes.
   template <typename T, typename Op>
   __device__ T reduce(T value, Op op) const {

@@ -8,57 +8,97 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Terms are dealt to this many lanes (i to lane i mod 128), lanes are added in a fixed tree.
-inline constexpr int sum_lanes = 128;
+/// Terms are dealt to this many lanes (i to lane i mod 256); in each 32 lanes the upper half of
+/// what is left is added to the lower one; then the 8 sums are added in order.
+inline constexpr int sum_lanes = 256;
 
-/// Block scratch of ordered_sum.
+/// What a least-squares problem adds up: its cost in double, K entries of its equations in float.
 template <int K>
-struct ordered_sum_scratch {
-  double warp[sum_lanes / 32][K];
+struct sum_terms {
+  static_assert(K >= 1 && K <= 32, "one entry a lane");
+  double wide;
+  float narrow[K];
 };
 
-/// K sums over i in [0, n): `add(i, acc)` adds term i to `double acc[K]`. Every thread gets the
-/// result. Groups of one thread or of 128.
+/// Block scratch of ordered_sum, and its result.
+template <int K>
+struct ordered_sum_scratch {
+  sum_terms<K> warp[sum_lanes / 32];
+  sum_terms<K> total;
+};
+
+#if defined(__CUDACC__)
+namespace detail {
+
+/// Adds 32 values over the lanes of a warp, value k ending in lane k: each step halves the values
+/// that a lane keeps, so that 31 exchanges do what 32 butterflies do with 160, in the same order.
+__device__ inline float transposed_warp_sum(float (&v)[32], int lane) {
+  FT_UNROLL
+  for (int d = 16; d > 0; d /= 2) {
+    bool const upper = (lane & d) != 0;
+    FT_UNROLL
+    for (int i = 0; i < d; ++i) {
+      float const give = upper ? v[i] : v[i + d];
+      float const keep = upper ? v[i + d] : v[i];
+      v[i] = keep + __shfl_xor_sync(0xffffffffu, give, d);
+    }
+  }
+  return v[0];
+}
+
+}  // namespace detail
+#endif
+
+/// K + 1 sums over i in [0, n): `add(i, sum_terms<K>& acc)` adds term i. The result is
+/// `scratch.total`, for every thread, until the next call. Groups of one thread or of sum_lanes.
 template <int K, typename Group, typename Add>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add,
-                                double (&result)[K]) {
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add) {
   if constexpr (Group::max_threads == 1) {
     static_cast<void>(g);
-    static_cast<void>(scratch);
-    double acc[sum_lanes][K] = {};
+    sum_terms<K> acc[sum_lanes] = {};
     for (int i = 0; i < n; ++i) { add(i, acc[i % sum_lanes]); }
+    auto const into = [](sum_terms<K>& to, sum_terms<K> const& from) {
+      to.wide += from.wide;
+      for (int k = 0; k < K; ++k) { to.narrow[k] += from.narrow[k]; }
+    };
     for (int w = 0; w < sum_lanes; w += 32) {
       for (int d = 16; d > 0; d /= 2) {
-        for (int lane = 0; lane < d; ++lane) {
-          for (int k = 0; k < K; ++k) { acc[w + lane][k] += acc[w + lane + d][k]; }
+        // Lanes without a term hold zeros: nothing to add.
+        for (int lane = 0; lane < d && w + lane + d < n; ++lane) {
+          into(acc[w + lane], acc[w + lane + d]);
         }
       }
     }
-    for (int k = 0; k < K; ++k) {
-      result[k] = acc[0][k];
-      for (int w = 32; w < sum_lanes; w += 32) { result[k] += acc[w][k]; }
-    }
+    scratch.total = acc[0];
+    for (int w = 32; w < sum_lanes; w += 32) { into(scratch.total, acc[w]); }
   } else {
     static_assert(Group::max_threads == sum_lanes, "one thread per lane");
-    double acc[K];
-    FT_UNROLL
-    for (int k = 0; k < K; ++k) { acc[k] = 0; }
-    for (int i = g.rank(); i < n; i += g.size()) { add(i, acc); }
 #if defined(__CUDACC__)
+    sum_terms<K> acc{};
+    for (int i = g.rank(); i < n; i += g.size()) { add(i, acc); }
+    float terms[32];
     FT_UNROLL
-    for (int k = 0; k < K; ++k) { acc[k] = detail::warp_reduce(acc[k], sum_op{}); }
-#endif
-    if (g.rank() % 32 == 0) {
+    for (int k = 0; k < 32; ++k) { terms[k] = k < K ? acc.narrow[k] : 0.0f; }
+    int const lane = g.rank() % 32;
+    int const warp = g.rank() / 32;
+    float const mine = detail::transposed_warp_sum(terms, lane);
+    double const wide = detail::warp_reduce(acc.wide, sum_op{});
+    if (lane < K) { scratch.warp[warp].narrow[lane] = mine; }
+    if (lane == 0) { scratch.warp[warp].wide = wide; }
+    g.sync();
+    if (g.rank() < K) {
+      float sum = scratch.warp[0].narrow[g.rank()];
       FT_UNROLL
-      for (int k = 0; k < K; ++k) { scratch.warp[g.rank() / 32][k] = acc[k]; }
+      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].narrow[g.rank()]; }
+      scratch.total.narrow[g.rank()] = sum;
+    } else if (g.rank() == 32) {
+      double sum = scratch.warp[0].wide;
+      FT_UNROLL
+      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].wide; }
+      scratch.total.wide = sum;
     }
     g.sync();
-    FT_UNROLL
-    for (int k = 0; k < K; ++k) {
-      result[k] = scratch.warp[0][k];
-      for (int w = 1; w < sum_lanes / 32; ++w) { result[k] += scratch.warp[w][k]; }
-    }
-    g.sync();
+#endif
   }
 }
 

@@ -11,6 +11,7 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/search_by_projection.hpp"
 #include "ft/kernels/search_window.hpp"
 
 namespace ft {
@@ -99,30 +100,44 @@ FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, flo
   return w;
 }
 
-/// One entry of the local map.
+/// What the windows of a search in the local map are made from.
+template <typename Rig>
+struct local_search {
+  Rig rig;
+  pose const* poses = nullptr;      ///< [batch] T_cw
+  int const* slots = nullptr;       ///< [batch][windows' capacity], -1 = none
+  int const* slot_count = nullptr;  ///< [batch]
+  /// Points with the stamp of this frame are left out; null: none are.
+  point_stamps stamps;
+  frustum_params frustum;
+  local_search_params params;
+  visibility* seen = nullptr;  ///< [cameras][batch][windows' capacity], or null
+};
+
+/// One entry of the local map: its visibility and windows.
 template <typename Rig>
 struct frustum_point {
   using scratch = no_scratch;
 
-  /// @param poses [batch] T_cw @param slots [batch][capacity], -1 = none @param slot_count [batch]
-  /// @param stamps [batch][slots] frame in which a slot was matched last @param stamp this frame's
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, pose const* poses,
-                                 map_points_view const& map, int const* slots,
-                                 int const* slot_count, int const* stamps, int const* stamp,
-                                 frustum_params const& params, local_search_params const& search,
-                                 pyramid_geometry const& geometry, search_windows_view const& out,
-                                 visibility* seen) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, local_search<Rig> const& search,
+                                 map_points_view const& map, pyramid_geometry const& geometry,
+                                 search_windows_view const& out) const {
     int const b = item / out.capacity;
     int const i = item % out.capacity;
-    if (i == 0) { out.count[b] = slot_count[b]; }
-    if (i >= slot_count[b]) { return; }
+    int const count = search.slot_count[b];
+    if (i == 0) { out.count[b] = count; }
+    if (i >= count) { return; }
+    Rig const& rig = search.rig;
+    frustum_params const& params = search.frustum;
     map_points_view const points = map.slice(b);
-    int const slot = slots[item];
-    bool const skip = slot < 0 || slot >= points.capacity ||
-                      (stamps != nullptr &&
-                       stamps[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] == stamp[b]);
-    pose const T_cw = poses[b];
+    int const slot = search.slots[item];
+    bool const skip =
+        slot < 0 || slot >= points.capacity ||
+        (search.stamps.seen != nullptr &&
+         search.stamps.seen[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] ==
+             search.stamps.frame[b]);
+    pose const T_cw = search.poses[b];
     constexpr int cameras = Rig::rectified ? 1 : 2;
     for (int c = 0; c < cameras; ++c) {
       visibility v{0, 0, 0, 0, 0, -1};
@@ -138,27 +153,62 @@ struct frustum_point {
         }
       }
       std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(c) * out.batch * out.capacity + item;
-      if (seen != nullptr) { seen[at] = v; }
-      bool const out_of_reach =
-          v.level < 0 || (search.far_distance > 0 && v.distance > search.far_distance);
-      out.windows[at] =
-          out_of_reach ? search_window::none()
-                       : window_of(v, slot, c == 0 ? search.th : 1.0f, Rig::rectified, geometry);
+      if (search.seen != nullptr) { search.seen[at] = v; }
+      float const far = search.params.far_distance;
+      bool const out_of_reach = v.level < 0 || (far > 0 && v.distance > far);
+      out.windows[at] = out_of_reach ? search_window::none()
+                                     : window_of(v, slot, c == 0 ? search.params.th : 1.0f,
+                                                 Rig::rectified, geometry);
+    }
+  }
+};
+
+/// One entry of the local map: visibility, windows, and the candidates in them.
+template <typename Rig>
+struct list_local_point {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, local_search<Rig> const& search,
+                                 frame_view const& frame, map_points_view const& map,
+                                 pyramid_geometry const& geometry, search_params const& params,
+                                 search_windows_view const& windows,
+                                 search_workspace const& work) const {
+    if (g.rank() == 0) {
+      frustum_point<Rig>{}(single_group{}, s, item, search, map, geometry, windows);
+    }
+    g.sync();
+    int const b = item / windows.capacity;
+    int const i = item % windows.capacity;
+    if (i < search.slot_count[b]) {
+      list_candidates::list(g, b, i, frame, map, windows, params, work);
     }
   }
 };
 
 /// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates
-/// nothing; one launch. @param seen [cameras][batch][out.capacity], or null @param stamps may be
-/// null: nothing skipped
+/// nothing; one launch.
 template <typename Exec, typename Rig>
-void find_visible_points(Exec const& exec, Rig const& rig, pose const* poses,
-                         map_points_view const& map, int const* slots, int const* slot_count,
-                         int const* stamps, int const* stamp, frustum_params const& params,
-                         local_search_params const& search, pyramid_geometry const& geometry,
-                         search_windows_view const& out, visibility* seen) {
-  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, rig, poses, map,
-                            slots, slot_count, stamps, stamp, params, search, geometry, out, seen);
+void find_visible_points(Exec const& exec, local_search<Rig> const& search,
+                         map_points_view const& map, pyramid_geometry const& geometry,
+                         search_windows_view const& out) {
+  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, search, map,
+                            geometry, out);
+}
+
+/// Search in the local map: find_visible_points() and search_by_projection(), in two launches.
+/// Asynchronous on `exec`; allocates nothing. @param listed called with the executor after the
+/// first
+template <typename Exec, typename Rig, typename Listed>
+void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
+                      map_points_view const& map, pyramid_geometry const& geometry,
+                      search_params const& params, search_windows_view const& windows,
+                      search_workspace const& work, Listed const& listed) {
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_local_point<Rig>{}, search,
+                          frame, map, geometry, params, windows, work);
+  listed(exec);
+  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame,
+                                map, windows, params, work);
 }
 
 }  // namespace FT_ABI

@@ -35,7 +35,7 @@ struct pose_params {
   int steps = 10;   ///< per round
   int trials = 10;  ///< of the damping, per step
   double small_step =
-      1e-6;  ///< a round ends after a step shorter than this in every component; rad, m
+      3e-5;  ///< a round ends after a step shorter than this in every component; rad, m
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
@@ -57,66 +57,84 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
     theta2 = theta2 * 0.25;
     ++halvings;
   }
-  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3
-  real a = 0.0;
-  real b = 0.0;
-  real c = 0.0;
-  real term = 1.0;
+  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket.
+  real a = 1.0;
+  real b = 1.0;
+  real c = 1.0;
   FT_UNROLL
-  for (int k = 0; k < 10; ++k) {
+  for (int k = 9; k > 0; --k) {
     double const n = 2.0 * k;
-    a = a + term;
-    b = b + term * (1.0 / (n + 2.0));
-    term = term * (1.0 / ((n + 2.0) * (n + 3.0)));
-    c = c + term;
-    term = -(term * theta2);
+    a = real(1.0) - theta2 * (1.0 / (n * (n + 1.0))) * a;
+    b = real(1.0) - theta2 * (1.0 / ((n + 1.0) * (n + 2.0))) * b;
+    c = real(1.0) - theta2 * (1.0 / ((n + 2.0) * (n + 3.0))) * c;
   }
-  // Terms so far: 1/(2k+1)! in a, 1/(2k+2)! = that / (2k+2) in b, and so on.
+  b = b * 0.5;
+  c = c * (1.0 / 6.0);
   mat3<real> const W{{0.0, -w.z, w.y, w.z, 0.0, -w.x, -w.y, w.x, 0.0}};
   mat3<real> const W2 = W * W;
   transform t;
   mat3<real> V;
   for (int i = 0; i < 9; ++i) {
     real const one = i % 4 == 0 ? 1.0 : 0.0;
-    t.R.m[i] = one + a * W.m[i] + b * W2.m[i];
-    V.m[i] = one + b * W.m[i] + c * W2.m[i];
+    t.R.m[i] = one + (a * W.m[i] + b * W2.m[i]);
+    V.m[i] = one + (b * W.m[i] + c * W2.m[i]);
   }
   t.t = V * u;
   for (; halvings > 0; --halvings) { t = t * t; }
   return t;
 }
 
-/// Solves the symmetric positive definite system A x = b of size 6 by LDL^T; A as upper triangle by
-/// rows. False where A is not positive definite.
-FT_HOST_DEVICE inline bool solve_6(double const (&upper)[21], double damping, double const (&b)[6],
-                                   real (&x)[6]) {
-  real L[6][6];
-  real D[6];
-  int at = 0;
-  for (int i = 0; i < 6; ++i) {
-    for (int j = i; j < 6; ++j) { L[j][i] = upper[at++]; }
-    L[i][i] = L[i][i] + damping;
+/// A symmetric matrix of size 3: its upper triangle by rows.
+struct symmetric_3 {
+  real xx, xy, xz, yy, yz, zz;
+
+  FT_HOST_DEVICE vec3<real> operator*(vec3<real> v) const {
+    return {xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z,
+            xz * v.x + yz * v.y + zz * v.z};
   }
-  for (int j = 0; j < 6; ++j) {
-    real d = L[j][j];
-    for (int k = 0; k < j; ++k) { d = d - L[j][k] * L[j][k] * D[k]; }
-    if (!(d > 0.0)) { return false; }
-    D[j] = d;
-    for (int i = j + 1; i < 6; ++i) {
-      real v = L[i][j];
-      for (int k = 0; k < j; ++k) { v = v - L[i][k] * L[j][k] * D[k]; }
-      L[i][j] = v / d;
-    }
+  /// By cofactors: one division, short chains. False where it is not positive definite.
+  FT_HOST_DEVICE bool invert(symmetric_3& inverse) const {
+    symmetric_3 const c{yy * zz - yz * yz, yz * xz - xy * zz, xy * yz - yy * xz,
+                        xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy};
+    real const determinant = xx * c.xx + xy * c.xy + xz * c.xz;
+    if (!(xx > 0.0 && c.zz > 0.0 && determinant > 0.0)) { return false; }
+    real const scale = real(1.0) / determinant;
+    inverse = {c.xx * scale, c.xy * scale, c.xz * scale, c.yy * scale, c.yz * scale, c.zz * scale};
+    return true;
   }
-  for (int i = 0; i < 6; ++i) {
-    real v = b[i];
-    for (int k = 0; k < i; ++k) { v = v - L[i][k] * x[k]; }
-    x[i] = v;
-  }
-  for (int i = 0; i < 6; ++i) { x[i] = x[i] / D[i]; }
-  for (int i = 5; i >= 0; --i) {
-    for (int k = i + 1; k < 6; ++k) { x[i] = x[i] - L[k][i] * x[k]; }
-  }
+};
+
+/// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in blocks of 3
+/// (Schur complement); A as upper triangle by rows. False where it is not positive definite.
+template <typename Number>
+FT_HOST_DEVICE bool solve_6(Number const (&upper)[21], double damping, Number const (&b)[6],
+                            real (&x)[6]) {
+  auto const at = [&](int i) { return real(static_cast<double>(upper[i])); };
+  symmetric_3 const P{at(0) + damping, at(1), at(2), at(6) + damping, at(7), at(11) + damping};
+  symmetric_3 const R{at(15) + damping, at(16), at(17), at(18) + damping, at(19), at(20) + damping};
+  // Rows of the upper right block, and its columns.
+  vec3<real> const column[3] = {
+      {at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
+  vec3<real> const b1{static_cast<double>(b[0]), static_cast<double>(b[1]),
+                      static_cast<double>(b[2])};
+  symmetric_3 P_inverse;
+  if (!P.invert(P_inverse)) { return false; }
+  vec3<real> const w[3] = {P_inverse * column[0], P_inverse * column[1], P_inverse * column[2]};
+  symmetric_3 const S{R.xx - dot(column[0], w[0]), R.xy - dot(column[0], w[1]),
+                      R.xz - dot(column[0], w[2]), R.yy - dot(column[1], w[1]),
+                      R.yz - dot(column[1], w[2]), R.zz - dot(column[2], w[2])};
+  symmetric_3 S_inverse;
+  if (!S.invert(S_inverse)) { return false; }
+  vec3<real> const y = S_inverse * vec3<real>{real(static_cast<double>(b[3])) - dot(w[0], b1),
+                                              real(static_cast<double>(b[4])) - dot(w[1], b1),
+                                              real(static_cast<double>(b[5])) - dot(w[2], b1)};
+  vec3<real> const z = P_inverse * b1;
+  x[0] = z.x - (w[0].x * y.x + w[1].x * y.y + w[2].x * y.z);
+  x[1] = z.y - (w[0].y * y.x + w[1].y * y.y + w[2].y * y.z);
+  x[2] = z.z - (w[0].z * y.x + w[1].z * y.y + w[2].z * y.z);
+  x[3] = y.x;
+  x[4] = y.y;
+  x[5] = y.z;
   return true;
 }
 
@@ -174,22 +192,31 @@ struct reprojection {
            static_cast<double>(o.inv_sigma2);
   }
 
-  /// d prediction / d twist, twist added on the left: rows of 6.
-  FT_HOST_DEVICE void jacobian(Rig const& rig, observation const& o, real (&J)[3][6]) const {
-    real P[3][3];  // d prediction / d point in the left camera's frame
+  /// d prediction / d twist, twist added on the left: rows of 6. @tparam Scalar of the evaluation
+  template <typename Scalar>
+  FT_HOST_DEVICE void jacobian(Rig const& rig, observation const& o, Scalar (&J)[3][6]) const {
+    using P_type = plain_scalar_t<Scalar>;
+    auto const narrowed = [](vec3<real> v) {
+      return vec3<Scalar>{Scalar(static_cast<P_type>(v.x.value)),
+                          Scalar(static_cast<P_type>(v.y.value)),
+                          Scalar(static_cast<P_type>(v.z.value))};
+    };
+    vec3<Scalar> const p = narrowed(in_body);
+    Scalar P[3][3];  // d prediction / d point in the left camera's frame
     if constexpr (Rig::rectified) {
-      auto const j = rig.camera.template cast<real>().project_jacobian(in_body);
+      auto const j = rig.camera.template cast<Scalar>().project_jacobian(p);
       for (int k = 0; k < 3; ++k) {
         P[0][k] = j.m[k];
         P[1][k] = j.m[3 + k];
         P[2][k] = j.m[k];
       }
-      P[2][2] = P[2][2] + real(static_cast<double>(rig.bf)) / (in_body.z * in_body.z);
+      P[2][2] = P[2][2] + Scalar(static_cast<P_type>(rig.bf)) / (p.z * p.z);
     } else {
-      mat23<real> j;
+      mat23<Scalar> j;
+      vec3<Scalar> const q = narrowed(in_camera);
       if (o.right_camera != 0) {
-        j = rig.right.template cast<real>().project_jacobian(in_camera);
-        mat3<real> const R = rig.T_rl.template cast<real>().R;
+        j = rig.right.template cast<Scalar>().project_jacobian(q);
+        mat3<Scalar> const R = rig.T_rl.template cast<Scalar>().R;
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) {
             P[r][k] =
@@ -197,15 +224,14 @@ struct reprojection {
           }
         }
       } else {
-        j = rig.left.template cast<real>().project_jacobian(in_camera);
+        j = rig.left.template cast<Scalar>().project_jacobian(q);
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) { P[r][k] = j.m[3 * r + k]; }
         }
       }
-      for (int k = 0; k < 3; ++k) { P[2][k] = 0.0; }
+      for (int k = 0; k < 3; ++k) { P[2][k] = Scalar(0); }
     }
     static_cast<void>(o);
-    vec3<real> const p = in_body;
     for (int r = 0; r < 3; ++r) {
       J[r][0] = P[r][2] * p.y - P[r][1] * p.z;
       J[r][1] = P[r][0] * p.z - P[r][2] * p.x;
@@ -227,18 +253,102 @@ struct pose_problem {
   int* inliers;
 };
 
-/// Optimises one pose. Groups of one thread or of 128.
+namespace detail {
+
+inline constexpr int pose_terms = 27;  ///< 6 of the gradient, 21 of the upper triangle
+
+/// Levenberg-Marquardt as a machine that one thread keeps: it names a trial pose, is told the sums
+/// there, and names the next.
+struct damped_descent {
+  transform T;      ///< the best pose so far
+  transform trial;  ///< where the sums are wanted next
+  sum_terms<pose_terms> at_best;
+  real step[6];
+  double damping;
+  double growth;
+  double expected;  ///< decrease of the cost
+  int steps_left;
+  int trials_left;
+  bool running;  ///< false = done, `T` is the answer
+
+  FT_HOST_DEVICE void begin(transform const& start, sum_terms<pose_terms> const& sums,
+                            pose_params const& params) {
+    T = start;
+    at_best = sums;
+    double largest = 0;
+    int at = 6;
+    for (int a = 0; a < 6; ++a) {
+      largest = max_of(largest, static_cast<double>(sums.narrow[at]));
+      at += 6 - a;
+    }
+    damping = (real(1e-5) * largest).value;
+    growth = 2;
+    steps_left = params.steps;
+    trials_left = params.trials;
+    running = steps_left > 0;
+    propose(params);
+  }
+
+  FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
+    real const gain = (real(at_best.wide) - sums.wide) / real(expected);
+    if (gain > 0.0 && scalar::is_finite(real(sums.wide))) {
+      real const m = real(2.0) * gain - 1.0;
+      real const factor = max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
+      damping = (real(damping) * factor).value;
+      growth = 2;
+      T = trial;
+      at_best = sums;
+      bool small = true;
+      for (int k = 0; k < 6; ++k) { small = small && scalar::abs(step[k]) < params.small_step; }
+      trials_left = params.trials;
+      running = --steps_left > 0 && !small;
+    } else {
+      refuse();
+    }
+    propose(params);
+  }
+
+private:
+  /// After a trial that was no better: more damping, while any is left.
+  FT_HOST_DEVICE void refuse() {
+    damping = (real(damping) * growth).value;
+    growth *= 2;
+    running = --trials_left > 0 && scalar::is_finite(damping);
+  }
+  FT_HOST_DEVICE void propose(pose_params const&) {
+    float H[21];
+    float b[6];
+    for (int k = 0; k < 6; ++k) { b[k] = at_best.narrow[k]; }
+    for (int k = 0; k < 21; ++k) { H[k] = at_best.narrow[6 + k]; }
+    while (running && !solve_6(H, damping, b, step)) { refuse(); }
+    if (!running) { return; }
+    real sum = 1e-3;
+    for (int k = 0; k < 6; ++k) {
+      sum = sum + step[k] * (real(damping) * step[k] + static_cast<double>(b[k]));
+    }
+    expected = sum.value;
+    trial = exp_se3(step) * T;
+  }
+};
+
+}  // namespace detail
+
+/// Optimises one pose. Groups of one thread or of sum_lanes.
+///
+/// Residuals, chi-squares and the cost are in double: they decide. Derivatives and the normal
+/// equations, whose errors only change the length of the way, are in float; the equations are
+/// solved in double.
 template <typename Rig>
 struct optimize_pose {
-  static constexpr int terms = 28;  ///< cost, 6 of the gradient, 21 of the upper triangle
+  static constexpr int terms = detail::pose_terms;
   struct scratch {
     ordered_sum_scratch<terms> sums;
+    detail::damped_descent descent;
   };
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, Rig const& rig, pose_problem const& problem,
                                  pose_params const& params) const {
-    using detail::real;
     int const n = problem.count;
     if (n < 3) {
       for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
@@ -255,70 +365,85 @@ struct optimize_pose {
       problem.outlier[i] =
           static_cast<unsigned char>(!scalar::is_finite(reprojection<Rig>(rig, start, o).chi2(o)));
     }
-    g.sync();
     detail::transform T = start;
-    int inliers = 0;
+    bool changed = true;
     for (int round = 0; round < params.rounds; ++round) {
       bool const robust = round + 1 < params.rounds;
+      // The same observations and the same kernel give the same pose again.
+      if (!changed && robust) { continue; }
       T = run_round(g, s, rig, problem, params, start, robust);
-      int good = 0;
+      int changes = 0;
       for (int i = g.rank(); i < n; i += g.size()) {
         observation const& o = problem.observations[i];
         reprojection<Rig> const r(rig, T, o);
         // Written so that a NaN is an outlier.
-        bool const in = r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono);
-        problem.outlier[i] = static_cast<unsigned char>(!in);
-        good += static_cast<int>(in);
+        bool const out = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
+        changes += static_cast<int>(out != (problem.outlier[i] != 0));
+        problem.outlier[i] = static_cast<unsigned char>(out);
       }
-      g.sync();
-      inliers = g.reduce(good, sum_op{});
+      changed = g.reduce(changes, sum_op{}) > 0;
     }
+    int good = 0;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      good += static_cast<int>(problem.outlier[i] == 0);
+    }
+    good = g.reduce(good, sum_op{});
     if (g.rank() == 0) {
       *problem.result = T.template cast<float>();
-      *problem.inliers = inliers;
+      *problem.inliers = params.rounds > 0 ? good : 0;
     }
   }
 
 private:
-  /// Cost, gradient and curvature over the inliers at T.
+  /// Cost, gradient and curvature over the inliers at T, in s.sums.total.
   template <typename Group>
   FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig,
                                        pose_problem const& problem, pose_params const& params,
-                                       detail::transform const& T, bool robust,
-                                       double (&sums)[terms]) {
+                                       detail::transform const& T, bool robust) {
     using detail::real;
-    ordered_sum<terms>(
-        g, s.sums, problem.count,
-        [&](int i, double* acc) {
-          if (problem.outlier[i] != 0) { return; }
-          observation const& o = problem.observations[i];
-          reprojection<Rig> const r(rig, T, o);
-          real const chi2 = r.chi2(o);
-          real const limit = r.rows == 3 ? params.chi2_stereo : params.chi2_mono;
-          real weight = static_cast<double>(o.inv_sigma2);
-          real cost = chi2;
-          if (robust && chi2 > limit) {  // Huber
-            real const delta = scalar::sqrt(limit);
-            real const root = scalar::sqrt(chi2);
-            cost = 2.0 * root * delta - limit;
-            weight = weight * (delta / root);
-          }
-          acc[0] += cost.value;
-          real J[3][6];
-          r.jacobian(rig, o, J);
-          int at = 7;
-          for (int a = 0; a < 6; ++a) {
-            real gradient = J[0][a] * r.error[0] + J[1][a] * r.error[1];
-            if (r.rows == 3) { gradient = gradient + J[2][a] * r.error[2]; }
-            acc[1 + a] += (weight * gradient).value;
-            for (int b = a; b < 6; ++b) {
-              real h = J[0][a] * J[0][b] + J[1][a] * J[1][b];
-              if (r.rows == 3) { h = h + J[2][a] * J[2][b]; }
-              acc[at++] += (weight * h).value;
-            }
-          }
-        },
-        sums);
+    using narrow = strict_float;
+    ordered_sum<terms>(g, s.sums, problem.count, [&](int i, sum_terms<terms>& acc) {
+      if (problem.outlier[i] != 0) { return; }
+      observation const& o = problem.observations[i];
+      reprojection<Rig> const r(rig, T, o);
+      real const chi2 = r.chi2(o);
+      real const limit = r.rows == 3 ? params.chi2_stereo : params.chi2_mono;
+      narrow weight = o.inv_sigma2;
+      real cost = chi2;
+      if (robust && chi2 > limit) {  // Huber
+        real const product = scalar::sqrt(limit * chi2);
+        cost = 2.0 * product - limit;
+        weight = weight * static_cast<float>((product / chi2).value);
+      }
+      acc.wide += cost.value;
+      narrow J[3][6];
+      r.jacobian(rig, o, J);
+      // A row that is not there has no weight.
+      narrow const weights[3] = {weight, weight, r.rows == 3 ? weight : narrow(0.0f)};
+      narrow const error[3] = {static_cast<float>(r.error[0].value),
+                               static_cast<float>(r.error[1].value),
+                               static_cast<float>(r.error[2].value)};
+      constexpr int rows = Rig::rectified ? 3 : 2;
+      int at = 6;
+      FT_UNROLL
+      for (int a = 0; a < 6; ++a) {
+        narrow weighted[rows];
+        narrow gradient = 0.0f;
+        FT_UNROLL
+        for (int k = 0; k < rows; ++k) {
+          weighted[k] = weights[k] * J[k][a];
+          gradient = gradient + weighted[k] * error[k];
+        }
+        acc.narrow[a] += gradient.value;
+        FT_UNROLL
+        for (int b = a; b < 6; ++b) {
+          narrow h = weighted[0] * J[0][b];
+          FT_UNROLL
+          for (int k = 1; k < rows; ++k) { h = h + weighted[k] * J[k][b]; }
+          acc.narrow[at++] += h.value;
+        }
+      }
+    });
   }
 
   template <typename Group>
@@ -326,59 +451,16 @@ private:
                                                     pose_problem const& problem,
                                                     pose_params const& params,
                                                     detail::transform const& start, bool robust) {
-    using detail::real;
-    detail::transform T = start;
-    double now[terms];
-    linearize(g, s, rig, problem, params, T, robust, now);
-    double largest = 0;
-    {
-      int at = 7;
-      for (int a = 0; a < 6; ++a) {
-        largest = max_of(largest, now[at]);
-        at += 6 - a;
-      }
+    linearize(g, s, rig, problem, params, start, robust);
+    if (g.rank() == 0) { s.descent.begin(start, s.sums.total, params); }
+    g.sync();
+    while (s.descent.running) {
+      linearize(g, s, rig, problem, params, s.descent.trial, robust);
+      if (g.rank() == 0) { s.descent.judge(s.sums.total, params); }
+      g.sync();
     }
-    double lambda = (real(1e-5) * largest).value;
-    double growth = 2;
-    for (int step = 0; step < params.steps; ++step) {
-      bool accepted = false;
-      for (int trial = 0; trial < params.trials && !accepted; ++trial) {
-        double H[21];
-        double b[6];
-        for (int k = 0; k < 21; ++k) { H[k] = now[7 + k]; }
-        for (int k = 0; k < 6; ++k) { b[k] = now[1 + k]; }
-        real d[6];
-        bool const solved = detail::solve_6(H, lambda, b, d);
-        if (solved) {
-          detail::transform const next = detail::exp_se3(d) * T;
-          // The trial point is linearised at once: an accepted step needs it next.
-          double trial_sums[terms];
-          linearize(g, s, rig, problem, params, next, robust, trial_sums);
-          real expected = 1e-3;
-          for (int k = 0; k < 6; ++k) { expected = expected + d[k] * (real(lambda) * d[k] + b[k]); }
-          real const gain = (real(now[0]) - trial_sums[0]) / expected;
-          if (gain > 0.0 && scalar::is_finite(real(trial_sums[0]))) {
-            real const m = real(2.0) * gain - 1.0;
-            real const factor =
-                max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
-            lambda = (real(lambda) * factor).value;
-            growth = 2;
-            T = next;
-            for (int k = 0; k < terms; ++k) { now[k] = trial_sums[k]; }
-            accepted = true;
-            bool small = true;
-            for (int k = 0; k < 6; ++k) { small = small && scalar::abs(d[k]) < params.small_step; }
-            if (small) { return T; }
-          }
-        }
-        if (!accepted) {
-          lambda = (real(lambda) * growth).value;
-          growth *= 2;
-          if (!scalar::is_finite(lambda)) { return T; }
-        }
-      }
-      if (!accepted) { break; }
-    }
+    detail::transform const T = s.descent.T;
+    g.sync();
     return T;
   }
 };

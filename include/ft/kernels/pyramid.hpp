@@ -43,6 +43,15 @@ inline void fill_taps(resize_tap* taps, int from, int to) {
   }
 }
 
+/// A pixel between two rows and two columns. @param row0,row1 at the left column
+FT_HOST_DEVICE inline std::uint8_t resized_pixel(std::uint8_t const* row0, std::uint8_t const* row1,
+                                                 resize_tap const& h, resize_tap const& v) {
+  int const h0 = row0[0] * h.w0 + row0[h.offset] * h.w1;
+  int const h1 = row1[0] * h.w0 + row1[h.offset] * h.w1;
+  return static_cast<std::uint8_t>((((v.w0 * (h0 >> 4)) >> 16) + ((v.w1 * (h1 >> 4)) >> 16) + 2) >>
+                                   2);
+}
+
 }  // namespace detail
 
 /// Fills the tables that build_pyramid reads, on the host. @param taps [geometry.taps]
@@ -71,15 +80,9 @@ struct resize_row {
     std::uint8_t const* const row0 = from.row(v.first);
     std::uint8_t const* const row1 = from.row(v.first + v.offset);
     std::uint8_t* const out = to.row(y);
-    int const b0 = v.w0;
-    int const b1 = v.w1;
     for (int x = g.rank(); x < to.width; x += g.size()) {
       resize_tap const h = taps[x];
-      int const x1 = h.first + h.offset;
-      int const h0 = row0[h.first] * h.w0 + row0[x1] * h.w1;
-      int const h1 = row1[h.first] * h.w0 + row1[x1] * h.w1;
-      out[x] =
-          static_cast<std::uint8_t>((((b0 * (h0 >> 4)) >> 16) + ((b1 * (h1 >> 4)) >> 16) + 2) >> 2);
+      out[x] = detail::resized_pixel(row0 + h.first, row1 + h.first, h, v);
     }
   }
 };

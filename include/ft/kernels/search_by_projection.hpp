@@ -56,8 +56,9 @@ enum class search_kind {
 
 struct search_params {
   search_kind kind = search_kind::local_map;
-  int max_distance = 100;  ///< descriptors differ in at most this many bits
-  float ratio = 0.8f;      ///< best over second best, same octave; local map only
+  int max_distance = 100;   ///< descriptors differ in at most this many bits
+  float ratio = 0.8f;       ///< best over second best, same octave; local map only
+  bool from_empty = false;  ///< nobody holds a keypoint: holders are cleared first
 };
 
 /// Candidates of one search and the state of the assignment.
@@ -95,14 +96,6 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.matches = c.take<int>(b);
 }
 
-/// Lets a repeated search be skipped on the device: nothing is done where the first gave enough.
-struct search_gate {
-  int const* matches = nullptr;  ///< [batch], of the first search; null = always search
-  int enough = 0;
-
-  FT_HOST_DEVICE bool closed(int b) const { return matches != nullptr && matches[b] >= enough; }
-};
-
 namespace detail {
 
 /// Largest descriptor distance that can matter: to be taken, or to be second best.
@@ -136,11 +129,17 @@ struct list_candidates {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
-                                 search_params const& params, search_gate const& gate,
-                                 search_workspace const& work) const {
+                                 search_params const& params, search_workspace const& work) const {
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
-    if (gate.closed(b) || i >= windows.count[b]) { return; }
+    if (i < windows.count[b]) { list(g, b, i, frame, map, windows, params, work); }
+  }
+
+  /// Window i of batch entry b.
+  template <typename Group>
+  FT_HOST_DEVICE static void list(Group g, int b, int i, frame_view const& frame,
+                                  map_points_view const& map, search_windows_view const& windows,
+                                  search_params const& params, search_workspace const& work) {
     map_points_view const points = map.slice(b);
     int const limit = detail::listed_distance(params);
     int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
@@ -161,7 +160,7 @@ struct list_candidates {
           int distance = -1;
           if (k >= 0) {
             // With one camera a keypoint that is taken stays taken.
-            int const held = frame.cameras == 1 ? holder[k] : -1;
+            int const held = frame.cameras == 1 && !params.from_empty ? holder[k] : -1;
             if (held < 0 || get<field::observations>(points, held) <= 0) {
               distance =
                   detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
@@ -196,9 +195,7 @@ struct assign_keypoints {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
-                                 search_params const& params, search_gate const& gate,
-                                 search_workspace const& work) const {
-    if (gate.closed(b)) { return; }
+                                 search_params const& params, search_workspace const& work) const {
     static_assert(Rounds || Group::max_threads == 1, "the plain loop is for one thread");
     context const ctx{b,
                       frame,
@@ -213,6 +210,10 @@ struct assign_keypoints {
                           : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
     int const n = windows.count[b];
     int taken = 0;
+    if (params.from_empty) {
+      for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.holder[k] = -1; }
+      g.sync();
+    }
     if constexpr (!Rounds) {
       for (int i = 0; i < n; ++i) { taken += decide(ctx, i); }
       work.matches[b] = taken;
@@ -391,11 +392,11 @@ private:
 template <typename Exec>
 void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
                           search_windows_view const& windows, search_params const& params,
-                          search_gate const& gate, search_workspace const& work) {
+                          search_workspace const& work) {
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_candidates{}, frame, map,
-                          windows, params, gate, work);
+                          windows, params, work);
   for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame,
-                                map, windows, params, gate, work);
+                                map, windows, params, work);
 }
 
 // ---- search from the last frame
@@ -412,33 +413,71 @@ struct last_frame_view {
 };
 
 struct last_search_params {
-  float th = 7;       ///< window half side at scale 1, pixels
-  bool mono = false;  ///< no direction of motion
+  float th = 7;         ///< window half side at scale 1, pixels
+  bool mono = false;    ///< no direction of motion
+  int retry_below = 0;  ///< with fewer matches the search is repeated with twice the radius
+  bool orientation_check = true;  ///< drop matches whose rotation few others have
   bool reference_quirks =
       false;  ///< project into the right fisheye camera with the left one's model
   float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
 };
 
-/// One keypoint of the last frame: the windows of its map point.
+/// Keypoints of the last frame, left ones then right ones without a gap: the order of the search.
+FT_HOST_DEVICE inline int last_point_count(last_frame_view const& last, int b) {
+  return last.keypoints.count[last.keypoint_step * b] +
+         (last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0);
+}
+
+/// What all windows of a search from the last frame are made from.
 template <typename Rig>
-struct project_last_point {
+struct last_search {
+  Rig rig;
+  pose const* poses;       ///< [batch] T_cw predicted for this frame
+  pose const* last_poses;  ///< [batch] T_cw of the last frame
+  last_frame_view last;
+  last_search_params params;
+};
+
+/// One keypoint of the last frame: the windows of its map point, and their candidates.
+template <typename Rig>
+struct list_last_point {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, pose const* poses,
-                                 pose const* last_poses, last_frame_view const& last,
-                                 map_points_view const& map, last_search_params const& params,
-                                 pyramid_geometry const& geometry, search_gate const& gate,
-                                 search_windows_view const& out) const {
-    int const b = item / out.capacity;
-    int const i = item % out.capacity;
-    if (gate.closed(b)) { return; }
-    // Left keypoints then right ones, without a gap: the order of the search.
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, last_search<Rig> const& search,
+                                 frame_view const& frame, map_points_view const& map,
+                                 pyramid_geometry const& geometry, search_params const& params,
+                                 search_windows_view const& windows,
+                                 search_workspace const& work) const {
+    int const b = item / windows.capacity;
+    int const i = item % windows.capacity;
+    int const count = last_point_count(search.last, b);
+    if (i == 0 && g.rank() == 0) { windows.count[b] = count; }
+    if (i >= count) { return; }
+    list(g, b, i, search, search.params.th, frame, map, geometry, params, windows, work);
+  }
+
+  /// Window i of batch entry b. @param th half side of a window at scale 1, pixels
+  template <typename Group>
+  FT_HOST_DEVICE static void list(Group g, int b, int i, last_search<Rig> const& search, float th,
+                                  frame_view const& frame, map_points_view const& map,
+                                  pyramid_geometry const& geometry, search_params const& params,
+                                  search_windows_view const& windows,
+                                  search_workspace const& work) {
+    if (g.rank() == 0) { project(b, i, search, th, map, geometry, windows); }
+    g.sync();
+    list_candidates::list(g, b, i, frame, map, windows, params, work);
+  }
+
+private:
+  FT_HOST_DEVICE static void project(int b, int i, last_search<Rig> const& search, float th,
+                                     map_points_view const& map, pyramid_geometry const& geometry,
+                                     search_windows_view const& out) {
+    Rig const& rig = search.rig;
+    last_frame_view const& last = search.last;
+    last_search_params const& params = search.params;
+    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * out.capacity + i;
     int const left_count = last.keypoints.count[last.keypoint_step * b];
-    int const right_count =
-        last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0;
-    if (i == 0) { out.count[b] = left_count + right_count; }
-    if (i >= left_count + right_count) { return; }
     int const c_last = i < left_count ? 0 : 1;
     int const k = i < left_count ? i : i - left_count;
     int const number = c_last * last.keypoints.capacity + k;
@@ -450,8 +489,8 @@ struct project_last_point {
     map_points_view const points = map.slice(b);
     if (slot < 0 || slot >= points.capacity) { return; }
 
-    auto const T_cw = poses[b].cast<strict_float>();
-    auto const T_lw = last_poses[b].cast<strict_float>();
+    auto const T_cw = search.poses[b].template cast<strict_float>();
+    auto const T_lw = search.last_poses[b].template cast<strict_float>();
     vec3<float> const world = get<field::position>(points, slot);
     vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
@@ -463,7 +502,7 @@ struct project_last_point {
     bool const backward = -ahead > baseline && !params.mono;
 
     search_window w{};
-    w.radius = detail::mul(params.th, geometry.scale[octave]);
+    w.radius = detail::mul(th, geometry.scale[octave]);
     w.min_level = forward ? octave : (backward ? 0 : octave - 1);
     w.max_level = forward ? -1 : (backward ? octave : octave + 1);
     w.slot = slot;
@@ -490,8 +529,8 @@ struct project_last_point {
     }
   }
 
-private:
-  FT_HOST_DEVICE static search_window& at(search_windows_view const& out, int camera, int item) {
+  FT_HOST_DEVICE static search_window& at(search_windows_view const& out, int camera,
+                                          std::ptrdiff_t item) {
     return out.windows[static_cast<std::ptrdiff_t>(camera) * out.batch * out.capacity + item];
   }
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,
@@ -516,8 +555,7 @@ struct check_orientation {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  last_frame_view const& last, search_windows_view const& windows,
-                                 search_gate const& gate, search_workspace const& work) const {
-    if (gate.closed(b)) { return; }
+                                 search_workspace const& work) const {
     for (int i = g.rank(); i < bins; i += g.size()) { s.histogram[i] = 0; }
     g.sync();
     int const n = windows.count[b];
@@ -582,37 +620,80 @@ private:
   }
 };
 
+/// Which map points were seen in which frame: written after a search, so that the next leaves them
+/// out.
+struct point_stamps {
+  int const* frame = nullptr;  ///< [batch] number of this frame
+  int* seen = nullptr;         ///< [batch][map slots] number of the frame that held a point last
+};
+
+/// One frame: assignment, orientation check, the same again with twice the radius where there are
+/// too few, stamps.
+template <typename Rig, bool Rounds>
+struct assign_last_points {
+  struct scratch {
+    typename assign_keypoints<Rounds>::scratch assignment;
+    check_orientation::scratch orientation;
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, last_search<Rig> const& search,
+                                 frame_view const& frame, map_points_view const& map,
+                                 pyramid_geometry const& geometry, search_params const& params,
+                                 point_stamps const& stamps, search_windows_view const& windows,
+                                 search_workspace const& work) const {
+    for (int attempt = 0;; ++attempt) {
+      assign_keypoints<Rounds>{}(g, s.assignment, b, frame, map, windows, params, work);
+      g.sync();
+      if (search.params.orientation_check) {
+        check_orientation{}(g, s.orientation, b, frame, search.last, windows, work);
+        g.sync();
+      }
+      if (attempt == 1 || work.matches[b] >= search.params.retry_below) { break; }
+      int const count = windows.count[b];
+      for (int i = g.part_index(); i < count; i += g.parts()) {
+        list_last_point<Rig>::list(g.part(), b, i, search, 2 * search.params.th, frame, map,
+                                   geometry, params, windows, work);
+      }
+      g.sync();
+    }
+    if (stamps.seen == nullptr) { return; }
+    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    for (int k = g.rank(); k < frame.numbers(); k += g.size()) {
+      if (holder[k] >= 0) {
+        stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + holder[k]] = stamps.frame[b];
+      }
+    }
+  }
+};
+
 /// Empties the holders of a frame.
 struct clear_holders {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
-                                 search_gate const& gate) const {
-    if (!gate.closed(item / frame.numbers())) { frame.holder[item] = -1; }
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame) const {
+    frame.holder[item] = -1;
   }
 };
 
 /// Search from the last frame: windows, candidates, assignment, orientation check; from empty
-/// holders. Asynchronous on `exec`; allocates nothing; five launches.
+/// holders. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,
                        map_points_view const& map, last_search_params const& params,
-                       pyramid_geometry const& geometry, search_gate const& gate,
-                       search_windows_view const& windows, search_workspace const& work,
-                       bool orientation_check = true) {
-  for_each_item<per_thread>(exec, frame.batch * frame.numbers(), clear_holders{}, frame, gate);
-  for_each_item<per_thread>(exec, windows.batch * windows.capacity, project_last_point<Rig>{}, rig,
-                            poses, last_poses, last, map, params, geometry, gate, windows);
+                       pyramid_geometry const& geometry, search_windows_view const& windows,
+                       search_workspace const& work, point_stamps const& stamps = {}) {
+  last_search<Rig> const input{rig, poses, last_poses, last, params};
   search_params search;
   search.kind = search_kind::last_frame;
-  search_by_projection(exec, frame, map, windows, search, gate, work);
-  if (orientation_check) {
-    for_each_item<per_block<256>>(exec, frame.batch, check_orientation{}, frame, last, windows,
-                                  gate, work);
-  }
+  search.from_empty = true;
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_last_point<Rig>{}, input,
+                          frame, map, geometry, search, windows, work);
+  for_each_item<per_block<512>>(exec, frame.batch, assign_last_points<Rig, Exec::asynchronous>{},
+                                input, frame, map, geometry, search, stamps, windows, work);
 }
 
 }  // namespace FT_ABI

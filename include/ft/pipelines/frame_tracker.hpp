@@ -143,10 +143,6 @@ struct twin {
   void upload(Exec const& exec) {
     copy_bytes(exec, device_memory.data(), host_memory.data(), host_memory.bytes());
   }
-  template <typename Exec>
-  void download(Exec const& exec) {
-    copy_bytes(exec, host_memory.data(), device_memory.data(), device_memory.bytes());
-  }
 };
 
 }  // namespace detail
@@ -184,23 +180,7 @@ struct remember_keypoint {
   }
 };
 
-/// Notes the points that a frame's keypoints hold, so that the local search leaves them out.
-struct stamp_held_point {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame, int map_slots,
-                                 int const* stamp, int* stamps) const {
-    int const b = item / frame.numbers();
-    int const k = item % frame.numbers() % frame.capacity();
-    int const camera = item % frame.numbers() / frame.capacity();
-    if (k >= *frame.camera(b, camera).count) { return; }
-    int const slot = frame.holder[item];
-    if (slot >= 0) { stamps[static_cast<std::ptrdiff_t>(b) * map_slots + slot] = stamp[b]; }
-  }
-};
-
-/// Collects the frame's result for the one copy to the host.
+/// Writes the frame's result where the host reads it.
 template <typename Rig>
 struct pack_result {
   using scratch = no_scratch;
@@ -243,7 +223,7 @@ struct pack_result {
   }
 };
 
-/// Notes which points of the local map a camera has in view, for the same copy.
+/// Writes which points of the local map a camera has in view.
 struct pack_visibility {
   using scratch = no_scratch;
 
@@ -310,7 +290,6 @@ public:
       carve(c, last_windows_, numbers, batch, cameras);
       carve(c, local_windows_, params.local_points, batch, cameras);
       carve(c, work_, windows, capacity, batch, cameras);
-      first_matches_ = c.take<int>(b);
       carve(c, observations_, numbers, batch);
       frame_.holder = c.take<int>(b * static_cast<std::size_t>(numbers));
       stamps_ = c.take<int>(slots);
@@ -322,8 +301,10 @@ public:
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
     images_ = buffer<std::uint8_t, staging>(detail::checked_mul(2 * b, staged_bytes()));
     std::memset(images_.data(), 0, images_.bytes());
-    result_ = detail::twin<tracked_frame_view, space, staging>(capacity, batch, cameras,
-                                                               params.local_points);
+    result_memory_ = arena<staging>([&](carver& c) {
+      detail::carve(c, result_, capacity, batch, cameras, params.local_points);
+    });
+    std::memset(result_memory_.data(), 0, result_memory_.bytes());
     motion_ = detail::twin<detail::motion_input, space, staging>(numbers, batch);
     local_ = detail::twin<detail::local_input, space, staging>(params.local_points, batch);
     frame_.keypoints = extractor_.keypoints();
@@ -345,12 +326,13 @@ public:
     fill_bytes(exec, stamps_, 0, slots * sizeof(int));
     fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
-    fill_bytes(exec, result_.device_memory.data(), 0, result_.device_memory.bytes());
     exec.wait();
     grid_branch_.make();
+    input_branch_.make();
+    view_branch_.make();
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
     motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
-    local_recording_.record(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
+    local_recording_.record(exec, [this](Exec const& e) { upload_local(e, {}, false, no_mark{}); });
     track_recording_.record(exec, [this](Exec const& e) { queue_track(e, no_mark{}); });
   }
 
@@ -418,10 +400,8 @@ public:
   }
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
-    motion_.upload(exec);
-    features(exec, mark);
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_,
-                              search_gate{});
+    features(exec, mark, [this](Exec const& e) { motion_.upload(e); });
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_.matches, nullptr);
     mark("download");
@@ -434,7 +414,7 @@ public:
   }
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
-    queue_motion(exec, mark);
+    queue_motion(exec, mark, false);
     download(exec, poses_, work_.matches, params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
   }
@@ -461,19 +441,19 @@ public:
   /// @throws bad_argument for more local points than params().local_points
   void track_local(Exec const& exec) {
     check_local_counts();
-    local_recording_.replay(exec, [this](Exec const& e) { queue_local(e, {}, false, no_mark{}); });
+    local_recording_.replay(exec, [this](Exec const& e) { upload_local(e, {}, false, no_mark{}); });
   }
   template <typename Mark = no_mark>
   void track_local(Exec const& exec, local_search_params const& search, bool restart = false,
                    Mark&& mark = {}) {
     check_local_counts();
-    queue_local(exec, search, restart, mark);
+    upload_local(exec, search, restart, mark);
   }
 
   // ---- results
 
   /// The last queued call's result, in host memory: valid after exec.wait(), until the next call.
-  tracked_frame_view const& result() const { return result_.host; }
+  tracked_frame_view const& result() const { return result_; }
   /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many,
   /// as in result().keypoints @throws bad_argument for more than capacity()
   void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
@@ -500,27 +480,23 @@ private:
     }
   }
 
+  /// @param with_local the local map goes up with the rest
   template <typename Mark>
-  void queue_motion(Exec const& exec, Mark&& mark) {
-    motion_.upload(exec);
-    for_each_item<per_thread>(exec, 2 * batch_ * frame_.capacity(), remember_keypoint{},
-                              extractor_.keypoints(), last_keypoints_);
-    features(exec, mark);
+  void queue_motion(Exec const& exec, Mark&& mark, bool with_local) {
+    features(exec, mark, [&](Exec const& e) {
+      for_each_item<per_thread>(e, 2 * batch_ * frame_.capacity(), remember_keypoint{},
+                                extractor_.keypoints(), last_keypoints_);
+      motion_.upload(e);
+      if (with_local) { local_.upload(e); }
+    });
     auto const& input = motion_.device;
     last_search_params search;
     search.th = params_.last_th;
+    search.retry_below = params_.enough_matches;
     search.max_x = frustum_.max_x;
     search.max_y = frustum_.max_y;
     search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{}, last_windows_, work_);
-    copy(exec, first_matches_, static_cast<int const*>(work_.matches),
-         static_cast<std::size_t>(batch_));
-    search.th *= 2;
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), search_gate{first_matches_, params_.enough_matches},
-                      last_windows_, work_);
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), stamp_held_point{}, frame_,
-                              params_.map_slots, static_cast<int const*>(input.stamp), stamps_);
+                      geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_});
     mark("search last frame");
     if (params_.optimize_last) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
@@ -534,40 +510,58 @@ private:
 
   template <typename Mark>
   void queue_track(Exec const& exec, Mark&& mark) {
-    queue_motion(exec, mark);
-    queue_local(exec, {}, false, mark);
+    queue_motion(exec, mark, true);
+    queue_local(exec, {}, mark);
   }
 
+  /// After the local map's slots and the poses are there.
   template <typename Mark>
-  void queue_local(Exec const& exec, local_search_params const& search, bool restart, Mark&& mark) {
-    local_.upload(exec);
-    auto const& input = motion_.device;
-    if (restart) {
-      motion_.upload(exec);
-      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_,
-                                search_gate{});
-      copy(exec, poses_, static_cast<pose const*>(input.predicted),
-           static_cast<std::size_t>(batch_));
+  void queue_local(Exec const& exec, local_search_params const& params, Mark&& mark) {
+    local_search<Rig> search;
+    search.rig = rig_;
+    search.poses = poses_;
+    search.slots = local_.device.slots;
+    search.slot_count = local_.device.count;
+    search.stamps = {motion_.device.stamp, stamps_};
+    search.frustum = frustum_;
+    search.params = params;
+    search.seen = visible_;
+    auto const write_visibility = [this](Exec const& e) {
+      for_each_item<per_thread>(e, batch_ * params_.local_points, pack_visibility{},
+                                static_cast<visibility const*>(visible_),
+                                static_cast<int const*>(local_.device.count), batch_, int{cameras},
+                                result_);
+    };
+    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
+      search_local_map(exec, search, frame_, map_, geometry(), search_params{}, local_windows_,
+                       work_, [&](Exec const& e) { write_visibility(view_branch_.fork(e)); });
+    } else {
+      find_visible_points(exec, search, map_, geometry(), local_windows_);
+      write_visibility(exec);
+      mark("frustum");
+      search_by_projection(exec, frame_, map_, local_windows_, search_params{}, work_);
+      mark("search local map");
     }
-    find_visible_points(exec, rig_, static_cast<pose const*>(poses_), map_,
-                        static_cast<int const*>(local_.device.slots),
-                        static_cast<int const*>(local_.device.count),
-                        static_cast<int const*>(stamps_), static_cast<int const*>(input.stamp),
-                        frustum_, search, geometry(), local_windows_, visible_);
-    for_each_item<per_thread>(exec, batch_ * params_.local_points, pack_visibility{},
-                              static_cast<visibility const*>(visible_),
-                              static_cast<int const*>(local_.device.count), batch_, int{cameras},
-                              result_.device);
-    mark("frustum");
-    search_by_projection(exec, frame_, map_, local_windows_, search_params{}, search_gate{}, work_);
-    mark("search local map");
     if (params_.optimize_local) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_,
                      observations_);
       mark("pose local map");
     }
+    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) { view_branch_.join(exec); }
     download(exec, poses_, work_.matches, params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
+  }
+  template <typename Mark>
+  void upload_local(Exec const& exec, local_search_params const& params, bool restart,
+                    Mark&& mark) {
+    local_.upload(exec);
+    if (restart) {
+      motion_.upload(exec);
+      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
+      copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
+           static_cast<std::size_t>(batch_));
+    }
+    queue_local(exec, params, mark);
   }
 
   std::size_t staged_bytes() const {
@@ -575,13 +569,14 @@ private:
            static_cast<std::size_t>(params_.orb.height);
   }
 
-  template <typename Mark>
-  void features(Exec const& exec, Mark& mark) {
-    for (int i = 0; i < 2 * batch_; ++i) {
-      auto const level = extractor_.pyramid().level(i, 0);
-      copy_bytes(exec, level.data, staged_image(i / 2, i % 2),
-                 static_cast<std::size_t>(level.stride) * static_cast<std::size_t>(level.height));
-    }
+  /// @param beside queues what may run beside the images' way up
+  template <typename Mark, typename Beside>
+  void features(Exec const& exec, Mark& mark, Beside const& beside) {
+    beside(input_branch_.fork(exec));
+    // Level 0 of all images in one copy: a row of it is an image.
+    copy_rows(exec, extractor_.pyramid().data, static_cast<std::size_t>(geometry().bytes),
+              images_.data(), staged_bytes(), staged_bytes(), 2 * batch_);
+    input_branch_.join(exec);
     mark("upload");
     constexpr int step = Rig::rectified ? 2 : 1;
     if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
@@ -603,8 +598,7 @@ private:
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_,
                               matcher_.depth(), matcher_.fisheye_matches(), poses, matches, inliers,
-                              result_.device);
-    result_.download(exec);
+                              result_);
   }
 
   Rig rig_{};
@@ -619,8 +613,6 @@ private:
   search_windows_view last_windows_;
   search_windows_view local_windows_;
   search_workspace work_;
-  int* first_matches_ =
-      nullptr;  ///< [batch] of the search from the last frame, before it is repeated
   observations_view observations_;
   frustum_params frustum_;
   int* stamps_ = nullptr;
@@ -630,10 +622,13 @@ private:
   arena<space> arena_;
   buffer<point_update, staging> staged_updates_;
   buffer<std::uint8_t, staging> images_;
-  detail::twin<tracked_frame_view, space, staging> result_;
+  tracked_frame_view result_;  ///< in staging memory, which a device writes to directly
+  arena<staging> result_memory_;
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
   side_branch<Exec> grid_branch_;
+  side_branch<Exec> input_branch_;
+  side_branch<Exec> view_branch_;
   recording<Exec> extract_recording_;
   recording<Exec> motion_recording_;
   recording<Exec> local_recording_;

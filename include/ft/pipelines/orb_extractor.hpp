@@ -18,6 +18,7 @@
 #include "ft/kernels/descriptor.hpp"
 #include "ft/kernels/distribution.hpp"
 #include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/pyramid_tiles.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -58,6 +59,11 @@ public:
     corner_layout const cells = corner_layout::make(geometry_);
     distribution_layout const quad = distribution_layout::make(geometry_, params.features);
     blur_layout_ = blur_layout::make(geometry_);
+    std::vector<resize_tap> taps(static_cast<std::size_t>(geometry_.taps));
+    make_resize_taps(geometry_, taps.data());
+    std::vector<tile_span> spans;
+    tiles_ = make_pyramid_tiles(geometry_, taps.data(), spans);
+    tile_span* tile_spans = nullptr;
     auto const b = static_cast<std::size_t>(batch);
     arena_ = arena<space>([&](carver& c) {
       carve(c, pyramid_, geometry_, batch);
@@ -66,17 +72,18 @@ public:
       carve(c, distribution_, quad, cells, batch);
       carve(c, keypoints_, max_of(quad.total, 1), batch);
       taps_ = c.take<resize_tap>(static_cast<std::size_t>(geometry_.taps));
+      tile_spans = c.take<tile_span>(spans.size());
       pattern_ = c.take<pattern_pair>(256);
       overlaps_ = c.take<stereo_overlap>(b);
       place_ = c.take<int>(b * static_cast<std::size_t>(quad.total));
       mono_count_ = c.take<int>(b);
     });
     blur_branch_.make();
-    std::vector<resize_tap> taps(static_cast<std::size_t>(geometry_.taps));
-    make_resize_taps(geometry_, taps.data());
+    tiles_.spans = tile_spans;
     std::vector<stereo_overlap> all(overlaps);
     all.resize(b);
     copy(exec, taps_, static_cast<resize_tap const*>(taps.data()), taps.size());
+    copy(exec, tile_spans, static_cast<tile_span const*>(spans.data()), spans.size());
     copy(exec, pattern_, detail::orb_pattern, std::size_t{256});
     copy(exec, overlaps_, static_cast<stereo_overlap const*>(all.data()), b);
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
@@ -102,7 +109,7 @@ public:
 
   /// Queues all stages over the uploaded images; the blur beside corners and distribution.
   void extract(Exec const& exec) {
-    build_pyramid(exec, pyramid_, taps_);
+    resize(exec);
     blur_pyramid(blur_branch_.fork(exec), pyramid_, blurred_, blur_layout_);
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
     distribute_corners(exec, corners_, distribution_);
@@ -112,7 +119,7 @@ public:
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
-    build_pyramid(exec, pyramid_, taps_);
+    resize(exec);
     mark("pyramid");
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
     mark("corners");
@@ -139,6 +146,14 @@ public:
   std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
 
 private:
+  /// Both ways give the same pixels: long rows suit a processor, few launches a device.
+  void resize(Exec const& exec) {
+    if constexpr (Exec::asynchronous) {
+      build_pyramid(exec, pyramid_, taps_, tiles_);
+    } else {
+      build_pyramid(exec, pyramid_, taps_);
+    }
+  }
   void describe(Exec const& exec) {
     describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_,
                      mono_count_, place_);
@@ -164,6 +179,7 @@ private:
   distribution_view distribution_;
   keypoints_view keypoints_;
   resize_tap* taps_ = nullptr;
+  pyramid_tiles tiles_;
   pattern_pair* pattern_ = nullptr;
   stereo_overlap* overlaps_ = nullptr;
   int* place_ = nullptr;

@@ -1246,10 +1246,14 @@ TYPED_TEST_P(camera_in_stages, points_are_visible_where_they_project_into_the_im
   params.max_y = static_cast<float>(camera.height);
   params.log_scale_factor = ft::log_rounded(1.2f);
   params.levels = 8;
-  ft::find_visible_points(exec, TestFixture::rig(), static_cast<ft::pose const*>(poses.data()),
-                          frame.map.view(), static_cast<int const*>(d_slots.data()),
-                          static_cast<int const*>(count.data()), nullptr, nullptr, params,
-                          ft::local_search_params{}, frame.geometry, windows, seen.data());
+  ft::local_search<std::decay_t<decltype(TestFixture::rig())>> search;
+  search.rig = TestFixture::rig();
+  search.poses = poses.data();
+  search.slots = d_slots.data();
+  search.slot_count = count.data();
+  search.frustum = params;
+  search.seen = seen.data();
+  ft::find_visible_points(exec, search, frame.map.view(), frame.geometry, windows);
   auto const got = from_exec(exec, static_cast<ft::visibility const*>(seen.data()), at(2 * n));
   int in_view = 0;
   int out_of_view = 0;
@@ -1307,7 +1311,7 @@ TYPED_TEST_P(camera_in_stages, points_of_the_last_frame_find_their_keypoints) {
   params.max_y = static_cast<float>(camera.height);
   ft::search_last_frame(exec, TestFixture::rig(), static_cast<ft::pose const*>(pose.data()),
                         static_cast<ft::pose const*>(pose.data()), frame.view, last,
-                        frame.map.view(), params, frame.geometry, ft::search_gate{}, windows, work);
+                        frame.map.view(), params, frame.geometry, windows, work);
   EXPECT_EQ(frame.holders(exec), own_points(s));
   EXPECT_EQ(from_exec(exec, static_cast<int const*>(work.matches), 1)[0],
             static_cast<int>(s.left.size() + s.right.size()));

@@ -36,6 +36,7 @@
 #include "ft/kernels/orientation.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/pyramid_tiles.hpp"
 #include "ft/kernels/rectify.hpp"
 #include "ft/kernels/search_by_projection.hpp"
 #include "ft/kernels/stereo_fisheye.hpp"

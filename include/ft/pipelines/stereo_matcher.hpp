@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <type_traits>
 
+#include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/matches.hpp"
 #include "ft/core/config.hpp"
@@ -27,11 +28,17 @@ public:
   static constexpr memory_space space = Exec::space;
 
   stereo_matcher() = default;
-  /// @throws bad_argument for a rig that cannot be, or an extractor with an odd batch
+  /// @throws bad_argument for a rig that cannot be, cameras that cannot be inverted in their images
+  /// (see require_invertible; a quarter of the pixels must have a ray), or an extractor with an odd
+  /// batch
   stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor) : rig_(rig) {
     rig.check();
     detail::require(extractor.batch() >= 2 && extractor.batch() % 2 == 0,
                     "stereo needs an extractor with an even number of images");
+    if constexpr (!Rig::rectified) {
+      require_invertible(rig.left, extractor.params().width, extractor.params().height, 0.25);
+      require_invertible(rig.right, extractor.params().width, extractor.params().height, 0.25);
+    }
     int const pairs = extractor.batch() / 2;
     if constexpr (Rig::rectified) {
       params_.bf = rig.bf;

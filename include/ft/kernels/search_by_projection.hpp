@@ -14,6 +14,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/feature_grid.hpp"
@@ -67,11 +68,12 @@ struct search_workspace {
   std::uint32_t* list =
       nullptr;                ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
   int* list_count = nullptr;  ///< [cameras][batch][capacity], may exceed list_size
-  int* match = nullptr;    ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
-  int* touch = nullptr;    ///< [batch][numbers] lowest open window that may take a keypoint
-  int* open = nullptr;     ///< [batch][capacity] 1 = without an answer
-  int* matches = nullptr;  ///< [batch] keypoints that were given a point
-  int capacity = 0;        ///< windows
+  int* match = nullptr;  ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
+  int* touch = nullptr;  ///< [batch][numbers] lowest open window that may take a keypoint
+  std::uint8_t* settled = nullptr;  ///< [batch][numbers] 1 = taken for good
+  int* open = nullptr;              ///< [2][batch][capacity] windows without an answer
+  int* matches = nullptr;           ///< [batch] keypoints that were given a point
+  int capacity = 0;                 ///< windows
   int batch = 0;
   int cameras = 1;
 
@@ -92,6 +94,8 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.match = c.take<int>(n);
   v.touch =
       c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
+  v.settled = c.take<std::uint8_t>(b * static_cast<std::size_t>(cameras) *
+                                   static_cast<std::size_t>(keypoints));
   v.open = c.take<int>(detail::checked_mul(2 * b, static_cast<std::size_t>(windows)));
   v.matches = c.take<int>(b);
 }
@@ -188,9 +192,17 @@ struct list_candidates {
 /// @tparam Rounds true: deterministic reservations; false: the plain loop, for groups of one thread
 template <bool Rounds>
 struct assign_keypoints {
-  struct scratch {
+  /// Frames of up to so many keypoints and windows keep the state of the rounds in block scratch,
+  /// others in the workspace.
+  static constexpr int scratch_size = 4096;
+  struct rounds_scratch {
+    int touch[scratch_size];
+    std::uint8_t settled[scratch_size];
+    std::uint16_t open[2][scratch_size];
     int left_open;
+    int observed;  ///< 1 = every point looked for is observed, so that what is taken stays taken
   };
+  struct scratch : std::conditional_t<Rounds, rounds_scratch, no_scratch> {};
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
@@ -204,7 +216,6 @@ struct assign_keypoints {
                       params,
                       work,
                       frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
-                      work.touch + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
                       frame.partner == nullptr
                           ? nullptr
                           : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
@@ -217,50 +228,11 @@ struct assign_keypoints {
     if constexpr (!Rounds) {
       for (int i = 0; i < n; ++i) { taken += decide(ctx, i); }
       work.matches[b] = taken;
-      return;
     }
-    constexpr int untouched = 0x7fffffff;
-    // Open windows, listed in any order: two lists that take turns.
-    int* open = work.open + static_cast<std::ptrdiff_t>(b) * 2 * work.capacity;
-    int* next = open + work.capacity;
-    int count = 0;
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      bool const any = i < n && has_candidates(ctx, i);
-      if (i < n && !any) { clear_matches(ctx, i); }
-      int total = 0;
-      int const at = g.exclusive_scan(static_cast<int>(any), total);
-      if (any) { open[count + at] = i; }
-      count += total;
+    if constexpr (Rounds) {
+      taken = g.reduce(make_rounds(g, s, ctx, n), sum_op{});
+      if (g.rank() == 0) { work.matches[b] = taken; }
     }
-    while (count > 0) {
-      for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.touch[k] = untouched; }
-      if (g.rank() == 0) { s.left_open = 0; }
-      g.sync();
-      for (int at = g.rank(); at < count; at += g.size()) {
-        int const i = open[at];
-        for_each_touched(ctx, i, [&](int number) { atomic_min(ctx.touch + number, i); });
-      }
-      g.sync();
-      for (int at = g.rank(); at < count; at += g.size()) {
-        int const i = open[at];
-        bool mine = true;
-        for_each_touched(ctx, i, [&](int number) { mine = mine && ctx.touch[number] == i; });
-        if (mine) {
-          taken += decide(ctx, i);
-        } else {
-          next[atomic_add(&s.left_open, 1)] = i;
-        }
-      }
-      g.sync();
-      count = s.left_open;
-      g.sync();
-      int* const turn = open;
-      open = next;
-      next = turn;
-    }
-    taken = g.reduce(taken, sum_op{});
-    if (g.rank() == 0) { work.matches[b] = taken; }
   }
 
 private:
@@ -272,9 +244,98 @@ private:
     search_params const& params;
     search_workspace const& work;
     int* holder;
-    int* touch;
     int const* partner;
   };
+
+  /// Numbers of windows, in block scratch or in the workspace.
+  struct window_list {
+    std::uint16_t* narrow;
+    int* wide;
+    FT_HOST_DEVICE int get(int at) const { return narrow != nullptr ? narrow[at] : wide[at]; }
+    FT_HOST_DEVICE void set(int at, int i) const {
+      if (narrow != nullptr) {
+        narrow[at] = static_cast<std::uint16_t>(i);
+      } else {
+        wide[at] = i;
+      }
+    }
+  };
+
+  /// State of the keypoints in the rounds.
+  struct marks {
+    int* touch;             ///< the lowest open window that may read or write it
+    std::uint8_t* settled;  ///< 1 = taken, and stays so: who wants it need not wait
+  };
+
+  /// Deterministic reservations. Returns how many keypoints this thread has given away.
+  template <typename Group>
+  FT_HOST_DEVICE static int make_rounds(Group g, scratch& s, context const& ctx, int n) {
+    int const numbers = ctx.frame.numbers();
+    bool const narrow = n <= scratch_size;
+    int* const wide = ctx.work.open + static_cast<std::ptrdiff_t>(ctx.b) * 2 * ctx.work.capacity;
+    window_list open{narrow ? s.open[0] : nullptr, wide};
+    window_list next{narrow ? s.open[1] : nullptr, wide + ctx.work.capacity};
+    constexpr int untouched = 0x7fffffff;
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(ctx.b) * numbers;
+    marks const m = numbers <= scratch_size
+                        ? marks{s.touch, s.settled}
+                        : marks{ctx.work.touch + first, ctx.work.settled + first};
+    if (g.rank() == 0) {
+      s.left_open = 0;
+      s.observed = 1;
+    }
+    for (int k = g.rank(); k < numbers; k += g.size()) { m.settled[k] = 0; }
+    g.sync();
+    // Windows without a candidate that they could take decide nothing and influence nobody.
+    for (int i = g.rank(); i < n; i += g.size()) {
+      if (can_take(ctx, i)) {
+        open.set(atomic_add(&s.left_open, 1), i);
+        if (get<field::observations>(ctx.points, slot_of(ctx, i)) <= 0) {
+          atomic_min(&s.observed, 0);
+        }
+      } else {
+        clear_matches(ctx, i);
+      }
+    }
+    g.sync();
+    int count = s.left_open;
+    // Where stereo partners are taken too, one that nobody has observed may take the place of one
+    // that counts.
+    bool const lasting = s.observed != 0 || !passes_on(ctx);
+    int taken = 0;
+    while (count > 0) {
+      for (int k = g.rank(); k < numbers; k += g.size()) {
+        m.touch[k] = untouched;
+        if (lasting && m.settled[k] == 0) {
+          m.settled[k] = static_cast<std::uint8_t>(occupied(ctx, k));
+        }
+      }
+      if (g.rank() == 0) { s.left_open = 0; }
+      g.sync();
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open.get(at);
+        for_each_touched(ctx, i, m, [&](int number) { atomic_min(m.touch + number, i); });
+      }
+      g.sync();
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open.get(at);
+        bool mine = true;
+        for_each_touched(ctx, i, m, [&](int number) { mine = mine && m.touch[number] == i; });
+        if (mine) {
+          taken += decide(ctx, i);
+        } else {
+          next.set(atomic_add(&s.left_open, 1), i);
+        }
+      }
+      g.sync();
+      count = s.left_open;
+      g.sync();
+      window_list const turn = open;
+      open = next;
+      next = turn;
+    }
+    return taken;
+  }
 
   /// Calls visit(keypoint, distance) for the candidates of window i in camera c, in order.
   template <typename Visit>
@@ -304,12 +365,17 @@ private:
                 });
   }
 
-  FT_HOST_DEVICE static bool has_candidates(context const& ctx, int i) {
+  FT_HOST_DEVICE static bool can_take(context const& ctx, int i) {
     bool any = false;
     for (int c = 0; c < ctx.frame.cameras; ++c) {
-      any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
+      for_each_candidate(
+          ctx, c, i, [&](int, int distance) { any = any || distance <= ctx.params.max_distance; });
     }
     return any;
+  }
+  FT_HOST_DEVICE static int slot_of(context const& ctx, int i) {
+    int const left = ctx.windows.at(0, ctx.b, i).slot;
+    return left >= 0 || ctx.frame.cameras == 1 ? left : ctx.windows.at(1, ctx.b, i).slot;
   }
   FT_HOST_DEVICE static void clear_matches(context const& ctx, int i) {
     for (int c = 0; c < ctx.frame.cameras; ++c) {
@@ -321,12 +387,24 @@ private:
     return ctx.partner != nullptr && ctx.params.kind == search_kind::local_map;
   }
 
-  /// Calls visit(number) for every keypoint that window i may read or write.
+  /// Calls visit(number) for every keypoint whose state window i may wait for or change. What is
+  /// settled is neither: it is taken whatever happens. Its holder may still change as the partner
+  /// of another, and for the order of those who do that it counts.
   template <typename Visit>
-  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, Visit const& visit) {
+  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, marks const& m,
+                                              Visit const& visit) {
+    bool hopeful = false;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for_each_candidate(ctx, c, i, [&](int k, int distance) {
+        hopeful = hopeful || (distance <= ctx.params.max_distance &&
+                              m.settled[c * ctx.frame.capacity() + k] == 0);
+      });
+    }
+    if (!hopeful) { return; }  // takes nothing, whatever the others do
     for (int c = 0; c < ctx.frame.cameras; ++c) {
       for_each_candidate(ctx, c, i, [&](int k, int) {
         int const number = c * ctx.frame.capacity() + k;
+        if (m.settled[number] != 0) { return; }
         visit(number);
         if (passes_on(ctx) && ctx.partner[number] >= 0) { visit(ctx.partner[number]); }
       });
@@ -550,6 +628,7 @@ struct check_orientation {
   static constexpr int bins = 30;
   struct scratch {
     int histogram[bins];
+    int top[3];
   };
 
   template <typename Group>
@@ -566,21 +645,27 @@ struct check_orientation {
       }
     }
     g.sync();
-    // The three fullest, the lowest index winning a tie.
-    int top[3] = {-1, -1, -1};
-    int size[3] = {0, 0, 0};
-    for (int i = 0; i < bins; ++i) {
-      int const v = s.histogram[i];
-      if (v > size[0]) {
-        top[2] = top[1], size[2] = size[1];
-        top[1] = top[0], size[1] = size[0];
-        top[0] = i, size[0] = v;
-      } else if (v > size[1]) {
-        top[2] = top[1], size[2] = size[1];
-        top[1] = i, size[1] = v;
-      } else if (v > size[2]) {
-        top[2] = i, size[2] = v;
+    // The three fullest, the lowest index winning a tie: keys (count, 31 - index).
+    if (g.part_index() == 0) {
+      auto const w = g.part();
+      int below = 0x7fffffff;
+      for (int t = 0; t < 3; ++t) {
+        int best = 0;
+        for (int i = w.rank(); i < bins; i += w.size()) {
+          int const key = s.histogram[i] * 32 + 31 - i;
+          if (s.histogram[i] > 0 && key < below) { best = max_of(best, key); }
+        }
+        best = w.reduce(best, max_op{});
+        if (w.rank() == 0) { s.top[t] = best; }
+        below = best;
       }
+    }
+    g.sync();
+    int top[3];
+    int size[3];
+    for (int t = 0; t < 3; ++t) {
+      top[t] = s.top[t] > 0 ? 31 - s.top[t] % 32 : -1;
+      size[t] = s.top[t] / 32;
     }
     float const least = detail::mul(0.1f, static_cast<float>(size[0]));
     if (static_cast<float>(size[1]) < least) {

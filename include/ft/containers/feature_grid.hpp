@@ -39,13 +39,15 @@ struct grid_geometry {
 struct feature_grid_view {
   grid_geometry geometry;
   int capacity = 0;
-  int* start = nullptr;    ///< [batch][cells + 1]
-  int* indices = nullptr;  ///< [batch][capacity]
+  int* start = nullptr;     ///< [batch][cells + 1]
+  int* indices = nullptr;   ///< [batch][capacity]
+  int* unsorted = nullptr;  ///< [batch][capacity] workspace of fill_grid
 
   FT_HOST_DEVICE feature_grid_view slice(int b) const {
     feature_grid_view v = *this;
     v.start += b * (geometry.cells() + 1);
     v.indices += static_cast<std::ptrdiff_t>(b) * capacity;
+    v.unsorted += static_cast<std::ptrdiff_t>(b) * capacity;
     return v;
   }
 };
@@ -58,6 +60,7 @@ inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry
   auto const b = static_cast<std::size_t>(batch);
   v.start = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(geometry.cells() + 1)));
   v.indices = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(capacity)));
+  v.unsorted = c.take<int>(b * static_cast<std::size_t>(capacity));
 }
 
 /// Owner of a grid.

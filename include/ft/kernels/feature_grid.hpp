@@ -35,14 +35,18 @@ struct row_cell {
   }
 };
 
-/// The grid of one image. Keypoints are taken in portions of one per thread, in order; inside a
-/// portion a thread counts the earlier ones of its cell. No sort, and the same lists on every
-/// executor.
-/// @tparam Cell nearest_cell or row_cell @tparam Threads of the block
-template <typename Cell, int Threads>
+/// The grid of one image: counts, their prefix sum, then every keypoint into its cell's part of the
+/// list. A group of several threads fills a part in any order; each keypoint then counts the lower
+/// ones of its cell, which is its place. No sort, and the same lists on every executor.
+/// @tparam Cell nearest_cell or row_cell
+template <typename Cell>
 struct fill_grid {
+  /// Grids of up to so many cells, and images of up to so many keypoints, are worked on in block
+  /// scratch, others in executor memory.
+  static constexpr int scratch_size = 4096;
   struct scratch {
-    int cell[Threads];
+    int start[scratch_size];
+    int unsorted[scratch_size];
   };
 
   template <typename Group>
@@ -52,38 +56,62 @@ struct fill_grid {
     feature_grid_view const grid = grids.slice(item);
     int const cells = grid.geometry.cells();
     int const n = *kp.count;
-    for (int c = g.rank(); c <= cells; c += g.size()) { grid.start[c] = 0; }
+    constexpr bool one_thread = Group::max_threads == 1;
+    int* const start = !one_thread && cells < scratch_size ? s.start : grid.start;
+    int* const list = one_thread ? grid.indices : n <= scratch_size ? s.unsorted : grid.unsorted;
+    for (int c = g.rank(); c <= cells; c += g.size()) { start[c] = 0; }
     g.sync();
     for (int i = g.rank(); i < n; i += g.size()) {
-      int const c = Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
-      if (c >= 0) { atomic_add(grid.start + c, 1); }
+      int const c = cell_of(grid, kp, i);
+      if (c >= 0) { atomic_add(start + c, 1); }
     }
     g.sync();
-    g.exclusive_scan_array(grid.start, cells + 1);
+    // Prefix sum, each thread over cells that follow each other.
+    int const each = ceil_div(cells, g.size());
+    int const begin = min_of(g.rank() * each, cells);
+    int const end = min_of(begin + each, cells);
+    int mine = 0;
+    for (int c = begin; c < end; ++c) { mine += start[c]; }
+    int total = 0;
+    int before = g.exclusive_scan(mine, total);
+    for (int c = begin; c < end; ++c) {
+      int const count = start[c];
+      start[c] = before;
+      before += count;
+    }
     g.sync();
-    // start[c] moves forward while its cell fills and ends as start[c + 1]; shifted back below.
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      int const c =
-          i < n ? Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i)) : -1;
-      s.cell[g.rank()] = c;
-      g.sync();
-      if (c >= 0) {
-        int before = 0;
-        for (int t = 0; t < g.rank(); ++t) { before += static_cast<int>(s.cell[t] == c); }
-        grid.indices[grid.start[c] + before] = i;
+    // start[c] moves forward while its cell fills and ends as the start of the next.
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const c = cell_of(grid, kp, i);
+      if (c >= 0) { list[atomic_add(start + c, 1)] = i; }
+    }
+    g.sync();
+    if constexpr (!one_thread) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int const c = cell_of(grid, kp, i);
+        if (c < 0) { continue; }
+        int const from = c > 0 ? start[c - 1] : 0;
+        int const to = start[c];
+        int lower = 0;
+        for (int at = from; at < to; ++at) { lower += static_cast<int>(list[at] < i); }
+        grid.indices[from + lower] = i;
       }
       g.sync();
-      if (c >= 0) { atomic_add(grid.start + c, 1); }
-      g.sync();
     }
+    // From the last cell down, so that a thread writes what no later step reads.
     for (int base = (cells / g.size()) * g.size(); base >= 0; base -= g.size()) {
       int const c = base + g.rank();
-      int const previous = c <= cells && c > 0 ? grid.start[c - 1] : 0;
-      g.sync();
+      int const previous = c <= cells && c > 0 ? start[c - 1] : 0;
+      if (start == grid.start) { g.sync(); }
       if (c <= cells) { grid.start[c] = previous; }
-      g.sync();
+      if (start == grid.start) { g.sync(); }
     }
+  }
+
+private:
+  FT_HOST_DEVICE static int cell_of(feature_grid_view const& grid, keypoints_view const& kp,
+                                    int i) {
+    return Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
   }
 };
 
@@ -93,9 +121,7 @@ struct fill_grid {
 template <typename Cell, typename Exec>
 void build_grid(Exec const& exec, keypoints_view const& keypoints, int first, int step, int images,
                 feature_grid_view const& grids) {
-  constexpr int threads = 256;
-  for_each_item<per_block<threads>>(exec, images, fill_grid<Cell, threads>{}, keypoints, first,
-                                    step, grids);
+  for_each_item<per_block<1024>>(exec, images, fill_grid<Cell>{}, keypoints, first, step, grids);
 }
 
 /// The cells that a search window touches: [x0, x1] x [y0, y1], empty where x0 > x1 or y0 > y1.

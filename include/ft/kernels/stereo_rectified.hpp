@@ -67,17 +67,20 @@ struct match_left_keypoint {
       return;
     }
 
-    int sums[side];
-    for (int shift = 0; shift < side; ++shift) {
-      int sum = 0;
-      for (int p = g.rank(); p < side * side; p += g.size()) {
-        int const dx = p % side - half;
-        int const y = vl + p / side - half;
-        int const d = level_l(ul + dx, y) - level_r(ur + shift - half + dx, y);
-        sum += d < 0 ? -d : d;
+    int sums[side] = {};
+    for (int p = g.rank(); p < side * side; p += g.size()) {
+      int const dx = p % side - half;
+      int const y = vl + p / side - half;
+      int const mine = level_l(ul + dx, y);
+      std::uint8_t const* const theirs = level_r.row(y) + ur - half + dx;
+      FT_UNROLL
+      for (int shift = 0; shift < side; ++shift) {
+        int const d = mine - theirs[shift];
+        sums[shift] += d < 0 ? -d : d;
       }
-      sums[shift] = g.reduce(sum, sum_op{});
     }
+    FT_UNROLL
+    for (int shift = 0; shift < side; ++shift) { sums[shift] = g.reduce(sums[shift], sum_op{}); }
     if (g.rank() != 0) { return; }
     int best = 0;
     for (int shift = 1; shift < side; ++shift) {
@@ -160,6 +163,8 @@ private:
 struct cut_stereo_outliers {
   struct scratch {
     int histogram[256];
+    int before[256];
+    int bin, below;
   };
 
   template <typename Group>
@@ -202,8 +207,19 @@ private:
       }
     }
     g.sync();
-    int bin = 0;
-    while (bin < 255 && rank >= s.histogram[bin]) { rank -= s.histogram[bin++]; }
+    for (int b = g.rank(); b < 256; b += g.size()) { s.before[b] = s.histogram[b]; }
+    g.sync();
+    g.exclusive_scan_array(s.before, 256);
+    g.sync();
+    for (int b = g.rank(); b < 256; b += g.size()) {
+      if (s.before[b] <= rank && rank < s.before[b] + s.histogram[b]) {
+        s.bin = b;
+        s.below = s.before[b];
+      }
+    }
+    g.sync();
+    int const bin = s.bin;
+    rank -= s.below;
     g.sync();
     return bin;
   }
@@ -220,7 +236,7 @@ void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
   build_grid<row_cell>(exec, keypoints, 1, 2, pairs, right_rows);
   for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
                           keypoints, right_rows, params, out);
-  for_each_item<per_block<256>>(exec, pairs, cut_stereo_outliers{}, out);
+  for_each_item<per_block<512>>(exec, pairs, cut_stereo_outliers{}, out);
 }
 
 }  // namespace FT_ABI

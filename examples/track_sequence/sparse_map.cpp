@@ -13,6 +13,12 @@ constexpr std::size_t descriptors_kept = 8;
 constexpr std::size_t local_keyframes = 30;
 constexpr int cull_after_frames = 10;
 constexpr double cull_ratio = 0.25;
+constexpr int moving_keyframes = 8;      // of an adjustment, the newest
+constexpr int fixed_keyframes = 5;       // before them
+constexpr int adjustment_steps = 3;      // the next keyframe goes on from there
+constexpr double disparity_weight = 16;  // sub-pixel, where keypoints are whole pixels
+constexpr double trusted_factor = 2;     // on a point's distance: more than that is chance
+constexpr double outlier2 = 9.21;        // 99 % of 2 degrees of freedom
 
 int hamming(orb_words const& a, orb_words const& b) {
   int d = 0;
@@ -95,6 +101,7 @@ void sparse_map::clear() {
   keyframes_.clear();
   oldest_ = 0;
   alive_ = 0;
+  points_made_ = 0;
   free_.clear();
   for (int s = static_cast<int>(points_.size()) - 1; s >= 0; --s) {
     points_[static_cast<std::size_t>(s)] = {};
@@ -167,40 +174,16 @@ void sparse_map::observe(int slot, int id, keyframe_feature const& feature) {
   touch(slot);
 }
 
-void sparse_map::measure(map_point& p, rigid_pose const& T_cw,
-                         keyframe_feature const& feature) const {
-  std::array<double, 3> camera = feature.camera;
-  double const scale = static_cast<double>(scales_[static_cast<std::size_t>(feature.octave)]);
-  double before = 0;  // inverse depth
-  if (p.weight > 0) {
-    before = 1.0 / (T_cw * std::array<double, 3>{static_cast<double>(p.position[0]),
-                                                 static_cast<double>(p.position[1]),
-                                                 static_cast<double>(p.position[2])})[2];
-    if (!(before > 0)) { return; }
-  }
-  // Stereo measures inverse depth with an error that grows with the octave's scale and the inverse
-  // of the baseline, not with depth itself: the mean of inverse depths has no bias.
-  double const weight = 1.0 / (scale * scale);
-  double const inverse = (p.weight * before + weight / camera[2]) / (p.weight + weight);
-  for (double& v : camera) { v /= inverse * feature.camera[2]; }
-  auto const world = T_cw.inverse() * camera;
-  for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(world[k]); }
-  p.weight += weight;
-}
-
 void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features,
                         double near, int at_least) {
   int const id = static_cast<int>(keyframes_.size());
-  keyframes_.push_back({T_cw, {}});
+  keyframes_.push_back({T_cw, {}, {}});
   std::vector<std::pair<double, std::size_t>> candidates;
   for (std::size_t i = 0; i < features.size(); ++i) {
     auto& f = features[i];
     if (alive(f.slot)) {
       auto const& seen = points_[static_cast<std::size_t>(f.slot)].keyframes;
-      if (seen.empty() || seen.back() != id) {
-        if (f.camera[2] > 0) { measure(points_[static_cast<std::size_t>(f.slot)], T_cw, f); }
-        observe(f.slot, id, f);
-      }
+      if (seen.empty() || seen.back() != id) { observe(f.slot, id, f); }
     } else {
       f.slot = -1;
     }
@@ -215,14 +198,94 @@ void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& f
     if (f.slot >= 0) { continue; }
     int const slot = take_slot();
     auto& p = points_[static_cast<std::size_t>(slot)];
-    measure(p, T_cw, f);
+    auto const world = T_cw.inverse() * f.camera;
+    for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(world[k]); }
     p.alive = true;
+    p.number = ++points_made_;
     ++alive_;
     p.max_distance =
         static_cast<float>(norm(f.camera)) * scales_[static_cast<std::size_t>(f.octave)];
     p.min_distance = p.max_distance / scales_.back();
     f.slot = slot;
     observe(slot, id, f);
+  }
+}
+
+void sparse_map::adjust(odometry_options const& rig, std::vector<seen_point> seen) {
+  for (auto& s : seen) { s.number = point(s.slot).number; }
+  keyframes_.back().seen = std::move(seen);
+  int const end = keyframe_count();
+  int const moving = std::max(1, end - moving_keyframes);  // the first keyframe is the world
+  int const begin = std::max(0, moving - fixed_keyframes);
+  if (begin > 0) { keyframes_[static_cast<std::size_t>(begin - 1)].seen = {}; }
+  if (end < 2) { return; }
+
+  adjustment a;
+  a.fixed = moving - begin;
+  std::vector<int> index(points_.size(), -1);
+  std::vector<int> slots;
+  auto const is_here = [&](seen_point const& s) {
+    return alive(s.slot) && point(s.slot).number == s.number;
+  };
+  for (int id = moving; id < end; ++id) {
+    for (auto const& s : keyframes_[static_cast<std::size_t>(id)].seen) {
+      auto& i = index[static_cast<std::size_t>(s.slot)];
+      if (i >= 0 || !is_here(s)) { continue; }
+      i = static_cast<int>(slots.size());
+      slots.push_back(s.slot);
+      auto const& at = point(s.slot).position;
+      a.points.push_back(
+          {static_cast<double>(at[0]), static_cast<double>(at[1]), static_cast<double>(at[2])});
+    }
+  }
+  struct source {
+    sighting what;
+    seen_point* from;
+  };
+  std::vector<source> sources;
+  for (int id = begin; id < end; ++id) {
+    auto& kf = keyframes_[static_cast<std::size_t>(id)];
+    a.views.push_back(kf.T_cw);
+    for (auto& s : kf.seen) {
+      int const i = index[static_cast<std::size_t>(s.slot)];
+      if (i < 0 || !is_here(s)) { continue; }
+      double const scale = static_cast<double>(scales_[static_cast<std::size_t>(s.octave)]);
+      sources.push_back({{id - begin, i, s.camera, s.u, s.v,
+                          (rig.fisheye || s.camera == 0 ? 1 : disparity_weight) / (scale * scale)},
+                         &s});
+    }
+  }
+  std::stable_sort(sources.begin(), sources.end(),
+                   [](source const& x, source const& y) { return x.what.point < y.what.point; });
+  for (auto const& s : sources) { a.sightings.push_back(s.what); }
+
+  std::vector<double> const errors = app::adjust(rig, a, adjustment_steps);
+
+  for (int id = moving; id < end; ++id) {
+    keyframes_[static_cast<std::size_t>(id)].T_cw = a.views[static_cast<std::size_t>(id - begin)];
+  }
+  for (std::size_t i = 0; i < slots.size(); ++i) {
+    auto& p = points_[static_cast<std::size_t>(slots[i])];
+    auto const centre = keyframes_[static_cast<std::size_t>(p.keyframes.front())].T_cw.inverse().t;
+    auto const distance = [&] {
+      return norm({static_cast<double>(p.position[0]) - centre[0],
+                   static_cast<double>(p.position[1]) - centre[1],
+                   static_cast<double>(p.position[2]) - centre[2]});
+    };
+    auto const position = p.position;
+    double const before = distance();
+    for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(a.points[i][k]); }
+    double const factor = distance() / before;
+    if (!(factor > 1 / trusted_factor && factor < trusted_factor)) {  // NaN neither
+      p.position = position;
+      continue;
+    }
+    p.min_distance *= static_cast<float>(factor);
+    p.max_distance *= static_cast<float>(factor);
+    touch(slots[i]);
+  }
+  for (std::size_t i = 0; i < sources.size(); ++i) {
+    if (!(errors[i] >= 0 && errors[i] < outlier2)) { sources[i].from->number = 0; }
   }
 }
 

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "examples/track_sequence/local_adjustment.hpp"
 #include "examples/track_sequence/odometry.hpp"
 
 namespace app {
@@ -17,17 +18,27 @@ struct map_point {
   std::array<float, 3> normal{};    ///< mean viewing direction, unit length
   float min_distance = 0, max_distance = 0;
   orb_words orb{};
-  int visible = 1;    ///< frames in whose view it was
-  int found = 1;      ///< frames that matched it
-  double weight = 0;  ///< of the position, from the stereo measurements that it is the mean of
+  int visible = 1;  ///< frames in whose view it was
+  int found = 1;    ///< frames that matched it
   bool alive = false;
+  int number = 0;                 ///< no other point has had it, whatever its slot
   std::vector<int> keyframes;     ///< that see it, oldest first
   std::vector<orb_words> recent;  ///< descriptors of the last few of them
 };
 
+/// A map point at a keypoint: see sighting.
+struct seen_point {
+  int slot;
+  int camera;
+  double u, v;
+  int octave;
+  int number = 0;  ///< of the point: its slot may since have another
+};
+
 struct keyframe {
   rigid_pose T_cw;
-  std::vector<int> points;  ///< slots seen
+  std::vector<int> points;       ///< slots seen
+  std::vector<seen_point> seen;  ///< while it takes part in adjustments
 };
 
 /// One keypoint of a new keyframe.
@@ -51,6 +62,9 @@ public:
   /// nearest are taken
   void insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
               int at_least);
+  /// Refines the newest keyframes and their points by what both cameras saw of them. @param seen
+  /// by the newest one
+  void adjust(odometry_options const& rig, std::vector<seen_point> seen);
   /// Slots of the keyframes that share points with a frame, the best keyframes first.
   std::vector<int> local_points(std::vector<int> const& held, int most) const;
   /// Slots of the most recent keyframes.
@@ -73,8 +87,6 @@ private:
   int take_slot();
   void remove(int slot);
   void observe(int slot, int keyframe_id, keyframe_feature const& feature);
-  /// Takes a keyframe's stereo measurement of a point into its position.
-  void measure(map_point& p, rigid_pose const& T_cw, keyframe_feature const& feature) const;
   void touch(int slot);
   std::vector<int> collect(std::vector<int> const& keyframe_ids, int most) const;
 
@@ -84,6 +96,7 @@ private:
   std::vector<keyframe> keyframes_;
   std::vector<int> changed_;
   std::vector<unsigned char> is_changed_;
+  int points_made_ = 0;
   int oldest_ = 0;  ///< first keyframe whose points may still be there
   int alive_ = 0;
 };

@@ -3,7 +3,8 @@
 ///
 /// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose
 /// -> local map of the keyframes that share points (chosen on the host) -> frustum, search, pose ->
-/// a keyframe where too few points are left. A frame that is not found so is looked for around the
+/// a keyframe where too few points are left, and an adjustment of the newest keyframes and points
+/// (on the host). A frame that is not found so is looked for around the
 /// last poses with a wide search; where that fails for long, a new map is begun.
 #pragma once
 
@@ -324,9 +325,9 @@ private:
       std::memcpy(f.orb.data(), &descriptors_[static_cast<std::size_t>(i)], sizeof f.orb);
     }
     map_.cull();
+    for (auto& slot : held_) { slot = map_.alive(slot) ? slot : -1; }  // before slots are reused
     map_.insert(T_cw_, features, near(), vo::wanted_near_points);
     ++keyframes_made_;
-    held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
     reference_tracked_ = 0;
     for (int i = 0; i < r.keypoints[0]; ++i) {
       int const slot = features[static_cast<std::size_t>(i)].slot;
@@ -334,7 +335,44 @@ private:
       reference_tracked_ += static_cast<int>(slot >= 0);
       if (slot >= 0 && r.partner[i] >= 0) { held_[static_cast<std::size_t>(r.partner[i])] = slot; }
     }
+    map_.adjust(options_, seen_points());
+    T_cw_ = map_.last_keyframe_pose();
     send_changes();
+  }
+
+  /// The map points that the frame's keypoints hold, each once in a camera.
+  std::vector<seen_point> seen_points() const {
+    auto const& r = tracker_.result();
+    std::vector<seen_point> seen;
+    for (int c = 0; c < cameras; ++c) {
+      auto const first = static_cast<std::ptrdiff_t>(seen.size());
+      for (int i = 0; i < r.keypoints[c]; ++i) {
+        int const k = c * r.capacity + i;
+        int const slot = held_[static_cast<std::size_t>(k)];
+        if (slot >= 0) {
+          seen.push_back(
+              {slot, c, static_cast<double>(r.x[k]), static_cast<double>(r.y[k]), r.octave[k]});
+        }
+      }
+      if constexpr (Rig::rectified) {
+        double const bf = options_.baseline * options_.fx;
+        for (int i = 0; i < r.keypoints[0]; ++i) {
+          int const slot = held_[static_cast<std::size_t>(i)];
+          if (slot >= 0 && r.depth[i] > 0) {
+            seen.push_back({slot, 1, bf / static_cast<double>(r.depth[i]), 0, r.octave[i]});
+          }
+        }
+      }
+      std::stable_sort(seen.begin() + first, seen.end(), [](auto const& a, auto const& b) {
+        return std::pair(a.camera, a.slot) < std::pair(b.camera, b.slot);
+      });
+      seen.erase(std::unique(seen.begin() + first, seen.end(),
+                             [](auto const& a, auto const& b) {
+                               return std::pair(a.camera, a.slot) == std::pair(b.camera, b.slot);
+                             }),
+                 seen.end());
+    }
+    return seen;
   }
 
   void send_changes() {

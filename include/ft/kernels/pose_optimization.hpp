@@ -35,7 +35,7 @@ struct pose_params {
   int steps = 10;   ///< per round
   int trials = 10;  ///< of the damping, per step
   double small_step =
-      3e-5;  ///< a round ends after a step shorter than this in every component; rad, m
+      1e-4;  ///< a round ends after a step shorter than this in every component; rad, m
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };

@@ -62,12 +62,17 @@ struct search_params {
   bool from_empty = false;  ///< nobody holds a keypoint: holders are cleared first
 };
 
+/// Four candidates of a window, each distance << 23 | keypoint.
+struct alignas(16) candidate_quad {
+  std::uint32_t entry[4];
+};
+
 /// Candidates of one search and the state of the assignment.
 struct search_workspace {
   static constexpr int list_size = 16;  ///< longer lists are walked in the grid again, none is cut
-  std::uint32_t* list =
-      nullptr;                ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
-  int* list_count = nullptr;  ///< [cameras][batch][capacity], may exceed list_size
+  candidate_quad* list = nullptr;  ///< [cameras][batch][capacity][list_size / 4], padded with ~0
+  /// [cameras][batch][capacity], may exceed list_size; 0 where a window could take none of them
+  int* list_count = nullptr;
   int* match = nullptr;  ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
   int* touch = nullptr;  ///< [batch][numbers] lowest open window that may take a keypoint
   std::uint8_t* settled = nullptr;  ///< [batch][numbers] 1 = taken for good
@@ -89,7 +94,7 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.cameras = cameras;
   std::size_t const b = static_cast<std::size_t>(batch);
   std::size_t const n = static_cast<std::size_t>(cameras) * b * static_cast<std::size_t>(windows);
-  v.list = c.take<std::uint32_t>(detail::checked_mul(n, search_workspace::list_size));
+  v.list = c.take<candidate_quad>(detail::checked_mul(n, search_workspace::list_size / 4));
   v.list_count = c.take<int>(n);
   v.match = c.take<int>(n);
   v.touch =
@@ -155,8 +160,10 @@ struct list_candidates {
     for (int c = 0; c < frame.cameras; ++c) {
       search_window const w = windows.at(c, b, i);
       std::ptrdiff_t const at = work.window(c, b, i);
+      candidate_quad* const list = work.list + at * (search_workspace::list_size / 4);
       int found = 0;
       int in_window = 0;
+      int takeable = 0;
       if (w.slot >= 0 && !left_empty) {
         keypoints_view const kp = frame.camera(b, c);
         descriptor const wanted = get<field::orb>(points, w.slot);
@@ -174,13 +181,20 @@ struct list_candidates {
           int total = 0;
           int const place = found + g.exclusive_scan(static_cast<int>(distance >= 0), total);
           if (distance >= 0 && place < search_workspace::list_size) {
-            work.list[at * search_workspace::list_size + place] =
+            list[place / 4].entry[place % 4] =
                 static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
           }
+          takeable |= static_cast<int>(distance >= 0 && distance <= params.max_distance);
           found += total;
         });
       }
-      if (g.rank() == 0) { work.list_count[at] = found; }
+      int const padded = min_of((found + 3) / 4 * 4, search_workspace::list_size);
+      for (int place = found + g.rank(); place < padded; place += g.size()) {
+        list[place / 4].entry[place % 4] = ~0u;
+      }
+      // A window that can take nothing decides nothing and influences nobody.
+      takeable = g.reduce(takeable, max_op{});
+      if (g.rank() == 0) { work.list_count[at] = takeable != 0 ? found : 0; }
       if (params.kind == search_kind::last_frame && frame.cameras == 2) {
         left_empty = g.reduce(in_window, sum_op{}) == 0;
       }
@@ -226,7 +240,9 @@ struct assign_keypoints {
       g.sync();
     }
     if constexpr (!Rounds) {
-      for (int i = 0; i < n; ++i) { taken += decide(ctx, i); }
+      for (int i = 0; i < n; ++i) {
+        taken += decide(ctx, i, [&](int k) { return occupied(ctx, k); });
+      }
       work.matches[b] = taken;
     }
     if constexpr (Rounds) {
@@ -286,13 +302,10 @@ private:
     }
     for (int k = g.rank(); k < numbers; k += g.size()) { m.settled[k] = 0; }
     g.sync();
-    // Windows without a candidate that they could take decide nothing and influence nobody.
     for (int i = g.rank(); i < n; i += g.size()) {
-      if (can_take(ctx, i)) {
+      if (has_candidates(ctx, i)) {
         open.set(atomic_add(&s.left_open, 1), i);
-        if (get<field::observations>(ctx.points, slot_of(ctx, i)) <= 0) {
-          atomic_min(&s.observed, 0);
-        }
+        if (passes_on(ctx) && !is_observed(ctx, i)) { atomic_min(&s.observed, 0); }
       } else {
         clear_matches(ctx, i);
       }
@@ -322,7 +335,11 @@ private:
         bool mine = true;
         for_each_touched(ctx, i, m, [&](int number) { mine = mine && m.touch[number] == i; });
         if (mine) {
-          taken += decide(ctx, i);
+          // On the left the marks say what is taken; on the right the window itself may just have
+          // taken a partner.
+          taken += decide(ctx, i, [&](int k) {
+            return lasting && k < ctx.frame.capacity() ? m.settled[k] != 0 : occupied(ctx, k);
+          });
         } else {
           next.set(atomic_add(&s.left_open, 1), i);
         }
@@ -344,9 +361,22 @@ private:
     std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
     int const n = ctx.work.list_count[at];
     if (n <= search_workspace::list_size) {
-      for (int j = 0; j < n; ++j) {
-        std::uint32_t const entry = ctx.work.list[at * search_workspace::list_size + j];
-        visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
+      constexpr int quads = search_workspace::list_size / 4;
+      candidate_quad list[quads];  // all loads first
+      FT_UNROLL
+      for (int q = 0; q < quads; ++q) {
+        if (4 * q < n) { list[q] = ctx.work.list[at * quads + q]; }
+      }
+      FT_UNROLL
+      for (int q = 0; q < quads; ++q) {
+        if (4 * q >= n) { return; }
+        FT_UNROLL
+        for (int e = 0; e < 4; ++e) {
+          std::uint32_t const entry = list[q].entry[e];
+          if (4 * q + e < n) {
+            visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
+          }
+        }
       }
       return;
     }
@@ -365,17 +395,21 @@ private:
                 });
   }
 
-  FT_HOST_DEVICE static bool can_take(context const& ctx, int i) {
+  FT_HOST_DEVICE static bool has_candidates(context const& ctx, int i) {
     bool any = false;
     for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for_each_candidate(
-          ctx, c, i, [&](int, int distance) { any = any || distance <= ctx.params.max_distance; });
+      any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
     }
     return any;
   }
-  FT_HOST_DEVICE static int slot_of(context const& ctx, int i) {
-    int const left = ctx.windows.at(0, ctx.b, i).slot;
-    return left >= 0 || ctx.frame.cameras == 1 ? left : ctx.windows.at(1, ctx.b, i).slot;
+  /// Whether the points that window i looks for are observed.
+  FT_HOST_DEVICE static bool is_observed(context const& ctx, int i) {
+    bool all = true;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      int const slot = ctx.windows.at(c, ctx.b, i).slot;
+      all = all && (slot < 0 || get<field::observations>(ctx.points, slot) > 0);
+    }
+    return all;
   }
   FT_HOST_DEVICE static void clear_matches(context const& ctx, int i) {
     for (int c = 0; c < ctx.frame.cameras; ++c) {
@@ -417,38 +451,39 @@ private:
   }
 
   /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was
-  /// given.
-  FT_HOST_DEVICE static int decide(context const& ctx, int i) {
+  /// given. @param taken_for_good of a keypoint's number
+  template <typename Taken>
+  FT_HOST_DEVICE static int decide(context const& ctx, int i, Taken const& taken_for_good) {
     int taken = 0;
     bool refused = false;
     for (int c = 0; c < ctx.frame.cameras; ++c) {
       int& match = ctx.work.match[ctx.work.window(c, ctx.b, i)];
       match = -1;
       if (refused) { continue; }
-      keypoints_view const kp = ctx.frame.camera(ctx.b, c);
       int best = 256;
       int second = 256;
-      int best_octave = -1;
-      int second_octave = -1;
       int best_k = -1;
+      int second_k = -1;
       for_each_candidate(ctx, c, i, [&](int k, int distance) {
-        if (occupied(ctx, c * ctx.frame.capacity() + k)) { return; }
+        if (distance >= second || taken_for_good(c * ctx.frame.capacity() + k)) { return; }
         if (distance < best) {
           second = best;
-          second_octave = best_octave;
+          second_k = best_k;
           best = distance;
-          best_octave = get<field::octave>(kp, k);
           best_k = k;
-        } else if (distance < second) {
+        } else {
           second = distance;
-          second_octave = get<field::octave>(kp, k);
+          second_k = k;
         }
       });
       if (best_k < 0 || best > ctx.params.max_distance) { continue; }
-      if (ctx.params.kind == search_kind::local_map && best_octave == second_octave &&
+      if (ctx.params.kind == search_kind::local_map && second_k >= 0 &&
           static_cast<float>(best) > detail::mul(ctx.params.ratio, static_cast<float>(second))) {
-        refused = c == 0;
-        continue;
+        keypoints_view const kp = ctx.frame.camera(ctx.b, c);
+        if (get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k)) {
+          refused = c == 0;
+          continue;
+        }
       }
       int const number = c * ctx.frame.capacity() + best_k;
       int const slot = ctx.windows.at(c, ctx.b, i).slot;
@@ -626,9 +661,11 @@ private:
 /// One frame: drops the matches whose rotation is not among the three most frequent.
 struct check_orientation {
   static constexpr int bins = 30;
+  static constexpr int scratch_size = 4096;  ///< windows whose bins are kept
   struct scratch {
     int histogram[bins];
     int top[3];
+    std::uint8_t bin[scratch_size];
   };
 
   template <typename Group>
@@ -638,10 +675,14 @@ struct check_orientation {
     for (int i = g.rank(); i < bins; i += g.size()) { s.histogram[i] = 0; }
     g.sync();
     int const n = windows.count[b];
+    bool const kept = frame.cameras * n <= scratch_size;
+    constexpr std::uint8_t no_match = 255;
     for (int c = 0; c < frame.cameras; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
         int const k = work.match[work.window(c, b, i)];
-        if (k >= 0) { atomic_add(s.histogram + bin(frame, last, b, c, i, k), 1); }
+        int const r = k >= 0 ? bin(frame, last, b, c, i, k) : no_match;
+        if (k >= 0) { atomic_add(s.histogram + r, 1); }
+        if (kept) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
       }
     }
     g.sync();
@@ -676,9 +717,10 @@ struct check_orientation {
     int dropped = 0;
     for (int c = 0; c < frame.cameras; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
+        if (kept && s.bin[c * n + i] == no_match) { continue; }
         int& k = work.match[work.window(c, b, i)];
         if (k < 0) { continue; }
-        int const r = bin(frame, last, b, c, i, k);
+        int const r = kept ? s.bin[c * n + i] : bin(frame, last, b, c, i, k);
         if (r != top[0] && r != top[1] && r != top[2]) {
           frame
               .holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] =

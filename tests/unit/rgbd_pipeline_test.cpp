@@ -68,10 +68,9 @@ picture render(plane const& world, Camera const& camera, ft::pose const& T_cw) {
       auto const ray = wide.unproject({static_cast<double>(u), static_cast<double>(v)});
       EXPECT_TRUE(ray.valid);
       auto const d = T_wc.R * ray.direction;
-      double const t = (2.5 - (0.25 * T_wc.t.x + 0.15 * T_wc.t.y + T_wc.t.z)) /
-                       (0.25 * d.x + 0.15 * d.y + d.z);
-      double const grey =
-          world.grey({T_wc.t.x + t * d.x, T_wc.t.y + t * d.y, T_wc.t.z + t * d.z});
+      double const t =
+          (2.5 - (0.25 * T_wc.t.x + 0.15 * T_wc.t.y + T_wc.t.z)) / (0.25 * d.x + 0.15 * d.y + d.z);
+      double const grey = world.grey({T_wc.t.x + t * d.x, T_wc.t.y + t * d.y, T_wc.t.z + t * d.z});
       out.grey[at(v * width + u)] = static_cast<std::uint8_t>(std::lround(grey));
       out.depth[at(v * width + u)] =
           static_cast<std::uint16_t>(std::lround(5000 * t * ray.direction.z));
@@ -179,6 +178,7 @@ public:
     std::vector<ft::pose> const poses{predicted, last};
     ft::copy(exec_, poses_, poses.data(), 2);
     ft::last_search_params search;
+    search.th = 15;
     search.min_x = bounds_.min_x;
     search.min_y = bounds_.min_y;
     search.max_x = bounds_.max_x;
@@ -316,13 +316,10 @@ TYPED_TEST(rgbd_test, a_known_motion_is_found_from_distorted_images_and_their_de
     ft::get<ft::field::orb>(v, i) = descriptors[at(i)];
     holder[at(i)] = i;
   }
-  // The depth is that of a whole pixel, a place of a higher octave lies between: half a pixel at
-  // 262 pixels of focal length and a slope of 0.25, at up to 4 m.
-  EXPECT_LT(farthest_off, 0.005);
+  // The depth is that of the pixel that a keypoint falls into: up to one pixel away in both axes,
+  // and where the plane is 3.5 m away a pixel to the side is 5 mm of depth.
+  EXPECT_LT(farthest_off, 0.008);
   EXPECT_GT(furthest_right, 1.2f) << "points up to the image's edge";
-  ft::copy(exec, ft::array_of<ft::field::position>(frontend.map()),
-           static_cast<ft::vec3<float> const*>(ft::array_of<ft::field::position>(points.view())),
-           at(count));
   points.view().count[0] = count;
   ft::copy(exec, frontend.map(), points.view());
   exec.wait();
@@ -363,10 +360,10 @@ TYPED_TEST(rgbd_test, a_known_motion_is_found_from_distorted_images_and_their_de
   auto const alone = between(frontend.pose(), T_second);
   EXPECT_LT(alone.metres, 0.006f);
   EXPECT_LT(alone.radians, 0.002f);
-  RecordProperty("motion_um", static_cast<int>(1e6f * motion.metres));
-  RecordProperty("local_um", static_cast<int>(1e6f * local.metres));
-  RecordProperty("alone_um", static_cast<int>(1e6f * alone.metres));
-  RecordProperty("matches", from_last);
+  this->RecordProperty("motion_um", static_cast<int>(1e6f * motion.metres));
+  this->RecordProperty("local_um", static_cast<int>(1e6f * local.metres));
+  this->RecordProperty("alone_um", static_cast<int>(1e6f * alone.metres));
+  this->RecordProperty("matches", from_last);
 }
 
 // ---- rectification ----------------------------------------------------------------------------
@@ -412,18 +409,18 @@ TYPED_TEST(rgbd_test, rectified_images_go_straight_into_the_extractor) {
   for (int i = 0; i < count; ++i) {
     if (!(depth[at(i)] > 0)) { continue; }
     auto const ray = rig.camera.unproject({x[at(i)], y[at(i)]}).direction;
-    double const true_depth = 2.5 / (0.25 * static_cast<double>(ray.x) +
-                                     0.15 * static_cast<double>(ray.y) + 1);
-    off.push_back(std::abs(static_cast<double>(rig.bf) * (1 / true_depth -
-                                                          1 / static_cast<double>(depth[at(i)]))));
+    double const true_depth =
+        2.5 / (0.25 * static_cast<double>(ray.x) + 0.15 * static_cast<double>(ray.y) + 1);
+    off.push_back(std::abs(static_cast<double>(rig.bf) *
+                           (1 / true_depth - 1 / static_cast<double>(depth[at(i)]))));
   }
   ASSERT_GT(off.size(), 200u);
   std::sort(off.begin(), off.end());
   EXPECT_LT(off[off.size() / 2], 0.15) << "pixels, median";
   EXPECT_LT(off[off.size() * 9 / 10], 0.6);
-  RecordProperty("matches", static_cast<int>(off.size()));
-  RecordProperty("median_millipixels", static_cast<int>(1000 * off[off.size() / 2]));
-  RecordProperty("p90_millipixels", static_cast<int>(1000 * off[off.size() * 9 / 10]));
+  this->RecordProperty("matches", static_cast<int>(off.size()));
+  this->RecordProperty("median_millipixels", static_cast<int>(1000 * off[off.size() / 2]));
+  this->RecordProperty("p90_millipixels", static_cast<int>(1000 * off[off.size() * 9 / 10]));
 }
 
 }  // namespace rgbd_pipeline

@@ -486,7 +486,7 @@ TYPED_TEST(bad_input_test, every_keypoint_is_on_one_side_of_any_overlap) {
   EXPECT_EQ(split[1].mono, 0);
   EXPECT_EQ(split[2].mono, 0);
   EXPECT_LT(split[4].mono, split[0].mono) << "a single column is an overlap";
-  for (std::size_t const i : {0, 5, 6, 7, 10, 11}) { EXPECT_EQ(split[i].mono, plain[0].mono); }
+  for (int const i : {0, 5, 6, 7, 10, 11}) { EXPECT_EQ(split[at(i)].mono, plain[0].mono); }
 }
 
 TYPED_TEST(bad_input_test, nothing_is_matched_where_an_overlap_is_empty) {

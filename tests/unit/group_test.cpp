@@ -276,7 +276,8 @@ protected:
     }
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
-    auto const d_out = test::to_exec(backend.exec, std::vector<double>((sums + 1) * sizes.size(), -1.0));
+    auto const d_out =
+        test::to_exec(backend.exec, std::vector<double>((sums + 1) * sizes.size(), -1.0));
     ft::for_each_item<Shape>(backend.exec, items(), sum_item{},
                              static_cast<int const*>(d_starts.data()),
                              static_cast<double const*>(d_data.data()), d_out.data());

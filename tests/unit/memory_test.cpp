@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <limits>
 #include <new>
+#include <string>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -221,6 +222,22 @@ TEST(require_unit, the_message_names_argument_value_and_limit) {
     FAIL() << "5 is not in [1, 4]";
   } catch (ft::bad_argument const& e) {
     EXPECT_STREQ(e.what(), "ft: batch is 5, must be in [1, 4]");
+  }
+}
+
+TEST(require_unit, the_message_shows_small_and_exact_numbers) {
+  EXPECT_EQ(ft::detail::number_text(1e-7f), "1e-07");
+  EXPECT_EQ(ft::detail::number_text(0.1f), "0.1");
+  EXPECT_EQ(ft::detail::number_text(-2.0), "-2");
+  EXPECT_EQ(std::stof(ft::detail::number_text(1.0000001f)), 1.0000001f);
+  EXPECT_EQ(std::stod(ft::detail::number_text(1.0 / 3)), 1.0 / 3);
+  EXPECT_EQ(ft::detail::number_text(std::numeric_limits<float>::infinity()), "inf");
+  EXPECT_EQ(ft::detail::number_text(7), "7");
+  try {
+    ft::detail::require_range("baseline", 1e-7f, 1e-6f, 1e6f);
+    FAIL() << "1e-7 is below 1e-6";
+  } catch (ft::bad_argument const& e) {
+    EXPECT_STREQ(e.what(), "ft: baseline is 1e-07, must be in [1e-06, 1e+06]");
   }
 }
 

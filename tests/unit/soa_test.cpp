@@ -200,4 +200,22 @@ TYPED_TEST(soa_unit, columns_do_not_overlap) {
   }
 }
 
+TYPED_TEST(soa_unit, columns_of_another_container_take_the_place_of_ones_own) {
+  constexpr ft::memory_space space = TypeParam::exec_type::space;
+  ft::keypoints<space> const keypoints(9, 2);
+  ft::soa<space, ft::field::y, ft::field::x> const places(9, 2);
+  auto const v = ft::with_columns(keypoints.view(), places.view());
+  EXPECT_EQ(ft::array_of<ft::field::x>(v), ft::array_of<ft::field::x>(places.view()));
+  EXPECT_EQ(ft::array_of<ft::field::y>(v), ft::array_of<ft::field::y>(places.view()));
+  EXPECT_EQ(ft::array_of<ft::field::orb>(v), ft::array_of<ft::field::orb>(keypoints.view()));
+  EXPECT_EQ(ft::array_of<ft::field::octave>(v), ft::array_of<ft::field::octave>(keypoints.view()));
+  EXPECT_EQ(v.count, keypoints.view().count);
+  EXPECT_EQ(v.capacity, 9);
+  EXPECT_EQ(v.batch, 2);
+  ft::soa<space, ft::field::x> const longer(10, 2);
+  ft::soa<space, ft::field::x> const more(9, 3);
+  EXPECT_THROW(ft::with_columns(keypoints.view(), longer.view()), ft::bad_argument);
+  EXPECT_THROW(ft::with_columns(keypoints.view(), more.view()), ft::bad_argument);
+}
+
 }  // namespace soa_test

@@ -86,15 +86,16 @@ void require_invertible(Camera const& camera, int width, int height, double leas
     throw bad_argument(which + std::to_string(found.with_ray - found.returned) + " of " +
                        std::to_string(found.with_ray) +
                        " rays do not project back to their pixel; the worst, of pixel (" +
-                       std::to_string(found.worst_x) + ", " + std::to_string(found.worst_y) +
-                       "), misses it by " + std::to_string(found.worst_error) +
-                       " pixels, must be at most " + std::to_string(image_domain::tolerance));
+                       detail::number_text(found.worst_x) + ", " +
+                       detail::number_text(found.worst_y) + "), misses it by " +
+                       detail::number_text(found.worst_error) + " pixels, must be at most " +
+                       detail::number_text(double{image_domain::tolerance}));
   }
   if (!(found.share_with_ray() >= least_share)) {
     throw bad_argument(which + "the share of pixels with a valid ray is " +
-                       std::to_string(found.share_with_ray()) + " (" +
+                       detail::number_text(found.share_with_ray()) + " (" +
                        std::to_string(found.with_ray) + " of " + std::to_string(found.pixels) +
-                       "), must be at least " + std::to_string(least_share));
+                       "), must be at least " + detail::number_text(least_share));
   }
 }
 

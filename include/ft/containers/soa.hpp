@@ -66,6 +66,19 @@ FT_HOST_DEVICE typename Field::type* array_of(soa_view<Fields...> const& v) {
   return static_cast<column<Field> const&>(v).data;
 }
 
+/// `base` with the columns of `other` in place of its own: keypoints with undistorted positions,
+/// for example. Nothing is copied; counts are those of `base`. @throws bad_argument for different
+/// shapes
+template <typename... Fields, typename... Others>
+soa_view<Fields...> with_columns(soa_view<Fields...> base, soa_view<Others...> const& other) {
+  static_assert((std::is_base_of<column<Others>, soa_view<Fields...>>::value && ...),
+                "every replaced column is one of the view's");
+  detail::require(base.capacity == other.capacity && base.batch == other.batch,
+                  "columns of another shape cannot be taken");
+  ((static_cast<column<Others>&>(base).data = array_of<Others>(other)), ...);
+  return base;
+}
+
 /// Places the columns and counts of a container into an arena.
 template <typename... Fields>
 void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {

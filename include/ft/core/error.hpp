@@ -4,9 +4,12 @@
 
 #include <cmath>
 #include <cstddef>
+#include <cstdio>
+#include <cstdlib>
 #include <limits>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 
 #include "ft/core/config.hpp"
 
@@ -33,11 +36,27 @@ public:
 
 namespace detail {
 
+/// A number as messages show it: floating-point ones by the fewest digits that read back as the
+/// same value, so that 1e-07 is not 0.000000.
+template <typename T>
+std::string number_text(T value) {
+  if constexpr (std::is_floating_point<T>::value) {
+    char text[40];
+    for (int digits = 6; digits <= std::numeric_limits<T>::max_digits10; ++digits) {
+      std::snprintf(text, sizeof text, "%.*g", digits, static_cast<double>(value));
+      if (!(static_cast<T>(std::strtod(text, nullptr)) != value)) { break; }
+    }
+    return text;
+  } else {
+    return std::to_string(value);
+  }
+}
+
 template <typename T>
 void require_range(char const* name, T value, T low, T high) {
   if (!(value >= low && value <= high)) {  // also rejects NaN
-    throw bad_argument(std::string("ft: ") + name + " is " + std::to_string(value) +
-                       ", must be in [" + std::to_string(low) + ", " + std::to_string(high) + "]");
+    throw bad_argument(std::string("ft: ") + name + " is " + number_text(value) + ", must be in [" +
+                       number_text(low) + ", " + number_text(high) + "]");
   }
 }
 
@@ -47,7 +66,7 @@ inline void require(bool condition, char const* message) {
 
 inline void require_finite(char const* name, double value) {
   if (!std::isfinite(value)) {
-    throw bad_argument(std::string("ft: ") + name + " is " + std::to_string(value) +
+    throw bad_argument(std::string("ft: ") + name + " is " + number_text(value) +
                        ", must be finite");
   }
 }

@@ -35,8 +35,9 @@ struct tracker_params {
   int enough_matches = 20;     ///< with fewer, the search is repeated with twice the radius
   bool optimize_last = true;   ///< pose optimisation after the search from the last frame
   bool optimize_local = true;  ///< and after the search in the local map
-  /// Columns of the left and the right image that see the same: pairs that are not rectified only.
-  /// The default is the whole image.
+  /// Columns of the left and the right image that see the same, as orb_extractor takes them: pairs
+  /// that are not rectified only. The default is the whole image; where one of the two lies outside
+  /// its image no keypoint has a stereo partner.
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
 };
 

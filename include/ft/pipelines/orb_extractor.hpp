@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <string>
 #include <vector>
 
 #include "ft/containers/image_pyramid.hpp"
@@ -47,9 +48,13 @@ public:
   static constexpr memory_space space = Exec::space;
 
   orb_extractor() = default;
-  /// @param batch images per call @param overlaps one per image (fisheye pairs), or empty
-  /// Waits for the upload of its tables. @throws bad_argument naming the value and the limit;
-  ///   std::bad_alloc or cuda_error where memory is short
+  /// @param batch images per call
+  /// @param overlaps one per image (fisheye pairs), or none. Columns in pixels, both ends included,
+  ///   infinity allowed; keypoints inside come last, mono_count() counts the others. An overlap may
+  ///   reach beyond the image; one that lies outside of it holds no keypoint
+  /// Waits for the upload of its tables. @throws bad_argument naming the value and the limit, also
+  ///   for an overlap with a NaN or with its left end right of its right one; std::bad_alloc or
+  ///   cuda_error where memory is short
   orb_extractor(Exec const& exec, orb_params const& params, int batch,
                 std::vector<stereo_overlap> const& overlaps = {})
       : params_(checked(params, batch, overlaps)),
@@ -166,6 +171,14 @@ private:
     detail::require_range("batch", batch, 1, 4096);
     detail::require(overlaps.empty() || overlaps.size() == static_cast<std::size_t>(batch),
                     "give one stereo overlap per image, or none");
+    for (std::size_t i = 0; i < overlaps.size(); ++i) {
+      if (!(overlaps[i].left <= overlaps[i].right)) {  // also rejects NaN
+        throw bad_argument("ft: the stereo overlap of image " + std::to_string(i) + " is [" +
+                           detail::number_text(overlaps[i].left) + ", " +
+                           detail::number_text(overlaps[i].right) +
+                           "], its left end must not be above its right end");
+      }
+    }
     return p;
   }
 

@@ -9,6 +9,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/image_pyramid.hpp"
@@ -150,6 +151,7 @@ struct reprojection {
   int rows;              ///< 2 or 3
   vec3<real> in_body;    ///< point in the left camera's frame
   vec3<real> in_camera;  ///< point in the seeing camera's frame
+  bool valid = true;     ///< the camera model holds at the point
 
   FT_HOST_DEVICE reprojection(Rig const& rig, detail::transform const& T_cw, observation const& o) {
     in_body = T_cw * vec3<real>{static_cast<double>(o.point.x), static_cast<double>(o.point.y),
@@ -182,12 +184,15 @@ struct reprojection {
       } else {
         p = rig.left.template cast<real>().project(in_camera);
       }
+      valid = p.valid;
       error[0] = real(static_cast<double>(o.u)) - p.pixel.x;
       error[1] = real(static_cast<double>(o.v)) - p.pixel.y;
     }
   }
 
+  /// Infinite where there is no projection: an outlier, and no place for a trial pose.
   FT_HOST_DEVICE real chi2(observation const& o) const {
+    if (!valid) { return std::numeric_limits<double>::infinity(); }
     return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) *
            static_cast<double>(o.inv_sigma2);
   }
@@ -269,12 +274,14 @@ struct damped_descent {
   double expected;  ///< decrease of the cost
   int steps_left;
   int trials_left;
-  bool running;  ///< false = done, `T` is the answer
+  bool accepted;  ///< the last trial became the best
+  bool running;   ///< false = done, `T` is the answer
 
   FT_HOST_DEVICE void begin(transform const& start, sum_terms<pose_terms> const& sums,
                             pose_params const& params) {
     T = start;
     at_best = sums;
+    accepted = true;
     double largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
@@ -291,7 +298,8 @@ struct damped_descent {
 
   FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
     real const gain = (real(at_best.wide) - sums.wide) / real(expected);
-    if (gain > 0.0 && scalar::is_finite(real(sums.wide))) {
+    accepted = gain > 0.0 && scalar::is_finite(real(sums.wide));
+    if (accepted) {
       real const m = real(2.0) * gain - 1.0;
       real const factor = max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
       damping = (real(damping) * factor).value;
@@ -359,12 +367,8 @@ struct optimize_pose {
       return;
     }
     detail::transform const start = problem.start->template cast<strict_double>();
-    // All start as inliers but those without a number: one NaN would spoil every sum.
-    for (int i = g.rank(); i < n; i += g.size()) {
-      observation const& o = problem.observations[i];
-      problem.outlier[i] =
-          static_cast<unsigned char>(!scalar::is_finite(reprojection<Rig>(rig, start, o).chi2(o)));
-    }
+    // Bits of a flag: outlier in this round; too far at the last trial pose; too far at the best.
+    for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
     detail::transform T = start;
     bool changed = true;
     for (int round = 0; round < params.rounds; ++round) {
@@ -372,13 +376,12 @@ struct optimize_pose {
       // The same observations and the same kernel give the same pose again.
       if (!changed && robust) { continue; }
       T = run_round(g, s, rig, problem, params, start, robust);
+      // What the flags say of the round's best pose becomes the next round's set.
       int changes = 0;
       for (int i = g.rank(); i < n; i += g.size()) {
-        observation const& o = problem.observations[i];
-        reprojection<Rig> const r(rig, T, o);
-        // Written so that a NaN is an outlier.
-        bool const out = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
-        changes += static_cast<int>(out != (problem.outlier[i] != 0));
+        unsigned const flags = problem.outlier[i];
+        unsigned const out = (flags & too_far_at_best) != 0 ? outlier : 0;
+        changes += static_cast<int>(out != (flags & outlier));
         problem.outlier[i] = static_cast<unsigned char>(out);
       }
       changed = g.reduce(changes, sum_op{}) > 0;
@@ -395,19 +398,30 @@ struct optimize_pose {
   }
 
 private:
-  /// Cost, gradient and curvature over the inliers at T, in s.sums.total.
+  static constexpr unsigned outlier = 1;
+  static constexpr unsigned too_far_at_trial = 2;
+  static constexpr unsigned too_far_at_best = 4;
+
+  /// Cost, gradient and curvature over the inliers at T, in s.sums.total. Notes of every
+  /// observation whether it is too far away there. @param first of a round: observations without a
+  /// number stay out of it, as one NaN would spoil every sum
   template <typename Group>
   FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig,
                                        pose_problem const& problem, pose_params const& params,
-                                       detail::transform const& T, bool robust) {
+                                       detail::transform const& T, bool robust, bool first) {
     using detail::real;
     using narrow = strict_float;
+    bool const accepted = !first && s.descent.accepted;
     ordered_sum<terms>(g, s.sums, problem.count, [&](int i, sum_terms<terms>& acc) {
-      if (problem.outlier[i] != 0) { return; }
       observation const& o = problem.observations[i];
       reprojection<Rig> const r(rig, T, o);
       real const chi2 = r.chi2(o);
       real const limit = r.rows == 3 ? params.chi2_stereo : params.chi2_mono;
+      unsigned flags = settled_flags(problem.outlier[i], accepted) & ~too_far_at_trial;
+      if (first && !scalar::is_finite(chi2)) { flags |= outlier; }
+      if (!(chi2 <= limit)) { flags |= too_far_at_trial; }  // written so that a NaN is too far
+      problem.outlier[i] = static_cast<unsigned char>(flags);
+      if ((flags & outlier) != 0) { return; }
       narrow weight = o.inv_sigma2;
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
@@ -446,18 +460,29 @@ private:
     });
   }
 
+  /// If the last trial pose has become the best, its flags have, too.
+  FT_HOST_DEVICE static unsigned settled_flags(unsigned flags, bool accepted) {
+    if (!accepted) { return flags; }
+    return (flags & outlier) | ((flags & too_far_at_trial) != 0 ? too_far_at_best : 0);
+  }
+
   template <typename Group>
   FT_HOST_DEVICE static detail::transform run_round(Group g, scratch& s, Rig const& rig,
                                                     pose_problem const& problem,
                                                     pose_params const& params,
                                                     detail::transform const& start, bool robust) {
-    linearize(g, s, rig, problem, params, start, robust);
+    linearize(g, s, rig, problem, params, start, robust, true);
     if (g.rank() == 0) { s.descent.begin(start, s.sums.total, params); }
     g.sync();
     while (s.descent.running) {
-      linearize(g, s, rig, problem, params, s.descent.trial, robust);
+      detail::transform const trial = s.descent.trial;
+      linearize(g, s, rig, problem, params, trial, robust, false);
       if (g.rank() == 0) { s.descent.judge(s.sums.total, params); }
       g.sync();
+    }
+    for (int i = g.rank(); i < problem.count; i += g.size()) {
+      problem.outlier[i] =
+          static_cast<unsigned char>(settled_flags(problem.outlier[i], s.descent.accepted));
     }
     detail::transform const T = s.descent.T;
     g.sync();

@@ -111,22 +111,22 @@ struct small_divider {
 /// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch; call sync()
 /// afterwards. Pixel (x0 + i, y0 + r) becomes byte (x0 & 3) + i of the row that starts at word
 /// r * pitch; other bytes of the words that are touched may get anything.
+/// @tparam InFlight loads of a thread before its first store
 /// @param pitch words from row to row, at least as many as (x0 & 3) + w bytes fill
-template <typename Group>
+template <int InFlight = 4, typename Group>
 FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, int w, int h,
                                     std::uint32_t* words, int pitch) {
   if (w <= 0 || h <= 0) { return; }
   int const skew = x0 & 3;
   if (g.size() > 1 && has_word_rows(image)) {
-    constexpr int in_flight = 4;  // loads before the first store
     int const n = (skew + w + 3) / 4;
     small_divider const row_of(n);
     std::uint8_t const* const from = image.row(y0) + (x0 - skew);
-    for (int base = g.rank(); base < n * h; base += in_flight * g.size()) {
-      std::uint32_t word[in_flight];
-      int to[in_flight];
+    for (int base = g.rank(); base < n * h; base += InFlight * g.size()) {
+      std::uint32_t word[InFlight];
+      int to[InFlight];
       FT_UNROLL
-      for (int k = 0; k < in_flight; ++k) {
+      for (int k = 0; k < InFlight; ++k) {
         int const i = base + k * g.size();
         int const r = row_of(i);
         int const c = i - r * n;
@@ -134,7 +134,7 @@ FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, in
         if (i < n * h) { word[k] = load_word(from + r * image.stride + 4 * c); }
       }
       FT_UNROLL
-      for (int k = 0; k < in_flight; ++k) {
+      for (int k = 0; k < InFlight; ++k) {
         if (base + k * g.size() < n * h) { words[to[k]] = word[k]; }
       }
     }

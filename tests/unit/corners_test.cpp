@@ -253,6 +253,33 @@ TYPED_TEST(corners_unit, the_densest_image_fits_its_slots) {
   EXPECT_GT(all, 500u);
 }
 
+TYPED_TEST(corners_unit, cells_with_more_candidates_than_their_list_holds_lose_none) {
+  // A single cell of 69 x 69 pixels of noise: most can be corners at a threshold of 1.
+  std::mt19937 random(8);
+  image pixels(101 * 101);
+  for (auto& p : pixels) { p = static_cast<std::uint8_t>(random()); }
+  auto const got = this->detect({pixels}, 101, 101, 1, 0);
+  EXPECT_EQ(got[0], corners_by_definition(pixels, 101, 101, 1, 0));
+  EXPECT_GT(got[0].size(), 50u);
+}
+
+TYPED_TEST(corners_unit, levels_without_a_cell_have_a_count_of_zero) {
+  auto const& exec = this->backend.exec;
+  for (int const w : {110, 60}) {  // with cells in the lower levels, with none
+    auto const g = ft::pyramid_geometry::make(w, w, 6, 1.2f);
+    ft::image_pyramid<TypeParam::exec_type::space> const pyramid(g, 2);
+    ft::fill_bytes(exec, pyramid.view().data, 0, static_cast<std::size_t>(2 * g.bytes));
+    ft::corners_view view;
+    ft::arena<TypeParam::exec_type::space> const memory(
+        [&](ft::carver& c) { ft::carve(c, view, ft::corner_layout::make(g), 2); });
+    ft::fill_bytes(exec, view.list_count, 0x55, 12 * sizeof(int));
+    ft::detect_corners(exec, pyramid.view(), {20, 7}, view);
+    EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(view.list_count), 12),
+              std::vector<int>(12, 0))
+        << w;
+  }
+}
+
 TYPED_TEST(corners_unit, flat_images_have_none) {
   for (int grey : {0, 128, 255}) {
     auto const got =

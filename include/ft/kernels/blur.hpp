@@ -9,6 +9,7 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -16,7 +17,7 @@ inline namespace FT_ABI {
 /// Tiles of all levels of one image, numbered level by level.
 struct blur_layout {
   static constexpr int tile_width = 64;
-  static constexpr int tile_height = 16;
+  static constexpr int tile_height = 32;
   int levels = 0;
   int cols[max_levels] = {};
   int first[max_levels + 1] = {};
@@ -44,9 +45,14 @@ FT_HOST_DEVICE inline int reflect_101(int i, int n) {
 
 }  // namespace detail
 
-/// One tile of one level of one image.
+/// One tile of one level of one image. A single thread goes row by row through scratch; the threads
+/// of a device's group each take strips of 4 columns and keep all they need in registers.
 struct blur_tile {
   static constexpr int radius = 3;
+  static constexpr int strip_rows = 8;
+  /// Below this the strips' borders would meet.
+  static constexpr int least_width = 8;
+  static constexpr int least_height = 4;
   struct scratch {
     std::uint16_t sums[(blur_layout::tile_height + 2 * radius) * blur_layout::tile_width];
   };
@@ -67,6 +73,154 @@ struct blur_tile {
     int const y0 = (tile - layout.first[l]) / layout.cols[l] * th;
     int const w = min_of(tw, in.width - x0);
     int const h = min_of(th, in.height - y0);
+    if (g.size() > 1 && can_use_strips(in, out)) {
+      constexpr int columns = tw / 4;
+      static_assert(32 % columns == 0, "a warp's strips lie in one tile");
+      constexpr int warp_rows = 32 / columns * strip_rows;
+      for (int i = g.rank(); i < columns * (th / strip_rows); i += g.size()) {
+        int const x = x0 + 4 * (i % columns);
+        int const y = y0 + i / columns * strip_rows;
+        int const warp_y = y0 + i / 32 * warp_rows;  // all of a warp take the same way
+        bool const border = x0 == 0 || x0 + tw + 4 > in.width || warp_y < radius ||
+                            warp_y + warp_rows + radius > in.height;
+        if (x >= in.width || y >= in.height) { continue; }
+        if (border) {
+          blur_strip<true>(in, out, x, y);
+        } else {
+          blur_strip<false>(in, out, x, y);
+        }
+      }
+    } else {
+      blur_rows(g, s, in, out, x0, y0, w, h);
+    }
+  }
+
+  FT_HOST_DEVICE static bool can_use_strips(gray_view in, gray_view out) {
+    return in.width >= least_width && in.height >= least_height && detail::has_word_rows(in) &&
+           detail::has_word_rows(out);
+  }
+
+  /// Pixels [x, x + 4) x [y, y + strip_rows) as far as they lie in the image; x a multiple of 4. A
+  /// pixel's sum along a row is over three words, its own and those beside it. @tparam Border true
+  /// where words or rows read may lie outside
+  template <bool Border>
+  FT_HOST_DEVICE static void blur_strip(gray_view in, image_view<std::uint8_t> out, int x, int y) {
+    constexpr int rows = strip_rows + 2 * radius;
+    // What lies beside the image is mirrored: bytes of the words inside.
+    int left_x = x - 4;
+    int right_x = x + 4;
+    int const rest = in.width - x;  // columns from x on
+    std::uint32_t own = 0x7654;     // of left and middle
+    std::uint32_t beyond = 0x7654;  // of middle and right, in the last strip of left and middle
+    if (Border) {
+      left_x = max_of(left_x, 0);
+      right_x = rest > 4 ? right_x : x;
+      if (rest < 8) { mirror(rest, own, beyond); }
+    }
+    auto const row_at = [&](int r) {
+      int at = y + r - radius;
+      if (Border) {
+        at = at < 0 ? -at : at;
+        at = max_of(min_of(at, 2 * in.height - 2 - at), 0);
+      }
+      return in.data + at * in.stride;
+    };
+    std::uint32_t left[rows];
+    std::uint32_t middle[rows];
+    std::uint32_t right[rows];
+    FT_UNROLL
+    for (int r = 0; r < rows; ++r) {
+      std::uint8_t const* const row = row_at(r);
+      left[r] = detail::load_word(row + left_x);
+      middle[r] = detail::load_word(row + x);
+      right[r] = detail::load_word(row + right_x);
+    }
+    // Sums of rows 2 k and 2 k + 1 in the low and the high half.
+    std::uint32_t pairs[4][rows / 2];
+    FT_UNROLL
+    for (int r = 0; r < rows; ++r) {
+      std::uint32_t a = left[r];
+      std::uint32_t b = middle[r];
+      std::uint32_t c = right[r];
+      if (Border) {
+        a = x == 0 ? detail::permute_bytes(b, c, 0x1234) : a;
+        std::uint32_t const from = rest > 4 ? b : a;
+        c = detail::permute_bytes(from, rest > 4 ? c : b, beyond);
+        b = detail::permute_bytes(a, b, own);
+      }
+      // 18 34 48 56 48 34 18, the first weight in the lowest byte
+      std::uint32_t const sum[4] = {
+          detail::dot_of_4(b, 0x12223038u, detail::dot_of_4(a, 0x30221200u, 0)),
+          detail::dot_of_4(c, 0x00000012u,
+                           detail::dot_of_4(b, 0x22303830u, detail::dot_of_4(a, 0x22120000u, 0))),
+          detail::dot_of_4(c, 0x00001222u,
+                           detail::dot_of_4(b, 0x30383022u, detail::dot_of_4(a, 0x12000000u, 0))),
+          detail::dot_of_4(c, 0x00122230u, detail::dot_of_4(b, 0x38302212u, 0))};
+      FT_UNROLL
+      for (int k = 0; k < 4; ++k) {
+        if (r % 2 == 0) {
+          pairs[k][r / 2] = sum[k];
+        } else {
+          pairs[k][r / 2] |= sum[k] << 16;
+        }
+      }
+    }
+    FT_UNROLL
+    for (int r = 0; r < strip_rows; ++r) {
+      std::uint32_t pixel[4];
+      FT_UNROLL
+      for (int k = 0; k < 4; ++k) {
+        std::uint32_t const* const p = pairs[k] + r / 2;
+        std::uint32_t v = 1u << 15;
+        if (r % 2 == 0) {
+          v = detail::dot_of_2(p[0], 0x2212u, v);
+          v = detail::dot_of_2(p[1], 0x3830u, v);
+          v = detail::dot_of_2(p[2], 0x2230u, v);
+          v = detail::dot_of_2(p[3], 0x0012u, v);
+        } else {
+          v = detail::dot_of_2(p[0], 0x1200u, v);
+          v = detail::dot_of_2(p[1], 0x3022u, v);
+          v = detail::dot_of_2(p[2], 0x3038u, v);
+          v = detail::dot_of_2(p[3], 0x1222u, v);
+        }
+        pixel[k] = v;
+      }
+      std::uint32_t const word =
+          detail::permute_bytes(detail::permute_bytes(pixel[0], pixel[1], 0x0062),
+                                detail::permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
+      if (Border && y + r >= out.height) { return; }
+      std::uint8_t* const to = out.row(y + r) + x;
+      if (!Border || rest >= 4) {
+        detail::store_word(to, word);
+      } else {
+        FT_UNROLL
+        for (int k = 0; k < 3; ++k) {
+          if (k < rest) { to[k] = static_cast<std::uint8_t>(word >> (8 * k)); }
+        }
+      }
+    }
+  }
+
+private:
+  /// Selectors for a strip with `rest` columns of the image from its first on, below 8. The mirror
+  /// of column rest - 1 + k is rest - 1 - k. @param own of the strip's columns @param beyond of the
+  /// 4 after them
+  FT_HOST_DEVICE static void mirror(int rest, std::uint32_t& own, std::uint32_t& beyond) {
+    int const origin = rest > 4 ? 0 : 4;  // of column 0 in the two words that `beyond` selects from
+    own = 0;
+    beyond = 0;
+    for (int i = 0; i < 4; ++i) {
+      int const column = i < rest ? i : 2 * rest - 2 - i;
+      own |= static_cast<std::uint32_t>(column + 4) << (4 * i);
+      int const next = i + 4 < rest ? i + 4 : 2 * rest - 6 - i;
+      beyond |= static_cast<std::uint32_t>(max_of(next + origin, 0)) << (4 * i);
+    }
+  }
+
+  template <typename Group>
+  FT_HOST_DEVICE static void blur_rows(Group g, scratch& s, gray_view in,
+                                       image_view<std::uint8_t> out, int x0, int y0, int w, int h) {
+    constexpr int tw = blur_layout::tile_width;
     bool const inner = x0 >= radius && x0 + w + radius <= in.width;
 
     for (int r = 0; r < h + 2 * radius; ++r) {

@@ -11,6 +11,7 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -110,7 +111,7 @@ namespace detail {
 /// Circle of 16 pixels around a pixel, starting below it. Values are offsets for one row stride.
 struct fast_circle {
   int offset[16];
-  FT_HOST_DEVICE explicit fast_circle(int stride)
+  FT_HOST_DEVICE explicit constexpr fast_circle(int stride)
       : offset{3 * stride,  3 * stride + 1,  2 * stride + 2,  stride + 3,
                3,           -stride + 3,     -2 * stride + 2, -3 * stride + 1,
                -3 * stride, -3 * stride - 1, -2 * stride - 2, -stride - 3,
@@ -159,19 +160,100 @@ FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle con
   return best - 1;
 }
 
+/// The same number, from pairs of 16 bits, which a device has instructions for. @param threshold 0
+/// or more
+FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_circle const& circle,
+                                              int threshold) {
+  std::uint32_t p[8];  // opposite pixels of the circle: k, and k + 8 in the high half
+  FT_UNROLL
+  for (int k = 0; k < 8; ++k) {
+    p[k] = center[circle.offset[k]] | static_cast<std::uint32_t>(center[circle.offset[k + 8]])
+                                          << 16;
+  }
+  // Runs of 2, 4 and 8 from every second pixel; each is in two arcs of 9, one pixel longer at
+  // either end, of which the better one counts.
+  std::uint32_t low[4];
+  std::uint32_t high[4];
+  FT_UNROLL
+  for (int i = 0; i < 4; ++i) {
+    low[i] = min_pairs(p[2 * i], p[2 * i + 1]);
+    high[i] = max_pairs(p[2 * i], p[2 * i + 1]);
+  }
+  std::uint32_t low4[4];
+  std::uint32_t high4[4];
+  FT_UNROLL
+  for (int i = 0; i < 4; ++i) {
+    low4[i] = min_pairs(low[i], i < 3 ? low[(i + 1) & 3] : swap_pair(low[0]));
+    high4[i] = max_pairs(high[i], i < 3 ? high[(i + 1) & 3] : swap_pair(high[0]));
+  }
+  std::uint32_t brightest = 0;          // largest over the arcs of the smallest pixel
+  std::uint32_t darkest = 0x00ff00ffu;  // smallest of the largest
+  FT_UNROLL
+  for (int i = 0; i < 4; ++i) {
+    std::uint32_t const low8 =
+        min_pairs(low4[i], i < 2 ? low4[(i + 2) & 3] : swap_pair(low4[(i + 2) & 3]));
+    std::uint32_t const high8 =
+        max_pairs(high4[i], i < 2 ? high4[(i + 2) & 3] : swap_pair(high4[(i + 2) & 3]));
+    std::uint32_t const after = swap_pair(p[2 * i]);
+    std::uint32_t const before = i > 0 ? p[(2 * i + 7) & 7] : swap_pair(p[7]);
+    brightest = max_pairs(brightest, min_pairs(low8, max_pairs(before, after)));
+    darkest = min_pairs(darkest, max_pairs(high8, min_pairs(before, after)));
+  }
+  int const v = center[0];
+  int const bright = static_cast<int>(max_of(brightest & 0xffffu, brightest >> 16)) - v;
+  int const dark = v - static_cast<int>(min_of(darkest & 0xffffu, darkest >> 16));
+  int const best = max_of(bright, dark);
+  return best > threshold ? best - 1 : 0;
+}
+
+/// Tells for four neighbouring pixels whether each can be a corner: nine in a row on the circle
+/// hold one of each opposite pair, so one of both pairs on the axes must be brighter, or one of
+/// both darker. @param left,middle,right three words of a row; the pixels are those of `middle`
+/// @param up,down those 3 rows above and below @param threshold 0 to 255 @return a bit per pixel
+FT_HOST_DEVICE inline unsigned corner_flags(std::uint32_t left, std::uint32_t middle,
+                                            std::uint32_t right, std::uint32_t up,
+                                            std::uint32_t down, int threshold) {
+  constexpr std::uint32_t bytes = 0x00ff00ffu;
+  constexpr std::uint32_t sign = 0x08000800u;
+  std::uint32_t const bias = sign - static_cast<std::uint32_t>(threshold + 1) * 0x00010001u;
+  std::uint32_t const before = permute_bytes(left, middle, 0x4321);
+  std::uint32_t const after = permute_bytes(middle, right, 0x6543);
+  auto const test = [&](std::uint32_t v, std::uint32_t u, std::uint32_t d, std::uint32_t l,
+                        std::uint32_t r) {
+    std::uint32_t const brightest = min_pairs(max_pairs(u, d), max_pairs(l, r));
+    std::uint32_t const darkest = max_pairs(min_pairs(u, d), min_pairs(l, r));
+    return ((brightest + bias - v) | (v + bias - darkest)) &
+           sign;  // differences above the threshold
+  };
+  std::uint32_t const even =
+      test(middle & bytes, up & bytes, down & bytes, before & bytes, after & bytes);
+  std::uint32_t const odd = test(middle >> 8 & bytes, up >> 8 & bytes, down >> 8 & bytes,
+                                 before >> 8 & bytes, after >> 8 & bytes);
+  std::uint32_t const all = even >> 11 | odd >> 10;  // 0 and 1, 16 and 17
+  return (all | all >> 14) & 15u;
+}
+
 }  // namespace detail
 
 /// One cell: scores, suppression, choice of the threshold, corners in raster order.
 struct detect_cell {
-  static constexpr int mask_words = (max_cell_side + 31) / 32;
+  /// Bytes from row to row in scratch. A pixel and its score have the same place in their arrays.
+  static constexpr int pitch = 80;
+  static constexpr int list_size = 2048;
+  static constexpr int mask_words = (max_cell_side * pitch + 31) / 32;
+  static_assert(pitch >= 3 + max_patch_side && pitch % 16 == 0, "rows of whole words");
+  struct quad {
+    alignas(16) std::uint32_t words[4];
+  };
   struct scratch {
-    std::uint8_t pixels[max_patch_side * max_patch_side];
-    std::uint8_t scores[(max_cell_side + 2) * (max_cell_side + 2)];  ///< with a rim of zeros
-    std::uint16_t candidates[max_cell_side * max_cell_side];         ///< y << 8 | x, any order
-    int candidate_count;
-    unsigned kept[2][max_cell_side]
-                 [mask_words];  ///< bit per pixel: above the lenient, the strict threshold
-    int row_start[max_cell_side];
+    std::uint32_t pixels[max_patch_side * pitch / 4];
+    quad scores[(max_cell_side + 2) * pitch / 16];  ///< from row 2 on, with a rim of zeros
+    std::uint16_t candidates[list_size];            ///< places of pixels worth a score, any order
+    int candidate_count;                            ///< may exceed the list: then all are tried
+    unsigned strict_found;
+    unsigned kept[2][mask_words];  ///< bit per place from row 3: above the lenient, the strict
+                                   ///< threshold
+    int word_start[mask_words];
   };
 
   template <typename Group>
@@ -179,13 +261,14 @@ struct detect_cell {
                                  corners_view const& out, corner_params const& params) const {
     corner_layout const& layout = out.layout;
     int const image = item / layout.cells;
-    int const cell = item % layout.cells;
+    int const cell = item - image * layout.cells;
     int const l = layout.level_of(cell);
     int const in_level = cell - layout.first_cell[l];
     int const cell_w = layout.cell_width[l];
     int const cell_h = layout.cell_height[l];
-    int const x_rel = in_level % layout.cols[l] * cell_w;
-    int const y_rel = in_level / layout.cols[l] * cell_h;
+    int const row = in_level / layout.cols[l];
+    int const x_rel = (in_level - row * layout.cols[l]) * cell_w;
+    int const y_rel = row * cell_h;
     auto const level = pyramid.level(image, l);
     int const x0 = corner_border + x_rel;
     int const y0 = corner_border + y_rel;
@@ -198,35 +281,46 @@ struct detect_cell {
     }
     int const inner_w = patch_w - 6;
     int const inner_h = patch_h - 6;
-    int const pitch = inner_w + 2;
-    tile_threads const t(g);
+    int const first_x = (x0 & 3) + 3;  // column of the first pixel that can be a corner
+    auto const* const pixels = reinterpret_cast<std::uint8_t const*>(s.pixels);
+    auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
+    constexpr int score_offset = -2 * pitch;
+    int const words = (inner_h * pitch + 31) / 32;
 
-    for (int y = t.row; y < patch_h; y += t.rows) {
-      std::uint8_t const* const from = level.row(y0 + y) + x0;
-      for (int x = t.lane; x < patch_w; x += t.lanes) { s.pixels[y * patch_w + x] = from[x]; }
-    }
-    for (int y = t.row; y < inner_h + 2; y += t.rows) {
-      for (int x = t.lane; x < pitch; x += t.lanes) { s.scores[y * pitch + x] = 0; }
-    }
-    for (int i = g.rank(); i < 2 * inner_h * mask_words; i += g.size()) {
-      s.kept[i / (inner_h * mask_words)][i / mask_words % inner_h][i % mask_words] = 0;
-    }
-    if (g.rank() == 0) { s.candidate_count = 0; }
-    g.sync();
-
-    int const low = min_of(params.min_threshold, params.ini_threshold);
-    for (int y = t.row; y < inner_h; y += t.rows) {
-      find_candidates(t, s, y, inner_w, patch_w, low);
+    detail::stage_rectangle(g, level, x0, y0, patch_w, patch_h, s.pixels, pitch / 4);
+    for (int i = g.rank(); i < (inner_h + 2) * pitch / 16; i += g.size()) { s.scores[i] = {}; }
+    for (int i = g.rank(); i < words; i += g.size()) { s.kept[0][i] = s.kept[1][i] = 0; }
+    if (g.rank() == 0) {
+      s.candidate_count = 0;
+      s.strict_found = 0;
     }
     g.sync();
 
-    int const candidates = s.candidate_count;
-    detail::fast_circle const circle(patch_w);
+    int const low = max_of(min_of(params.min_threshold, params.ini_threshold), 0);
+    if (g.size() == 1) {
+      list_by_runs(s, first_x, inner_w, inner_h, low);
+    } else {
+      list_by_words(g, s, first_x, inner_w, inner_h, low);
+    }
+    g.sync();
+
+    bool const listed = s.candidate_count <= list_size;
+    int const candidates = listed ? s.candidate_count : inner_w * inner_h;
+    auto const place = [&](int i) {
+      if (listed) { return static_cast<int>(s.candidates[i]); }
+      int const y = i / inner_w;
+      return (y + 3) * pitch + first_x + i - y * inner_w;
+    };
+    constexpr detail::fast_circle circle(pitch);
     for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const x = s.candidates[i] & 255;
-      int const y = s.candidates[i] >> 8;
-      s.scores[(y + 1) * pitch + x + 1] = static_cast<std::uint8_t>(
-          detail::fast_score(s.pixels + (y + 3) * patch_w + x + 3, circle, low));
+      int const at = place(i);
+      int score;
+      if (g.size() == 1) {
+        score = detail::fast_score(pixels + at, circle, low);
+      } else {
+        score = detail::fast_score_of_pairs(pixels + at, circle, low);
+      }
+      scores[at + score_offset] = static_cast<std::uint8_t>(score);
     }
     g.sync();
 
@@ -235,99 +329,117 @@ struct detect_cell {
     int const lenient = max_of(params.min_threshold, 1);
     int const strict_threshold = max_of(params.ini_threshold, 1);
     for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const x = s.candidates[i] & 255;
-      int const y = s.candidates[i] >> 8;
-      int const score = suppressed_score(s.scores + (y + 1) * pitch + x + 1, pitch);
-      unsigned const bit = 1u << (x & 31);
-      if (score >= lenient) { atomic_or(&s.kept[0][y][x / 32], bit); }
-      if (score >= strict_threshold) { atomic_or(&s.kept[1][y][x / 32], bit); }
+      int const at = place(i);
+      int const score = suppressed_score(scores + at + score_offset);
+      if (score < min_of(lenient, strict_threshold)) { continue; }
+      int const bit = at - 3 * pitch;
+      if (score >= lenient) { atomic_or(&s.kept[0][bit >> 5], 1u << (bit & 31)); }
+      if (score >= strict_threshold) {
+        atomic_or(&s.kept[1][bit >> 5], 1u << (bit & 31));
+        atomic_or(&s.strict_found, 1u);
+      }
     }
     g.sync();
 
-    bool any_strict = false;
-    for (int i = g.rank(); i < inner_h * mask_words; i += g.size()) {
-      any_strict = any_strict || s.kept[1][i / mask_words][i % mask_words] != 0;
-    }
-    int const chosen = g.reduce(static_cast<int>(any_strict), max_op{});
-    for (int y = g.rank(); y < inner_h; y += g.size()) {
-      int in_row = 0;
-      for (int w = 0; w < mask_words; ++w) { in_row += popcount(s.kept[chosen][y][w]); }
-      s.row_start[y] = in_row;
-    }
+    unsigned const* const kept = s.kept[s.strict_found];
+    for (int i = g.rank(); i < words; i += g.size()) { s.word_start[i] = popcount(kept[i]); }
     g.sync();
-    int const found = g.exclusive_scan_array(s.row_start, inner_h);
+    int const found = g.exclusive_scan_array(s.word_start, words);
     g.sync();
 
     corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
                          static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
     for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const x = s.candidates[i] & 255;
-      int const y = s.candidates[i] >> 8;
-      unsigned const* const row = s.kept[chosen][y];
-      unsigned const bit = 1u << (x & 31);
-      if ((row[x / 32] & bit) == 0) { continue; }
-      int at = s.row_start[y] + popcount(row[x / 32] & (bit - 1));
-      for (int w = 0; w < x / 32; ++w) { at += popcount(row[w]); }
-      list[at] = {static_cast<std::uint16_t>(x_rel + 3 + x),
-                  static_cast<std::uint16_t>(y_rel + 3 + y), s.scores[(y + 1) * pitch + x + 1]};
+      int const at = place(i);
+      int const index = at - 3 * pitch;
+      unsigned const word = kept[index >> 5];
+      unsigned const bit = 1u << (index & 31);
+      if ((word & bit) == 0) { continue; }
+      int const y = index / pitch;
+      list[s.word_start[index >> 5] + popcount(word & (bit - 1))] = {
+          static_cast<std::uint16_t>(x_rel + 3 + index - y * pitch - first_x),
+          static_cast<std::uint16_t>(y_rel + 3 + y), scores[at + score_offset]};
     }
     if (g.rank() == 0) { count = found; }
   }
 
 private:
-  /// A group's threads as rows of up to 32 lanes.
-  struct tile_threads {
-    int lane, lanes, row, rows;
-    template <typename Group>
-    FT_HOST_DEVICE explicit tile_threads(Group g)
-        : lane(g.rank() % min_of(g.size(), 32)),
-          lanes(min_of(g.size(), 32)),
-          row(g.rank() / lanes),
-          rows(g.size() / lanes) {}
-  };
-
-  /// Lists the pixels of a row that can be corners: nine in a row on the circle hold one of each
-  /// opposite pair, so one of both pairs on the axes must be brighter, or one of both darker.
-  FT_HOST_DEVICE static void find_candidates(tile_threads const& t, scratch& s, int y, int inner_w,
-                                             int patch_w, int threshold) {
-    constexpr int run = 16;  // on the host, as many tests at a time without a branch between them
-    std::uint8_t const* const p = s.pixels + (y + 3) * patch_w + 3;
-    int const step = t.lanes == 1 ? run : t.lanes;
-    for (int base = t.lane; base < inner_w; base += step) {
-      int const n = t.lanes == 1 ? min_of(run, inner_w - base) : 1;
-      std::uint8_t flags[run];
-      for (int k = 0; k < n; ++k) {
-        std::uint8_t const* const c = p + base + k;
-        int const v = c[0];
-        int const up = c[-3 * patch_w];
-        int const down = c[3 * patch_w];
-        int const left = c[-3];
-        int const right = c[3];
-        int const brightest = min_of(max_of(up, down), max_of(left, right));
-        int const darkest = max_of(min_of(up, down), min_of(left, right));
-        flags[k] =
-            static_cast<std::uint8_t>((brightest > v + threshold) | (darkest < v - threshold));
-      }
-      for (int k = 0; k < n; ++k) {
-        if (flags[k] != 0) {
-          int const at = atomic_add(&s.candidate_count, 1);
-          s.candidates[at] = static_cast<std::uint16_t>(y << 8 | (base + k));
-        }
-      }
+  /// Lists the places of pixels that can be corners, by all threads of a group, a word at a time.
+  template <typename Group>
+  FT_HOST_DEVICE static void list_by_words(Group g, scratch& s, int first_x, int inner_w,
+                                           int inner_h, int threshold) {
+    constexpr int row_words = pitch / 4;
+    int const first = first_x / 4;
+    int const n = (first_x + inner_w + 3) / 4 - first;  // of a row
+    detail::small_divider const row_of(n);
+    for (int base = 0; base < n * inner_h; base += g.size()) {
+      int const i = min_of(base + g.rank(), n * inner_h - 1);
+      int const y = row_of(i);
+      int const w = first + i - y * n;
+      std::uint32_t const* const p = s.pixels + (y + 3) * row_words + w;
+      unsigned flags =
+          detail::corner_flags(p[-1], p[0], p[1], p[-3 * row_words], p[3 * row_words], threshold);
+      // not those beside the cell's
+      flags &= 15u << max_of(first_x - 4 * w, 0);
+      flags &= 15u >> max_of(4 * w + 4 - first_x - inner_w, 0);
+      if (base + g.rank() >= n * inner_h) { flags = 0; }
+      detail::append_flagged(g, flags, (y + 3) * pitch + 4 * w, s.candidates, list_size,
+                             &s.candidate_count);
     }
   }
 
+  /// The same by a single thread, with twice the pairs: tests of many pixels without a branch
+  /// between them.
+  FT_HOST_DEVICE static void list_by_runs(scratch& s, int first_x, int inner_w, int inner_h,
+                                          int threshold) {
+    constexpr int run = 16;
+    auto const* const pixels = reinterpret_cast<std::uint8_t const*>(s.pixels);
+    auto const t = static_cast<std::int16_t>(threshold);
+    int found = 0;
+    for (int y = 0; y < inner_h; ++y) {
+      for (int x = 0; x < inner_w; x += run) {
+        int const at = (y + 3) * pitch + first_x + x;
+        std::uint8_t const* const c = pixels + at;
+        std::uint8_t flags[run];
+        for (int k = 0; k < run; ++k) {
+          std::int16_t const v = c[k];
+          std::int16_t brightest = 255;
+          std::int16_t darkest = 0;
+          auto const pair = [&](std::int16_t a, std::int16_t b) {
+            brightest = min_of(brightest, max_of(a, b));
+            darkest = max_of(darkest, min_of(a, b));
+          };
+          pair(c[k - 3 * pitch], c[k + 3 * pitch]);
+          pair(c[k - 3], c[k + 3]);
+          pair(c[k - 2 * pitch - 2], c[k + 2 * pitch + 2]);
+          pair(c[k - 2 * pitch + 2], c[k + 2 * pitch - 2]);
+          flags[k] = static_cast<std::uint8_t>((brightest - v > t) | (v - darkest > t));
+        }
+        int const n = min_of(run, inner_w - x);
+        for (int k = 0; k < n; ++k) {
+          if (flags[k] != 0) {
+            if (found < list_size) { s.candidates[found] = static_cast<std::uint16_t>(at + k); }
+            ++found;
+          }
+        }
+      }
+    }
+    s.candidate_count = found;
+  }
+
   /// The score where it exceeds those of all eight neighbours, else 0.
-  FT_HOST_DEVICE static int suppressed_score(std::uint8_t const* p, int pitch) {
+  FT_HOST_DEVICE static int suppressed_score(std::uint8_t const* p) {
     int const v = p[0];
     if (v == 0) { return 0; }
-    bool const largest = v > p[-1] && v > p[1] && v > p[-pitch - 1] && v > p[-pitch] &&
-                         v > p[-pitch + 1] && v > p[pitch - 1] && v > p[pitch] && v > p[pitch + 1];
-    return largest ? v : 0;
+    int const beside = max_of(p[-1], p[1]);
+    int const above = max_of(max_of(p[-pitch - 1], p[-pitch]), p[-pitch + 1]);
+    int const below = max_of(max_of(p[pitch - 1], p[pitch]), p[pitch + 1]);
+    return v > max_of(beside, max_of(above, below)) ? v : 0;
   }
 };
 
-/// Moves a cell's corners to their place in the level's list.
+/// Moves a cell's corners to their place in the level's list; the first of an image clears the
+/// counts of levels without a cell.
 struct gather_cell {
   using scratch = no_scratch;
 
@@ -350,6 +462,11 @@ struct gather_cell {
     if (in_level == layout.cells_of(l) - 1 && g.rank() == 0) {
       v.list_count[image * layout.levels + l] = before + count;
     }
+    if (cell == 0) {
+      for (int i = g.rank(); i < layout.levels; i += g.size()) {
+        if (layout.cells_of(i) == 0) { v.list_count[image * layout.levels + i] = 0; }
+      }
+    }
   }
 };
 
@@ -358,9 +475,11 @@ struct gather_cell {
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                     corner_params const& params, corners_view const& out) {
-  fill_bytes(exec, out.list_count, 0,
-             static_cast<std::size_t>(out.batch * out.layout.levels) *
-                 sizeof(int));  // levels without a cell
+  if (out.layout.cells == 0) {
+    fill_bytes(exec, out.list_count, 0,
+               static_cast<std::size_t>(out.batch * out.layout.levels) * sizeof(int));
+    return;
+  }
   for_each_item<per_block<128>>(exec, out.batch * out.layout.cells, detect_cell{}, pyramid, out,
                                 params);
   for_each_item<per_warp>(exec, out.batch * out.layout.cells, gather_cell{}, out);

@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/detail/orb_pattern.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
 #include "ft/kernels/distribution.hpp"
 #include "ft/kernels/orientation.hpp"
 
@@ -25,11 +26,15 @@ struct stereo_overlap {
   float right = 0;
 };
 
-/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and
-/// sine
-FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a,
-                                                    float b, pattern_pair const* pattern,
-                                                    int index) {
+/// Points of a descriptor's pattern lie so far from the keypoint at most, rotated and rounded.
+inline constexpr int pattern_radius = 18;
+
+namespace detail {
+
+/// Bit of a descriptor's test, rotated. @param a,b cosine and sine @param at the pixel at an offset
+/// from the keypoint
+template <typename Pixel>
+FT_HOST_DEVICE bool is_darker(pattern_pair p, float a, float b, Pixel const& at) {
   strict_float const ca = a;
   strict_float const sb = b;
   auto const sample = [&](int px, int py) {
@@ -37,12 +42,23 @@ FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, in
     strict_float const fy = static_cast<float>(py);
     int const dx = round_to_even((fx * ca - fy * sb).value);
     int const dy = round_to_even((fx * sb + fy * ca).value);
-    return blurred(x + dx, y + dy);
+    return at(dx, dy);
   };
+  return sample(p.x0, p.y0) < sample(p.x1, p.y1);
+}
+
+}  // namespace detail
+
+/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and
+/// sine
+FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a,
+                                                    float b, pattern_pair const* pattern,
+                                                    int index) {
+  auto const at = [&](int dx, int dy) { return blurred(x + dx, y + dy); };
   std::uint32_t byte = 0;
   for (int bit = 0; bit < 8; ++bit) {
-    pattern_pair const p = pattern[8 * index + bit];
-    byte |= static_cast<std::uint32_t>(sample(p.x0, p.y0) < sample(p.x1, p.y1)) << bit;
+    byte |= static_cast<std::uint32_t>(detail::is_darker(pattern[8 * index + bit], a, b, at))
+            << bit;
   }
   return byte;
 }
@@ -90,10 +106,14 @@ struct order_image {
 
 /// One kept corner: its keypoint and descriptor, written to its place.
 struct describe_corner {
-  using scratch = no_scratch;
+  static constexpr int window = 2 * pattern_radius + 1;
+  static constexpr int window_words = (window + 3 + 3) / 4;
+  struct scratch {  ///< where threads work together: the window around the keypoint
+    std::uint32_t pixels[window * window_words];
+  };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
                                  image_pyramid_view const& blurred, distribution_view const& kept,
                                  pattern_pair const* pattern, int const* place,
                                  keypoints_view const& out) const {
@@ -107,16 +127,29 @@ struct describe_corner {
     corner const c = kept.kept[item];
     int const x = c.x + corner_border;
     int const y = c.y + corner_border;
+    gray_view const level = blurred.level(image, l);
+    if (g.size() > 1) {
+      detail::stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window,
+                                  s.pixels, window_words);
+    }
     float const angle = orientation(g, pyramid.level(image, l), x, y);
     float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
     float const a = static_cast<float>(::cos(static_cast<double>(radians)));
     float const b = static_cast<float>(::sin(static_cast<double>(radians)));
 
     int const to = image * out.capacity + place[item];
-    unsigned char* const bytes = reinterpret_cast<unsigned char*>(&get<field::orb>(out, to));
-    gray_view const level = blurred.level(image, l);
-    for (int i = g.rank(); i < 32; i += g.size()) {
-      bytes[i] = static_cast<unsigned char>(descriptor_byte(level, x, y, a, b, pattern, i));
+    descriptor& orb = get<field::orb>(out, to);
+    if (g.size() > 1) {
+      g.sync();
+      auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
+                                 pattern_radius * (4 * window_words + 1) +
+                                 ((x - pattern_radius) & 3);
+      describe_by_words(g, centre, a, b, pattern, orb);
+    } else {
+      auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
+      for (int i = 0; i < 32; ++i) {
+        bytes[i] = static_cast<unsigned char>(descriptor_byte(level, x, y, a, b, pattern, i));
+      }
     }
     if (g.rank() == 0) {
       float const scale = pyramid.geometry.scale[l];
@@ -129,11 +162,45 @@ struct describe_corner {
       get<field::octave>(out, to) = l;
     }
   }
+
+private:
+  /// Bit by bit, neighbouring bits by neighbouring threads. @param centre the keypoint in scratch
+  template <typename Group>
+  FT_HOST_DEVICE static void describe_by_words(Group g, std::uint8_t const* centre, float a,
+                                               float b, pattern_pair const* pattern,
+                                               descriptor& orb) {
+    auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
+    if constexpr (Group::max_threads == 32) {
+#if defined(__CUDA_ARCH__)
+      constexpr int words = 8;
+      pattern_pair p[words];
+      FT_UNROLL
+      for (int k = 0; k < words; ++k) { p[k] = pattern[32 * k + g.rank()]; }
+      std::uint32_t mine = 0;  // thread k keeps word k
+      FT_UNROLL
+      for (int k = 0; k < words; ++k) {
+        std::uint32_t const word = __ballot_sync(0xffffffffu, detail::is_darker(p[k], a, b, at));
+        mine = g.rank() == k ? word : mine;
+      }
+      if (g.rank() < words) { orb.words[g.rank()] = mine; }
+#endif
+    } else {
+      auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
+      for (int i = g.rank(); i < 32; i += g.size()) {
+        unsigned byte = 0;
+        for (int bit = 0; bit < 8; ++bit) {
+          byte |= static_cast<unsigned>(detail::is_darker(pattern[8 * i + bit], a, b, at)) << bit;
+        }
+        bytes[i] = static_cast<unsigned char>(byte);
+      }
+    }
+  }
 };
 
 /// Keypoints and descriptors of a batch of images from their kept corners, in the contract's order.
 /// Asynchronous on `exec`; allocates nothing; two launches.
-/// @param overlaps [batch] @param pattern [256] @param place workspace [batch][layout.total]
+/// @param overlaps [batch] @param pattern [256], points within `pattern_radius` @param place
+/// workspace [batch][layout.total]
 /// @param mono_count [batch] keypoints outside the overlap; all in executor memory
 template <typename Exec>
 void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,

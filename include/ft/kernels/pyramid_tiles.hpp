@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
 #include "ft/kernels/pyramid.hpp"
 
 namespace ft {
@@ -35,6 +36,8 @@ struct tile_group {
 /// How a pyramid is made in groups of levels. Its spans lie in the executor's memory.
 struct pyramid_tiles {
   static constexpr int scratch_pixels = 12 * 1024;  ///< of a level, in a tile
+  static constexpr int scratch_taps = 1024;         ///< of all levels, in a tile
+  static constexpr int word_rest = 6;  ///< most columns more that a tile's whole words have
   int groups = 0;
   tile_group group[max_levels];
   tile_span const* spans = nullptr;
@@ -44,14 +47,18 @@ namespace detail {
 
 /// Spans of one axis for levels first - 1 to last. @return false where a tile would need more than
 /// `limit` pixels along the axis @param largest gets the longest stretch that a tile needs
+/// @param sum gets the most columns or rows that a tile computes, over all levels
 inline bool tile_spans(resize_tap const* const* taps, int const* size, int first, int last,
-                       int tiles, int limit, std::vector<tile_span>* spans, int& largest) {
+                       int tiles, int limit, std::vector<tile_span>* spans, int& largest,
+                       int& sum) {
   int const levels = last - first + 2;  // with the source
   std::vector<tile_span> all(static_cast<std::size_t>(levels * tiles));
   largest = 0;
+  sum = 0;
   for (int t = 0; t < tiles; ++t) {
     int begin = 0;
     int end = 0;
+    int computed = 0;
     for (int l = last; l >= first - 1; --l) {
       int const own_begin = l < first ? 0 : static_cast<int>(std::int64_t{t} * size[l] / tiles);
       int const own_end = l < first ? 0 : static_cast<int>(std::int64_t{t + 1} * size[l] / tiles);
@@ -71,10 +78,12 @@ inline bool tile_spans(resize_tap const* const* taps, int const* size, int first
         end = own_end;
       }
       largest = max_of(largest, end - begin);
+      if (l >= first) { computed += end - begin; }
       all[static_cast<std::size_t>((l - first + 1) * tiles + t)] = {
           static_cast<std::int16_t>(own_begin), static_cast<std::int16_t>(own_end),
           static_cast<std::int16_t>(begin), static_cast<std::int16_t>(end)};
     }
+    sum = max_of(sum, computed);
   }
   if (largest > limit) { return false; }
   if (spans != nullptr) { *spans = std::move(all); }
@@ -110,10 +119,17 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
         int const ny = ceil_div(g.height[first - 1], s);
         int w = 0;
         int h = 0;
+        int column_taps = 0;
+        int row_taps = 0;
         constexpr int any = 1 << 14;
-        detail::tile_spans(columns, g.width, first, last, nx, any, &across, w);
-        detail::tile_spans(rows, g.height, first, last, ny, any, &down, h);
-        if (w * h <= pyramid_tiles::scratch_pixels) { made = {first, last, nx, ny, 0}; }
+        constexpr int rest = pyramid_tiles::word_rest;
+        detail::tile_spans(columns, g.width, first, last, nx, any, &across, w, column_taps);
+        detail::tile_spans(rows, g.height, first, last, ny, any, &down, h, row_taps);
+        int const all_taps = column_taps + row_taps + (last - first + 1) * (rest + 3);
+        if ((w + rest) * h <= pyramid_tiles::scratch_pixels &&
+            all_taps <= pyramid_tiles::scratch_taps) {
+          made = {first, last, nx, ny, 0};
+        }
       }
     }
     made.spans = static_cast<int>(spans.size());
@@ -131,10 +147,26 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
   return result;
 }
 
-/// One tile of one image: its part of every level of a group.
+/// One tile of one image: its part of every level of a group. Levels lie in scratch in words, as in
+/// memory: a row of a tile starts with the word that its first needed column is in.
 struct resize_tile {
+  /// A tap in bytes of the scratch that it reads.
+  struct tap {
+    std::uint32_t place;    ///< of the first neighbour; how far the second is, in the high half
+    std::uint32_t weights;  ///< of the first; of the second in the high half
+    FT_HOST_DEVICE int first() const { return static_cast<int>(place & 0xffffu); }
+    FT_HOST_DEVICE int step() const { return static_cast<int>(place >> 16); }
+    FT_HOST_DEVICE int w0() const { return static_cast<int>(weights & 0xffffu); }
+    FT_HOST_DEVICE int w1() const { return static_cast<int>(weights >> 16); }
+  };
+  struct four_taps {  ///< of the columns of a word
+    alignas(16) tap of[4];
+  };
   struct scratch {
-    std::uint8_t pixels[2][pyramid_tiles::scratch_pixels];
+    std::uint32_t pixels[2][pyramid_tiles::scratch_pixels / 4];
+    four_taps taps[pyramid_tiles::scratch_taps / 4];  ///< per level: columns, then rows
+    tile_span x[max_levels + 1];                      ///< of the source and the levels
+    tile_span y[max_levels + 1];
   };
 
   template <typename Group>
@@ -142,61 +174,125 @@ struct resize_tile {
                                  resize_tap const* all_taps, pyramid_tiles const& tiles,
                                  int group_index) const {
     tile_group const& group = tiles.group[group_index];
-    int const in_image = item % (group.columns * group.rows);
     int const image = item / (group.columns * group.rows);
-    int const column = in_image % group.columns;
+    int const in_image = item - image * group.columns * group.rows;
     int const row = in_image / group.columns;
-    tile_span const* spans = tiles.spans + group.spans;
-    // A group's threads as rows of up to 32 lanes.
-    int const lanes = min_of(g.size(), 32);
-    int const lane = g.rank() % lanes;
-    int const first_row = g.rank() / lanes;
-    int const rows = g.size() / lanes;
-
-    tile_span x = spans[column];
-    tile_span y = spans[group.columns + row];
-    int from_width = x.need_end - x.need_begin;
-    {
-      auto const source = pyramid.level(image, group.first - 1);
-      for (int r = first_row; r < y.need_end - y.need_begin; r += rows) {
-        std::uint8_t const* const in = source.row(y.need_begin + r) + x.need_begin;
-        std::uint8_t* const out = s.pixels[0] + r * from_width;
-        for (int c = lane; c < from_width; c += lanes) { out[c] = in[c]; }
-      }
+    int const column = in_image - row * group.columns;
+    int const levels = group.last - group.first + 1;
+    for (int i = g.rank(); i <= levels; i += g.size()) {
+      tile_span const* const spans = tiles.spans + group.spans + i * (group.columns + group.rows);
+      s.x[i] = spans[column];
+      s.y[i] = spans[group.columns + row];
     }
     g.sync();
-    for (int l = group.first; l <= group.last; ++l) {
-      spans += group.columns + group.rows;
-      std::uint8_t const* const from = s.pixels[(l - group.first) & 1];
-      std::uint8_t* const to = s.pixels[(l - group.first + 1) & 1];
-      int const from_x = x.need_begin;
-      int const from_y = y.need_begin;
-      x = spans[column];
-      y = spans[group.columns + row];
-      int const width = x.need_end - x.need_begin;
-      int const height = y.need_end - y.need_begin;
-      resize_tap const* const columns = all_taps + pyramid.geometry.tap_offset[l];
-      resize_tap const* const rows_taps = columns + pyramid.geometry.width[l];
-      auto const level = pyramid.level(image, l);
-      for (int c = lane; c < width; c += lanes) {
-        int const at_x = x.need_begin + c;
-        resize_tap const h = columns[at_x];
-        std::uint8_t const* const left = from + (h.first - from_x);
-        bool const own_column = at_x >= x.own_begin && at_x < x.own_end;
-        for (int r = first_row; r < height; r += rows) {
-          int const at_y = y.need_begin + r;
-          resize_tap const v = rows_taps[at_y];
-          std::uint8_t const pixel =
-              detail::resized_pixel(left + (v.first - from_y) * from_width,
-                                    left + (v.first + v.offset - from_y) * from_width, h, v);
-          to[r * width + c] = pixel;
-          if (own_column && at_y >= y.own_begin && at_y < y.own_end) {
-            level.row(at_y)[at_x] = pixel;
+    detail::stage_rectangle(g, pyramid.level(image, group.first - 1), s.x[0].need_begin,
+                            s.y[0].need_begin, s.x[0].need_end - s.x[0].need_begin,
+                            s.y[0].need_end - s.y[0].need_begin, s.pixels[0], words_of(s.x[0]));
+    stage_taps(g, s, pyramid.geometry, all_taps, group.first, levels);
+    g.sync();
+    four_taps const* taps = s.taps;
+    for (int i = 1; i <= levels; ++i) {
+      make_level(g, s.pixels[(i - 1) & 1], s.pixels[i & 1], taps, s.x[i], s.y[i],
+                 pyramid.level(image, group.first - 1 + i));
+      taps += words_of(s.x[i]) + (s.y[i].need_end - s.y[i].need_begin + 3) / 4;
+      g.sync();
+    }
+  }
+
+private:
+  FT_HOST_DEVICE static int first_word(tile_span const& x) { return x.need_begin / 4; }
+  FT_HOST_DEVICE static int words_of(tile_span const& x) {
+    return x.need_begin < x.need_end ? (x.need_end + 3) / 4 - first_word(x) : 0;
+  }
+
+  /// The taps of all levels at once, so that none waits for them. Columns of a word that are not
+  /// needed get the tap of one that is.
+  template <typename Group>
+  FT_HOST_DEVICE static void stage_taps(Group g, scratch& s, pyramid_geometry const& geometry,
+                                        resize_tap const* all_taps, int first, int levels) {
+    auto* const to = &s.taps[0].of[0];
+    int begin = 0;  // of a level's
+    for (int i = 1, at = g.rank(); i <= levels; ++i) {
+      tile_span const x = s.x[i];
+      tile_span const y = s.y[i];
+      int const columns = 4 * words_of(x);
+      int const end = begin + columns + (y.need_end - y.need_begin + 3) / 4 * 4;
+      int const pitch = 4 * words_of(s.x[i - 1]);
+      int const from_x = 4 * first_word(s.x[i - 1]);
+      int const from_y = s.y[i - 1].need_begin;
+      resize_tap const* const taps = all_taps + geometry.tap_offset[first - 1 + i];
+      for (; at < end; at += g.size()) {
+        int const c = at - begin;
+        bool const is_column = c < columns;
+        int const of = is_column ? clamp(4 * first_word(x) + c, int{x.need_begin}, x.need_end - 1)
+                                 : min_of(y.need_begin + c - columns, y.need_end - 1) +
+                                       geometry.width[first - 1 + i];
+        resize_tap const t = taps[of];
+        int const scale = is_column ? 1 : pitch;
+        int const place = (t.first - (is_column ? from_x : from_y)) * scale;
+        to[at] = {static_cast<std::uint32_t>(place | t.offset * scale << 16),
+                  static_cast<std::uint32_t>(t.w0 | t.w1 << 16)};
+      }
+      begin = end;
+    }
+  }
+
+  /// A level from the one before, a word of two rows at a time.
+  template <typename Group>
+  FT_HOST_DEVICE static void make_level(Group g, std::uint32_t const* from_words,
+                                        std::uint32_t* to_words, four_taps const* columns,
+                                        tile_span x, tile_span y,
+                                        image_view<std::uint8_t> const& level) {
+    constexpr int at_once = 2;
+    int const words = words_of(x);
+    int const height = y.need_end - y.need_begin;
+    if (words == 0 || height <= 0) { return; }
+    auto const* const from = reinterpret_cast<std::uint8_t const*>(from_words);
+    tap const* const rows = (columns + words)->of;
+    bool const whole_words = detail::has_word_rows(level);
+    detail::small_divider const row_of(words);
+    int const items = words * ((height + at_once - 1) / at_once);
+    for (int i = g.rank(); i < items; i += g.size()) {
+      int const first_row = row_of(i) * at_once;
+      int const word = i - first_row / at_once * words;
+      four_taps const h = columns[word];
+      std::uint32_t pixels[at_once];
+      FT_UNROLL
+      for (int k = 0; k < at_once; ++k) {
+        tap const v = rows[min_of(first_row + k, height - 1)];
+        std::uint32_t four = 0;
+        FT_UNROLL
+        for (int c = 0; c < 4; ++c) {
+          std::uint8_t const* const row0 = from + v.first() + h.of[c].first();
+          std::uint8_t const* const row1 = row0 + v.step();
+          int const h0 = row0[0] * h.of[c].w0() + row0[h.of[c].step()] * h.of[c].w1();
+          int const h1 = row1[0] * h.of[c].w0() + row1[h.of[c].step()] * h.of[c].w1();
+          auto const pixel = static_cast<unsigned>(
+              (((v.w0() * (h0 >> 4)) >> 16) + ((v.w1() * (h1 >> 4)) >> 16) + 2) >> 2);
+          four |= pixel << (8 * c);
+        }
+        pixels[k] = four;
+      }
+      int const at_x = 4 * (first_word(x) + word);
+      bool const own_word = whole_words && at_x >= x.own_begin && at_x + 4 <= x.own_end;
+      FT_UNROLL
+      for (int k = 0; k < at_once; ++k) {
+        int const r = first_row + k;
+        if (r >= height) { continue; }
+        to_words[r * words + word] = pixels[k];
+        int const at_y = y.need_begin + r;
+        if (at_y < y.own_begin || at_y >= y.own_end) { continue; }
+        std::uint8_t* const to = level.row(at_y) + at_x;
+        if (own_word) {
+          detail::store_word(to, pixels[k]);
+        } else {
+          for (int c = 0; c < 4; ++c) {
+            if (at_x + c >= x.own_begin && at_x + c < x.own_end) {
+              to[c] = static_cast<std::uint8_t>(pixels[k] >> (8 * c));
+            }
           }
         }
       }
-      from_width = width;
-      g.sync();
     }
   }
 };
@@ -208,7 +304,7 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
                    pyramid_tiles const& tiles) {
   for (int i = 0; i < tiles.groups; ++i) {
     tile_group const& group = tiles.group[i];
-    for_each_item<per_block<256>>(exec, pyramid.batch * group.columns * group.rows, resize_tile{},
+    for_each_item<per_block<512>>(exec, pyramid.batch * group.columns * group.rows, resize_tile{},
                                   pyramid, taps, tiles, i);
   }
 }

@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Several 8-bit pixels at a time: words of four, pairs of 16-bit numbers, and rectangles
+/// that a group copies into its scratch by words. In a word the leftmost pixel is the lowest byte.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/math.hpp"
+#include "ft/core/views.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+// ---- on the device one or two instructions each; elsewhere the same numbers ---------------------
+
+/// Smaller of the low and of the high halves, unsigned.
+FT_HOST_DEVICE inline std::uint32_t min_pairs(std::uint32_t a, std::uint32_t b) {
+#if defined(__CUDA_ARCH__)
+  return __vminu2(a, b);
+#else
+  return min_of(a & 0xffffu, b & 0xffffu) | min_of(a >> 16, b >> 16) << 16;
+#endif
+}
+FT_HOST_DEVICE inline std::uint32_t max_pairs(std::uint32_t a, std::uint32_t b) {
+#if defined(__CUDA_ARCH__)
+  return __vmaxu2(a, b);
+#else
+  return max_of(a & 0xffffu, b & 0xffffu) | max_of(a >> 16, b >> 16) << 16;
+#endif
+}
+FT_HOST_DEVICE inline std::uint32_t swap_pair(std::uint32_t a) { return a >> 16 | a << 16; }
+
+/// Byte i of the result is the byte of a (0 to 3) or b (4 to 7) that digit i of `selector` names.
+FT_HOST_DEVICE inline std::uint32_t permute_bytes(std::uint32_t a, std::uint32_t b,
+                                                  std::uint32_t selector) {
+#if defined(__CUDA_ARCH__)
+  return __byte_perm(a, b, selector);
+#else
+  std::uint64_t const both = static_cast<std::uint64_t>(b) << 32 | a;
+  std::uint32_t result = 0;
+  for (int i = 0; i < 4; ++i) {
+    auto const byte = static_cast<std::uint32_t>(both >> (8 * (selector >> (4 * i) & 7u)) & 0xffu);
+    result |= byte << (8 * i);
+  }
+  return result;
+#endif
+}
+
+/// `sum` and the products of the four bytes of a and b.
+FT_HOST_DEVICE inline std::uint32_t dot_of_4(std::uint32_t a, std::uint32_t b, std::uint32_t sum) {
+#if defined(__CUDA_ARCH__)
+  return __dp4a(a, b, sum);
+#else
+  for (int i = 0; i < 32; i += 8) { sum += (a >> i & 0xffu) * (b >> i & 0xffu); }
+  return sum;
+#endif
+}
+/// `sum` and the products of the halves of a with the two lowest bytes of b.
+FT_HOST_DEVICE inline std::uint32_t dot_of_2(std::uint32_t a, std::uint32_t b, std::uint32_t sum) {
+#if defined(__CUDA_ARCH__)
+  return __dp2a_lo(a, b, sum);
+#else
+  return sum + (a & 0xffffu) * (b & 0xffu) + (a >> 16) * (b >> 8 & 0xffu);
+#endif
+}
+
+// ---- words of an image --------------------------------------------------------------------------
+
+/// @param p at a multiple of 4 bytes
+FT_HOST_DEVICE inline std::uint32_t load_word(std::uint8_t const* p) {
+#if defined(__CUDA_ARCH__)
+  return *reinterpret_cast<std::uint32_t const*>(p);
+#else
+  std::uint32_t word;
+  std::memcpy(&word, p, sizeof word);
+  return word;
+#endif
+}
+FT_HOST_DEVICE inline void store_word(std::uint8_t* p, std::uint32_t word) {
+#if defined(__CUDA_ARCH__)
+  *reinterpret_cast<std::uint32_t*>(p) = word;
+#else
+  std::memcpy(p, &word, sizeof word);
+#endif
+}
+
+/// True where every row starts at a multiple of 4 bytes and has room for whole words: then the
+/// words that a row's pixels lie in can be read, the padding after the last pixel with them.
+template <typename T>
+FT_HOST_DEVICE bool has_word_rows(image_view<T> const& image) {
+  return ((reinterpret_cast<std::uintptr_t>(image.data) | static_cast<unsigned>(image.stride)) &
+          3u) == 0;
+}
+
+/// Quotients by a number that is known at run time only, by a product. Exact where i * n is below
+/// 2^31.
+struct small_divider {
+  std::uint32_t factor;
+  FT_HOST_DEVICE explicit small_divider(int n)
+      : factor(0x80000000u / static_cast<unsigned>(n) + 1) {}
+  FT_HOST_DEVICE int operator()(int i) const {
+    return static_cast<int>(static_cast<std::uint64_t>(static_cast<unsigned>(i)) * factor >> 31);
+  }
+};
+
+/// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch; call sync()
+/// afterwards. Pixel (x0 + i, y0 + r) becomes byte (x0 & 3) + i of the row that starts at word
+/// r * pitch; other bytes of the words that are touched may get anything.
+/// @tparam InFlight loads of a thread before its first store
+/// @param pitch words from row to row, at least as many as (x0 & 3) + w bytes fill
+template <int InFlight = 4, typename Group>
+FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, int w, int h,
+                                    std::uint32_t* words, int pitch) {
+  if (w <= 0 || h <= 0) { return; }
+  int const skew = x0 & 3;
+  if (g.size() > 1 && has_word_rows(image)) {
+    int const n = (skew + w + 3) / 4;
+    small_divider const row_of(n);
+    std::uint8_t const* const from = image.row(y0) + (x0 - skew);
+    for (int base = g.rank(); base < n * h; base += InFlight * g.size()) {
+      std::uint32_t word[InFlight];
+      int to[InFlight];
+      FT_UNROLL
+      for (int k = 0; k < InFlight; ++k) {
+        int const i = base + k * g.size();
+        int const r = row_of(i);
+        int const c = i - r * n;
+        to[k] = r * pitch + c;
+        if (i < n * h) { word[k] = load_word(from + r * image.stride + 4 * c); }
+      }
+      FT_UNROLL
+      for (int k = 0; k < InFlight; ++k) {
+        if (base + k * g.size() < n * h) { words[to[k]] = word[k]; }
+      }
+    }
+    return;
+  }
+  auto* const bytes = reinterpret_cast<std::uint8_t*>(words) + skew;
+  if (g.size() == 1) {
+    for (int r = 0; r < h; ++r) {
+      std::memcpy(bytes + static_cast<std::ptrdiff_t>(r) * 4 * pitch, image.row(y0 + r) + x0,
+                  static_cast<std::size_t>(w));
+    }
+    return;
+  }
+  small_divider const row_of(w);
+  for (int i = g.rank(); i < w * h; i += g.size()) {
+    int const r = row_of(i);
+    bytes[r * 4 * pitch + (i - r * w)] = image.row(y0 + r)[x0 + i - r * w];
+  }
+}
+
+/// Appends to `list` the values base + k (k below 4) of every thread for whose k bit k of `flags`
+/// is set, in any order; what no longer fits is counted only. Every thread of the group calls it,
+/// as often as every other of its warp. @param count in scratch
+template <typename Group>
+FT_HOST_DEVICE void append_flagged(Group, unsigned flags, int base, std::uint16_t* list,
+                                   int capacity, int* count) {
+  if constexpr (Group::max_threads >= 32) {
+#if defined(__CUDA_ARCH__)
+    int const own = popcount(flags);
+    unsigned const ones = __ballot_sync(0xffffffffu, (own & 1) != 0);
+    unsigned const twos = __ballot_sync(0xffffffffu, (own & 2) != 0);
+    unsigned const fours = __ballot_sync(0xffffffffu, (own & 4) != 0);
+    if ((ones | twos | fours) == 0) { return; }
+    unsigned const lane = threadIdx.x & 31u;
+    unsigned const upto = 0xffffffffu >> (31u - lane);
+    int const sum = __popc(ones & upto) + 2 * __popc(twos & upto) + 4 * __popc(fours & upto);
+    int at = 0;
+    if (lane == 31) { at = atomicAdd(count, sum); }
+    at = __shfl_sync(0xffffffffu, at, 31) + sum - own;
+    if (at + own > capacity) { return; }
+    std::uint16_t* to = list + at;
+    FT_UNROLL
+    for (unsigned k = 0; k < 4; ++k) {
+      unsigned const flag = flags >> k & 1u;
+      if (flag != 0) { *to = static_cast<std::uint16_t>(base + static_cast<int>(k)); }
+      to += flag;
+    }
+#endif
+  } else {
+    for (int k = 0; k < 4; ++k) {
+      if ((flags >> k & 1u) == 0) { continue; }
+      int const at = atomic_add(count, 1);
+      if (at < capacity) { list[at] = static_cast<std::uint16_t>(base + k); }
+    }
+  }
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

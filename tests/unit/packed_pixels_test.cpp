@@ -1,0 +1,328 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a device does with several pixels at a time, against one pixel at a time: the helpers, the
+// corner test and score of pairs, and the blur by strips. The same source runs on both executors.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <random>
+#include <utility>
+#include <vector>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/blur.hpp"
+#include "ft/kernels/corners.hpp"
+#include "tests/support/backends.hpp"
+
+namespace packed_pixels_test {
+
+using word = std::uint32_t;
+using image = std::vector<std::uint8_t>;
+
+inline std::size_t at(int i) { return static_cast<std::size_t>(i); }
+
+inline image noise(int count, unsigned seed) {
+  std::mt19937 random(seed);
+  image pixels(at(count));
+  for (auto& p : pixels) { p = static_cast<std::uint8_t>(random()); }
+  return pixels;
+}
+
+template <typename Backend>
+class packed_pixels_unit : public test::on_backend<Backend> {
+protected:
+  Backend backend;
+};
+TYPED_TEST_SUITE(packed_pixels_unit, test::backends);
+
+struct operands {
+  word a, b, c;
+};
+struct results {
+  word min, max, swapped, permuted, dot4, dot2;
+};
+struct apply_all {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, operands const* in, results* out) const {
+    auto const [a, b, c] = in[i];
+    out[i] = {ft::detail::min_pairs(a, b),        ft::detail::max_pairs(a, b),
+              ft::detail::swap_pair(a),           ft::detail::permute_bytes(a, b, c & 0x7777u),
+              ft::detail::dot_of_4(a, b, c >> 8), ft::detail::dot_of_2(a, b, c >> 8)};
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
+  std::mt19937 random(5);
+  std::vector<operands> in;
+  for (int i = 0; i < 5000; ++i) {
+    in.push_back(
+        {static_cast<word>(random()), static_cast<word>(random()), static_cast<word>(random())});
+  }
+  in.push_back({0, 0xffffffffu, 0x7654});
+  in.push_back({0xffff0000u, 0x0000ffffu, 0});
+  in.push_back({0xffffffffu, 0xffffffffu, 0x00ffffffu});
+  auto const d_in = test::to_exec(this->backend.exec, in);
+  auto d_out = test::to_exec(this->backend.exec, std::vector<results>(in.size()));
+  ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(in.size()), apply_all{},
+                                    static_cast<operands const*>(d_in.data()), d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, static_cast<results const*>(d_out.data()), in.size());
+  for (std::size_t i = 0; i < in.size(); ++i) {
+    auto const [a, b, c] = in[i];
+    auto const half = [](word v, int k) { return v >> (16 * k) & 0xffffu; };
+    auto const byte = [](word v, int k) { return v >> (8 * k) & 0xffu; };
+    word dot4 = c >> 8;
+    word permuted = 0;
+    for (int k = 0; k < 4; ++k) {
+      dot4 += byte(a, k) * byte(b, k);
+      int const from = static_cast<int>(c >> (4 * k) & 7u);
+      permuted |= (from < 4 ? byte(a, from) : byte(b, from - 4)) << (8 * k);
+    }
+    EXPECT_EQ(out[i].min,
+              std::min(half(a, 0), half(b, 0)) + (std::min(half(a, 1), half(b, 1)) << 16));
+    EXPECT_EQ(out[i].max,
+              std::max(half(a, 0), half(b, 0)) + (std::max(half(a, 1), half(b, 1)) << 16));
+    EXPECT_EQ(out[i].swapped, half(a, 1) + (half(a, 0) << 16));
+    EXPECT_EQ(out[i].permuted, permuted);
+    EXPECT_EQ(out[i].dot4, dot4);
+    EXPECT_EQ(out[i].dot2, (c >> 8) + half(a, 0) * byte(b, 0) + half(a, 1) * byte(b, 1));
+  }
+}
+
+TEST(small_divider_unit, is_the_quotient) {
+  for (int n = 1; n < 3000; n += 1 + n / 40) {
+    ft::detail::small_divider const divide(n);
+    for (int i = 0; i < 20000; i += 1 + i % 7) { ASSERT_EQ(divide(i), i / n) << i << " / " << n; }
+    for (int q = 1; q * n < 20000; ++q) {
+      ASSERT_EQ(divide(q * n), q);
+      ASSERT_EQ(divide(q * n - 1), q - 1);
+    }
+  }
+}
+
+struct rectangle {
+  int x, y, w, h, pitch;
+};
+/// Copies a rectangle through scratch. The image starts `shift` bytes after an aligned address.
+struct stage_and_copy {
+  static constexpr int most = 4096;
+  struct scratch {
+    word words[most];
+  };
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, ft::gray_view from, rectangle const& r,
+                                 std::uint8_t* to) const {
+    ft::detail::stage_rectangle(g, from, r.x, r.y, r.w, r.h, s.words, r.pitch);
+    g.sync();
+    auto const* const bytes = reinterpret_cast<std::uint8_t const*>(s.words);
+    for (int i = g.rank(); i < r.w * r.h; i += g.size()) {
+      to[i] = bytes[i / r.w * r.pitch * 4 + (r.x & 3) + i % r.w];
+    }
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, rectangles_reach_scratch_from_any_address_and_stride) {
+  std::mt19937 random(9);
+  auto const below = [&](int n) { return static_cast<int>(random() % static_cast<unsigned>(n)); };
+  for (int round = 0; round < 60; ++round) {
+    int const width = 1 + below(120);
+    int const height = 1 + below(70);
+    int const shift = round % 2 == 0 ? 0 : below(4);
+    int const stride = round % 3 == 0 ? width + below(5) : (width + 3) / 4 * 4 + 4 * below(4);
+    image const pixels = noise(shift + stride * height, static_cast<unsigned>(round));
+    rectangle r{below(width), below(height), 0, 0, 0};
+    r.w = below(width - r.x + 1);
+    r.h = below(height - r.y + 1);
+    r.pitch = (r.w + 6) / 4 + below(3);
+    ASSERT_LE(r.pitch * r.h, stage_and_copy::most);
+    auto const d_pixels = test::to_exec(this->backend.exec, pixels);
+    auto d_out = test::to_exec(this->backend.exec, image(at(r.w * r.h) + 1));
+    ft::gray_view const view{d_pixels.data() + shift, width, height, stride};
+    ft::for_each_item<ft::per_block<64>>(this->backend.exec, 1, stage_and_copy{}, view, r,
+                                         d_out.data());
+    auto const out = test::from_exec(this->backend.exec,
+                                     static_cast<std::uint8_t const*>(d_out.data()), at(r.w * r.h));
+    for (int i = 0; i < r.w * r.h; ++i) {
+      ASSERT_EQ(out[at(i)], pixels[at(shift + (r.y + i / r.w) * stride + r.x + i % r.w)])
+          << "round " << round << " pixel " << i;
+    }
+  }
+}
+
+/// One row of words: flagged pixels as a list.
+struct list_flagged {
+  struct scratch {
+    int count;
+    std::uint16_t list[512];
+  };
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, unsigned const* flags, int n,
+                                 int capacity, int* count, std::uint16_t* to) const {
+    if (g.rank() == 0) { s.count = 0; }
+    for (int i = g.rank(); i < 512; i += g.size()) { s.list[i] = 0xffff; }
+    g.sync();
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      ft::detail::append_flagged(g, i < n ? flags[i] : 0u, 4 * i, s.list, capacity, &s.count);
+    }
+    g.sync();
+    for (int i = g.rank(); i < 512; i += g.size()) { to[i] = s.list[i]; }
+    if (g.rank() == 0) { *count = s.count; }
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, flagged_pixels_are_listed_once_and_counted_past_the_end) {
+  std::mt19937 random(3);
+  for (int const n : {0, 1, 31, 32, 33, 64, 100, 200}) {
+    for (int const share : {0, 1, 3, 8}) {
+      std::vector<unsigned> flags(at(n) + 1);
+      std::vector<std::uint16_t> want;
+      for (int i = 0; i < n; ++i) {
+        for (int k = 0; k < 4; ++k) {
+          if (static_cast<int>(random() % 8) >= share) { continue; }
+          flags[at(i)] |= 1u << k;
+          want.push_back(static_cast<std::uint16_t>(4 * i + k));
+        }
+      }
+      int const capacity = 300;
+      auto const d_flags = test::to_exec(this->backend.exec, flags);
+      auto d_count = test::to_exec(this->backend.exec, std::vector<int>(1));
+      auto d_list = test::to_exec(this->backend.exec, std::vector<std::uint16_t>(512));
+      ft::for_each_item<ft::per_block<64>>(this->backend.exec, 1, list_flagged{},
+                                           static_cast<unsigned const*>(d_flags.data()), n,
+                                           capacity, d_count.data(), d_list.data());
+      auto const count =
+          test::from_exec(this->backend.exec, static_cast<int const*>(d_count.data()), 1)[0];
+      auto list = test::from_exec(this->backend.exec,
+                                  static_cast<std::uint16_t const*>(d_list.data()), 512);
+      EXPECT_EQ(count, static_cast<int>(want.size()));
+      for (std::size_t i = at(capacity); i < list.size(); ++i) { EXPECT_EQ(list[i], 0xffff) << i; }
+      if (count > capacity) { continue; }
+      list.resize(want.size());
+      std::sort(list.begin(), list.end());
+      EXPECT_EQ(list, want);
+    }
+  }
+}
+
+/// Flags and scores of pairs, per pixel of an image whose stride is detect_cell's.
+struct score_all {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, std::uint8_t const* pixels, int width,
+                                 int threshold, int* scores, int* flags) const {
+    constexpr int pitch = ft::detect_cell::pitch;
+    int const y = 3 + item / (width / 4 - 2);
+    int const x = 4 + item % (width / 4 - 2) * 4;
+    std::uint8_t const* const p = pixels + y * pitch + x;
+    unsigned const four = ft::detail::corner_flags(
+        ft::detail::load_word(p - 4), ft::detail::load_word(p), ft::detail::load_word(p + 4),
+        ft::detail::load_word(p - 3 * pitch), ft::detail::load_word(p + 3 * pitch), threshold);
+    constexpr ft::detail::fast_circle circle(pitch);
+    for (int k = 0; k < 4; ++k) {
+      flags[y * pitch + x + k] = static_cast<int>(four >> k & 1u);
+      scores[y * pitch + x + k] = ft::detail::fast_score_of_pairs(p + k, circle, threshold);
+    }
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_single_pixels) {
+  constexpr int pitch = ft::detect_cell::pitch;
+  constexpr int height = 60;
+  constexpr ft::detail::fast_circle circle(pitch);
+  int corners = 0;
+  for (int const threshold : {0, 1, 7, 20, 100, 254, 255}) {
+    for (unsigned kind = 0; kind < 3; ++kind) {
+      image pixels = kind == 0 ? noise(pitch * height, 40u + static_cast<unsigned>(threshold))
+                               : test::random_image(pitch, height, kind);
+      if (kind == 2) {
+        for (auto& p : pixels) { p = p < 128 ? std::uint8_t{0} : std::uint8_t{255}; }
+      }
+      auto const d_pixels = test::to_exec(this->backend.exec, pixels);
+      auto d_scores = test::to_exec(this->backend.exec, std::vector<int>(pixels.size()));
+      auto d_flags = test::to_exec(this->backend.exec, std::vector<int>(pixels.size()));
+      ft::for_each_item<ft::per_thread>(this->backend.exec, (height - 6) * (pitch / 4 - 2),
+                                        score_all{},
+                                        static_cast<std::uint8_t const*>(d_pixels.data()), pitch,
+                                        threshold, d_scores.data(), d_flags.data());
+      auto const scores = test::from_exec(this->backend.exec,
+                                          static_cast<int const*>(d_scores.data()), pixels.size());
+      auto const flags = test::from_exec(this->backend.exec,
+                                         static_cast<int const*>(d_flags.data()), pixels.size());
+      for (int y = 3; y < height - 3; ++y) {
+        for (int x = 4; x < pitch - 4; ++x) {
+          int const i = y * pitch + x;
+          std::uint8_t const* const p = pixels.data() + i;
+          int const want = ft::detail::fast_score(p, circle, threshold);
+          ASSERT_EQ(scores[at(i)], want) << x << " " << y << " threshold " << threshold;
+          corners += static_cast<int>(want > 0);
+          int brighter = 0;
+          int darker = 0;
+          int const pairs[2][2] = {{p[3 * pitch], p[-3 * pitch]}, {p[3], p[-3]}};
+          for (auto const& pair : pairs) {
+            brighter += static_cast<int>(std::max(pair[0], pair[1]) > p[0] + threshold);
+            darker += static_cast<int>(std::min(pair[0], pair[1]) < p[0] - threshold);
+          }
+          ASSERT_EQ(flags[at(i)], static_cast<int>(brighter == 2 || darker == 2));
+        }
+      }
+    }
+  }
+  EXPECT_GT(corners, 1000);
+}
+
+struct blur_by_strips {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, ft::image_pyramid_view const& from,
+                                 ft::image_pyramid_view const& to) const {
+    auto const in = from.level(0, 0);
+    int const columns = ft::ceil_div(in.width, 4);
+    int const x = 4 * (item % columns);
+    int const y = item / columns * ft::blur_tile::strip_rows;
+    if (x < 4 || x + 8 > in.width || y < 3 || y + ft::blur_tile::strip_rows + 3 > in.height ||
+        item % 2 == 0) {
+      ft::blur_tile::blur_strip<true>(in, to.level(0, 0), x, y);
+    } else {
+      ft::blur_tile::blur_strip<false>(in, to.level(0, 0), x, y);
+    }
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, blur_by_strips_is_the_blur_by_rows) {
+  ft::host_exec const host(1);
+  std::vector<std::pair<int, int>> sizes;
+  for (int w = ft::blur_tile::least_width; w <= 26; ++w) { sizes.emplace_back(w, 4 + w % 20); }
+  for (int h = ft::blur_tile::least_height; h <= 40; ++h) { sizes.emplace_back(8 + h * 7 % 70, h); }
+  for (auto const& [w, h] : sizes) {
+    auto const g = ft::pyramid_geometry::make(w, h, 1, 1.2f);
+    image const pixels = noise(static_cast<int>(g.bytes), static_cast<unsigned>(100 * w + h));
+    ft::image_pyramid<ft::memory_space::host> const host_from(g);
+    ft::image_pyramid<ft::memory_space::host> const host_to(g);
+    std::copy(pixels.begin(), pixels.end(), host_from.view().data);
+    ft::blur_pyramid(host, host_from.view(), host_to.view(), ft::blur_layout::make(g));
+
+    ft::image_pyramid<TypeParam::exec_type::space> const from(g);
+    ft::image_pyramid<TypeParam::exec_type::space> const to(g);
+    auto const& exec = this->backend.exec;
+    ft::copy(exec, from.view().data, pixels.data(), pixels.size());
+    ft::fill_bytes(exec, to.view().data, 0x3c, pixels.size());
+    ft::for_each_item<ft::per_thread>(
+        exec, ft::ceil_div(w, 4) * ft::ceil_div(h, ft::blur_tile::strip_rows), blur_by_strips{},
+        from.view(), to.view());
+    auto const got =
+        test::from_exec(exec, static_cast<std::uint8_t const*>(to.view().data), pixels.size());
+    for (int y = 0; y < h; ++y) {
+      for (int x = 0; x < g.stride[0]; ++x) {
+        int const i = y * g.stride[0] + x;
+        int const want = x < w ? int{host_to.view().data[i]} : 0x3c;  // padding is left alone
+        ASSERT_EQ(int{got[at(i)]}, want) << w << "x" << h << " at " << x << ", " << y;
+      }
+    }
+  }
+}
+
+}  // namespace packed_pixels_test

@@ -374,10 +374,7 @@ private:
       mark_heads(g, t, level);
       count_heads(g, s, t, level);
       rounds const r = count_rounds(level, s.totals, wanted);
-      if (r.last == 0) {  // the points are crowded: more depths
-        g.sync();
-        continue;
-      }
+      if (r.last == 0) { continue; }  // the points are crowded: more depths
       int children = list_nodes(g, t, level, r.whole, s.totals);
       int size = s.totals[level.row_of(r.whole)];
       for (int depth = r.whole + 1; depth <= r.last; ++depth) {

@@ -124,7 +124,29 @@ int below(std::mt19937& random, int n) {
   return static_cast<int>(random() % static_cast<unsigned>(std::max(n, 1)));
 }
 
-enum class scatter { uniform, clustered, grid, line, corner_of_the_level, coincident, count };
+enum class scatter {
+  uniform,
+  clustered,
+  grid,
+  line,
+  corner_of_the_level,
+  coincident,
+  split_lines,
+  block_of_pixels,
+  count
+};
+
+/// A column or row beside or on a line at which nodes of the first depths are split.
+int near_split(std::mt19937& random, int side) {
+  int low = 0;
+  int high = side;
+  for (int depth = below(random, 8); depth >= 0 && high - low > 1; --depth) {
+    int const middle = low + (high - low + 1) / 2;
+    if (depth == 0) { return middle - below(random, 2); }
+    (below(random, 2) == 0 ? high : low) = middle;
+  }
+  return low;
+}
 
 corners_list random_points(std::mt19937& random, scatter kind, int n, int width, int height) {
   int const responses = 1 + below(random, 3) * below(random, 100);  // often all equal
@@ -153,6 +175,12 @@ corners_list random_points(std::mt19937& random, scatter kind, int n, int width,
     } else if (kind == scatter::coincident) {
       x = centres[0].first + below(random, 2);
       y = centres[0].second;
+    } else if (kind == scatter::split_lines) {
+      x = near_split(random, width);
+      y = near_split(random, height);
+    } else if (kind == scatter::block_of_pixels) {
+      x = centres[0].first / 2 + i % spread;
+      y = centres[0].second / 2 + i / spread;
     }
     x = std::min(std::max(x, 0), width - 1);
     y = std::min(std::max(y, 0), height - 1);
@@ -178,6 +206,28 @@ protected:
     auto const geometry = ft::pyramid_geometry::make(width, height, levels, 1.2f);
     auto const cells = ft::corner_layout::make(geometry);
     auto const layout = ft::distribution_layout::make(geometry, wanted);
+    std::vector<corners_list> points(static_cast<std::size_t>(batch * levels));
+    for (int b = 0; b < batch; ++b) {
+      for (int l = 0; l < levels; ++l) {
+        int const slots = static_cast<int>(cells.level_slots(l));
+        int const n = std::min(
+            below(random, 6) == 0 ? below(random, 4) : below(random, most_points + 1), slots);
+        auto const kind = static_cast<scatter>(below(random, static_cast<int>(scatter::count)));
+        if (n > 0) {
+          points[static_cast<std::size_t>(b * levels + l)] =
+              random_points(random, kind, n, layout.width[l], layout.height[l]);
+        }
+      }
+    }
+    compare(points, width, height, levels, wanted, batch);
+  }
+
+  /// The same for given points, [batch][levels].
+  void compare(std::vector<corners_list> const& points, int width, int height, int levels,
+               int wanted, int batch) {
+    auto const geometry = ft::pyramid_geometry::make(width, height, levels, 1.2f);
+    auto const cells = ft::corner_layout::make(geometry);
+    auto const layout = ft::distribution_layout::make(geometry, wanted);
     auto const& exec = backend_->exec;
     ft::corners_view corners;
     ft::distribution_view out;
@@ -188,17 +238,10 @@ protected:
     corners_list list(static_cast<std::size_t>(batch) *
                       static_cast<std::size_t>(cells.total_slots));
     std::vector<int> counts(static_cast<std::size_t>(batch * levels), 0);
-    std::vector<corners_list> points(counts.size());
     for (int b = 0; b < batch; ++b) {
       for (int l = 0; l < levels; ++l) {
         auto const at = static_cast<std::size_t>(b * levels + l);
-        int const slots = static_cast<int>(cells.level_slots(l));
-        int const n = std::min(
-            below(random, 6) == 0 ? below(random, 4) : below(random, most_points + 1), slots);
-        auto const kind = static_cast<scatter>(below(random, static_cast<int>(scatter::count)));
-        if (n > 0) {
-          points[at] = random_points(random, kind, n, layout.width[l], layout.height[l]);
-        }
+        ASSERT_LE(points[at].size(), static_cast<std::size_t>(cells.level_slots(l)));
         counts[at] = static_cast<int>(points[at].size());
         std::copy(points[at].begin(), points[at].end(),
                   list.begin() + b * cells.total_slots + cells.first_slot[l]);
@@ -280,6 +323,57 @@ TYPED_TEST(distribution_oracle_test, few_points_for_any_number_of_wanted_feature
       SCOPED_TRACE("wanted " + std::to_string(wanted) + ", up to " + std::to_string(most) +
                    " points");
       this->compare(random, 120, 90, 2, wanted, 3, most);
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+}
+
+TYPED_TEST(distribution_oracle_test, every_kind_of_points_around_what_block_scratch_holds) {
+  using level = ft::distribute_level;
+  int const points[] = {1,
+                        2,
+                        31,
+                        32,
+                        33,
+                        level::crowded_bin,
+                        level::crowded_bin + 1,
+                        level::scratch_points - 1,
+                        level::scratch_points,
+                        level::scratch_points + 1};
+  int const wanted[] = {
+      1, 60, level::ranked_nodes, level::scratch_nodes - 3, level::scratch_nodes - 2, 1500};
+  int const shapes[][2] = {{752, 480}, {370, 640}, {1700, 140}, {1000, 1000}};
+  unsigned seed = 0;
+  for (auto const& side : shapes) {
+    auto const geometry = ft::pyramid_geometry::make(side[0], side[1], 1, 1.2f);
+    for (int kind = 0; kind < static_cast<int>(scatter::count); ++kind) {
+      for (int const n : points) {
+        std::mt19937 random(++seed);
+        // Places are taken once, so some more are drawn.
+        auto list = random_points(random, static_cast<scatter>(kind), 2 * n, geometry.width[0] - 32,
+                                  geometry.height[0] - 32);
+        list.resize(std::min(list.size(), static_cast<std::size_t>(n)));
+        int const features = wanted[(seed + seed / std::size(points)) % std::size(wanted)];
+        SCOPED_TRACE("kind " + std::to_string(kind) + ", seed " + std::to_string(seed));
+        this->compare({list}, side[0], side[1], 1, features, 1);
+        if (this->HasFatalFailure()) { return; }
+      }
+    }
+  }
+  EXPECT_EQ(this->levels_compared_, static_cast<int>(seed));
+}
+
+TYPED_TEST(distribution_oracle_test, nodes_far_down_the_tree) {
+  // Neighbouring pixels and a far point: rounds go on until single pixels are nodes.
+  for (int n = 2; n <= 40; ++n) {
+    corners_list list;
+    for (int i = 0; i < n; ++i) {
+      list.push_back({static_cast<std::uint16_t>(401 + i % 7),
+                      static_cast<std::uint16_t>(203 + i / 7), 7 + i * 37 % 11});
+    }
+    list.push_back({3, 5, 9});
+    for (int wanted = 1; wanted <= n + 4; wanted += 3) {
+      this->compare({list}, 1280, 720, 1, wanted, 1);
       if (this->HasFatalFailure()) { return; }
     }
   }

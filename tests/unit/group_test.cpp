@@ -117,6 +117,20 @@ struct sort_item {
   }
 };
 
+/// What each thread of an item is told of its neighbours, and by the ballot of its warp.
+struct neighbours_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* values, int* sum_of_4,
+                                 int* largest_of_16, unsigned* votes, int* sizes) const {
+    int const at = 32 * item + g.rank() % 32;
+    sum_of_4[at] = g.template reduce_lanes<4>(values[at], ft::sum_op{});
+    largest_of_16[at] = g.template reduce_lanes<16>(values[at], ft::max_op{});
+    votes[at] = g.part().ballot(values[at] % 3 == 0);
+    sizes[at] = g.lanes(16);
+  }
+};
+
 inline constexpr int sums = 3;
 
 struct sum_item {
@@ -324,6 +338,44 @@ TYPED_TEST(group_unit, sort_over_blocks) {
   this->template check_sort<ft::per_block<128>>();
   this->template check_sort<ft::per_block<256>>();
   this->template check_sort<ft::per_block<512>>();
+}
+TYPED_TEST(group_unit, neighbouring_lanes_and_ballots) {
+  constexpr int items = 50;
+  auto const& exec = this->backend.exec;
+  std::mt19937 random(5);
+  std::vector<int> values(32 * items);
+  for (auto& v : values) { v = static_cast<int>(random() % 2001u) - 1000; }
+  auto const d_values = test::to_exec(exec, values);
+  auto const d_sums = test::to_exec(exec, std::vector<int>(values.size(), 0));
+  auto const d_largest = test::to_exec(exec, std::vector<int>(values.size(), 0));
+  auto const d_votes = test::to_exec(exec, std::vector<unsigned>(values.size(), 0u));
+  auto const d_sizes = test::to_exec(exec, std::vector<int>(values.size(), 0));
+  ft::for_each_item<ft::per_block<32>>(exec, items, neighbours_item{},
+                                       static_cast<int const*>(d_values.data()), d_sums.data(),
+                                       d_largest.data(), d_votes.data(), d_sizes.data());
+  auto const of = [&](auto const& d) { return test::from_exec(exec, d.data(), values.size()); };
+  auto const sums_of_4 = of(d_sums);
+  auto const largest = of(d_largest);
+  auto const votes = of(d_votes);
+  auto const taken = of(d_sizes);
+  for (std::size_t item = 0; item < items; ++item) {
+    // On the host a group has one thread: it writes the first of an item's 32 places.
+    bool const one = taken[32 * item] == 1;
+    for (std::size_t i = 0; i < (one ? 1u : 32u); ++i) {
+      auto const* const all = values.data() + 32 * item;
+      int sum = 0;
+      for (std::size_t k = 0; k < (one ? 1u : 4u); ++k) { sum += all[i / 4 * 4 + k]; }
+      unsigned vote = 0;
+      for (std::size_t k = 0; k < (one ? 1u : 32u); ++k) {
+        vote |= static_cast<unsigned>(all[k] % 3 == 0) << k;
+      }
+      EXPECT_EQ(sums_of_4[32 * item + i], sum);
+      EXPECT_EQ(largest[32 * item + i],
+                *std::max_element(all + i / 16 * 16, all + i / 16 * 16 + (one ? 1 : 16)));
+      EXPECT_EQ(votes[32 * item + i], vote);
+      EXPECT_EQ(taken[32 * item + i], one ? 1 : 16);
+    }
+  }
 }
 TYPED_TEST(group_unit, ordered_sum_has_the_documented_bits) {
   this->template check_ordered_sum<ft::per_thread>();

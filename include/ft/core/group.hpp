@@ -50,6 +50,16 @@ struct single_group {
   FT_HOST_DEVICE T reduce(T value, Op) const {
     return value;
   }
+  /// How many neighbouring threads `reduce_lanes<Most>` takes together: `Most`, a power of two up
+  /// to 32, or 1 where the group is one thread.
+  FT_HOST_DEVICE static constexpr int lanes(int) { return 1; }
+  /// As `reduce`, over each `lanes(Most)` threads of neighbouring ranks for itself.
+  template <int Most, typename T, typename Op>
+  FT_HOST_DEVICE T reduce_lanes(T value, Op) const {
+    return value;
+  }
+  /// Bit i is what rank i says; groups of up to 32 threads.
+  FT_HOST_DEVICE static unsigned ballot(bool flag) { return static_cast<unsigned>(flag); }
   /// Sum over the lower ranks' values; `total` gets the sum over all.
   FT_HOST_DEVICE int exclusive_scan(int value, int& total) const {
     total = value;
@@ -99,10 +109,10 @@ __device__ T shuffle_xor(T value, int mask) {
   return value;
 }
 
-template <typename T, typename Op>
+template <int Lanes = 32, typename T, typename Op>
 __device__ T warp_reduce(T value, Op op) {
   FT_UNROLL
-  for (int mask = 16; mask > 0; mask /= 2) { value = op(value, shuffle_xor(value, mask)); }
+  for (int mask = Lanes / 2; mask > 0; mask /= 2) { value = op(value, shuffle_xor(value, mask)); }
   return value;
 }
 
@@ -153,6 +163,12 @@ struct warp_group {
   __device__ T reduce(T value, Op op) const {
     return detail::warp_reduce(value, op);
   }
+  __device__ static constexpr int lanes(int most) { return most; }
+  template <int Most, typename T, typename Op>
+  __device__ T reduce_lanes(T value, Op op) const {
+    return detail::warp_reduce<Most>(value, op);
+  }
+  __device__ static unsigned ballot(bool flag) { return __ballot_sync(0xffffffffu, flag); }
   __device__ int exclusive_scan(int value, int& total) const {
     int const inclusive = detail::warp_inclusive_scan(value);
     total = __shfl_sync(0xffffffffu, inclusive, 31);
@@ -210,6 +226,11 @@ struct block_group {
     }
     sync();
     return result;
+  }
+  __device__ static constexpr int lanes(int most) { return most; }
+  template <int Most, typename T, typename Op>
+  __device__ T reduce_lanes(T value, Op op) const {
+    return detail::warp_reduce<Most>(value, op);
   }
   __device__ int exclusive_scan(int value, int& total) const {
     int const inclusive = detail::warp_inclusive_scan(value);

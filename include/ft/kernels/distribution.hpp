@@ -2,11 +2,12 @@
 /// @file Stage: even distribution of corners over a level by a quadtree. Source: specification
 /// section 3.
 ///
-/// The rule is sequential (a list of nodes, children pushed to its front); here a whole round is
-/// done at once. In a round every node with more than one point is split, so with C children in
-/// creation order the new list is: child C-1, ..., child 0, then the nodes that were not split, in
-/// their old order. When nodes are split one by one until enough are there, a prefix sum over the
-/// splitting order tells how many splits are made. Points never move: each remembers its node.
+/// The rule is sequential (a list of nodes, children pushed to its front). A point's way down the
+/// tree does not depend on the other points, though: it is a code, two bits a depth. Points are
+/// sorted by it once; a node is then a range of the sorted points, the numbers of nodes at every
+/// depth are known before a node is split, and with them how many rounds the rule makes. The list
+/// after the rounds in which every node is split is written at once, and only the rounds that go
+/// node by node are made. docs/architecture.md says why the result is the loop's.
 #pragma once
 
 #include <cmath>
@@ -62,10 +63,10 @@ struct distribution_layout {
   }
 };
 
-/// A quadtree node: [x0, x1) x [y0, y1) and how many points it holds.
-struct quad_node {
-  std::int32_t x0, y0, x1, y1;
-  std::int32_t count;
+/// A quadtree node: the points [begin, end) of the sorted ones.
+template <typename Index>
+struct node_range {
+  Index begin, end;
 };
 
 /// Kept corners and the workspace of the quadtree, for a batch of images.
@@ -74,41 +75,81 @@ struct distribution_view {
   int batch = 0;
   corner* kept = nullptr;     ///< [batch][total], per level in list order
   int* kept_count = nullptr;  ///< [batch][levels]
-  quad_node* nodes[2] = {};   ///< [batch][total]
-  int* quadrant = nullptr;  ///< [batch][total][4], points per quadrant, then the place of the child
-  int* place = nullptr;     ///< [batch][total], scan of children; then the place of an unsplit node
-  int* order = nullptr;     ///< [batch][total], nodes in splitting order
-  unsigned long long* keys = nullptr;  ///< [batch][total], sort keys, then the best point of a node
-  int* node_of = nullptr;              ///< [batch][total_slots], list position of each point's node
+  // What levels use that do not fit into block scratch.
+  static constexpr int key_pad = 32;        ///< keys more than points: rows are whole words
+  unsigned long long* keys = nullptr;       ///< [batch][total_slots + levels * key_pad]
+  unsigned* order = nullptr;                ///< [batch][total_slots]
+  node_range<int>* list[2] = {};            ///< [batch][total]
+  unsigned long long* node_keys = nullptr;  ///< [batch][total]
+  int* splits_before = nullptr;             ///< [batch][total]
+  int* gain_before = nullptr;               ///< [batch][total]
 };
 
 inline void carve(carver& c, distribution_view& v, distribution_layout const& layout,
                   corner_layout const& corners, int batch) {
   auto const b = static_cast<std::size_t>(batch);
+  auto const levels = static_cast<std::size_t>(layout.levels);
+  auto const slots = static_cast<std::size_t>(corners.total_slots);
   std::size_t const total = detail::checked_mul(b, static_cast<std::size_t>(layout.total));
   v.layout = layout;
   v.batch = batch;
   v.kept = c.take<corner>(total);
-  v.kept_count = c.take<int>(b * static_cast<std::size_t>(layout.levels));
-  v.nodes[0] = c.take<quad_node>(total);
-  v.nodes[1] = c.take<quad_node>(total);
-  v.quadrant = c.take<int>(4 * total);
-  v.place = c.take<int>(total);
-  v.order = c.take<int>(total);
-  v.keys = c.take<unsigned long long>(total);
-  v.node_of = c.take<int>(b * static_cast<std::size_t>(corners.total_slots));
+  v.kept_count = c.take<int>(b * levels);
+  v.keys = c.take<unsigned long long>(
+      detail::checked_mul(b, slots + levels * std::size_t{distribution_view::key_pad}));
+  v.order = c.take<unsigned>(detail::checked_mul(b, slots));
+  v.list[0] = c.take<node_range<int>>(total);
+  v.list[1] = c.take<node_range<int>>(total);
+  v.node_keys = c.take<unsigned long long>(total);
+  v.splits_before = c.take<int>(total);
+  v.gain_before = c.take<int>(total);
 }
 
 /// The quadtree of one level of one image.
+///
+/// The *code* of a point is the number of its root and, for each depth from 1 to `depths`, two
+/// bits: 1 for the right half, 2 for the lower half. The bits of even depths are inverted: pushing
+/// to the front turns the order around in each round, and with every second depth inverted the
+/// nodes made in round k are, for odd k, in descending order of their codes, for even k in
+/// ascending order.
 struct distribute_level {
-  /// Levels of up to so many nodes keep them in block scratch, others in the workspace.
+  /// Levels of up to so many points and nodes are kept in block scratch, others in the workspace.
+  static constexpr int scratch_points = 3328;
   static constexpr int scratch_nodes = 512;
+  static constexpr int scratch_words = scratch_points / 32;
+  static constexpr int max_bins = 2048;  ///< codes are sorted into so many bins first
+  /// Depths told apart at first; where nodes are left that might be split, all are.
+  static constexpr int usual_depths = 7;
+  static constexpr int max_rows =
+      16;  ///< depths 0 to 15: nodes of 2^14 pixels a side, and one more
+  /// A bin of more points makes the points sorted by comparison.
+  static constexpr int crowded_bin = 128;
+  /// Up to so many nodes are put in the splitting order by comparing each with each.
+  static constexpr int ranked_nodes = 256;
+
   struct scratch {
-    quad_node nodes[2][scratch_nodes];
-    int quadrant[4 * scratch_nodes];
-    int place[scratch_nodes];
-    int order[scratch_nodes];
-    unsigned long long keys[scratch_nodes];
+    struct row_store {
+      unsigned rows[2 * max_rows * scratch_words];
+      std::uint16_t before[2 * max_rows * scratch_words];
+      node_range<std::uint16_t> list[2][scratch_nodes];
+    };
+    struct split_store {
+      unsigned long long keys[scratch_nodes];
+      int splits_before[scratch_nodes];
+      int gain_before[scratch_nodes];
+    };
+    union {
+      unsigned long long keys[scratch_points];  ///< until the points are sorted
+      row_store tree;                           ///< from then on
+    } a;
+    union {
+      int bins[max_bins];
+      split_store splits;
+    } b;
+    unsigned order[scratch_points];
+    int totals[2 * max_rows];
+    int made;
+    unsigned crowded;
   };
 
   template <typename Group>
@@ -123,252 +164,621 @@ struct distribute_level {
       return;
     }
     int const at = image * layout.total + layout.first[l];
-    tree t;
-    t.points = corners.level_list(image, l);
-    t.point_count = points;
-    t.node_of = v.node_of + image * corners.layout.total_slots + corners.layout.first_slot[l];
-    bool const in_scratch = layout.capacity[l] <= scratch_nodes;
-    t.nodes = in_scratch ? s.nodes[0] : v.nodes[0] + at;
-    t.next = in_scratch ? s.nodes[1] : v.nodes[1] + at;
-    t.quadrant = in_scratch ? s.quadrant : v.quadrant + 4 * static_cast<std::ptrdiff_t>(at);
-    t.place = in_scratch ? s.place : v.place + at;
-    t.order = in_scratch ? s.order : v.order + at;
-    t.keys = in_scratch ? s.keys : v.keys + at;
-
-    int size = make_roots(g, t, layout.roots[l], layout.width[l], layout.height[l]);
-    int const wanted = layout.wanted[l];
-    int children = 0;
-    bool one_by_one = false;
-    for (;;) {
-      int const before = size;
-      int const splits =
-          one_by_one ? choose_splits(g, t, children, size, wanted) : choose_all(g, t, size);
-      int multiple = 0;
-      size = split(g, t, size, splits, children, multiple);
-      if (size >= wanted || size <= before) { break; }
-      one_by_one = one_by_one || size + 3 * multiple > wanted;
-    }
-
-    // Each node yields its strongest point, the first of equals.
-    for (int i = g.rank(); i < size; i += g.size()) { t.keys[i] = 0; }
-    g.sync();
-    for (int i = g.rank(); i < points; i += g.size()) {
-      unsigned long long const key =
-          static_cast<unsigned long long>(static_cast<unsigned>(t.points[i].response)) << 32 |
-          (0xffffffffu - static_cast<unsigned>(i));
-      atomic_max(t.keys + t.node_of[i], key);
-    }
-    g.sync();
-    for (int i = g.rank(); i < size; i += g.size()) {
-      unsigned const index = 0xffffffffu - static_cast<unsigned>(t.keys[i] & 0xffffffffu);
-      v.kept[at + i] = t.points[index];
+    int size = 0;
+    if (points <= scratch_points && layout.capacity[l] <= scratch_nodes) {
+      tree<std::uint16_t> t;
+      t.keys = s.a.keys;
+      t.order = s.order;
+      t.rows = s.a.tree.rows;
+      t.before = s.a.tree.before;
+      t.list = s.a.tree.list[0];
+      t.next = s.a.tree.list[1];
+      t.node_keys = s.b.splits.keys;
+      t.splits_before = s.b.splits.splits_before;
+      t.gain_before = s.b.splits.gain_before;
+      t.points = corners.level_list(image, l);
+      t.n = points;
+      t.words = ceil_div(points, 32);
+      size = run(g, s, t, layout, l, v.kept + at);
+    } else {
+      std::ptrdiff_t const slot = image * corners.layout.total_slots + corners.layout.first_slot[l];
+      tree<int> t;
+      t.keys =
+          v.keys + slot +
+          static_cast<std::ptrdiff_t>(distribution_view::key_pad) * (image * layout.levels + l);
+      t.order = v.order + slot;
+      t.n = points;
+      t.words = ceil_div(points, 32);
+      // Rows and their counts: 2 * max_rows words of each for 32 points, 8 bytes a point.
+      t.rows = reinterpret_cast<unsigned*>(t.keys);
+      t.before =
+          reinterpret_cast<int*>(t.rows + static_cast<std::ptrdiff_t>(2 * max_rows) * t.words);
+      t.list = v.list[0] + at;
+      t.next = v.list[1] + at;
+      t.node_keys = v.node_keys + at;
+      t.splits_before = v.splits_before + at;
+      t.gain_before = v.gain_before + at;
+      t.points = corners.level_list(image, l);
+      size = run(g, s, t, layout, l, v.kept + at);
     }
     if (g.rank() == 0) { v.kept_count[item] = size; }
   }
 
 private:
-  struct tree {
-    corner const* points;
-    int point_count;
-    int* node_of;
-    quad_node* nodes;  ///< the list, front first
-    quad_node* next;
-    int* quadrant;
-    int* place;
-    int* order;
-    unsigned long long* keys;
+  static constexpr int index_bits = 26;  ///< of an entry of `order`; above it the depth
+  static constexpr unsigned index_mask = (1u << index_bits) - 1;
+  static constexpr int never = 31;  ///< depth at which coincident points part
+
+  static_assert(max_rows * scratch_words * 12 + scratch_nodes * 8 <= scratch_points * 8, "aliased");
+
+  /// Where nodes are split: follows from the level's size alone.
+  struct shape {
+    int width, height, roots;
+    float root_width;
+    int depths;     ///< bits of a code below the root's, in pairs
+    bool complete;  ///< no deeper node parts points
+    int rows;       ///< depths that are told apart, 0 to `depths`
+    int bins;       ///< the leading bits of the codes
+    int bin_shift;  ///< bits of a code below the bin's
+    unsigned flip;  ///< the inverted bits
+
+    /// @param most depths to tell apart, fewer where no node has more
+    FT_HOST_DEVICE shape(int w, int h, int root_count, int points, int most)
+        : width(w),
+          height(h),
+          roots(root_count),
+          root_width(detail::div(static_cast<float>(w), static_cast<float>(root_count))) {
+      // Nodes at the depth before the last have at most one pixel. A point that rounding put into
+      // the root beside its own is split from the last column one depth later, if at all. At most
+      // 31 bits: a side has 16384 pixels at most, and with k > 1 roots the height is below 1.5 / k
+      // of the width.
+      int const side = max_of(static_cast<int>(root_width) + 2, height);
+      int full = 1;
+      while (1 << (full - 1) < side) { ++full; }
+      depths = min_of(full, most);
+      complete = depths == full;
+      rows = depths + 1;
+      bins = roots;
+      bin_shift = 2 * depths;
+      while (4 * bins <= min_of(max_bins, 2 * points) && bin_shift > 0) {
+        bins *= 4;
+        bin_shift -= 2;
+      }
+      flip = (depths % 2 == 0 ? 0x33333333u : 0xccccccccu) & ((1u << 2 * depths) - 1);
+    }
+    FT_HOST_DEVICE int root_of(int x) const {
+      return min_of(static_cast<int>(detail::div(static_cast<float>(x), root_width)), roots - 1);
+    }
+    FT_HOST_DEVICE int root_edge(int root) const {
+      return static_cast<int>(detail::mul(root_width, static_cast<float>(root)));
+    }
+    /// Bit 2 (depths - d) is set where the point is in the second half at depth d.
+    FT_HOST_DEVICE unsigned axis_code(int offset, int side) const {
+      unsigned code = 0;
+      for (int d = 0; d < depths; ++d) {
+        int const half = (side + 1) >> 1;
+        bool const second = offset >= half;
+        code = code << 2 | static_cast<unsigned>(second);
+        offset -= second ? half : 0;
+        side = second ? side - half : half;
+      }
+      return code;
+    }
+    FT_HOST_DEVICE unsigned column_code(int x) const {
+      int const root = root_of(x);
+      int const edge = root_edge(root);
+      return (static_cast<unsigned>(root) << 2 * depths |
+              axis_code(x - edge, root_edge(root + 1) - edge)) ^
+             flip;
+    }
+    FT_HOST_DEVICE unsigned row_code(int y) const { return axis_code(y, height) << 1; }
+    /// Left edge of the node at `depth` that holds column x.
+    FT_HOST_DEVICE int left_edge(int x, int depth) const {
+      int const root = root_of(x);
+      int edge = root_edge(root);
+      int side = root_edge(root + 1) - edge;
+      for (int d = 0; d < depth; ++d) {
+        int const half = (side + 1) >> 1;
+        bool const second = x - edge >= half;
+        edge += second ? half : 0;
+        side = second ? side - half : half;
+      }
+      return edge;
+    }
+    /// First depth at which two codes differ.
+    FT_HOST_DEVICE int parting_depth(unsigned a, unsigned b) const {
+      unsigned const x = a ^ b;
+      if (x == 0) { return never; }
+#if defined(__CUDA_ARCH__)
+      int const top = 31 - __clz(static_cast<int>(x));
+#else
+      int const top = 31 - __builtin_clz(x);
+#endif
+      return max_of(depths - top / 2, 0);
+    }
+    FT_HOST_DEVICE int row_of(int depth) const { return min_of(depth, depths); }
   };
 
-  FT_HOST_DEVICE static int split_x(quad_node const& n) { return n.x0 + (n.x1 - n.x0 + 1) / 2; }
-  FT_HOST_DEVICE static int split_y(quad_node const& n) { return n.y0 + (n.y1 - n.y0 + 1) / 2; }
-  FT_HOST_DEVICE static int quadrant_of(quad_node const& n, corner const& p) {
-    return static_cast<int>(p.x >= split_x(n)) + 2 * static_cast<int>(p.y >= split_y(n));
-  }
-  FT_HOST_DEVICE static int children_of(int const* quadrant) {
-    return static_cast<int>(quadrant[0] > 0) + static_cast<int>(quadrant[1] > 0) +
-           static_cast<int>(quadrant[2] > 0) + static_cast<int>(quadrant[3] > 0);
+  /// A level's points and its list. @tparam Index of sorted points
+  ///
+  /// Row k, for k in [0, rows), has a bit for each sorted point that is the first of its node at
+  /// depth k; row `rows + k` one for each that is alone in it. `before` counts the bits of a row
+  /// before each word.
+  template <typename Index>
+  struct tree {
+    corner const* points;
+    int n, words;
+    unsigned long long* keys;  ///< code << 32 | index
+    unsigned* order;           ///< parting depth from the point before, and index, by code
+    unsigned* rows;
+    Index* before;
+    node_range<Index>* list;  ///< front first
+    node_range<Index>* next;
+    unsigned long long* node_keys;
+    int* splits_before;  ///< per node: how many are split before it
+    int* gain_before;    ///< and how many nodes more the list has by then
+
+    FT_HOST_DEVICE int depth_at(int p) const {
+      return p < n ? static_cast<int>(order[p] >> index_bits) : 0;
+    }
+    FT_HOST_DEVICE int index_at(int p) const { return static_cast<int>(order[p] & index_mask); }
+    /// Bits of a row below position p < n.
+    FT_HOST_DEVICE int rank(int row, int p) const {
+      int const at = row * words + p / 32;
+      return before[at] + popcount(rows[at] & ((1u << (p & 31)) - 1));
+    }
+    /// Position of bit number i of a row.
+    FT_HOST_DEVICE int select(int row, int i) const {
+      int const first = row * words;
+      int w = 0;
+      for (int end = words; end - w > 1;) {
+        int const middle = (w + end) / 2;
+        if (before[first + middle] <= i) {
+          w = middle;
+        } else {
+          end = middle;
+        }
+      }
+      unsigned bits = rows[first + w];
+      int left = i - before[first + w];
+      int p = 32 * w;
+      for (int step = 16; step > 0; step /= 2) {
+        int const below = popcount(bits & ((1u << step) - 1));
+        bool const above = left >= below;
+        left -= above ? below : 0;
+        bits >>= above ? step : 0;
+        p += above ? step : 0;
+      }
+      return p;
+    }
+    /// Position of the first bit of a row above position p, n where there is none.
+    FT_HOST_DEVICE int bit_above(int row, int p) const {
+      int w = p / 32;
+      unsigned bits = rows[row * words + w] & ~((2u << (p & 31)) - 1);
+      while (bits == 0) {
+        if (++w == words) { return n; }
+        bits = rows[row * words + w];
+      }
+      return 32 * w + popcount((bits & (0u - bits)) - 1);
+    }
+  };
+
+  /// All of a level. Returns the number of kept corners.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t,
+                                distribution_layout const& layout, int l, corner* kept) {
+    int const wanted = layout.wanted[l];
+    for (int most = usual_depths;; most = max_rows - 1) {
+      shape const level(layout.width[l], layout.height[l], layout.roots[l], t.n, most);
+      sort_points(g, s, t, level);
+      mark_heads(g, t, level);
+      count_heads(g, s, t, level);
+      rounds const r = count_rounds(level, s.totals, wanted);
+      if (r.last == 0) { continue; }  // the points are crowded: more depths
+      int children = list_nodes(g, t, level, r.whole, s.totals);
+      int size = s.totals[level.row_of(r.whole)];
+      for (int depth = r.whole + 1; depth <= r.last; ++depth) {
+        size = split_one_by_one(g, s, t, level, depth, children, size, wanted);
+      }
+      keep_strongest(g, t, size, kept);
+      return size;
+    }
   }
 
-  /// The non-empty root nodes side by side; returns their number.
-  template <typename Group>
-  FT_HOST_DEVICE static int make_roots(Group g, tree& t, int roots, int width, int height) {
-    float const root_width = detail::div(static_cast<float>(width), static_cast<float>(roots));
-    for (int i = g.rank(); i < roots; i += g.size()) {
-      t.next[i] = {static_cast<int>(detail::mul(root_width, static_cast<float>(i))), 0,
-                   static_cast<int>(detail::mul(root_width, static_cast<float>(i + 1))), height, 0};
+  struct rounds {
+    int whole;  ///< split all nodes in list order
+    int last;   ///< up to this one node by node; 0 where the rows do not tell
+  };
+
+  /// Every node with more than one point is split in every round but for the last, also in those
+  /// that go node by node; so the size of the list after a round is the number of nodes at its
+  /// depth.
+  FT_HOST_DEVICE static rounds count_rounds(shape const& level, int const* totals, int wanted) {
+    int const* const alone = totals + level.rows;
+    int whole = 0;
+    int before = totals[0];
+    for (int round = 1; level.complete || round <= level.depths; ++round) {
+      int const row = level.row_of(round);
+      int const size = totals[row];
+      bool const done = size >= wanted || size <= before;
+      if (whole == 0 && (done || size + 3 * (size - alone[row]) > wanted)) { whole = round; }
+      if (done) { return {whole, round}; }
+      before = size;
     }
-    g.sync();
-    for (int i = g.rank(); i < t.point_count; i += g.size()) {
-      int const r = min_of(
-          static_cast<int>(detail::div(static_cast<float>(t.points[i].x), root_width)), roots - 1);
-      t.node_of[i] = r;
-      atomic_add(&t.next[r].count, 1);
-    }
-    g.sync();
-    for (int i = g.rank(); i < roots; i += g.size()) {
-      t.place[i] = static_cast<int>(t.next[i].count > 0);
-    }
-    g.sync();
-    int const size = g.exclusive_scan_array(t.place, roots);
-    for (int i = g.rank(); i < roots; i += g.size()) {
-      if (t.next[i].count > 0) { t.nodes[t.place[i]] = t.next[i]; }
-    }
-    for (int i = g.rank(); i < t.point_count; i += g.size()) {
-      t.node_of[i] = t.place[t.node_of[i]];
-    }
-    g.sync();
-    return size;
+    return {0, 0};
   }
 
-  /// Points per quadrant of every node that could be split.
-  template <typename Group>
-  FT_HOST_DEVICE static void count_quadrants(Group g, tree& t, int size) {
-    for (int i = g.rank(); i < 4 * size; i += g.size()) { t.quadrant[i] = 0; }
+  /// Fills `order`: the points by (code, index).
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
+    constexpr int batch = 4;  // loads under way at a time
+    int* const bins = s.b.bins;
+    unsigned* const table = s.order;  // dead before `order` is filled
+    int const sides = level.width + level.height;
+    bool const tables = sides <= scratch_points && sides < 2 * t.n;
+    for (int i = g.rank(); i < level.bins; i += g.size()) { bins[i] = 0; }
+    if (g.rank() == 0) { s.crowded = 0; }
+    // The codes of columns and rows where that is less than the codes of all points.
+    if (tables) {
+      for (int i = g.rank(); i < sides; i += g.size()) {
+        table[i] = i < level.width ? level.column_code(i) : level.row_code(i - level.width);
+      }
+    }
     g.sync();
-    for (int i = g.rank(); i < t.point_count; i += g.size()) {
-      int const n = t.node_of[i];
-      quad_node const& node = t.nodes[n];
-      if (node.count > 1) { atomic_add(t.quadrant + 4 * n + quadrant_of(node, t.points[i]), 1); }
+    for (int base = g.rank(); base < t.n; base += batch * g.size()) {
+      corner p[batch];
+      FT_UNROLL
+      for (int k = 0; k < batch; ++k) { p[k] = t.points[min_of(base + k * g.size(), t.n - 1)]; }
+      FT_UNROLL
+      for (int k = 0; k < batch; ++k) {
+        int const i = base + k * g.size();
+        if (i < t.n) {
+          unsigned const code = tables ? table[p[k].x] ^ table[level.width + p[k].y]
+                                       : level.column_code(p[k].x) ^ level.row_code(p[k].y);
+          if (!tables) { t.order[i] = code; }
+          atomic_add(bins + (code >> level.bin_shift), 1);
+        }
+      }
+    }
+    g.sync();
+    int const chunk = ceil_div(level.bins, g.size());
+    int const first = g.rank() * chunk;
+    int const end = min_of(first + chunk, level.bins);
+    int sum = 0;
+    bool crowded = false;
+    for (int i = first; i < end; ++i) {
+      sum += bins[i];
+      crowded = crowded || bins[i] > crowded_bin;
+    }
+    if (crowded) { atomic_or(&s.crowded, 1); }
+    int total = 0;
+    int at = g.exclusive_scan(sum, total);
+    for (int i = first; i < end; ++i) {
+      int const count = bins[i];
+      bins[i] = at;
+      at += count;
+    }
+    g.sync();
+    for (int base = g.rank(); base < t.n; base += batch * g.size()) {
+      unsigned code[batch];
+      FT_UNROLL
+      for (int k = 0; k < batch; ++k) {
+        int const i = min_of(base + k * g.size(), t.n - 1);
+        code[k] = tables ? table[t.points[i].x] ^ table[level.width + t.points[i].y] : t.order[i];
+      }
+      FT_UNROLL
+      for (int k = 0; k < batch; ++k) {
+        int const i = base + k * g.size();
+        if (i < t.n) {
+          int const to = atomic_add(bins + (code[k] >> level.bin_shift), 1);
+          t.keys[to] = static_cast<unsigned long long>(code[k]) << 32 | static_cast<unsigned>(i);
+        }
+      }
+    }
+    g.sync();
+    // A bin ends now where it says. Within it a point's place is the number of smaller keys, and
+    // the largest of these is the point before.
+    bool const compare = s.crowded != 0;
+    if (compare) { g.sort(t.keys, t.n); }
+    for (int p = g.rank(); p < t.n; p += g.size()) {
+      unsigned long long const key = t.keys[p];
+      unsigned const code = static_cast<unsigned>(key >> 32);
+      unsigned const bin = code >> level.bin_shift;
+      int const bin_begin = compare ? p : bin > 0 ? bins[bin - 1] : 0;
+      int const bin_end = compare ? p : bins[bin];
+      int to = bin_begin;
+      unsigned long long previous = bin_begin > 0 ? t.keys[bin_begin - 1] : 0;
+      for (int q = bin_begin; q < bin_end; ++q) {
+        unsigned long long const other = t.keys[q];
+        bool const smaller = other < key;
+        to += static_cast<int>(smaller);
+        previous = smaller && previous < other ? other : previous;
+      }
+      int const depth =
+          to == 0 ? 0 : level.parting_depth(static_cast<unsigned>(previous >> 32), code);
+      t.order[to] =
+          static_cast<unsigned>(depth) << index_bits | static_cast<unsigned>(key & index_mask);
     }
     g.sync();
   }
 
-  /// A whole round: every node with more than one point, in list order. Returns how many.
-  template <typename Group>
-  FT_HOST_DEVICE static int choose_all(Group g, tree& t, int size) {
-    count_quadrants(g, t, size);
-    int splits = 0;
-    for (int base = 0; base < size; base += g.size()) {
-      int const i = base + g.rank();
-      bool const chosen = i < size && t.nodes[i].count > 1;
+  /// Fills the rows. 32 points at a time, a warp each: five ballots give the bits of their depths,
+  /// from which each lane makes one row.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void mark_heads(Group g, tree<Index>& t, shape const& level) {
+    constexpr int planes = 5;
+    auto const part = g.part();
+    for (int w = g.part_index(); w < t.words; w += g.parts()) {
+      int const following = t.depth_at(32 * w + 32);
+      unsigned const end = t.n < 32 * w + 32 ? 1u << (t.n & 31) : 0;
+      auto const write = [&](int k, unsigned heads) {
+        t.rows[k * t.words + w] = heads;
+        t.rows[(level.rows + k) * t.words + w] =
+            heads & ((heads | end) >> 1 | static_cast<unsigned>(following <= k) << 31);
+      };
+      if constexpr (Group::max_threads == 1) {
+        unsigned parted[never + 1] = {};
+        for (int p = 32 * w; p < min_of(32 * w + 32, t.n); ++p) {
+          parted[t.depth_at(p)] |= 1u << (p & 31);
+        }
+        unsigned heads = 0;
+        for (int k = 0; k < level.rows; ++k) { write(k, heads |= parted[k]); }
+        continue;
+      }
+      unsigned plane[planes] = {};
+      for (int base = 0; base < 32; base += part.size()) {
+        int const p = 32 * w + base + part.rank();
+        unsigned const depth = p < t.n ? t.order[p] >> index_bits : static_cast<unsigned>(never);
+        FT_UNROLL
+        for (int b = 0; b < planes; ++b) { plane[b] |= part.ballot((depth >> b & 1) != 0) << base; }
+      }
+      for (int k = part.rank(); k < level.rows; k += part.size()) {
+        unsigned less = 0;
+        unsigned equal = ~0u;
+        FT_UNROLL
+        for (int b = planes - 1; b >= 0; --b) {
+          unsigned const bit = 0u - (static_cast<unsigned>(k) >> b & 1);
+          less |= equal & bit & ~plane[b];
+          equal &= ~(bit ^ plane[b]);
+        }
+        write(k, less | equal);
+      }
+    }
+    g.sync();
+  }
+
+  /// Counts the bits of the rows: before each word, and in all (`totals`).
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void count_heads(Group g, scratch& s, tree<Index>& t, shape const& level) {
+    auto const part = g.part();
+    int const chunk = ceil_div(t.words, part.size());
+    int const first = min_of(part.rank() * chunk, t.words);
+    int const end = min_of(first + chunk, t.words);
+    for (int row = g.part_index(); row < 2 * level.rows; row += g.parts()) {
+      unsigned const* const bits = t.rows + row * t.words;
+      Index* const before = t.before + row * t.words;
+      int sum = 0;
+      for (int w = first; w < end; ++w) {
+        before[w] = static_cast<Index>(sum);
+        sum += popcount(bits[w]);
+      }
       int total = 0;
-      int const at = g.exclusive_scan(static_cast<int>(chosen), total);
-      if (chosen) { t.order[splits + at] = i; }
-      splits += total;
+      int const at = part.exclusive_scan(sum, total);
+      for (int w = first; w < end && at > 0; ++w) {
+        before[w] = static_cast<Index>(before[w] + at);
+      }
+      if (part.rank() == 0) { s.totals[row] = total; }
     }
     g.sync();
-    return splits;
+  }
+
+  /// The list after `whole` rounds that split every node: the nodes made in the last, then the
+  /// nodes of one point made in the one before, and so on; those made in one round in order of
+  /// their codes, descending for odd rounds. Returns how many were made in the last.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static int list_nodes(Group g, tree<Index>& t, shape const& level, int whole,
+                                       int const* totals) {
+    int const* const alone = totals + level.rows;
+    int const size = totals[level.row_of(whole)];
+    int const alone_before = alone[level.row_of(whole - 1)];
+    int const children = size - alone_before;
+    for (int i = g.rank(); i < size; i += g.size()) {
+      int const begin = t.select(level.row_of(whole), i);
+      int const end = t.bit_above(level.row_of(whole), begin);
+      int const round =
+          end - begin == 1 ? min_of(max_of(t.depth_at(begin), t.depth_at(end)), whole) : whole;
+      int first = 0;
+      int count = children;
+      int rank = i - t.rank(level.rows + level.row_of(whole - 1), begin);
+      if (round < whole) {
+        int const up_to = alone[round];
+        int const sooner = round > 0 ? alone[round - 1] : 0;
+        first = children + alone_before - up_to;
+        count = up_to - sooner;
+        rank = t.rank(level.rows + round, begin) -
+               (round > 0 ? t.rank(level.rows + round - 1, begin) : 0);
+      }
+      t.list[first + (round % 2 == 0 ? rank : count - 1 - rank)] = {static_cast<Index>(begin),
+                                                                    static_cast<Index>(end)};
+    }
+    g.sync();
+    return children;
+  }
+
+  /// Children of a node, at `row`'s depth.
+  template <typename Index>
+  FT_HOST_DEVICE static int children_of(tree<Index> const& t, node_range<Index> node, int row,
+                                        int total) {
+    int const end = node.end < t.n ? t.rank(row, node.end) : total;
+    return end - t.rank(row, node.begin);
   }
 
   /// Node by node: of the nodes made last (the first `children` of the list) those with more than
   /// one point, the fullest first, among equals the one furthest right, among these the one made
-  /// last; as many as it takes to reach `wanted` nodes. Returns how many.
-  template <typename Group>
-  FT_HOST_DEVICE static int choose_splits(Group g, tree& t, int children, int size, int wanted) {
-    count_quadrants(g, t, size);
-    int candidates = 0;
-    for (int base = 0; base < children; base += g.size()) {
-      int const i = base + g.rank();
-      bool const chosen = i < children && t.nodes[i].count > 1;
-      int total = 0;
-      int const at = g.exclusive_scan(static_cast<int>(chosen), total);
-      if (chosen) {  // 26 bits of count, 14 of column, 24 of place: a node made later is nearer to
-                     // the front
-        t.keys[candidates + at] =
-            static_cast<unsigned long long>(0x3ffffffu - static_cast<unsigned>(t.nodes[i].count))
-                << 38 |
-            static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(t.nodes[i].x0)) << 24 |
-            static_cast<unsigned long long>(i);
+  /// last; as many as it takes to reach `wanted` nodes. Returns the new size of the list;
+  /// `children` gets the number of nodes made.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static int split_one_by_one(Group g, scratch& s, tree<Index>& t,
+                                             shape const& level, int depth, int& children, int size,
+                                             int wanted) {
+    int const row = level.row_of(depth);
+    int const heads = s.totals[row];
+    int const multiple = size - s.totals[level.rows + level.row_of(depth - 1)];
+    for (int i = g.rank(); i < children; i += g.size()) {
+      node_range<Index> const node = t.list[i];
+      unsigned const count = static_cast<unsigned>(node.end - node.begin);
+      // 26 bits of count, 14 of column, 22 of place: a node made later is nearer to the front; 2 of
+      // gain. Nodes of one point come last.
+      unsigned long long key = ~0ull << 24 | static_cast<unsigned long long>(i) << 2;
+      if (count > 1) {
+        int const edge = level.left_edge(t.points[t.index_at(node.begin)].x, depth - 1);
+        key = static_cast<unsigned long long>(0x3ffffffu - count) << 38 |
+              static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(edge)) << 24 |
+              static_cast<unsigned long long>(i) << 2 |
+              static_cast<unsigned long long>(children_of(t, node, row, heads) - 1);
       }
-      candidates += total;
+      t.node_keys[i] = key;
+      t.splits_before[i] = 0;
+      t.gain_before[i] = 0;
+    }
+    if (g.rank() == 0) { s.made = 0; }
+    g.sync();
+    if (g.size() > 1 && children <= ranked_nodes) {
+      rank_splits(g, t, children);
+    } else {
+      sort_splits(g, t, children);
     }
     g.sync();
-    g.sort(t.keys, candidates);
-    g.sync();
-    int nodes = size;
-    int splits = 0;
-    for (int base = 0; base < candidates && nodes < wanted; base += g.size()) {
-      int const m = base + g.rank();
-      int const n = m < candidates ? static_cast<int>(t.keys[m] & 0xffffffu) : 0;
-      int const gain = m < candidates ? children_of(t.quadrant + 4 * n) - 1 : 0;
-      int total = 0;
-      int const before = g.exclusive_scan(gain, total);
-      bool const made = m < candidates && nodes + before < wanted;
-      if (made) { t.order[m] = n; }
-      int const made_here = g.reduce(static_cast<int>(made), sum_op{});
-      splits += made_here;
-      nodes += total;
-    }
-    g.sync();
-    return splits;
-  }
 
-  /// Splits the nodes t.order[0, splits) in that order. Returns the size of the new list;
-  /// `children` gets the number of nodes made, `multiple` that of those with more than one point.
-  template <typename Group>
-  FT_HOST_DEVICE static int split(Group g, tree& t, int size, int splits, int& children,
-                                  int& multiple) {
-    for (int i = g.rank(); i < size; i += g.size()) { t.place[i] = 0; }
-    g.sync();
-    // Places of the children, in creation order.
-    int made = 0;
-    int made_multiple = 0;
-    for (int base = 0; base < splits; base += g.size()) {
-      int const m = base + g.rank();
-      int const n = m < splits ? t.order[m] : 0;
-      int const mine = m < splits ? children_of(t.quadrant + 4 * n) : 0;
-      int total = 0;
-      int created = made + g.exclusive_scan(mine, total);
-      if (m < splits) {
-        t.place[n] = -1;
-        for (int q = 0; q < 4; ++q) {
-          int& points = t.quadrant[4 * n + q];
-          made_multiple += static_cast<int>(points > 1);
-          if (points > 0) {
-            quad_node const parent = t.nodes[n];
-            int const sx = split_x(parent);
-            int const sy = split_y(parent);
-            bool const right = (q & 1) != 0;
-            bool const bottom = (q & 2) != 0;
-            // Written to the end of the new list first; turned around below, where their number is
-            // known.
-            t.next[created] = {right ? sx : parent.x0, bottom ? sy : parent.y0,
-                               right ? parent.x1 : sx, bottom ? parent.y1 : sy, points};
-            points = created++;
-          }
-        }
+    // The last node to be split knows how many are made.
+    for (int i = g.rank(); i < children; i += g.size()) {
+      if (!is_split(t, i, children, size, wanted)) { continue; }
+      int const made = children_of(t, t.list[i], row, heads);
+      int const gained = t.gain_before[i] + made - 1;
+      if (size + gained >= wanted || t.splits_before[i] + 1 == multiple) {
+        s.made = t.splits_before[i] + 1 + gained;
       }
-      made += total;
     }
-    multiple = g.reduce(made_multiple, sum_op{});
-    children = made;
-    g.sync();
-    // Children in reverse order of creation.
-    for (int i = g.rank(); i < made / 2; i += g.size()) {
-      quad_node const a = t.next[i];
-      t.next[i] = t.next[made - 1 - i];
-      t.next[made - 1 - i] = a;
-    }
-    // Then the nodes that were not split, in their old order.
-    int kept = 0;
+    int stayed = 0;
+    int made = 0;
     for (int base = 0; base < size; base += g.size()) {
       int const i = base + g.rank();
-      bool const stays = i < size && t.place[i] == 0;
+      bool const splits = is_split(t, i, children, size, wanted);
+      bool const stays = i < size && !splits;
       int total = 0;
-      int const at = g.exclusive_scan(static_cast<int>(stays), total);
-      if (stays) {
-        t.place[i] = made + kept + at;
-        t.next[made + kept + at] = t.nodes[i];
+      int const rank = g.exclusive_scan(static_cast<int>(stays), total);
+      made = s.made;
+      if (stays) { t.next[made + stayed + rank] = t.list[i]; }
+      if (splits) {
+        // The order of creation is that of the quadrants, which the codes of even depths invert;
+        // the list has the reverse.
+        node_range<Index> const node = t.list[i];
+        int const created = t.splits_before[i] + t.gain_before[i];
+        int const count = children_of(t, node, row, heads);
+        int begin = node.begin;
+        for (int c = 0; c < count; ++c) {
+          int const end = c + 1 == count ? static_cast<int>(node.end) : t.bit_above(row, begin);
+          int const creation = created + (depth % 2 == 0 ? count - 1 - c : c);
+          t.next[made - 1 - creation] = {static_cast<Index>(begin), static_cast<Index>(end)};
+          begin = end;
+        }
       }
-      kept += total;
+      stayed += total;
     }
     g.sync();
-    for (int i = g.rank(); i < t.point_count; i += g.size()) {
-      int const n = t.node_of[i];
-      t.node_of[i] = t.place[n] >= 0
-                         ? t.place[n]
-                         : made - 1 - t.quadrant[4 * n + quadrant_of(t.nodes[n], t.points[i])];
-    }
-    g.sync();
-    quad_node* const swap = t.nodes;
-    t.nodes = t.next;
+    node_range<Index>* const swap = t.list;
+    t.list = t.next;
     t.next = swap;
-    return made + kept;
+    children = made;
+    return made + stayed;
+  }
+
+  template <typename Index>
+  FT_HOST_DEVICE static bool is_split(tree<Index> const& t, int i, int children, int size,
+                                      int wanted) {
+    return i < children && t.list[i].end - t.list[i].begin > 1 && size + t.gain_before[i] < wanted;
+  }
+
+  /// What comes before each node, by comparing all keys: a warp takes 32 nodes and 16 keys at a
+  /// time.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void rank_splits(Group g, tree<Index>& t, int n) {
+    constexpr int keys = 16;
+    auto const part = g.part();
+    int const columns = ceil_div(n, keys);
+    int const tiles = columns * ceil_div(n, 32);
+    for (int tile = g.part_index(); tile < tiles; tile += g.parts()) {
+      int const row = tile / columns;
+      int const first = (tile - row * columns) * keys;
+      int const end = min_of(first + keys, n);
+      for (int k = part.rank(); k < 32; k += part.size()) {
+        int const i = 32 * row + k;
+        if (i >= n) { break; }
+        unsigned long long const key = t.node_keys[i];
+        int splits = 0;
+        int gain = 0;
+        for (int j = first; j < end; ++j) {
+          unsigned long long const other = t.node_keys[j];
+          if (other < key) {
+            ++splits;
+            gain += static_cast<int>(other & 3);
+          }
+        }
+        atomic_add(t.splits_before + i, splits);
+        atomic_add(t.gain_before + i, gain);
+      }
+    }
+  }
+
+  /// The same by sorting.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void sort_splits(Group g, tree<Index>& t, int n) {
+    g.sort(t.node_keys, n);
+    int gained = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      unsigned long long const key = i < n ? t.node_keys[i] : 0;
+      int total = 0;
+      int const before = g.exclusive_scan(static_cast<int>(key & 3), total);
+      if (i < n) {
+        int const node = static_cast<int>(key >> 2 & 0x3fffff);
+        t.splits_before[node] = i;
+        t.gain_before[node] = gained + before;
+      }
+      gained += total;
+    }
+  }
+
+  /// Each node yields its strongest point, the first of equals.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void keep_strongest(Group g, tree<Index> const& t, int size, corner* kept) {
+    constexpr int most = 4;
+    int const lanes = g.lanes(most);
+    int const lane = g.rank() % lanes;
+    for (int base = 0; base < size; base += g.size() / lanes) {
+      int const i = base + g.rank() / lanes;
+      unsigned long long best = 0;
+      if (i < size) {
+        node_range<Index> const node = t.list[i];
+        for (int p = node.begin + lane; p < node.end; p += lanes) {
+          int const index = t.index_at(p);
+          unsigned long long const key =
+              static_cast<unsigned long long>(static_cast<unsigned>(t.points[index].response))
+                  << 32 |
+              (0xffffffffu - static_cast<unsigned>(index));
+          best = max_of(best, key);
+        }
+      }
+      best = g.template reduce_lanes<most>(best, max_op{});
+      if (i < size && lane == 0) {
+        kept[i] = t.points[0xffffffffu - static_cast<unsigned>(best & 0xffffffffu)];
+      }
+    }
   }
 };
 
 /// Thins the corners of every level of every image to about the wanted number. Asynchronous on
-/// `exec`; allocates nothing; one launch.
+/// `exec`; allocates nothing; one launch. @pre corners lie within their level's work area
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners,
                         distribution_view const& out) {

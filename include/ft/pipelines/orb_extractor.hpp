@@ -91,7 +91,9 @@ public:
     copy(exec, tile_spans, static_cast<tile_span const*>(spans.data()), spans.size());
     copy(exec, pattern_, detail::orb_pattern, std::size_t{256});
     copy(exec, overlaps_, static_cast<stereo_overlap const*>(all.data()), b);
+    // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
+    fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     exec.wait();
   }
 

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <ostream>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -13,6 +14,10 @@
 #include "bench/plan.hpp"
 #include "bench/runner.hpp"
 #include "bench/scene.hpp"
+
+namespace bench {
+void PrintTo(rig_type rig, std::ostream* out) { *out << name_of(rig); }
+}  // namespace bench
 
 namespace bench_test {
 

@@ -100,7 +100,7 @@ public:
                         "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
       k.threads_per_sm = blocks * k.threads;
       k.most_threads_sm = properties.maxThreadsPerMultiProcessor;
-      k.name = name_of_function(p.func, found.size());
+      if (k.name.empty()) { k.name = name_of_function(p.func, found.size()); }
     }
     std::vector<kernel_facts> all;
     for (auto const& entry : found) { all.push_back(entry.second); }

@@ -128,7 +128,7 @@ int main(int argc, char** argv) {
       if (wanted("streams")) { bench::streams_section(context, b); }
       if (wanted("graph")) { bench::graph_section(context, b); }
       if (wanted("kernels")) { bench::kernels_section(context, b); }
-      if (wanted("ablation")) { bench::ablation_section(context, b, backend == "auto"); }
+      if (wanted("ablation")) { bench::ablation_section(context, b, backend != "cuda"); }
     }
     if (!json_path.empty()) {
       std::ofstream file(json_path);

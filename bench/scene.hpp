@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the benches run on, as plain types; and the measurements they return.
+/// @file What the benches run on, as plain types: images of a generated room, cameras, poses.
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
 namespace bench {
@@ -13,39 +12,31 @@ struct plain_pose {
   float t[3];
 };
 
-struct scene_frame {
-  std::vector<std::uint8_t> left, right;
-  plain_pose T_cw;
+struct plain_camera {
+  float fx = 0, fy = 0, cx = 0, cy = 0;
+  float k[4] = {0, 0, 0, 0};  ///< fisheye only: k1 to k4 of Kannala and Brandt
 };
 
+struct scene_frame {
+  std::vector<std::uint8_t> left, right;
+  plain_pose T_cw;  ///< world to left camera
+};
+
+enum class rig_type { rectified, fisheye };
+
 struct scene {
+  rig_type rig = rig_type::rectified;
   int width = 0, height = 0;
-  float fx = 0, fy = 0, cx = 0, cy = 0, baseline = 0;
-  int features = 1200;
+  plain_camera left, right;  ///< of a rectified pair the left one is both
+  plain_pose T_rl;           ///< left camera to right camera
+  float baseline = 0;        ///< metres
+  int features = 1200;       ///< keypoints per image
   int local_points = 3000;
   std::vector<scene_frame> frames;  ///< neighbours in time
 };
 
-struct measurement {
-  std::string name;
-  std::string backend;
-  int batch = 1;
-  std::vector<double> us;  ///< per call
-  int inliers = 0;
-  int map_points = 0;
-};
-
-struct settings {
-  int warm_up = 100;
-  int frames = 1000;
-  std::vector<int> batches;
-  bool stages = true;
-};
-
-std::vector<measurement> run_host(scene const& s, settings const& how);
-/// Empty where there is no device.
-std::vector<measurement> run_cuda(scene const& s, settings const& how);
-/// "name, driver x, runtime y"; empty without a device.
-std::string cuda_description();
+/// Renders `images` consecutive stereo frames of the generator's route, in motion, on all threads.
+/// @param width,height 0 = the rig's own @throws seq::error
+scene make_scene(rig_type rig, int width, int height, int images, int features, int local_points);
 
 }  // namespace bench

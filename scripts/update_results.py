@@ -3,8 +3,9 @@
 """Writes the tables of README.md and docs/ from the measurements in bench/results/.
 
 Each table stands between the lines <!-- NAME begins --> and <!-- NAME ends -->.
-  update_results.py          rewrites them
-  update_results.py --check  exits with 1 where a table is not what the results say
+  update_results.py              rewrites them
+  update_results.py --check      exits with 1 where a table is not what the results say
+  update_results.py --self-test  tests the tables on made-up results
 """
 import json
 import pathlib
@@ -18,28 +19,187 @@ def load(name):
     return json.loads((RESULTS / name).read_text())
 
 
-def frames():
+def frame_results():
+    """Of ft_bench; measured once, of the first executor in the file."""
     bench = load("frame_h200.json")
+    return {k: of_first_backend(v) if isinstance(v, list) else v for k, v in bench.items()}
+
+
+def of_first_backend(rows):
+    """Without the rows of other executors than the first one's."""
+    dicts = [r for r in rows if isinstance(r, dict)]
+    if not dicts:
+        return rows
+    return [r for r in dicts if r.get("backend") == dicts[0].get("backend")]
+
+
+def about(bench):
+    return f"{bench['gpu'] or bench.get('processor', 'host')}; {bench['date']}, commit {bench['commit']}"
+
+
+NOT_YET = ["Not measured yet."]
+BAR = 50
+
+
+def bars(rows, unit, digits=0):
+    """A chart of (name, value) in text, the longest bar as long as BAR."""
+    if not rows:
+        return NOT_YET
+    most = max(value for _, value in rows) or 1
+    width = max(len(name) for name, _ in rows)
+    number = max(len(f"{value:.{digits}f}") for _, value in rows)
+    lines = ["```text"]
+    for name, value in rows:
+        bar = "#" * max(round(BAR * value / most), 1 if value > 0 else 0)
+        lines.append(f"{name:<{width}}  {value:>{number}.{digits}f} {unit}  {bar}".rstrip())
+    return lines + ["```"]
+
+
+def frames():
+    bench = frame_results()
     lines = [
-        f"{bench['gpu']}; {bench['date']}, commit {bench['commit']}; "
+        f"{about(bench)}; "
         f"{bench['image'][0]}x{bench['image'][1]} stereo, 1200 features an image, "
         f"{bench['rows'][0]['map_points']} map points.",
         "",
-        "| what | cameras | p50, us | p99, us | frames/s |",
-        "|---|---:|---:|---:|---:|",
     ]
-    for r in bench["rows"]:
+    return lines + frame_rows(bench["rows"])
+
+
+def frame_rows(rows):
+    lines = ["| what | cameras | p50, us | p99, us | frames/s |", "|---|---:|---:|---:|---:|"]
+    for r in rows:
         if not r["name"].startswith("stage: "):
             lines.append(f"| {r['name']} | {r['batch']} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['frames_per_s']:.0f} |")
     return lines
 
 
 def stages():
-    bench = load("frame_h200.json")
+    bench = frame_results()
     lines = ["| stage | p50, us | p99, us |", "|---|---:|---:|"]
     for r in bench["rows"]:
         if r["name"].startswith("stage: "):
             lines.append(f"| {r['name'][7:]} | {r['p50_us']:.1f} | {r['p99_us']:.1f} |")
+    return lines
+
+
+def fisheye():
+    bench = frame_results()
+    if not bench.get("fisheye"):
+        return NOT_YET
+    return [f"{about(bench)}.", ""] + frame_rows(bench["fisheye"])
+
+
+def counts():
+    bench = frame_results()
+    lines = [
+        "| rig | frame | left keypoints | with depth | last frame: matches | inliers | local map: matches | inliers | off by, mm |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    found = False
+    for rig, array in (("rectified", "rows"), ("fisheye", "fisheye")):
+        for r in bench.get(array, []):
+            c = r.get("counts")
+            if not c or r["batch"] != 1 or r["name"] not in ("frame", "frame, with pose optimisation"):
+                continue
+            found = True
+            what = "with pose optimisation" if "optimisation" in r["name"] else "without"
+            lines.append(
+                f"| {rig} | {what} | {c['keypoints']:.0f} | {c['stereo_matches']:.0f} | {c['last_matches']:.0f} | "
+                f"{c['last_inliers']:.0f} | {c['local_matches']:.0f} | {c['inliers']:.0f} | {1000 * c['position_error_m']:.1f} |"
+            )
+    return lines if found else NOT_YET
+
+
+def stage_chart():
+    bench = frame_results()
+    rows = [r for r in bench.get("graph_stages", []) if r["rig"] == "rectified"] or bench["rows"]
+    return bars([(r["name"][7:], r["p50_us"]) for r in rows if r["name"].startswith("stage: ")], "us", 1)
+
+
+def throughput_chart():
+    bench = frame_results()
+    rows = [(f"batch of {r['batch']}", r["frames_per_s"]) for r in bench["rows"] if r["name"].startswith("batch of")]
+    for r in bench.get("streams", []):
+        if r["name"].startswith("images at the same time"):
+            rows.append((f"{r['streams']} tracker{'s' if r['streams'] != 1 else ''}, a stream each", r["frames_per_s"]))
+    return bars(rows, "frames/s")
+
+
+def streams():
+    bench = frame_results()
+    if not bench.get("streams"):
+        return NOT_YET
+    lines = ["| what | trackers | threads | p50, us | p99, us | frames/s |", "|---|---:|---:|---:|---:|---:|"]
+    for r in bench["streams"]:
+        lines.append(
+            f"| {r['name']} | {r['streams']} | {r['threads']} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['frames_per_s']:.0f} |"
+        )
+    return lines
+
+
+def ablation():
+    rows = load("frame_h200.json").get("ablation", [])
+    if not rows:
+        return NOT_YET
+    lines = ["| choice | on | p50, us | p99, us | times the first |", "|---|---|---:|---:|---:|"]
+    for r in rows:
+        lines.append(f"| {r['name']} | {r['backend']} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['times_reference']:.2f} |")
+    device = [(r["name"], r["p50_us"]) for r in rows if r["backend"] == rows[0]["backend"]]
+    return lines + [""] + bars(device, "us")
+
+
+def cameras():
+    rows = load("frame_h200.json").get("cameras", [])
+    if not rows:
+        return NOT_YET
+    # One column per executor and number of threads, in the order of the file.
+    columns = list(dict.fromkeys((r["backend"], r["threads"]) for r in rows))
+    head = [f"host, {t} thread{'s' if t != 1 else ''}" if b == "host" else b for b, t in columns]
+    lines = [
+        "| model | scalar | " + " | ".join(f"{h}: project | Jacobian | unproject" for h in head) + " |",
+        "|---|---|" + "---:|---:|---:|" * len(columns),
+    ]
+    value = {(r["model"], r["scalar"], r["backend"], r["threads"], r["function"]): r["ns_per_point"] for r in rows}
+    for model, scalar in dict.fromkeys((r["model"], r["scalar"]) for r in rows):
+        cells = []
+        for backend, threads in columns:
+            for function in ("project", "project_jacobian", "unproject"):
+                v = value.get((model, scalar, backend, threads, function))
+                cells.append("" if v is None else f"{v:.4f}" if backend == "cuda" else f"{v:.1f}")
+        lines.append(f"| {model} | {scalar} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def graph():
+    rows = load("frame_h200.json").get("graph", [])
+    if not rows:
+        return NOT_YET
+    lines = [
+        "| rig | cameras | kernels | copies | fills | kB up | kB down by copy | kB of result, written by kernels |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for r in rows:
+        lines.append(
+            f"| {r['rig']} | {r['batch']} | {r['kernels']} | {r['copies']} | {r['fills']} | {r['bytes_up'] / 1e3:.0f} | "
+            f"{r['bytes_down'] / 1e3:.0f} | {r['result_bytes'] / 1e3:.0f} |"
+        )
+    return lines
+
+
+def kernels():
+    rows = load("frame_h200.json").get("kernels", [])
+    if not rows:
+        return NOT_YET
+    lines = [
+        "| kernel | rig | calls | threads | blocks | registers | shared, bytes | local, bytes | threads an SM |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for r in rows:
+        lines.append(
+            f"| `{r['name']}` | {r['rig']} | {r['launches']} | {r['threads']} | {r['blocks']} | {r['registers']} | "
+            f"{r['shared_bytes']} | {r['local_bytes']} | {r['threads_per_sm']} of {r['most_threads_per_sm']} |"
+        )
     return lines
 
 
@@ -62,10 +222,52 @@ TABLES = {
     "README.md": {"frames": frames},
     "docs/performance.md": {"frames": frames, "stages": stages},
     "docs/conformance.md": {"conformance": conformance},
+    "docs/benchmark_results.md": {
+        "counts": counts,
+        "stage chart": stage_chart,
+        "fisheye": fisheye,
+        "throughput chart": throughput_chart,
+        "streams": streams,
+        "ablation": ablation,
+        "cameras": cameras,
+        "graph": graph,
+        "kernels": kernels,
+    },
 }
 
 
+def self_test():
+    global load
+    row = {"name": "frame", "backend": "cuda", "batch": 1, "p50_us": 100.0, "p99_us": 120.0, "frames_per_s": 10000.0, "map_points": 3000}
+    results = {
+        "gpu": "a GPU", "date": "2000-01-01", "commit": "0", "image": [752, 480],
+        "rows": [row, dict(row, name="stage: blur", p50_us=5.0), dict(row, name="frame", backend="host", p50_us=7.0)],
+    }
+    load = lambda _: results
+    assert bars([("a", 10), ("bcd", 5), ("e", 0)], "us") == [
+        "```text", "a    10 us  " + "#" * 50, "bcd   5 us  " + "#" * 25, "e     0 us", "```"]
+    assert bars([("a", 1000), ("b", 0.001)], "us")[2].endswith("#")  # what is there is seen
+    assert bars([], "us") == NOT_YET
+    text = "\n".join(frames())
+    assert "| frame | 1 | 100 | 120 | 10000 |" in text and "| 7 |" not in text and "stage" not in text, text
+    for empty in (fisheye, counts, streams, ablation, cameras, graph, kernels):
+        assert empty() == NOT_YET, empty
+    assert any(line.startswith("blur") for line in stage_chart())
+    results["cameras"] = [
+        {"model": "m", "scalar": "float", "function": "project", "backend": "host", "threads": 1, "ns_per_point": 2.5},
+        {"model": "m", "scalar": "float", "function": "unproject", "backend": "cuda", "threads": 0, "ns_per_point": 0.0051}]
+    assert cameras()[-1] == "| m | float | 2.5 |  |  |  |  | 0.0051 |", cameras()
+    results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]
+    assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
+    print("update_results.py: self-test passed")
+
+
 def main():
+    if sys.argv[1:] not in ([], ["--check"], ["--self-test"]):
+        print(__doc__.strip(), file=sys.stderr)
+        return 0 if sys.argv[1] in ("-h", "--help") else 2
+    if sys.argv[1:] == ["--self-test"]:
+        return self_test()
     check = sys.argv[1:] == ["--check"]
     stale = []
     for file, tables in TABLES.items():

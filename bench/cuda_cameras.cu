@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/measure.hpp"
+#include "bench/camera_runner.hpp"
 
 namespace bench {
+
+std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets) {
+  return std::make_unique<camera_runner_of<ft::cuda_exec>>(0, points, sets);
+}
 
 std::string cuda_description() {
   int devices = 0;
@@ -20,16 +24,6 @@ std::string cuda_description() {
   };
   return std::string(properties.name) + ", driver for CUDA " + version(driver) + ", runtime " +
          version(runtime);
-}
-
-std::vector<measurement> run_cuda(scene const& s, settings const& how) {
-  if (cuda_description().empty()) { return {}; }
-  cudaStream_t stream = nullptr;
-  ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
-  std::vector<measurement> out;
-  measure(ft::cuda_exec(stream), "cuda", s, how, out);
-  ft::detail::check(cudaStreamDestroy(stream), "cudaStreamDestroy");
-  return out;
 }
 
 }  // namespace bench

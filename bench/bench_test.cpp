@@ -1,0 +1,219 @@
+// SPDX-License-Identifier: Apache-2.0
+// The bench's own rules, and that what it times is real work: frames in which keypoints are matched
+// and poses found, points that the cameras see.
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <ostream>
+#include <set>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "bench/names.hpp"
+#include "bench/plan.hpp"
+#include "bench/runner.hpp"
+#include "bench/scene.hpp"
+
+namespace bench {
+void PrintTo(rig_type rig, std::ostream* out) { *out << name_of(rig); }
+}  // namespace bench
+
+namespace bench_test {
+
+using bench::backend_type;
+using bench::rig_type;
+
+TEST(sections, none_given_means_all) {
+  auto const all = bench::parse_sections({});
+  EXPECT_EQ(all.size(), bench::all_sections().size());
+  EXPECT_EQ(all.count("fisheye"), 1u);
+}
+
+TEST(sections, are_taken_from_lists_and_from_several_options) {
+  EXPECT_EQ(bench::parse_sections({"frame,batch", "cameras", "frame"}),
+            (std::set<std::string>{"batch", "cameras", "frame"}));
+}
+
+TEST(sections, a_name_that_is_none_is_refused_with_those_there_are) {
+  for (char const* wrong : {"frames", "", "frame,", ",frame", "frame batch", "Frame"}) {
+    try {
+      bench::parse_sections({wrong});
+      FAIL() << "'" << wrong << "' was taken";
+    } catch (std::runtime_error const& e) {
+      EXPECT_NE(std::string(e.what()).find("ablation"), std::string::npos) << e.what();
+    }
+  }
+}
+
+TEST(plan, batches_get_fewer_calls_the_larger_they_are) {
+  EXPECT_EQ(bench::calls_of_batch(250, 1), 250);
+  EXPECT_EQ(bench::calls_of_batch(250, 16), 250);
+  EXPECT_EQ(bench::calls_of_batch(250, 64), 62);
+  EXPECT_EQ(bench::calls_of_batch(250, 256), 24);
+  EXPECT_EQ(bench::calls_of_batch(4, 256), 4);  // never more than one pair has
+  EXPECT_EQ(bench::calls_of_batch(1 << 24, 1), 1 << 24);
+}
+
+TEST(plan, shares_cover_all_items_once_and_differ_by_one_at_most) {
+  for (int items : {0, 1, 7, 64}) {
+    for (int parts : {1, 2, 3, 16}) {
+      int next = 0;
+      for (int p = 0; p < parts; ++p) {
+        auto const share = bench::share_of(items, parts, p);
+        EXPECT_EQ(share.first, next);
+        EXPECT_GE(share.second - share.first, items / parts);
+        EXPECT_LE(share.second - share.first, items / parts + 1);
+        next = share.second;
+      }
+      EXPECT_EQ(next, items);
+    }
+  }
+}
+
+TEST(plan, the_rate_is_that_of_the_ends_without_the_first_fifth) {
+  // Ten frames that end 100 us apart, in no order; the first two were slow.
+  std::vector<bench::finished_frame> frames;
+  for (int i : {3, 0, 9, 1, 5, 4, 8, 7, 2, 6}) {
+    frames.push_back({1000.0 + 100 * i, i < 2 ? 900.0 : 40.0 + i});
+  }
+  std::vector<double> took{1, 2, 3};
+  EXPECT_DOUBLE_EQ(bench::steady_rate(frames, took), 10000);
+  ASSERT_EQ(took.size(), 8u);
+  EXPECT_DOUBLE_EQ(took.front(), 42);
+  EXPECT_DOUBLE_EQ(took.back(), 49);
+}
+
+TEST(plan, no_rate_from_fewer_than_two_frames) {
+  std::vector<bench::finished_frame> frames;
+  std::vector<double> took{1};
+  EXPECT_EQ(bench::steady_rate(frames, took), 0);
+  EXPECT_TRUE(took.empty());
+  frames = {{5, 2}};
+  EXPECT_EQ(bench::steady_rate(frames, took), 0);
+  EXPECT_EQ(took.size(), 1u);
+  frames = {{5, 2}, {5, 3}};
+  EXPECT_EQ(bench::steady_rate(frames, took), 0);  // no time passed
+}
+
+TEST(names, of_kernels_are_functor_and_shape) {
+  EXPECT_EQ(bench::short_kernel_name(
+                "void ft::v0_cuda::detail::per_block_kernel<512, ft::v0_cuda::assign<ft::v0_cuda::"
+                "rig, true>, int, char const*>(T2, T3...)"),
+            "assign<rig, true> (per_block)");
+  EXPECT_EQ(bench::short_kernel_name(
+                "void ft::v0_cuda::detail::per_warp_kernel<(int)4, ft::v0_cuda::list, int>(int)"),
+            "list (per_warp)");
+  EXPECT_EQ(bench::short_kernel_name("void detail::per_thread_kernel<128, op>(int)"),
+            "op (per_thread)");
+  EXPECT_EQ(bench::short_kernel_name("another(int)"), "another(int)");
+  EXPECT_EQ(bench::short_kernel_name(""), "");
+}
+
+std::vector<backend_type> backends() {
+  std::vector<backend_type> all{backend_type::host};
+  if (!bench::cuda_description().empty()) {
+    all.push_back(backend_type::cuda);
+  } else if (char const* const require = std::getenv("FT_REQUIRE_GPU");
+             require != nullptr && std::string(require) == "1") {
+    ADD_FAILURE() << "FT_REQUIRE_GPU=1 but there is no CUDA device";
+  }
+  return all;
+}
+
+class frames : public ::testing::TestWithParam<rig_type> {};
+INSTANTIATE_TEST_SUITE_P(rigs, frames, ::testing::Values(rig_type::rectified, rig_type::fisheye),
+                         [](auto const& rig) { return std::string(name_of(rig.param)); });
+
+TEST_P(frames, are_matched_and_their_poses_found) {
+  bench::scene const s = bench::make_scene(GetParam(), 376, 0, 4, 500, 600);
+  for (auto const b : backends()) {
+    SCOPED_TRACE(name_of(b));
+    bench::frame_options o;
+    o.backend = b;
+    o.batch = 2;
+    auto const runner = bench::make_frame_runner(s, o);
+    auto const c = runner->counts();
+    EXPECT_GT(runner->map_points(), 300);
+    EXPECT_LE(runner->map_points(), 600);
+    EXPECT_GT(c.keypoints, 400);
+    EXPECT_GT(c.stereo_matches, 60);
+    EXPECT_LT(c.stereo_matches, c.keypoints);
+    EXPECT_GT(c.last_matches, 30);
+    EXPECT_GT(c.inliers, 80);
+    EXPECT_LE(c.last_inliers, c.last_matches);
+    EXPECT_LT(c.position_error, 0.03);  // the prediction is off by 0.014
+  }
+}
+
+TEST_P(frames, stages_are_all_timed_and_every_way_of_queueing_runs) {
+  bench::scene const s = bench::make_scene(GetParam(), 376, 0, 3, 300, 300);
+  for (auto const b : backends()) {
+    SCOPED_TRACE(name_of(b));
+    bench::frame_options o;
+    o.backend = b;
+    auto const runner = bench::make_frame_runner(s, o);
+    ASSERT_EQ(runner->stages().size(), 14u);
+    EXPECT_EQ(runner->stages().front(), "upload");
+    EXPECT_EQ(runner->stages().back(), "download");
+    for (bool recorded : {false, true}) {
+      auto const us = runner->stage_times(1, recorded);
+      ASSERT_EQ(us.size(), 14u);
+      for (double t : us) { EXPECT_GE(t, 0); }
+    }
+    for (auto how : {bench::call_type::whole, bench::call_type::two_halves,
+                     bench::call_type::queued, bench::call_type::queued_in_a_row}) {
+      runner->prepare(2);
+      runner->update_map(runner->map_points());
+      runner->launch(how);
+      runner->wait();
+      EXPECT_TRUE(runner->done());
+      runner->keep();
+    }
+  }
+}
+
+TEST_P(frames, recorded_work_is_counted) {
+  bench::scene const s = bench::make_scene(GetParam(), 376, 0, 2, 300, 300);
+  for (auto const b : backends()) {
+    SCOPED_TRACE(name_of(b));
+    bench::frame_options o;
+    o.backend = b;
+    auto const runner = bench::make_frame_runner(s, o);
+    auto const g = runner->graph();
+    auto const kernels = runner->kernels();
+    if (b == backend_type::host) {
+      EXPECT_EQ(g.kernels + g.copies + g.fills + g.others, 0);
+      EXPECT_TRUE(kernels.empty());
+      continue;
+    }
+    auto const images = 2u * static_cast<unsigned>(s.width) * static_cast<unsigned>(s.height);
+    EXPECT_GE(g.bytes_up, images);
+    EXPECT_LT(g.bytes_up, 2 * images + (1u << 20));
+    int launches = 0;
+    for (auto const& k : kernels) {
+      launches += k.launches;
+      EXPECT_FALSE(k.name.empty());
+      EXPECT_GT(k.registers, 0) << k.name;
+      EXPECT_GT(k.threads_per_sm, 0) << k.name;
+    }
+    EXPECT_EQ(launches, g.kernels);
+    EXPECT_GT(g.result_bytes, 300u * 36u);
+  }
+}
+
+TEST(cameras, see_every_point_that_they_are_timed_on) {
+  for (auto const b : backends()) {
+    auto const runner = bench::make_camera_runner(b, 1, 2000, 2);
+    auto const& cases = runner->cases();
+    ASSERT_EQ(cases.size(), 9u * 2 * 3 + 1);
+    for (std::size_t k = 0; k < cases.size(); ++k) {
+      runner->select(static_cast<int>(k));
+      EXPECT_GE(runner->run(1, 3), 0);
+      EXPECT_GT(runner->valid_share(), 0.995)
+          << name_of(b) << " " << cases[k].model << " " << cases[k].scalar << " " << cases[k].op;
+    }
+  }
+}
+
+}  // namespace bench_test

@@ -1,0 +1,306 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The frame runner, once for every executor and rig.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <new>
+#include <string>
+#include <vector>
+
+#include "bench/graph_facts.hpp"
+#include "bench/owned_executor.hpp"
+#include "bench/runner.hpp"
+#include "bench/stage_clock.hpp"
+#include "ft/cameras/kannala_brandt.hpp"
+#include "ft/pipelines/frame_tracker.hpp"
+
+namespace bench {
+inline namespace FT_ABI {
+
+using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
+
+inline ft::pose pose_of(plain_pose const& p) {
+  ft::pose T;
+  for (int i = 0; i < 9; ++i) { T.R.m[i] = p.R[i]; }
+  T.t = {p.t[0], p.t[1], p.t[2]};
+  return T;
+}
+
+template <typename Rig>
+Rig rig_of(scene const& s) {
+  auto const& l = s.left;
+  if constexpr (Rig::rectified) {
+    return Rig::make({l.fx, l.fy, l.cx, l.cy}, s.baseline);
+  } else {
+    auto const& r = s.right;
+    return {{l.fx, l.fy, l.cx, l.cy, l.k[0], l.k[1], l.k[2], l.k[3]},
+            {r.fx, r.fy, r.cx, r.cy, r.k[0], r.k[1], r.k[2], r.k[3]},
+            pose_of(s.T_rl)};
+  }
+}
+
+template <typename Exec, typename Rig>
+class frame_runner_of final : public frame_runner {
+public:
+  frame_runner_of(scene const& s, frame_options const& how)
+      : scene_(s),
+        batch_(how.batch),
+        owned_(how.host_threads),
+        tracker_(exec(), rig_of<Rig>(s), params_of(s, how), how.batch),
+        clock_(exec()),
+        recorded_clock_(exec()) {
+    build_map();
+    stage_times(0, false);
+    wait();
+    names_ = clock_.names();
+  }
+  ~frame_runner_of() override {
+    try {
+      exec().wait();  // the tracker's memory may be in use
+    } catch (...) {}
+  }
+
+  void prepare(int i) override {
+    for (int b = 0; b < batch_; ++b) {
+      set_images(b, frame_of(i, b));
+      // The prediction is off by a little, as a motion model's is.
+      ft::pose T = pose_of(frame(frame_of(i, b)).T_cw);
+      T.t.x += 0.01f;
+      T.t.z -= 0.01f;
+      tracker_.predicted()[b] = T;
+      tracker_.last_pose()[b] = pose_of(frame(frame_of(i - 1, b)).T_cw);
+      tracker_.stamp()[b] = ++stamp_;
+    }
+    std::copy(holder_.begin(), holder_.end(), tracker_.last_holder());
+  }
+
+  void launch(call_type how) override {
+    switch (how) {
+      case call_type::whole:
+        tracker_.track(exec());
+        break;
+      case call_type::two_halves:
+        tracker_.track_motion(exec());
+        exec().wait();
+        tracker_.track_local(exec());
+        break;
+      case call_type::queued:
+        tracker_.track(exec(), ft::no_mark{});
+        break;
+      case call_type::queued_in_a_row:
+        tracker_.track(exec(), [](char const*) {});
+        break;
+    }
+  }
+  bool done() override { return owned_.done(); }
+  void wait() override { exec().wait(); }
+
+  void keep() override {
+    auto const& r = tracker_.result();
+    std::copy(r.holder, r.holder + holder_.size(), holder_.begin());
+  }
+
+  void update_map(int count) override {
+    tracker_.update_map(exec(), 0, points_.data(), std::min(count, map_points()));
+  }
+  int map_points() const override { return static_cast<int>(points_.size()); }
+
+  frame_counts counts() override {
+    frame_counts c;
+    c.map_points = map_points();
+    auto const frames = static_cast<int>(scene_.frames.size());
+    for (int i = 0; i < frames; ++i) {
+      prepare(i);
+      auto const& r = tracker_.result();
+      tracker_.track_motion(exec());
+      wait();
+      c.last_matches += r.matches[0];
+      c.last_inliers += r.inliers[0];
+      tracker_.track_local(exec());
+      wait();
+      c.keypoints += r.keypoints[0];
+      c.local_matches += r.matches[0];
+      c.inliers += r.inliers[0];
+      for (int k = 0; k < r.keypoints[0]; ++k) { c.stereo_matches += r.depth[k] > 0 ? 1 : 0; }
+      ft::vec3<float> const off = r.T_cw[0].centre() - pose_of(frame(frame_of(i, 0)).T_cw).centre();
+      c.position_error += static_cast<double>(std::sqrt(ft::dot(off, off)));
+      keep();
+    }
+    for (double* v : {&c.keypoints, &c.stereo_matches, &c.last_matches, &c.last_inliers,
+                      &c.local_matches, &c.inliers, &c.position_error}) {
+      *v /= frames;
+    }
+    return c;
+  }
+
+  std::vector<std::string> const& stages() override { return names_; }
+  std::vector<double> stage_times(int i, bool recorded) override {
+    prepare(i);
+    auto us = (recorded ? recorded_clock_ : clock_)
+                  .run([this](Exec const& e, auto&& mark) { tracker_.track(e, mark); }, recorded);
+    wait();
+    keep();
+    return us;
+  }
+
+  graph_counts graph() override {
+    graph_counts c;
+#if defined(__CUDACC__)
+    if constexpr (Exec::asynchronous) {
+      c = capture().counts();
+      auto const& r = tracker_.result();
+      auto const b = static_cast<std::size_t>(batch_);
+      auto const n = b * static_cast<std::size_t>(r.capacity);
+      c.result_bytes =
+          b * (sizeof(int) * static_cast<std::size_t>(r.cameras) + sizeof(ft::pose) +
+               2 * sizeof(int) + static_cast<std::size_t>(r.local_points)) +
+          n * static_cast<std::size_t>(r.cameras) * (2 * sizeof(float) + 3 * sizeof(int)) +
+          n * (sizeof(float) + sizeof(ft::vec3<float>));
+    }
+#endif
+    return c;
+  }
+  std::vector<kernel_facts> kernels() override {
+#if defined(__CUDACC__)
+    if constexpr (Exec::asynchronous) { return capture().kernels(); }
+#endif
+    return {};
+  }
+
+private:
+  Exec const& exec() const { return owned_.exec; }
+  scene_frame const& frame(int k) const { return scene_.frames[static_cast<std::size_t>(k)]; }
+
+#if defined(__CUDACC__)
+  captured capture() {
+    wait();
+    return captured([this](ft::cuda_exec const& e) { tracker_.track(e, ft::no_mark{}); });
+  }
+#endif
+
+  static ft::tracker_params params_of(scene const& s, frame_options const& how) {
+    ft::tracker_params p;
+    p.orb.width = s.width;
+    p.orb.height = s.height;
+    p.orb.features = s.features;
+    p.local_points = 4096;
+    p.map_slots = 8192;
+    p.updates = 4096;
+    p.optimize_last = how.optimize_last;
+    p.optimize_local = how.optimize_local;
+    return p;
+  }
+
+  /// Back and forth over the scene, so that consecutive frames are neighbours.
+  int frame_of(int i, int b) const {
+    int const n = static_cast<int>(scene_.frames.size());
+    int const period = 2 * n - 2;
+    int const k = ((i + b) % period + period) % period;
+    return k < n ? k : period - k;
+  }
+
+  void set_images(int b, int k) {
+    int const w = scene_.width;
+    tracker_.set_image(b, 0, {frame(k).left.data(), w, scene_.height, w});
+    tracker_.set_image(b, 1, {frame(k).right.data(), w, scene_.height, w});
+  }
+
+  /// Points seen with depth in all of the scene's frames, up to the wanted number: each frame gives
+  /// its share, and frames with more to give make up for those with less.
+  void build_map() {
+    auto const capacity = static_cast<std::size_t>(tracker_.capacity());
+    holder_.assign(static_cast<std::size_t>(batch_ * frame_tracker_cameras) * capacity, -1);
+    std::vector<ft::descriptor> orb(capacity);
+    auto const n = static_cast<int>(scene_.frames.size());
+    std::vector<std::vector<ft::point_update>> seen(scene_.frames.size());
+    for (int k = 0; k < n; ++k) {
+      for (int b = 0; b < batch_ && (b == 0 || k == 0); ++b) { set_images(b, k); }
+      tracker_.extract(exec());
+      wait();
+      auto const& r = tracker_.result();
+      tracker_.download_descriptors(exec(), 0, orb.data(), r.keypoints[0]);
+      wait();
+      ft::pose const T_wc = pose_of(frame(k).T_cw).inverse();
+      for (int i = 0; i < r.keypoints[0]; ++i) {
+        if (!(r.depth[i] > 0)) { continue; }
+        ft::vec3<float> const P = T_wc * r.point[i];
+        ft::vec3<float> const view = P - T_wc.t;
+        float const distance = std::sqrt(ft::dot(view, view));
+        auto const& g = tracker_.geometry();
+        ft::point_update u;
+        u.slot = -1;
+        u.observations = 3;
+        u.position = P;
+        u.normal = {view.x / distance, view.y / distance, view.z / distance};
+        u.max_distance = distance * g.scale[r.octave[i]];
+        u.min_distance = u.max_distance / g.scale[g.levels - 1];
+        u.orb = orb[static_cast<std::size_t>(i)];
+        seen[static_cast<std::size_t>(k)].push_back(u);
+      }
+    }
+    std::vector<std::size_t> order(seen.size());
+    for (std::size_t k = 0; k < order.size(); ++k) { order[k] = k; }
+    std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+      return seen[a].size() != seen[b].size() ? seen[a].size() < seen[b].size() : a < b;
+    });
+    std::vector<std::size_t> take(seen.size());
+    auto left = static_cast<std::size_t>(scene_.local_points);
+    for (std::size_t k = 0; k < order.size(); ++k) {
+      take[order[k]] = std::min(seen[order[k]].size(), left / (order.size() - k));
+      left -= take[order[k]];
+    }
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+      for (std::size_t i = 0; i < take[k]; ++i) {
+        points_.push_back(seen[k][i]);
+        points_.back().slot = map_points() - 1;
+      }
+    }
+    for (int b = 0; b < batch_; ++b) {
+      tracker_.update_map(exec(), b, points_.data(), map_points());
+      wait();
+      tracker_.local_count()[b] = map_points();
+      for (int i = 0; i < map_points(); ++i) {
+        tracker_.local_slots()[b * tracker_.params().local_points + i] = i;
+      }
+    }
+  }
+
+  static constexpr int frame_tracker_cameras = ft::frame_tracker<Exec, Rig>::cameras;
+
+  scene const& scene_;
+  int batch_;
+  owned_executor<Exec> owned_;
+  ft::frame_tracker<Exec, Rig> tracker_;
+  stage_clock<Exec> clock_;
+  stage_clock<Exec> recorded_clock_;
+  std::vector<std::string> names_;
+  std::vector<int> holder_;
+  std::vector<ft::point_update> points_;
+  int stamp_ = 0;
+};
+
+template <typename Exec, typename Rig>
+std::unique_ptr<frame_runner> make_runner_of(scene const& s, frame_options const& how) {
+  try {
+    return std::make_unique<frame_runner_of<Exec, Rig>>(s, how);
+  } catch (std::bad_alloc const&) {
+    throw no_memory("host memory is short");
+  } catch (ft::cuda_error const& e) {
+    if (std::string(e.what()).find("cudaErrorMemoryAllocation") == std::string::npos) { throw; }
+    throw no_memory("device or pinned memory is short");
+  }
+}
+
+}  // namespace FT_ABI
+
+// One function a unit: what is instantiated where, see *_rectified.* and *_fisheye.*.
+std::unique_ptr<frame_runner> make_host_rectified(scene const& s, frame_options const& how);
+std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options const& how);
+std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
+std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options const& how);
+
+}  // namespace bench

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "ft/core/execution.hpp"
+
+namespace bench {
+inline namespace FT_ABI {
+
+/// The executor of a runner, with the stream where there is one.
+template <typename Exec>
+struct owned_executor;
+
+template <>
+struct owned_executor<ft::host_exec> {
+  ft::host_exec exec;
+  explicit owned_executor(int threads) : exec(threads) {}
+  bool done() const { return true; }
+};
+
+#if defined(__CUDACC__)
+template <>
+struct owned_executor<ft::cuda_exec> {
+  ft::cuda_exec exec{nullptr};
+  explicit owned_executor(int) {
+    ft::detail::check(cudaStreamCreateWithFlags(&exec.stream, cudaStreamNonBlocking),
+                      "cudaStreamCreateWithFlags");
+  }
+  owned_executor(owned_executor const&) = delete;
+  owned_executor& operator=(owned_executor const&) = delete;
+  ~owned_executor() { static_cast<void>(cudaStreamDestroy(exec.stream)); }
+  bool done() const {
+    cudaError_t const status = cudaStreamQuery(exec.stream);
+    if (status == cudaErrorNotReady) { return false; }
+    ft::detail::check(status, "cudaStreamQuery");
+    return true;
+  }
+};
+#endif
+
+}  // namespace FT_ABI
+}  // namespace bench

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/runner.hpp"
+
+namespace bench {
+
+std::unique_ptr<frame_runner> make_host_rectified(scene const& s, frame_options const& how);
+std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options const& how);
+std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
+
+#if FT_BENCH_HAS_CUDA
+std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
+std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options const& how);
+std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
+#else
+namespace {
+[[noreturn]] void no_cuda() { throw std::runtime_error("built without CUDA"); }
+std::unique_ptr<frame_runner> make_cuda_rectified(scene const&, frame_options const&) { no_cuda(); }
+std::unique_ptr<frame_runner> make_cuda_fisheye(scene const&, frame_options const&) { no_cuda(); }
+std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
+}  // namespace
+std::string cuda_description() { return {}; }
+#endif
+
+std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options const& how) {
+  bool const rectified = s.rig == rig_type::rectified;
+  if (how.backend == backend_type::host) {
+    return rectified ? make_host_rectified(s, how) : make_host_fisheye(s, how);
+  }
+  return rectified ? make_cuda_rectified(s, how) : make_cuda_fisheye(s, how);
+}
+
+std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host_threads,
+                                                  int points, int sets) {
+  return backend == backend_type::host ? make_host_cameras(host_threads, points, sets)
+                                       : make_cuda_cameras(points, sets);
+}
+
+}  // namespace bench

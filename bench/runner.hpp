@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What the sections of the bench measure, without the types of ft in it: the templates are
+/// instantiated behind these interfaces, once per executor and rig.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "bench/scene.hpp"
+
+namespace bench {
+
+enum class backend_type { host, cuda };
+inline char const* name_of(backend_type b) { return b == backend_type::host ? "host" : "cuda"; }
+inline char const* name_of(rig_type r) {
+  return r == rig_type::rectified ? "rectified" : "fisheye";
+}
+
+/// There is not enough memory for what is to be measured.
+struct no_memory : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// ---- whole frames -----------------------------------------------------------------------------
+
+struct frame_options {
+  backend_type backend = backend_type::host;
+  int host_threads = 0;  ///< of the host executor, 0 = all
+  int batch = 1;         ///< camera pairs
+  bool optimize_last = true;
+  bool optimize_local = true;
+};
+
+/// How a frame is queued.
+enum class call_type {
+  whole,            ///< one call, on a device one graph
+  two_halves,       ///< the host waits in between, where it would choose the local map
+  queued,           ///< launch after launch, side branches as in the graph
+  queued_in_a_row,  ///< launch after launch, no side branches
+};
+
+/// Means over the scene's frames, of the batch's first pair.
+struct frame_counts {
+  double keypoints = 0;       ///< of the left image
+  double stereo_matches = 0;  ///< left keypoints with a depth
+  double last_matches = 0;    ///< of the search from the last frame
+  double last_inliers = 0;    ///< of its pose optimisation; the matches where there is none
+  double local_matches = 0;   ///< of the search in the local map
+  double inliers = 0;         ///< of the second pose optimisation; the matches where there is none
+  double position_error = 0;  ///< of the frame's camera centre, metres
+  int map_points = 0;
+};
+
+/// What a recorded frame is made of. All zero on the host.
+struct graph_counts {
+  int kernels = 0, copies = 0, fills = 0, others = 0;
+  std::size_t bytes_up = 0;      ///< copied from host memory
+  std::size_t bytes_down = 0;    ///< copied to host memory
+  std::size_t bytes_within = 0;  ///< copied on the device
+  std::size_t result_bytes = 0;  ///< of the result, which kernels write to host memory
+};
+
+/// One kernel of a recorded frame, as the driver reports it.
+struct kernel_facts {
+  std::string name;
+  int launches = 0;         ///< in a frame
+  int threads = 0;          ///< per block
+  int blocks = 0;           ///< of the largest launch
+  int registers = 0;        ///< per thread
+  std::size_t shared = 0;   ///< static, bytes per block
+  std::size_t local = 0;    ///< bytes per thread: spills and arrays
+  int threads_per_sm = 0;   ///< that fit at a time
+  int most_threads_sm = 0;  ///< that the device could hold
+};
+
+/// A tracker over a batch of pairs that see the scene's frames, each pair a frame further on than
+/// the one before it, against a map of points of all frames. Order of calls per frame: prepare,
+/// launch, wait (or done until it says true), keep.
+class frame_runner {
+public:
+  frame_runner() = default;
+  frame_runner(frame_runner const&) = delete;
+  frame_runner& operator=(frame_runner const&) = delete;
+  virtual ~frame_runner() = default;
+
+  /// Puts images, prediction and last frame of frame `i` where the executor fetches them.
+  virtual void prepare(int i) = 0;
+  /// Queues the frame; on the host all is done on return.
+  virtual void launch(call_type how) = 0;
+  virtual bool done() = 0;
+  virtual void wait() = 0;
+  /// Keeps of the result what the next frame needs.
+  virtual void keep() = 0;
+  /// Queues the writing of the first `count` map points, of pair 0; waits for an earlier one.
+  virtual void update_map(int count) = 0;
+  virtual int map_points() const = 0;
+
+  /// Runs every frame of the scene in two halves and looks at the results.
+  virtual frame_counts counts() = 0;
+  /// Names of the stages, in order.
+  virtual std::vector<std::string> const& stages() = 0;
+  /// One frame, stage after stage; microseconds of each. @param recorded in a graph with events in
+  /// it, so that the time to queue does not count; on the host the same
+  virtual std::vector<double> stage_times(int i, bool recorded) = 0;
+  virtual graph_counts graph() = 0;
+  virtual std::vector<kernel_facts> kernels() = 0;
+};
+
+/// @throws no_memory, std::runtime_error
+std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options const& how);
+
+// ---- camera models ----------------------------------------------------------------------------
+
+struct camera_case {
+  std::string model;   ///< "(copy)": no camera, the same memory traffic as project
+  std::string scalar;  ///< "float" or "strict_float"
+  std::string op;      ///< "project", "project_jacobian" or "unproject"
+};
+
+/// Runs camera models over sets of different points in the field of view.
+class camera_runner {
+public:
+  camera_runner() = default;
+  camera_runner(camera_runner const&) = delete;
+  camera_runner& operator=(camera_runner const&) = delete;
+  virtual ~camera_runner() = default;
+
+  virtual std::vector<camera_case> const& cases() const = 0;
+  /// Makes the points for a case, where the last one had another model.
+  virtual void select(int number) = 0;
+  /// Time of `launches` launches of the selected case, over the sets in turn from `first` on;
+  /// microseconds for all.
+  virtual double run(int first, int launches) = 0;
+  /// Share of the points for which the selected case said that the result is valid, last launch.
+  virtual double valid_share() = 0;
+};
+
+/// @param points per set @param sets of points
+std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host_threads,
+                                                  int points, int sets);
+
+// ---- the machine ------------------------------------------------------------------------------
+
+/// "name, driver for CUDA x, runtime y"; empty without a device.
+std::string cuda_description();
+
+}  // namespace bench

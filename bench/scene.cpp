@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/scene.hpp"
+
+#include <Eigen/Geometry>
+#include <cstddef>
+
+#include "sequence/generator.hpp"
+#include "sequence/parallel.hpp"
+
+namespace bench {
+
+namespace {
+
+plain_pose plain(Eigen::Isometry3d const& T) {
+  plain_pose p;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) { p.R[3 * r + c] = static_cast<float>(T.linear()(r, c)); }
+    p.t[r] = static_cast<float>(T.translation()(r));
+  }
+  return p;
+}
+
+plain_camera plain(seq::camera_intrinsics const& c) {
+  plain_camera p{static_cast<float>(c.fx),
+                 static_cast<float>(c.fy),
+                 static_cast<float>(c.cx),
+                 static_cast<float>(c.cy),
+                 {0, 0, 0, 0}};
+  for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) {
+    p.k[i] = static_cast<float>(c.distortion[i]);
+  }
+  return p;
+}
+
+}  // namespace
+
+scene make_scene(rig_type type, int width, int height, int images, int features, int local_points) {
+  seq::generator_options options;
+  options.rig = type == rig_type::fisheye ? seq::rig_kind::fisheye : seq::rig_kind::pinhole;
+  options.width = width;
+  options.height = height;
+  seq::generator const generator(options);
+  auto const& rig = generator.rig();
+  scene s;
+  s.rig = type;
+  s.width = rig.left.width;
+  s.height = rig.left.height;
+  s.left = plain(rig.left);
+  s.right = plain(rig.right);
+  s.T_rl = plain(rig.T_left_right.inverse());
+  s.baseline = static_cast<float>(rig.baseline());
+  s.features = features;
+  s.local_points = local_points;
+  s.frames.resize(static_cast<std::size_t>(images));
+  constexpr int first = 60;  // in motion
+  seq::parallel_for(images, 0, [&](int k) {
+    auto frame = generator.render(first + k);
+    auto& f = s.frames[static_cast<std::size_t>(k)];
+    f.left = std::move(frame.left.pixels);
+    f.right = std::move(frame.right.pixels);
+    f.T_cw = plain(generator.T_world_camera(first + k).inverse());
+  });
+  return s;
+}
+
+}  // namespace bench

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The sections of ft_bench. Each prints its table and adds its arrays to the results.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bench/runner.hpp"
+#include "bench/scene.hpp"
+
+namespace bench {
+
+struct settings {
+  int warm_up = 0;  ///< 0: 100 on a device, 3 on the host
+  int frames = 0;   ///< 0: 1000 and 48
+  std::vector<int> batches;
+  std::vector<int> streams;
+  int images = 16;
+  int features = 1200;
+  int fisheye_features = 1000;
+  int local_points = 3000;
+  int points = 0;  ///< of the camera models; 0: 2^20 and 2^16
+
+  int warm_up_on(backend_type b) const {
+    return warm_up > 0 ? warm_up : (b == backend_type::cuda ? 100 : 3);
+  }
+  int frames_on(backend_type b) const {
+    return frames > 0 ? frames : (b == backend_type::cuda ? 1000 : 48);
+  }
+};
+
+/// Scenes are rendered when first asked for.
+class scenes {
+public:
+  explicit scenes(settings const& how) : how_(how) {}
+  scene const& get(rig_type rig);
+
+private:
+  settings how_;
+  std::map<rig_type, std::unique_ptr<scene>> made_;
+};
+
+struct context {
+  settings how;
+  scenes* all_scenes;
+  nlohmann::json* out;
+};
+
+void cameras_section(context const& c, backend_type b);
+/// Whole frames of one pair: array "rows" for the rectified rig, "fisheye" for the other.
+void frame_section(context const& c, backend_type b, rig_type rig);
+void stages_section(context const& c, backend_type b, rig_type rig);
+void batch_section(context const& c, backend_type b);
+void streams_section(context const& c, backend_type b);
+void graph_section(context const& c, backend_type b);
+void kernels_section(context const& c, backend_type b);
+/// @param with_host also measure the frame on the host, beside a device
+void ablation_section(context const& c, backend_type b, bool with_host);
+
+}  // namespace bench

@@ -181,30 +181,37 @@ struct distribute_level {
       t.words = ceil_div(points, 32);
       size = run(g, s, t, layout, l, v.kept + at);
     } else {
-      std::ptrdiff_t const slot = image * corners.layout.total_slots + corners.layout.first_slot[l];
-      tree<int> t;
-      t.keys =
-          v.keys + slot +
-          static_cast<std::ptrdiff_t>(distribution_view::key_pad) * (image * layout.levels + l);
-      t.order = v.order + slot;
-      t.n = points;
-      t.words = ceil_div(points, 32);
-      // Rows and their counts: 2 * max_rows words of each for 32 points, 8 bytes a point.
-      t.rows = reinterpret_cast<unsigned*>(t.keys);
-      t.before =
-          reinterpret_cast<int*>(t.rows + static_cast<std::ptrdiff_t>(2 * max_rows) * t.words);
-      t.list = v.list[0] + at;
-      t.next = v.list[1] + at;
-      t.node_keys = v.node_keys + at;
-      t.splits_before = v.splits_before + at;
-      t.gain_before = v.gain_before + at;
-      t.points = corners.level_list(image, l);
-      size = run(g, s, t, layout, l, v.kept + at);
+      size = run_in_workspace(g, s, image, l, points, at, corners, v);
     }
     if (g.rank() == 0) { v.kept_count[item] = size; }
   }
 
 private:
+  template <typename Group>
+  FT_HOST_DEVICE FT_COLD static int run_in_workspace(Group g, scratch& s, int image, int l,
+                                                     int points, int at,
+                                                     corners_view const& corners,
+                                                     distribution_view const& v) {
+    distribution_layout const& layout = v.layout;
+    std::ptrdiff_t const slot = image * corners.layout.total_slots + corners.layout.first_slot[l];
+    tree<int> t;
+    t.keys = v.keys + slot +
+             static_cast<std::ptrdiff_t>(distribution_view::key_pad) * (image * layout.levels + l);
+    t.order = v.order + slot;
+    t.n = points;
+    t.words = ceil_div(points, 32);
+    // Rows and their counts: 2 * max_rows words of each for 32 points, 8 bytes a point.
+    t.rows = reinterpret_cast<unsigned*>(t.keys);
+    t.before = reinterpret_cast<int*>(t.rows + static_cast<std::ptrdiff_t>(2 * max_rows) * t.words);
+    t.list = v.list[0] + at;
+    t.next = v.list[1] + at;
+    t.node_keys = v.node_keys + at;
+    t.splits_before = v.splits_before + at;
+    t.gain_before = v.gain_before + at;
+    t.points = corners.level_list(image, l);
+    return run(g, s, t, layout, l, v.kept + at);
+  }
+
   static constexpr int index_bits = 26;  ///< of an entry of `order`; above it the depth
   static constexpr unsigned index_mask = (1u << index_bits) - 1;
   static constexpr int never = 31;  ///< depth at which coincident points part

@@ -293,7 +293,6 @@ struct damped_descent {
     steps_left = params.steps;
     trials_left = params.trials;
     running = steps_left > 0;
-    propose(params);
   }
 
   FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
@@ -313,17 +312,10 @@ struct damped_descent {
     } else {
       refuse();
     }
-    propose(params);
   }
 
-private:
-  /// After a trial that was no better: more damping, while any is left.
-  FT_HOST_DEVICE void refuse() {
-    damping = (real(damping) * growth).value;
-    growth *= 2;
-    running = --trials_left > 0 && scalar::is_finite(damping);
-  }
-  FT_HOST_DEVICE void propose(pose_params const&) {
+  /// Names the next trial pose, or ends.
+  FT_HOST_DEVICE void propose() {
     float H[21];
     float b[6];
     for (int k = 0; k < 6; ++k) { b[k] = at_best.narrow[k]; }
@@ -336,6 +328,14 @@ private:
     }
     expected = sum.value;
     trial = exp_se3(step) * T;
+  }
+
+private:
+  /// After a trial that was no better: more damping, while any is left.
+  FT_HOST_DEVICE void refuse() {
+    damping = (real(damping) * growth).value;
+    growth *= 2;
+    running = --trials_left > 0 && scalar::is_finite(damping);
   }
 };
 
@@ -471,14 +471,21 @@ private:
                                                     pose_problem const& problem,
                                                     pose_params const& params,
                                                     detail::transform const& start, bool robust) {
-    linearize(g, s, rig, problem, params, start, robust, true);
-    if (g.rank() == 0) { s.descent.begin(start, s.sums.total, params); }
-    g.sync();
-    while (s.descent.running) {
-      detail::transform const trial = s.descent.trial;
-      linearize(g, s, rig, problem, params, trial, robust, false);
-      if (g.rank() == 0) { s.descent.judge(s.sums.total, params); }
+    detail::transform here = start;
+    FT_NO_UNROLL
+    for (bool first = true;; first = false) {
+      linearize(g, s, rig, problem, params, here, robust, first);
+      if (g.rank() == 0) {
+        if (first) {
+          s.descent.begin(start, s.sums.total, params);
+        } else {
+          s.descent.judge(s.sums.total, params);
+        }
+        s.descent.propose();
+      }
       g.sync();
+      if (!s.descent.running) { break; }
+      here = s.descent.trial;
     }
     for (int i = g.rank(); i < problem.count; i += g.size()) {
       problem.outlier[i] =

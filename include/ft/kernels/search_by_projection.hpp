@@ -360,26 +360,28 @@ private:
                                                 Visit const& visit) {
     std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
     int const n = ctx.work.list_count[at];
-    if (n <= search_workspace::list_size) {
-      constexpr int quads = search_workspace::list_size / 4;
-      candidate_quad list[quads];  // all loads first
-      FT_UNROLL
-      for (int q = 0; q < quads; ++q) {
-        if (4 * q < n) { list[q] = ctx.work.list[at * quads + q]; }
-      }
-      FT_UNROLL
-      for (int q = 0; q < quads; ++q) {
-        if (4 * q >= n) { return; }
-        FT_UNROLL
-        for (int e = 0; e < 4; ++e) {
-          std::uint32_t const entry = list[q].entry[e];
-          if (4 * q + e < n) {
-            visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
-          }
-        }
-      }
+    if (n > search_workspace::list_size) {
+      for_each_listless_candidate(ctx, c, i, visit);
       return;
     }
+    constexpr int quads = search_workspace::list_size / 4;
+    FT_NO_UNROLL
+    for (int q = 0; 4 * q < n; ++q) {
+      candidate_quad const list = ctx.work.list[at * quads + q];
+      FT_UNROLL
+      for (int e = 0; e < 4; ++e) {
+        std::uint32_t const entry = list.entry[e];
+        if (4 * q + e < n) {
+          visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
+        }
+      }
+    }
+  }
+
+  /// The same for a window with more candidates than its list holds.
+  template <typename Visit>
+  FT_HOST_DEVICE FT_COLD static void for_each_listless_candidate(context const& ctx, int c, int i,
+                                                                 Visit const& visit) {
     search_window const w = ctx.windows.at(c, ctx.b, i);
     keypoints_view const kp = ctx.frame.camera(ctx.b, c);
     descriptor const wanted = get<field::orb>(ctx.points, w.slot);
@@ -777,11 +779,7 @@ struct assign_last_points {
         g.sync();
       }
       if (attempt == 1 || work.matches[b] >= search.params.retry_below) { break; }
-      int const count = windows.count[b];
-      for (int i = g.part_index(); i < count; i += g.parts()) {
-        list_last_point<Rig>::list(g.part(), b, i, search, 2 * search.params.th, frame, map,
-                                   geometry, params, windows, work);
-      }
+      list_wider(g, b, search, frame, map, geometry, params, windows, work);
       g.sync();
     }
     if (stamps.seen == nullptr) { return; }
@@ -790,6 +788,21 @@ struct assign_last_points {
       if (holder[k] >= 0) {
         stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + holder[k]] = stamps.frame[b];
       }
+    }
+  }
+
+private:
+  template <typename Group>
+  FT_HOST_DEVICE FT_COLD static void list_wider(Group g, int b, last_search<Rig> const& search,
+                                                frame_view const& frame, map_points_view const& map,
+                                                pyramid_geometry const& geometry,
+                                                search_params const& params,
+                                                search_windows_view const& windows,
+                                                search_workspace const& work) {
+    int const count = windows.count[b];
+    for (int i = g.part_index(); i < count; i += g.parts()) {
+      list_last_point<Rig>::list(g.part(), b, i, search, 2 * search.params.th, frame, map, geometry,
+                                 params, windows, work);
     }
   }
 };

@@ -65,6 +65,11 @@ int main(int argc, char** argv) {
   app.add_option("--images", how.images, "different frames, taken in turn")
       ->check(CLI::Range(2, 200))
       ->capture_default_str();
+  app.add_option(
+         "--sequence", how.sequence,
+         "folder of a recorded stereo sequence with ground truth (EuRoC, KITTI layout): its "
+         "first frames in place of generated ones, for the rectified pair")
+      ->check(CLI::ExistingDirectory);
   app.add_option("--features", how.features, "keypoints per rectified image")
       ->check(CLI::Range(1, 1 << 16))
       ->capture_default_str();
@@ -107,13 +112,19 @@ int main(int argc, char** argv) {
     std::string command = "ft_bench";
     for (int i = 1; i < argc; ++i) { command += std::string(" ") + argv[i]; }
     out["command"] = command;
-    out["image"] = {752, 480};
+    out["sequence"] = how.sequence;
     out["rows"] = nlohmann::json::array();
     std::printf("%s\n%s, %u threads\n", gpu.c_str(), out["processor"].get<std::string>().c_str(),
                 std::thread::hardware_concurrency());
 
     bench::scenes scenes(how);
     bench::context const context{how, &scenes, &out};
+    if (!how.sequence.empty()) {
+      auto const& s = scenes.get(bench::rig_type::rectified);
+      out["image"] = {s.width, s.height};
+    } else {
+      out["image"] = {752, 480};
+    }
     auto const wanted = [&](char const* name) { return sections.count(name) != 0; };
     for (auto const b : backends) {
       using bench::rig_type;

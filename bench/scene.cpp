@@ -4,8 +4,10 @@
 #include <Eigen/Geometry>
 #include <cstddef>
 
+#include "sequence/evaluation.hpp"
 #include "sequence/generator.hpp"
 #include "sequence/parallel.hpp"
+#include "sequence/reader.hpp"
 
 namespace bench {
 
@@ -60,6 +62,37 @@ scene make_scene(rig_type type, int width, int height, int images, int features,
     f.right = std::move(frame.right.pixels);
     f.T_cw = plain(generator.T_world_camera(first + k).inverse());
   });
+  return s;
+}
+
+scene read_scene(std::string const& folder, int images, int features, int local_points) {
+  seq::open_options options;
+  options.keep_fisheye = false;
+  options.max_frames = images;
+  seq::sequence const sequence = seq::sequence::open(folder, options);
+  if (!sequence.ground_truth_has_orientation() || sequence.ground_truth().empty()) {
+    throw seq::error(folder + ": no ground truth with orientations, which the bench's map needs");
+  }
+  auto const& rig = sequence.rig();
+  scene s;
+  s.width = rig.left.width;
+  s.height = rig.left.height;
+  s.left = plain(rig.left);
+  s.right = plain(rig.right);
+  s.T_rl = plain(rig.T_left_right.inverse());
+  s.baseline = static_cast<float>(rig.baseline());
+  s.features = features;
+  s.local_points = local_points;
+  for (int k = 0; k < sequence.size(); ++k) {
+    auto const pose = seq::interpolate(sequence.ground_truth(), sequence.time_ns(k));
+    if (!pose) { continue; }
+    seq::stereo_frame frame = sequence.load(k);
+    s.frames.push_back(
+        {std::move(frame.left.pixels), std::move(frame.right.pixels), plain(pose->inverse())});
+  }
+  if (s.frames.size() < 2) {
+    throw seq::error(folder + ": fewer than two frames with ground truth");
+  }
   return s;
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 namespace bench {
@@ -38,5 +39,9 @@ struct scene {
 /// Renders `images` consecutive stereo frames of the generator's route, in motion, on all threads.
 /// @param width,height 0 = the rig's own @throws seq::error
 scene make_scene(rig_type rig, int width, int height, int images, int features, int local_points);
+
+/// The first stereo frames of a recorded sequence (EuRoC or KITTI layout), rectified.
+/// @throws seq::error where it cannot be read, or has no ground truth with orientations
+scene read_scene(std::string const& folder, int images, int features, int local_points);
 
 }  // namespace bench

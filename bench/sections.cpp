@@ -90,7 +90,10 @@ scene const& scenes::get(rig_type rig) {
   auto& s = made_[rig];
   if (!s) {
     int const features = rig == rig_type::fisheye ? how_.fisheye_features : how_.features;
-    s = std::make_unique<scene>(make_scene(rig, 0, 0, how_.images, features, how_.local_points));
+    bool const recorded = rig == rig_type::rectified && !how_.sequence.empty();
+    s = std::make_unique<scene>(
+        recorded ? read_scene(how_.sequence, how_.images, features, how_.local_points)
+                 : make_scene(rig, 0, 0, how_.images, features, how_.local_points));
   }
   return *s;
 }

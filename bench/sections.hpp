@@ -20,6 +20,7 @@ struct settings {
   std::vector<int> batches;
   std::vector<int> streams;
   int images = 16;
+  std::string sequence;  ///< recorded frames in place of generated ones for the rectified pair
   int features = 1200;
   int fisheye_features = 1000;
   int local_points = 3000;

@@ -20,14 +20,10 @@
 #define FT_HIDDEN
 #endif
 
-/// FT_COLD marks what seldom runs: a kernel of one block waits for its instructions as for its
-/// data, so they should not lie between those that do run.
 #if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #define FT_NO_UNROLL _Pragma("unroll 1")
-#define FT_COLD __noinline__
 #else
 #define FT_UNROLL
 #define FT_NO_UNROLL
-#define FT_COLD
 #endif

@@ -188,10 +188,9 @@ struct distribute_level {
 
 private:
   template <typename Group>
-  FT_HOST_DEVICE FT_COLD static int run_in_workspace(Group g, scratch& s, int image, int l,
-                                                     int points, int at,
-                                                     corners_view const& corners,
-                                                     distribution_view const& v) {
+  FT_HOST_DEVICE static int run_in_workspace(Group g, scratch& s, int image, int l, int points,
+                                             int at, corners_view const& corners,
+                                             distribution_view const& v) {
     distribution_layout const& layout = v.layout;
     std::ptrdiff_t const slot = image * corners.layout.total_slots + corners.layout.first_slot[l];
     tree<int> t;

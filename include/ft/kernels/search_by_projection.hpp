@@ -62,11 +62,15 @@ struct search_params {
   bool from_empty = false;  ///< nobody holds a keypoint: holders are cleared first
 };
 
+/// Four candidates of a window, each distance << 23 | keypoint.
+struct alignas(16) candidate_quad {
+  std::uint32_t entry[4];
+};
+
 /// Candidates of one search and the state of the assignment.
 struct search_workspace {
   static constexpr int list_size = 16;  ///< longer lists are walked in the grid again, none is cut
-  std::uint32_t* list =
-      nullptr;  ///< [cameras][batch][capacity][list_size]: distance << 23 | keypoint
+  candidate_quad* list = nullptr;  ///< [cameras][batch][capacity][list_size / 4], padded with ~0
   /// [cameras][batch][capacity], may exceed list_size; 0 where a window could take none of them
   int* list_count = nullptr;
   int* match = nullptr;  ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
@@ -90,7 +94,7 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.cameras = cameras;
   std::size_t const b = static_cast<std::size_t>(batch);
   std::size_t const n = static_cast<std::size_t>(cameras) * b * static_cast<std::size_t>(windows);
-  v.list = c.take<std::uint32_t>(detail::checked_mul(n, search_workspace::list_size));
+  v.list = c.take<candidate_quad>(detail::checked_mul(n, search_workspace::list_size / 4));
   v.list_count = c.take<int>(n);
   v.match = c.take<int>(n);
   v.touch =
@@ -156,7 +160,7 @@ struct list_candidates {
     for (int c = 0; c < frame.cameras; ++c) {
       search_window const w = windows.at(c, b, i);
       std::ptrdiff_t const at = work.window(c, b, i);
-      std::uint32_t* const list = work.list + at * search_workspace::list_size;
+      candidate_quad* const list = work.list + at * (search_workspace::list_size / 4);
       int found = 0;
       int in_window = 0;
       int takeable = 0;
@@ -177,12 +181,16 @@ struct list_candidates {
           int total = 0;
           int const place = found + g.exclusive_scan(static_cast<int>(distance >= 0), total);
           if (distance >= 0 && place < search_workspace::list_size) {
-            list[place] =
+            list[place / 4].entry[place % 4] =
                 static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
           }
           takeable |= static_cast<int>(distance >= 0 && distance <= params.max_distance);
           found += total;
         });
+      }
+      int const padded = min_of((found + 3) / 4 * 4, search_workspace::list_size);
+      for (int place = found + g.rank(); place < padded; place += g.size()) {
+        list[place / 4].entry[place % 4] = ~0u;
       }
       // A window that can take nothing decides nothing and influences nobody.
       takeable = g.reduce(takeable, max_op{});
@@ -233,7 +241,7 @@ struct assign_keypoints {
     }
     if constexpr (!Rounds) {
       for (int i = 0; i < n; ++i) {
-        taken += decide(g, ctx, i, 0, 1, [&](int k) { return occupied(ctx, k); });
+        taken += decide(ctx, i, [&](int k) { return occupied(ctx, k); });
       }
       work.matches[b] = taken;
     }
@@ -268,9 +276,6 @@ private:
       }
     }
   };
-
-  static constexpr int window_lanes = 8;  ///< threads that share a window's candidates
-  static constexpr int none = -1;         ///< in place of a window's number
 
   /// State of the keypoints in the rounds.
   struct marks {
@@ -320,35 +325,24 @@ private:
       }
       if (g.rank() == 0) { s.left_open = 0; }
       g.sync();
-      int const lanes = g.lanes(window_lanes);
-      int const lane = g.rank() % lanes;
-      int const windows_at_once = g.size() / lanes;
-      for (int base = 0; base < count; base += windows_at_once) {
-        int const at = base + g.rank() / lanes;
-        int const i = at < count ? open.get(at) : none;
-        bool const waits = is_hopeful(g, ctx, i, lane, lanes, m);
-        if (waits) {
-          for_each_touched(ctx, i, lane, lanes, m,
-                           [&](int number) { atomic_min(m.touch + number, i); });
-        }
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open.get(at);
+        for_each_touched(ctx, i, m, [&](int number) { atomic_min(m.touch + number, i); });
       }
       g.sync();
-      for (int base = 0; base < count; base += windows_at_once) {
-        int const at = base + g.rank() / lanes;
-        int const i = at < count ? open.get(at) : none;
-        int kept_back = 0;
-        if (is_hopeful(g, ctx, i, lane, lanes, m)) {
-          for_each_touched(ctx, i, lane, lanes, m, [&](int number) {
-            kept_back |= static_cast<int>(m.touch[number] != i);
+      for (int at = g.rank(); at < count; at += g.size()) {
+        int const i = open.get(at);
+        bool mine = true;
+        for_each_touched(ctx, i, m, [&](int number) { mine = mine && m.touch[number] == i; });
+        if (mine) {
+          // On the left the marks say what is taken; on the right the window itself may just have
+          // taken a partner.
+          taken += decide(ctx, i, [&](int k) {
+            return lasting && k < ctx.frame.capacity() ? m.settled[k] != 0 : occupied(ctx, k);
           });
+        } else {
+          next.set(atomic_add(&s.left_open, 1), i);
         }
-        bool const mine = g.template reduce_lanes<window_lanes>(kept_back, max_op{}) == 0;
-        // On the left the marks say what is taken; on the right the window itself may just have
-        // taken a partner.
-        taken += decide(g, ctx, mine ? i : none, lane, lanes, [&](int k) {
-          return lasting && k < ctx.frame.capacity() ? m.settled[k] != 0 : occupied(ctx, k);
-        });
-        if (!mine && lane == 0) { next.set(atomic_add(&s.left_open, 1), i); }
       }
       g.sync();
       count = s.left_open;
@@ -360,27 +354,34 @@ private:
     return taken;
   }
 
-  /// Calls visit(order, keypoint, distance) for the candidates of window i in camera c that fall to
-  /// a lane: every lanes-th of the list.
+  /// Calls visit(keypoint, distance) for the candidates of window i in camera c, in order.
   template <typename Visit>
-  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i, int lane,
-                                                int lanes, Visit const& visit) {
+  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i,
+                                                Visit const& visit) {
     std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
     int const n = ctx.work.list_count[at];
     if (n > search_workspace::list_size) {
-      if (lane == 0) { for_each_listless_candidate(ctx, c, i, visit); }
+      for_each_listless_candidate(ctx, c, i, visit);
       return;
     }
-    std::uint32_t const* const list = ctx.work.list + at * search_workspace::list_size;
-    for (int j = lane; j < n; j += lanes) {
-      visit(j, static_cast<int>(list[j] & 0x7fffffu), static_cast<int>(list[j] >> 23));
+    constexpr int quads = search_workspace::list_size / 4;
+    FT_NO_UNROLL
+    for (int q = 0; 4 * q < n; ++q) {
+      candidate_quad const list = ctx.work.list[at * quads + q];
+      FT_UNROLL
+      for (int e = 0; e < 4; ++e) {
+        std::uint32_t const entry = list.entry[e];
+        if (4 * q + e < n) {
+          visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
+        }
+      }
     }
   }
 
-  /// All candidates of a window with more of them than its list holds.
+  /// The same for a window with more candidates than its list holds.
   template <typename Visit>
-  FT_HOST_DEVICE FT_COLD static void for_each_listless_candidate(context const& ctx, int c, int i,
-                                                                 Visit const& visit) {
+  FT_HOST_DEVICE static void for_each_listless_candidate(context const& ctx, int c, int i,
+                                                         Visit const& visit) {
     search_window const w = ctx.windows.at(c, ctx.b, i);
     keypoints_view const kp = ctx.frame.camera(ctx.b, c);
     descriptor const wanted = get<field::orb>(ctx.points, w.slot);
@@ -389,11 +390,10 @@ private:
         ctx.frame.right_x == nullptr || c != 0
             ? nullptr
             : ctx.frame.right_x + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.capacity();
-    int order = 0;
     visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c),
                 [&](int k) {
                   int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
-                  if (distance >= 0) { visit(order++, k, distance); }
+                  if (distance >= 0) { visit(k, distance); }
                 });
   }
 
@@ -423,28 +423,22 @@ private:
     return ctx.partner != nullptr && ctx.params.kind == search_kind::local_map;
   }
 
-  /// Whether window i may still take something. If not it decides nothing, whatever others do.
-  template <typename Group>
-  FT_HOST_DEVICE static bool is_hopeful(Group g, context const& ctx, int i, int lane, int lanes,
-                                        marks const& m) {
-    int hopeful = 0;
-    for (int c = 0; c < ctx.frame.cameras && i != none; ++c) {
-      for_each_candidate(ctx, c, i, lane, lanes, [&](int, int k, int distance) {
-        hopeful |= static_cast<int>(distance <= ctx.params.max_distance &&
-                                    m.settled[c * ctx.frame.capacity() + k] == 0);
+  /// Calls visit(number) for every keypoint whose state window i may wait for or change. What is
+  /// settled is neither: it is taken whatever happens. Its holder may still change as the partner
+  /// of another, and for the order of those who do that it counts.
+  template <typename Visit>
+  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, marks const& m,
+                                              Visit const& visit) {
+    bool hopeful = false;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for_each_candidate(ctx, c, i, [&](int k, int distance) {
+        hopeful = hopeful || (distance <= ctx.params.max_distance &&
+                              m.settled[c * ctx.frame.capacity() + k] == 0);
       });
     }
-    return g.template reduce_lanes<window_lanes>(hopeful, max_op{}) != 0;
-  }
-
-  /// Calls visit(number) for every keypoint whose state window i may wait for or change, of those
-  /// that fall to a lane. What is settled is neither: it is taken whatever happens. Its holder may
-  /// still change as the partner of another, and for the order of those who do that it counts.
-  template <typename Visit>
-  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, int lane, int lanes,
-                                              marks const& m, Visit const& visit) {
+    if (!hopeful) { return; }  // takes nothing, whatever the others do
     for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for_each_candidate(ctx, c, i, lane, lanes, [&](int, int k, int) {
+      for_each_candidate(ctx, c, i, [&](int k, int) {
         int const number = c * ctx.frame.capacity() + k;
         if (m.settled[number] != 0) { return; }
         visit(number);
@@ -458,85 +452,49 @@ private:
     return held >= 0 && get<field::observations>(ctx.points, held) > 0;
   }
 
-  /// The nearest candidate and the nearest of the others; of equals the first. Keys are
-  /// distance << 48 | order << 24 | keypoint.
-  struct two_nearest {
-    static constexpr unsigned long long nobody = ~0ull;
-    unsigned long long first = nobody;
-    unsigned long long second = nobody;
-
-    FT_HOST_DEVICE void add(unsigned long long key) {
-      if (key < first) {
-        second = first;
-        first = key;
-      } else if (key < second) {
-        second = key;
-      }
-    }
-    FT_HOST_DEVICE static int distance(unsigned long long key) {
-      return static_cast<int>(key >> 48);
-    }
-    FT_HOST_DEVICE static int keypoint(unsigned long long key) {
-      return static_cast<int>(key & 0xffffffu);
-    }
-  };
-  struct merge_nearest {
-    FT_HOST_DEVICE two_nearest operator()(two_nearest a, two_nearest b) const {
-      a.add(b.first);
-      a.add(b.second);
-      return a;
-    }
-  };
-
-  /// Window i's choice, given what all earlier windows took; every thread of the group takes part,
-  /// `lanes` for a window. Returns, in the first of them, how many keypoints it was given.
-  /// @param is_taken of a keypoint's number
-  template <typename Group, typename Taken>
-  FT_HOST_DEVICE static int decide(Group g, context const& ctx, int i, int lane, int lanes,
-                                   Taken const& is_taken) {
+  /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was
+  /// given. @param taken_for_good of a keypoint's number
+  template <typename Taken>
+  FT_HOST_DEVICE static int decide(context const& ctx, int i, Taken const& taken_for_good) {
     int taken = 0;
     bool refused = false;
     for (int c = 0; c < ctx.frame.cameras; ++c) {
-      if (c > 0) { g.part().sync(); }  // what the left one took is seen on the right
-      two_nearest nearest;
-      if (i != none && !refused) {
-        for_each_candidate(ctx, c, i, lane, lanes, [&](int order, int k, int distance) {
-          if (is_taken(c * ctx.frame.capacity() + k)) { return; }
-          nearest.add(static_cast<unsigned long long>(distance) << 48 |
-                      static_cast<unsigned long long>(order) << 24 |
-                      static_cast<unsigned long long>(k));
-        });
-      }
-      nearest = g.template reduce_lanes<window_lanes>(nearest, merge_nearest{});
-      if (i == none) { continue; }
-      int match = -1;
-      int const best = two_nearest::distance(nearest.first);
-      if (nearest.first != two_nearest::nobody && best <= ctx.params.max_distance) {
-        match = two_nearest::keypoint(nearest.first);
-        if (ctx.params.kind == search_kind::local_map && nearest.second != two_nearest::nobody &&
-            static_cast<float>(best) >
-                detail::mul(ctx.params.ratio,
-                            static_cast<float>(two_nearest::distance(nearest.second)))) {
-          keypoints_view const kp = ctx.frame.camera(ctx.b, c);
-          if (get<field::octave>(kp, match) ==
-              get<field::octave>(kp, two_nearest::keypoint(nearest.second))) {
-            refused = c == 0;
-            match = -1;
-          }
+      int& match = ctx.work.match[ctx.work.window(c, ctx.b, i)];
+      match = -1;
+      if (refused) { continue; }
+      int best = 256;
+      int second = 256;
+      int best_k = -1;
+      int second_k = -1;
+      for_each_candidate(ctx, c, i, [&](int k, int distance) {
+        if (distance >= second || taken_for_good(c * ctx.frame.capacity() + k)) { return; }
+        if (distance < best) {
+          second = best;
+          second_k = best_k;
+          best = distance;
+          best_k = k;
+        } else {
+          second = distance;
+          second_k = k;
+        }
+      });
+      if (best_k < 0 || best > ctx.params.max_distance) { continue; }
+      if (ctx.params.kind == search_kind::local_map && second_k >= 0 &&
+          static_cast<float>(best) > detail::mul(ctx.params.ratio, static_cast<float>(second))) {
+        keypoints_view const kp = ctx.frame.camera(ctx.b, c);
+        if (get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k)) {
+          refused = c == 0;
+          continue;
         }
       }
-      if (lane == 0) {
-        ctx.work.match[ctx.work.window(c, ctx.b, i)] = match;
-        if (match >= 0) {
-          int const number = c * ctx.frame.capacity() + match;
-          int const slot = ctx.windows.at(c, ctx.b, i).slot;
-          ctx.holder[number] = slot;
-          ++taken;
-          if (passes_on(ctx) && ctx.partner[number] >= 0) {
-            ctx.holder[ctx.partner[number]] = slot;
-            ++taken;
-          }
-        }
+      int const number = c * ctx.frame.capacity() + best_k;
+      int const slot = ctx.windows.at(c, ctx.b, i).slot;
+      ctx.holder[number] = slot;
+      match = best_k;
+      ++taken;
+      if (passes_on(ctx) && ctx.partner[number] >= 0) {
+        ctx.holder[ctx.partner[number]] = slot;
+        ++taken;
       }
     }
     return taken;
@@ -835,12 +793,12 @@ struct assign_last_points {
 
 private:
   template <typename Group>
-  FT_HOST_DEVICE FT_COLD static void list_wider(Group g, int b, last_search<Rig> const& search,
-                                                frame_view const& frame, map_points_view const& map,
-                                                pyramid_geometry const& geometry,
-                                                search_params const& params,
-                                                search_windows_view const& windows,
-                                                search_workspace const& work) {
+  FT_HOST_DEVICE static void list_wider(Group g, int b, last_search<Rig> const& search,
+                                        frame_view const& frame, map_points_view const& map,
+                                        pyramid_geometry const& geometry,
+                                        search_params const& params,
+                                        search_windows_view const& windows,
+                                        search_workspace const& work) {
     int const count = windows.count[b];
     for (int i = g.part_index(); i < count; i += g.parts()) {
       list_last_point<Rig>::list(g.part(), b, i, search, 2 * search.params.th, frame, map, geometry,

@@ -312,6 +312,7 @@ private:
     }
     g.sync();
     int count = s.left_open;
+    g.sync();  // read by all before it is set anew
     // Where stereo partners are taken too, one that nobody has observed may take the place of one
     // that counts.
     bool const lasting = s.observed != 0 || !passes_on(ctx);

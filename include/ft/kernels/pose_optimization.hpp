@@ -146,6 +146,7 @@ FT_HOST_DEVICE bool solve_6(Number const (&upper)[21], double damping, Number co
 template <typename Rig>
 struct reprojection {
   using real = detail::real;
+  static constexpr double infinitely_far = std::numeric_limits<double>::infinity();
 
   real error[3];         ///< measured minus predicted; the third only with a right column
   int rows;              ///< 2 or 3
@@ -192,7 +193,7 @@ struct reprojection {
 
   /// Infinite where there is no projection: an outlier, and no place for a trial pose.
   FT_HOST_DEVICE real chi2(observation const& o) const {
-    if (!valid) { return std::numeric_limits<double>::infinity(); }
+    if (!valid) { return infinitely_far; }
     return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) *
            static_cast<double>(o.inv_sigma2);
   }

@@ -34,6 +34,20 @@ plain_camera plain(seq::camera_intrinsics const& c) {
   return p;
 }
 
+/// Without frames.
+scene scene_of(seq::stereo_rig const& rig, int features, int local_points) {
+  scene s;
+  s.width = rig.left.width;
+  s.height = rig.left.height;
+  s.left = plain(rig.left);
+  s.right = plain(rig.right);
+  s.T_rl = plain(rig.T_left_right.inverse());
+  s.baseline = static_cast<float>(rig.baseline());
+  s.features = features;
+  s.local_points = local_points;
+  return s;
+}
+
 }  // namespace
 
 scene make_scene(rig_type type, int width, int height, int images, int features, int local_points) {
@@ -43,16 +57,8 @@ scene make_scene(rig_type type, int width, int height, int images, int features,
   options.height = height;
   seq::generator const generator(options);
   auto const& rig = generator.rig();
-  scene s;
+  scene s = scene_of(rig, features, local_points);
   s.rig = type;
-  s.width = rig.left.width;
-  s.height = rig.left.height;
-  s.left = plain(rig.left);
-  s.right = plain(rig.right);
-  s.T_rl = plain(rig.T_left_right.inverse());
-  s.baseline = static_cast<float>(rig.baseline());
-  s.features = features;
-  s.local_points = local_points;
   s.frames.resize(static_cast<std::size_t>(images));
   constexpr int first = 60;  // in motion
   seq::parallel_for(images, 0, [&](int k) {
@@ -73,16 +79,7 @@ scene read_scene(std::string const& folder, int images, int features, int local_
   if (!sequence.ground_truth_has_orientation() || sequence.ground_truth().empty()) {
     throw seq::error(folder + ": no ground truth with orientations, which the bench's map needs");
   }
-  auto const& rig = sequence.rig();
-  scene s;
-  s.width = rig.left.width;
-  s.height = rig.left.height;
-  s.left = plain(rig.left);
-  s.right = plain(rig.right);
-  s.T_rl = plain(rig.T_left_right.inverse());
-  s.baseline = static_cast<float>(rig.baseline());
-  s.features = features;
-  s.local_points = local_points;
+  scene s = scene_of(sequence.rig(), features, local_points);
   for (int k = 0; k < sequence.size(); ++k) {
     auto const pose = seq::interpolate(sequence.ground_truth(), sequence.time_ns(k));
     if (!pose) { continue; }

@@ -60,6 +60,11 @@ struct single_group {
   }
   /// Bit i is what rank i says; groups of up to 32 threads.
   FT_HOST_DEVICE static unsigned ballot(bool flag) { return static_cast<unsigned>(flag); }
+  /// What rank `from` says; groups of up to 32 threads.
+  template <typename T>
+  FT_HOST_DEVICE static T shuffle(T value, int /*from*/) {
+    return value;
+  }
   /// Sum over the lower ranks' values; `total` gets the sum over all.
   FT_HOST_DEVICE int exclusive_scan(int value, int& total) const {
     total = value;
@@ -169,6 +174,10 @@ struct warp_group {
     return detail::warp_reduce<Most>(value, op);
   }
   __device__ static unsigned ballot(bool flag) { return __ballot_sync(0xffffffffu, flag); }
+  template <typename T>
+  __device__ static T shuffle(T value, int from) {
+    return __shfl_sync(0xffffffffu, value, from);
+  }
   __device__ int exclusive_scan(int value, int& total) const {
     int const inclusive = detail::warp_inclusive_scan(value);
     total = __shfl_sync(0xffffffffu, inclusive, 31);
@@ -277,6 +286,15 @@ FT_HOST_DEVICE inline int atomic_add(int* address, int value) {
   return atomicAdd(address, value);
 #else
   return __atomic_fetch_add(address, value, __ATOMIC_RELAXED);
+#endif
+}
+
+/// Stores and returns the value before.
+FT_HOST_DEVICE inline int atomic_exchange(int* address, int value) {
+#if defined(__CUDA_ARCH__)
+  return atomicExch(address, value);
+#else
+  return __atomic_exchange_n(address, value, __ATOMIC_RELAXED);
 #endif
 }
 

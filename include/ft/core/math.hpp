@@ -271,6 +271,15 @@ FT_HOST_DEVICE inline int popcount(std::uint32_t v) {
 #endif
 }
 
+/// Number of the lowest bit that is set, of a value above 0.
+FT_HOST_DEVICE inline int trailing_zeros(std::uint32_t v) {
+#if defined(__CUDA_ARCH__)
+  return __ffs(static_cast<int>(v)) - 1;
+#else
+  return __builtin_ctz(v);
+#endif
+}
+
 template <typename T>
 FT_HOST_DEVICE constexpr T min_of(T a, T b) {
   return b < a ? b : a;

@@ -125,11 +125,18 @@ struct frustum_point {
                                  search_windows_view const& out) const {
     int const b = item / out.capacity;
     int const i = item % out.capacity;
-    int const count = search.slot_count[b];
-    if (i == 0) { out.count[b] = count; }
-    if (i >= count) { return; }
-    Rig const& rig = search.rig;
-    frustum_params const& params = search.frustum;
+    if (i == 0) { out.count[b] = search.slot_count[b]; }
+    if (i < search.slot_count[b]) { test(b, i, search, map, geometry, true, out); }
+  }
+
+  /// The windows of entry i of batch entry b. @param keep whether this thread writes them to `out`,
+  /// and what it sees to `search.seen`
+  FT_HOST_DEVICE static window_pair test(int b, int i, local_search<Rig> const& search,
+                                         map_points_view const& map,
+                                         pyramid_geometry const& geometry, bool keep,
+                                         search_windows_view const& out) {
+    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * out.capacity + i;
+    std::ptrdiff_t const per_camera = static_cast<std::ptrdiff_t>(out.batch) * out.capacity;
     map_points_view const points = map.slice(b);
     int const slot = search.slots[item];
     bool const skip =
@@ -137,28 +144,38 @@ struct frustum_point {
         (search.stamps.seen != nullptr &&
          search.stamps.seen[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] ==
              search.stamps.frame[b]);
-    pose const T_cw = search.poses[b];
+    window_pair pair;
     constexpr int cameras = Rig::rectified ? 1 : 2;
+    FT_UNROLL
     for (int c = 0; c < cameras; ++c) {
       visibility v{0, 0, 0, 0, 0, -1};
-      if (!skip) {
-        if constexpr (Rig::rectified) {
-          v = test_visibility(rig.camera, T_cw, points, slot, rig.bf, params);
-        } else if (c == 0) {
-          v = test_visibility(rig.left, T_cw, points, slot, 0.0f, params);
-        } else {
-          pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
-                                .template cast<float>();
-          v = test_visibility(rig.right, T_rw, points, slot, 0.0f, params);
-        }
-      }
-      std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(c) * out.batch * out.capacity + item;
-      if (search.seen != nullptr) { search.seen[at] = v; }
+      if (!skip) { v = see(search, search.poses[b], points, slot, c); }
       float const far = search.params.far_distance;
-      bool const out_of_reach = v.level < 0 || (far > 0 && v.distance > far);
-      out.windows[at] = out_of_reach ? search_window::none()
-                                     : window_of(v, slot, c == 0 ? search.params.th : 1.0f,
-                                                 Rig::rectified, geometry);
+      if (v.level >= 0 && !(far > 0 && v.distance > far)) {
+        pair.of[c] = window_of(v, slot, c == 0 ? search.params.th : 1.0f, Rig::rectified, geometry);
+      }
+      if (keep) {
+        if (search.seen != nullptr) { search.seen[c * per_camera + item] = v; }
+        out.windows[c * per_camera + item] = pair.of[c];
+      }
+    }
+    return pair;
+  }
+
+private:
+  FT_HOST_DEVICE static visibility see(local_search<Rig> const& search, pose const& T_cw,
+                                       map_points_view const& points, int slot, int camera) {
+    Rig const& rig = search.rig;
+    if constexpr (Rig::rectified) {
+      static_cast<void>(camera);
+      return test_visibility(rig.camera, T_cw, points, slot, rig.bf, search.frustum);
+    } else {
+      if (camera == 0) {
+        return test_visibility(rig.left, T_cw, points, slot, 0.0f, search.frustum);
+      }
+      pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
+                            .template cast<float>();
+      return test_visibility(rig.right, T_rw, points, slot, 0.0f, search.frustum);
     }
   }
 };
@@ -169,20 +186,19 @@ struct list_local_point {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, local_search<Rig> const& search,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, local_search<Rig> const& search,
                                  frame_view const& frame, map_points_view const& map,
                                  pyramid_geometry const& geometry, search_params const& params,
                                  search_windows_view const& windows,
                                  search_workspace const& work) const {
-    if (g.rank() == 0) {
-      frustum_point<Rig>{}(single_group{}, s, item, search, map, geometry, windows);
-    }
-    g.sync();
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
-    if (i < search.slot_count[b]) {
-      list_candidates::list(g, b, i, frame, map, windows, params, work);
-    }
+    bool const keep = g.rank() == 0;
+    if (i == 0 && keep) { windows.count[b] = search.slot_count[b]; }
+    if (i >= search.slot_count[b]) { return; }
+    // All threads compute the same windows: quicker than waiting for one of them.
+    window_pair const pair = frustum_point<Rig>::test(b, i, search, map, geometry, keep, windows);
+    list_candidates::list(g, b, i, pair, frame, map, params, work);
   }
 };
 

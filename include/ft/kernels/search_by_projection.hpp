@@ -3,12 +3,10 @@
 /// Source: specification sections 9 and 10.
 ///
 /// The searches are sequential by definition: map points come in order, and a keypoint taken by one
-/// is not there for the next. Here all points list their candidates at once; then, in rounds, every
-/// point without an answer marks the keypoints it may take with its number, and a point whose
-/// candidates carry no lower number has the same choice as in the sequential loop and makes it. The
-/// lowest open point always does, so the rounds end; in practice a few are enough. (Deterministic
-/// reservations: Blelloch, Fineman, Gibbons, Shun, "Internally deterministic parallel algorithms
-/// can be fast", PPoPP 2012.)
+/// is not there for the next. Here all points list their best candidates at once; then, again and
+/// again, every point chooses as if the lower ones had made their last choices for good. The lowest
+/// point is right at once, and a point is right once all below it are: the only choices that do not
+/// change any more are those of the sequential loop. In practice a few turns are enough.
 #pragma once
 
 #include <cmath>
@@ -69,16 +67,20 @@ struct alignas(16) candidate_quad {
 
 /// Candidates of one search and the state of the assignment.
 struct search_workspace {
-  static constexpr int list_size = 16;  ///< longer lists are walked in the grid again, none is cut
-  candidate_quad* list = nullptr;  ///< [cameras][batch][capacity][list_size / 4], padded with ~0
-  /// [cameras][batch][capacity], may exceed list_size; 0 where a window could take none of them
+  /// The best candidates of a window are listed; who needs more walks the grid again.
+  static constexpr int list_size = 16;
+  /// [cameras][batch][capacity][list_size / 4], the nearest first, of equals the first in the grid;
+  /// filled up with ~0 to whole quads
+  candidate_quad* list = nullptr;
+  /// [cameras][batch][capacity], may exceed list_size; 0 where a window can take none of them
   int* list_count = nullptr;
-  int* match = nullptr;  ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
-  int* touch = nullptr;  ///< [batch][numbers] lowest open window that may take a keypoint
-  std::uint8_t* settled = nullptr;  ///< [batch][numbers] 1 = taken for good
-  int* open = nullptr;              ///< [2][batch][capacity] windows without an answer
-  int* matches = nullptr;           ///< [batch] keypoints that were given a point
-  int capacity = 0;                 ///< windows
+  int* match = nullptr;   ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
+  int* open = nullptr;    ///< [batch][capacity] points that have candidates
+  int* writer = nullptr;  ///< [batch][numbers] the last in the chain of who writes a keypoint
+  int* before = nullptr;  ///< [batch][2 * cameras * capacity] links of the chains
+  std::uint8_t* held = nullptr;  ///< [batch][numbers] 1 = taken before the search
+  int* matches = nullptr;        ///< [batch] keypoints that were given a point
+  int capacity = 0;              ///< windows
   int batch = 0;
   int cameras = 1;
 
@@ -93,15 +95,17 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.batch = batch;
   v.cameras = cameras;
   std::size_t const b = static_cast<std::size_t>(batch);
-  std::size_t const n = static_cast<std::size_t>(cameras) * b * static_cast<std::size_t>(windows);
+  std::size_t const per_camera = detail::checked_mul(b, static_cast<std::size_t>(windows));
+  std::size_t const n = detail::checked_mul(static_cast<std::size_t>(cameras), per_camera);
+  std::size_t const numbers =
+      b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints);
   v.list = c.take<candidate_quad>(detail::checked_mul(n, search_workspace::list_size / 4));
   v.list_count = c.take<int>(n);
   v.match = c.take<int>(n);
-  v.touch =
-      c.take<int>(b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints));
-  v.settled = c.take<std::uint8_t>(b * static_cast<std::size_t>(cameras) *
-                                   static_cast<std::size_t>(keypoints));
-  v.open = c.take<int>(detail::checked_mul(2 * b, static_cast<std::size_t>(windows)));
+  v.open = c.take<int>(per_camera);
+  v.writer = c.take<int>(numbers);
+  v.before = c.take<int>(detail::checked_mul(2, n));
+  v.held = c.take<std::uint8_t>(numbers);
   v.matches = c.take<int>(b);
 }
 
@@ -129,9 +133,76 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
   return distance <= limit ? distance : -1;
 }
 
+FT_HOST_DEVICE inline int entry_distance(std::uint32_t entry) {
+  return static_cast<int>(entry >> 23);
+}
+
+/// Keeps the best candidates of a window in order: nearest first, of equals the one that came
+/// first.
+/// @tparam Group one thread or a warp
+template <typename Group>
+class candidate_list {
+public:
+  static constexpr int size = search_workspace::list_size;
+
+  FT_HOST_DEVICE explicit candidate_list(candidate_quad* to) : to_(to) {}
+
+  /// Candidates in the order of ranks; a negative distance is none.
+  FT_HOST_DEVICE void add(Group g, int distance, int k) {
+    unsigned const there = g.ballot(distance >= 0);
+    if (there == 0) { return; }
+    if constexpr (Group::max_threads == 1) {
+      int place = min_of(found_, size);
+      for (; place > 0 && entry_distance(entry(place - 1)) > distance; --place) {
+        if (place < size) { entry(place) = entry(place - 1); }
+      }
+      if (place < size) { entry(place) = packed(distance, k); }
+      ++found_;
+    } else {
+      // Everybody's place is the number of those that come before.
+      int const listed = min_of(found_, size);
+      std::uint32_t const old = g.rank() < listed ? entry(g.rank()) : ~0u;
+      int place = 0;
+      int old_place = g.rank();
+      for (unsigned rest = there; rest != 0; rest &= rest - 1) {
+        int const from = trailing_zeros(rest);
+        int const other = g.shuffle(distance, from);
+        place += static_cast<int>(other < distance || (other == distance && from < g.rank()));
+        old_place += static_cast<int>(other < entry_distance(old));
+      }
+      for (int i = 0; i < listed; ++i) {
+        place += static_cast<int>(entry_distance(g.shuffle(old, i)) <= distance);
+      }
+      g.sync();
+      if (g.rank() < listed && old_place < size) { entry(old_place) = old; }
+      if (distance >= 0 && place < size) { entry(place) = packed(distance, k); }
+      found_ += popcount(there);
+      g.sync();
+    }
+  }
+
+  /// Fills up the last quad. Returns how many candidates there were, 0 where the best is farther
+  /// than `limit`.
+  FT_HOST_DEVICE int finish(Group g, int limit) {
+    int const listed = min_of(found_, size);
+    if (listed == 0 || entry_distance(entry(0)) > limit) { return 0; }
+    for (int i = listed + g.rank(); i < (listed + 3) / 4 * 4; i += g.size()) { entry(i) = ~0u; }
+    return found_;
+  }
+
+private:
+  FT_HOST_DEVICE static std::uint32_t packed(int distance, int k) {
+    return static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
+  }
+  FT_HOST_DEVICE std::uint32_t& entry(int i) const { return to_[i / 4].entry[i % 4]; }
+
+  candidate_quad* to_;
+  int found_ = 0;
+};
+
 }  // namespace detail
 
-/// One window (of both cameras): its candidates, in the grid's order.
+/// One point: the candidates in its windows.
 struct list_candidates {
   using scratch = no_scratch;
 
@@ -141,13 +212,17 @@ struct list_candidates {
                                  search_params const& params, search_workspace const& work) const {
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
-    if (i < windows.count[b]) { list(g, b, i, frame, map, windows, params, work); }
+    if (i >= windows.count[b]) { return; }
+    window_pair pair;
+    pair.of[0] = windows.at(0, b, i);
+    if (frame.cameras == 2) { pair.of[1] = windows.at(1, b, i); }
+    list(g, b, i, pair, frame, map, params, work);
   }
 
-  /// Window i of batch entry b.
+  /// Point i of batch entry b.
   template <typename Group>
-  FT_HOST_DEVICE static void list(Group g, int b, int i, frame_view const& frame,
-                                  map_points_view const& map, search_windows_view const& windows,
+  FT_HOST_DEVICE static void list(Group g, int b, int i, window_pair const& windows,
+                                  frame_view const& frame, map_points_view const& map,
                                   search_params const& params, search_workspace const& work) {
     map_points_view const points = map.slice(b);
     int const limit = detail::listed_distance(params);
@@ -158,13 +233,12 @@ struct list_candidates {
             : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
     bool left_empty = false;
     for (int c = 0; c < frame.cameras; ++c) {
-      search_window const w = windows.at(c, b, i);
+      search_window const w = windows.camera(c);
       std::ptrdiff_t const at = work.window(c, b, i);
-      candidate_quad* const list = work.list + at * (search_workspace::list_size / 4);
       int found = 0;
-      int in_window = 0;
-      int takeable = 0;
+      bool in_window = false;
       if (w.slot >= 0 && !left_empty) {
+        detail::candidate_list<Group> list(work.list + at * (search_workspace::list_size / 4));
         keypoints_view const kp = frame.camera(b, c);
         descriptor const wanted = get<field::orb>(points, w.slot);
         visit_cells(g, w, frame.grids.slice(frame.cameras * b + c), [&](int k) {
@@ -176,53 +250,42 @@ struct list_candidates {
               distance =
                   detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
             }
-            in_window += static_cast<int>(inside(w, kp, k));
+            in_window = in_window || inside(w, kp, k);
           }
-          int total = 0;
-          int const place = found + g.exclusive_scan(static_cast<int>(distance >= 0), total);
-          if (distance >= 0 && place < search_workspace::list_size) {
-            list[place / 4].entry[place % 4] =
-                static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
-          }
-          takeable |= static_cast<int>(distance >= 0 && distance <= params.max_distance);
-          found += total;
+          list.add(g, distance, k);
         });
+        found = list.finish(g, params.max_distance);
       }
-      int const padded = min_of((found + 3) / 4 * 4, search_workspace::list_size);
-      for (int place = found + g.rank(); place < padded; place += g.size()) {
-        list[place / 4].entry[place % 4] = ~0u;
-      }
-      // A window that can take nothing decides nothing and influences nobody.
-      takeable = g.reduce(takeable, max_op{});
-      if (g.rank() == 0) { work.list_count[at] = takeable != 0 ? found : 0; }
+      if (g.rank() == 0) { work.list_count[at] = found; }
       if (params.kind == search_kind::last_frame && frame.cameras == 2) {
-        left_empty = g.reduce(in_window, sum_op{}) == 0;
+        left_empty = g.ballot(in_window) == 0;
       }
     }
   }
 };
 
 /// All windows of one frame: who takes which keypoint.
-/// @tparam Rounds true: deterministic reservations; false: the plain loop, for groups of one thread
-template <bool Rounds>
+/// @tparam Turns true: all points choose at once, until nothing changes; false: the plain loop, for
+///   groups of one thread
+template <bool Turns>
 struct assign_keypoints {
-  /// Frames of up to so many keypoints and windows keep the state of the rounds in block scratch,
-  /// others in the workspace.
-  static constexpr int scratch_size = 4096;
-  struct rounds_scratch {
-    int touch[scratch_size];
-    std::uint8_t settled[scratch_size];
-    std::uint16_t open[2][scratch_size];
-    int left_open;
-    int observed;  ///< 1 = every point looked for is observed, so that what is taken stays taken
+  /// Frames of up to so many keypoints, and searches of so many points with candidates, keep their
+  /// state in block scratch, others in the workspace.
+  static constexpr int scratch_size = 3072;
+  struct turns_scratch {
+    int open[scratch_size];
+    int writer[scratch_size];
+    int before[scratch_size];
+    std::uint8_t held[scratch_size];
+    int first_changed;
   };
-  struct scratch : std::conditional_t<Rounds, rounds_scratch, no_scratch> {};
+  struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_workspace const& work) const {
-    static_assert(Rounds || Group::max_threads == 1, "the plain loop is for one thread");
+    static_assert(Turns || Group::max_threads == 1, "the plain loop is for one thread");
     context const ctx{b,
                       frame,
                       map.slice(b),
@@ -230,24 +293,13 @@ struct assign_keypoints {
                       params,
                       work,
                       frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
-                      frame.partner == nullptr
+                      frame.partner == nullptr || params.kind != search_kind::local_map
                           ? nullptr
                           : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
-    int const n = windows.count[b];
-    int taken = 0;
-    if (params.from_empty) {
-      for (int k = g.rank(); k < frame.numbers(); k += g.size()) { ctx.holder[k] = -1; }
-      g.sync();
-    }
-    if constexpr (!Rounds) {
-      for (int i = 0; i < n; ++i) {
-        taken += decide(ctx, i, [&](int k) { return occupied(ctx, k); });
-      }
-      work.matches[b] = taken;
-    }
-    if constexpr (Rounds) {
-      taken = g.reduce(make_rounds(g, s, ctx, n), sum_op{});
-      if (g.rank() == 0) { work.matches[b] = taken; }
+    if constexpr (Turns) {
+      take_turns(g, s, ctx);
+    } else {
+      one_after_another(ctx);
     }
   }
 
@@ -260,129 +312,265 @@ private:
     search_params const& params;
     search_workspace const& work;
     int* holder;
-    int const* partner;
-  };
+    int const* partner;  ///< null where partners do not count
 
-  /// Numbers of windows, in block scratch or in the workspace.
-  struct window_list {
-    std::uint16_t* narrow;
-    int* wide;
-    FT_HOST_DEVICE int get(int at) const { return narrow != nullptr ? narrow[at] : wide[at]; }
-    FT_HOST_DEVICE void set(int at, int i) const {
-      if (narrow != nullptr) {
-        narrow[at] = static_cast<std::uint16_t>(i);
-      } else {
-        wide[at] = i;
-      }
+    FT_HOST_DEVICE int number(int camera, int k) const { return camera * frame.capacity() + k; }
+    FT_HOST_DEVICE int slot(int camera, int i) const { return windows.at(camera, b, i).slot; }
+    FT_HOST_DEVICE bool observed(int slot) const {
+      return slot >= 0 && get<field::observations>(points, slot) > 0;
+    }
+    FT_HOST_DEVICE int& match(int camera, int i) const {
+      return work.match[work.window(camera, b, i)];
+    }
+    /// -1 = none
+    FT_HOST_DEVICE int partner_of(int number) const {
+      return partner != nullptr ? partner[number] : -1;
     }
   };
 
-  /// State of the keypoints in the rounds.
-  struct marks {
-    int* touch;             ///< the lowest open window that may read or write it
-    std::uint8_t* settled;  ///< 1 = taken, and stays so: who wants it need not wait
-  };
-
-  /// Deterministic reservations. Returns how many keypoints this thread has given away.
-  template <typename Group>
-  FT_HOST_DEVICE static int make_rounds(Group g, scratch& s, context const& ctx, int n) {
+  FT_HOST_DEVICE static void one_after_another(context const& ctx) {
     int const numbers = ctx.frame.numbers();
-    bool const narrow = n <= scratch_size;
-    int* const wide = ctx.work.open + static_cast<std::ptrdiff_t>(ctx.b) * 2 * ctx.work.capacity;
-    window_list open{narrow ? s.open[0] : nullptr, wide};
-    window_list next{narrow ? s.open[1] : nullptr, wide + ctx.work.capacity};
-    constexpr int untouched = 0x7fffffff;
-    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(ctx.b) * numbers;
-    marks const m = numbers <= scratch_size
-                        ? marks{s.touch, s.settled}
-                        : marks{ctx.work.touch + first, ctx.work.settled + first};
-    if (g.rank() == 0) {
-      s.left_open = 0;
-      s.observed = 1;
-    }
-    for (int k = g.rank(); k < numbers; k += g.size()) { m.settled[k] = 0; }
-    g.sync();
-    for (int i = g.rank(); i < n; i += g.size()) {
-      if (has_candidates(ctx, i)) {
-        open.set(atomic_add(&s.left_open, 1), i);
-        if (passes_on(ctx) && !is_observed(ctx, i)) { atomic_min(&s.observed, 0); }
-      } else {
-        clear_matches(ctx, i);
-      }
-    }
-    g.sync();
-    int count = s.left_open;
-    g.sync();  // read by all before it is set anew
-    // Where stereo partners are taken too, one that nobody has observed may take the place of one
-    // that counts.
-    bool const lasting = s.observed != 0 || !passes_on(ctx);
+    for (int k = 0; ctx.params.from_empty && k < numbers; ++k) { ctx.holder[k] = -1; }
     int taken = 0;
-    while (count > 0) {
-      for (int k = g.rank(); k < numbers; k += g.size()) {
-        m.touch[k] = untouched;
-        if (lasting && m.settled[k] == 0) {
-          m.settled[k] = static_cast<std::uint8_t>(occupied(ctx, k));
-        }
+    for (int i = 0; i < ctx.windows.count[ctx.b]; ++i) {
+      bool refused = false;
+      for (int c = 0; c < ctx.frame.cameras; ++c) {
+        int const k = choose(ctx, c, i, refused,
+                             [&](int number) { return ctx.observed(ctx.holder[number]); });
+        ctx.match(c, i) = k;
+        if (k < 0) { continue; }
+        int const partner = ctx.partner_of(ctx.number(c, k));
+        ctx.holder[ctx.number(c, k)] = ctx.slot(c, i);
+        if (partner >= 0) { ctx.holder[partner] = ctx.slot(c, i); }
+        taken += partner >= 0 ? 2 : 1;
       }
-      if (g.rank() == 0) { s.left_open = 0; }
-      g.sync();
-      for (int at = g.rank(); at < count; at += g.size()) {
-        int const i = open.get(at);
-        for_each_touched(ctx, i, m, [&](int number) { atomic_min(m.touch + number, i); });
-      }
-      g.sync();
-      for (int at = g.rank(); at < count; at += g.size()) {
-        int const i = open.get(at);
-        bool mine = true;
-        for_each_touched(ctx, i, m, [&](int number) { mine = mine && m.touch[number] == i; });
-        if (mine) {
-          // On the left the marks say what is taken; on the right the window itself may just have
-          // taken a partner.
-          taken += decide(ctx, i, [&](int k) {
-            return lasting && k < ctx.frame.capacity() ? m.settled[k] != 0 : occupied(ctx, k);
-          });
-        } else {
-          next.set(atomic_add(&s.left_open, 1), i);
-        }
-      }
-      g.sync();
-      count = s.left_open;
-      g.sync();
-      window_list const turn = open;
-      open = next;
-      next = turn;
     }
-    return taken;
+    ctx.work.matches[ctx.b] = taken;
   }
 
-  /// Calls visit(keypoint, distance) for the candidates of window i in camera c, in order.
-  template <typename Visit>
-  FT_HOST_DEVICE static void for_each_candidate(context const& ctx, int c, int i,
-                                                Visit const& visit) {
+  /// What the points that have candidates chose last. They are numbered anew, in their order; what
+  /// point p writes has the numbers from writes() * p on, in the order of writing.
+  struct choices {
+    static constexpr int observed_left = 1 << 30;
+    static constexpr int observed_right = 1 << 29;
+    int* open;           ///< index of a point, and whether what its windows look for is observed
+    int* writer;         ///< of a keypoint: a chain of all its writers, -1 = none
+    int* before;         ///< of a write: the next in the chain
+    std::uint8_t* held;  ///< of a keypoint: 1 = taken before
+    int cameras;
+    bool partners;
+
+    FT_HOST_DEVICE int writes() const { return partners ? 2 * cameras : cameras; }
+    FT_HOST_DEVICE int point(int p) const { return open[p] & (observed_right - 1); }
+    FT_HOST_DEVICE int camera_of(int write) const {
+      return (partners ? write / 2 : write) % cameras;
+    }
+    FT_HOST_DEVICE bool observed(int p, int camera) const {
+      return (open[p] & (camera == 0 ? observed_left : observed_right)) != 0;
+    }
+    /// The last write to a keypoint below number `end`, -1 = none.
+    FT_HOST_DEVICE int last_write(int number, int end) const {
+      int last = -1;
+      for (int w = writer[number]; w >= 0; w = before[w]) {
+        if (w < end) { last = max_of(last, w); }
+      }
+      return last;
+    }
+    /// Whether a keypoint is taken when point p's turn comes.
+    FT_HOST_DEVICE bool taken(int number, int p) const {
+      if (writer[number] < 0) { return held[number] != 0; }
+      int const last = last_write(number, writes() * p);
+      return last < 0 ? held[number] != 0 : observed(last / writes(), camera_of(last));
+    }
+    FT_HOST_DEVICE void add(int number, int write) const {
+      before[write] = atomic_exchange(writer + number, write);
+    }
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE static void take_turns(Group g, scratch& s, context const& ctx) {
+    int const numbers = ctx.frame.numbers();
+    int const n = ctx.windows.count[ctx.b];
+    int const cameras = ctx.frame.cameras;
+    bool const partners = ctx.partner != nullptr;
+    bool const small = numbers <= scratch_size;
+    std::ptrdiff_t const at = ctx.b;
+    choices made{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
+                 small ? s.writer : ctx.work.writer + at * numbers,
+                 nullptr,
+                 small ? s.held : ctx.work.held + at * numbers,
+                 cameras,
+                 partners};
+    int const count = list_open(g, ctx, n, made.open);
+    made.before = count * made.writes() <= scratch_size
+                      ? s.before
+                      : ctx.work.before + at * 2 * cameras * ctx.work.capacity;
+    for (int k = g.rank(); k < numbers; k += g.size()) {
+      made.writer[k] = -1;
+      made.held[k] =
+          static_cast<std::uint8_t>(!ctx.params.from_empty && ctx.observed(ctx.holder[k]));
+    }
+    constexpr int nobody = 0x7fffffff;
+    bool first = true;
+    // Below `begin` nothing changes any more.
+    for (int begin = 0; begin < count; first = false) {
+      if (g.rank() == 0) { s.first_changed = nobody; }
+      g.sync();
+      for (int p = begin + g.rank(); p < count; p += g.size()) {
+        if (choose_anew(ctx, made, p, first)) { atomic_min(&s.first_changed, p); }
+      }
+      g.sync();
+      int const changed = s.first_changed;
+      if (changed == nobody) { break; }
+      begin = changed + 1;
+      for (int k = g.rank(); !first && k < numbers; k += g.size()) { made.writer[k] = -1; }
+      g.sync();
+      for (int p = g.rank(); p < count; p += g.size()) { write(ctx, made, p); }
+    }
+    g.sync();
+    int taken = 0;
+    for (int k = g.rank(); k < numbers; k += g.size()) {
+      int const last = made.last_write(k, nobody);
+      if (last >= 0) {
+        ctx.holder[k] = ctx.slot(made.camera_of(last), made.point(last / made.writes()));
+      } else if (ctx.params.from_empty) {
+        ctx.holder[k] = -1;
+      }
+      for (int w = made.writer[k]; w >= 0; w = made.before[w]) { ++taken; }
+    }
+    taken = g.reduce(taken, sum_op{});
+    if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
+  }
+
+  /// Lists the points that have candidates, in order; the others take nothing. Returns how many.
+  template <typename Group>
+  FT_HOST_DEVICE static int list_open(Group g, context const& ctx, int n, int* open) {
+    int count = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      bool any = false;
+      for (int c = 0; c < ctx.frame.cameras && i < n; ++c) {
+        any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
+        ctx.match(c, i) = -1;
+      }
+      int total = 0;
+      int const place = count + g.exclusive_scan(static_cast<int>(any), total);
+      if (any) {
+        open[place] =
+            i | (ctx.observed(ctx.slot(0, i)) ? choices::observed_left : 0) |
+            (ctx.frame.cameras == 2 && ctx.observed(ctx.slot(1, i)) ? choices::observed_right : 0);
+      }
+      count += total;
+    }
+    return count;
+  }
+
+  /// Point p's choice after those made so far. True if it is not what it was.
+  FT_HOST_DEVICE static bool choose_anew(context const& ctx, choices const& made, int p,
+                                         bool first) {
+    int const i = made.point(p);
+    bool changed = first;
+    bool refused = false;
+    int own = -1;  // the partner of what the left window takes
+    for (int c = 0; c < made.cameras; ++c) {
+      int const k = choose(ctx, c, i, refused, [&](int number) {
+        return number == own ? made.observed(p, 0) : made.taken(number, p);
+      });
+      if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
+      int& match = ctx.match(c, i);
+      changed = changed || match != k;
+      match = k;
+    }
+    return changed;
+  }
+
+  FT_HOST_DEVICE static void write(context const& ctx, choices const& made, int p) {
+    int const i = made.point(p);
+    int at = p * made.writes();
+    for (int c = 0; c < made.cameras; ++c, at += made.partners ? 2 : 1) {
+      int const k = ctx.match(c, i);
+      if (k < 0) { continue; }
+      int const number = ctx.number(c, k);
+      made.add(number, at);
+      int const partner = ctx.partner_of(number);
+      if (partner >= 0) { made.add(partner, at + 1); }
+    }
+  }
+
+  /// The two nearest keypoints of a window that are not taken.
+  struct nearest_two {
+    int best = 256;
+    int second = 256;
+    int best_k = -1;
+    int second_k = -1;
+
+    FT_HOST_DEVICE void add(int k, int distance) {
+      if (distance < best) {
+        second = best;
+        second_k = best_k;
+        best = distance;
+        best_k = k;
+      } else if (distance < second) {
+        second = distance;
+        second_k = k;
+      }
+    }
+  };
+
+  /// The keypoint that window i of camera c takes, -1 = none. @param refused set by a window whose
+  /// best is not better enough than its second best; then the point's next window takes nothing
+  /// @param taken of a keypoint's number
+  template <typename Taken>
+  FT_HOST_DEVICE static int choose(context const& ctx, int c, int i, bool& refused,
+                                   Taken const& taken) {
+    if (refused) { return -1; }
+    bool const with_ratio = ctx.params.kind == search_kind::local_map;
+    nearest_two found;
+    if (!choose_from_list(ctx, c, i, with_ratio, taken, found)) {
+      found = {};
+      choose_from_grid(ctx, c, i, taken, found);
+    }
+    if (found.best_k < 0 || found.best > ctx.params.max_distance) { return -1; }
+    if (with_ratio && found.second_k >= 0 &&
+        static_cast<float>(found.best) >
+            detail::mul(ctx.params.ratio, static_cast<float>(found.second))) {
+      keypoints_view const kp = ctx.frame.camera(ctx.b, c);
+      if (get<field::octave>(kp, found.best_k) == get<field::octave>(kp, found.second_k)) {
+        refused = c == 0;
+        return -1;
+      }
+    }
+    return found.best_k;
+  }
+
+  /// False where the list is at its end, and candidates are left that it does not hold.
+  template <typename Taken>
+  FT_HOST_DEVICE static bool choose_from_list(context const& ctx, int c, int i, bool with_ratio,
+                                              Taken const& taken, nearest_two& found) {
     std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
     int const n = ctx.work.list_count[at];
-    if (n > search_workspace::list_size) {
-      for_each_listless_candidate(ctx, c, i, visit);
-      return;
-    }
-    constexpr int quads = search_workspace::list_size / 4;
+    constexpr int size = search_workspace::list_size;
+    candidate_quad const* const list = ctx.work.list + at * (size / 4);
     FT_NO_UNROLL
-    for (int q = 0; 4 * q < n; ++q) {
-      candidate_quad const list = ctx.work.list[at * quads + q];
+    for (int q = 0; 4 * q < min_of(n, size); ++q) {
+      candidate_quad const quad = list[q];
       FT_UNROLL
       for (int e = 0; e < 4; ++e) {
-        std::uint32_t const entry = list.entry[e];
-        if (4 * q + e < n) {
-          visit(static_cast<int>(entry & 0x7fffffu), static_cast<int>(entry >> 23));
-        }
+        int const distance = detail::entry_distance(quad.entry[e]);
+        int const k = static_cast<int>(quad.entry[e] & 0x7fffffu);
+        if (4 * q + e >= n) { return true; }
+        if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
+        if (taken(ctx.number(c, k))) { continue; }
+        found.add(k, distance);
+        if (!with_ratio || found.second_k >= 0) { return true; }
       }
     }
+    return n <= size;
   }
 
-  /// The same for a window with more candidates than its list holds.
-  template <typename Visit>
-  FT_HOST_DEVICE static void for_each_listless_candidate(context const& ctx, int c, int i,
-                                                         Visit const& visit) {
+  template <typename Taken>
+  FT_HOST_DEVICE static void choose_from_grid(context const& ctx, int c, int i, Taken const& taken,
+                                              nearest_two& found) {
     search_window const w = ctx.windows.at(c, ctx.b, i);
     keypoints_view const kp = ctx.frame.camera(ctx.b, c);
     descriptor const wanted = get<field::orb>(ctx.points, w.slot);
@@ -394,111 +582,10 @@ private:
     visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c),
                 [&](int k) {
                   int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
-                  if (distance >= 0) { visit(k, distance); }
+                  if (distance >= 0 && distance < found.second && !taken(ctx.number(c, k))) {
+                    found.add(k, distance);
+                  }
                 });
-  }
-
-  FT_HOST_DEVICE static bool has_candidates(context const& ctx, int i) {
-    bool any = false;
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
-    }
-    return any;
-  }
-  /// Whether the points that window i looks for are observed.
-  FT_HOST_DEVICE static bool is_observed(context const& ctx, int i) {
-    bool all = true;
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      int const slot = ctx.windows.at(c, ctx.b, i).slot;
-      all = all && (slot < 0 || get<field::observations>(ctx.points, slot) > 0);
-    }
-    return all;
-  }
-  FT_HOST_DEVICE static void clear_matches(context const& ctx, int i) {
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      ctx.work.match[ctx.work.window(c, ctx.b, i)] = -1;
-    }
-  }
-
-  FT_HOST_DEVICE static bool passes_on(context const& ctx) {
-    return ctx.partner != nullptr && ctx.params.kind == search_kind::local_map;
-  }
-
-  /// Calls visit(number) for every keypoint whose state window i may wait for or change. What is
-  /// settled is neither: it is taken whatever happens. Its holder may still change as the partner
-  /// of another, and for the order of those who do that it counts.
-  template <typename Visit>
-  FT_HOST_DEVICE static void for_each_touched(context const& ctx, int i, marks const& m,
-                                              Visit const& visit) {
-    bool hopeful = false;
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for_each_candidate(ctx, c, i, [&](int k, int distance) {
-        hopeful = hopeful || (distance <= ctx.params.max_distance &&
-                              m.settled[c * ctx.frame.capacity() + k] == 0);
-      });
-    }
-    if (!hopeful) { return; }  // takes nothing, whatever the others do
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for_each_candidate(ctx, c, i, [&](int k, int) {
-        int const number = c * ctx.frame.capacity() + k;
-        if (m.settled[number] != 0) { return; }
-        visit(number);
-        if (passes_on(ctx) && ctx.partner[number] >= 0) { visit(ctx.partner[number]); }
-      });
-    }
-  }
-
-  FT_HOST_DEVICE static bool occupied(context const& ctx, int number) {
-    int const held = ctx.holder[number];
-    return held >= 0 && get<field::observations>(ctx.points, held) > 0;
-  }
-
-  /// Window i's choice, given what all earlier windows took. Returns how many keypoints it was
-  /// given. @param taken_for_good of a keypoint's number
-  template <typename Taken>
-  FT_HOST_DEVICE static int decide(context const& ctx, int i, Taken const& taken_for_good) {
-    int taken = 0;
-    bool refused = false;
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      int& match = ctx.work.match[ctx.work.window(c, ctx.b, i)];
-      match = -1;
-      if (refused) { continue; }
-      int best = 256;
-      int second = 256;
-      int best_k = -1;
-      int second_k = -1;
-      for_each_candidate(ctx, c, i, [&](int k, int distance) {
-        if (distance >= second || taken_for_good(c * ctx.frame.capacity() + k)) { return; }
-        if (distance < best) {
-          second = best;
-          second_k = best_k;
-          best = distance;
-          best_k = k;
-        } else {
-          second = distance;
-          second_k = k;
-        }
-      });
-      if (best_k < 0 || best > ctx.params.max_distance) { continue; }
-      if (ctx.params.kind == search_kind::local_map && second_k >= 0 &&
-          static_cast<float>(best) > detail::mul(ctx.params.ratio, static_cast<float>(second))) {
-        keypoints_view const kp = ctx.frame.camera(ctx.b, c);
-        if (get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k)) {
-          refused = c == 0;
-          continue;
-        }
-      }
-      int const number = c * ctx.frame.capacity() + best_k;
-      int const slot = ctx.windows.at(c, ctx.b, i).slot;
-      ctx.holder[number] = slot;
-      match = best_k;
-      ++taken;
-      if (passes_on(ctx) && ctx.partner[number] >= 0) {
-        ctx.holder[ctx.partner[number]] = slot;
-        ++taken;
-      }
-    }
-    return taken;
   }
 };
 
@@ -580,19 +667,23 @@ struct list_last_point {
                                   pyramid_geometry const& geometry, search_params const& params,
                                   search_windows_view const& windows,
                                   search_workspace const& work) {
-    if (g.rank() == 0) { project(b, i, search, th, map, geometry, windows); }
-    g.sync();
-    list_candidates::list(g, b, i, frame, map, windows, params, work);
+    // All threads compute the same windows: quicker than waiting for one of them.
+    window_pair const pair = project(b, i, search, th, map, geometry);
+    if (g.rank() == 0) {
+      windows.at(0, b, i) = pair.of[0];
+      if constexpr (!Rig::rectified) { windows.at(1, b, i) = pair.of[1]; }
+    }
+    list_candidates::list(g, b, i, pair, frame, map, params, work);
   }
 
 private:
-  FT_HOST_DEVICE static void project(int b, int i, last_search<Rig> const& search, float th,
-                                     map_points_view const& map, pyramid_geometry const& geometry,
-                                     search_windows_view const& out) {
+  FT_HOST_DEVICE static window_pair project(int b, int i, last_search<Rig> const& search, float th,
+                                            map_points_view const& map,
+                                            pyramid_geometry const& geometry) {
     Rig const& rig = search.rig;
     last_frame_view const& last = search.last;
     last_search_params const& params = search.params;
-    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * out.capacity + i;
+    window_pair out;
     int const left_count = last.keypoints.count[last.keypoint_step * b];
     int const c_last = i < left_count ? 0 : 1;
     int const k = i < left_count ? i : i - left_count;
@@ -600,17 +691,15 @@ private:
     int const slot =
         last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity +
                     number];
-    constexpr int cameras = Rig::rectified ? 1 : 2;
-    for (int c = 0; c < cameras; ++c) { at(out, c, item) = search_window::none(); }
     map_points_view const points = map.slice(b);
-    if (slot < 0 || slot >= points.capacity) { return; }
+    if (slot < 0 || slot >= points.capacity) { return out; }
 
     auto const T_cw = search.poses[b].template cast<strict_float>();
     auto const T_lw = search.last_poses[b].template cast<strict_float>();
     vec3<float> const world = get<field::position>(points, slot);
     vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
-    if (!(inv_z >= 0.0f)) { return; }
+    if (!(inv_z >= 0.0f)) { return out; }
     int const octave = get<field::octave>(last.keypoints.slice(last.keypoint_step * b + c_last), k);
     strict_float const baseline = rig.baseline_length();
     strict_float const ahead = (T_lw * T_cw.centre()).z;
@@ -624,31 +713,28 @@ private:
     w.slot = slot;
     if constexpr (Rig::rectified) {
       auto const seen = rig.camera.template cast<strict_float>().project(Pc);
-      if (!in_bounds(seen, params)) { return; }
+      if (!in_bounds(seen, params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
       w.right_x = (seen.pixel.x - rig.bf * inv_z).value;
       w.check_right = true;
-      at(out, 0, item) = w;
+      out.of[0] = w;
     } else {
       auto const seen = rig.left.template cast<strict_float>().project(Pc);
-      if (!in_bounds(seen, params)) { return; }
+      if (!in_bounds(seen, params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
-      at(out, 0, item) = w;
+      out.of[0] = w;
       vec3<strict_float> const Pr = rig.T_rl.template cast<strict_float>() * Pc;
       auto const right = project_right(rig, Pr, params.reference_quirks);
-      if (!right.valid) { return; }
+      if (!right.valid) { return out; }
       w.x = right.pixel.x.value;
       w.y = right.pixel.y.value;
-      at(out, 1, item) = w;
+      out.of[1] = w;
     }
+    return out;
   }
 
-  FT_HOST_DEVICE static search_window& at(search_windows_view const& out, int camera,
-                                          std::ptrdiff_t item) {
-    return out.windows[static_cast<std::ptrdiff_t>(camera) * out.batch * out.capacity + item];
-  }
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,
                                        last_search_params const& b) {
     return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&
@@ -759,10 +845,10 @@ struct point_stamps {
 
 /// One frame: assignment, orientation check, the same again with twice the radius where there are
 /// too few, stamps.
-template <typename Rig, bool Rounds>
+template <typename Rig, bool Turns>
 struct assign_last_points {
   struct scratch {
-    typename assign_keypoints<Rounds>::scratch assignment;
+    typename assign_keypoints<Turns>::scratch assignment;
     check_orientation::scratch orientation;
   };
 
@@ -773,7 +859,7 @@ struct assign_last_points {
                                  point_stamps const& stamps, search_windows_view const& windows,
                                  search_workspace const& work) const {
     for (int attempt = 0;; ++attempt) {
-      assign_keypoints<Rounds>{}(g, s.assignment, b, frame, map, windows, params, work);
+      assign_keypoints<Turns>{}(g, s.assignment, b, frame, map, windows, params, work);
       g.sync();
       if (search.params.orientation_check) {
         check_orientation{}(g, s.orientation, b, frame, search.last, windows, work);

@@ -26,6 +26,14 @@ struct search_window {
   FT_HOST_DEVICE static search_window none() { return {0, 0, 0, 0, 0, 0, -1, false}; }
 };
 
+/// The windows of a point in both cameras.
+struct window_pair {
+  search_window of[2] = {search_window::none(), search_window::none()};
+
+  /// By value: an index known at run time would put both into memory.
+  FT_HOST_DEVICE search_window camera(int c) const { return c == 0 ? of[0] : of[1]; }
+};
+
 /// Windows of one search, in search order: [cameras][batch][capacity].
 struct search_windows_view {
   search_window* windows = nullptr;
@@ -34,7 +42,7 @@ struct search_windows_view {
   int batch = 0;
   int cameras = 1;
 
-  FT_HOST_DEVICE search_window const& at(int camera, int b, int i) const {
+  FT_HOST_DEVICE search_window& at(int camera, int b, int i) const {
     return windows[(static_cast<std::ptrdiff_t>(camera) * batch + b) * capacity + i];
   }
 };
@@ -50,19 +58,36 @@ inline void carve(carver& c, search_windows_view& v, int capacity, int batch, in
 }
 
 /// Calls visit(k) in the grid's order for every keypoint of the window's cells, k = -1 for threads
-/// of the group that have none in a step; every thread takes part in every call.
+/// of the group that have none in a step; every thread takes part in every call. @tparam Group one
+/// thread or a warp
 template <typename Group, typename Visit>
 FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_view const& grid,
                                 Visit const& visit) {
   cell_window const cells = cell_window::of(grid.geometry, w.x, w.y, w.radius);
   if (cells.y0 > cells.y1) { return; }
-  for (int cx = cells.x0; cx <= cells.x1; ++cx) {
-    // Cells of a column follow each other, so the column's part of the window is one run.
-    int const begin = grid.start[cx * grid.geometry.rows + cells.y0];
-    int const end = grid.start[cx * grid.geometry.rows + cells.y1 + 1];
-    for (int base = begin; base < end; base += g.size()) {
-      int const k = base + g.rank();
-      visit(k < end ? grid.indices[k] : -1);
+  int const columns = cells.x1 - cells.x0 + 1;
+  for (int first = 0; first < columns; first += g.size()) {
+    // Cells of a column follow each other, so the column's part of the window is one run. A thread
+    // looks up a column; then all threads walk through all runs together.
+    int const here = min_of(columns - first, g.size());
+    int const column = (cells.x0 + first + min_of(g.rank(), here - 1)) * grid.geometry.rows;
+    int const begin = grid.start[column + cells.y0];
+    int const length = g.rank() < here ? grid.start[column + cells.y1 + 1] - begin : 0;
+    int total = 0;
+    int const before = g.exclusive_scan(length, total);
+    for (int base = 0; base < total; base += g.size()) {
+      int const at = base + g.rank();
+      int run = 0;  // the last one that begins at or before `at`
+      int run_before = 0;
+      for (int c = 0; c < here; ++c) {
+        int const that = g.shuffle(before, c);
+        if (that <= at) {
+          run = c;
+          run_before = that;
+        }
+      }
+      int const run_begin = g.shuffle(begin, run);
+      visit(at < total ? grid.indices[run_begin + at - run_before] : -1);
     }
   }
 }

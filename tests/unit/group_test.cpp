@@ -155,15 +155,15 @@ struct sum_item {
   }
 };
 
-/// The documented order of additions: 256 lanes, halves of a warp's lanes, then the warps.
+/// The documented order of additions: 512 lanes, halves of a warp's lanes, then the warps.
 template <typename Number>
 Number sum_in_order(double const* data, int n) {
-  std::vector<Number> lanes(256, Number(0));
+  std::vector<Number> lanes(512, Number(0));
   for (int i = 0; i < n; ++i) {
-    lanes[static_cast<std::size_t>(i % 256)] += static_cast<Number>(data[i]);
+    lanes[static_cast<std::size_t>(i % 512)] += static_cast<Number>(data[i]);
   }
   Number total = 0;
-  for (std::size_t warp = 0; warp < 8; ++warp) {
+  for (std::size_t warp = 0; warp < 16; ++warp) {
     // In each step the upper half of what is left is added to the lower half.
     std::vector<Number> rest(lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp),
                              lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp + 32));

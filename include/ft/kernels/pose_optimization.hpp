@@ -3,8 +3,8 @@
 /// reprojection errors, mono and stereo. Source: specification section 11; Nielsen, "Damping
 /// parameter in Marquardt's method", 1999.
 ///
-/// All in double with products kept apart and sums in a fixed order: the same pose, to the last
-/// bit, on every executor (up to the camera model's own use of trigonometric functions).
+/// With products kept apart and sums in a fixed order: the same pose, to the last bit, on every
+/// executor (up to the camera model's own use of trigonometric functions).
 #pragma once
 
 #include <cstddef>
@@ -35,8 +35,9 @@ struct pose_params {
   int rounds = 4;
   int steps = 10;   ///< per round
   int trials = 10;  ///< of the damping, per step
-  double small_step =
-      1e-4;  ///< a round ends after a step shorter than this in every component; rad, m
+  /// A round ends with a step shorter than this in every component, rad and m; that one is taken
+  /// without a look at where it leads.
+  double small_step = 1e-5;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
@@ -46,24 +47,37 @@ namespace detail {
 using real = strict_double;
 using transform = rigid<strict_double>;
 
+/// I + a W + b W^2 with W = [w]x, so that W^2 = w w^T - (w.w) I.
+FT_HOST_DEVICE inline mat3<real> one_plus(real a, real b, vec3<real> w, real theta2) {
+  vec3<real> const aw{a * w.x, a * w.y, a * w.z};
+  vec3<real> const bw{b * w.x, b * w.y, b * w.z};
+  real const xy = bw.x * w.y;
+  real const xz = bw.x * w.z;
+  real const yz = bw.y * w.z;
+  real const rest = real(1.0) - b * theta2;
+  return {{rest + bw.x * w.x, xy - aw.z, xz + aw.y, xy + aw.z, rest + bw.y * w.y, yz - aw.x,
+           xz - aw.y, yz + aw.x, rest + bw.z * w.z}};
+}
+
 /// exp of a twist (rotation first), by series and repeated squaring: no library function.
 FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   vec3<real> w{d[0], d[1], d[2]};
   vec3<real> u{d[3], d[4], d[5]};
   real theta2 = dot(w, w);
   int halvings = 0;
-  while (theta2 > 0.25 && halvings < 60) {
+  while (theta2 > 1.0 / 64 && halvings < 60) {
     w = {w.x * 0.5, w.y * 0.5, w.z * 0.5};
     u = {u.x * 0.5, u.y * 0.5, u.z * 0.5};
     theta2 = theta2 * 0.25;
     ++halvings;
   }
-  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket.
+  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket. What is
+  // left out is below 1e-16 of the result.
   real a = 1.0;
   real b = 1.0;
   real c = 1.0;
   FT_UNROLL
-  for (int k = 9; k > 0; --k) {
+  for (int k = 5; k > 0; --k) {
     double const n = 2.0 * k;
     a = real(1.0) - theta2 * (1.0 / (n * (n + 1.0))) * a;
     b = real(1.0) - theta2 * (1.0 / ((n + 1.0) * (n + 2.0))) * b;
@@ -71,16 +85,9 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   }
   b = b * 0.5;
   c = c * (1.0 / 6.0);
-  mat3<real> const W{{0.0, -w.z, w.y, w.z, 0.0, -w.x, -w.y, w.x, 0.0}};
-  mat3<real> const W2 = W * W;
   transform t;
-  mat3<real> V;
-  for (int i = 0; i < 9; ++i) {
-    real const one = i % 4 == 0 ? 1.0 : 0.0;
-    t.R.m[i] = one + (a * W.m[i] + b * W2.m[i]);
-    V.m[i] = one + (b * W.m[i] + c * W2.m[i]);
-  }
-  t.t = V * u;
+  t.R = one_plus(a, b, w, theta2);
+  t.t = one_plus(b, c, w, theta2) * u;
   for (; halvings > 0; --halvings) { t = t * t; }
   return t;
 }
@@ -152,6 +159,7 @@ struct reprojection {
   int rows;              ///< 2 or 3
   vec3<real> in_body;    ///< point in the left camera's frame
   vec3<real> in_camera;  ///< point in the seeing camera's frame
+  real iz = 0.0;         ///< 1 / z of a rectified pair
   bool valid = true;     ///< the camera model holds at the point
 
   FT_HOST_DEVICE reprojection(Rig const& rig, detail::transform const& T_cw, observation const& o) {
@@ -162,21 +170,18 @@ struct reprojection {
     error[2] = 0.0;
     if constexpr (Rig::rectified) {
       auto const& c = rig.camera;
-      real u;
-      real v;
-      if (o.right_u >= 0) {
-        rows = 3;
-        real const iz = static_cast<double>(static_cast<float>((1.0 / in_body.z).value));
-        u = real(static_cast<double>(c.fx)) * in_body.x * iz + static_cast<double>(c.cx);
-        v = real(static_cast<double>(c.fy)) * in_body.y * iz + static_cast<double>(c.cy);
-        error[2] =
-            real(static_cast<double>(o.right_u)) - (u - real(static_cast<double>(rig.bf)) * iz);
-      } else {
-        u = real(static_cast<double>(c.fx)) * in_body.x / in_body.z + static_cast<double>(c.cx);
-        v = real(static_cast<double>(c.fy)) * in_body.y / in_body.z + static_cast<double>(c.cy);
-      }
+      real const inverse = real(1.0) / in_body.z;
+      bool const stereo = o.right_u >= 0;
+      iz = stereo ? real(static_cast<double>(static_cast<float>(inverse.value))) : inverse;
+      real const u = real(static_cast<double>(c.fx)) * in_body.x * iz + static_cast<double>(c.cx);
+      real const v = real(static_cast<double>(c.fy)) * in_body.y * iz + static_cast<double>(c.cy);
       error[0] = real(static_cast<double>(o.u)) - u;
       error[1] = real(static_cast<double>(o.v)) - v;
+      if (stereo) {
+        rows = 3;
+        error[2] =
+            real(static_cast<double>(o.right_u)) - (u - real(static_cast<double>(rig.bf)) * iz);
+      }
     } else {
       projection<real> p;
       if (o.right_camera != 0) {
@@ -198,6 +203,11 @@ struct reprojection {
            static_cast<double>(o.inv_sigma2);
   }
 
+  /// Entries of the Jacobian that are 0 for any point.
+  FT_HOST_DEVICE static constexpr bool is_zero(int row, int column) {
+    return Rig::rectified && column == (row == 1 ? 3 : 4);
+  }
+
   /// d prediction / d twist, twist added on the left: rows of 6. @tparam Scalar of the evaluation
   template <typename Scalar>
   FT_HOST_DEVICE void jacobian(Rig const& rig, observation const& o, Scalar (&J)[3][6]) const {
@@ -208,15 +218,25 @@ struct reprojection {
                           Scalar(static_cast<P_type>(v.z.value))};
     };
     vec3<Scalar> const p = narrowed(in_body);
+    Scalar const zero = Scalar(0);
     Scalar P[3][3];  // d prediction / d point in the left camera's frame
     if constexpr (Rig::rectified) {
-      auto const j = rig.camera.template cast<Scalar>().project_jacobian(p);
-      for (int k = 0; k < 3; ++k) {
-        P[0][k] = j.m[k];
-        P[1][k] = j.m[3 + k];
-        P[2][k] = j.m[k];
+      static_cast<void>(o);
+      auto const& c = rig.camera;
+      Scalar const inverse = Scalar(static_cast<P_type>(iz.value));
+      Scalar const a = Scalar(static_cast<P_type>(c.fx)) * inverse;
+      Scalar const b = Scalar(static_cast<P_type>(c.fy)) * inverse;
+      Scalar const du = -(a * (p.x * inverse));
+      Scalar const dv = -(b * (p.y * inverse));
+      Scalar const dr = du + Scalar(static_cast<P_type>(rig.bf)) * (inverse * inverse);
+      Scalar const rows_of[3][6] = {{du * p.y, a * p.z - du * p.x, -(a * p.y), a, zero, du},
+                                    {dv * p.y - b * p.z, -(dv * p.x), b * p.x, zero, b, dv},
+                                    {dr * p.y, a * p.z - dr * p.x, -(a * p.y), a, zero, dr}};
+      FT_UNROLL
+      for (int r = 0; r < 3; ++r) {
+        FT_UNROLL
+        for (int k = 0; k < 6; ++k) { J[r][k] = rows_of[r][k]; }
       }
-      P[2][2] = P[2][2] + Scalar(static_cast<P_type>(rig.bf)) / (p.z * p.z);
     } else {
       mat23<Scalar> j;
       vec3<Scalar> const q = narrowed(in_camera);
@@ -235,16 +255,15 @@ struct reprojection {
           for (int k = 0; k < 3; ++k) { P[r][k] = j.m[3 * r + k]; }
         }
       }
-      for (int k = 0; k < 3; ++k) { P[2][k] = Scalar(0); }
-    }
-    static_cast<void>(o);
-    for (int r = 0; r < 3; ++r) {
-      J[r][0] = P[r][2] * p.y - P[r][1] * p.z;
-      J[r][1] = P[r][0] * p.z - P[r][2] * p.x;
-      J[r][2] = P[r][1] * p.x - P[r][0] * p.y;
-      J[r][3] = P[r][0];
-      J[r][4] = P[r][1];
-      J[r][5] = P[r][2];
+      for (int k = 0; k < 3; ++k) { P[2][k] = zero; }
+      for (int r = 0; r < 3; ++r) {
+        J[r][0] = P[r][2] * p.y - P[r][1] * p.z;
+        J[r][1] = P[r][0] * p.z - P[r][2] * p.x;
+        J[r][2] = P[r][1] * p.x - P[r][0] * p.y;
+        J[r][3] = P[r][0];
+        J[r][4] = P[r][1];
+        J[r][5] = P[r][2];
+      }
     }
   }
 };
@@ -263,26 +282,31 @@ namespace detail {
 
 inline constexpr int pose_terms = 27;  ///< 6 of the gradient, 21 of the upper triangle
 
-/// Levenberg-Marquardt as a machine that one thread keeps: it names a trial pose, is told the sums
-/// there, and names the next.
+/// Levenberg-Marquardt as a machine that one thread keeps: it names a trial motion, is told the
+/// sums there, and names the next.
 struct damped_descent {
-  transform T;      ///< the best pose so far
+  transform D;      ///< the best motion so far, from the camera's frame at the start
   transform trial;  ///< where the sums are wanted next
-  sum_terms<pose_terms> at_best;
   real step[6];
+  double cost;  ///< at the best
   double damping;
   double growth;
   double expected;  ///< decrease of the cost
   int steps_left;
   int trials_left;
-  bool accepted;  ///< the last trial became the best
-  bool running;   ///< false = done, `T` is the answer
+  int spare;     ///< which of two sums is not that of the best
+  bool running;  ///< false = done, `D` is the answer
 
-  FT_HOST_DEVICE void begin(transform const& start, sum_terms<pose_terms> const& sums,
-                            pose_params const& params) {
-    T = start;
-    at_best = sums;
-    accepted = true;
+  FT_HOST_DEVICE void restart(pose_params const& params) {
+    for (int i = 0; i < 9; ++i) { D.R.m[i] = i % 4 == 0 ? 1.0 : 0.0; }
+    D.t = {0.0, 0.0, 0.0};
+    trial = D;
+    steps_left = params.steps;
+    spare = 0;
+    running = true;
+  }
+
+  FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
     double largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
@@ -291,44 +315,54 @@ struct damped_descent {
     }
     damping = (real(1e-5) * largest).value;
     growth = 2;
-    steps_left = params.steps;
+    cost = sums.wide;
     trials_left = params.trials;
     running = steps_left > 0;
+    spare ^= 1;
   }
 
   FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
-    real const gain = (real(at_best.wide) - sums.wide) / real(expected);
-    accepted = gain > 0.0 && scalar::is_finite(real(sums.wide));
-    if (accepted) {
-      real const m = real(2.0) * gain - 1.0;
-      real const factor = max_of(real(1.0 / 3.0), min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
-      damping = (real(damping) * factor).value;
-      growth = 2;
-      T = trial;
-      at_best = sums;
-      bool small = true;
-      for (int k = 0; k < 6; ++k) { small = small && scalar::abs(step[k]) < params.small_step; }
-      trials_left = params.trials;
-      running = --steps_left > 0 && !small;
-    } else {
+    real const decrease = real(cost) - sums.wide;
+    if (!(decrease > 0.0 && scalar::is_finite(real(sums.wide)))) {
       refuse();
+      return;
     }
+    // The gain only sets the damping.
+    strict_float const gain = strict_float(static_cast<float>(decrease.value)) /
+                              strict_float(static_cast<float>(expected));
+    strict_float const m = strict_float(2.0f) * gain - 1.0f;
+    strict_float const factor =
+        max_of(strict_float(1.0f / 3.0f),
+               min_of(strict_float(1.0f) - m * m * m, strict_float(2.0f / 3.0f)));
+    damping = (real(damping) * static_cast<double>(factor.value)).value;
+    growth = 2;
+    D = trial;
+    cost = sums.wide;
+    trials_left = params.trials;
+    running = --steps_left > 0;
+    spare ^= 1;
   }
 
-  /// Names the next trial pose, or ends.
-  FT_HOST_DEVICE void propose() {
+  /// Names the next trial, or ends. @param best the sums at the best
+  FT_HOST_DEVICE void propose(sum_terms<pose_terms> const& best, pose_params const& params) {
     float H[21];
     float b[6];
-    for (int k = 0; k < 6; ++k) { b[k] = at_best.narrow[k]; }
-    for (int k = 0; k < 21; ++k) { H[k] = at_best.narrow[6 + k]; }
+    for (int k = 0; k < 6; ++k) { b[k] = best.narrow[k]; }
+    for (int k = 0; k < 21; ++k) { H[k] = best.narrow[6 + k]; }
     while (running && !solve_6(H, damping, b, step)) { refuse(); }
     if (!running) { return; }
     real sum = 1e-3;
+    bool small = true;
     for (int k = 0; k < 6; ++k) {
       sum = sum + step[k] * (real(damping) * step[k] + static_cast<double>(b[k]));
+      small = small && scalar::abs(step[k]) < params.small_step;
     }
     expected = sum.value;
-    trial = exp_se3(step) * T;
+    trial = exp_se3(step) * D;
+    if (!small) { return; }
+    // Short because it was cut short: a longer one was no better.
+    if (trials_left == params.trials) { D = trial; }
+    running = false;
   }
 
 private:
@@ -346,13 +380,21 @@ private:
 ///
 /// Residuals, chi-squares and the cost are in double: they decide. Derivatives and the normal
 /// equations, whose errors only change the length of the way, are in float; the equations are
-/// solved in double.
+/// solved in double. The points are carried into the camera's frame at the start once, and the
+/// motion from there is sought.
 template <typename Rig>
 struct optimize_pose {
   static constexpr int terms = detail::pose_terms;
+  /// So many observations are kept in block scratch, others are looked up each time.
+  static constexpr int scratch_size = 1024;
   struct scratch {
-    ordered_sum_scratch<terms> sums;
+    ordered_sum_scratch<terms> sums[2];
     detail::damped_descent descent;
+    vec3<float> point[scratch_size];  ///< in the camera's frame at the start
+    float u[scratch_size];
+    float v[scratch_size];
+    float third[scratch_size];   ///< column in the right image, or 1 = seen by the right camera
+    float weight[scratch_size];  ///< 0 = does not count in this round
   };
 
   template <typename Group>
@@ -368,8 +410,7 @@ struct optimize_pose {
       return;
     }
     detail::transform const start = problem.start->template cast<strict_double>();
-    // Bits of a flag: outlier in this round; too far at the last trial pose; too far at the best.
-    for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
+    for (int i = g.rank(); i < n; i += g.size()) { prepare(s, i, rig, problem, start); }
     detail::transform T = start;
     bool changed = true;
     for (int round = 0; round < params.rounds; ++round) {
@@ -377,18 +418,15 @@ struct optimize_pose {
       // The same observations and the same kernel give the same pose again.
       if (!changed && robust) { continue; }
       T = run_round(g, s, rig, problem, params, start, robust);
-      // What the flags say of the round's best pose becomes the next round's set.
       int changes = 0;
       for (int i = g.rank(); i < n; i += g.size()) {
-        unsigned const flags = problem.outlier[i];
-        unsigned const out = (flags & too_far_at_best) != 0 ? outlier : 0;
-        changes += static_cast<int>(out != (flags & outlier));
-        problem.outlier[i] = static_cast<unsigned char>(out);
+        changes += static_cast<int>(classify(s, i, rig, problem, params, T));
       }
       changed = g.reduce(changes, sum_op{}) > 0;
     }
     int good = 0;
     for (int i = g.rank(); i < n; i += g.size()) {
+      problem.outlier[i] = problem.outlier[i] & outlier;
       good += static_cast<int>(problem.outlier[i] == 0);
     }
     good = g.reduce(good, sum_op{});
@@ -399,36 +437,81 @@ struct optimize_pose {
   }
 
 private:
-  static constexpr unsigned outlier = 1;
-  static constexpr unsigned too_far_at_trial = 2;
-  static constexpr unsigned too_far_at_best = 4;
+  static constexpr unsigned char outlier = 1;
+  /// Without a number at the start: out of all sums, which one NaN would spoil.
+  static constexpr unsigned char unusable = 2;
 
-  /// Cost, gradient and curvature over the inliers at T, in s.sums.total. Notes of every
-  /// observation whether it is too far away there. @param first of a round: observations without a
-  /// number stay out of it, as one NaN would spoil every sum
+  FT_HOST_DEVICE static void prepare(scratch& s, int i, Rig const& rig, pose_problem const& problem,
+                                     detail::transform const& start) {
+    observation const o = problem.observations[i];
+    reprojection<Rig> const r(rig, start, o);
+    bool const usable = scalar::is_finite(r.chi2(o));
+    problem.outlier[i] = usable ? 0 : unusable;
+    if (i >= scratch_size) { return; }
+    s.point[i] = narrowed(r.in_body);
+    s.u[i] = o.u;
+    s.v[i] = o.v;
+    s.third[i] = Rig::rectified ? o.right_u : static_cast<float>(o.right_camera);
+    s.weight[i] = usable ? o.inv_sigma2 : 0.0f;
+  }
+  FT_HOST_DEVICE static vec3<float> narrowed(vec3<detail::real> p) {
+    return {static_cast<float>(p.x.value), static_cast<float>(p.y.value),
+            static_cast<float>(p.z.value)};
+  }
+
+  /// Observation i with its point in the camera's frame at the start; of weight 0 where it does not
+  /// count.
+  FT_HOST_DEVICE static observation prepared(scratch const& s, int i, pose_problem const& problem) {
+    if (i < scratch_size) {
+      return {s.point[i], s.u[i],      s.v[i],
+              s.third[i], s.weight[i], Rig::rectified ? 0 : static_cast<int>(s.third[i])};
+    }
+    observation o = problem.observations[i];
+    auto const start = problem.start->template cast<strict_double>();
+    o.point = narrowed(start * vec3<detail::real>{static_cast<double>(o.point.x),
+                                                  static_cast<double>(o.point.y),
+                                                  static_cast<double>(o.point.z)});
+    if (problem.outlier[i] != 0) { o.inv_sigma2 = 0; }
+    return o;
+  }
+
+  /// Whether observation i is an outlier at T, for its flag and the next round. True if that is
+  /// new.
+  FT_HOST_DEVICE static bool classify(scratch& s, int i, Rig const& rig,
+                                      pose_problem const& problem, pose_params const& params,
+                                      detail::transform const& T) {
+    observation const o = problem.observations[i];
+    reprojection<Rig> const r(rig, T, o);
+    // Written so that a NaN is too far.
+    bool const far = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
+    unsigned char const before = problem.outlier[i];
+    unsigned char const after =
+        static_cast<unsigned char>((before & unusable) | (far ? outlier : 0));
+    problem.outlier[i] = after;
+    if (i < scratch_size) { s.weight[i] = after != 0 ? 0.0f : o.inv_sigma2; }
+    return before != after;
+  }
+
+  /// Cost, gradient and curvature after motion D, over the observations that count.
   template <typename Group>
-  FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig,
-                                       pose_problem const& problem, pose_params const& params,
-                                       detail::transform const& T, bool robust, bool first) {
+  FT_HOST_DEVICE static void linearize(Group g, scratch& s, ordered_sum_scratch<terms>& sums,
+                                       Rig const& rig, pose_problem const& problem,
+                                       pose_params const& params, detail::transform const& D,
+                                       bool robust) {
     using detail::real;
     using narrow = strict_float;
-    bool const accepted = !first && s.descent.accepted;
-    ordered_sum<terms>(g, s.sums, problem.count, [&](int i, sum_terms<terms>& acc) {
-      observation const& o = problem.observations[i];
-      reprojection<Rig> const r(rig, T, o);
+    ordered_sum<terms>(g, sums, problem.count, [&](int i, sum_terms<terms>& acc) {
+      observation const o = prepared(s, i, problem);
+      if (!(o.inv_sigma2 > 0)) { return; }
+      reprojection<Rig> const r(rig, D, o);
       real const chi2 = r.chi2(o);
       real const limit = r.rows == 3 ? params.chi2_stereo : params.chi2_mono;
-      unsigned flags = settled_flags(problem.outlier[i], accepted) & ~too_far_at_trial;
-      if (first && !scalar::is_finite(chi2)) { flags |= outlier; }
-      if (!(chi2 <= limit)) { flags |= too_far_at_trial; }  // written so that a NaN is too far
-      problem.outlier[i] = static_cast<unsigned char>(flags);
-      if ((flags & outlier) != 0) { return; }
       narrow weight = o.inv_sigma2;
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
-        real const product = scalar::sqrt(limit * chi2);
-        cost = 2.0 * product - limit;
-        weight = weight * static_cast<float>((product / chi2).value);
+        narrow const product = scalar::sqrt(narrow(static_cast<float>((limit * chi2).value)));
+        cost = 2.0 * real(static_cast<double>(product.value)) - limit;
+        weight = weight * (narrow(static_cast<float>(limit.value)) / product);
       }
       acc.wide += cost.value;
       narrow J[3][6];
@@ -443,58 +526,49 @@ private:
       FT_UNROLL
       for (int a = 0; a < 6; ++a) {
         narrow weighted[rows];
-        narrow gradient = 0.0f;
         FT_UNROLL
         for (int k = 0; k < rows; ++k) {
+          if (r.is_zero(k, a)) { continue; }
           weighted[k] = weights[k] * J[k][a];
-          gradient = gradient + weighted[k] * error[k];
+          acc.narrow[a] += (weighted[k] * error[k]).value;
         }
-        acc.narrow[a] += gradient.value;
         FT_UNROLL
         for (int b = a; b < 6; ++b) {
-          narrow h = weighted[0] * J[0][b];
           FT_UNROLL
-          for (int k = 1; k < rows; ++k) { h = h + weighted[k] * J[k][b]; }
-          acc.narrow[at++] += h.value;
+          for (int k = 0; k < rows; ++k) {
+            if (r.is_zero(k, a) || r.is_zero(k, b)) { continue; }
+            acc.narrow[at] += (weighted[k] * J[k][b]).value;
+          }
+          ++at;
         }
       }
     });
   }
 
-  /// If the last trial pose has become the best, its flags have, too.
-  FT_HOST_DEVICE static unsigned settled_flags(unsigned flags, bool accepted) {
-    if (!accepted) { return flags; }
-    return (flags & outlier) | ((flags & too_far_at_trial) != 0 ? too_far_at_best : 0);
-  }
-
+  /// The best pose for the observations that count.
   template <typename Group>
   FT_HOST_DEVICE static detail::transform run_round(Group g, scratch& s, Rig const& rig,
                                                     pose_problem const& problem,
                                                     pose_params const& params,
                                                     detail::transform const& start, bool robust) {
-    detail::transform here = start;
+    detail::damped_descent& descent = s.descent;
+    if (g.rank() == 0) { descent.restart(params); }
+    g.sync();
     FT_NO_UNROLL
-    for (bool first = true;; first = false) {
-      linearize(g, s, rig, problem, params, here, robust, first);
+    for (bool first = true; descent.running; first = false) {
+      ordered_sum_scratch<terms>& sums = s.sums[descent.spare];
+      linearize(g, s, sums, rig, problem, params, descent.trial, robust);
       if (g.rank() == 0) {
         if (first) {
-          s.descent.begin(start, s.sums.total, params);
+          descent.begin(sums.total, params);
         } else {
-          s.descent.judge(s.sums.total, params);
+          descent.judge(sums.total, params);
         }
-        s.descent.propose();
+        descent.propose(s.sums[descent.spare ^ 1].total, params);
       }
       g.sync();
-      if (!s.descent.running) { break; }
-      here = s.descent.trial;
     }
-    for (int i = g.rank(); i < problem.count; i += g.size()) {
-      problem.outlier[i] =
-          static_cast<unsigned char>(settled_flags(problem.outlier[i], s.descent.accepted));
-    }
-    detail::transform const T = s.descent.T;
-    g.sync();
-    return T;
+    return descent.D * start;
   }
 };
 
@@ -536,28 +610,31 @@ struct optimize_frame_pose {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
     int n = 0;
     for (int c = 0; c < frame.cameras; ++c) {
-      keypoints_view const kp = frame.camera(b, c);
-      for (int base = 0; base < *kp.count; base += g.size()) {
-        int const k = base + g.rank();
-        int const number = c * frame.capacity() + k;
-        int const slot = k < *kp.count ? holder[number] : -1;
+      int const count = *frame.camera(b, c).count;
+      for (int base = 0; base < count; base += g.size()) {
+        int const number = c * frame.capacity() + base + g.rank();
+        bool const holds = base + g.rank() < count && holder[number] >= 0;
         int total = 0;
-        int const place = n + g.exclusive_scan(static_cast<int>(slot >= 0), total);
-        if (slot >= 0) {
-          float const right =
-              Rig::rectified && frame.right_x != nullptr
-                  ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
-                  : -1.0f;
-          out.items[at + place] = {get<field::position>(points, slot),
-                                   get<field::x>(kp, k),
-                                   get<field::y>(kp, k),
-                                   right,
-                                   geometry.inv_sigma2[get<field::octave>(kp, k)],
-                                   c};
-          out.number[at + place] = number;
-        }
+        int const place = n + g.exclusive_scan(static_cast<int>(holds), total);
+        if (holds) { out.number[at + place] = number; }
         n += total;
       }
+    }
+    g.sync();
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const number = out.number[at + i];
+      int const c = number < frame.capacity() ? 0 : 1;
+      int const k = number - c * frame.capacity();
+      keypoints_view const kp = frame.camera(b, c);
+      float const right = Rig::rectified && frame.right_x != nullptr
+                              ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
+                              : -1.0f;
+      out.items[at + i] = {get<field::position>(points, holder[number]),
+                           get<field::x>(kp, k),
+                           get<field::y>(kp, k),
+                           right,
+                           geometry.inv_sigma2[get<field::octave>(kp, k)],
+                           c};
     }
     g.sync();
     if (g.rank() == 0) { out.count[b] = n; }

@@ -285,8 +285,8 @@ outcome search(Exec const& exec, scene const& s) {
   } else {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
                                     frame, map, windows, s.params, work);
-    ft::for_each_item<ft::per_block<512>>(exec, windows.batch, ft::assign_keypoints<Rounds>{},
-                                          frame, map, windows, s.params, work);
+    ft::for_each_item<ft::per_block<ft::assign_threads>>(
+        exec, windows.batch, ft::assign_keypoints<Rounds>{}, frame, map, windows, s.params, work);
   }
   outcome out;
   out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());

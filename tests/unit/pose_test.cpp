@@ -166,13 +166,21 @@ struct differentiate {
     ft::observation const o = observations[i];
     auto const T = T_cw.template cast<real>();
     ft::reprojection<Rig> const here(rig, T, o);
-    real J[3][6];
-    here.jacobian(rig, o, J);
+    real P[3][3];
+    here.derivative(rig, o, P);
+    auto const& p = here.in_body;
     derivatives& d = out[i];
     d.rows = here.rows;
     for (int r = 0; r < 3; ++r) {
       d.error[r] = here.error[r].value;
-      for (int k = 0; k < 6; ++k) { d.analytic[r][k] = J[r][k].value; }
+      // A small twist (w, t) moves the point by w x p + t.
+      real const J[6] = {P[r][2] * p.y - P[r][1] * p.z,
+                         P[r][0] * p.z - P[r][2] * p.x,
+                         P[r][1] * p.x - P[r][0] * p.y,
+                         P[r][0],
+                         P[r][1],
+                         P[r][2]};
+      for (int k = 0; k < 6; ++k) { d.analytic[r][k] = J[k].value; }
     }
     for (int k = 0; k < 6; ++k) {
       real twist[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};

@@ -70,6 +70,11 @@ struct single_group {
     total = value;
     return 0;
   }
+  /// How many lower ranks say yes; `total` gets how many say so at all.
+  FT_HOST_DEVICE int exclusive_count(bool flag, int& total) const {
+    total = static_cast<int>(flag);
+    return 0;
+  }
   /// Exclusive sum over data[0, n) in place; returns the total.
   FT_HOST_DEVICE int exclusive_scan_array(int* data, int n) const {
     int sum = 0;
@@ -183,6 +188,11 @@ struct warp_group {
     total = __shfl_sync(0xffffffffu, inclusive, 31);
     return inclusive - value;
   }
+  __device__ int exclusive_count(bool flag, int& total) const {
+    unsigned const flags = ballot(flag);
+    total = popcount(flags);
+    return popcount(flags & ((1u << rank()) - 1));
+  }
   __device__ int exclusive_scan_array(int* data, int n) const {
     int carry = 0;
     for (int base = 0; base < n; base += 32) {
@@ -257,6 +267,23 @@ struct block_group {
     total = sum;
     return before + inclusive - value;
   }
+  __device__ int exclusive_count(bool flag, int& total) const {
+    int mine = 0;
+    int const below = part().exclusive_count(flag, mine);
+    if ((rank() & 31) == 0) { memcpy(temp->words[rank() / 32], &mine, sizeof(int)); }
+    sync();
+    int before = 0;
+    int sum = 0;
+    for (int w = 0; w < warps; ++w) {
+      int v;
+      memcpy(&v, temp->words[w], sizeof(int));
+      if (w < rank() / 32) { before += v; }
+      sum += v;
+    }
+    sync();
+    total = sum;
+    return before + below;
+  }
   __device__ int exclusive_scan_array(int* data, int n) const {
     int carry = 0;
     for (int base = 0; base < n; base += N) {
@@ -306,14 +333,16 @@ FT_HOST_DEVICE inline void atomic_or(unsigned* address, unsigned bits) {
 #endif
 }
 
+/// Returns the value before.
 template <typename T>
-FT_HOST_DEVICE void atomic_min(T* address, T value) {
+FT_HOST_DEVICE T atomic_min(T* address, T value) {
 #if defined(__CUDA_ARCH__)
-  atomicMin(address, value);
+  return atomicMin(address, value);
 #else
   T seen = __atomic_load_n(address, __ATOMIC_RELAXED);
   while (value < seen && !__atomic_compare_exchange_n(address, &seen, value, true, __ATOMIC_RELAXED,
                                                       __ATOMIC_RELAXED)) {}
+  return seen;
 #endif
 }
 

@@ -10,7 +10,7 @@ inline namespace FT_ABI {
 
 /// Terms are dealt to this many lanes (i to lane i mod 512); in each 32 lanes the upper half of
 /// what is left is added to the lower one; then the 16 sums are added in order.
-inline constexpr int sum_lanes = 512;
+inline constexpr int sum_lanes = 768;
 
 /// What a least-squares problem adds up: its cost in double, K entries of its equations in float.
 template <int K>

@@ -223,8 +223,9 @@ void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_v
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_local_point<Rig>{}, search,
                           frame, map, geometry, params, windows, work);
   listed(exec);
-  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame,
-                                map, windows, params, work);
+  for_each_item<per_block<assign_threads>>(exec, windows.batch,
+                                           assign_keypoints<Exec::asynchronous>{}, frame, map,
+                                           windows, params, work);
 }
 
 }  // namespace FT_ABI

@@ -203,45 +203,28 @@ struct reprojection {
            static_cast<double>(o.inv_sigma2);
   }
 
-  /// Entries of the Jacobian that are 0 for any point.
-  FT_HOST_DEVICE static constexpr bool is_zero(int row, int column) {
-    return Rig::rectified && column == (row == 1 ? 3 : 4);
-  }
-
-  /// d prediction / d twist, twist added on the left: rows of 6. @tparam Scalar of the evaluation
+  /// d prediction / d point in the left camera's frame. @tparam Scalar of the evaluation
   template <typename Scalar>
-  FT_HOST_DEVICE void jacobian(Rig const& rig, observation const& o, Scalar (&J)[3][6]) const {
-    using P_type = plain_scalar_t<Scalar>;
-    auto const narrowed = [](vec3<real> v) {
-      return vec3<Scalar>{Scalar(static_cast<P_type>(v.x.value)),
-                          Scalar(static_cast<P_type>(v.y.value)),
-                          Scalar(static_cast<P_type>(v.z.value))};
-    };
-    vec3<Scalar> const p = narrowed(in_body);
+  FT_HOST_DEVICE void derivative(Rig const& rig, observation const& o, Scalar (&P)[3][3]) const {
+    using plain = plain_scalar_t<Scalar>;
     Scalar const zero = Scalar(0);
-    Scalar P[3][3];  // d prediction / d point in the left camera's frame
     if constexpr (Rig::rectified) {
       static_cast<void>(o);
       auto const& c = rig.camera;
-      Scalar const inverse = Scalar(static_cast<P_type>(iz.value));
-      Scalar const a = Scalar(static_cast<P_type>(c.fx)) * inverse;
-      Scalar const b = Scalar(static_cast<P_type>(c.fy)) * inverse;
-      Scalar const du = -(a * (p.x * inverse));
-      Scalar const dv = -(b * (p.y * inverse));
-      Scalar const dr = du + Scalar(static_cast<P_type>(rig.bf)) * (inverse * inverse);
-      Scalar const rows_of[3][6] = {{du * p.y, a * p.z - du * p.x, -(a * p.y), a, zero, du},
-                                    {dv * p.y - b * p.z, -(dv * p.x), b * p.x, zero, b, dv},
-                                    {dr * p.y, a * p.z - dr * p.x, -(a * p.y), a, zero, dr}};
-      FT_UNROLL
-      for (int r = 0; r < 3; ++r) {
-        FT_UNROLL
-        for (int k = 0; k < 6; ++k) { J[r][k] = rows_of[r][k]; }
-      }
+      vec3<Scalar> const p = narrowed<Scalar>(in_body);
+      Scalar const inverse = Scalar(static_cast<plain>(iz.value));
+      Scalar const du = Scalar(static_cast<plain>(c.fx)) * inverse;
+      Scalar const dv = Scalar(static_cast<plain>(c.fy)) * inverse;
+      P[0][0] = P[2][0] = du;
+      P[1][1] = dv;
+      P[0][1] = P[1][0] = P[2][1] = zero;
+      P[0][2] = -(du * (p.x * inverse));
+      P[1][2] = -(dv * (p.y * inverse));
+      P[2][2] = P[0][2] + Scalar(static_cast<plain>(rig.bf)) * (inverse * inverse);
     } else {
-      mat23<Scalar> j;
-      vec3<Scalar> const q = narrowed(in_camera);
+      vec3<Scalar> const q = narrowed<Scalar>(in_camera);
       if (o.right_camera != 0) {
-        j = rig.right.template cast<Scalar>().project_jacobian(q);
+        auto const j = rig.right.template cast<Scalar>().project_jacobian(q);
         mat3<Scalar> const R = rig.T_rl.template cast<Scalar>().R;
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) {
@@ -250,21 +233,20 @@ struct reprojection {
           }
         }
       } else {
-        j = rig.left.template cast<Scalar>().project_jacobian(q);
+        auto const j = rig.left.template cast<Scalar>().project_jacobian(q);
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) { P[r][k] = j.m[3 * r + k]; }
         }
       }
-      for (int k = 0; k < 3; ++k) { P[2][k] = zero; }
-      for (int r = 0; r < 3; ++r) {
-        J[r][0] = P[r][2] * p.y - P[r][1] * p.z;
-        J[r][1] = P[r][0] * p.z - P[r][2] * p.x;
-        J[r][2] = P[r][1] * p.x - P[r][0] * p.y;
-        J[r][3] = P[r][0];
-        J[r][4] = P[r][1];
-        J[r][5] = P[r][2];
-      }
+      P[2][0] = P[2][1] = P[2][2] = zero;
     }
+  }
+
+  template <typename Scalar>
+  FT_HOST_DEVICE static vec3<Scalar> narrowed(vec3<real> v) {
+    using plain = plain_scalar_t<Scalar>;
+    return {Scalar(static_cast<plain>(v.x.value)), Scalar(static_cast<plain>(v.y.value)),
+            Scalar(static_cast<plain>(v.z.value))};
   }
 };
 
@@ -281,6 +263,76 @@ struct pose_problem {
 namespace detail {
 
 inline constexpr int pose_terms = 27;  ///< 6 of the gradient, 21 of the upper triangle
+
+/// Adds an observation to the normal equations: gradient, then upper triangle by rows. A small
+/// twist (w, t) moves the point p by w x p + t; so with M = P^T W P and f = P^T W e the blocks of
+/// the curvature are [p]x M [p]x^T, [p]x M and M, and those of the gradient p x f and f.
+/// @param P d prediction / d p @param rectified P[0][1], P[1][0] and P[2][1] are 0
+template <typename Number>
+FT_HOST_DEVICE void add_motion_terms(vec3<Number> p, Number const (&P)[3][3], vec3<Number> const& W,
+                                     vec3<Number> const& e, bool rectified,
+                                     float (&sums)[pose_terms]) {
+  Number M[3][3];
+  vec3<Number> f;
+  if (rectified) {
+    Number const w0 = W.x * P[0][0];
+    Number const w2 = W.z * P[2][0];
+    Number const w1 = W.y * P[1][1];
+    Number const w02 = W.x * P[0][2];
+    Number const w12 = W.y * P[1][2];
+    Number const w22 = W.z * P[2][2];
+    M[0][0] = w0 * P[0][0] + w2 * P[2][0];
+    M[0][1] = Number(0.0f);
+    M[0][2] = w02 * P[0][0] + w22 * P[2][0];
+    M[1][1] = w1 * P[1][1];
+    M[1][2] = w12 * P[1][1];
+    M[2][2] = w02 * P[0][2] + w12 * P[1][2] + w22 * P[2][2];
+    f = {w0 * e.x + w2 * e.z, w1 * e.y, w02 * e.x + w12 * e.y + w22 * e.z};
+  } else {  // two rows
+    vec3<Number> const u{W.x * P[0][0], W.x * P[0][1], W.x * P[0][2]};
+    vec3<Number> const v{W.y * P[1][0], W.y * P[1][1], W.y * P[1][2]};
+    M[0][0] = u.x * P[0][0] + v.x * P[1][0];
+    M[0][1] = u.x * P[0][1] + v.x * P[1][1];
+    M[0][2] = u.x * P[0][2] + v.x * P[1][2];
+    M[1][1] = u.y * P[0][1] + v.y * P[1][1];
+    M[1][2] = u.y * P[0][2] + v.y * P[1][2];
+    M[2][2] = u.z * P[0][2] + v.z * P[1][2];
+    f = {u.x * e.x + v.x * e.y, u.y * e.x + v.y * e.y, u.z * e.x + v.z * e.y};
+  }
+  M[1][0] = M[0][1];
+  M[2][0] = M[0][2];
+  M[2][1] = M[1][2];
+  auto const add = [&](int at, Number v) { sums[at] += v.value; };
+  add(0, p.y * f.z - p.z * f.y);
+  add(1, p.z * f.x - p.x * f.z);
+  add(2, p.x * f.y - p.y * f.x);
+  add(3, f.x);
+  add(4, f.y);
+  add(5, f.z);
+  Number G[3][3];  // [p]x M
+  FT_UNROLL
+  for (int k = 0; k < 3; ++k) {
+    G[0][k] = p.y * M[2][k] - p.z * M[1][k];
+    G[1][k] = p.z * M[0][k] - p.x * M[2][k];
+    G[2][k] = p.x * M[1][k] - p.y * M[0][k];
+  }
+  add(6, p.y * G[0][2] - p.z * G[0][1]);
+  add(7, p.z * G[0][0] - p.x * G[0][2]);
+  add(8, p.x * G[0][1] - p.y * G[0][0]);
+  add(12, p.z * G[1][0] - p.x * G[1][2]);
+  add(13, p.x * G[1][1] - p.y * G[1][0]);
+  add(17, p.x * G[2][1] - p.y * G[2][0]);
+  FT_UNROLL
+  for (int k = 0; k < 3; ++k) {
+    add(9 + k, G[0][k]);
+    add(14 + k, G[1][k]);
+    add(18 + k, G[2][k]);
+    add(21 + k, M[0][k]);
+  }
+  add(24, M[1][1]);
+  add(25, M[1][2]);
+  add(26, M[2][2]);
+}
 
 /// Levenberg-Marquardt as a machine that one thread keeps: it names a trial motion, is told the
 /// sums there, and names the next.
@@ -514,34 +566,13 @@ private:
         weight = weight * (narrow(static_cast<float>(limit.value)) / product);
       }
       acc.wide += cost.value;
-      narrow J[3][6];
-      r.jacobian(rig, o, J);
+      narrow P[3][3];
+      r.derivative(rig, o, P);
       // A row that is not there has no weight.
-      narrow const weights[3] = {weight, weight, r.rows == 3 ? weight : narrow(0.0f)};
-      narrow const error[3] = {static_cast<float>(r.error[0].value),
-                               static_cast<float>(r.error[1].value),
-                               static_cast<float>(r.error[2].value)};
-      constexpr int rows = Rig::rectified ? 3 : 2;
-      int at = 6;
-      FT_UNROLL
-      for (int a = 0; a < 6; ++a) {
-        narrow weighted[rows];
-        FT_UNROLL
-        for (int k = 0; k < rows; ++k) {
-          if (r.is_zero(k, a)) { continue; }
-          weighted[k] = weights[k] * J[k][a];
-          acc.narrow[a] += (weighted[k] * error[k]).value;
-        }
-        FT_UNROLL
-        for (int b = a; b < 6; ++b) {
-          FT_UNROLL
-          for (int k = 0; k < rows; ++k) {
-            if (r.is_zero(k, a) || r.is_zero(k, b)) { continue; }
-            acc.narrow[at] += (weighted[k] * J[k][b]).value;
-          }
-          ++at;
-        }
-      }
+      vec3<narrow> const weights{weight, weight, r.rows == 3 ? weight : narrow(0.0f)};
+      vec3<narrow> const error = r.template narrowed<narrow>({r.error[0], r.error[1], r.error[2]});
+      detail::add_motion_terms(r.template narrowed<narrow>(r.in_body), P, weights, error,
+                               Rig::rectified, acc.narrow);
     });
   }
 
@@ -615,7 +646,7 @@ struct optimize_frame_pose {
         int const number = c * frame.capacity() + base + g.rank();
         bool const holds = base + g.rank() < count && holder[number] >= 0;
         int total = 0;
-        int const place = n + g.exclusive_scan(static_cast<int>(holds), total);
+        int const place = n + g.exclusive_count(holds, total);
         if (holds) { out.number[at + place] = number; }
         n += total;
       }

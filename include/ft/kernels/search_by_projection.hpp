@@ -72,7 +72,9 @@ struct search_workspace {
   /// [cameras][batch][capacity][list_size / 4], the nearest first, of equals the first in the grid;
   /// filled up with ~0 to whole quads
   candidate_quad* list = nullptr;
-  /// [cameras][batch][capacity], may exceed list_size; 0 where a window can take none of them
+  static constexpr int observed = 1 << 30;
+  /// [cameras][batch][capacity], may exceed list_size; 0 where a window can take none of them; plus
+  /// `observed` where the point looked for is that
   int* list_count = nullptr;
   int* match = nullptr;   ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
   int* open = nullptr;    ///< [batch][capacity] points that have candidates
@@ -81,6 +83,7 @@ struct search_workspace {
   std::uint8_t* held = nullptr;  ///< [batch][numbers] 1 = taken before the search
   int* matches = nullptr;        ///< [batch] keypoints that were given a point
   int capacity = 0;              ///< windows
+  int links = 0;
   int batch = 0;
   int cameras = 1;
 
@@ -104,7 +107,9 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.match = c.take<int>(n);
   v.open = c.take<int>(per_camera);
   v.writer = c.take<int>(numbers);
-  v.before = c.take<int>(detail::checked_mul(2, n));
+  // As many as there are writes in a search, and at least one a keypoint.
+  v.links = max_of(2 * cameras * windows, cameras * keypoints);
+  v.before = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(v.links)));
   v.held = c.take<std::uint8_t>(numbers);
   v.matches = c.take<int>(b);
 }
@@ -135,6 +140,9 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
 
 FT_HOST_DEVICE inline int entry_distance(std::uint32_t entry) {
   return static_cast<int>(entry >> 23);
+}
+FT_HOST_DEVICE inline int entry_keypoint(std::uint32_t entry) {
+  return static_cast<int>(entry & 0x7fffffu);
 }
 
 /// Keeps the best candidates of a window in order: nearest first, of equals the one that came
@@ -255,6 +263,9 @@ struct list_candidates {
           list.add(g, distance, k);
         });
         found = list.finish(g, params.max_distance);
+        if (found > 0 && get<field::observations>(points, w.slot) > 0) {
+          found |= search_workspace::observed;
+        }
       }
       if (g.rank() == 0) { work.list_count[at] = found; }
       if (params.kind == search_kind::last_frame && frame.cameras == 2) {
@@ -263,6 +274,9 @@ struct list_candidates {
     }
   }
 };
+
+/// Threads of a block that assigns the keypoints of a frame.
+inline constexpr int assign_threads = 1024;
 
 /// All windows of one frame: who takes which keypoint.
 /// @tparam Turns true: all points choose at once, until nothing changes; false: the plain loop, for
@@ -278,6 +292,8 @@ struct assign_keypoints {
     int before[scratch_size];
     std::uint8_t held[scratch_size];
     int first_changed;
+    int list_ended;  ///< 1 = somebody may want what the lists do not hold
+    int guests;      ///< 1 = somebody looks for a point without observations
   };
   struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
 
@@ -297,6 +313,7 @@ struct assign_keypoints {
                           ? nullptr
                           : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
     if constexpr (Turns) {
+      if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) { return; }
       take_turns(g, s, ctx);
     } else {
       one_after_another(ctx);
@@ -318,6 +335,13 @@ private:
     FT_HOST_DEVICE int slot(int camera, int i) const { return windows.at(camera, b, i).slot; }
     FT_HOST_DEVICE bool observed(int slot) const {
       return slot >= 0 && get<field::observations>(points, slot) > 0;
+    }
+    /// As in search_workspace.
+    FT_HOST_DEVICE int list_count(int camera, int i) const {
+      return work.list_count[work.window(camera, b, i)];
+    }
+    FT_HOST_DEVICE candidate_quad const* list(int camera, int i) const {
+      return work.list + work.window(camera, b, i) * (search_workspace::list_size / 4);
     }
     FT_HOST_DEVICE int& match(int camera, int i) const {
       return work.match[work.window(camera, b, i)];
@@ -348,6 +372,111 @@ private:
     ctx.work.matches[ctx.b] = taken;
   }
 
+  static constexpr int nobody = 0x7fffffff;
+
+  /// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
+  /// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
+  /// assignment of the sequential loop (Gale and Shapley, "College admissions and the stability of
+  /// marriage", 1962). False where a list was at its end.
+  template <typename Group>
+  FT_HOST_DEVICE static bool let_propose(Group g, scratch& s, context const& ctx) {
+    int const numbers = ctx.frame.numbers();
+    int const n = ctx.windows.count[ctx.b];
+    bool const small = numbers <= scratch_size;
+    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(ctx.b) * numbers;
+    int* const owner = small ? s.writer : ctx.work.writer + at;
+    // The last of those that look for points without observations: they keep nobody away.
+    int* const guest =
+        small ? s.before : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
+    for (int k = g.rank(); k < numbers; k += g.size()) {
+      owner[k] = !ctx.params.from_empty && ctx.observed(ctx.holder[k]) ? -1 : nobody;
+      guest[k] = -1;
+    }
+    if (g.rank() == 0) {
+      s.list_ended = 0;
+      s.guests = 0;
+    }
+    g.sync();
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int const count = ctx.list_count(c, i);
+        ctx.match(c, i) = -1;
+        if ((count & search_workspace::observed) != 0) {
+          propose(s, ctx, c, i, owner);
+        } else if (count != 0) {
+          s.guests = 1;
+        }
+      }
+    }
+    g.sync();
+    if (s.list_ended != 0) {
+      g.sync();
+      return false;
+    }
+    int taken = 0;
+    if (s.guests != 0) {
+      for (int c = 0; c < ctx.frame.cameras; ++c) {
+        for (int i = g.rank(); i < n; i += g.size()) {
+          int const count = ctx.list_count(c, i);
+          if (count == 0 || (count & search_workspace::observed) != 0) { continue; }
+          bool refused = false;
+          int const k = choose(ctx, c, i, refused, [&](int number) { return owner[number] < i; });
+          ctx.match(c, i) = k;
+          if (k < 0) { continue; }
+          atomic_max(guest + ctx.number(c, k), i);
+          ++taken;
+        }
+      }
+      g.sync();
+    }
+    for (int number = g.rank(); number < numbers; number += g.size()) {
+      int const c = number < ctx.frame.capacity() ? 0 : 1;
+      int const i = owner[number];
+      if (i >= 0 && i != nobody) {
+        ctx.match(c, i) = number - c * ctx.frame.capacity();
+        ctx.holder[number] = ctx.slot(c, i);
+        ++taken;
+      } else if (guest[number] >= 0) {
+        ctx.holder[number] = ctx.slot(c, guest[number]);
+      } else if (ctx.params.from_empty) {
+        ctx.holder[number] = -1;
+      }
+    }
+    taken = g.reduce(taken, sum_op{});
+    if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
+    return true;
+  }
+
+  /// Window i proposes; when it drives another one out, goes on for that one.
+  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int* owner) {
+    int place = 0;
+    for (;;) {
+      int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+      candidate_quad const* const list = ctx.list(c, i);
+      if (place >= min_of(n, search_workspace::list_size)) {
+        if (n > search_workspace::list_size) { s.list_ended = 1; }
+        return;
+      }
+      std::uint32_t const entry = list[place / 4].entry[place % 4];
+      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
+      int const k = detail::entry_keypoint(entry);
+      int const before = atomic_min(owner + ctx.number(c, k), i);
+      if (before < i) {
+        ++place;
+      } else if (before == nobody) {
+        return;
+      } else {
+        i = before;
+        place = place_of(ctx.list(c, i), k) + 1;
+      }
+    }
+  }
+  FT_HOST_DEVICE static int place_of(candidate_quad const* list, int k) {
+    int place = 0;
+    while (detail::entry_keypoint(list[place / 4].entry[place % 4]) != k) { ++place; }
+    return place;
+  }
+
   /// What the points that have candidates chose last. They are numbered anew, in their order; what
   /// point p writes has the numbers from writes() * p on, in the order of writing.
   struct choices {
@@ -358,13 +487,13 @@ private:
     int* before;         ///< of a write: the next in the chain
     std::uint8_t* held;  ///< of a keypoint: 1 = taken before
     int cameras;
-    bool partners;
+    int partners;  ///< 1 = stereo partners are taken, too
 
-    FT_HOST_DEVICE int writes() const { return partners ? 2 * cameras : cameras; }
+    /// Of a point; 1, 2 or 4.
+    FT_HOST_DEVICE int writes() const { return cameras << partners; }
     FT_HOST_DEVICE int point(int p) const { return open[p] & (observed_right - 1); }
-    FT_HOST_DEVICE int camera_of(int write) const {
-      return (partners ? write / 2 : write) % cameras;
-    }
+    FT_HOST_DEVICE int point_of(int write) const { return write >> (cameras - 1 + partners); }
+    FT_HOST_DEVICE int camera_of(int write) const { return (write >> partners) & (cameras - 1); }
     FT_HOST_DEVICE bool observed(int p, int camera) const {
       return (open[p] & (camera == 0 ? observed_left : observed_right)) != 0;
     }
@@ -378,9 +507,8 @@ private:
     }
     /// Whether a keypoint is taken when point p's turn comes.
     FT_HOST_DEVICE bool taken(int number, int p) const {
-      if (writer[number] < 0) { return held[number] != 0; }
       int const last = last_write(number, writes() * p);
-      return last < 0 ? held[number] != 0 : observed(last / writes(), camera_of(last));
+      return last < 0 ? held[number] != 0 : observed(point_of(last), camera_of(last));
     }
     FT_HOST_DEVICE void add(int number, int write) const {
       before[write] = atomic_exchange(writer + number, write);
@@ -392,7 +520,7 @@ private:
     int const numbers = ctx.frame.numbers();
     int const n = ctx.windows.count[ctx.b];
     int const cameras = ctx.frame.cameras;
-    bool const partners = ctx.partner != nullptr;
+    int const partners = ctx.partner != nullptr ? 1 : 0;
     bool const small = numbers <= scratch_size;
     std::ptrdiff_t const at = ctx.b;
     choices made{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
@@ -402,15 +530,13 @@ private:
                  cameras,
                  partners};
     int const count = list_open(g, ctx, n, made.open);
-    made.before = count * made.writes() <= scratch_size
-                      ? s.before
-                      : ctx.work.before + at * 2 * cameras * ctx.work.capacity;
+    made.before =
+        count * made.writes() <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
     for (int k = g.rank(); k < numbers; k += g.size()) {
       made.writer[k] = -1;
       made.held[k] =
           static_cast<std::uint8_t>(!ctx.params.from_empty && ctx.observed(ctx.holder[k]));
     }
-    constexpr int nobody = 0x7fffffff;
     bool first = true;
     // Below `begin` nothing changes any more.
     for (int begin = 0; begin < count; first = false) {
@@ -432,7 +558,7 @@ private:
     for (int k = g.rank(); k < numbers; k += g.size()) {
       int const last = made.last_write(k, nobody);
       if (last >= 0) {
-        ctx.holder[k] = ctx.slot(made.camera_of(last), made.point(last / made.writes()));
+        ctx.holder[k] = ctx.slot(made.camera_of(last), made.point(made.point_of(last)));
       } else if (ctx.params.from_empty) {
         ctx.holder[k] = -1;
       }
@@ -448,17 +574,18 @@ private:
     int count = 0;
     for (int base = 0; base < n; base += g.size()) {
       int const i = base + g.rank();
-      bool any = false;
+      int counts[2] = {0, 0};
       for (int c = 0; c < ctx.frame.cameras && i < n; ++c) {
-        any = any || ctx.work.list_count[ctx.work.window(c, ctx.b, i)] > 0;
+        counts[c] = ctx.list_count(c, i);
         ctx.match(c, i) = -1;
       }
       int total = 0;
-      int const place = count + g.exclusive_scan(static_cast<int>(any), total);
+      bool const any = (counts[0] | counts[1]) != 0;
+      int const place = count + g.exclusive_count(any, total);
       if (any) {
-        open[place] =
-            i | (ctx.observed(ctx.slot(0, i)) ? choices::observed_left : 0) |
-            (ctx.frame.cameras == 2 && ctx.observed(ctx.slot(1, i)) ? choices::observed_right : 0);
+        open[place] = i |
+                      ((counts[0] & search_workspace::observed) != 0 ? choices::observed_left : 0) |
+                      ((counts[1] & search_workspace::observed) != 0 ? choices::observed_right : 0);
       }
       count += total;
     }
@@ -469,6 +596,7 @@ private:
   FT_HOST_DEVICE static bool choose_anew(context const& ctx, choices const& made, int p,
                                          bool first) {
     int const i = made.point(p);
+    int const old[2] = {ctx.match(0, i), made.cameras == 2 ? ctx.match(1, i) : -1};
     bool changed = first;
     bool refused = false;
     int own = -1;  // the partner of what the left window takes
@@ -477,9 +605,9 @@ private:
         return number == own ? made.observed(p, 0) : made.taken(number, p);
       });
       if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
-      int& match = ctx.match(c, i);
-      changed = changed || match != k;
-      match = k;
+      if (k == (c == 0 ? old[0] : old[1])) { continue; }
+      changed = true;
+      ctx.match(c, i) = k;
     }
     return changed;
   }
@@ -487,7 +615,7 @@ private:
   FT_HOST_DEVICE static void write(context const& ctx, choices const& made, int p) {
     int const i = made.point(p);
     int at = p * made.writes();
-    for (int c = 0; c < made.cameras; ++c, at += made.partners ? 2 : 1) {
+    for (int c = 0; c < made.cameras; ++c, at += 1 << made.partners) {
       int const k = ctx.match(c, i);
       if (k < 0) { continue; }
       int const number = ctx.number(c, k);
@@ -547,17 +675,16 @@ private:
   template <typename Taken>
   FT_HOST_DEVICE static bool choose_from_list(context const& ctx, int c, int i, bool with_ratio,
                                               Taken const& taken, nearest_two& found) {
-    std::ptrdiff_t const at = ctx.work.window(c, ctx.b, i);
-    int const n = ctx.work.list_count[at];
+    int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
     constexpr int size = search_workspace::list_size;
-    candidate_quad const* const list = ctx.work.list + at * (size / 4);
+    candidate_quad const* const list = ctx.list(c, i);
     FT_NO_UNROLL
     for (int q = 0; 4 * q < min_of(n, size); ++q) {
       candidate_quad const quad = list[q];
       FT_UNROLL
       for (int e = 0; e < 4; ++e) {
         int const distance = detail::entry_distance(quad.entry[e]);
-        int const k = static_cast<int>(quad.entry[e] & 0x7fffffu);
+        int const k = detail::entry_keypoint(quad.entry[e]);
         if (4 * q + e >= n) { return true; }
         if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
         if (taken(ctx.number(c, k))) { continue; }
@@ -598,8 +725,9 @@ void search_by_projection(Exec const& exec, frame_view const& frame, map_points_
                           search_workspace const& work) {
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_candidates{}, frame, map,
                           windows, params, work);
-  for_each_item<per_block<512>>(exec, windows.batch, assign_keypoints<Exec::asynchronous>{}, frame,
-                                map, windows, params, work);
+  for_each_item<per_block<assign_threads>>(exec, windows.batch,
+                                           assign_keypoints<Exec::asynchronous>{}, frame, map,
+                                           windows, params, work);
 }
 
 // ---- search from the last frame
@@ -919,8 +1047,9 @@ void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose
   search.from_empty = true;
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_last_point<Rig>{}, input,
                           frame, map, geometry, search, windows, work);
-  for_each_item<per_block<512>>(exec, frame.batch, assign_last_points<Rig, Exec::asynchronous>{},
-                                input, frame, map, geometry, search, stamps, windows, work);
+  for_each_item<per_block<assign_threads>>(exec, frame.batch,
+                                           assign_last_points<Rig, Exec::asynchronous>{}, input,
+                                           frame, map, geometry, search, stamps, windows, work);
 }
 
 }  // namespace FT_ABI

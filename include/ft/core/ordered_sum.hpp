@@ -10,14 +10,13 @@ inline namespace FT_ABI {
 
 /// Terms are dealt to this many lanes (i to lane i mod 512); in each 32 lanes the upper half of
 /// what is left is added to the lower one; then the 16 sums are added in order.
-inline constexpr int sum_lanes = 768;
+inline constexpr int sum_lanes = 512;
 
-/// What a least-squares problem adds up: its cost in double, K entries of its equations in float.
+/// K numbers to add up.
 template <int K>
 struct sum_terms {
   static_assert(K >= 1 && K <= 32, "one entry a lane");
-  double wide;
-  float narrow[K];
+  float of[K];
 };
 
 /// Block scratch of ordered_sum, and its result.
@@ -49,7 +48,7 @@ __device__ inline float transposed_warp_sum(float (&v)[32], int lane) {
 }  // namespace detail
 #endif
 
-/// K + 1 sums over i in [0, n): `add(i, sum_terms<K>& acc)` adds term i. The result is
+/// K sums over i in [0, n): `add(i, sum_terms<K>& acc)` adds term i. The result is
 /// `scratch.total`, for every thread, until the next call. Groups of one thread or of sum_lanes.
 template <int K, typename Group, typename Add>
 FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add) {
@@ -58,8 +57,7 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
     sum_terms<K> acc[sum_lanes] = {};
     for (int i = 0; i < n; ++i) { add(i, acc[i % sum_lanes]); }
     auto const into = [](sum_terms<K>& to, sum_terms<K> const& from) {
-      to.wide += from.wide;
-      for (int k = 0; k < K; ++k) { to.narrow[k] += from.narrow[k]; }
+      for (int k = 0; k < K; ++k) { to.of[k] += from.of[k]; }
     };
     for (int w = 0; w < sum_lanes; w += 32) {
       for (int d = 16; d > 0; d /= 2) {
@@ -78,24 +76,17 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
     for (int i = g.rank(); i < n; i += g.size()) { add(i, acc); }
     float terms[32];
     FT_UNROLL
-    for (int k = 0; k < 32; ++k) { terms[k] = k < K ? acc.narrow[k] : 0.0f; }
+    for (int k = 0; k < 32; ++k) { terms[k] = k < K ? acc.of[k] : 0.0f; }
     int const lane = g.rank() % 32;
     int const warp = g.rank() / 32;
     float const mine = detail::transposed_warp_sum(terms, lane);
-    double const wide = detail::warp_reduce(acc.wide, sum_op{});
-    if (lane < K) { scratch.warp[warp].narrow[lane] = mine; }
-    if (lane == 0) { scratch.warp[warp].wide = wide; }
+    if (lane < K) { scratch.warp[warp].of[lane] = mine; }
     g.sync();
     if (g.rank() < K) {
-      float sum = scratch.warp[0].narrow[g.rank()];
+      float sum = scratch.warp[0].of[g.rank()];
       FT_UNROLL
-      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].narrow[g.rank()]; }
-      scratch.total.narrow[g.rank()] = sum;
-    } else if (g.rank() == 32) {
-      double sum = scratch.warp[0].wide;
-      FT_UNROLL
-      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].wide; }
-      scratch.total.wide = sum;
+      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].of[g.rank()]; }
+      scratch.total.of[g.rank()] = sum;
     }
     g.sync();
 #endif

@@ -65,6 +65,7 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   vec3<real> u{d[3], d[4], d[5]};
   real theta2 = dot(w, w);
   int halvings = 0;
+  FT_NO_UNROLL
   while (theta2 > 1.0 / 64 && halvings < 60) {
     w = {w.x * 0.5, w.y * 0.5, w.z * 0.5};
     u = {u.x * 0.5, u.y * 0.5, u.z * 0.5};
@@ -88,15 +89,17 @@ FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
   transform t;
   t.R = one_plus(a, b, w, theta2);
   t.t = one_plus(b, c, w, theta2) * u;
+  FT_NO_UNROLL
   for (; halvings > 0; --halvings) { t = t * t; }
   return t;
 }
 
 /// A symmetric matrix of size 3: its upper triangle by rows.
+template <typename Real>
 struct symmetric_3 {
-  real xx, xy, xz, yy, yz, zz;
+  Real xx, xy, xz, yy, yz, zz;
 
-  FT_HOST_DEVICE vec3<real> operator*(vec3<real> v) const {
+  FT_HOST_DEVICE vec3<Real> operator*(vec3<Real> v) const {
     return {xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z,
             xz * v.x + yz * v.y + zz * v.z};
   }
@@ -104,39 +107,38 @@ struct symmetric_3 {
   FT_HOST_DEVICE bool invert(symmetric_3& inverse) const {
     symmetric_3 const c{yy * zz - yz * yz, yz * xz - xy * zz, xy * yz - yy * xz,
                         xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy};
-    real const determinant = xx * c.xx + xy * c.xy + xz * c.xz;
-    if (!(xx > 0.0 && c.zz > 0.0 && determinant > 0.0)) { return false; }
-    real const scale = real(1.0) / determinant;
+    Real const determinant = xx * c.xx + xy * c.xy + xz * c.xz;
+    if (!(xx > Real(0) && c.zz > Real(0) && determinant > Real(0))) { return false; }
+    Real const scale = Real(1) / determinant;
     inverse = {c.xx * scale, c.xy * scale, c.xz * scale, c.yy * scale, c.yz * scale, c.zz * scale};
     return true;
   }
 };
 
 /// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in blocks of 3
-/// (Schur complement); A as upper triangle by rows. False where it is not positive definite.
-template <typename Number>
-FT_HOST_DEVICE bool solve_6(Number const (&upper)[21], double damping, Number const (&b)[6],
-                            real (&x)[6]) {
-  auto const at = [&](int i) { return real(static_cast<double>(upper[i])); };
-  symmetric_3 const P{at(0) + damping, at(1), at(2), at(6) + damping, at(7), at(11) + damping};
-  symmetric_3 const R{at(15) + damping, at(16), at(17), at(18) + damping, at(19), at(20) + damping};
-  // Rows of the upper right block, and its columns.
-  vec3<real> const column[3] = {
-      {at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
-  vec3<real> const b1{static_cast<double>(b[0]), static_cast<double>(b[1]),
-                      static_cast<double>(b[2])};
-  symmetric_3 P_inverse;
-  if (!P.invert(P_inverse)) { return false; }
-  vec3<real> const w[3] = {P_inverse * column[0], P_inverse * column[1], P_inverse * column[2]};
-  symmetric_3 const S{R.xx - dot(column[0], w[0]), R.xy - dot(column[0], w[1]),
-                      R.xz - dot(column[0], w[2]), R.yy - dot(column[1], w[1]),
-                      R.yz - dot(column[1], w[2]), R.zz - dot(column[2], w[2])};
-  symmetric_3 S_inverse;
+/// (Schur complement). @param terms b, then A as upper triangle by rows. False where the matrix is
+/// not positive definite. @tparam Real that it is solved in
+template <typename Real>
+FT_HOST_DEVICE bool solve_6(float const* terms, double damping, Real (&x)[6]) {
+  using plain = plain_scalar_t<Real>;
+  auto const at = [&](int i) { return Real(static_cast<plain>(terms[6 + i])); };
+  auto const b = [&](int i) { return Real(static_cast<plain>(terms[i])); };
+  Real const more = Real(static_cast<plain>(damping));
+  symmetric_3<Real> const A{at(0) + more, at(1), at(2), at(6) + more, at(7), at(11) + more};
+  symmetric_3<Real> const C{at(15) + more, at(16), at(17), at(18) + more, at(19), at(20) + more};
+  // Columns of the upper right block.
+  vec3<Real> const B[3] = {{at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
+  symmetric_3<Real> A_inverse;
+  if (!A.invert(A_inverse)) { return false; }
+  vec3<Real> const w[3] = {A_inverse * B[0], A_inverse * B[1], A_inverse * B[2]};
+  symmetric_3<Real> const S{C.xx - dot(B[0], w[0]), C.xy - dot(B[0], w[1]), C.xz - dot(B[0], w[2]),
+                            C.yy - dot(B[1], w[1]), C.yz - dot(B[1], w[2]), C.zz - dot(B[2], w[2])};
+  symmetric_3<Real> S_inverse;
   if (!S.invert(S_inverse)) { return false; }
-  vec3<real> const y = S_inverse * vec3<real>{real(static_cast<double>(b[3])) - dot(w[0], b1),
-                                              real(static_cast<double>(b[4])) - dot(w[1], b1),
-                                              real(static_cast<double>(b[5])) - dot(w[2], b1)};
-  vec3<real> const z = P_inverse * b1;
+  vec3<Real> const first{b(0), b(1), b(2)};
+  vec3<Real> const y = S_inverse * vec3<Real>{b(3) - dot(w[0], first), b(4) - dot(w[1], first),
+                                              b(5) - dot(w[2], first)};
+  vec3<Real> const z = A_inverse * first;
   x[0] = z.x - (w[0].x * y.x + w[1].x * y.y + w[2].x * y.z);
   x[1] = z.y - (w[0].y * y.x + w[1].y * y.y + w[2].y * y.z);
   x[2] = z.z - (w[0].z * y.x + w[1].z * y.y + w[2].z * y.z);
@@ -148,84 +150,76 @@ FT_HOST_DEVICE bool solve_6(Number const (&upper)[21], double damping, Number co
 
 }  // namespace detail
 
-/// Reprojection error of one observation, its chi-square and Jacobian. @tparam Rig rectified_rig or
-/// stereo_rig
-template <typename Rig>
+/// Reprojection error of one observation, its chi-square and its derivative. @tparam Rig
+/// rectified_rig or stereo_rig @tparam Real strict_float or strict_double
+template <typename Rig, typename Real = strict_double>
 struct reprojection {
-  using real = detail::real;
-  static constexpr double infinitely_far = std::numeric_limits<double>::infinity();
+  using plain = plain_scalar_t<Real>;
+  static constexpr plain infinitely_far = std::numeric_limits<plain>::infinity();
 
-  real error[3];         ///< measured minus predicted; the third only with a right column
+  Real error[3];         ///< measured minus predicted; the third only with a right column
   int rows;              ///< 2 or 3
-  vec3<real> in_body;    ///< point in the left camera's frame
-  vec3<real> in_camera;  ///< point in the seeing camera's frame
-  real iz = 0.0;         ///< 1 / z of a rectified pair
+  vec3<Real> in_body;    ///< point in the left camera's frame
+  vec3<Real> in_camera;  ///< point in the seeing camera's frame
+  Real iz = Real(0);     ///< 1 / z of a rectified pair
   bool valid = true;     ///< the camera model holds at the point
 
-  FT_HOST_DEVICE reprojection(Rig const& rig, detail::transform const& T_cw, observation const& o) {
-    in_body = T_cw * vec3<real>{static_cast<double>(o.point.x), static_cast<double>(o.point.y),
-                                static_cast<double>(o.point.z)};
+  FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o) {
+    in_body = T_cw * vec3<Real>{real(o.point.x), real(o.point.y), real(o.point.z)};
     in_camera = in_body;
     rows = 2;
-    error[2] = 0.0;
+    error[2] = Real(0);
     if constexpr (Rig::rectified) {
       auto const& c = rig.camera;
-      real const inverse = real(1.0) / in_body.z;
+      Real const inverse = Real(1) / in_body.z;
       bool const stereo = o.right_u >= 0;
-      iz = stereo ? real(static_cast<double>(static_cast<float>(inverse.value))) : inverse;
-      real const u = real(static_cast<double>(c.fx)) * in_body.x * iz + static_cast<double>(c.cx);
-      real const v = real(static_cast<double>(c.fy)) * in_body.y * iz + static_cast<double>(c.cy);
-      error[0] = real(static_cast<double>(o.u)) - u;
-      error[1] = real(static_cast<double>(o.v)) - v;
+      iz = stereo ? real(static_cast<float>(inverse.value)) : inverse;
+      Real const u = real(c.fx) * in_body.x * iz + real(c.cx);
+      Real const v = real(c.fy) * in_body.y * iz + real(c.cy);
+      error[0] = real(o.u) - u;
+      error[1] = real(o.v) - v;
       if (stereo) {
         rows = 3;
-        error[2] =
-            real(static_cast<double>(o.right_u)) - (u - real(static_cast<double>(rig.bf)) * iz);
+        error[2] = real(o.right_u) - (u - real(rig.bf) * iz);
       }
     } else {
-      projection<real> p;
+      projection<Real> p;
       if (o.right_camera != 0) {
-        in_camera = rig.T_rl.template cast<real>() * in_body;
-        p = rig.right.template cast<real>().project(in_camera);
+        in_camera = rig.T_rl.template cast<Real>() * in_body;
+        p = rig.right.template cast<Real>().project(in_camera);
       } else {
-        p = rig.left.template cast<real>().project(in_camera);
+        p = rig.left.template cast<Real>().project(in_camera);
       }
       valid = p.valid;
-      error[0] = real(static_cast<double>(o.u)) - p.pixel.x;
-      error[1] = real(static_cast<double>(o.v)) - p.pixel.y;
+      error[0] = real(o.u) - p.pixel.x;
+      error[1] = real(o.v) - p.pixel.y;
     }
   }
 
   /// Infinite where there is no projection: an outlier, and no place for a trial pose.
-  FT_HOST_DEVICE real chi2(observation const& o) const {
-    if (!valid) { return infinitely_far; }
-    return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) *
-           static_cast<double>(o.inv_sigma2);
+  FT_HOST_DEVICE Real chi2(observation const& o) const {
+    if (!valid) { return Real(infinitely_far); }
+    return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) * real(o.inv_sigma2);
   }
 
-  /// d prediction / d point in the left camera's frame. @tparam Scalar of the evaluation
-  template <typename Scalar>
-  FT_HOST_DEVICE void derivative(Rig const& rig, observation const& o, Scalar (&P)[3][3]) const {
-    using plain = plain_scalar_t<Scalar>;
-    Scalar const zero = Scalar(0);
+  /// d prediction / d point in the left camera's frame.
+  FT_HOST_DEVICE void derivative(Rig const& rig, observation const& o, Real (&P)[3][3]) const {
+    Real const zero = Real(0);
     if constexpr (Rig::rectified) {
       static_cast<void>(o);
       auto const& c = rig.camera;
-      vec3<Scalar> const p = narrowed<Scalar>(in_body);
-      Scalar const inverse = Scalar(static_cast<plain>(iz.value));
-      Scalar const du = Scalar(static_cast<plain>(c.fx)) * inverse;
-      Scalar const dv = Scalar(static_cast<plain>(c.fy)) * inverse;
+      Real const du = real(c.fx) * iz;
+      Real const dv = real(c.fy) * iz;
       P[0][0] = P[2][0] = du;
       P[1][1] = dv;
       P[0][1] = P[1][0] = P[2][1] = zero;
-      P[0][2] = -(du * (p.x * inverse));
-      P[1][2] = -(dv * (p.y * inverse));
-      P[2][2] = P[0][2] + Scalar(static_cast<plain>(rig.bf)) * (inverse * inverse);
+      P[0][2] = -(du * (in_body.x * iz));
+      P[1][2] = -(dv * (in_body.y * iz));
+      P[2][2] = P[0][2] + real(rig.bf) * (iz * iz);
     } else {
-      vec3<Scalar> const q = narrowed<Scalar>(in_camera);
       if (o.right_camera != 0) {
-        auto const j = rig.right.template cast<Scalar>().project_jacobian(q);
-        mat3<Scalar> const R = rig.T_rl.template cast<Scalar>().R;
+        auto const j = rig.right.template cast<Real>().project_jacobian(in_camera);
+        mat3<Real> const R = rig.T_rl.template cast<Real>().R;
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) {
             P[r][k] =
@@ -233,7 +227,7 @@ struct reprojection {
           }
         }
       } else {
-        auto const j = rig.left.template cast<Scalar>().project_jacobian(q);
+        auto const j = rig.left.template cast<Real>().project_jacobian(in_camera);
         for (int r = 0; r < 2; ++r) {
           for (int k = 0; k < 3; ++k) { P[r][k] = j.m[3 * r + k]; }
         }
@@ -242,12 +236,8 @@ struct reprojection {
     }
   }
 
-  template <typename Scalar>
-  FT_HOST_DEVICE static vec3<Scalar> narrowed(vec3<real> v) {
-    using plain = plain_scalar_t<Scalar>;
-    return {Scalar(static_cast<plain>(v.x.value)), Scalar(static_cast<plain>(v.y.value)),
-            Scalar(static_cast<plain>(v.z.value))};
-  }
+private:
+  FT_HOST_DEVICE static Real real(float v) { return Real(static_cast<plain>(v)); }
 };
 
 /// One camera's observations and results.
@@ -262,7 +252,8 @@ struct pose_problem {
 
 namespace detail {
 
-inline constexpr int pose_terms = 27;  ///< 6 of the gradient, 21 of the upper triangle
+/// 6 of the gradient, 21 of the upper triangle, the cost.
+inline constexpr int pose_terms = 28;
 
 /// Adds an observation to the normal equations: gradient, then upper triangle by rows. A small
 /// twist (w, t) moves the point p by w x p + t; so with M = P^T W P and f = P^T W e the blocks of
@@ -337,13 +328,17 @@ FT_HOST_DEVICE void add_motion_terms(vec3<Number> p, Number const (&P)[3][3], ve
 /// Levenberg-Marquardt as a machine that one thread keeps: it names a trial motion, is told the
 /// sums there, and names the next.
 struct damped_descent {
-  transform D;      ///< the best motion so far, from the camera's frame at the start
-  transform trial;  ///< where the sums are wanted next
+  /// Costs that differ by less than this part are the same: they are sums of float residuals.
+  static constexpr float noise = 1e-5f;
+
+  transform D;                ///< the best motion so far, from the camera's frame at the start
+  transform next;             ///< where the sums are wanted next
+  rigid<strict_float> trial;  ///< the same as those who sum it up read it
   real step[6];
-  double cost;  ///< at the best
+  float cost;      ///< at the best
+  float expected;  ///< decrease of the cost
   double damping;
   double growth;
-  double expected;  ///< decrease of the cost
   int steps_left;
   int trials_left;
   int spare;     ///< which of two sums is not that of the best
@@ -352,44 +347,42 @@ struct damped_descent {
   FT_HOST_DEVICE void restart(pose_params const& params) {
     for (int i = 0; i < 9; ++i) { D.R.m[i] = i % 4 == 0 ? 1.0 : 0.0; }
     D.t = {0.0, 0.0, 0.0};
-    trial = D;
+    trial = D.template cast<strict_float>();
     steps_left = params.steps;
     spare = 0;
     running = true;
   }
 
   FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
-    double largest = 0;
+    float largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
-      largest = max_of(largest, static_cast<double>(sums.narrow[at]));
+      largest = max_of(largest, sums.of[at]);
       at += 6 - a;
     }
-    damping = (real(1e-5) * largest).value;
+    damping = (real(1e-5) * static_cast<double>(largest)).value;
     growth = 2;
-    cost = sums.wide;
+    cost = sums.of[pose_terms - 1];
     trials_left = params.trials;
     running = steps_left > 0;
     spare ^= 1;
   }
 
   FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
-    real const decrease = real(cost) - sums.wide;
-    if (!(decrease > 0.0 && scalar::is_finite(real(sums.wide)))) {
+    strict_float const there = sums.of[pose_terms - 1];
+    strict_float const decrease = strict_float(cost) - there;
+    if (!(decrease > -(strict_float(noise) * cost) && scalar::is_finite(there))) {
       refuse();
       return;
     }
-    // The gain only sets the damping.
-    strict_float const gain = strict_float(static_cast<float>(decrease.value)) /
-                              strict_float(static_cast<float>(expected));
-    strict_float const m = strict_float(2.0f) * gain - 1.0f;
+    strict_float const m = strict_float(2.0f) * (decrease / expected) - 1.0f;
     strict_float const factor =
         max_of(strict_float(1.0f / 3.0f),
                min_of(strict_float(1.0f) - m * m * m, strict_float(2.0f / 3.0f)));
     damping = (real(damping) * static_cast<double>(factor.value)).value;
     growth = 2;
-    D = trial;
-    cost = sums.wide;
+    D = next;
+    cost = there.value;
     trials_left = params.trials;
     running = --steps_left > 0;
     spare ^= 1;
@@ -397,23 +390,20 @@ struct damped_descent {
 
   /// Names the next trial, or ends. @param best the sums at the best
   FT_HOST_DEVICE void propose(sum_terms<pose_terms> const& best, pose_params const& params) {
-    float H[21];
-    float b[6];
-    for (int k = 0; k < 6; ++k) { b[k] = best.narrow[k]; }
-    for (int k = 0; k < 21; ++k) { H[k] = best.narrow[6 + k]; }
-    while (running && !solve_6(H, damping, b, step)) { refuse(); }
+    while (running && !solve_6(best.of, damping, step)) { refuse(); }
     if (!running) { return; }
     real sum = 1e-3;
     bool small = true;
     for (int k = 0; k < 6; ++k) {
-      sum = sum + step[k] * (real(damping) * step[k] + static_cast<double>(b[k]));
+      sum = sum + step[k] * (real(damping) * step[k] + static_cast<double>(best.of[k]));
       small = small && scalar::abs(step[k]) < params.small_step;
     }
-    expected = sum.value;
-    trial = exp_se3(step) * D;
+    expected = static_cast<float>(sum.value);
+    next = exp_se3(step) * D;
+    trial = next.template cast<strict_float>();
     if (!small) { return; }
     // Short because it was cut short: a longer one was no better.
-    if (trials_left == params.trials) { D = trial; }
+    if (trials_left == params.trials) { D = next; }
     running = false;
   }
 
@@ -430,10 +420,9 @@ private:
 
 /// Optimises one pose. Groups of one thread or of sum_lanes.
 ///
-/// Residuals, chi-squares and the cost are in double: they decide. Derivatives and the normal
-/// equations, whose errors only change the length of the way, are in float; the equations are
-/// solved in double. The points are carried into the camera's frame at the start once, and the
-/// motion from there is sought.
+/// The points are carried into the camera's frame at the start in double, once; the motion from
+/// there is sought in float, whose errors are those of the residual's own float 1 / z. Who is an
+/// outlier is decided in double, at the pose of the motion found.
 template <typename Rig>
 struct optimize_pose {
   static constexpr int terms = detail::pose_terms;
@@ -544,35 +533,34 @@ private:
     return before != after;
   }
 
-  /// Cost, gradient and curvature after motion D, over the observations that count.
+  /// Gradient, curvature and cost after motion D, over the observations that count.
   template <typename Group>
   FT_HOST_DEVICE static void linearize(Group g, scratch& s, ordered_sum_scratch<terms>& sums,
                                        Rig const& rig, pose_problem const& problem,
-                                       pose_params const& params, detail::transform const& D,
+                                       pose_params const& params, rigid<strict_float> const& D,
                                        bool robust) {
-    using detail::real;
-    using narrow = strict_float;
+    using real = strict_float;
     ordered_sum<terms>(g, sums, problem.count, [&](int i, sum_terms<terms>& acc) {
       observation const o = prepared(s, i, problem);
       if (!(o.inv_sigma2 > 0)) { return; }
-      reprojection<Rig> const r(rig, D, o);
+      reprojection<Rig, real> const r(rig, D, o);
       real const chi2 = r.chi2(o);
-      real const limit = r.rows == 3 ? params.chi2_stereo : params.chi2_mono;
-      narrow weight = o.inv_sigma2;
+      real const limit = r.rows == 3 ? static_cast<float>(params.chi2_stereo)
+                                     : static_cast<float>(params.chi2_mono);
+      real weight = o.inv_sigma2;
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
-        narrow const product = scalar::sqrt(narrow(static_cast<float>((limit * chi2).value)));
-        cost = 2.0 * real(static_cast<double>(product.value)) - limit;
-        weight = weight * (narrow(static_cast<float>(limit.value)) / product);
+        real const product = scalar::sqrt(limit * chi2);
+        cost = real(2.0f) * product - limit;
+        weight = weight * (limit / product);
       }
-      acc.wide += cost.value;
-      narrow P[3][3];
+      acc.of[terms - 1] += cost.value;
+      real P[3][3];
       r.derivative(rig, o, P);
       // A row that is not there has no weight.
-      vec3<narrow> const weights{weight, weight, r.rows == 3 ? weight : narrow(0.0f)};
-      vec3<narrow> const error = r.template narrowed<narrow>({r.error[0], r.error[1], r.error[2]});
-      detail::add_motion_terms(r.template narrowed<narrow>(r.in_body), P, weights, error,
-                               Rig::rectified, acc.narrow);
+      vec3<real> const weights{weight, weight, r.rows == 3 ? weight : real(0.0f)};
+      detail::add_motion_terms(r.in_body, P, weights, {r.error[0], r.error[1], r.error[2]},
+                               Rig::rectified, acc.of);
     });
   }
 

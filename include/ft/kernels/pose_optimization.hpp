@@ -37,7 +37,7 @@ struct pose_params {
   int trials = 10;  ///< of the damping, per step
   /// A round ends with a step shorter than this in every component, rad and m; that one is taken
   /// without a look at where it leads.
-  double small_step = 1e-5;
+  float small_step = 1e-4f;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
@@ -48,45 +48,49 @@ using real = strict_double;
 using transform = rigid<strict_double>;
 
 /// I + a W + b W^2 with W = [w]x, so that W^2 = w w^T - (w.w) I.
-FT_HOST_DEVICE inline mat3<real> one_plus(real a, real b, vec3<real> w, real theta2) {
-  vec3<real> const aw{a * w.x, a * w.y, a * w.z};
-  vec3<real> const bw{b * w.x, b * w.y, b * w.z};
-  real const xy = bw.x * w.y;
-  real const xz = bw.x * w.z;
-  real const yz = bw.y * w.z;
-  real const rest = real(1.0) - b * theta2;
+template <typename Real>
+FT_HOST_DEVICE mat3<Real> one_plus(Real a, Real b, vec3<Real> w, Real theta2) {
+  vec3<Real> const aw{a * w.x, a * w.y, a * w.z};
+  vec3<Real> const bw{b * w.x, b * w.y, b * w.z};
+  Real const xy = bw.x * w.y;
+  Real const xz = bw.x * w.z;
+  Real const yz = bw.y * w.z;
+  Real const rest = Real(1) - b * theta2;
   return {{rest + bw.x * w.x, xy - aw.z, xz + aw.y, xy + aw.z, rest + bw.y * w.y, yz - aw.x,
            xz - aw.y, yz + aw.x, rest + bw.z * w.z}};
 }
 
 /// exp of a twist (rotation first), by series and repeated squaring: no library function.
-FT_HOST_DEVICE inline transform exp_se3(real const (&d)[6]) {
-  vec3<real> w{d[0], d[1], d[2]};
-  vec3<real> u{d[3], d[4], d[5]};
-  real theta2 = dot(w, w);
+template <typename Real>
+FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
+  using plain = plain_scalar_t<Real>;
+  vec3<Real> w{d[0], d[1], d[2]};
+  vec3<Real> u{d[3], d[4], d[5]};
+  Real theta2 = dot(w, w);
   int halvings = 0;
   FT_NO_UNROLL
-  while (theta2 > 1.0 / 64 && halvings < 60) {
-    w = {w.x * 0.5, w.y * 0.5, w.z * 0.5};
-    u = {u.x * 0.5, u.y * 0.5, u.z * 0.5};
-    theta2 = theta2 * 0.25;
+  while (theta2 > Real(plain(1) / 64) && halvings < 60) {
+    Real const half = Real(plain(1) / 2);
+    w = {w.x * half, w.y * half, w.z * half};
+    u = {u.x * half, u.y * half, u.z * half};
+    theta2 = theta2 * Real(plain(1) / 4);
     ++halvings;
   }
   // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket. What is
   // left out is below 1e-16 of the result.
-  real a = 1.0;
-  real b = 1.0;
-  real c = 1.0;
+  Real a = Real(1);
+  Real b = Real(1);
+  Real c = Real(1);
   FT_UNROLL
   for (int k = 5; k > 0; --k) {
     double const n = 2.0 * k;
-    a = real(1.0) - theta2 * (1.0 / (n * (n + 1.0))) * a;
-    b = real(1.0) - theta2 * (1.0 / ((n + 1.0) * (n + 2.0))) * b;
-    c = real(1.0) - theta2 * (1.0 / ((n + 2.0) * (n + 3.0))) * c;
+    a = Real(1) - theta2 * Real(static_cast<plain>(1.0 / (n * (n + 1.0)))) * a;
+    b = Real(1) - theta2 * Real(static_cast<plain>(1.0 / ((n + 1.0) * (n + 2.0)))) * b;
+    c = Real(1) - theta2 * Real(static_cast<plain>(1.0 / ((n + 2.0) * (n + 3.0)))) * c;
   }
-  b = b * 0.5;
-  c = c * (1.0 / 6.0);
-  transform t;
+  b = b * Real(static_cast<plain>(1.0 / 2.0));
+  c = c * Real(static_cast<plain>(1.0 / 6.0));
+  rigid<Real> t;
   t.R = one_plus(a, b, w, theta2);
   t.t = one_plus(b, c, w, theta2) * u;
   FT_NO_UNROLL
@@ -119,13 +123,14 @@ struct symmetric_3 {
 /// (Schur complement). @param terms b, then A as upper triangle by rows. False where the matrix is
 /// not positive definite. @tparam Real that it is solved in
 template <typename Real>
-FT_HOST_DEVICE bool solve_6(float const* terms, double damping, Real (&x)[6]) {
+FT_HOST_DEVICE bool solve_6(float const* terms, Real damping, Real (&x)[6]) {
   using plain = plain_scalar_t<Real>;
   auto const at = [&](int i) { return Real(static_cast<plain>(terms[6 + i])); };
   auto const b = [&](int i) { return Real(static_cast<plain>(terms[i])); };
-  Real const more = Real(static_cast<plain>(damping));
-  symmetric_3<Real> const A{at(0) + more, at(1), at(2), at(6) + more, at(7), at(11) + more};
-  symmetric_3<Real> const C{at(15) + more, at(16), at(17), at(18) + more, at(19), at(20) + more};
+  symmetric_3<Real> const A{at(0) + damping, at(1), at(2),
+                            at(6) + damping, at(7), at(11) + damping};
+  symmetric_3<Real> const C{at(15) + damping, at(16), at(17),
+                            at(18) + damping, at(19), at(20) + damping};
   // Columns of the upper right block.
   vec3<Real> const B[3] = {{at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
   symmetric_3<Real> A_inverse;
@@ -331,23 +336,23 @@ struct damped_descent {
   /// Costs that differ by less than this part are the same: they are sums of float residuals.
   static constexpr float noise = 1e-5f;
 
-  transform D;                ///< the best motion so far, from the camera's frame at the start
-  transform next;             ///< where the sums are wanted next
-  rigid<strict_float> trial;  ///< the same as those who sum it up read it
+  using real = strict_float;
+  rigid<real> D;      ///< the best motion so far, from the camera's frame at the start
+  rigid<real> trial;  ///< where the sums are wanted next
   real step[6];
-  float cost;      ///< at the best
-  float expected;  ///< decrease of the cost
-  double damping;
-  double growth;
+  real cost;      ///< at the best
+  real expected;  ///< decrease of the cost
+  real damping;
+  real growth;
   int steps_left;
   int trials_left;
   int spare;     ///< which of two sums is not that of the best
   bool running;  ///< false = done, `D` is the answer
 
   FT_HOST_DEVICE void restart(pose_params const& params) {
-    for (int i = 0; i < 9; ++i) { D.R.m[i] = i % 4 == 0 ? 1.0 : 0.0; }
-    D.t = {0.0, 0.0, 0.0};
-    trial = D.template cast<strict_float>();
+    for (int i = 0; i < 9; ++i) { D.R.m[i] = i % 4 == 0 ? 1.0f : 0.0f; }
+    D.t = {0.0f, 0.0f, 0.0f};
+    trial = D;
     steps_left = params.steps;
     spare = 0;
     running = true;
@@ -360,8 +365,8 @@ struct damped_descent {
       largest = max_of(largest, sums.of[at]);
       at += 6 - a;
     }
-    damping = (real(1e-5) * static_cast<double>(largest)).value;
-    growth = 2;
+    damping = real(1e-5f) * largest;
+    growth = 2.0f;
     cost = sums.of[pose_terms - 1];
     trials_left = params.trials;
     running = steps_left > 0;
@@ -369,20 +374,18 @@ struct damped_descent {
   }
 
   FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
-    strict_float const there = sums.of[pose_terms - 1];
-    strict_float const decrease = strict_float(cost) - there;
-    if (!(decrease > -(strict_float(noise) * cost) && scalar::is_finite(there))) {
+    real const there = sums.of[pose_terms - 1];
+    real const decrease = cost - there;
+    if (!(decrease > -(real(noise) * cost) && scalar::is_finite(there))) {
       refuse();
       return;
     }
-    strict_float const m = strict_float(2.0f) * (decrease / expected) - 1.0f;
-    strict_float const factor =
-        max_of(strict_float(1.0f / 3.0f),
-               min_of(strict_float(1.0f) - m * m * m, strict_float(2.0f / 3.0f)));
-    damping = (real(damping) * static_cast<double>(factor.value)).value;
-    growth = 2;
-    D = next;
-    cost = there.value;
+    real const m = real(2.0f) * (decrease / expected) - 1.0f;
+    damping =
+        damping * max_of(real(1.0f / 3.0f), min_of(real(1.0f) - m * m * m, real(2.0f / 3.0f)));
+    growth = 2.0f;
+    D = trial;
+    cost = there;
     trials_left = params.trials;
     running = --steps_left > 0;
     spare ^= 1;
@@ -392,26 +395,24 @@ struct damped_descent {
   FT_HOST_DEVICE void propose(sum_terms<pose_terms> const& best, pose_params const& params) {
     while (running && !solve_6(best.of, damping, step)) { refuse(); }
     if (!running) { return; }
-    real sum = 1e-3;
+    expected = 1e-3f;
     bool small = true;
     for (int k = 0; k < 6; ++k) {
-      sum = sum + step[k] * (real(damping) * step[k] + static_cast<double>(best.of[k]));
+      expected = expected + step[k] * (damping * step[k] + best.of[k]);
       small = small && scalar::abs(step[k]) < params.small_step;
     }
-    expected = static_cast<float>(sum.value);
-    next = exp_se3(step) * D;
-    trial = next.template cast<strict_float>();
+    trial = exp_se3(step) * D;
     if (!small) { return; }
     // Short because it was cut short: a longer one was no better.
-    if (trials_left == params.trials) { D = next; }
+    if (trials_left == params.trials) { D = trial; }
     running = false;
   }
 
 private:
   /// After a trial that was no better: more damping, while any is left.
   FT_HOST_DEVICE void refuse() {
-    damping = (real(damping) * growth).value;
-    growth *= 2;
+    damping = damping * growth;
+    growth = growth * 2.0f;
     running = --trials_left > 0 && scalar::is_finite(damping);
   }
 };
@@ -587,7 +588,7 @@ private:
       }
       g.sync();
     }
-    return descent.D * start;
+    return descent.D.template cast<strict_double>() * start;
   }
 };
 

@@ -29,19 +29,24 @@ struct ordered_sum_scratch {
 #if defined(__CUDACC__)
 namespace detail {
 
+/// One step of transposed_warp_sum: 2 D values become D. Recursive, as a loop over D may stay a
+/// loop and put the values into memory.
+template <int D>
+__device__ void halve_values(float (&v)[32], int lane) {
+  bool const upper = (lane & D) != 0;
+  FT_UNROLL
+  for (int i = 0; i < D; ++i) {
+    float const give = upper ? v[i] : v[i + D];
+    float const keep = upper ? v[i + D] : v[i];
+    v[i] = keep + __shfl_xor_sync(0xffffffffu, give, D);
+  }
+  if constexpr (D > 1) { halve_values<D / 2>(v, lane); }
+}
+
 /// Adds 32 values over the lanes of a warp, value k ending in lane k: each step halves the values
 /// that a lane keeps, so that 31 exchanges do what 32 butterflies do with 160, in the same order.
 __device__ inline float transposed_warp_sum(float (&v)[32], int lane) {
-  FT_UNROLL
-  for (int d = 16; d > 0; d /= 2) {
-    bool const upper = (lane & d) != 0;
-    FT_UNROLL
-    for (int i = 0; i < d; ++i) {
-      float const give = upper ? v[i] : v[i + d];
-      float const keep = upper ? v[i + d] : v[i];
-      v[i] = keep + __shfl_xor_sync(0xffffffffu, give, d);
-    }
-  }
+  halve_values<16>(v, lane);
   return v[0];
 }
 

@@ -113,15 +113,21 @@ struct cuda_exec {
   static constexpr bool asynchronous = true;
 
   cudaStream_t stream;
+  /// Kernels may be set up while the one ahead is still running (programmatic dependent launch);
+  /// they wait for it before they touch memory. For recordings: there it saves about a microsecond
+  /// a launch. Needs compute capability 9.0 and CUDA 12.3; without effect elsewhere.
+  bool early_launches = false;
 
-  explicit cuda_exec(cudaStream_t s) : stream(s) {}
+  explicit cuda_exec(cudaStream_t s, bool early = false) : stream(s), early_launches(early) {}
   /// Blocks until everything queued on the stream is done. @throws cuda_error
   void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
 };
 
 template <typename Shape, typename Op, typename... Args>
 FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
-  if (items > 0) { detail::launch<Shape>::run(exec.stream, items, op, args...); }
+  if (items > 0) {
+    detail::launch<Shape>::run(exec.stream, exec.early_launches, items, op, args...);
+  }
 }
 
 inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {

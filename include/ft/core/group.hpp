@@ -237,11 +237,16 @@ struct block_group {
     if ((rank() & 31) == 0) { memcpy(temp->words[rank() / 32], &value, sizeof(T)); }
     sync();
     T result;
-    memcpy(&result, temp->words[0], sizeof(T));
-    for (int w = 1; w < warps; ++w) {
-      T other;
-      memcpy(&other, temp->words[w], sizeof(T));
-      result = op(result, other);
+    if constexpr ((warps & (warps - 1)) == 0) {
+      memcpy(&result, temp->words[rank() % warps], sizeof(T));
+      result = detail::warp_reduce<warps>(result, op);
+    } else {
+      memcpy(&result, temp->words[0], sizeof(T));
+      for (int w = 1; w < warps; ++w) {
+        T other;
+        memcpy(&other, temp->words[w], sizeof(T));
+        result = op(result, other);
+      }
     }
     sync();
     return result;
@@ -253,36 +258,12 @@ struct block_group {
   }
   __device__ int exclusive_scan(int value, int& total) const {
     int const inclusive = detail::warp_inclusive_scan(value);
-    if ((rank() & 31) == 31) { memcpy(temp->words[rank() / 32], &inclusive, sizeof(int)); }
-    sync();
-    int before = 0;
-    int sum = 0;
-    for (int w = 0; w < warps; ++w) {
-      int v;
-      memcpy(&v, temp->words[w], sizeof(int));
-      if (w < rank() / 32) { before += v; }
-      sum += v;
-    }
-    sync();
-    total = sum;
-    return before + inclusive - value;
+    return inclusive - value + sum_of_warps_before(__shfl_sync(0xffffffffu, inclusive, 31), total);
   }
   __device__ int exclusive_count(bool flag, int& total) const {
     int mine = 0;
     int const below = part().exclusive_count(flag, mine);
-    if ((rank() & 31) == 0) { memcpy(temp->words[rank() / 32], &mine, sizeof(int)); }
-    sync();
-    int before = 0;
-    int sum = 0;
-    for (int w = 0; w < warps; ++w) {
-      int v;
-      memcpy(&v, temp->words[w], sizeof(int));
-      if (w < rank() / 32) { before += v; }
-      sum += v;
-    }
-    sync();
-    total = sum;
-    return before + below;
+    return below + sum_of_warps_before(mine, total);
   }
   __device__ int exclusive_scan_array(int* data, int n) const {
     int carry = 0;
@@ -299,6 +280,20 @@ struct block_group {
   template <typename Key>
   __device__ void sort(Key* keys, int n) const {
     detail::bitonic_sort(*this, keys, n);
+  }
+
+private:
+  /// Each warp gives a number. Returns the sum of those of the warps before; `total` gets all.
+  __device__ int sum_of_warps_before(int mine, int& total) const {
+    if ((rank() & 31) == 0) { memcpy(temp->words[rank() / 32], &mine, sizeof(int)); }
+    sync();
+    int const lane = rank() & 31;
+    int of_lane = 0;
+    if (lane < warps) { memcpy(&of_lane, temp->words[lane], sizeof(int)); }
+    sync();
+    int const inclusive = detail::warp_inclusive_scan(of_lane);
+    total = __shfl_sync(0xffffffffu, inclusive, 31);
+    return __shfl_sync(0xffffffffu, inclusive - of_lane, rank() / 32);
   }
 };
 

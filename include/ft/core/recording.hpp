@@ -54,7 +54,7 @@ public:
       detail::check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal),
                     "cudaStreamBeginCapture");
       try {
-        queue(cuda_exec(stream));
+        queue(cuda_exec(stream, true));
       } catch (...) {
         static_cast<void>(cudaStreamEndCapture(stream, &graph));
         throw;

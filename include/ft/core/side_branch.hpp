@@ -57,7 +57,7 @@ public:
   cuda_exec fork(cuda_exec const& exec) {
     detail::check(cudaEventRecord(begin_, exec.stream), "cudaEventRecord");
     detail::check(cudaStreamWaitEvent(stream_, begin_, 0), "cudaStreamWaitEvent");
-    return cuda_exec(stream_);
+    return cuda_exec(stream_, exec.early_launches);
   }
   void join(cuda_exec const& exec) {
     detail::check(cudaEventRecord(end_, stream_), "cudaEventRecord");

@@ -63,8 +63,8 @@ FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, in
   return byte;
 }
 
-/// One image: where each kept corner goes. Level by level in list order; inside the overlap from
-/// the end of the array backwards.
+/// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
+/// list order; inside the overlap from the end of the array backwards.
 struct order_image {
   using scratch = no_scratch;
 
@@ -77,34 +77,50 @@ struct order_image {
     int all = 0;
     for (int l = 0; l < layout.levels; ++l) { all += counts[l]; }
     stereo_overlap const overlap = overlaps[image];
-    int mono = 0;
-    int stereo = 0;
-    for (int l = 0; l < layout.levels; ++l) {
-      int const at = image * layout.total + layout.first[l];
-      for (int base = 0; base < counts[l]; base += g.size()) {
-        int const i = base + g.rank();
-        bool const valid = i < counts[l];
-        bool inside = false;
-        if (valid) {
-          float x = static_cast<float>(kept.kept[at + i].x + corner_border);
-          if (l > 0) { x = detail::mul(x, geometry.scale[l]); }
-          inside = x >= overlap.left && x <= overlap.right;
+    int before = 0;  // corners in lower slots
+    int stereo = 0;  // those of them inside the overlap
+    for (int base = 0; base < layout.total; base += g.size()) {
+      int const slot = base + g.rank();
+      int const l = layout.level_of(slot);
+      int const at = image * layout.total + slot;
+      bool const valid = slot < layout.total && slot - layout.first[l] < counts[l];
+      corner c{};
+      float x = 0;
+      float y = 0;
+      bool inside = false;
+      if (valid) {
+        c = kept.kept[at];
+        x = static_cast<float>(c.x + corner_border);
+        y = static_cast<float>(c.y + corner_border);
+        if (l > 0) {
+          x = detail::mul(x, geometry.scale[l]);
+          y = detail::mul(y, geometry.scale[l]);
         }
-        int total = 0;
-        int const rank = g.exclusive_scan(static_cast<int>(valid && inside), total);
-        if (valid) { place[at + i] = inside ? all - 1 - (stereo + rank) : mono + g.rank() - rank; }
-        stereo += total;
-        mono += min_of(g.size(), counts[l] - base) - total;
+        inside = x >= overlap.left && x <= overlap.right;
       }
+      int valid_here = 0;
+      int inside_here = 0;
+      int const rank = before + g.exclusive_count(valid, valid_here);
+      int const stereo_rank = stereo + g.exclusive_count(inside, inside_here);
+      if (valid) {
+        place[at] = inside ? all - 1 - stereo_rank : rank - stereo_rank;
+        int const to = image * out.capacity + place[at];
+        get<field::x>(out, to) = x;
+        get<field::y>(out, to) = y;
+        get<field::response>(out, to) = static_cast<float>(c.response);
+        get<field::octave>(out, to) = l;
+      }
+      before += valid_here;
+      stereo += inside_here;
     }
     if (g.rank() == 0) {
       out.count[image] = all;
-      mono_count[image] = mono;
+      mono_count[image] = all - stereo;
     }
   }
 };
 
-/// One kept corner: its keypoint and descriptor, written to its place.
+/// One kept corner: the angle and descriptor of its keypoint.
 struct describe_corner {
   static constexpr int window = 2 * pattern_radius + 1;
   static constexpr int window_words = (window + 3 + 3) / 4;
@@ -120,8 +136,7 @@ struct describe_corner {
     distribution_layout const& layout = kept.layout;
     int const image = item / layout.total;
     int const slot = item % layout.total;
-    int l = 0;
-    while (l + 1 < layout.levels && slot >= layout.first[l + 1]) { ++l; }
+    int const l = layout.level_of(slot);
     if (slot - layout.first[l] >= kept.kept_count[image * layout.levels + l]) { return; }
 
     corner const c = kept.kept[item];
@@ -151,16 +166,7 @@ struct describe_corner {
         bytes[i] = static_cast<unsigned char>(descriptor_byte(level, x, y, a, b, pattern, i));
       }
     }
-    if (g.rank() == 0) {
-      float const scale = pyramid.geometry.scale[l];
-      get<field::x>(out, to) =
-          l == 0 ? static_cast<float>(x) : detail::mul(static_cast<float>(x), scale);
-      get<field::y>(out, to) =
-          l == 0 ? static_cast<float>(y) : detail::mul(static_cast<float>(y), scale);
-      get<field::angle>(out, to) = angle;
-      get<field::response>(out, to) = static_cast<float>(c.response);
-      get<field::octave>(out, to) = l;
-    }
+    if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
   }
 
 private:
@@ -197,18 +203,26 @@ private:
   }
 };
 
-/// Keypoints and descriptors of a batch of images from their kept corners, in the contract's order.
-/// Asynchronous on `exec`; allocates nothing; two launches.
-/// @param overlaps [batch] @param pattern [256], points within `pattern_radius` @param place
-/// workspace [batch][layout.total]
-/// @param mono_count [batch] keypoints outside the overlap; all in executor memory
+/// Keypoints of a batch of images from their kept corners, in the contract's order; all but their
+/// angles and descriptors. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param overlaps [batch] @param mono_count [batch] gets the keypoints outside the overlap
+/// @param place [batch][layout.total] gets the place of a kept corner's keypoint; all in executor
+/// memory
+template <typename Exec>
+void order_corners(Exec const& exec, pyramid_geometry const& geometry,
+                   distribution_view const& kept, stereo_overlap const* overlaps,
+                   keypoints_view const& out, int* mono_count, int* place) {
+  for_each_item<per_block<1024>>(exec, out.batch, order_image{}, geometry, kept, overlaps, place,
+                                 out, mono_count);
+}
+
+/// Angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing; one
+/// launch.
+/// @param pattern [256], points within `pattern_radius` @param place from order_corners
 template <typename Exec>
 void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
                       image_pyramid_view const& blurred, distribution_view const& kept,
-                      stereo_overlap const* overlaps, pattern_pair const* pattern,
-                      keypoints_view const& out, int* mono_count, int* place) {
-  for_each_item<per_block<256>>(exec, pyramid.batch, order_image{}, pyramid.geometry, kept,
-                                overlaps, place, out, mono_count);
+                      pattern_pair const* pattern, int const* place, keypoints_view const& out) {
   for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid,
                           blurred, kept, pattern, place, out);
 }

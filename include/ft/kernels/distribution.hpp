@@ -32,6 +32,12 @@ struct distribution_layout {
   int first[max_levels] = {};     ///< of a level among an image's
   int total = 0;                  ///< of an image
 
+  /// Level of the corner in a slot of an image.
+  FT_HOST_DEVICE int level_of(int slot) const {
+    int l = 0;
+    while (l + 1 < levels && slot >= first[l + 1]) { ++l; }
+    return l;
+  }
   /// @param features wanted in all levels together, 1 to 2^20. Source: specification section 2.
   static distribution_layout make(pyramid_geometry const& g, int features) {
     detail::require_range("features", features, 1, 1 << 20);

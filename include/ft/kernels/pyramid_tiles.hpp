@@ -97,7 +97,7 @@ inline bool tile_spans(resize_tap const* const* taps, int const* size, int first
 /// @param spans gets the table; the caller copies it to the executor and sets `spans` of the result
 /// @param side of a tile in the group's source, about, pixels
 inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap const* taps,
-                                        std::vector<tile_span>& spans, int side = 72) {
+                                        std::vector<tile_span>& spans, int side = 80) {
   resize_tap const* columns[max_levels] = {};
   resize_tap const* rows[max_levels] = {};
   for (int l = 1; l < g.levels; ++l) {

@@ -225,6 +225,25 @@ private:
   }
 };
 
+/// Right keypoints by rows, which matching needs. Asynchronous on `exec`; allocates nothing; one
+/// launch. @param rows a grid of one column and a row per row of the image
+template <typename Exec>
+void sort_right_rows(Exec const& exec, keypoints_view const& keypoints,
+                     feature_grid_view const& rows) {
+  build_grid<row_cell>(exec, keypoints, 1, 2, keypoints.batch / 2, rows);
+}
+
+/// The rest of match_stereo_rectified(), after sort_right_rows(); two launches.
+template <typename Exec>
+void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
+                       keypoints_view const& keypoints, stereo_params const& params,
+                       stereo_matches_view const& out, feature_grid_view const& right_rows) {
+  int const pairs = keypoints.batch / 2;
+  for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
+                          keypoints, right_rows, params, out);
+  for_each_item<per_block<512>>(exec, pairs, cut_stereo_outliers{}, out);
+}
+
 /// Right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are pair b.
 /// Asynchronous on `exec`; allocates nothing; three launches. @param right_rows a grid of one
 /// column and `image height` rows per pair; workspace
@@ -232,11 +251,8 @@ template <typename Exec>
 void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
                             keypoints_view const& keypoints, stereo_params const& params,
                             stereo_matches_view const& out, feature_grid_view const& right_rows) {
-  int const pairs = keypoints.batch / 2;
-  build_grid<row_cell>(exec, keypoints, 1, 2, pairs, right_rows);
-  for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
-                          keypoints, right_rows, params, out);
-  for_each_item<per_block<512>>(exec, pairs, cut_stereo_outliers{}, out);
+  sort_right_rows(exec, keypoints, right_rows);
+  match_sorted_rows(exec, pyramid, keypoints, params, out, right_rows);
 }
 
 }  // namespace FT_ABI

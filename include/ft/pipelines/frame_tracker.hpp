@@ -329,6 +329,7 @@ public:
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
     exec.wait();
     grid_branch_.make();
+    match_branch_.make();
     input_branch_.make();
     view_branch_.make();
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
@@ -581,10 +582,13 @@ private:
     mark("upload");
     constexpr int step = Rig::rectified ? 2 : 1;
     if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
-      extractor_.extract(exec);
-      build_grid<nearest_cell>(grid_branch_.fork(exec), extractor_.keypoints(), 0, step,
-                               cameras * batch_, frame_.grids);
-      matcher_.match(exec, extractor_);
+      extractor_.extract_beside(exec, [this](Exec const& e) {
+        build_grid<nearest_cell>(grid_branch_.fork(e), extractor_.keypoints(), 0, step,
+                                 cameras * batch_, frame_.grids);
+        matcher_.prepare(match_branch_.fork(e), extractor_);
+      });
+      match_branch_.join(exec);
+      matcher_.match_prepared(exec, extractor_);
       grid_branch_.join(exec);
     } else {
       extractor_.extract(exec, mark);
@@ -628,6 +632,7 @@ private:
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
   side_branch<Exec> grid_branch_;
+  side_branch<Exec> match_branch_;
   side_branch<Exec> input_branch_;
   side_branch<Exec> view_branch_;
   recording<Exec> extract_recording_;

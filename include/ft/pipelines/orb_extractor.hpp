@@ -116,10 +116,18 @@ public:
 
   /// Queues all stages over the uploaded images; the blur beside corners and distribution.
   void extract(Exec const& exec) {
+    extract_beside(exec, [](Exec const&) {});
+  }
+  /// The same. @param located called with the executor when all of the keypoints but angles and
+  /// descriptors is queued: what it forks there runs beside those
+  template <typename Located>
+  void extract_beside(Exec const& exec, Located const& located) {
     resize(exec);
     blur_pyramid(blur_branch_.fork(exec), pyramid_, blurred_, blur_layout_);
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
     distribute_corners(exec, corners_, distribution_);
+    order(exec);
+    located(exec);
     blur_branch_.join(exec);
     describe(exec);
   }
@@ -134,6 +142,7 @@ public:
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
+    order(exec);
     describe(exec);
     mark("descriptors");
   }
@@ -161,9 +170,11 @@ private:
       build_pyramid(exec, pyramid_, taps_);
     }
   }
+  void order(Exec const& exec) {
+    order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_);
+  }
   void describe(Exec const& exec) {
-    describe_corners(exec, pyramid_, blurred_, distribution_, overlaps_, pattern_, keypoints_,
-                     mono_count_, place_);
+    describe_corners(exec, pyramid_, blurred_, distribution_, pattern_, place_, keypoints_);
   }
 
   static orb_params const& checked(orb_params const& p, int batch,

@@ -59,9 +59,24 @@ public:
 
   /// Queues the matching of the extractor's current images.
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    prepare(exec, extractor);
+    match_prepared(exec, extractor);
+  }
+  /// The part of match() that needs places and octaves of keypoints only: what
+  /// orb_extractor::extract_beside has when it calls.
+  void prepare(Exec const& exec, orb_extractor<Exec> const& extractor) {
     if constexpr (Rig::rectified) {
-      match_stereo_rectified(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
-                             right_rows_);
+      sort_right_rows(exec, extractor.keypoints(), right_rows_);
+    } else {
+      static_cast<void>(exec);
+      static_cast<void>(extractor);
+    }
+  }
+  /// The rest of match().
+  void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    if constexpr (Rig::rectified) {
+      match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
+                        right_rows_);
     } else {
       match_stereo_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
                            extractor.geometry(), fisheye_params_, fisheye_);

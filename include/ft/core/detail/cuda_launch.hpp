@@ -18,9 +18,44 @@ struct per_block;
 
 namespace detail {
 
+/// First in every kernel: waits for the launch ahead where this one began early, and lets the next
+/// one begin.
+__device__ inline void await_launch_ahead() {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
+  cudaGridDependencySynchronize();
+  cudaTriggerProgrammaticLaunchCompletion();
+#endif
+}
+
+/// Launches a kernel. @param early while the launch ahead is still running; only kernels compiled
+/// for architectures that know await_launch_ahead() do
+template <typename... Params, typename... Args>
+FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigned threads,
+                             cudaStream_t stream, bool early, Args const&... args) {
+#if CUDART_VERSION >= 12030
+  cudaFuncAttributes facts{};
+  if (early) { check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
+  cudaLaunchAttribute attribute{};
+  attribute.id = cudaLaunchAttributeProgrammaticStreamSerialization;
+  attribute.val.programmaticStreamSerializationAllowed = 1;
+  cudaLaunchConfig_t config{};
+  config.gridDim = dim3(blocks);
+  config.blockDim = dim3(threads);
+  config.stream = stream;
+  config.attrs = &attribute;
+  config.numAttrs = early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
+  check(cudaLaunchKernelEx(&config, kernel, args...), "kernel launch");
+#else
+  static_cast<void>(early);
+  kernel<<<blocks, threads, 0, stream>>>(args...);
+  check(cudaGetLastError(), "kernel launch");
+#endif
+}
+
 template <int Threads, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Threads)
     per_thread_kernel(int items, Op op, Args... args) {
+  await_launch_ahead();
   int const item = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   if (item < items) {
     typename Op::scratch scratch;
@@ -31,6 +66,7 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads)
 template <int Warps, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
     per_warp_kernel(int items, Op op, Args... args) {
+  await_launch_ahead();
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
   int const item = static_cast<int>(blockIdx.x) * Warps + warp;
@@ -39,6 +75,7 @@ FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
 
 template <int Threads, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Threads) per_block_kernel(Op op, Args... args) {
+  await_launch_ahead();
   __shared__ typename block_group<Threads>::scratch collectives;
   __shared__ typename Op::scratch scratch;
   op(block_group<Threads>{&collectives}, scratch, static_cast<int>(blockIdx.x), args...);
@@ -50,36 +87,37 @@ struct launch;
 template <>
 struct launch<per_thread> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
+                            Args const&... args) {
     constexpr int threads = 128;
-    per_thread_kernel<threads>
-        <<<static_cast<unsigned>(ceil_div(items, threads)), threads, 0, stream>>>(items, op,
-                                                                                  args...);
-    check(cudaGetLastError(), "kernel launch");
+    launch_kernel(&per_thread_kernel<threads, Op, Args...>,
+                  static_cast<unsigned>(ceil_div(items, threads)), threads, stream, early, items,
+                  op, args...);
   }
 };
 
 template <>
 struct launch<per_warp> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
+                            Args const&... args) {
     constexpr int warps = 4;
-    per_warp_kernel<warps>
-        <<<static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, stream>>>(items, op,
-                                                                                   args...);
-    check(cudaGetLastError(), "kernel launch");
+    launch_kernel(&per_warp_kernel<warps, Op, Args...>,
+                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, stream, early, items,
+                  op, args...);
   }
 };
 
 template <int N>
 struct launch<per_block<N>> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
+                            Args const&... args) {
     static_assert(
         sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
         "static shared memory");
-    per_block_kernel<N><<<static_cast<unsigned>(items), N, 0, stream>>>(op, args...);
-    check(cudaGetLastError(), "kernel launch");
+    launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N, stream, early,
+                  op, args...);
   }
 };
 

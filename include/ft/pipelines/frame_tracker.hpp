@@ -354,6 +354,14 @@ public:
                   image.row(y), static_cast<std::size_t>(p.width));
     }
   }
+  /// Queues the copy of a camera's mask: keypoints come from where it is not 0, until the next
+  /// mask. Not while a frame is queued on another stream. @throws bad_argument as
+  /// orb_extractor::set_mask
+  void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
+    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera", camera, 0, 1);
+    extractor_.set_mask(exec, 2 * b + camera, mask);
+  }
   /// For callers that decode straight into the staging memory: height rows of staged_stride()
   /// bytes.
   std::uint8_t* staged_image(int b, int camera) {

@@ -443,15 +443,16 @@ public:
   }
 
   /// Queues: local map up, frustum, search, pose; result down. Follows track_motion().
-  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
-  /// anew: for a
-  ///   frame after extract(), or another try with another pose; needs a new stamp() where there was
-  ///   one
   /// @throws bad_argument for more local points than params().local_points
   void track_local(Exec const& exec) {
     check_local_counts();
     local_recording_.replay(exec, [this](Exec const& e) { upload_local(e, {}, false, no_mark{}); });
   }
+  /// The same with parameters of its own, stage by stage.
+  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
+  /// anew: for a frame after extract(), or another try with another pose; needs a new stamp() where
+  /// there was one
+  /// @throws bad_argument for more local points than params().local_points
   template <typename Mark = no_mark>
   void track_local(Exec const& exec, local_search_params const& search, bool restart = false,
                    Mark&& mark = {}) {

@@ -11,13 +11,23 @@
 #include "examples/common/scene.hpp"
 #include "examples/common/simple_odometry.hpp"
 
-constexpr int frames = 20;
+constexpr int frames = 12;
+
+/// What one of the trackers sees.
+struct sequence {
+  demo::scene scene;
+  std::vector<demo::image_pair> images;
+
+  explicit sequence(int width) : scene(frames, width) {
+    for (int i = 0; i < frames; ++i) { images.push_back(scene.render(i)); }
+  }
+};
 
 template <typename Exec>
-void track(Exec const& exec, demo::scene const& scene, std::vector<ft::pose>& poses) {
-  demo::simple_odometry<Exec> odometry(exec, scene);
-  for (int i = 0; i < frames; ++i) {
-    odometry.track(scene.render(i));
+void track(Exec const& exec, sequence const& seen, std::vector<ft::pose>& poses) {
+  demo::simple_odometry<Exec> odometry(exec, seen.scene);
+  for (auto const& images : seen.images) {
+    odometry.track(images);
     poses.push_back(odometry.T_cw());
   }
 }
@@ -27,13 +37,13 @@ struct worker {
   std::vector<ft::pose> poses;
   std::exception_ptr error;
 
-  void operator()(demo::scene const& scene) {
+  void operator()(sequence const& seen) {
     try {
 #if defined(__CUDACC__)
       demo::stream const mine;
-      track(ft::cuda_exec(mine.get()), scene, poses);
+      track(ft::cuda_exec(mine.get()), seen, poses);
 #else
-      track(ft::host_exec(1), scene, poses);  // one thread each: they do not share a pool
+      track(ft::host_exec(1), seen, poses);  // one thread each: they do not share a pool
 #endif
     } catch (...) { error = std::current_exception(); }
   }
@@ -49,16 +59,16 @@ int main() {
 #if defined(__CUDACC__)
     if (!demo::has_device()) { return demo::no_device(); }
 #endif
-    demo::scene const scenes[2] = {demo::scene(frames), demo::scene(frames, 640)};
+    sequence const seen[2] = {sequence(752), sequence(640)};
     worker alone[2];
     worker together[2];
-    for (int i = 0; i < 2; ++i) { alone[i](scenes[i]); }
-    std::thread first([&] { together[0](scenes[0]); });
-    std::thread second([&] { together[1](scenes[1]); });
+    for (int i = 0; i < 2; ++i) { alone[i](seen[i]); }
+    std::thread first([&] { together[0](seen[0]); });
+    std::thread second([&] { together[1](seen[1]); });
     first.join();
     second.join();
-    for (auto const& w : {alone[0], alone[1], together[0], together[1]}) {
-      if (w.error) { std::rethrow_exception(w.error); }
+    for (worker const* w : {&alone[0], &alone[1], &together[0], &together[1]}) {
+      if (w->error) { std::rethrow_exception(w->error); }
     }
     bool const good =
         same(alone[0].poses, together[0].poses) && same(alone[1].poses, together[1].poses);

@@ -75,7 +75,7 @@ double strongest_of_tiles(Exec const& exec, demo::grey_image const& image) {
   ft::for_each_item<ft::per_thread>(exec, count, assign_tile{}, mine.view(),
                                     (image.width + tile_size - 1) / tile_size);
 
-  // zip_begin makes tuples of columns. Thrust works on the same stream: nothing waits in between.
+  // zip_begin makes tuples of columns. Thrust works on the same stream, after the stage.
   auto const policy = thrust_policy(exec);
   auto const first =
       ft::zip_begin<tile, ft::field::response, ft::field::x, ft::field::y>(mine.view());

@@ -7,8 +7,8 @@
 ft_build_packages=(build-essential cmake ninja-build ccache libtbb-dev libeigen3-dev libpng-dev
   libjpeg-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
 ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev clang python3 pkg-config git)
-# Not every release has it; without it the formatting is not checked.
-ft_optional_packages=(clang-format-14)
+# Not every release has them; without them the formatting is not checked, the documentation not made.
+ft_optional_packages=(clang-format-14 doxygen)
 
 ft_installed() {
   [[ $(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null) == installed ]]
@@ -20,7 +20,7 @@ ft_missing() {
   for package in "$@"; do
     tool=
     case $package in
-      cmake | ccache | clang | python3 | pkg-config | git | clang-format-14) tool=$package ;;
+      cmake | ccache | clang | python3 | pkg-config | git | clang-format-14 | doxygen) tool=$package ;;
       ninja-build) tool=ninja ;;
     esac
     [[ -n $tool ]] && command -v "$tool" >/dev/null && continue

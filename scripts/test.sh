@@ -115,6 +115,7 @@ ft_find_nvcc || have_cuda=0
 
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes
+step "Documentation" scripts/docs.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
 step "Host: tests" run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$'

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Uses ft as strangers do: installed, as a subdirectory, and as plain headers without CMake.
+# Uses ft as strangers do: installed, as a subdirectory, fetched, as plain headers without CMake, by
+# pkg-config, by the recipes of packaging/; in C++17 and C++20, in several units and shared libraries.
 #   scripts/test_consumers.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
 # prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
@@ -22,43 +23,65 @@ heading() { printf -- '-- consumer: %s\n' "$*"; }
 # run PROGRAM [ARGUMENT...]: the program, and that it says which version it was built with
 run() { "$@" | tee "$work/out" && grep -q '^ft [0-9]' "$work/out"; }
 
+# quietly COMMAND...: its output is shown where it fails
+quietly() { "$@" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }; }
+
+# build_project SOURCE DIR CONFIGURE_OPTION...
+build_project() {
+  quietly cmake -S "$1" -B "$2" -DCMAKE_BUILD_TYPE=Release -DCMAKE_CUDA_ARCHITECTURES=90 "${@:3}"
+  quietly cmake --build "$2"
+}
+
+# tests_of DIR: runs them, and says how many there were
+tests_of() {
+  quietly ctest --test-dir "$1" --output-on-failure --no-tests=error
+  grep -E '^[0-9]+% tests passed, ' "$work/log"
+}
+
+# cmake_consumer NAME OFF|LINKED|ON STANDARD CONFIGURE_OPTION...
+# CMake 3.25 does not know nvcc's option for C++20, so it is given as a flag.
 cmake_consumer() {
-  local name=$1 language=$2
-  shift 2
-  heading "$name, CONSUMER_CUDA=$language"
-  local dir=$work/$name-$language
-  cmake -S "$consumers/$name" -B "$dir" -DCMAKE_BUILD_TYPE=Release -DCONSUMER_CUDA="$language" \
-    -DCMAKE_CUDA_ARCHITECTURES=90 "$@" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
-  cmake --build "$dir" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
+  local name=$1 language=$2 standard=$3 dir
+  heading "$name, CONSUMER_CUDA=$language, C++$standard"
+  dir=$(mktemp -d "$work/$name-XXXX")
+  build_project "$consumers/$name" "$dir" -DCONSUMER_CUDA="$language" \
+    -DCMAKE_CXX_STANDARD="$standard" -DCMAKE_CUDA_FLAGS="-std=c++$standard" "${@:4}"
   run "$dir/consumer"
+  local -A year=([17]=201703 [20]=202002)
+  grep -q "C++ ${year[$standard]}" "$work/out"
+}
+
+# several_units CONFIGURE_OPTION...: two units in a program, two shared libraries in a process
+several_units() {
+  heading "several_units, CONSUMER_CUDA=$cuda"
+  build_project "$consumers/several_units" "$work/several_units" -DCONSUMER_CUDA="$cuda" "$@"
+  tests_of "$work/several_units"
 }
 
 # example NAME CONFIGURE_OPTION...: examples/new_camera_model, with the contract on its model
 example() {
-  local name=$1
-  shift
-  heading "examples/new_camera_model, $name"
-  local dir=$work/new_camera_model-$name
-  cmake -S "$ft_root/examples/new_camera_model" -B "$dir" -DCMAKE_BUILD_TYPE=Release \
-    -DCMAKE_CUDA_ARCHITECTURES=90 "$@" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
-  cmake --build "$dir" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }
-  ctest --test-dir "$dir" --output-on-failure --no-tests=error >"$work/log" 2>&1 ||
-    { cat "$work/log"; return 1; }
-  grep -E '^[0-9]+% tests passed, ' "$work/log"
+  local dir=$work/new_camera_model-$1
+  heading "examples/new_camera_model, $1"
+  build_project "$ft_root/examples/new_camera_model" "$dir" "${@:2}"
+  tests_of "$dir"
   run "$dir/stereo_depth"
 }
 
 heading install
 prefix=$work/prefix
-cmake --install "$build" --prefix "$prefix" >"$work/log" || { cat "$work/log"; exit 1; }
+quietly cmake --install "$build" --prefix "$prefix"
 
 # OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda
 modes=(OFF)
 if [[ $cuda == ON ]]; then modes+=(LINKED ON); fi
 for mode in "${modes[@]}"; do
-  cmake_consumer find_package "$mode" -DCMAKE_PREFIX_PATH="$prefix"
-  cmake_consumer add_subdirectory "$mode" -DFT_SOURCE_DIR="$ft_root"
+  for standard in 17 20; do
+    cmake_consumer find_package "$mode" "$standard" -DCMAKE_PREFIX_PATH="$prefix"
+  done
+  cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
+  cmake_consumer fetch_content "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
 done
+several_units -DCMAKE_PREFIX_PATH="$prefix"
 
 example host -DCMAKE_PREFIX_PATH="$prefix"
 if [[ $cuda == ON ]]; then example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON; fi
@@ -80,4 +103,25 @@ if command -v pkg-config >/dev/null; then
   read -ra flags <<<"$(pkg-config --cflags --libs ft)"
   "${CXX:-g++}" -std=c++17 -O1 "$consumers/consumer.cpp" "${flags[@]}" -o "$work/consumer_pc"
   run "$work/consumer_pc"
+fi
+
+heading "packaging: recipes say the version of the headers"
+python3 "$ft_root/scripts/check_packaging.py"
+
+heading "packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
+quietly cmake -DPORT="$ft_root/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
+  -P "$consumers/vcpkg/run_port.cmake"
+cmake_consumer find_package OFF 17 -DCMAKE_PREFIX_PATH="$work/vcpkg/packages"
+
+# The dependency is a stand-in for oneTBB's package, so that no package server is needed.
+if command -v conan >/dev/null; then
+  heading packaging/conan
+  export CONAN_HOME=$work/conan
+  quietly conan profile detect
+  quietly conan create "$consumers/conan" --no-remote
+  quietly conan create "$ft_root/packaging/conan" --no-remote -s compiler.cppstd=17 \
+    -c tools.cmake.cmake_layout:test_folder="$work/conan_test"
+  grep '^ft [0-9]' "$work/log"
+else
+  echo "Conan is not installed (pip install conan): packaging/conan not created here"
 fi

@@ -418,6 +418,40 @@ TEST(rigid_unit, acts_as_matrix_then_offset) {
   EXPECT_EQ(p.z, 30 + 3);
 }
 
+TEST(rigid_unit, orthonormalized_is_a_rotation_near_the_given_matrix) {
+  std::mt19937 random(12);
+  std::uniform_real_distribution<double> noise(-0.01, 0.01);
+  for (int k = 0; k < 200; ++k) {
+    auto const T = random_motion(random);
+    auto bent = T;
+    for (double& v : bent.R.m) { v += k == 0 ? 0 : noise(random); }
+    auto const got = bent.orthonormalized();
+    EXPECT_LT(largest_difference(got, T), 0.05);
+    EXPECT_EQ(got.t.x, T.t.x);
+    auto const RRt = got.R * got.R.transposed();
+    for (int i = 0; i < 9; ++i) { EXPECT_NEAR(RRt.m[i], i % 4 == 0 ? 1 : 0, 1e-14); }
+    auto const& m = got.R.m;
+    EXPECT_NEAR(m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
+                    m[2] * (m[3] * m[7] - m[4] * m[6]),
+                1, 1e-14);
+    if (k == 0) { EXPECT_LT(largest_difference(got, T), 1e-14) << "a rotation stays what it is"; }
+  }
+}
+
+TEST(rigid_unit, a_prediction_with_constant_velocity_stays_a_rotation) {
+  std::mt19937 random(13);
+  auto T = random_motion(random).cast<float>();
+  T.R.m[0] += 1e-6f;
+  ft::pose velocity = ft::pose::identity();
+  for (int i = 0; i < 1000; ++i) {
+    ft::pose const next = (velocity * T).orthonormalized();
+    velocity = (next * T.inverse()).orthonormalized();
+    T = next;
+  }
+  auto const RRt = T.R * T.R.transposed();
+  for (int i = 0; i < 9; ++i) { EXPECT_NEAR(RRt.m[i], i % 4 == 0 ? 1 : 0, 1e-6); }
+}
+
 TEST(reflect_unit, walks_back_and_forth_without_repeating_the_edge) {
   for (int n = 1; n <= 9; ++n) {
     // The sequence 0 1 .. n-1 n-2 .. 1 0 1 .. around any start.

@@ -231,6 +231,19 @@ struct rigid {
   }
   /// Where the origin of the source frame's camera is: for T_cw the camera's centre in the world.
   FT_HOST_DEVICE vec3<S> centre() const { return -(R.transposed() * t); }
+  /// The same motion with rows of R made orthogonal and of length 1 (Gram-Schmidt). inverse() takes
+  /// R for a rotation: a pose that is fed back through products and inverses, as a prediction with
+  /// constant velocity is, doubles what R lacks of that with every frame unless this is called.
+  FT_HOST_DEVICE rigid orthonormalized() const {
+    auto const scaled = [](vec3<S> v, S s) { return vec3<S>{v.x * s, v.y * s, v.z * s}; };
+    auto const unit = [&](vec3<S> v) { return scaled(v, S(1) / scalar::sqrt(dot(v, v))); };
+    vec3<S> const a = unit({R.m[0], R.m[1], R.m[2]});
+    vec3<S> const second{R.m[3], R.m[4], R.m[5]};
+    vec3<S> const b = unit(second - scaled(a, dot(a, second)));
+    return {{{a.x, a.y, a.z, b.x, b.y, b.z, a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z,
+              a.x * b.y - a.y * b.x}},
+            t};
+  }
   template <typename U>
   FT_HOST_DEVICE rigid<U> cast() const {
     using P = plain_scalar_t<U>;

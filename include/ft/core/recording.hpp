@@ -15,7 +15,8 @@ inline namespace FT_ABI {
 template <typename Exec>
 class recording {
 public:
-  /// @param queue callable with an executor; what it queues must use memory that stays where it is
+  /// The second argument is callable with an executor; what it queues must use memory that stays
+  /// where it is.
   template <typename Queue>
   void record(Exec const&, Queue const&) {}
   template <typename Queue>

@@ -2,6 +2,7 @@
 /// @file Bridges to OpenCV's types; the only header that includes OpenCV. Host memory only.
 #pragma once
 
+#include <cstddef>
 #include <cstring>
 #include <opencv2/core.hpp>
 #include <vector>
@@ -42,6 +43,23 @@ inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
     std::memcpy(rows.ptr(i), &get<field::orb>(keypoints, i), sizeof(descriptor));
   }
   return rows;
+}
+
+/// Writes OpenCV's keypoints into one batch entry: position, angle, response, octave as they are,
+/// and the count. Descriptors are not touched. @param to host memory
+/// @throws bad_argument for more keypoints than its capacity
+inline void from_opencv(std::vector<cv::KeyPoint> const& keypoints, keypoints_view const& to) {
+  detail::require_range("number of keypoints", keypoints.size(), std::size_t{0},
+                        static_cast<std::size_t>(to.capacity));
+  *to.count = static_cast<int>(keypoints.size());
+  for (int i = 0; i < *to.count; ++i) {
+    auto const& k = keypoints[static_cast<std::size_t>(i)];
+    get<field::x>(to, i) = k.pt.x;
+    get<field::y>(to, i) = k.pt.y;
+    get<field::angle>(to, i) = k.angle;
+    get<field::response>(to, i) = k.response;
+    get<field::octave>(to, i) = k.octave;
+  }
 }
 
 }  // namespace FT_ABI

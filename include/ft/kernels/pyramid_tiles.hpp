@@ -298,7 +298,7 @@ private:
 };
 
 /// Levels 1.. of every image from its level 0, one launch per group of levels, whatever the batch.
-/// Asynchronous on `exec`; allocates nothing. @param taps,tiles.spans in the executor's memory
+/// Asynchronous on `exec`; allocates nothing. @param taps and `tiles.spans`: executor memory
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
                    pyramid_tiles const& tiles) {

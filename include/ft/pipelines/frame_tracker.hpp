@@ -355,6 +355,14 @@ public:
                   image.row(y), static_cast<std::size_t>(p.width));
     }
   }
+  /// Queues the copy of a camera's mask: keypoints come from where it is not 0, until the next
+  /// mask. Not while a frame is queued on another stream. @throws bad_argument as
+  /// orb_extractor::set_mask
+  void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
+    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera", camera, 0, 1);
+    extractor_.set_mask(exec, 2 * b + camera, mask);
+  }
   /// For callers that decode straight into the staging memory: height rows of staged_stride()
   /// bytes.
   std::uint8_t* staged_image(int b, int camera) {
@@ -436,15 +444,16 @@ public:
   }
 
   /// Queues: local map up, frustum, search, pose; result down. Follows track_motion().
-  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
-  /// anew: for a
-  ///   frame after extract(), or another try with another pose; needs a new stamp() where there was
-  ///   one
   /// @throws bad_argument for more local points than params().local_points
   void track_local(Exec const& exec) {
     check_local_counts();
     local_recording_.replay(exec, [this](Exec const& e) { upload_local(e, {}, false, no_mark{}); });
   }
+  /// The same with parameters of its own, stage by stage.
+  /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
+  /// anew: for a frame after extract(), or another try with another pose; needs a new stamp() where
+  /// there was one
+  /// @throws bad_argument for more local points than params().local_points
   template <typename Mark = no_mark>
   void track_local(Exec const& exec, local_search_params const& search, bool restart = false,
                    Mark&& mark = {}) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -15,7 +16,9 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/blur.hpp"
+#include "ft/kernels/corner_mask.hpp"
 #include "ft/kernels/corners.hpp"
+#include "ft/kernels/describe_keypoints.hpp"
 #include "ft/kernels/descriptor.hpp"
 #include "ft/kernels/distribution.hpp"
 #include "ft/kernels/pyramid.hpp"
@@ -37,6 +40,9 @@ struct orb_params {
   float scale_factor = 1.2f;
   int ini_threshold = 20;  ///< corner threshold, grey levels
   int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
+  /// Pixels of a mask, any size up to 16384 a side: it is stretched over its image. 0 = no masks
+  int mask_width = 0;
+  int mask_height = 0;
 };
 
 /// Extracts ORB features of `batch` images at once. All memory is taken by the constructor;
@@ -74,6 +80,7 @@ public:
       carve(c, pyramid_, geometry_, batch);
       carve(c, blurred_, geometry_, batch);
       carve(c, corners_, cells, batch);
+      carve(c, masks_, params.mask_width, params.mask_height, batch);
       carve(c, distribution_, quad, cells, batch);
       carve(c, keypoints_, max_of(quad.total, 1), batch);
       taps_ = c.take<resize_tap>(static_cast<std::size_t>(geometry_.taps));
@@ -94,6 +101,7 @@ public:
     // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
+    if (has_masks()) { fill_bytes(exec, masks_.data, 255, mask_bytes() * b); }
     exec.wait();
   }
 
@@ -102,16 +110,28 @@ public:
   void upload(Exec const& exec, int i, gray_view image) {
     detail::require_range("image index", i, 0, batch_ - 1);
     detail::require(image.data != nullptr, "the image is null");
-    if (image.width != params_.width || image.height != params_.height) {
-      throw bad_argument("ft: the image is " + std::to_string(image.width) + "x" +
-                         std::to_string(image.height) + ", the extractor was made for " +
-                         std::to_string(params_.width) + "x" + std::to_string(params_.height));
-    }
-    detail::require(image.stride >= image.width, "the image's stride is below its width");
+    require_size("image", image, params_.width, params_.height);
     auto const to = pyramid_.level(i, 0);
     copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), image.data,
               static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width),
               image.height);
+  }
+
+  /// Queues the copy of the mask of image `i`, which holds until the next one: keypoints come from
+  /// where it is not 0. At first everything is allowed. See corner_masks_view for how a mask meets
+  /// the pyramid's levels. Pinned memory makes it asynchronous; allocates nothing.
+  /// @param mask of params().mask_width x mask_height pixels
+  /// @throws bad_argument for a null mask, another size, a stride below the width, or where the
+  /// extractor was made without masks
+  void set_mask(Exec const& exec, int i, gray_view mask) {
+    detail::require_range("image index", i, 0, batch_ - 1);
+    detail::require(has_masks(), "the extractor was made without masks: its mask_width is 0");
+    detail::require(mask.data != nullptr, "the mask is null");
+    require_size("mask", mask, masks_.width, masks_.height);
+    auto const to = masks_.mask(i);
+    copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), mask.data,
+              static_cast<std::size_t>(mask.stride), static_cast<std::size_t>(mask.width),
+              mask.height);
   }
 
   /// Queues all stages over the uploaded images; the blur beside corners and distribution.
@@ -124,7 +144,7 @@ public:
   void extract_beside(Exec const& exec, Located const& located) {
     resize(exec);
     blur_pyramid(blur_branch_.fork(exec), pyramid_, blurred_, blur_layout_);
-    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    detect(exec);
     distribute_corners(exec, corners_, distribution_);
     order(exec);
     located(exec);
@@ -136,7 +156,7 @@ public:
   void extract(Exec const& exec, Mark&& mark) {
     resize(exec);
     mark("pyramid");
-    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    detect(exec);
     mark("corners");
     distribute_corners(exec, corners_, distribution_);
     mark("distribution");
@@ -145,6 +165,20 @@ public:
     order(exec);
     describe(exec);
     mark("descriptors");
+  }
+
+  /// Queues the pyramid and its blur alone, for describe_keypoints() of images of which no
+  /// keypoints are wanted.
+  void build_levels(Exec const& exec) {
+    resize(exec);
+    blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
+  }
+  /// Queues the description of keypoints from elsewhere, as the function of that name, in the
+  /// images of the last extract() or build_levels(). @param keypoints executor memory, one batch
+  /// entry per image, any capacity @throws bad_argument for another batch
+  void describe_keypoints(Exec const& exec, described_view const& keypoints) const {
+    detail::require_range("batch of keypoints", keypoints.batch, batch_, batch_);
+    ft::describe_keypoints(exec, pyramid_, blurred_, pattern_, keypoints);
   }
 
   // Views into executor memory, valid as long as the extractor.
@@ -173,8 +207,27 @@ private:
   void order(Exec const& exec) {
     order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_);
   }
+  void detect(Exec const& exec) {
+    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    if (has_masks()) { mask_corners(exec, geometry_, masks_, corners_); }
+  }
+  bool has_masks() const { return masks_.data != nullptr; }
+  std::size_t mask_bytes() const {
+    return static_cast<std::size_t>(masks_.width) * static_cast<std::size_t>(masks_.height);
+  }
   void describe(Exec const& exec) {
     describe_corners(exec, pyramid_, blurred_, distribution_, pattern_, place_, keypoints_);
+  }
+
+  /// @throws bad_argument for another size or a stride below the width
+  static void require_size(std::string const& name, gray_view view, int width, int height) {
+    if (view.width != width || view.height != height) {
+      throw bad_argument("ft: the " + name + " is " + std::to_string(view.width) + "x" +
+                         std::to_string(view.height) + ", the extractor was made for " +
+                         std::to_string(width) + "x" + std::to_string(height));
+    }
+    detail::require_range((name + " stride").c_str(), view.stride, view.width,
+                          std::numeric_limits<int>::max());
   }
 
   static orb_params const& checked(orb_params const& p, int batch,
@@ -182,6 +235,10 @@ private:
     detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
     detail::require_range("min_threshold", p.min_threshold, 0, 255);
     detail::require_range("batch", batch, 1, 4096);
+    detail::require_range("mask_width", p.mask_width, 0, max_image_side);
+    detail::require_range("mask_height", p.mask_height, 0, max_image_side);
+    detail::require((p.mask_width == 0) == (p.mask_height == 0),
+                    "mask_width and mask_height are both 0 or both above it");
     detail::require(overlaps.empty() || overlaps.size() == static_cast<std::size_t>(batch),
                     "give one stereo overlap per image, or none");
     for (std::size_t i = 0; i < overlaps.size(); ++i) {
@@ -202,6 +259,7 @@ private:
   image_pyramid_view pyramid_;
   image_pyramid_view blurred_;
   corners_view corners_;
+  corner_masks_view masks_;
   distribution_view distribution_;
   keypoints_view keypoints_;
   resize_tap* taps_ = nullptr;

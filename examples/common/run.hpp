@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What the examples share: the executor they run on, and small conversions. The same source
+/// runs on the host where a C++ compiler makes the program, and on a GPU where nvcc does.
+#pragma once
+
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <string>
+
+#include "examples/common/scene.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/views.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+
+namespace demo {
+
+/// The exit status that says "skipped" to ctest.
+constexpr int skipped = 77;
+
+inline ft::gray_view view(grey_image const& image) {
+  return {image.pixels.data(), image.width, image.height, image.width};
+}
+
+inline ft::orb_params params_for(grey_image const& image) {
+  ft::orb_params params;
+  params.width = image.width;
+  params.height = image.height;
+  return params;
+}
+
+#if defined(__CUDACC__)
+
+/// A stream with an owner, as a program of your own has them.
+class stream {
+public:
+  stream() {
+    ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
+                      "cudaStreamCreateWithFlags");
+  }
+  stream(stream const&) = delete;
+  stream& operator=(stream const&) = delete;
+  ~stream() { static_cast<void>(cudaStreamDestroy(stream_)); }
+  cudaStream_t get() const { return stream_; }
+
+private:
+  cudaStream_t stream_ = nullptr;
+};
+
+inline bool has_device() {
+  int devices = 0;
+  return cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
+}
+
+/// Says so. @return skipped; a failure where FT_REQUIRE_GPU=1 asks for a device
+inline int no_device() {
+  std::puts("no CUDA device was found: nothing was run");
+  char const* const required = std::getenv("FT_REQUIRE_GPU");
+  return required != nullptr && std::string(required) == "1" ? EXIT_FAILURE : skipped;
+}
+
+#endif
+
+/// Runs the body of an example and says what it throws. @return the program's exit status
+template <typename Body>
+int guarded(Body const& body) {
+  try {
+    return body();
+  } catch (std::exception const& e) {
+    std::fprintf(stderr, "%s\n", e.what());
+    return EXIT_FAILURE;
+  }
+}
+
+/// Calls work(executor): a stream of a GPU where this is compiled as CUDA, else the host's threads.
+template <typename Work>
+int run(Work const& work) {
+  return guarded([&] {
+#if defined(__CUDACC__)
+    if (!has_device()) { return no_device(); }
+    stream const mine;
+    return work(ft::cuda_exec(mine.get()));
+#else
+    return work(ft::host_exec());
+#endif
+  });
+}
+
+/// Says whether an example found what it should. @return the program's exit status
+inline int verdict(bool good) {
+  if (!good) { std::puts("that is not what was expected"); }
+  return good ? EXIT_SUCCESS : EXIT_FAILURE;
+}
+
+}  // namespace demo

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The least that follows a stereo camera with ft::frame_tracker: points of stereo depth,
+/// searched in every frame, and new ones where tracking runs short. No keyframe graph, no
+/// adjustment: examples/track_sequence has more.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "examples/common/run.hpp"
+#include "examples/common/scene.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/pipelines/frame_tracker.hpp"
+
+namespace demo {
+
+template <typename Exec>
+class simple_odometry {
+public:
+  simple_odometry(Exec const& exec, scene const& scene)
+      : exec_(exec), tracker_(exec, rig_of(scene), params_of(scene)) {
+    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
+  }
+
+  /// Waits for the frame's result. The world is the first frame's left camera.
+  /// @return map points that agree with the pose; the first frame: points made
+  int track(image_pair const& images) {
+    tracker_.set_image(0, 0, view(images.left));
+    tracker_.set_image(0, 1, view(images.right));
+    if (points_ == 0) {
+      tracker_.extract(exec_);  // there is nothing to search for yet
+      exec_.wait();
+      return add_points();
+    }
+
+    // What the tracker wants to know: where the camera is expected, where it was, what the
+    // keypoints of the last frame hold, and which points may be in view.
+    tracker_.predicted()[0] = velocity_ * T_cw_;
+    tracker_.last_pose()[0] = T_cw_;
+    std::copy(held_.begin(), held_.end(), tracker_.last_holder());
+    tracker_.stamp()[0] = ++frame_;
+    int const local = std::min(points_, tracker_.params().local_points);
+    tracker_.local_count()[0] = local;
+    for (int i = 0; i < local; ++i) { tracker_.local_slots()[i] = points_ - local + i; }
+
+    // Features, stereo, both searches and pose optimisations: on a GPU one launch of a graph.
+    tracker_.track(exec_);
+    exec_.wait();
+
+    auto const& result = tracker_.result();
+    ft::pose const T_cw = result.T_cw[0].orthonormalized();  // or rounding errors double each frame
+    velocity_ = (T_cw * T_cw_.inverse()).orthonormalized();
+    T_cw_ = T_cw;
+    std::copy_n(result.holder, held_.size(), held_.begin());
+    if (result.inliers[0] < enough_inliers) { add_points(); }
+    return result.inliers[0];
+  }
+
+  ft::pose const& T_cw() const { return T_cw_; }
+  int points() const { return points_; }
+
+private:
+  static constexpr int enough_inliers = 250;  ///< with fewer, points are added
+  static constexpr float far = 6;             ///< metres: stereo depth grows unreliable beyond
+
+  static ft::rectified_rig rig_of(scene const& scene) {
+    auto const [fx, fy, cx, cy] = scene.intrinsics();
+    return ft::rectified_rig::make({fx, fy, cx, cy}, scene.baseline());
+  }
+  static ft::tracker_params params_of(scene const& scene) {
+    ft::tracker_params params;
+    params.orb.width = scene.width();
+    params.orb.height = scene.height();
+    params.map_slots = 1 << 16;
+    params.local_points = 4000;
+    return params;
+  }
+
+  /// A map point of every near keypoint that holds none.
+  int add_points() {
+    auto const& result = tracker_.result();
+    std::vector<ft::descriptor> descriptors(held_.size());
+    tracker_.download_descriptors(exec_, 0, descriptors.data(), result.keypoints[0]);
+    exec_.wait();
+
+    auto const& scale = tracker_.geometry().scale;
+    float const coarsest = scale[tracker_.geometry().levels - 1];
+    std::vector<ft::point_update> made;
+    for (int i = 0; i < result.keypoints[0]; ++i) {
+      int& slot = held_[static_cast<std::size_t>(i)];
+      bool const room = points_ < tracker_.params().map_slots;
+      if (slot >= 0 || !(result.depth[i] > 0 && result.depth[i] < far) || !room) { continue; }
+      slot = points_++;
+      ft::point_update u;
+      u.slot = slot;
+      u.observations = 1;
+      u.position = T_cw_.inverse() * result.point[i];
+      auto const ray = u.position - T_cw_.centre();
+      float const distance = std::sqrt(ft::dot(ray, ray));
+      u.normal = {ray.x / distance, ray.y / distance, ray.z / distance};
+      // Where the pyramid has a level at which the point looks as it does here.
+      u.max_distance = distance * scale[result.octave[i]];
+      u.min_distance = u.max_distance / coarsest;
+      u.orb = descriptors[static_cast<std::size_t>(i)];
+      made.push_back(u);
+    }
+    tracker_.update_map(exec_, 0, made.data(), static_cast<int>(made.size()));
+    exec_.wait();
+    return static_cast<int>(made.size());
+  }
+
+  Exec exec_;
+  ft::frame_tracker<Exec> tracker_;
+  std::vector<int> held_;  ///< slot of the map point that each keypoint of the last frame holds
+  ft::pose T_cw_ = ft::pose::identity();
+  ft::pose velocity_ = ft::pose::identity();  ///< T_cw of a frame times the inverse of the last
+  int points_ = 0;
+  int frame_ = 0;
+};
+
+}  // namespace demo

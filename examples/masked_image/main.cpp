@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Keeps keypoints out of a part of the image. The mask is small, as a segmentation network gives
+// it: it is stretched over the image. It may be another one for every image.
+//   masked_image [OUT.png]
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "examples/common/picture.hpp"
+#include "examples/common/run.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+
+/// 0 in the lower fifth, where a robot sees itself, and in a box; elsewhere 255.
+demo::grey_image make_mask(int width, int height) {
+  demo::grey_image mask{width, height, {}};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      bool const robot = 5 * y >= 4 * height;
+      bool const box = 4 * x >= width && 2 * x < width && 4 * y >= height && 2 * y < height;
+      mask.pixels.push_back(static_cast<std::uint8_t>(robot || box ? 0 : 255));
+    }
+  }
+  return mask;
+}
+
+template <typename Exec>
+int extract(Exec const& exec, demo::grey_image const& image, std::string const& path) {
+  demo::grey_image const mask = make_mask(94, 60);
+
+  // The size of the masks is said beforehand, so that their memory is there.
+  ft::orb_params params = demo::params_for(image);
+  params.mask_width = mask.width;
+  params.mask_height = mask.height;
+  ft::orb_extractor<Exec> orb(exec, params, 1);
+  orb.set_mask(exec, 0, demo::view(mask));  // until the next mask
+  orb.upload(exec, 0, demo::view(image));
+  orb.extract(exec);
+  ft::keypoints<ft::staging_space<Exec>> const found(orb.capacity());
+  ft::copy(exec, found.view(), orb.keypoints());
+  exec.wait();
+
+  // The mask as large as the image, to draw and to check.
+  std::vector<std::uint8_t> allowed;
+  for (int y = 0; y < image.height; ++y) {
+    for (int x = 0; x < image.width; ++x) {
+      allowed.push_back(mask.pixels[static_cast<std::size_t>(
+          y * mask.height / image.height * mask.width + x * mask.width / image.width)]);
+    }
+  }
+  demo::picture picture(image);
+  picture.shade(allowed, {200, 0, 0});
+  int outside = 0;
+  for (int i = 0; i < *found.view().count; ++i) {
+    float const x = ft::get<ft::field::x>(found.view(), i);
+    float const y = ft::get<ft::field::y>(found.view(), i);
+    picture.disc(x, y, 2, {0, 255, 0});
+    // A keypoint of a coarse level stands for a pixel as large as its scale: only those of the
+    // finest level are exact.
+    if (ft::get<ft::field::octave>(found.view(), i) == 0) {
+      outside += static_cast<int>(
+          allowed[static_cast<std::size_t>(y) * static_cast<std::size_t>(image.width) +
+                  static_cast<std::size_t>(x)] == 0);
+    }
+  }
+  picture.write_png(path);
+  std::printf("%d keypoints, %d of the finest level where none should be, in %s\n",
+              *found.view().count, outside, path.c_str());
+  return demo::verdict(*found.view().count > 500 && outside == 0);
+}
+
+int main(int argc, char** argv) {
+  return demo::run([&](auto const& exec) {
+    return extract(exec, demo::scene(100).render(60).left, argc > 1 ? argv[1] : "masked.png");
+  });
+}

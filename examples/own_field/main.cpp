@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: Apache-2.0
+// A container with a field of one's own, filled by a stage of one's own and sorted by Thrust: the
+// strongest keypoint of each tile of the image. Thrust comes with the CUDA toolkit, so this one is
+// compiled by nvcc alone; it runs on the host, and on a GPU where there is one.
+#include <thrust/execution_policy.h>
+#include <thrust/sort.h>
+#include <thrust/unique.h>
+
+#include <cstdio>
+
+#include "examples/common/run.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/soa.hpp"
+#include "ft/interop/thrust.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+
+/// A field is a type with a `type`. It names a column; the container holds one array of each.
+struct tile {  ///< number of the image's tile, row by row
+  using type = int;
+};
+using tiled_view = ft::soa_view<ft::field::x, ft::field::y, ft::field::response, tile>;
+template <ft::memory_space Space>
+using tiled_keypoints = ft::soa<Space, ft::field::x, ft::field::y, ft::field::response, tile>;
+
+constexpr int tile_size = 80;  // pixels
+
+/// A stage: what is done to one item. The executor runs it for all, on threads or on a GPU.
+struct assign_tile {
+  using scratch = ft::no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, tiled_view const& keypoints,
+                                 int tiles_per_row) const {
+    int const column = static_cast<int>(ft::get<ft::field::x>(keypoints, i)) / tile_size;
+    int const row = static_cast<int>(ft::get<ft::field::y>(keypoints, i)) / tile_size;
+    ft::get<tile>(keypoints, i) = row * tiles_per_row + column;
+  }
+};
+
+auto thrust_policy(ft::host_exec const&) { return thrust::host; }
+auto thrust_policy(ft::cuda_exec const& exec) { return thrust::cuda::par.on(exec.stream); }
+
+/// By tile, in a tile the strongest first; equals by place, so that the order is the same anywhere.
+struct in_front {
+  template <typename A, typename B>  // tuples of values or of references
+  FT_HOST_DEVICE bool operator()(A const& a, B const& b) const {
+    if (thrust::get<0>(a) != thrust::get<0>(b)) { return thrust::get<0>(a) < thrust::get<0>(b); }
+    if (thrust::get<1>(a) != thrust::get<1>(b)) { return thrust::get<1>(a) > thrust::get<1>(b); }
+    if (thrust::get<2>(a) != thrust::get<2>(b)) { return thrust::get<2>(a) < thrust::get<2>(b); }
+    return thrust::get<3>(a) < thrust::get<3>(b);
+  }
+};
+struct same_tile {
+  template <typename A, typename B>  // tuples of values or of references
+  FT_HOST_DEVICE bool operator()(A const& a, B const& b) const {
+    return thrust::get<0>(a) == thrust::get<0>(b);
+  }
+};
+
+/// @return the sum of the responses kept, or -1 where something is wrong
+template <typename Exec>
+double strongest_of_tiles(Exec const& exec, demo::grey_image const& image) {
+  ft::orb_extractor<Exec> orb(exec, demo::params_for(image), 1);
+  orb.upload(exec, 0, demo::view(image));
+  orb.extract(exec);
+
+  // A view of fewer fields is made from one of more, so the plain columns can be copied over.
+  using plain = ft::soa_view<ft::field::x, ft::field::y, ft::field::response>;
+  tiled_keypoints<Exec::space> const mine(orb.capacity());
+  ft::copy(exec, plain(mine.view()), plain(orb.keypoints()));
+
+  int count = 0;  // Thrust wants to know on the host how many there are
+  ft::copy(exec, &count, mine.view().count, 1);
+  exec.wait();
+  ft::for_each_item<ft::per_thread>(exec, count, assign_tile{}, mine.view(),
+                                    (image.width + tile_size - 1) / tile_size);
+
+  // zip_begin makes tuples of columns. Thrust works on the same stream, after the stage.
+  auto const policy = thrust_policy(exec);
+  auto const first =
+      ft::zip_begin<tile, ft::field::response, ft::field::x, ft::field::y>(mine.view());
+  thrust::sort(policy, first, first + count, in_front{});
+  auto const last = thrust::unique(policy, first, first + count, same_tile{});
+  int const kept = static_cast<int>(last - first);
+
+  tiled_keypoints<ft::staging_space<Exec>> const found(orb.capacity());
+  ft::copy(exec, found.view(), mine.view());
+  exec.wait();
+  double sum = 0;
+  bool rising = true;
+  for (int i = 0; i < kept; ++i) {
+    sum += static_cast<double>(ft::get<ft::field::response>(found.view(), i));
+    rising =
+        rising && (i == 0 || ft::get<tile>(found.view(), i - 1) < ft::get<tile>(found.view(), i));
+  }
+  std::printf("%d keypoints, the strongest of %d tiles, responses add up to %.0f\n", count, kept,
+              sum);
+  return rising && kept > 20 && kept < count ? sum : -1;
+}
+
+int main() {
+  return demo::guarded([] {
+    auto const image = demo::scene(100).render(60).left;
+    double const host = strongest_of_tiles(ft::host_exec(), image);
+    if (!demo::has_device()) {
+      std::puts("no CUDA device was found: run on the host alone");
+      return demo::verdict(host > 0);
+    }
+    demo::stream const mine;
+    return demo::verdict(host > 0 && strongest_of_tiles(ft::cuda_exec(mine.get()), image) == host);
+  });
+}

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: corners where an image may have none are dropped, before the others are
+/// distributed.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/corners.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// One mask per image of a batch, all of one size, which need not be the images': a mask is
+/// stretched over its image. 0 = no corner here, anything else = as without a mask.
+struct corner_masks_view {
+  std::uint8_t* data = nullptr;  ///< [batch][height][width]; null = no masks
+  int width = 0;
+  int height = 0;
+  int batch = 0;
+
+  FT_HOST_DEVICE image_view<std::uint8_t> mask(int image) const {
+    return {data + static_cast<std::ptrdiff_t>(image) * width * height, width, height, width};
+  }
+  /// What the mask says at the centre of pixel (x, y) of a level of w x h pixels: the nearest mask
+  /// pixel counts. Every level is compared with the mask itself, so that levels agree.
+  FT_HOST_DEVICE bool allows(int image, int x, int y, int w, int h) const {
+    return mask(image)((2 * x + 1) * width / (2 * w), (2 * y + 1) * height / (2 * h)) != 0;
+  }
+};
+static_assert(std::is_trivially_copyable<corner_masks_view>::value, "passed to kernels");
+
+/// Places the masks into an arena; none where width or height is 0.
+inline void carve(carver& c, corner_masks_view& v, int width, int height, int batch) {
+  if (width == 0 || height == 0) { return; }
+  v.width = width;
+  v.height = height;
+  v.batch = batch;
+  std::size_t const pixels =
+      detail::checked_mul(static_cast<std::size_t>(width), static_cast<std::size_t>(height));
+  v.data = c.take<std::uint8_t>(detail::checked_mul(pixels, static_cast<std::size_t>(batch)));
+}
+
+/// The list of one level of one image: what the mask allows moves up, in its order.
+struct mask_level {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, pyramid_geometry const& geometry,
+                                 corner_masks_view const& masks,
+                                 corners_view const& corners) const {
+    int const image = item / corners.layout.levels;
+    int const l = item % corners.layout.levels;
+    corner* const list = corners.level_list(image, l);
+    int const n = corners.list_count[item];
+    int kept = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      corner const c = i < n ? list[i] : corner{};
+      bool const keep = i < n && masks.allows(image, c.x + corner_border, c.y + corner_border,
+                                              geometry.width[l], geometry.height[l]);
+      int total = 0;
+      int const rank = g.exclusive_scan(static_cast<int>(keep), total);
+      g.sync();  // all have read before one writes
+      if (keep) { list[kept + rank] = c; }
+      kept += total;
+    }
+    g.sync();
+    if (g.rank() == 0) { corners.list_count[item] = kept; }
+  }
+};
+
+/// Drops the corners that the masks exclude from `corners.list`. The mask does not change which
+/// corners are found, nor the choice of a cell's threshold: what is left is what would be found
+/// without it. Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void mask_corners(Exec const& exec, pyramid_geometry const& geometry,
+                  corner_masks_view const& masks, corners_view const& corners) {
+  for_each_item<per_block<256>>(exec, corners.batch * corners.layout.levels, mask_level{}, geometry,
+                                masks, corners);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: orientation and descriptor of keypoints that another detector has found. Source:
+/// specification section 4.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/descriptor.hpp"
+#include "ft/kernels/orientation.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// What is read (x, y, octave) and written (angle, orb) of keypoints from elsewhere.
+using described_view = soa_view<field::x, field::y, field::octave, field::angle, field::orb>;
+
+/// One keypoint: the pixel of its level that is nearest to it is described.
+struct describe_keypoint {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
+                                 image_pyramid_view const& blurred, pattern_pair const* pattern,
+                                 described_view const& keypoints) const {
+    int const image = item / keypoints.capacity;
+    if (item % keypoints.capacity >= keypoints.count[image]) { return; }
+    auto* const bytes = reinterpret_cast<unsigned char*>(&get<field::orb>(keypoints, item));
+    int const l = get<field::octave>(keypoints, item);
+    pixel const at = nearest_pixel(pyramid.geometry, get<field::x>(keypoints, item),
+                                   get<field::y>(keypoints, item), l);
+    if (!at.valid) {
+      if (g.rank() == 0) { get<field::angle>(keypoints, item) = -1; }
+      for (int i = g.rank(); i < 32; i += g.size()) { bytes[i] = 0; }
+      return;
+    }
+    float const angle = orientation(g, pyramid.level(image, l), at.x, at.y);
+    float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
+    float const a = static_cast<float>(::cos(static_cast<double>(radians)));
+    float const b = static_cast<float>(::sin(static_cast<double>(radians)));
+    for (int i = g.rank(); i < 32; i += g.size()) {
+      bytes[i] = static_cast<unsigned char>(
+          descriptor_byte(blurred.level(image, l), at.x, at.y, a, b, pattern, i));
+    }
+    if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
+  }
+
+private:
+  struct pixel {
+    int x, y;
+    bool valid;
+  };
+  /// Not valid where the octave is none, the position not finite, or the pattern leaves the level.
+  FT_HOST_DEVICE static pixel nearest_pixel(pyramid_geometry const& g, float x, float y, int l) {
+    if (l < 0 || l >= g.levels) { return {0, 0, false}; }
+    float const lx = detail::div(x, g.scale[l]);
+    float const ly = detail::div(y, g.scale[l]);
+    float const border = static_cast<float>(pattern_radius);
+    if (!(lx >= border && lx <= static_cast<float>(g.width[l]) - 1 - border && ly >= border &&
+          ly <= static_cast<float>(g.height[l]) - 1 - border)) {
+      return {0, 0, false};
+    }
+    return {round_to_even(lx), round_to_even(ly), true};
+  }
+};
+
+/// Angle (degrees, [0, 360]) and descriptor of keypoints given by x, y (pixels of the input image)
+/// and octave. A keypoint less than 18 pixels of its level from the border, one that is not finite
+/// or whose octave the pyramid has not gets the angle -1 and a descriptor of zeros.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param keypoints one batch entry per image of the pyramid; all in executor memory
+/// @param pattern [256], points within `pattern_radius`
+template <typename Exec>
+void describe_keypoints(Exec const& exec, image_pyramid_view const& pyramid,
+                        image_pyramid_view const& blurred, pattern_pair const* pattern,
+                        described_view const& keypoints) {
+  for_each_item<per_warp>(exec, keypoints.batch * keypoints.capacity, describe_keypoint{}, pyramid,
+                          blurred, pattern, keypoints);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,6 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "units.hpp"
+
+int first_count(unsigned char const* pixels, int width, int height) {
+  return count_on_all(pixels, width, height);
+}

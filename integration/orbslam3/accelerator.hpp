@@ -622,19 +622,18 @@ private:
     int const n = static_cast<int>(points.size());
     slots_ = device_->local_slots(n);
     recorded_.clear();
+    bool changed = false;
     for (int i = 0; i < n; ++i) {
       prefetch(points, i);
       map_point* const point = points[static_cast<std::size_t>(i)];
-      int const slot = mirror_.visit(point, -1);
-      slots_[i] = -1;
-      if (mirror_.bad(slot)) { continue; }
-      if (point->mnLastFrameSeen != frame.mnId) {
-        slots_[i] = slot;
-      } else if (settings_.reference_quirks &&
-                 !(far_points && point->mTrackDepth > far_threshold)) {
-        record(frame, *point, i, slot);
-      }
+      int const slot = mirror_.visit(point, slots_[i]);
+      bool const bad = mirror_.bad(slot);
+      bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
+      changed = replace(slots_[i], tested ? slot : -1) | changed;
+      bool const far = far_points && point->mTrackDepth > far_threshold;
+      if (settings_.reference_quirks && !tested && !bad && !far) { record(frame, *point, i, slot); }
     }
+    request.slots_changed = changed;
     request.points = n;
     request.recorded = static_cast<int>(recorded_.size());
     if (request.recorded > 0) {

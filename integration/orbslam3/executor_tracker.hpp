@@ -183,6 +183,7 @@ template <typename Exec, typename Rig>
 class executor_tracker : public device_tracker {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
+  static constexpr int no_slot_yet = -2;  ///< differs from what any caller writes
   static constexpr int searched = Rig::rectified ? 1 : 2;
 
 public:
@@ -410,7 +411,7 @@ public:
     *staged_count_ = r.points;
     up_.add(exec_, poses_, staged_poses_, 1);
     up_.add(exec_, slot_count_, staged_count_, 1);
-    up_.add(exec_, slots_, staged_slots_, r.points);
+    if (r.slots_changed) { up_.add(exec_, slots_, staged_slots_, r.points); }
     stage_recorded(r);
     begin();
     make_grid(current, r.image);
@@ -598,6 +599,7 @@ private:
       staged_sights_ = c.take<visibility>(searched * all);
       staged_windows_ = c.take<recorded_window>(searched * all);
     });
+    std::fill_n(staged_slots_, n, no_slot_yet);
     local_capacity_ = n;
     reserve_windows(n);
   }

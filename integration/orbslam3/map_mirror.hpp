@@ -33,6 +33,7 @@ enum class change_detection {
 /// stored one or its neighbour: 2^-23 off at most.
 inline float unscaled(float scaled, float factor) {
   float const quotient = scaled / factor;
+  if (!std::isfinite(quotient)) { return quotient; }
   float candidate = quotient;
   for (int step = 0; step < 2; ++step) {
     candidate = std::nextafter(candidate, -std::numeric_limits<float>::infinity());

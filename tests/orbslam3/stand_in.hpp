@@ -119,6 +119,11 @@ public:
     std::lock_guard<std::mutex> const lock(position_mutex_);
     return 1.2f * max_distance_;
   }
+  /// Not public in the original.
+  float raw_max_distance() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return max_distance_;
+  }
   matrix GetDescriptor() {
     std::lock_guard<std::mutex> const lock(features_mutex_);
     return descriptor_.clone();

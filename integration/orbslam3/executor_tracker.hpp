@@ -50,7 +50,7 @@ inline transform to_transform(pose const& p) {
   return T;
 }
 
-/// The settings' cameras. A single kannala_brandt camera is a pair whose right one has no
+/// The settings' cameras. A single kannala_brandt camera is a pair without baseline whose right one has no
 /// keypoints. @throws bad_argument
 template <typename Rig>
 Rig rig_of(settings const& s) {
@@ -65,7 +65,7 @@ Rig rig_of(settings const& s) {
     fisheye_rig rig{{l[0], l[1], l[2], l[3], l[4], l[5], l[6], l[7]},
                     {r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7]},
                     to_pose(s.T_rl)};
-    if (s.images == 1) { rig.T_rl = {mat3<float>::identity(), {-1.0f, 0.0f, 0.0f}}; }
+    if (s.images == 1) { rig.T_rl = {mat3<float>::identity(), {-1e-6f, 0.0f, 0.0f}}; }
     rig.check();
     require_invertible(rig.left, s.width, s.height, 0.25);
     require_invertible(rig.right, s.width, s.height, 0.25);

@@ -414,7 +414,7 @@ private:
 
   /// The buffer that has a frame, -1 = none.
   int find(frame_type const& frame) const {
-    for (int b = 0; b < device_tracker::buffers; ++b) {
+    for (int const b : {newest_, 1 - newest_}) {
       resident const& r = resident_[b];
       if (r.there && r.id == frame.mnId && looks_like(b, frame)) { return b; }
     }

@@ -10,6 +10,7 @@
 #include <cstring>
 #include <iterator>
 #include <limits>
+#include <unordered_map>
 #include <vector>
 
 #include "integration/orbslam3/change_queue.hpp"
@@ -55,7 +56,8 @@ struct point_fields {
   bool observed;
 };
 
-/// For one tracking thread; reads map points through their own locked functions.
+/// For one tracking thread; reads map points through their own locked functions. Map points live
+/// until clear(): ORB-SLAM3 takes bad ones off its lists and keeps them in memory.
 template <typename MapPoint>
 class map_mirror {
 public:
@@ -72,9 +74,11 @@ public:
     if (detection_ != change_detection::hooks) { return; }
     changes_.take(taken_);
     for (MapPoint* const point : taken_) {
-      int const slot = find(point);
+      // By address: what is not known yet may still be under construction, and is left alone.
+      auto const known = slot_by_address_.find(point);
+      if (known == slot_by_address_.end()) { continue; }
       // Pushed twice: read once.
-      if (slot >= 0 && entries_[index(slot)].read_in != call_) { refresh(slot); }
+      if (entries_[index(known->second)].read_in != call_) { refresh(known->second); }
     }
   }
 
@@ -155,6 +159,7 @@ private:
     std::size_t const id = point->mnId;
     if (id >= slot_of_.size()) { slot_of_.resize(id + id / 2 + 1024, -1); }
     slot_of_[id] = slot;
+    slot_by_address_[point] = slot;
     entry& e = entries_[index(slot)];
     e.owner = point;
     e.id = id;
@@ -240,6 +245,8 @@ private:
   void release(int slot) {
     entry& e = entries_[index(slot)];
     if (slot_of_[e.id] == slot) { slot_of_[e.id] = -1; }
+    auto const known = slot_by_address_.find(e.owner);
+    if (known != slot_by_address_.end() && known->second == slot) { slot_by_address_.erase(known); }
     e.owner = nullptr;
     e.bad = false;
     free_.push_back(slot);
@@ -272,6 +279,7 @@ private:
   std::vector<entry> entries_;  ///< by slot
   std::vector<int> free_;
   std::vector<int> slot_of_;  ///< by MapPoint::mnId; -1 = none
+  std::unordered_map<MapPoint const*, int> slot_by_address_;
   unsigned long call_ = 0;
   map_change change_;
   std::vector<std::uint32_t> positions_;

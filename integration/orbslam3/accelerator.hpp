@@ -621,17 +621,19 @@ private:
                     std::vector<map_point*> const& points, bool far_points, float far_threshold) {
     int const n = static_cast<int>(points.size());
     slots_ = device_->local_slots(n);
+    likely_.resize(points.size(), -1);
     recorded_.clear();
     bool changed = false;
     for (int i = 0; i < n; ++i) {
       prefetch(points, i);
       map_point* const point = points[static_cast<std::size_t>(i)];
-      int const slot = mirror_.visit(point, slots_[i]);
+      int& slot = likely_[static_cast<std::size_t>(i)];
+      slot = mirror_.visit(point, slot);
       bool const bad = mirror_.bad(slot);
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
       changed = replace(slots_[i], tested ? slot : -1) | changed;
-      bool const far = far_points && point->mTrackDepth > far_threshold;
-      if (settings_.reference_quirks && !tested && !bad && !far) { record(frame, *point, i, slot); }
+      if (tested || bad || !settings_.reference_quirks) { continue; }
+      if (!far_points || point->mTrackDepth <= far_threshold) { record(frame, *point, i, slot); }
     }
     request.slots_changed = changed;
     request.points = n;
@@ -733,6 +735,7 @@ private:
   resident resident_[device_tracker::buffers];
   int newest_ = 0;
   int* slots_ = nullptr;
+  std::vector<int> likely_;  ///< slots of the last local map: most are in the same place again
   std::vector<recorded_sight> recorded_;
   std::vector<int> held_before_;
   statistics statistics_{};

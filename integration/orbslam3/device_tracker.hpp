@@ -50,8 +50,8 @@ public:
   virtual void reserve_map(int slots) = 0;
   /// Queues changes of map points. @param words as map_change says; free on return
   virtual void change_map(map_change const& change, std::uint32_t const* words) = 0;
-  /// Slots of a local map of up to `points`, to be filled in by the caller: those of the last request
-  /// until then; grows where necessary.
+  /// Slots of a local map of up to `points`, to be filled in by the caller: those of the last
+  /// request until then; grows where necessary.
   virtual int* local_slots(int points) = 0;
   /// Room for `count` of them.
   virtual recorded_sight* recorded_sights(int count) = 0;

@@ -50,8 +50,8 @@ inline transform to_transform(pose const& p) {
   return T;
 }
 
-/// The settings' cameras. A single kannala_brandt camera is a pair without baseline whose right one has no
-/// keypoints. @throws bad_argument
+/// The settings' cameras. A single kannala_brandt camera is a pair without baseline whose right one
+/// has no keypoints. @throws bad_argument
 template <typename Rig>
 Rig rig_of(settings const& s) {
   float const* const l = s.left.values;

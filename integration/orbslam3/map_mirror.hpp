@@ -78,7 +78,7 @@ public:
       auto const known = slot_by_address_.find(point);
       if (known == slot_by_address_.end()) { continue; }
       // Pushed twice: read once.
-      if (entries_[index(known->second)].read_in != call_) { refresh(known->second); }
+      if (records_[index(known->second)].read_in != call_) { refresh(known->second); }
     }
   }
 
@@ -88,7 +88,7 @@ public:
     int slot = holds(likely, point) ? likely : find(point);
     if (slot < 0) {
       slot = add(point);
-    } else if (detection_ == change_detection::compare && entries_[index(slot)].read_in != call_) {
+    } else if (detection_ == change_detection::compare && records_[index(slot)].read_in != call_) {
       refresh(slot);
     }
     entries_[index(slot)].used_in = call_;
@@ -130,16 +130,20 @@ public:
   int size() const { return capacity() - static_cast<int>(free_.size()); }
 
 private:
+  /// What every call looks at: small, so that those of a local map stay in a cache.
   struct entry {
     MapPoint* owner = nullptr;
-    std::size_t id = 0;
-    point_fields sent{};
-    float shown[2] = {};        ///< the limits as the map point shows them
-    unsigned long read_in = 0;  ///< call
-    unsigned long used_in = 0;
+    std::uint32_t used_in = 0;  ///< call
     bool bad = false;
   };
-  static constexpr unsigned long keep_unused = 1000;  ///< calls
+  /// What is looked at where a point is read.
+  struct record {
+    std::size_t id = 0;
+    std::uint32_t read_in = 0;  ///< call
+    float shown[2] = {};        ///< the limits as the map point shows them
+    point_fields sent{};
+  };
+  static constexpr std::uint32_t keep_unused = 1000;  ///< calls
 
   static std::size_t index(int slot) { return static_cast<std::size_t>(slot); }
   static int count(std::vector<std::uint32_t> const& words, int each) {
@@ -160,22 +164,21 @@ private:
     if (id >= slot_of_.size()) { slot_of_.resize(id + id / 2 + 1024, -1); }
     slot_of_[id] = slot;
     slot_by_address_[point] = slot;
-    entry& e = entries_[index(slot)];
-    e.owner = point;
-    e.id = id;
-    read(e);
-    send_position(slot, e.sent);
-    send_view(slot, e.sent);
-    send_descriptor(slot, e.sent);
-    send_observed(slot, e.sent);
+    entries_[index(slot)].owner = point;
+    record& r = records_[index(slot)];
+    r.id = id;
+    read(slot);
+    send_position(slot, r.sent);
+    send_view(slot, r.sent);
+    send_descriptor(slot, r.sent);
+    send_observed(slot, r.sent);
     return slot;
   }
 
   void refresh(int slot) {
-    entry& e = entries_[index(slot)];
-    point_fields const before = e.sent;
-    read(e);
-    point_fields const& now = e.sent;
+    point_fields const before = records_[index(slot)].sent;
+    read(slot);
+    point_fields const& now = records_[index(slot)].sent;
     if (differ(before.position, now.position)) { send_position(slot, now); }
     if (differ(before.normal, now.normal) || differ(before.limits, now.limits)) {
       send_view(slot, now);
@@ -185,9 +188,10 @@ private:
   }
 
   /// By the functions that the system's own code calls, each with its lock.
-  void read(entry& e) {
-    MapPoint& p = *e.owner;
-    point_fields& f = e.sent;
+  void read(int slot) {
+    MapPoint& p = *owner(slot);
+    record& r = records_[index(slot)];
+    point_fields& f = r.sent;
     auto const position = p.GetWorldPos();
     auto const normal = p.GetNormal();
     for (int i = 0; i < 3; ++i) {
@@ -198,9 +202,9 @@ private:
     float const highest = p.GetMaxDistanceInvariance();
     // Divided again only where it has changed.
     float const shown[2] = {lowest, highest};
-    if (differ(e.shown, shown)) {
-      e.shown[0] = lowest;
-      e.shown[1] = highest;
+    if (differ(r.shown, shown)) {
+      r.shown[0] = lowest;
+      r.shown[1] = highest;
       f.limits[0] = unscaled(lowest, 0.8f);
       f.limits[1] = unscaled(highest, 1.2f);
     }
@@ -209,8 +213,8 @@ private:
       std::memcpy(f.descriptor, descriptor.data, sizeof f.descriptor);
     }
     f.observed = p.Observations() > 0;
-    e.bad = p.isBad();
-    e.read_in = call_;
+    entries_[index(slot)].bad = p.isBad();
+    r.read_in = call_;
   }
 
   void send_position(int slot, point_fields const& f) {
@@ -244,7 +248,8 @@ private:
 
   void release(int slot) {
     entry& e = entries_[index(slot)];
-    if (slot_of_[e.id] == slot) { slot_of_[e.id] = -1; }
+    int& listed = slot_of_[records_[index(slot)].id];
+    if (listed == slot) { listed = -1; }
     auto const known = slot_by_address_.find(e.owner);
     if (known != slot_by_address_.end() && known->second == slot) { slot_by_address_.erase(known); }
     e.owner = nullptr;
@@ -257,7 +262,7 @@ private:
   void make_room() {
     for (int slot = 0; slot < capacity(); ++slot) {
       entry const& e = entries_[index(slot)];
-      bool const idle = e.used_in != call_ && e.read_in != call_;
+      bool const idle = e.used_in != call_ && records_[index(slot)].read_in != call_;
       if (idle && (e.bad || e.used_in + keep_unused < call_)) { release(slot); }
     }
     if (free_.size() < entries_.size() / 8 + 1) { grow(2 * capacity()); }
@@ -269,6 +274,7 @@ private:
     device_->reserve_map(capacity);
     int const first = this->capacity();
     entries_.resize(index(capacity));
+    records_.resize(index(capacity));
     for (int slot = capacity - 1; slot >= first; --slot) { free_.push_back(slot); }
   }
 
@@ -276,11 +282,12 @@ private:
   change_detection detection_;
   change_queue<MapPoint> changes_;
   std::vector<MapPoint*> taken_;
-  std::vector<entry> entries_;  ///< by slot
+  std::vector<entry> entries_;   ///< by slot
+  std::vector<record> records_;  ///< likewise
   std::vector<int> free_;
   std::vector<int> slot_of_;  ///< by MapPoint::mnId; -1 = none
   std::unordered_map<MapPoint const*, int> slot_by_address_;
-  unsigned long call_ = 0;
+  std::uint32_t call_ = 0;
   map_change change_;
   std::vector<std::uint32_t> positions_;
   std::vector<std::uint32_t> views_;

@@ -124,9 +124,9 @@ struct local_map_request {
   int buffer = 0;
   transform T_cw;
   bounds image{};
-  int points = 0;    ///< slots in local_slots(), -1 = not tested
+  int points = 0;             ///< slots in local_slots(), -1 = not tested
   bool slots_changed = true;  ///< since the last request
-  int recorded = 0;  ///< entries in recorded_sights()
+  int recorded = 0;           ///< entries in recorded_sights()
   float th = 1;
   float far_distance = 0;  ///< points beyond are not searched; 0 = no limit, metres
 };

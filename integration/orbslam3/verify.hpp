@@ -39,10 +39,10 @@ struct tolerances {
   double pose = 1e-4;    ///< of each entry
 };
 
-/// Makes each call twice: by the CPU's own code, then, from the same state, by the accelerator, whose
-/// answer stays. For finding faults, not for speed. Map points that another thread changes between the
-/// two calls show as differences; ORB-SLAM3 holds the map's update lock in Track(), which keeps their
-/// positions.
+/// Makes each call twice: by the CPU's own code, then, from the same state, by the accelerator,
+/// whose answer stays. For finding faults, not for speed. Map points that another thread changes
+/// between the two calls show as differences; ORB-SLAM3 holds the map's update lock in Track(),
+/// which keeps their positions.
 template <typename Types>
 class verifier {
 public:
@@ -246,8 +246,7 @@ private:
       }
     }
   }
-  void compare_points(frame_type const& frame, stage where,
-                      std::vector<map_point*> const& wanted) {
+  void compare_points(frame_type const& frame, stage where, std::vector<map_point*> const& wanted) {
     auto const id = [](map_point const* p) {
       return p == nullptr ? -1.0 : static_cast<double>(p->mnId);
     };

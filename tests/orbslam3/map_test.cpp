@@ -63,7 +63,8 @@ TEST_P(shim_traffic, of_a_frame_in_which_nothing_changed_has_no_map_data) {
     EXPECT_EQ(gpu.bytes().map, 0u);
     EXPECT_EQ(gpu.bytes().images, 0u);
     // Poses: two, one, one. The number of points. The current frame's holders, which were those of
-    // the whole frame and are empty again, are cleared by the search. The list of slots is as before.
+    // the whole frame and are empty again, are cleared by the search. The list of slots is as
+    // before.
     EXPECT_EQ(gpu.bytes().frame, 4u * 48 + 4);
     EXPECT_EQ(gpu.bytes().uploads, 3);
     EXPECT_EQ(gpu.bytes().downloads, 3);
@@ -156,11 +157,21 @@ TEST_P(shim_map, follows_points_that_move_change_and_go) {
       for (int i = 0; i < 60; ++i) {
         auto& p = *s.map[random() % s.map.size()];
         switch (random() % 5) {
-          case 0: p.SetWorldPos(p.GetWorldPos() + Eigen::Vector3f(0.01f, 0, -0.02f)); break;
-          case 1: p.set_view(p.GetNormal(), 0.5f, p.raw_max_distance() * 1.3f); break;
-          case 2: p.set_descriptor(s.random_descriptor().data()); break;
-          case 3: p.set_observations(static_cast<int>(random() % 2)); break;
-          default: p.Replace(s.map.front().get()); break;
+          case 0:
+            p.SetWorldPos(p.GetWorldPos() + Eigen::Vector3f(0.01f, 0, -0.02f));
+            break;
+          case 1:
+            p.set_view(p.GetNormal(), 0.5f, p.raw_max_distance() * 1.3f);
+            break;
+          case 2:
+            p.set_descriptor(s.random_descriptor().data());
+            break;
+          case 3:
+            p.set_observations(static_cast<int>(random() % 2));
+            break;
+          default:
+            p.Replace(s.map.front().get());
+            break;
         }
       }
       auto local = s.local_map();
@@ -226,7 +237,8 @@ TEST_P(shim_map, is_forgotten_by_a_reset) {
 
 INSTANTIATE_TEST_SUITE_P(executors, shim_map, ::testing::ValuesIn(executors()), executor_name);
 
-TEST(limits_of_distance, give_what_the_map_point_shows_and_are_the_stored_ones_or_their_neighbours) {
+TEST(limits_of_distance,
+     give_what_the_map_point_shows_and_are_the_stored_ones_or_their_neighbours) {
   std::mt19937 random(1);
   std::uniform_real_distribution<float> exponent(-6, 9);
   int other_than_stored = 0;
@@ -264,7 +276,9 @@ TEST(limits_of_distance, predict_another_octave_for_less_than_one_point_in_a_mil
     float const stored = std::exp2(exponent(random));
     float const distance = stored * fraction(random);
     float const found = ft::orbslam3::unscaled(1.2f * stored, 1.2f);
-    auto const octave = [&](float limit) { return std::ceil(std::log(limit / distance) / log_scale); };
+    auto const octave = [&](float limit) {
+      return std::ceil(std::log(limit / distance) / log_scale);
+    };
     others += static_cast<int>(octave(stored) != octave(found));
   }
   EXPECT_LE(others, points / 1000000);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Frustum and searches as loops over the stand-in types, read off sections 7 to 10 of
-/// docs/specification.md: what a system's own CPU code does. The oracle of the shim's tests, and the
-/// CPU's side where both are mixed or compared.
+/// docs/specification.md: what a system's own CPU code does. The oracle of the shim's tests, and
+/// the CPU's side where both are mixed or compared.
 #pragma once
 
 #include <Eigen/Core>
@@ -33,8 +33,8 @@ public:
       return {v[0] * P.x() / P.z() + v[2], v[1] * P.y() / P.z() + v[3]};
     }
     float const radius = std::sqrt(P.x() * P.x() + P.y() * P.y());
-    auto const theta = static_cast<float>(
-        std::atan2(static_cast<double>(radius), static_cast<double>(P.z())));
+    auto const theta =
+        static_cast<float>(std::atan2(static_cast<double>(radius), static_cast<double>(P.z())));
     float const t2 = theta * theta;
     float const t3 = theta * t2;
     float const t5 = t3 * t2;
@@ -182,8 +182,7 @@ private:
     float const cosine = view.dot(p.GetNormal()) / distance;
     if (!(cosine >= 0.5f)) { return none; }
     float const ratio = p.raw_max_distance() / distance;
-    int const level =
-        static_cast<int>(std::ceil(std::log(ratio) / std::log(s_.scale_factor)));
+    int const level = static_cast<int>(std::ceil(std::log(ratio) / std::log(s_.scale_factor)));
     return {uv.x(), uv.y(), Pc.z(), distance, cosine, std::clamp(level, 0, s_.levels - 1)};
   }
 
@@ -295,8 +294,8 @@ private:
 
   /// A last frame's point in one camera.
   void nearest(stand_in::frame& f, stand_in::map_point& p, int camera,
-               std::vector<std::size_t> const& candidates, float right_x, float radius,
-               float angle, std::vector<rotated>& taken) const {
+               std::vector<std::size_t> const& candidates, float right_x, float radius, float angle,
+               std::vector<rotated>& taken) const {
     auto const wanted = p.GetDescriptor();
     int best = 256;
     std::size_t best_k = 0;

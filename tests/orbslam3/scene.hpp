@@ -113,8 +113,7 @@ private:
     p->mnId = static_cast<unsigned long>(1000 + 3 * i);
     float const z = number(1.5f, 9.0f);
     Eigen::Vector3f const in_camera(number(-0.75f, 0.75f) * z, number(-0.55f, 0.55f) * z, z);
-    Eigen::Vector3f const P =
-        T_lw.rotationMatrix().transpose() * (in_camera - T_lw.translation());
+    Eigen::Vector3f const P = T_lw.rotationMatrix().transpose() * (in_camera - T_lw.translation());
     p->SetWorldPos(P);
     Eigen::Vector3f const centre = -(T_lw.rotationMatrix().transpose() * T_lw.translation());
     float const distance = (P - centre).norm();
@@ -145,8 +144,7 @@ private:
     int octave = static_cast<int>(random_() % static_cast<unsigned>(settings.levels));
     auto bits = random_descriptor();
     if (seen != nullptr) {
-      float const level =
-          std::ceil(std::log(seen->raw_max_distance() / distance) / std::log(1.2f));
+      float const level = std::ceil(std::log(seen->raw_max_distance() / distance) / std::log(1.2f));
       octave = std::clamp(static_cast<int>(level) - static_cast<int>(random_() % 2), 0,
                           settings.levels - 1);
       auto const own = seen->GetDescriptor();
@@ -257,9 +255,8 @@ private:
     f.mvDepth.assign(left.keypoints.size(), -1);
     for (std::size_t i = 0; i < left.keypoints.size(); ++i) {
       if (!chance(0.7)) { continue; }
-      float const z = left.points[i] == nullptr
-                          ? number(1, 9)
-                          : (R * left.points[i]->GetWorldPos() + t).z();
+      float const z =
+          left.points[i] == nullptr ? number(1, 9) : (R * left.points[i]->GetWorldPos() + t).z();
       f.mvDepth[i] = z;
       f.mvuRight[i] = left.keypoints[i].pt.x - settings.bf / z + number(-1, 1);
     }

@@ -249,9 +249,7 @@ TEST_P(shim_searches, take_a_local_map_of_any_size) {
 
 TEST_P(shim_searches, of_two_trackers_on_two_threads_do_not_meet) {
   std::vector<std::unique_ptr<ft::orbslam3::device_tracker>> devices;
-  for (int i = 0; i < 2; ++i) {
-    devices.push_back(make(roomy(settings_for(sensor::stereo))));
-  }
+  for (int i = 0; i < 2; ++i) { devices.push_back(make(roomy(settings_for(sensor::stereo)))); }
   auto const work = [&](unsigned index) {
     scene s(sensor::stereo, 20 + index);
     s.settings = roomy(s.settings);

@@ -57,8 +57,7 @@ float depth_at(stand_in::matrix const& m, float x, float y) {
 class extracted_frames : public on_executor {
 protected:
   /// What Frame's constructor does for a sensor, with the shim in it.
-  static stand_in::frame construct(accelerator& gpu, sensor kind, unsigned long id,
-                                   unsigned seed) {
+  static stand_in::frame construct(accelerator& gpu, sensor kind, unsigned long id, unsigned seed) {
     stand_in::frame f;
     f.mnId = id;
     f.mnMaxX = 640;
@@ -105,8 +104,7 @@ protected:
       float scale = 1;
       for (int l = 0; l < keys[i].octave; ++l) { scale *= 1.2f; }
       p->set_view(P.normalized(), P.norm() * scale / 3.6f, P.norm() * scale);
-      p->set_descriptor(f.mDescriptors.data +
-                        i * static_cast<std::size_t>(f.mDescriptors.step));
+      p->set_descriptor(f.mDescriptors.data + i * static_cast<std::size_t>(f.mDescriptors.step));
       all.push_back(std::move(p));
     }
     return all;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracking through the shim while a mapping thread adds, moves, describes anew, replaces and deletes
-// points. To be run under ThreadSanitizer as well. What is found while points change depends on when;
-// what is found once they rest does not.
+// Tracking through the shim while a mapping thread adds, moves, describes anew, replaces and
+// deletes points. To be run under ThreadSanitizer as well. What is found while points change
+// depends on when; what is found once they rest does not.
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -56,9 +56,15 @@ public:
       case 0:
         p->SetWorldPos(p->GetWorldPos() + Eigen::Vector3f(small(random), small(random), 0));
         break;
-      case 1: p->set_view(p->GetNormal(), 0.2f, p->raw_max_distance() * 1.01f); break;
-      case 2: p->set_descriptor(bits(random).data()); break;
-      case 3: add(*p, random); break;
+      case 1:
+        p->set_view(p->GetNormal(), 0.2f, p->raw_max_distance() * 1.01f);
+        break;
+      case 2:
+        p->set_descriptor(bits(random).data());
+        break;
+      case 3:
+        add(*p, random);
+        break;
       case 4:
         p->Replace(any(random));
         erase(p);

@@ -155,7 +155,13 @@ TEST_P(verify_mode, reports_features_and_stereo_that_differ) {
   gpu.compute_stereo_matches(want);
   ASSERT_GT(want.N, 100);
   stand_in::frame f;
-  both.extract(f, [&] { f = want; f.mDescriptors = want.mDescriptors.clone(); }, image, image);
+  both.extract(
+      f,
+      [&] {
+        f = want;
+        f.mDescriptors = want.mDescriptors.clone();
+      },
+      image, image);
   EXPECT_EQ(both.differences(), 0);
   both.extract(
       f,
@@ -170,7 +176,13 @@ TEST_P(verify_mode, reports_features_and_stereo_that_differ) {
   EXPECT_EQ(found[0].index, 4);
   EXPECT_EQ(found[1].index, 9);
   auto const gpu_stereo = [&] { gpu.compute_stereo_matches(f); };
-  both.stereo(f, [&] { f.mvuRight = want.mvuRight; f.mvDepth = want.mvDepth; }, gpu_stereo);
+  both.stereo(
+      f,
+      [&] {
+        f.mvuRight = want.mvuRight;
+        f.mvDepth = want.mvDepth;
+      },
+      gpu_stereo);
   EXPECT_EQ(both.differences(), 2);
   both.stereo(
       f,

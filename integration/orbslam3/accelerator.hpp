@@ -6,6 +6,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -662,7 +663,8 @@ private:
   }
 
   /// The tracked values of all points that were tested.
-  void write_sights(frame_type& frame, std::vector<map_point*> const& points) const {
+  void write_sights(frame_type& frame, std::vector<map_point*> const& points) {
+    drawn_.clear();
     sight const* const left = device_->sights();
     sight const* const right = left + points.size();
     bool const two = two_cameras(frame);
@@ -679,10 +681,7 @@ private:
         p.mnTrackScaleLevel = left[i].level;
         p.mTrackViewCos = left[i].cosine;
         if (!two) { p.mTrackProjXR = left[i].right_x; }
-        if (options_.fill_projections) {
-          using place = typename std::decay_t<decltype(frame.mmProjectPoints)>::mapped_type;
-          frame.mmProjectPoints[p.mnId] = place(left[i].x, left[i].y);
-        }
+        if (options_.fill_projections) { drawn_.push_back({p.mnId, i}); }
       }
       if (p.mbTrackInViewR) {
         p.mTrackProjXR = right[i].x;
@@ -692,6 +691,17 @@ private:
         p.mTrackViewCosR = right[i].cosine;
       }
       if (p.mbTrackInView || p.mbTrackInViewR) { p.IncreaseVisible(1); }
+    }
+    draw(frame);
+  }
+  /// In the order of the map, where a node goes in next to the one before.
+  void draw(frame_type& frame) {
+    using place = typename std::decay_t<decltype(frame.mmProjectPoints)>::mapped_type;
+    sight const* const left = device_->sights();
+    std::sort(drawn_.begin(), drawn_.end());
+    for (auto const& [id, i] : drawn_) {
+      frame.mmProjectPoints.insert_or_assign(frame.mmProjectPoints.end(), id,
+                                             place(left[i].x, left[i].y));
     }
   }
   /// Map points lie all over the heap: the one that comes soon is fetched while this one is read.
@@ -737,6 +747,7 @@ private:
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map: most are in the same place again
   std::vector<recorded_sight> recorded_;
+  std::vector<std::pair<unsigned long, std::size_t>> drawn_;  ///< map point, place in the local map
   std::vector<int> held_before_;
   statistics statistics_{};
 };

@@ -179,7 +179,7 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
   for (std::size_t i = 0; i < held; ++i) { last.mvpMapPoints[i] = map[i]; }
 
   samples times;
-  std::size_t bytes_map = 0, bytes_frame = 0, bytes_results = 0;
+  ft::orbslam3::traffic moved;
   long in_view = 0, matches = 0, walked = 0;
   for (int k = 0; k < o.frames + warm_up; ++k) {
     bool const counted = k >= warm_up;
@@ -214,9 +214,13 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
     times["own_bookkeeping"].push_back(own);
     times["added"].push_back(wrap - own);
     times["total"].push_back(total);
-    bytes_map += gpu.bytes().map;
-    bytes_frame += gpu.bytes().frame;
-    bytes_results += gpu.bytes().results;
+    ft::orbslam3::traffic const now = gpu.bytes();
+    moved.images += now.images;
+    moved.frame += now.frame;
+    moved.map += now.map;
+    moved.results += now.results;
+    moved.uploads += now.uploads;
+    moved.downloads += now.downloads;
     matches += found;
     in_view += std::count_if(map.local.begin(), map.local.end(),
                              [](auto const* p) { return p->mbTrackInView; });
@@ -240,9 +244,12 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
   auto const per_frame = [&](auto sum) {
     return static_cast<double>(sum) / static_cast<double>(o.frames);
   };
-  out["map_bytes_per_frame"] = per_frame(bytes_map);
-  out["frame_bytes_per_frame"] = per_frame(bytes_frame);
-  out["result_bytes_per_frame"] = per_frame(bytes_results);
+  if (!o.replay) {
+    out["per_frame"] = {
+        {"image_bytes_up", per_frame(moved.images)}, {"frame_bytes_up", per_frame(moved.frame)},
+        {"map_bytes_up", per_frame(moved.map)},      {"bytes_down", per_frame(moved.results)},
+        {"uploads", per_frame(moved.uploads)},       {"downloads", per_frame(moved.downloads)}};
+  }
   out["matches_per_frame"] = per_frame(matches);
   out["in_view_per_frame"] = per_frame(in_view);
   return out;

@@ -534,7 +534,8 @@ private:
       for (int i = 0; i < a.count[c]; ++i) {
         int const at = c * a.capacity + i;
         auto const& pt = all[static_cast<std::size_t>(i)].pt;
-        moved = replace(a.x[at], pt.x) | replace(a.y[at], pt.y) | moved;
+        replace(a.x[at], pt.x, moved);
+        replace(a.y[at], pt.y, moved);
       }
     }
     if (moved) { device_->send(b, frame_part::positions); }
@@ -545,7 +546,7 @@ private:
       for (int i = 0; i < a.count[0]; ++i) {
         auto const at = static_cast<std::size_t>(i);
         float const u = at < frame.mvuRight.size() ? frame.mvuRight[at] : -1.0f;
-        changed = replace(a.right_x[i], u) | changed;
+        replace(a.right_x[i], u, changed);
       }
       if (changed) { device_->send(b, frame_part::right_x); }
     }
@@ -561,17 +562,17 @@ private:
     for (int i = 0; i < a.capacity; ++i) {
       int const j = i < a.count[0] ? of(frame.mvLeftToRightMatch, i) : -1;
       int const back = i < a.count[1] ? of(frame.mvRightToLeftMatch, i) : -1;
-      changed = replace(a.partner[i], j < 0 ? -1 : a.capacity + j) | changed;
-      changed = replace(a.partner[a.capacity + i], back) | changed;
+      replace(a.partner[i], j < 0 ? -1 : a.capacity + j, changed);
+      replace(a.partner[a.capacity + i], back, changed);
     }
     if (changed) { device_->send(b, frame_part::partner); }
   }
-  /// Whether the value is another than before.
+  /// @param changed set where the value was another
   template <typename T>
-  static bool replace(T& value, T const& now) {
-    bool const changed = std::memcmp(&value, &now, sizeof now) != 0;
+  static void replace(T& value, T const& now, bool& changed) {
+    if (std::memcmp(&value, &now, sizeof now) == 0) { return; }
     value = now;
-    return changed;
+    changed = true;
   }
 
   void fill_stereo(int b, frame_type& frame) const {
@@ -606,7 +607,7 @@ private:
       map_point* const point = i < frame.mvpMapPoints.size() ? frame.mvpMapPoints[i] : nullptr;
       bool const held = point != nullptr && !(inliers_only && frame.mvbOutlier[i]);
       int const slot = held ? mirror_.visit(point, a.holder[number]) : -1;
-      changed = replace(a.holder[number], slot) | changed;
+      replace(a.holder[number], slot, changed);
     });
     if (changed) { device_->send(b, frame_part::holder); }
   }
@@ -632,7 +633,7 @@ private:
       slot = mirror_.visit(point, slot);
       bool const bad = mirror_.bad(slot);
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
-      changed = replace(slots_[i], tested ? slot : -1) | changed;
+      replace(slots_[i], tested ? slot : -1, changed);
       if (tested || bad || !settings_.reference_quirks) { continue; }
       if (!far_points || point->mTrackDepth <= far_threshold) { record(frame, *point, i, slot); }
     }

@@ -172,23 +172,27 @@ TEST_P(shim_searches, in_any_mix_with_the_cpu_give_the_same_frame) {
 }
 
 TEST_P(shim_searches, look_again_where_refused_points_were_seen_unless_told_not_to) {
-  for (bool const quirks : {true, false}) {
-    scene s(sensor::stereo, 4);
-    s.settings = roomy(s.settings);
-    s.settings.reference_quirks = quirks;
-    accelerator gpu(make(s.settings), s.settings);
-    plain_search const plain(s.settings);
-    auto const local = s.local_map();
-    // All points were refused in this frame; an earlier test has seen them where they are.
-    for (auto* p : local) {
-      plain.in_frustum(s.current, *p);
-      p->mnLastFrameSeen = s.current.mnId;
+  for (sensor const kind : {sensor::stereo, sensor::fisheye_stereo}) {
+    for (bool const quirks : {true, false}) {
+      for (bool const far : {true, false}) {
+        scene s(kind, 4);
+        s.settings = roomy(s.settings);
+        s.settings.reference_quirks = quirks;
+        accelerator gpu(make(s.settings), s.settings);
+        plain_search const plain(s.settings);
+        auto const local = s.local_map();
+        // All points were refused in this frame; an earlier test has seen them where they are.
+        for (auto* p : local) {
+          plain.in_frustum(s.current, *p);
+          p->mnLastFrameSeen = s.current.mnId;
+        }
+        stand_in::frame want = s.current;
+        int const n = quirks ? plain.search_local(want, local, 1, far, 4.0f) : 0;
+        EXPECT_EQ(gpu.search_local_points(s.current, local, 1, far, 4.0f), n);
+        EXPECT_EQ(s.current.mvpMapPoints, want.mvpMapPoints);
+        if (quirks) { EXPECT_GT(n, far ? 20 : 100); }
+      }
     }
-    stand_in::frame want = s.current;
-    int const n = quirks ? plain.search_local(want, local, 1) : 0;
-    EXPECT_EQ(gpu.search_local_points(s.current, local, 1), n);
-    EXPECT_EQ(s.current.mvpMapPoints, want.mvpMapPoints);
-    if (quirks) { EXPECT_GT(n, 100); }
   }
 }
 

@@ -205,7 +205,13 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
     double total = 0;
     for (int i = 0; i < ft::orbslam3::stage_count; ++i) {
       auto const& t = gpu.times()[static_cast<std::size_t>(i)];
-      times[name_of(static_cast<stage>(i))].push_back(t.wrap);
+      std::string const name = name_of(static_cast<stage>(i));
+      times[name].push_back(t.wrap);
+      if (!o.replay) {
+        times[name + " kernel"].push_back(t.kernel);
+        times[name + " transfer"].push_back(t.transfer);
+        times[name + " total"].push_back(t.total);
+      }
       wrap += t.wrap;
       total += t.total;
     }

@@ -80,7 +80,9 @@ public:
   ft::orbslam3::traffic bytes() const override { return device_->bytes(); }
   void reset_bytes() override { device_->reset_bytes(); }
   void measure(bool on) override { device_->measure(on); }
-  ft::orbslam3::device_times times() const override { return {}; }
+  ft::orbslam3::device_times times() const override {
+    return replaying_ ? ft::orbslam3::device_times{} : device_->times();
+  }
 
 private:
   struct noted {

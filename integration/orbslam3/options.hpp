@@ -49,8 +49,13 @@ struct options {
   stage_mode operator[](stage s) const { return modes[static_cast<std::size_t>(s)]; }
 };
 
-/// Sets the mode of the stages in a list such as "extract,stereo"; "all" is all of them.
-/// @throws bad_argument for a name that is none
+/// Whether a stage may be left out.
+inline bool may_bypass(stage s) {
+  return s == stage::pose_last_frame || s == stage::pose_local_map;
+}
+
+/// Sets the mode of the stages in a list such as "extract,stereo"; "all" is all that can have it.
+/// @throws bad_argument for a name that is none, or a stage that cannot be left out
 inline void set_modes(options& o, std::string const& list, stage_mode mode) {
   for (std::size_t begin = 0; begin < list.size();) {
     std::size_t const end = std::min(list.find(',', begin), list.size());
@@ -58,10 +63,12 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
     bool known = name == "all";
     for (int i = 0; i < stage_count; ++i) {
       auto const s = static_cast<stage>(i);
-      if (name == "all" || name == name_of(s)) {
-        o[s] = mode;
+      bool const possible = mode != stage_mode::bypass || may_bypass(s);
+      if (name == name_of(s)) {
+        detail::require(possible, "only pose optimisations can be bypassed");
         known = true;
       }
+      if (possible && (name == "all" || name == name_of(s))) { o[s] = mode; }
     }
     if (!known) {
       throw bad_argument("ft: '" + name +

@@ -221,6 +221,10 @@ TEST(shim_options, take_all_stages_at_once_and_refuse_unknown_ones) {
   ft::orbslam3::set_modes(o, "", stage_mode::device);
   EXPECT_EQ(o[stage::extract], stage_mode::host);
   EXPECT_THROW(ft::orbslam3::set_modes(o, "extract,steero", stage_mode::host), ft::bad_argument);
+  EXPECT_THROW(ft::orbslam3::set_modes(o, "extract", stage_mode::bypass), ft::bad_argument);
+  ft::orbslam3::set_modes(o, "all", stage_mode::bypass);
+  EXPECT_EQ(o[stage::extract], stage_mode::host);
+  EXPECT_EQ(o[stage::pose_last_frame], stage_mode::bypass);
 }
 
 class shim_statistics : public on_executor {};

@@ -135,5 +135,9 @@ if ((!quick)); then
   step "Sanitizers: configure" cmake --preset host-asan
   step "Sanitizers: build" build_all "$asan"
   step "Sanitizers: tests" run_ctest sanitizers "$asan" -LE slow
+  step "ThreadSanitizer: configure" cmake --preset host-tsan
+  step "ThreadSanitizer: build" cmake --build --preset host-tsan
+  step "ThreadSanitizer: the shim beside a mapping thread" \
+    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
   step "Consumers" scripts/test_consumers.sh "$build"
 fi

@@ -181,6 +181,9 @@ public:
     ft::describe_keypoints(exec, pyramid_, blurred_, pattern_, keypoints);
   }
 
+  /// Queues the pyramids of the uploaded images alone, for callers with keypoints of their own.
+  void build_pyramids(Exec const& exec) { resize(exec); }
+
   // Views into executor memory, valid as long as the extractor.
   keypoints_view keypoints() const { return keypoints_; }  ///< one batch entry per image
   int const* mono_count() const { return mono_count_; }    ///< [batch], outside the stereo overlap

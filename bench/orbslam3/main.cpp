@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the shim adds on the host, frame by frame: the time in its calls outside of the device's,
+// with types of ORB-SLAM3's shape whose map points lie scattered over the heap, as that system's
+// do.
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "bench/orbslam3/replaying_device.hpp"
+#include "integration/orbslam3/accelerator.hpp"
+#include "integration/orbslam3/host_tracker.hpp"
+#include "tests/orbslam3/plain_search.hpp"
+#include "tests/orbslam3/stand_in.hpp"
+
+#if FT_BENCH_HAS_CUDA
+std::unique_ptr<ft::orbslam3::device_tracker> make_cuda(ft::orbslam3::settings const& s);
+#endif
+
+namespace {
+
+using accelerator = ft::orbslam3::accelerator<stand_in::types>;
+using ft::orbslam3::change_detection;
+using ft::orbslam3::stage;
+
+constexpr int width = 752;
+constexpr int height = 480;
+constexpr int warm_up = 20;  ///< frames
+
+double now_us() {
+  return std::chrono::duration<double, std::micro>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+ft::orbslam3::settings euroc() {
+  ft::orbslam3::settings s;
+  s.width = width;
+  s.height = height;
+  s.features = 1200;
+  s.left = {ft::orbslam3::lens::pinhole, {435.2f, 435.2f, 367.2f, 252.2f}};
+  s.baseline = 0.11f;
+  s.bf = s.baseline * 435.2f;
+  return s;
+}
+
+stand_in::matrix picture(int shift) {
+  std::mt19937 random(1);
+  stand_in::matrix m;
+  m.create(height, width, 0);
+  std::fill_n(m.data, width * height, static_cast<unsigned char>(90));
+  for (int box = 0; box < 900; ++box) {
+    int const w = 4 + static_cast<int>(random() % 60);
+    int const h = 4 + static_cast<int>(random() % 60);
+    int const x0 = static_cast<int>(random() % width) - shift;
+    int const y0 = static_cast<int>(random() % height);
+    auto const value = static_cast<unsigned char>(random());
+    for (int y = y0; y < std::min(y0 + h, height); ++y) {
+      for (int x = std::max(x0, 0); x < std::min(x0 + w, width); ++x) {
+        m.data[y * width + x] = value;
+      }
+    }
+  }
+  return m;
+}
+
+/// Points that the first frame's keypoints see, and others around, allocated among other things.
+class scattered_map {
+public:
+  scattered_map(stand_in::frame const& f, ft::orbslam3::settings const& s, int count) {
+    std::mt19937 random(2);
+    std::uniform_real_distribution<float> depth(2, 10);
+    std::uniform_real_distribution<float> wide(-2, 2);
+    for (int i = 0; i < count; ++i) {
+      filler_.push_back(std::make_unique<unsigned char[]>(200 + random() % 1500));
+      auto p = std::make_unique<stand_in::map_point>();
+      p->mnId = static_cast<unsigned long>(i);
+      float const z = depth(random);
+      auto const k = static_cast<std::size_t>(i);
+      bool const seen = k < f.mvKeys.size();
+      Eigen::Vector3f const P =
+          seen ? Eigen::Vector3f((f.mvKeys[k].pt.x - s.left.values[2]) / s.left.values[0] * z,
+                                 (f.mvKeys[k].pt.y - s.left.values[3]) / s.left.values[1] * z, z)
+               : Eigen::Vector3f(wide(random) * z, wide(random) * z, z);
+      p->SetWorldPos(P);
+      p->set_view(P.normalized(), P.norm() * 0.3f, P.norm() * 2);
+      std::vector<unsigned char> bits(32);
+      for (auto& b : bits) { b = static_cast<unsigned char>(random()); }
+      p->set_descriptor(seen ? f.mDescriptors.data + 32 * k : bits.data());
+      p->set_observations(3);
+      local.push_back(p.get());
+      points_.push_back(std::move(p));
+    }
+    std::shuffle(local.begin(), local.end(), random);
+  }
+  stand_in::map_point* operator[](std::size_t i) const { return points_[i].get(); }
+  std::size_t size() const { return points_.size(); }
+
+  std::vector<stand_in::map_point*> local;
+
+private:
+  std::vector<std::unique_ptr<unsigned char[]>> filler_;
+  std::vector<std::unique_ptr<stand_in::map_point>> points_;
+};
+
+/// Microseconds per frame, by name.
+using samples = std::map<std::string, std::vector<double>>;
+
+double quantile(std::vector<double> v, double q) {
+  std::sort(v.begin(), v.end());
+  return v.empty() ? 0 : v[static_cast<std::size_t>(q * static_cast<double>(v.size() - 1))];
+}
+
+/// What ORB-SLAM3's own loop does for points in view, whoever finds them: counters and the places
+/// that the viewer draws.
+double bookkeeping_us(std::vector<stand_in::map_point*> const& local, bool projections) {
+  std::map<unsigned long, stand_in::point2f> drawn;
+  double const begin = now_us();
+  for (auto* p : local) {
+    if (!p->mbTrackInView) { continue; }
+    p->IncreaseVisible(1);
+    if (projections) { drawn[p->mnId] = stand_in::point2f(p->mTrackProjX, p->mTrackProjY); }
+  }
+  return now_us() - begin;
+}
+
+struct run_options {
+  std::string backend = "host";
+  int points = 3000;
+  int frames = 300;
+  bool replay = true;
+};
+
+nlohmann::json run(run_options const& o, change_detection detection, bool projections) {
+  auto const s = euroc();
+  ft::orbslam3::options choices;
+  choices.detection = detection;
+  choices.fill_projections = projections;
+  choices.statistics = true;
+  std::unique_ptr<ft::orbslam3::device_tracker> device;
+#if FT_BENCH_HAS_CUDA
+  if (o.backend == "cuda") { device = make_cuda(s); }
+#endif
+  if (!device) { device = ft::orbslam3::make_host_tracker(s); }
+  auto owned = std::make_unique<bench::replaying_device>(std::move(device), 2);
+  bench::replaying_device& replaying = *owned;
+  accelerator gpu(std::move(owned), s, choices);
+  stand_in::matrix const left[2] = {picture(0), picture(2)};
+  stand_in::matrix const right[2] = {picture(10), picture(12)};
+
+  unsigned long id = 0;
+  auto const construct = [&] {
+    stand_in::frame f;
+    f.mnId = id;
+    f.mnMaxX = width;
+    f.mnMaxY = height;
+    gpu.extract(left[id % 2], right[id % 2], f);
+    gpu.compute_stereo_matches(f);
+    f.mvKeysUn = f.mvKeys;
+    f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);
+    f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
+    ++id;
+    return f;
+  };
+  stand_in::frame last = construct();
+  scattered_map map(last, s, o.points);
+  std::size_t const held = std::min<std::size_t>(400, last.mvpMapPoints.size());
+  for (std::size_t i = 0; i < held; ++i) { last.mvpMapPoints[i] = map[i]; }
+
+  samples times;
+  ft::orbslam3::traffic moved;
+  long in_view = 0, matches = 0, walked = 0;
+  for (int k = 0; k < o.frames + warm_up; ++k) {
+    bool const counted = k >= warm_up;
+    if (k == warm_up / 2 && o.replay) { replaying.replay(); }
+    gpu.reset_times();
+    gpu.reset_bytes();
+    stand_in::frame f = construct();
+    int found = gpu.search_by_projection(f, last, 15, false);
+    gpu.pose_optimization(f, stage::pose_last_frame);
+    for (auto* p : f.mvpMapPoints) {
+      if (p == nullptr) { continue; }
+      p->mnLastFrameSeen = f.mnId;
+      p->mbTrackInView = false;
+    }
+    // Tracking::UpdateLocalMap, which stays on the CPU, has just walked over all points.
+    for (auto* p : map.local) { walked += static_cast<long>(p->isBad()); }
+    found += gpu.search_local_points(f, map.local, 1);
+    gpu.pose_optimization(f, stage::pose_local_map);
+    f.SetPose({});
+    last = f;
+    if (!counted) { continue; }
+    double wrap = 0;
+    double total = 0;
+    for (int i = 0; i < ft::orbslam3::stage_count; ++i) {
+      auto const& t = gpu.times()[static_cast<std::size_t>(i)];
+      std::string const name = name_of(static_cast<stage>(i));
+      times[name].push_back(t.wrap);
+      if (!o.replay) {
+        times[name + " kernel"].push_back(t.kernel);
+        times[name + " transfer"].push_back(t.transfer);
+        times[name + " total"].push_back(t.total);
+      }
+      wrap += t.wrap;
+      total += t.total;
+    }
+    double const own = bookkeeping_us(map.local, projections);
+    times["wrap"].push_back(wrap);
+    times["own_bookkeeping"].push_back(own);
+    times["added"].push_back(wrap - own);
+    times["total"].push_back(total);
+    ft::orbslam3::traffic const now = gpu.bytes();
+    moved.images += now.images;
+    moved.frame += now.frame;
+    moved.map += now.map;
+    moved.results += now.results;
+    moved.uploads += now.uploads;
+    moved.downloads += now.downloads;
+    matches += found;
+    in_view += std::count_if(map.local.begin(), map.local.end(),
+                             [](auto const* p) { return p->mbTrackInView; });
+  }
+  // The CPU's own search of the same points, for the size of what is replaced.
+  orbslam3_test::plain_search const plain(s);
+  for (int k = 0; k < 20; ++k) {
+    stand_in::frame f = last;
+    f.mnId = ++id;
+    double const begin = now_us();
+    plain.search_local(f, map.local, 1);
+    times["plain_loop_search_local_map"].push_back(now_us() - begin);
+  }
+  if (walked != 0) { throw std::runtime_error("a point is bad"); }
+  nlohmann::json out;
+  out["detection"] = detection == change_detection::hooks ? "hooks" : "compare";
+  out["projections"] = projections;
+  for (auto const& [name, v] : times) {
+    out["us"][name] = {
+        {"p50", quantile(v, 0.5)}, {"p90", quantile(v, 0.9)}, {"p99", quantile(v, 0.99)}};
+  }
+  auto const per_frame = [&](auto sum) {
+    return static_cast<double>(sum) / static_cast<double>(o.frames);
+  };
+  if (!o.replay) {
+    out["per_frame"] = {
+        {"image_bytes_up", per_frame(moved.images)}, {"frame_bytes_up", per_frame(moved.frame)},
+        {"map_bytes_up", per_frame(moved.map)},      {"bytes_down", per_frame(moved.results)},
+        {"uploads", per_frame(moved.uploads)},       {"downloads", per_frame(moved.downloads)}};
+  }
+  out["matches_per_frame"] = per_frame(matches);
+  out["in_view_per_frame"] = per_frame(in_view);
+  return out;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  run_options o;
+  std::string json;
+  CLI::App app("Host time that the ORB-SLAM3 shim adds per frame.");
+  app.add_option("--backend", o.backend, "host or cuda")
+      ->check(CLI::IsMember({"host", "cuda"}))
+      ->capture_default_str();
+  app.add_option("--points", o.points, "points of the local map")->check(CLI::Range(1, 100000));
+  app.add_option("--frames", o.frames, "measured frames")->check(CLI::Range(1, 100000));
+  app.add_option("--json", json, "also write the results to this file");
+  app.add_flag("!--no-replay", o.replay,
+               "compute every frame; on the host backend kernels then empty the caches");
+  CLI11_PARSE(app, argc, argv);
+#if !FT_BENCH_HAS_CUDA
+  if (o.backend == "cuda") {
+    std::cerr << "orbslam3_bench: built without CUDA\n";
+    return 2;
+  }
+#endif
+  try {
+    nlohmann::json out;
+    out["backend"] = o.backend;
+    out["points"] = o.points;
+    out["frames"] = o.frames;
+    out["replay"] = o.replay;
+    std::printf("%-8s %-11s %9s %9s %9s %9s %9s %9s\n", "changes", "projections", "added us", "p90",
+                "p99", "wrap us", "own us", "in view");
+    for (auto const detection : {change_detection::hooks, change_detection::compare}) {
+      for (bool const projections : {false, true}) {
+        auto const r = run(o, detection, projections);
+        auto const us = [&](char const* name, char const* q) {
+          return r["us"][name][q].get<double>();
+        };
+        std::printf("%-8s %-11s %9.1f %9.1f %9.1f %9.1f %9.1f %9.0f\n",
+                    r["detection"].get<std::string>().c_str(), projections ? "yes" : "no",
+                    us("added", "p50"), us("added", "p90"), us("added", "p99"), us("wrap", "p50"),
+                    us("own_bookkeeping", "p50"), r["in_view_per_frame"].get<double>());
+        out["runs"].push_back(r);
+      }
+    }
+    if (!json.empty()) {
+      std::ofstream file(json);
+      file << out.dump(2) << "\n";
+      if (!file) { throw std::runtime_error("cannot write '" + json + "'"); }
+    }
+  } catch (std::exception const& e) {
+    std::cerr << "orbslam3_bench: " << e.what() << "\n";
+    return 1;
+  }
+}

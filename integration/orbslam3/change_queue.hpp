@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Map points that other threads have changed, for the tracking thread to look at.
+#pragma once
+
+#include <cstddef>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+namespace ft {
+namespace orbslam3 {
+
+/// push() from any thread, also under the locks of a map point: it takes one more, and calls
+/// nothing. take() from the tracking thread. Map points are not looked at here.
+template <typename MapPoint>
+class change_queue {
+public:
+  /// `point` has changed, and its lock shows the new values to whoever takes it after.
+  void push(MapPoint* point) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    changed_.push_back(point);
+  }
+  /// All that were pushed since the last call, in order, repeated ones too.
+  void take(std::vector<MapPoint*>& into) {
+    into.clear();
+    std::lock_guard<std::mutex> const lock(mutex_);
+    std::swap(changed_, into);
+  }
+
+private:
+  std::mutex mutex_;
+  std::vector<MapPoint*> changed_;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

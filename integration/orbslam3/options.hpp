@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What the shim does and what it leaves to the CPU: chosen in code, changed from outside.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdlib>
+#include <string>
+
+#include "ft/core/error.hpp"
+#include "integration/orbslam3/map_mirror.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+enum class stage {
+  extract,
+  stereo,
+  search_last_frame,
+  pose_last_frame,
+  search_local_map,
+  pose_local_map,
+};
+inline constexpr int stage_count = 6;
+
+inline char const* name_of(stage s) {
+  constexpr char const* names[stage_count] = {"extract",           "stereo",
+                                              "search_last_frame", "pose_last_frame",
+                                              "search_local_map",  "pose_local_map"};
+  return names[static_cast<int>(s)];
+}
+
+enum class stage_mode {
+  device,  ///< by the accelerator
+  host,    ///< by ORB-SLAM3's own code: the call sites ask accelerator::uses()
+  bypass,  ///< pose optimisation only: the pose stays as it is, nothing is an outlier
+};
+
+struct options {
+  change_detection detection = change_detection::compare;
+  /// Frame::mmProjectPoints, which the viewer draws.
+  bool fill_projections = true;
+  bool statistics = false;
+  bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
+  std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device
+
+  stage_mode& operator[](stage s) { return modes[static_cast<std::size_t>(s)]; }
+  stage_mode operator[](stage s) const { return modes[static_cast<std::size_t>(s)]; }
+};
+
+/// Whether a stage may be left out.
+inline bool may_bypass(stage s) {
+  return s == stage::pose_last_frame || s == stage::pose_local_map;
+}
+
+/// Sets the mode of the stages in a list such as "extract,stereo"; "all" is all that can have it.
+/// @throws bad_argument for a name that is none, or a stage that cannot be left out
+inline void set_modes(options& o, std::string const& list, stage_mode mode) {
+  for (std::size_t begin = 0; begin < list.size();) {
+    std::size_t const end = std::min(list.find(',', begin), list.size());
+    std::string const name = list.substr(begin, end - begin);
+    bool known = name == "all";
+    for (int i = 0; i < stage_count; ++i) {
+      auto const s = static_cast<stage>(i);
+      bool const possible = mode != stage_mode::bypass || may_bypass(s);
+      if (name == name_of(s)) {
+        detail::require(possible, "only pose optimisations can be bypassed");
+        known = true;
+      }
+      if (possible && (name == "all" || name == name_of(s))) { o[s] = mode; }
+    }
+    if (!known) {
+      throw bad_argument("ft: '" + name +
+                         "' is no stage; there are: extract, stereo, search_last_frame, "
+                         "pose_last_frame, search_local_map, pose_local_map, all");
+    }
+    begin = end + 1;
+  }
+}
+
+/// `o` as the environment changes it: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of stages,
+/// FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1. @throws bad_argument as set_modes()
+inline options from_environment(options o = {}) {
+  auto const text = [](char const* name) {
+    char const* const value = std::getenv(name);
+    return std::string(value == nullptr ? "" : value);
+  };
+  auto const flag = [&](char const* name, bool& value) {
+    if (!text(name).empty()) { value = text(name) != "0"; }
+  };
+  set_modes(o, text("FT_ORBSLAM3_HOST"), stage_mode::host);
+  set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
+  flag("FT_ORBSLAM3_STATISTICS", o.statistics);
+  flag("FT_ORBSLAM3_VERIFY", o.verify);
+  return o;
+}
+
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What passes between the units that know ORB-SLAM3's types and those that know the device:
+/// plain structures, the same for every compiler.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace ft {
+namespace orbslam3 {
+
+enum class lens { pinhole, kannala_brandt };
+
+/// fx, fy, cx, cy and, for kannala_brandt, k1 to k4; pixels.
+struct camera_parameters {
+  lens kind = lens::pinhole;
+  float values[8] = {};
+};
+
+/// x -> R x + t; R row-major, metres.
+struct transform {
+  float R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  float t[3] = {};
+};
+
+/// What the pipelines are made from, once.
+struct settings {
+  int width = 0;  ///< of every image given to extract(), pixels
+  int height = 0;
+  int features = 1200;  ///< wanted per image
+  int levels = 8;
+  float scale_factor = 1.2f;
+  int ini_threshold = 20;  ///< corner threshold, grey levels
+  int min_threshold = 7;
+  int images = 2;  ///< 2: stereo; 1: monocular and RGB-D
+  camera_parameters left;
+  camera_parameters right;  ///< of a kannala_brandt pair
+  transform T_rl;           ///< left camera to right camera, of a kannala_brandt pair
+  float baseline = 0;       ///< metres; pinhole: Frame::mb, virtual for RGB-D, 0 for monocular
+  float bf = 0;             ///< baseline times fx, Frame::mbf; 0 for monocular
+  /// First and last column of the left and of the right image that see the same; pairs of
+  /// kannala_brandt cameras only.
+  float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};
+  /// Keypoints that a frame extracted elsewhere may have in an image; 0: as many as extract()
+  /// yields. Monocular initialisation extracts five times as many.
+  int most_keypoints = 0;
+  int map_points = 1 << 14;    ///< at the start; grows, which takes memory and waits
+  int local_points = 1 << 12;  ///< likewise
+  /// Search as the original does where it slips: the right fisheye camera by the left one's model,
+  /// points that were refused in this frame where an earlier frame saw them.
+  bool reference_quirks = true;
+  /// Stereo is computed with the extraction, without a wait in between.
+  bool stereo_with_extraction = true;
+  bool orientation_check = true;  ///< of the search in the last frame
+};
+
+/// An 8-bit grey image; stride in bytes.
+struct grey_image {
+  unsigned char const* data = nullptr;
+  int width = 0;
+  int height = 0;
+  int stride = 0;
+};
+
+/// Frame's bounds after undistortion, pixels.
+struct bounds {
+  float min_x, min_y, max_x, max_y;
+
+  friend bool operator==(bounds const& a, bounds const& b) {
+    return a.min_x == b.min_x && a.min_y == b.min_y && a.max_x == b.max_x && a.max_y == b.max_y;
+  }
+};
+
+/// A frame's arrays beside the host, a twin of those on the device. Keypoint k of image c is at
+/// c * capacity + k, which is also its number in `partner` and `holder`.
+struct frame_arrays {
+  int capacity = 0;
+  int* count = nullptr;                 ///< [2]
+  int* mono = nullptr;                  ///< [2] keypoints before those of the stereo overlap
+  float* x = nullptr;                   ///< [2][capacity] pixels, without distortion
+  float* y = nullptr;                   ///< likewise
+  float* angle = nullptr;               ///< likewise, degrees
+  float* response = nullptr;            ///< likewise; filled by extract() only
+  int* octave = nullptr;                ///< likewise
+  std::uint32_t* descriptor = nullptr;  ///< [2][capacity][8]
+  float* right_x = nullptr;             ///< [capacity] pixels, -1 = none
+  float* depth = nullptr;               ///< [capacity] metres, -1 = none; filled by stereo only
+  int* partner = nullptr;               ///< [2][capacity] -1 = none
+  float* point = nullptr;  ///< [capacity][3] fisheye stereo, left camera's frame, metres
+  int* holder = nullptr;   ///< [2][capacity] slot of the map point held, -1 = none
+};
+
+/// Parts of a frame that are sent together.
+enum class frame_part { keypoints, positions, octaves, right_x, partner, holder };
+
+/// What the frustum test found for a point in a camera.
+struct sight {
+  float x, y;      ///< pixels
+  float right_x;   ///< pixels
+  float cosine;    ///< of the viewing angle
+  float distance;  ///< metres
+  int level;       ///< octave expected; -1 = not in view
+};
+
+/// A point that is searched where an earlier test saw it.
+struct recorded_sight {
+  int index;   ///< in the local map
+  int camera;  ///< 0 left, 1 right
+  int slot;
+  sight seen;
+};
+
+struct last_frame_request {
+  int current = 0;  ///< buffers
+  int last = 0;
+  transform T_cw;  ///< expected
+  transform T_lw;
+  bounds image{};
+  float th = 7;
+  bool mono = false;
+};
+
+struct local_map_request {
+  int buffer = 0;
+  transform T_cw;
+  bounds image{};
+  int points = 0;             ///< slots in local_slots(), -1 = not tested
+  bool slots_changed = true;  ///< since the last request
+  int recorded = 0;           ///< entries in recorded_sights()
+  float th = 1;
+  float far_distance = 0;  ///< points beyond are not searched; 0 = no limit, metres
+};
+
+struct pose_result {
+  transform T_cw;
+  int inliers = 0;
+};
+
+/// Counts of the records of a map change, which follow each other in this order as 32-bit words:
+/// slot, then the values.
+struct map_change {
+  int positions = 0;     ///< slot, x, y, z
+  int views = 0;         ///< slot, normal, lowest distance, highest distance
+  int descriptors = 0;   ///< slot, 8 words
+  int observations = 0;  ///< slot, 1 or 0: whether anyone observes the point
+
+  static constexpr int position_words = 4;
+  static constexpr int view_words = 6;
+  static constexpr int descriptor_words = 9;
+  static constexpr int observation_words = 2;
+
+  int records() const { return positions + views + descriptors + observations; }
+  std::size_t words() const {
+    return static_cast<std::size_t>(positions) * position_words +
+           static_cast<std::size_t>(views) * view_words +
+           static_cast<std::size_t>(descriptors) * descriptor_words +
+           static_cast<std::size_t>(observations) * observation_words;
+  }
+};
+
+/// Bytes over the bus since the last reset.
+struct traffic {
+  std::size_t images = 0;   ///< up
+  std::size_t frame = 0;    ///< up: keypoints, stereo, holders, poses, requests
+  std::size_t map = 0;      ///< up: map points
+  std::size_t results = 0;  ///< down
+  int uploads = 0;          ///< copies and launches that move something up
+  int downloads = 0;
+};
+
+/// Times of one call, microseconds.
+struct device_times {
+  double transfer = 0;
+  double kernel = 0;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

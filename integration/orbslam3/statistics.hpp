@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Times per stage, as the paper reports them: kernels, transfers, the host's wrapping,
+/// total.
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <ostream>
+#include <string>
+
+#include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/options.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// Sums over the calls of one stage, microseconds.
+struct stage_statistics {
+  long calls = 0;
+  double kernel = 0;
+  double transfer = 0;
+  double wrap = 0;   ///< host time outside of the device's calls
+  double total = 0;  ///< host time from call to return
+};
+
+using statistics = std::array<stage_statistics, stage_count>;
+
+/// A line per stage that was called: means.
+inline std::ostream& print(std::ostream& out, statistics const& all) {
+  for (int i = 0; i < stage_count; ++i) {
+    stage_statistics const& s = all[static_cast<std::size_t>(i)];
+    if (s.calls == 0) { continue; }
+    auto const n = static_cast<double>(s.calls);
+    out << name_of(static_cast<stage>(i)) << ": " << s.calls << " calls, kernel " << s.kernel / n
+        << " us, transfer " << s.transfer / n << ", wrap " << s.wrap / n << ", total "
+        << s.total / n << "\n";
+  }
+  return out;
+}
+
+/// Times one call of a stage; without statistics it reads no clock.
+class stage_timer {
+public:
+  stage_timer(stage_statistics* sums, device_tracker& device) : sums_(sums), device_(&device) {
+    if (sums_ != nullptr) { begin_ = clock::now(); }
+  }
+  stage_timer(stage_timer const&) = delete;
+  stage_timer& operator=(stage_timer const&) = delete;
+  ~stage_timer() {
+    if (sums_ == nullptr) { return; }
+    double const total = microseconds(begin_, clock::now());
+    ++sums_->calls;
+    sums_->total += total;
+    sums_->wrap += total - on_device_;
+  }
+
+  /// Makes a call of the device that waits.
+  template <typename Call>
+  auto on_device(Call const& call) {
+    struct span {
+      stage_timer* timer;
+      clock::time_point begin;
+      ~span() {
+        if (timer->sums_ == nullptr) { return; }
+        timer->on_device_ += microseconds(begin, clock::now());
+        device_times const times = timer->device_->times();
+        timer->sums_->kernel += times.kernel;
+        timer->sums_->transfer += times.transfer;
+      }
+    };
+    span const around{this, sums_ != nullptr ? clock::now() : clock::time_point{}};
+    return call();
+  }
+
+private:
+  using clock = std::chrono::steady_clock;
+  static double microseconds(clock::time_point a, clock::time_point b) {
+    return std::chrono::duration<double, std::micro>(b - a).count();
+  }
+  stage_statistics* sums_;
+  device_tracker* device_;
+  clock::time_point begin_;
+  double on_device_ = 0;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <memory>
+
+#include "integration/orbslam3/cuda_tracker.hpp"
+
+namespace orbslam3_test {
+
+bool cuda_found() {
+  int devices = 0;
+  bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
+  static_cast<void>(cudaGetLastError());
+  return found;
+}
+
+std::unique_ptr<ft::orbslam3::device_tracker> make_cuda(ft::orbslam3::settings const& s) {
+  return ft::orbslam3::make_cuda_tracker(s);
+}
+
+}  // namespace orbslam3_test

@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Types of the shape that the shim finds in ORB-SLAM3, written from the list of members in
+/// integration/orbslam3/README.md: enough to compile and test the shim without that system. With
+/// FT_TEST_OPENCV images, matrices and keypoints are OpenCV's, otherwise stand-ins as well.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <array>
+#include <cstddef>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <vector>
+#if FT_TEST_OPENCV
+#include <opencv2/core.hpp>
+#else
+#include <memory>
+#endif
+
+namespace stand_in {
+
+#if FT_TEST_OPENCV
+using matrix = cv::Mat;
+using keypoint = cv::KeyPoint;
+using point2f = cv::Point2f;
+#else
+/// Of cv::Mat: rows of bytes that copies share, and clone().
+struct matrix {
+  int rows = 0;
+  int cols = 0;
+  unsigned char* data = nullptr;
+  std::size_t step = 0;
+
+  /// @param type 0 = CV_8UC1, 5 = CV_32FC1
+  void create(int r, int c, int type) {
+    rows = r;
+    cols = c;
+    step = static_cast<std::size_t>(c) * (type == 5 ? 4 : 1);
+    memory_ = std::make_shared<std::vector<unsigned char>>(static_cast<std::size_t>(r) * step);
+    data = memory_->data();
+  }
+  matrix clone() const {
+    matrix m;
+    if (data != nullptr) {
+      m.create(rows, cols, step == static_cast<std::size_t>(cols) ? 0 : 5);
+      std::memcpy(m.data, data, static_cast<std::size_t>(rows) * step);
+    }
+    return m;
+  }
+
+private:
+  std::shared_ptr<std::vector<unsigned char>> memory_;
+};
+struct point2f {
+  float x = 0;
+  float y = 0;
+  point2f() = default;
+  point2f(float a, float b) : x(a), y(b) {}
+};
+struct keypoint {
+  point2f pt;
+  float size = 0;
+  float angle = -1;
+  float response = 0;
+  int octave = 0;
+  int class_id = -1;
+};
+#endif
+
+/// Of Sophus::SE3f. Keeps the matrix, so that recorded poses pass through unchanged.
+class se3 {
+public:
+  se3() = default;
+  se3(Eigen::Quaternionf const& q, Eigen::Vector3f const& t) : R_(q.toRotationMatrix()), t_(t) {}
+  se3(Eigen::Matrix3f const& R, Eigen::Vector3f const& t) : R_(R), t_(t) {}
+  Eigen::Matrix3f rotationMatrix() const { return R_; }
+  Eigen::Vector3f translation() const { return t_; }
+
+private:
+  Eigen::Matrix3f R_ = Eigen::Matrix3f::Identity();
+  Eigen::Vector3f t_ = Eigen::Vector3f::Zero();
+};
+
+class map_point;
+
+/// What the mapping thread calls where the hooks are in: nothing by default.
+struct hooks {
+  virtual ~hooks() = default;
+  virtual void changed(map_point* point) = 0;
+};
+
+/// Of ORB_SLAM3::MapPoint: values under the locks of the original, counters, tracked values.
+class map_point {
+public:
+  unsigned long mnId = 0;
+  float mTrackProjX = 0, mTrackProjY = 0, mTrackDepth = 0, mTrackDepthR = 0;
+  float mTrackProjXR = 0, mTrackProjYR = 0;
+  bool mbTrackInView = false, mbTrackInViewR = false;
+  int mnTrackScaleLevel = 0, mnTrackScaleLevelR = 0;
+  float mTrackViewCos = 0, mTrackViewCosR = 0;
+  unsigned long mnLastFrameSeen = static_cast<unsigned long>(-1);
+  inline static std::mutex mGlobalMutex;
+  hooks* observer = nullptr;
+
+  Eigen::Vector3f GetWorldPos() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return position_;
+  }
+  Eigen::Vector3f GetNormal() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return normal_;
+  }
+  float GetMinDistanceInvariance() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return 0.8f * min_distance_;
+  }
+  float GetMaxDistanceInvariance() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return 1.2f * max_distance_;
+  }
+  /// Not public in the original.
+  float raw_max_distance() {
+    std::lock_guard<std::mutex> const lock(position_mutex_);
+    return max_distance_;
+  }
+  matrix GetDescriptor() {
+    std::lock_guard<std::mutex> const lock(features_mutex_);
+    return descriptor_.clone();
+  }
+  int Observations() {
+    std::lock_guard<std::mutex> const lock(features_mutex_);
+    return observations_;
+  }
+  bool isBad() {
+    std::lock_guard<std::mutex> const features(features_mutex_);
+    std::lock_guard<std::mutex> const position(position_mutex_);
+    return bad_;
+  }
+  void IncreaseVisible(int n = 1) {
+    std::lock_guard<std::mutex> const lock(features_mutex_);
+    visible_ += n;
+  }
+  int visible() {
+    std::lock_guard<std::mutex> const lock(features_mutex_);
+    return visible_;
+  }
+
+  // What the mapping thread calls. The hook is the last line of each.
+  void SetWorldPos(Eigen::Vector3f const& p) {
+    {
+      std::lock_guard<std::mutex> const global(mGlobalMutex);
+      std::lock_guard<std::mutex> const lock(position_mutex_);
+      position_ = p;
+    }
+    changed();
+  }
+  void set_view(Eigen::Vector3f const& normal, float min_distance, float max_distance) {
+    {
+      std::lock_guard<std::mutex> const lock(position_mutex_);
+      normal_ = normal;
+      min_distance_ = min_distance;
+      max_distance_ = max_distance;
+    }
+    changed();
+  }
+  void set_descriptor(unsigned char const* bytes) {
+    {
+      std::lock_guard<std::mutex> const lock(features_mutex_);
+      matrix fresh;  // readers may hold a copy of the header
+      fresh.create(1, 32, 0);
+      std::memcpy(fresh.data, bytes, 32);
+      descriptor_ = fresh;
+    }
+    changed();
+  }
+  void set_observations(int n) {
+    {
+      std::lock_guard<std::mutex> const lock(features_mutex_);
+      observations_ = n;
+    }
+    changed();
+  }
+  void SetBadFlag() {
+    {
+      std::lock_guard<std::mutex> const features(features_mutex_);
+      std::lock_guard<std::mutex> const position(position_mutex_);
+      bad_ = true;
+    }
+    changed();
+  }
+  void Replace(map_point* by) {
+    {
+      std::lock_guard<std::mutex> const features(features_mutex_);
+      std::lock_guard<std::mutex> const position(position_mutex_);
+      bad_ = true;
+      replaced_ = by;
+    }
+    changed();
+  }
+  map_point* GetReplaced() {
+    std::lock_guard<std::mutex> const features(features_mutex_);
+    return replaced_;
+  }
+
+private:
+  void changed() {
+    if (observer != nullptr) { observer->changed(this); }
+  }
+
+  std::mutex position_mutex_;
+  std::mutex features_mutex_;
+  Eigen::Vector3f position_ = Eigen::Vector3f::Zero();
+  Eigen::Vector3f normal_ = Eigen::Vector3f::Zero();
+  float min_distance_ = 0;
+  float max_distance_ = 0;
+  matrix descriptor_;
+  int observations_ = 1;
+  int visible_ = 1;
+  bool bad_ = false;
+  map_point* replaced_ = nullptr;
+};
+
+/// Of ORB_SLAM3::GeometricCamera.
+struct camera {
+  unsigned type = 0;
+  std::vector<float> parameters;
+  unsigned GetType() const { return type; }
+  float getParameter(int i) const { return parameters[static_cast<std::size_t>(i)]; }
+};
+
+/// Of ORB_SLAM3::Frame.
+struct frame {
+  unsigned long mnId = 0;
+  int N = 0;
+  int Nleft = -1;
+  int Nright = -1;
+  int monoLeft = 0;
+  int monoRight = 0;
+  std::vector<keypoint> mvKeys;
+  std::vector<keypoint> mvKeysRight;
+  std::vector<keypoint> mvKeysUn;
+  matrix mDescriptors;
+  matrix mDescriptorsRight;
+  std::vector<float> mvuRight;
+  std::vector<float> mvDepth;
+  std::vector<int> mvLeftToRightMatch;
+  std::vector<int> mvRightToLeftMatch;
+  std::vector<Eigen::Vector3f> mvStereo3Dpoints;
+  std::vector<map_point*> mvpMapPoints;
+  std::vector<bool> mvbOutlier;
+  std::map<unsigned long, point2f> mmProjectPoints;
+  int mnScaleLevels = 0;
+  float mfScaleFactor = 0;
+  float mfLogScaleFactor = 0;
+  std::vector<float> mvScaleFactors;
+  std::vector<float> mvInvScaleFactors;
+  std::vector<float> mvLevelSigma2;
+  std::vector<float> mvInvLevelSigma2;
+  // Static in the original.
+  float mnMinX = 0, mnMinY = 0, mnMaxX = 0, mnMaxY = 0;
+
+  se3 GetPose() const { return T_cw; }
+  void SetPose(se3 const& T) { T_cw = T; }
+
+  se3 T_cw;
+};
+
+struct types {
+  using frame = stand_in::frame;
+  using map_point = stand_in::map_point;
+};
+
+}  // namespace stand_in

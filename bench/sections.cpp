@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "bench/clock.hpp"
+#include "bench/host_stages.hpp"
 #include "bench/plan.hpp"
 #include "sequence/report.hpp"
 
@@ -495,6 +496,69 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
         backend_type::host,
         time_frames(*r, call_type::whole, c.how.warm_up_on(backend_type::host),
                     std::max(8, c.how.frames_on(b) / 50)));
+  }
+}
+
+// ---- one host thread beside OpenCV ------------------------------------------------------------
+
+namespace {
+
+json times_json(seq::statistics const& s) {
+  return {{"mean_us", s.mean},
+          {"std_us", s.std},
+          {"p50_us", s.p50},
+          {"p99_us", s.p99},
+          {"max_us", s.max}};
+}
+
+}  // namespace
+
+void host_stages_section(context const& c) {
+  scene const& s = c.all_scenes->get(rig_type::rectified);
+  auto const stages = make_host_stages(s);
+  auto const pairs = static_cast<int>(s.frames.size());
+  int const warm_up = c.how.warm_up > 0 ? c.how.warm_up : pairs;
+  int const calls = c.how.frames > 0 ? c.how.frames : 20 * pairs;
+  std::string const opencv = opencv_description();
+  std::printf(
+      "\nStages on one host thread, both images of a %dx%d pair, %d features, %d calls; ft for %s; "
+      "%s\n",
+      s.width, s.height, s.features, calls, instruction_set().c_str(),
+      opencv.empty() ? "built without OpenCV" : opencv.c_str());
+  std::printf("%-32s %9s %9s %9s %9s %7s  %s\n", "stage", "ft p50 us", "p99 us", "OpenCV p50",
+              "p99 us", "ratio", "OpenCV's call: what differs");
+  for (auto const& stage : stages->all()) {
+    // In turn, so that what else the machine does falls on both.
+    std::vector<double> ours, theirs;
+    for (int i = 0; i < warm_up + calls; ++i) {
+      double const start = now_us();
+      stage.ours(i % pairs);
+      double const middle = now_us();
+      if (stage.theirs) { stage.theirs(i % pairs); }
+      double const end = now_us();
+      if (i < warm_up) { continue; }
+      ours.push_back(middle - start);
+      theirs.push_back(end - middle);
+    }
+    auto const a = seq::summarise(ours);
+    json row{{"name", stage.name},
+             {"calls", calls},
+             {"instruction_set", instruction_set()},
+             {"ft", times_json(a)}};
+    std::printf("%-32s %9.1f %9.1f", stage.name.c_str(), a.p50, a.p99);
+    if (stage.theirs) {
+      auto const b = seq::summarise(theirs);
+      row["opencv"] = times_json(b);
+      row["opencv_version"] = opencv;
+      row["counterpart"] = stage.counterpart;
+      row["difference"] = stage.difference;
+      row["times_as_fast"] = b.p50 / a.p50;
+      std::printf(" %10.1f %9.1f %7.2f  %s: %s", b.p50, b.p99, b.p50 / a.p50,
+                  stage.counterpart.c_str(), stage.difference.c_str());
+    }
+    std::printf("\n");
+    std::fflush(stdout);
+    (*c.out)["host_stages"].push_back(row);
   }
 }
 

@@ -14,7 +14,7 @@
 namespace bench {
 
 #if !FT_BENCH_HAS_OPENCV
-std::vector<host_stage> opencv_stages(host_stage_input const&) { return {}; }
+opencv_side make_opencv_side(host_stage_input const&) { return {}; }
 std::string opencv_description() { return {}; }
 #endif
 
@@ -36,14 +36,6 @@ namespace {
 
 using pinhole_pair = ft::stereo_rig<ft::pinhole<float>, ft::pinhole<float>>;
 
-/// One pair's memory.
-struct pair_stages {
-  ft::orb_extractor<ft::host_exec> orb;
-  ft::stereo_matcher<ft::host_exec> rectified;
-  ft::stereo_matcher<ft::host_exec, pinhole_pair> two_cameras;
-  ft::image_pyramid<ft::memory_space::host> rectified_images;
-};
-
 class host_stages_of final : public host_stages {
 public:
   explicit host_stages_of(scene const& s) : scene_(s) {
@@ -51,12 +43,23 @@ public:
     orb_.height = s.height;
     orb_.features = s.features;
     make_maps();
-    pairs_.reserve(s.frames.size());
-    for (auto const& frame : s.frames) { add_pair(frame); }
-    fill_input();
+    make_memory();
+    prepare(0);
+    opencv_ = make_opencv_side(input_);
     list_stages();
   }
   std::vector<host_stage> const& all() const override { return stages_; }
+  void prepare(int i) override {
+    auto const& frame = scene_.frames[static_cast<std::size_t>(i)];
+    int const w = scene_.width;
+    for (int side = 0; side < 2; ++side) {
+      captured_[side] = {(side == 0 ? frame.left : frame.right).data(), w, scene_.height, w};
+      extractor_.upload(exec_, side, captured_[side]);
+    }
+    extractor_.extract(exec_);
+    fill_input();
+    if (opencv_.prepare) { opencv_.prepare(); }
+  }
 
 private:
   /// A target camera as the scene's, a source with a wide lens that is turned a little.
@@ -76,55 +79,21 @@ private:
     }
   }
 
-  void add_pair(scene_frame const& frame) {
-    pairs_.emplace_back();
-    pair_stages& p = pairs_.back();
+  void make_memory() {
     // All of both images is seen by both: every keypoint is compared with every other.
-    p.orb = {exec_, orb_, 2, {{0, 1e9f}, {0, 1e9f}}};
+    extractor_ = {exec_, orb_, 2, {{0, 1e9f}, {0, 1e9f}}};
     auto const& c = scene_.left;
     ft::pinhole<float> const camera{c.fx, c.fy, c.cx, c.cy};
-    p.rectified = {ft::rectified_rig::make(camera, scene_.baseline), p.orb};
+    rectified_ = {ft::rectified_rig::make(camera, scene_.baseline), extractor_};
     ft::pose T_rl = ft::pose::identity();
     T_rl.t.x = -scene_.baseline;
-    p.two_cameras = {pinhole_pair{camera, camera, T_rl}, p.orb};
-    p.rectified_images = ft::image_pyramid<ft::memory_space::host>(
+    two_cameras_ = {pinhole_pair{camera, camera, T_rl}, extractor_};
+    rectified_images_ = ft::image_pyramid<ft::memory_space::host>(
         ft::pyramid_geometry::make(scene_.width, scene_.height, 1, 1.2f), 2);
-    int const w = scene_.width;
-    p.orb.upload(exec_, 0, {frame.left.data(), w, scene_.height, w});
-    p.orb.upload(exec_, 1, {frame.right.data(), w, scene_.height, w});
-    p.orb.extract(exec_);
-    taps_.resize(static_cast<std::size_t>(p.orb.geometry().taps));
-    ft::make_resize_taps(p.orb.geometry(), taps_.data());
-    blur_ = ft::blur_layout::make(p.orb.geometry());
-    place_.resize(2 * static_cast<std::size_t>(p.orb.distribution().layout.total));
-  }
-
-  void fill_input() {
-    auto const as_plain = [](ft::gray_view v) {
-      return plain_image{v.data, v.width, v.height, v.stride};
-    };
-    for (std::size_t i = 0; i < 2 * pairs_.size(); ++i) {
-      auto const& orb = pairs_[i / 2].orb;
-      auto const& frame = scene_.frames[i / 2];
-      auto const in_pair = static_cast<int>(i % 2);
-      host_stage_image image;
-      image.captured = {(in_pair == 0 ? frame.left : frame.right).data(), scene_.width,
-                        scene_.height, scene_.width};
-      for (int l = 0; l < orb.geometry().levels; ++l) {
-        image.levels.push_back(as_plain(orb.pyramid().level(in_pair, l)));
-      }
-      auto const found = orb.keypoints().slice(in_pair);
-      for (int k = 0; k < *found.count; ++k) {
-        int const level = ft::get<ft::field::octave>(found, k);
-        float const scale = orb.geometry().scale[level];
-        image.keypoints.push_back({std::round(ft::get<ft::field::x>(found, k) / scale),
-                                   std::round(ft::get<ft::field::y>(found, k) / scale),
-                                   ft::get<ft::field::angle>(found, k), level});
-      }
-      image.descriptors =
-          reinterpret_cast<std::uint8_t const*>(ft::array_of<ft::field::orb>(found));
-      input_.images.push_back(std::move(image));
-    }
+    taps_.resize(static_cast<std::size_t>(extractor_.geometry().taps));
+    ft::make_resize_taps(extractor_.geometry(), taps_.data());
+    blur_ = ft::blur_layout::make(extractor_.geometry());
+    place_.resize(2 * static_cast<std::size_t>(extractor_.distribution().layout.total));
     for (int side = 0; side < 2; ++side) {
       auto const map = maps_.view().slice(side);
       input_.map_position[side] = &map.position->x;
@@ -136,11 +105,34 @@ private:
     input_.min_threshold = orb_.min_threshold;
   }
 
+  void fill_input() {
+    auto const as_plain = [](ft::gray_view v) {
+      return plain_image{v.data, v.width, v.height, v.stride};
+    };
+    for (int side = 0; side < 2; ++side) {
+      host_stage_image& image = input_.images[side];
+      image = {};
+      image.captured = as_plain(captured_[side]);
+      for (int l = 0; l < extractor_.geometry().levels; ++l) {
+        image.levels.push_back(as_plain(extractor_.pyramid().level(side, l)));
+      }
+      auto const found = extractor_.keypoints().slice(side);
+      for (int k = 0; k < *found.count; ++k) {
+        int const level = ft::get<ft::field::octave>(found, k);
+        float const scale = extractor_.geometry().scale[level];
+        image.keypoints.push_back({std::round(ft::get<ft::field::x>(found, k) / scale),
+                                   std::round(ft::get<ft::field::y>(found, k) / scale),
+                                   ft::get<ft::field::angle>(found, k), level});
+      }
+      image.descriptors =
+          reinterpret_cast<std::uint8_t const*>(ft::array_of<ft::field::orb>(found));
+    }
+  }
+
   void list_stages() {
-    auto const opencv = opencv_stages(input_);
-    auto const add = [&](std::string const& name, pair_call call) {
+    auto const add = [&](std::string const& name, std::function<void()> call) {
       host_stage stage{name, {}, {}, std::move(call), {}};
-      for (auto const& other : opencv) {
+      for (auto const& other : opencv_.stages) {
         if (other.name != name) { continue; }
         stage.counterpart = other.counterpart;
         stage.difference = other.difference;
@@ -148,59 +140,59 @@ private:
       }
       stages_.push_back(std::move(stage));
     };
-    auto const at = [this](int i) -> pair_stages& { return pairs_[static_cast<std::size_t>(i)]; };
+    auto const pyramid = extractor_.pyramid();
+    auto const blurred = extractor_.blurred();
+    auto const corners = extractor_.corners();
+    auto const kept = extractor_.distribution();
     ft::corner_params const thresholds{orb_.ini_threshold, orb_.min_threshold};
-    add("rectification", [this, at](int i) {
-      auto const& frame = scene_.frames[static_cast<std::size_t>(i)];
-      auto const to = ft::level_images(at(i).rectified_images.view(), 0);
+    add("rectification", [this] {
+      auto const to = ft::level_images(rectified_images_.view(), 0);
       for (int side = 0; side < 2; ++side) {
-        ft::rectify(exec_,
-                    {(side == 0 ? frame.left : frame.right).data(), scene_.width, scene_.height,
-                     scene_.width, 0, 1},
+        auto const& from = captured_[side];
+        ft::rectify(exec_, {from.data, from.width, from.height, from.stride, 0, 1},
                     maps_.view().slice(side),
                     {to[side].data, to.width, to.height, to.stride, 0, 1});
       }
     });
-    add("pyramid",
-        [this, at](int i) { ft::build_pyramid(exec_, at(i).orb.pyramid(), taps_.data()); });
-    add("corners", [this, at, thresholds](int i) {
-      ft::detect_corners(exec_, at(i).orb.pyramid(), thresholds, at(i).orb.corners());
+    add("pyramid", [=] { ft::build_pyramid(exec_, pyramid, taps_.data()); });
+    auto const detect = [=] { ft::detect_corners(exec_, pyramid, thresholds, corners); };
+    add("corners", detect);
+    add("corners, no cells", detect);
+    add("distribution", [=] { ft::distribute_corners(exec_, corners, kept); });
+    auto const blur = [=] { ft::blur_pyramid(exec_, pyramid, blurred, blur_); };
+    add("blur", blur);
+    add("orientation, descriptors", [this] { describe(); });
+    add("blur, orientation, descriptors", [=] {
+      blur();
+      describe();
     });
-    add("corners, no cells", [this, at, thresholds](int i) {
-      ft::detect_corners(exec_, at(i).orb.pyramid(), thresholds, at(i).orb.corners());
-    });
-    add("distribution", [this, at](int i) {
-      ft::distribute_corners(exec_, at(i).orb.corners(), at(i).orb.distribution());
-    });
-    add("blur", [this, at](int i) {
-      ft::blur_pyramid(exec_, at(i).orb.pyramid(), at(i).orb.blurred(), blur_);
-    });
-    add("orientation, descriptors", [this, at](int i) { describe(at(i)); });
-    add("blur, orientation, descriptors", [this, at](int i) {
-      ft::blur_pyramid(exec_, at(i).orb.pyramid(), at(i).orb.blurred(), blur_);
-      describe(at(i));
-    });
-    add("extraction, whole", [this, at](int i) { at(i).orb.extract(exec_); });
-    add("stereo, rectified", [this, at](int i) { at(i).rectified.match(exec_, at(i).orb); });
-    add("stereo, two cameras", [this, at](int i) { at(i).two_cameras.match(exec_, at(i).orb); });
+    add("extraction, whole", [this] { extractor_.extract(exec_); });
+    add("stereo, rectified", [this] { rectified_.match(exec_, extractor_); });
+    add("stereo, two cameras", [this] { two_cameras_.match(exec_, extractor_); });
   }
 
-  void describe(pair_stages& p) {
+  void describe() {
     ft::stereo_overlap const overlaps[2] = {{0, 1e9f}, {0, 1e9f}};
     int mono_count[2];
-    ft::describe_corners(exec_, p.orb.pyramid(), p.orb.blurred(), p.orb.distribution(), overlaps,
-                         ft::detail::orb_pattern, p.orb.keypoints(), mono_count, place_.data());
+    ft::describe_corners(exec_, extractor_.pyramid(), extractor_.blurred(),
+                         extractor_.distribution(), overlaps, ft::detail::orb_pattern,
+                         extractor_.keypoints(), mono_count, place_.data());
   }
 
   scene const& scene_;
   ft::host_exec exec_{1};
   ft::orb_params orb_;
+  ft::gray_view captured_[2];
+  ft::orb_extractor<ft::host_exec> extractor_;
+  ft::stereo_matcher<ft::host_exec> rectified_;
+  ft::stereo_matcher<ft::host_exec, pinhole_pair> two_cameras_;
+  ft::image_pyramid<ft::memory_space::host> rectified_images_;
   ft::remap_table<ft::memory_space::host> maps_;
-  std::vector<pair_stages> pairs_;
   std::vector<ft::resize_tap> taps_;
   ft::blur_layout blur_;
   std::vector<int> place_;
   host_stage_input input_;
+  opencv_side opencv_;
   std::vector<host_stage> stages_;
 };
 

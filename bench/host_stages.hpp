@@ -22,7 +22,7 @@ struct plain_keypoint {
   int level = 0;
 };
 
-/// What stages read and write of one image, owned by ft's side; OpenCV reads the same.
+/// What stages read and write of one image, in ft's memory; OpenCV reads the same.
 struct host_stage_image {
   plain_image captured;             ///< what rectification reads
   std::vector<plain_image> levels;  ///< of the pyramid
@@ -30,9 +30,8 @@ struct host_stage_image {
   std::uint8_t const* descriptors = nullptr;  ///< 32 bytes a keypoint
 };
 
-/// Images 2 i and 2 i + 1 are pair i; all through the map of their side.
 struct host_stage_input {
-  std::vector<host_stage_image> images;
+  host_stage_image images[2];                 ///< left and right
   std::int16_t const* map_position[2] = {};   ///< x and y of the source pixel, row-major
   std::uint16_t const* map_fraction[2] = {};  ///< 32 * (y part) + (x part)
   int features = 0;
@@ -41,18 +40,15 @@ struct host_stage_input {
   int min_threshold = 0;
 };
 
-/// A call for pair `i`.
-using pair_call = std::function<void(int)>;
-
 struct host_stage {
   std::string name;
   std::string counterpart;  ///< in OpenCV; empty where there is none
   std::string difference;   ///< what OpenCV does more, less or otherwise
-  pair_call ours;
-  pair_call theirs;  ///< empty where there is none, and in builds without OpenCV
+  std::function<void()> ours;
+  std::function<void()> theirs;  ///< empty where there is none, and in builds without OpenCV
 };
 
-/// The stages over all pairs of a rectified scene. Everything is computed once before.
+/// The stages over pairs of a rectified scene.
 class host_stages {
 public:
   host_stages() = default;
@@ -60,13 +56,20 @@ public:
   host_stages& operator=(host_stages const&) = delete;
   virtual ~host_stages() = default;
   virtual std::vector<host_stage> const& all() const = 0;
+  /// Computes everything of pair `i`, in the same memory as of the pair before: as in a tracker, a
+  /// stage finds its input in the caches.
+  virtual void prepare(int i) = 0;
 };
 
 std::unique_ptr<host_stages> make_host_stages(scene const& s);
 
-/// Of OpenCV, on one thread; one for each name that it has. Empty in builds without OpenCV.
+/// OpenCV's side, on one thread.
+struct opencv_side {
+  std::vector<host_stage> stages;  ///< one for each name that it has; none without OpenCV
+  std::function<void()> prepare;   ///< to be called after the input has changed
+};
 /// @param input outlives the calls
-std::vector<host_stage> opencv_stages(host_stage_input const& input);
+opencv_side make_opencv_side(host_stage_input const& input);
 /// "OpenCV 4.x.y"; empty in builds without it.
 std::string opencv_description();
 /// The instruction set that this program was compiled for, as far as the compiler tells.

@@ -23,26 +23,30 @@ class opencv_calls {
 public:
   explicit opencv_calls(host_stage_input const& input) : input_(input) {
     cv::setNumThreads(1);
-    auto const levels = static_cast<int>(input.images.front().levels.size());
+    auto const levels = static_cast<int>(input.images[0].levels.size());
     for (auto& side : outputs_) { side.resize(static_cast<std::size_t>(levels)); }
     whole_ = cv::ORB::create(input.features, input.scale_factor, levels, 19, 0, 2,
                              cv::ORB::FAST_SCORE, 31, input.ini_threshold);
     one_level_ = cv::ORB::create(input.features, input.scale_factor, 1, 19, 0, 2,
                                  cv::ORB::FAST_SCORE, 31, input.ini_threshold);
-    for (auto const& image : input.images) {
-      std::vector<std::vector<cv::KeyPoint>> per_level(image.levels.size());
+    prepare();
+  }
+
+  void prepare() {
+    for (std::size_t side = 0; side < 2; ++side) {
+      auto const& image = input_.images[side];
+      keypoints_[side].assign(image.levels.size(), {});
       for (auto const& k : image.keypoints) {
-        per_level[static_cast<std::size_t>(k.level)].emplace_back(k.x, k.y, 31.0f, k.angle, 1.0f,
-                                                                  0);
+        keypoints_[side][static_cast<std::size_t>(k.level)].emplace_back(k.x, k.y, 31.0f, k.angle,
+                                                                         1.0f, 0);
       }
-      keypoints_.push_back(std::move(per_level));
-      descriptors_.emplace_back(static_cast<int>(image.keypoints.size()), 32, CV_8U,
-                                const_cast<std::uint8_t*>(image.descriptors));
+      descriptors_[side] = cv::Mat(static_cast<int>(image.keypoints.size()), 32, CV_8U,
+                                   const_cast<std::uint8_t*>(image.descriptors));
     }
   }
 
-  void remap(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t side) {
+  void remap() {
+    for_each_side([&](host_stage_image const& image, std::size_t side) {
       cv::Mat const from = mat_of(image.captured);
       cv::Mat const position(from.rows, from.cols, CV_16SC2,
                              const_cast<std::int16_t*>(input_.map_position[side]));
@@ -51,8 +55,8 @@ public:
       cv::remap(from, rectified_[side], position, fraction, cv::INTER_LINEAR, cv::BORDER_CONSTANT);
     });
   }
-  void pyramid(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t side) {
+  void pyramid() {
+    for_each_side([&](host_stage_image const& image, std::size_t side) {
       cv::Mat from = mat_of(image.levels.front());
       for (std::size_t l = 1; l < image.levels.size(); ++l) {
         cv::Mat& to = outputs_[side][l];
@@ -62,8 +66,8 @@ public:
       }
     });
   }
-  void blur(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t side) {
+  void blur() {
+    for_each_side([&](host_stage_image const& image, std::size_t side) {
       for (std::size_t l = 0; l < image.levels.size(); ++l) {
         cv::GaussianBlur(mat_of(image.levels[l]), blurred_[side][l], cv::Size(7, 7), 2, 2,
                          cv::BORDER_REFLECT_101);
@@ -71,49 +75,41 @@ public:
     });
   }
   /// Cells as ft's: the strict threshold, and the lenient one where that finds nothing.
-  void corners_by_cells(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t) {
+  void corners_by_cells() {
+    for_each_side([&](host_stage_image const& image, std::size_t) {
       for (auto const& level : image.levels) {
         found_.clear();
         find_in_cells(mat_of(level));
       }
     });
   }
-  void corners_of_levels(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t) {
+  void corners_of_levels() {
+    for_each_side([&](host_stage_image const& image, std::size_t) {
       for (auto const& level : image.levels) {
         cv::FAST(mat_of(level), found_, input_.min_threshold, true);
       }
     });
   }
-  void describe(int pair) {
-    for (std::size_t side = 0; side < 2; ++side) {
-      std::size_t const number = 2 * static_cast<std::size_t>(pair) + side;
-      auto const& image = input_.images[number];
+  void describe() {
+    for_each_side([&](host_stage_image const& image, std::size_t side) {
       for (std::size_t l = 0; l < image.levels.size(); ++l) {
-        found_ = keypoints_[number][l];
+        found_ = keypoints_[side][l];
         one_level_->detectAndCompute(mat_of(image.levels[l]), cv::noArray(), found_, words_, true);
       }
-    }
+    });
   }
-  void extract(int pair) {
-    for_each_side(pair, [&](host_stage_image const& image, std::size_t) {
+  void extract() {
+    for_each_side([&](host_stage_image const& image, std::size_t) {
       whole_->detectAndCompute(mat_of(image.levels.front()), cv::noArray(), found_, words_);
     });
   }
-  void nearest(int pair) { matcher_.match(left(pair), right(pair), matches_); }
-  void two_nearest(int pair) { matcher_.knnMatch(left(pair), right(pair), two_matches_, 2); }
+  void nearest() { matcher_.match(descriptors_[0], descriptors_[1], matches_); }
+  void two_nearest() { matcher_.knnMatch(descriptors_[0], descriptors_[1], two_matches_, 2); }
 
 private:
   template <typename Call>
-  void for_each_side(int pair, Call const& call) {
-    for (std::size_t side = 0; side < 2; ++side) {
-      call(input_.images[2 * static_cast<std::size_t>(pair) + side], side);
-    }
-  }
-  cv::Mat const& left(int pair) const { return descriptors_[2 * static_cast<std::size_t>(pair)]; }
-  cv::Mat const& right(int pair) const {
-    return descriptors_[2 * static_cast<std::size_t>(pair) + 1];
+  void for_each_side(Call const& call) {
+    for (std::size_t side = 0; side < 2; ++side) { call(input_.images[side], side); }
   }
   void find_in_cells(cv::Mat const& level) {
     constexpr int border = 16;
@@ -144,8 +140,8 @@ private:
   std::array<std::vector<cv::Mat>, 2> outputs_;
   std::array<std::array<cv::Mat, 16>, 2> blurred_;
   std::array<cv::Mat, 2> rectified_;
-  std::vector<std::vector<std::vector<cv::KeyPoint>>> keypoints_;  ///< per image and level
-  std::vector<cv::Mat> descriptors_;
+  std::array<std::vector<std::vector<cv::KeyPoint>>, 2> keypoints_;  ///< of each level
+  std::array<cv::Mat, 2> descriptors_;
   cv::Ptr<cv::ORB> whole_;
   cv::Ptr<cv::ORB> one_level_;
   cv::BFMatcher matcher_{cv::NORM_HAMMING};
@@ -157,13 +153,14 @@ private:
 
 }  // namespace
 
-std::vector<host_stage> opencv_stages(host_stage_input const& input) {
+opencv_side make_opencv_side(host_stage_input const& input) {
   auto const calls = std::make_shared<opencv_calls>(input);
-  std::vector<host_stage> all;
+  opencv_side side;
+  side.prepare = [calls] { calls->prepare(); };
   auto const add = [&](char const* name, char const* counterpart, char const* difference,
-                       void (opencv_calls::*call)(int)) {
-    all.push_back(
-        {name, counterpart, difference, {}, [calls, call](int i) { ((*calls).*call)(i); }});
+                       void (opencv_calls::*call)()) {
+    side.stages.push_back(
+        {name, counterpart, difference, {}, [calls, call] { ((*calls).*call)(); }});
   };
   add("rectification", "remap, CV_16SC2", "the same pixels", &opencv_calls::remap);
   add("pyramid", "resize, level after level", "the same pixels", &opencv_calls::pyramid);
@@ -180,7 +177,7 @@ std::vector<host_stage> opencv_stages(host_stage_input const& input) {
       "all pairs where ft looks along rows; no refinement, no depth", &opencv_calls::nearest);
   add("stereo, two cameras", "BFMatcher::knnMatch, k = 2", "no ratio test, no triangulation",
       &opencv_calls::two_nearest);
-  return all;
+  return side;
 }
 
 std::string opencv_description() { return std::string("OpenCV ") + cv::getVersionString(); }

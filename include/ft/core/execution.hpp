@@ -89,10 +89,12 @@ inline constexpr bool is_wide_on_host = false;
 template <typename Op>
 inline constexpr bool is_wide_on_host<Op, std::enable_if_t<Op::wide_on_host>> = true;
 
-/// Whether this processor runs what FT_WIDE makes.
+/// Whether this processor has AVX2 and POPCNT.
 inline bool has_wide_vectors() {
 #if FT_HAS_WIDE
   return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+#elif defined(__AVX2__)
+  return true;
 #else
   return false;
 #endif

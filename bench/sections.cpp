@@ -67,15 +67,21 @@ void add_counts(json& row, frame_counts const& c) {
   row["counts"] = counts_json(c);
 }
 
+/// What is sent of the map before each frame, as part of the time.
+struct map_traffic {
+  int whole_points = 0;  ///< every field of so many
+  int positions = 0;     ///< this field alone
+};
+
 /// Microseconds a frame, from all input in staging memory to the result in host memory.
-/// @param updates map points that are sent anew before each frame, part of the time
 std::vector<double> time_frames(frame_runner& r, call_type how, int warm_up, int frames,
-                                int updates = 0) {
+                                map_traffic const& sent = {}) {
   std::vector<double> us;
   for (int i = 0; i < warm_up + frames; ++i) {
     r.prepare(i);
     double const start = now_us();
-    if (updates > 0) { r.update_map(updates); }
+    if (sent.whole_points > 0) { r.update_map(sent.whole_points); }
+    if (sent.positions > 0) { r.update_positions(sent.positions); }
     r.launch(how);
     r.wait();
     if (i >= warm_up) { us.push_back(now_us() - start); }
@@ -474,11 +480,28 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
       add("the same without side branches", b,
           time_frames(*r, call_type::queued_in_a_row, warm_up, frames));
     }
-    int const some = std::min(100, r->map_points());
+    int const all = r->map_points();
+    int const some = std::min(100, all);
     add("map: " + std::to_string(some) + " points sent each frame", b,
-        time_frames(*r, call_type::whole, warm_up, frames, some));
+        time_frames(*r, call_type::whole, warm_up, frames, {some, 0}));
     add("map: all local points sent each frame", b,
-        time_frames(*r, call_type::whole, warm_up, frames, r->map_points()));
+        time_frames(*r, call_type::whole, warm_up, frames, {all, 0}));
+    add("map: positions of all local points sent each frame", b,
+        time_frames(*r, call_type::whole, warm_up, frames, {0, all}));
+    add("pyramid copied to host memory and back", b,
+        time_frames(*r, call_type::recorded_with_copies, warm_up, frames));
+    // From a frame with none of the choices, each alone, to all of them.
+    auto const together = [&](std::string const& name, call_type how, map_traffic const& sent) {
+      add("from nothing: " + name, b, time_frames(*r, how, warm_up, frames, sent));
+    };
+    bool const cuda = b == backend_type::cuda;
+    together("pyramid copied, whole map points" + std::string(cuda ? ", no graph" : ""),
+             call_type::queued_with_copies, {all, 0});
+    together("resident pyramid alone", call_type::queued_in_a_row, {all, 0});
+    together("split map points alone", call_type::queued_with_copies, {0, all});
+    if (cuda) { together("one graph alone", call_type::recorded_with_copies, {all, 0}); }
+    together("all together" + std::string(cuda ? ", with side branches" : ""), call_type::whole,
+             {0, all});
   }
   add("no pose optimisation after the last frame's search", b,
       time_frames(*make_frame_runner(s, options(false, true)), call_type::whole, warm_up, frames));

@@ -192,6 +192,7 @@ std::array<stereo_frame, 2> make_frames(Rig const& rig) {
 // ---- driving a tracker ------------------------------------------------------------------------
 
 using test::expect_same;
+using test::same_bits;
 using test::snapshot;
 
 template <typename T>

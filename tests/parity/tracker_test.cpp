@@ -244,6 +244,7 @@ std::vector<stereo_frame> const& walk(unsigned seed) {
 // ---- driving a tracker ------------------------------------------------------------------------
 
 using test::expect_same;
+using test::same_bits;
 using test::snapshot;
 
 /// @param local with what was in view

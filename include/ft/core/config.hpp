@@ -31,6 +31,14 @@
 #define FT_HAS_WIDE 0
 #endif
 
+/// Marks what such a stage spends its time in: inlined on the host, so that it is compiled for wide
+/// vectors with the stage. Compilers that do as FT_WIDE says need no such mark.
+#if defined(__GNUC__) && !defined(__CUDA_ARCH__)
+#define FT_INLINE inline __attribute__((always_inline))
+#else
+#define FT_INLINE inline
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #define FT_NO_UNROLL _Pragma("unroll 1")

@@ -224,8 +224,9 @@ private:
 
   /// By a single thread, over whole rows of the tile's width: loops of a constant length, which
   /// become vectors.
-  FT_HOST_DEVICE static void blur_alone(scratch& s, gray_view in, image_view<std::uint8_t> out,
-                                        int x0, int y0, int w, int h) {
+  FT_HOST_DEVICE FT_INLINE static void blur_alone(scratch& s, gray_view in,
+                                                  image_view<std::uint8_t> out, int x0, int y0,
+                                                  int w, int h) {
     constexpr int tw = blur_layout::tile_width;
     int const first = x0 - radius;  // column of pixels[0]
     bool const inner = first >= 0 && w == tw && x0 + tw + radius <= in.width;
@@ -257,7 +258,7 @@ private:
   /// Weighted sum of 7 sums along rows, rounded to a pixel, in numbers of 16 bits. With a sum as
   /// 256 high + low, low = 0 where high = 255, no step exceeds them, and nothing is lost: the low
   /// parts' sum counts in units of 256.
-  FT_HOST_DEVICE static std::uint8_t blurred_pixel(std::uint16_t const* p) {
+  FT_HOST_DEVICE FT_INLINE static std::uint8_t blurred_pixel(std::uint16_t const* p) {
     constexpr int tw = blur_layout::tile_width;
     auto const weighted = [&](auto const& part) {
       return static_cast<std::uint16_t>(

@@ -343,8 +343,9 @@ private:
 
   /// The same by a single thread: every pixel gets a score, straight from the image, and only then
   /// the threshold is chosen.
-  FT_HOST_DEVICE static int detect_alone(scratch& s, gray_view level, cell_place const& in,
-                                         corner_params const& params, corner* list) {
+  FT_HOST_DEVICE FT_INLINE static int detect_alone(scratch& s, gray_view level,
+                                                   cell_place const& in,
+                                                   corner_params const& params, corner* list) {
     constexpr int run = detail::run_pixels;
     constexpr int margin = 4;  // columns before a row's first score
     static_assert(margin + max_cell_side < pitch && margin + run < pitch, "rows have a rim");

@@ -49,7 +49,7 @@ FT_HOST_DEVICE bool is_darker(pattern_pair p, float a, float b, Pixel const& at)
 
 /// Keeps the products in an array apart from the sums that follow, as keep_apart() does.
 template <int N>
-FT_HOST_DEVICE inline void keep_all_apart(float (&values)[N]) {
+FT_HOST_DEVICE FT_INLINE void keep_all_apart(float (&values)[N]) {
 #if !defined(__CUDA_ARCH__) && ((defined(__FMA__) && defined(__x86_64__)) || defined(__aarch64__))
   asm("" : "+m"(values));
 #else
@@ -59,9 +59,9 @@ FT_HOST_DEVICE inline void keep_all_apart(float (&values)[N]) {
 
 /// Word `index` of the steered BRIEF descriptor at `centre`, by a single thread: the 64 points of
 /// its tests are turned in loops that become vectors. @param stride of the level, below 2^15
-FT_HOST_DEVICE inline std::uint32_t descriptor_word(std::uint8_t const* centre, int stride, float a,
-                                                    float b, pattern_pair const* pattern,
-                                                    int index) {
+FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centre, int stride,
+                                                       float a, float b,
+                                                       pattern_pair const* pattern, int index) {
   constexpr int points = 64;
   static_assert(sizeof(pattern_pair) == 4, "nothing but the points");
   auto const* const tests = reinterpret_cast<std::int8_t const*>(pattern + 32 * index);

@@ -68,7 +68,7 @@ FT_HOST_DEVICE inline moments moments_of_word(gray_view level, int x, int y, int
 
 /// The moments of the disc around (x, y), by a single thread: first sums of columns, over the
 /// disc's rows, in loops that become vectors. @pre column x + 16 is in the level, too
-FT_HOST_DEVICE inline moments moments_by_columns(gray_view level, int x, int y) {
+FT_HOST_DEVICE FT_INLINE moments moments_by_columns(gray_view level, int x, int y) {
   constexpr int radius = orientation_radius;
   constexpr int columns = 2 * radius + 2;
   std::int16_t sums[columns] = {};
@@ -99,7 +99,7 @@ FT_HOST_DEVICE inline moments moments_by_columns(gray_view level, int x, int y) 
 /// Orientation of the disc of radius 15 around (x, y) of an unblurred level; degrees, the same in
 /// every thread of the group. The disc must lie inside the level.
 template <typename Group>
-FT_HOST_DEVICE float orientation(Group g, gray_view level, int x, int y) {
+FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int y) {
   detail::moments m{0, 0};
   constexpr int side = 2 * orientation_radius + 1;
   if (g.size() > 1 && detail::has_word_rows(level)) {

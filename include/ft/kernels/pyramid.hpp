@@ -100,9 +100,9 @@ private:
 
   /// n columns from x on, rows [first, end), by a single thread. Sums along a row are computed once
   /// for the rows of the level that read it.
-  FT_HOST_DEVICE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
-                                          resize_tap const* taps, int x, int n, int first,
-                                          int end) {
+  FT_HOST_DEVICE FT_INLINE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
+                                                    resize_tap const* taps, int x, int n, int first,
+                                                    int end) {
     detail::column_taps<strip> columns(taps + x, n, from.width);
     std::int16_t sums[2][strip] = {};
     int row_of[2] = {-1, -1};
@@ -129,8 +129,8 @@ private:
   }
 
   template <int Run>
-  FT_HOST_DEVICE static void mix_rows(std::int16_t const* s0, std::int16_t const* s1,
-                                      resize_tap const& v, std::uint8_t* out, int n) {
+  FT_HOST_DEVICE FT_INLINE static void mix_rows(std::int16_t const* s0, std::int16_t const* s1,
+                                                resize_tap const& v, std::uint8_t* out, int n) {
     auto const mixed = [&](int k) {
       return static_cast<std::uint8_t>(((v.w0 * s0[k] >> 16) + (v.w1 * s1[k] >> 16) + 2) >> 2);
     };

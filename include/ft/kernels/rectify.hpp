@@ -383,14 +383,16 @@ private:
 
   /// Weights of 1024 in place of OpenCV's 32768: those are these times 32 (one of them less by 1 at
   /// whole pixels, which never changes the rounded sum), so the quotient is the same.
-  FT_HOST_DEVICE static std::uint8_t mixed(int p00, int p10, int p01, int p11, int fx, int fy) {
+  FT_HOST_DEVICE FT_INLINE static std::uint8_t mixed(int p00, int p10, int p01, int p11, int fx,
+                                                     int fy) {
     int const upper = p00 * (32 - fx) + p10 * fx;
     int const lower = p01 * (32 - fx) + p11 * fx;
     return static_cast<std::uint8_t>((upper * (32 - fy) + lower * fy + 512) >> 10);
   }
 
   /// Whether all four neighbours of all pixels of a run are in the image.
-  FT_HOST_DEVICE static bool is_inner_run(remap_position const* positions, gray_view from) {
+  FT_HOST_DEVICE FT_INLINE static bool is_inner_run(remap_position const* positions,
+                                                    gray_view from) {
     int outside = 0;
     for (int k = 0; k < run; ++k) {
       int const x = positions[k].x;
@@ -401,8 +403,9 @@ private:
   }
 
   /// The pixels of such a run: only the loads go one by one.
-  FT_HOST_DEVICE static void inner_run(gray_view from, remap_position const* positions,
-                                       std::uint16_t const* fractions, std::uint8_t* out) {
+  FT_HOST_DEVICE FT_INLINE static void inner_run(gray_view from, remap_position const* positions,
+                                                 std::uint16_t const* fractions,
+                                                 std::uint8_t* out) {
     std::int32_t at[run];
     for (int k = 0; k < run; ++k) { at[k] = positions[k].y * from.stride + positions[k].x; }
     std::uint16_t upper[run];  // two neighbours in each

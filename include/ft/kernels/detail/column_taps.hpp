@@ -36,18 +36,22 @@ struct eight_taps {
 };
 
 #if FT_HAS_SHUFFLE
-/// (first pixel * weight + second pixel * weight) >> 4 of eight columns.
-__attribute__((target("avx2"))) inline void interpolate_eight(std::uint8_t const* row,
-                                                              eight_taps const& t,
-                                                              std::int16_t* out) {
-  __m128i const sixteen = _mm_loadu_si128(reinterpret_cast<__m128i const*>(row + t.first));
-  __m256i const pairs =
-      _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(sixteen),
-                          _mm256_load_si256(reinterpret_cast<__m256i const*>(t.pick)));
-  __m256i const sums = _mm256_srai_epi32(
-      _mm256_madd_epi16(pairs, _mm256_load_si256(reinterpret_cast<__m256i const*>(t.weights))), 4);
-  __m256i const packed = _mm256_permute4x64_epi64(_mm256_packs_epi32(sums, sums), 0x08);
-  _mm_storeu_si128(reinterpret_cast<__m128i*>(out), _mm256_castsi256_si128(packed));
+/// (first pixel * weight + second pixel * weight) >> 4 of 8 * count columns.
+__attribute__((target("avx2"))) inline void interpolate_eights(std::uint8_t const* row,
+                                                               eight_taps const* taps, int count,
+                                                               std::int16_t* out) {
+  for (int i = 0; i < count; ++i) {
+    eight_taps const& t = taps[i];
+    __m128i const sixteen = _mm_loadu_si128(reinterpret_cast<__m128i const*>(row + t.first));
+    __m256i const pairs =
+        _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(sixteen),
+                            _mm256_load_si256(reinterpret_cast<__m256i const*>(t.pick)));
+    __m256i const sums = _mm256_srai_epi32(
+        _mm256_madd_epi16(pairs, _mm256_load_si256(reinterpret_cast<__m256i const*>(t.weights))),
+        4);
+    __m256i const packed = _mm256_permute4x64_epi64(_mm256_packs_epi32(sums, sums), 0x08);
+    _mm_storeu_si128(reinterpret_cast<__m128i*>(out + 8 * i), _mm256_castsi256_si128(packed));
+  }
 }
 #endif
 
@@ -82,7 +86,7 @@ public:
   /// out[x] = (pixel * weight + next pixel * weight) >> 4. @param out [N]
   FT_HOST_DEVICE void interpolate(std::uint8_t const* row, std::int16_t* out) const {
 #if FT_HAS_SHUFFLE
-    for (int i = 0; i < count_; ++i) { interpolate_eight(row, eights_[i], out + 8 * i); }
+    if (count_ > 0) { interpolate_eights(row, eights_, count_, out); }
 #endif
     for (int x = 8 * count_; x < n_; ++x) {
       resize_tap const& t = taps_[x];

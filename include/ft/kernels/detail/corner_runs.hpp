@@ -20,7 +20,8 @@ inline constexpr int run_pixels = 32;
 /// Over the 16 arcs of 9 pixels of a circle: the best, by `Across`, of what `Along` leaves of an
 /// arc. With min_op and max_op the grey level that some arc exceeds or equals all along.
 template <typename Along, typename Across>
-FT_HOST_DEVICE std::uint8_t best_arc(std::uint8_t const (&p)[16], Along along, Across across) {
+FT_HOST_DEVICE FT_INLINE std::uint8_t best_arc(std::uint8_t const (&p)[16], Along along,
+                                               Across across) {
   // Runs of 2, 4 and 8 from every second pixel; each is in two arcs of 9, one pixel longer at
   // either end, of which the better one counts.
   std::uint8_t const two[8] = {along(p[0], p[1]),   along(p[2], p[3]),  along(p[4], p[5]),
@@ -40,8 +41,8 @@ FT_HOST_DEVICE std::uint8_t best_arc(std::uint8_t const (&p)[16], Along along, A
 /// Corner scores of the pixels c[0, run_pixels): the largest threshold below which each is a
 /// corner, 0 where it is none above `threshold`. @param stride of the image
 /// @pre the 3 pixels around the run can be read, in its row and in the 3 rows above and below
-FT_HOST_DEVICE inline void score_run(std::uint8_t const* c, std::ptrdiff_t stride,
-                                     std::uint8_t threshold, std::uint8_t* out) {
+FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t stride,
+                                        std::uint8_t threshold, std::uint8_t* out) {
   std::uint8_t scores[run_pixels];
   for (int k = 0; k < run_pixels; ++k) {
     std::uint8_t const* const q = c + k;
@@ -63,7 +64,7 @@ FT_HOST_DEVICE inline void score_run(std::uint8_t const* c, std::ptrdiff_t strid
 
 /// Scores that exceed those of all eight neighbours, else 0. @param p run_pixels scores, in an
 /// array of rows at a distance of `pitch`
-FT_HOST_DEVICE inline void suppress_run(std::uint8_t const* p, int pitch, std::uint8_t* out) {
+FT_HOST_DEVICE FT_INLINE void suppress_run(std::uint8_t const* p, int pitch, std::uint8_t* out) {
   std::uint8_t kept[run_pixels];
   for (int k = 0; k < run_pixels; ++k) {
     std::uint8_t const* const q = p + k;
@@ -78,8 +79,8 @@ FT_HOST_DEVICE inline void suppress_run(std::uint8_t const* p, int pitch, std::u
 /// Calls visit(k) for every k, rising, where p[k] is `threshold` or more. @param p run_pixels
 /// numbers
 template <typename Visit>
-FT_HOST_DEVICE void for_each_above(std::uint8_t const* p, std::uint8_t threshold,
-                                   Visit const& visit) {
+FT_HOST_DEVICE FT_INLINE void for_each_above(std::uint8_t const* p, std::uint8_t threshold,
+                                             Visit const& visit) {
   std::uint8_t flags[run_pixels];
   for (int k = 0; k < run_pixels; ++k) { flags[k] = static_cast<std::uint8_t>(p[k] >= threshold); }
   for (int first = 0; first < run_pixels; first += 4) {

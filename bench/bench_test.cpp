@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "bench/host_stages.hpp"
 #include "bench/names.hpp"
 #include "bench/plan.hpp"
 #include "bench/runner.hpp"
@@ -161,10 +162,13 @@ TEST_P(frames, stages_are_all_timed_and_every_way_of_queueing_runs) {
       ASSERT_EQ(us.size(), 14u);
       for (double t : us) { EXPECT_GE(t, 0); }
     }
-    for (auto how : {bench::call_type::whole, bench::call_type::two_halves,
-                     bench::call_type::queued, bench::call_type::queued_in_a_row}) {
+    for (auto how :
+         {bench::call_type::whole, bench::call_type::two_halves, bench::call_type::queued,
+          bench::call_type::queued_in_a_row, bench::call_type::queued_with_copies,
+          bench::call_type::recorded_with_copies}) {
       runner->prepare(2);
       runner->update_map(runner->map_points());
+      runner->update_positions(runner->map_points());
       runner->launch(how);
       runner->wait();
       EXPECT_TRUE(runner->done());
@@ -200,6 +204,28 @@ TEST_P(frames, recorded_work_is_counted) {
     EXPECT_EQ(launches, g.kernels);
     EXPECT_GT(g.result_bytes, 300u * 36u);
   }
+}
+
+TEST(host_stages, run_on_every_pair_and_have_their_counterparts) {
+  bench::scene const s = bench::make_scene(rig_type::rectified, 376, 0, 2, 300, 300);
+  auto const stages = bench::make_host_stages(s);
+  bool const opencv = !bench::opencv_description().empty();
+  std::set<std::string> names;
+  int counterparts = 0;
+  for (int pair = 0; pair < 2; ++pair) {
+    stages->prepare(pair);
+    for (auto const& stage : stages->all()) {
+      names.insert(stage.name);
+      stage.ours();
+      if (!stage.theirs) { continue; }
+      stage.theirs();
+      ++counterparts;
+      EXPECT_FALSE(stage.counterpart.empty()) << stage.name;
+      EXPECT_FALSE(stage.difference.empty()) << stage.name;
+    }
+  }
+  EXPECT_EQ(names.size(), stages->all().size());
+  EXPECT_EQ(counterparts, opencv ? 2 * 9 : 0);
 }
 
 TEST(cameras, see_every_point_that_they_are_timed_on) {

@@ -94,6 +94,14 @@ public:
       case call_type::queued_in_a_row:
         tracker_.track(exec(), [](char const*) {});
         break;
+      case call_type::queued_with_copies:
+        make_copy_memory();
+        track_with_copies(exec());
+        break;
+      case call_type::recorded_with_copies:
+        make_copy_memory();
+        copies_recording_.replay(exec(), [this](Exec const& e) { track_with_copies(e); });
+        break;
     }
   }
   bool done() override { return owned_.done(); }
@@ -106,6 +114,14 @@ public:
 
   void update_map(int count) override {
     tracker_.update_map(exec(), 0, points_.data(), std::min(count, map_points()));
+  }
+  void update_positions(int count) override {
+    auto const n = static_cast<std::size_t>(std::min(count, map_points()));
+    if (positions_.size() == 0) { positions_ = staged<ft::vec3<float>>(points_.size()); }
+    for (std::size_t i = 0; i < n; ++i) { positions_.data()[i] = points_[i].position; }
+    // Slots are the numbers of the points: the positions lie one after the other.
+    ft::copy(exec(), ft::array_of<ft::field::position>(tracker_.map()),
+             static_cast<ft::vec3<float> const*>(positions_.data()), n);
   }
   int map_points() const override { return static_cast<int>(points_.size()); }
 
@@ -172,6 +188,9 @@ public:
   }
 
 private:
+  template <typename T>
+  using staged = ft::buffer<T, ft::staging_space<Exec>>;
+
   Exec const& exec() const { return owned_.exec; }
   scene_frame const& frame(int k) const { return scene_.frames[static_cast<std::size_t>(k)]; }
 
@@ -181,6 +200,25 @@ private:
     return captured([this](ft::cuda_exec const& e) { tracker_.track(e, ft::no_mark{}); });
   }
 #endif
+
+  /// Host memory for a pyramid that does not stay with the executor, and the graph of such a frame.
+  void make_copy_memory() {
+    if (pyramid_copy_.size() != 0) { return; }
+    pyramid_copy_ = staged<std::uint8_t>(pyramid_bytes());
+    copies_recording_.record(exec(), [this](Exec const& e) { track_with_copies(e); });
+  }
+  std::size_t pyramid_bytes() const {
+    return 2 * static_cast<std::size_t>(batch_) *
+           static_cast<std::size_t>(tracker_.geometry().bytes);
+  }
+  void track_with_copies(Exec const& e) {
+    std::uint8_t* const pyramid = tracker_.extractor().pyramid().data;
+    tracker_.track(e, [&](char const* stage) {
+      std::string const done = stage;
+      if (done == "pyramid") { ft::copy_bytes(e, pyramid_copy_.data(), pyramid, pyramid_bytes()); }
+      if (done == "grid") { ft::copy_bytes(e, pyramid, pyramid_copy_.data(), pyramid_bytes()); }
+    });
+  }
 
   static ft::tracker_params params_of(scene const& s, frame_options const& how) {
     ft::tracker_params p;
@@ -280,6 +318,9 @@ private:
   std::vector<std::string> names_;
   std::vector<int> holder_;
   std::vector<ft::point_update> points_;
+  staged<ft::vec3<float>> positions_;
+  staged<std::uint8_t> pyramid_copy_;
+  ft::recording<Exec> copies_recording_;
   int stamp_ = 0;
 };
 

@@ -13,8 +13,9 @@
 namespace bench {
 
 inline std::vector<std::string> const& all_sections() {
-  static std::vector<std::string> const names{"cameras", "frame", "fisheye", "stages",  "batch",
-                                              "streams", "graph", "kernels", "ablation"};
+  static std::vector<std::string> const names{"cameras",  "frame",      "fisheye", "stages",
+                                              "batch",    "streams",    "graph",   "kernels",
+                                              "ablation", "host_stages"};
   return names;
 }
 

@@ -36,10 +36,12 @@ struct frame_options {
 
 /// How a frame is queued.
 enum class call_type {
-  whole,            ///< one call, on a device one graph
-  two_halves,       ///< the host waits in between, where it would choose the local map
-  queued,           ///< launch after launch, side branches as in the graph
-  queued_in_a_row,  ///< launch after launch, no side branches
+  whole,                 ///< one call, on a device one graph
+  two_halves,            ///< the host waits in between, where it would choose the local map
+  queued,                ///< launch after launch, side branches as in the graph
+  queued_in_a_row,       ///< launch after launch, no side branches
+  queued_with_copies,    ///< the same, and the pyramid goes to host memory and back before stereo
+  recorded_with_copies,  ///< the same in one graph; on the host as queued
 };
 
 /// Means over the scene's frames, of the batch's first pair.
@@ -96,6 +98,9 @@ public:
   virtual void keep() = 0;
   /// Queues the writing of the first `count` map points, of pair 0; waits for an earlier one.
   virtual void update_map(int count) = 0;
+  /// Queues the writing of the positions alone of the first `count` map points, of pair 0: one
+  /// copy. Waits for an earlier one.
+  virtual void update_positions(int count) = 0;
   virtual int map_points() const = 0;
 
   /// Runs every frame of the scene in two halves and looks at the results.

@@ -5,10 +5,12 @@
 #include <atomic>
 #include <cstdio>
 #include <exception>
+#include <functional>
 #include <mutex>
 #include <thread>
 
 #include "bench/clock.hpp"
+#include "bench/host_stages.hpp"
 #include "bench/plan.hpp"
 #include "sequence/report.hpp"
 
@@ -65,15 +67,21 @@ void add_counts(json& row, frame_counts const& c) {
   row["counts"] = counts_json(c);
 }
 
+/// What is sent of the map before each frame, as part of the time.
+struct map_traffic {
+  int whole_points = 0;  ///< every field of so many
+  int positions = 0;     ///< this field alone
+};
+
 /// Microseconds a frame, from all input in staging memory to the result in host memory.
-/// @param updates map points that are sent anew before each frame, part of the time
 std::vector<double> time_frames(frame_runner& r, call_type how, int warm_up, int frames,
-                                int updates = 0) {
+                                map_traffic const& sent = {}) {
   std::vector<double> us;
   for (int i = 0; i < warm_up + frames; ++i) {
     r.prepare(i);
     double const start = now_us();
-    if (updates > 0) { r.update_map(updates); }
+    if (sent.whole_points > 0) { r.update_map(sent.whole_points); }
+    if (sent.positions > 0) { r.update_positions(sent.positions); }
     r.launch(how);
     r.wait();
     if (i >= warm_up) { us.push_back(now_us() - start); }
@@ -472,11 +480,28 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
       add("the same without side branches", b,
           time_frames(*r, call_type::queued_in_a_row, warm_up, frames));
     }
-    int const some = std::min(100, r->map_points());
+    int const all = r->map_points();
+    int const some = std::min(100, all);
     add("map: " + std::to_string(some) + " points sent each frame", b,
-        time_frames(*r, call_type::whole, warm_up, frames, some));
+        time_frames(*r, call_type::whole, warm_up, frames, {some, 0}));
     add("map: all local points sent each frame", b,
-        time_frames(*r, call_type::whole, warm_up, frames, r->map_points()));
+        time_frames(*r, call_type::whole, warm_up, frames, {all, 0}));
+    add("map: positions of all local points sent each frame", b,
+        time_frames(*r, call_type::whole, warm_up, frames, {0, all}));
+    add("pyramid copied to host memory and back", b,
+        time_frames(*r, call_type::recorded_with_copies, warm_up, frames));
+    // From a frame with none of the choices, each alone, to all of them.
+    auto const together = [&](std::string const& name, call_type how, map_traffic const& sent) {
+      add("from nothing: " + name, b, time_frames(*r, how, warm_up, frames, sent));
+    };
+    bool const cuda = b == backend_type::cuda;
+    together("pyramid copied, whole map points" + std::string(cuda ? ", no graph" : ""),
+             call_type::queued_with_copies, {all, 0});
+    together("resident pyramid alone", call_type::queued_in_a_row, {all, 0});
+    together("split map points alone", call_type::queued_with_copies, {0, all});
+    if (cuda) { together("one graph alone", call_type::recorded_with_copies, {all, 0}); }
+    together("all together" + std::string(cuda ? ", with side branches" : ""), call_type::whole,
+             {0, all});
   }
   add("no pose optimisation after the last frame's search", b,
       time_frames(*make_frame_runner(s, options(false, true)), call_type::whole, warm_up, frames));
@@ -495,6 +520,72 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
         backend_type::host,
         time_frames(*r, call_type::whole, c.how.warm_up_on(backend_type::host),
                     std::max(8, c.how.frames_on(b) / 50)));
+  }
+}
+
+// ---- one host thread beside OpenCV ------------------------------------------------------------
+
+namespace {
+
+json times_json(seq::statistics const& s) {
+  return {{"mean_us", s.mean},
+          {"std_us", s.std},
+          {"p50_us", s.p50},
+          {"p99_us", s.p99},
+          {"max_us", s.max}};
+}
+
+}  // namespace
+
+void host_stages_section(context const& c) {
+  scene const& s = c.all_scenes->get(rig_type::rectified);
+  auto const stages = make_host_stages(s);
+  auto const pairs = static_cast<int>(s.frames.size());
+  int const warm_up = c.how.warm_up > 0 ? c.how.warm_up : pairs;
+  int const calls = c.how.frames > 0 ? c.how.frames : 20 * pairs;
+  std::string const opencv = opencv_description();
+  std::printf(
+      "\nStages on one host thread, both images of a %dx%d pair, %d features, %d calls; ft for %s; "
+      "%s\n",
+      s.width, s.height, s.features, calls, instruction_set().c_str(),
+      opencv.empty() ? "built without OpenCV" : opencv.c_str());
+  std::printf("%-32s %9s %9s %9s %9s %7s  %s\n", "stage", "ft p50 us", "p99 us", "OpenCV p50",
+              "p99 us", "ratio", "OpenCV's call: what differs");
+  for (auto const& stage : stages->all()) {
+    std::vector<double> ours, theirs;
+    for (int i = 0; i < warm_up + calls; ++i) {
+      stages->prepare(i % pairs);
+      // In turn, so that what else the machine does falls on both, and so does what the first of
+      // two calls finds in the caches.
+      auto const time = [&](std::function<void()> const& call, std::vector<double>& us) {
+        double const start = now_us();
+        call();
+        if (i >= warm_up) { us.push_back(now_us() - start); }
+      };
+      bool const first = i / pairs % 2 == 0;
+      if (first) { time(stage.ours, ours); }
+      if (stage.theirs) { time(stage.theirs, theirs); }
+      if (!first) { time(stage.ours, ours); }
+    }
+    auto const a = seq::summarise(ours);
+    json row{{"name", stage.name},
+             {"calls", calls},
+             {"instruction_set", instruction_set()},
+             {"ft", times_json(a)}};
+    std::printf("%-32s %9.1f %9.1f", stage.name.c_str(), a.p50, a.p99);
+    if (stage.theirs) {
+      auto const b = seq::summarise(theirs);
+      row["opencv"] = times_json(b);
+      row["opencv_version"] = opencv;
+      row["counterpart"] = stage.counterpart;
+      row["difference"] = stage.difference;
+      row["times_as_fast"] = b.p50 / a.p50;
+      std::printf(" %10.1f %9.1f %7.2f  %s: %s", b.p50, b.p99, b.p50 / a.p50,
+                  stage.counterpart.c_str(), stage.difference.c_str());
+    }
+    std::printf("\n");
+    std::fflush(stdout);
+    (*c.out)["host_stages"].push_back(row);
   }
 }
 

@@ -62,4 +62,7 @@ void kernels_section(context const& c, backend_type b);
 /// @param with_host also measure the frame on the host, beside a device
 void ablation_section(context const& c, backend_type b, bool with_host);
 
+/// The host executor's stages on one thread beside OpenCV's: array "host_stages".
+void host_stages_section(context const& c);
+
 }  // namespace bench

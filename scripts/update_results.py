@@ -213,6 +213,29 @@ def kernels():
     return lines
 
 
+def host_stages():
+    """ft_bench --only host_stages of a build with the compiler's usual flags, and of one for the processor."""
+    usual, native = load("host_opencv.json"), load("host_opencv_native.json")
+    lines = [
+        f"{usual['processor']}, one thread; {usual['date']}, commit {usual['commit']}; "
+        f"{usual['host_stages'][0].get('opencv_version', 'no OpenCV')}; "
+        f"{usual['image'][0]}x{usual['image'][1]} pairs, both images, medians of {usual['host_stages'][0]['calls']} calls.",
+        "",
+        "| stage | ft, us | OpenCV, us | times as fast | ft for the processor, us | times as fast | OpenCV's call | what differs |",
+        "|---|---:|---:|---:|---:|---:|---|---|",
+    ]
+    of_native = {r["name"]: r for r in native["host_stages"]}
+    for r in usual["host_stages"]:
+        n = of_native.get(r["name"], {})
+        cells = [r["name"], f"{r['ft']['p50_us']:.0f}"]
+        cells += [f"{r['opencv']['p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv" in r else ["", ""]
+        cells.append(f"{n['ft']['p50_us']:.0f}" if n else "")
+        cells.append(f"{n['times_as_fast']:.2f}" if "opencv" in n else "")
+        cells += [r.get("counterpart", ""), r.get("difference", "")]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
 def conformance():
     host, cuda = load("conformance_host.json"), load("conformance_cuda.json")
     lines = [
@@ -230,7 +253,8 @@ def conformance():
 
 TABLES = {
     "README.md": {"frames": frames},
-    "docs/performance.md": {"frames": frames, "stages": stages, "recorded frames": recorded, "recorded stages": recorded_stages},
+    "docs/performance.md": {"frames": frames, "stages": stages, "recorded frames": recorded, "recorded stages": recorded_stages,
+                            "host against OpenCV": host_stages},
     "docs/conformance.md": {"conformance": conformance},
     "docs/benchmark_results.md": {
         "counts": counts,
@@ -267,6 +291,12 @@ def self_test():
         {"model": "m", "scalar": "float", "function": "project", "backend": "host", "threads": 1, "ns_per_point": 2.5},
         {"model": "m", "scalar": "float", "function": "unproject", "backend": "cuda", "threads": 0, "ns_per_point": 0.0051}]
     assert cameras()[-1] == "| m | float | 2.5 |  |  |  |  | 0.0051 |", cameras()
+    results.update(processor="a processor", host_stages=[
+        {"name": "blur", "calls": 9, "ft": {"p50_us": 50.0}, "opencv": {"p50_us": 100.0}, "times_as_fast": 2.0,
+         "opencv_version": "OpenCV 0", "counterpart": "GaussianBlur", "difference": "none"},
+        {"name": "distribution", "calls": 9, "ft": {"p50_us": 7.0}}])
+    assert host_stages()[-2:] == ["| blur | 50 | 100 | 2.00 | 50 | 2.00 | GaussianBlur | none |",
+                                  "| distribution | 7 |  |  | 7 |  |  |  |"], host_stages()
     results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]
     assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
     print("update_results.py: self-test passed")

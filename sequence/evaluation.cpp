@@ -139,15 +139,10 @@ trajectory read_tum(std::string const& path) {
           path, line.number,
           std::to_string(words.size()) + " numbers, must have 8 (time tx ty tz qx qy qz qw)");
     }
-    double v[7];
-    for (std::size_t i = 0; i < 7; ++i) {
-      v[i] = detail::finite_number(words[i + 1], path, line.number);
-    }
     stamped_pose pose;
+    pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
+                                                 path, line.number);
     pose.time_ns = detail::seconds_to_ns(words[0], path, line.number);
-    pose.T_world_camera.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
-    pose.T_world_camera.linear() =
-        detail::unit_quaternion(v[6], v[3], v[4], v[5], path, line.number).toRotationMatrix();
     poses.push_back(pose);
   }
   std::stable_sort(poses.begin(), poses.end(), [](stamped_pose const& a, stamped_pose const& b) {

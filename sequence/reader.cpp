@@ -180,15 +180,10 @@ trajectory read_euroc_truth(std::string const& path) {
       detail::fail_at(path, line.number,
                       std::to_string(fields.size()) + " fields, must have at least 8");
     }
-    double v[7];
-    for (std::size_t i = 0; i < 7; ++i) {
-      v[i] = detail::finite_number(fields[i + 1], path, line.number);
-    }
     stamped_pose pose;
+    pose.T_world_camera = detail::pose_of_fields(
+        fields.data() + 1, detail::quaternion_order::w_first, path, line.number);
     pose.time_ns = detail::nanoseconds(fields[0], path, line.number);
-    pose.T_world_camera.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
-    pose.T_world_camera.linear() =
-        detail::unit_quaternion(v[3], v[4], v[5], v[6], path, line.number).toRotationMatrix();
     if (!poses.empty() && pose.time_ns <= poses.back().time_ns) {
       detail::fail_at(path, line.number, "time stamps must increase");
     }

@@ -38,7 +38,9 @@ int main(int argc, char** argv) {
   add("--baseline", options.baseline, "metres; 0 = 0.11 (pinhole) or 0.101 (fisheye)");
   app.add_flag("--steady-exposure", steady_exposure, "keep the exposure constant");
   add("--threads", writing.threads, "0 = as many as the machine has");
-  CLI11_PARSE(app, argc, argv);
+  try {
+    app.parse(argc, argv);
+  } catch (CLI::ParseError const& e) { return app.exit(e) == 0 ? 0 : 2; }
 
   try {
     options.rig = rig == "fisheye" ? seq::rig_kind::fisheye : seq::rig_kind::pinhole;

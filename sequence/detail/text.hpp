@@ -150,4 +150,23 @@ inline Eigen::Quaterniond unit_quaternion(double w, double x, double y, double z
   return q;
 }
 
+/// Where a quaternion's real part is.
+enum class quaternion_order { w_first, w_last };
+
+/// A pose from seven fields: position, then a unit quaternion. @throws seq::error naming file and
+/// line
+inline Eigen::Isometry3d pose_of_fields(std::string const* fields, quaternion_order order,
+                                        std::string const& path, int line) {
+  double v[7];
+  for (int i = 0; i < 7; ++i) { v[i] = finite_number(fields[i], path, line); }
+  double const* const q = v + 3;
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  pose.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
+  pose.linear() =
+      (order == quaternion_order::w_first ? unit_quaternion(q[0], q[1], q[2], q[3], path, line)
+                                          : unit_quaternion(q[3], q[0], q[1], q[2], path, line))
+          .toRotationMatrix();
+  return pose;
+}
+
 }  // namespace seq::detail

@@ -1285,4 +1285,16 @@ TEST(Recorded, FisheyePairStandingStill) {
   expect_consistent_pairs(standing(shared, "rig_wang", "wang"), 110, 0.002);
 }
 
+TEST(GenerateSequence, MistakesInItsOptionsEndItWithStatus2) {
+  for (strings const& wrong :
+       {strings{}, strings{"--out"}, strings{"--out", "x", "--no-such"},
+        strings{"--out", "x", "--rig", "round"}, strings{"--out", "x", "--frames", "many"}}) {
+    outcome const o = run_program(generator, wrong);
+    EXPECT_EQ(o.signal, 0) << o;
+    EXPECT_EQ(o.status, 2) << o;
+    EXPECT_NE(o.err, "") << o;
+  }
+  EXPECT_TRUE(succeeded(run_program(generator, {"--help"})));
+}
+
 }  // namespace

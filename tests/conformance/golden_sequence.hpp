@@ -26,6 +26,7 @@
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
+#include "tests/support/pose_problem.hpp"
 
 namespace test {
 
@@ -53,18 +54,6 @@ inline void print(conformance_table const& table, std::string const& title) {
                 100 * r.share(), r.max_abs_diff);
   }
 }
-
-/// The pose stage on one list of observations.
-template <typename Rig>
-struct optimize_problem {
-  using scratch = typename ft::optimize_pose<Rig>::scratch;
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
-                                 ft::pose_problem const& problem,
-                                 ft::pose_params const& params) const {
-    ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
-  }
-};
 
 /// One golden sequence on one executor.
 template <typename Exec>
@@ -622,7 +611,7 @@ private:
     auto const start = to_exec(exec_, std::vector<ft::pose>{read_pose(k, po + "Tin")});
     ft::buffer<ft::pose, Exec::space> result(1);
     ft::for_each_item<ft::per_block<ft::sum_lanes>>(
-        exec_, 1, optimize_problem<Rig>{}, rig,
+        exec_, 1, test::solve_pose_problem<Rig>{}, rig,
         ft::pose_problem{memory.items, n, start.data(), result.data(), memory.outlier,
                          memory.inliers},
         ft::pose_params{});

@@ -31,6 +31,7 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/tracking.hpp"
 
 namespace bad_input {
 
@@ -156,16 +157,7 @@ image render(Camera const& camera, ft::pose const& T_cw, image const& texture, i
       if (!(t > 0) || t * std::sqrt(ft::dot(d, d)) > 50) { continue; }
       double const s = (T_wc.t.x + t * d.x + 100) * 45;
       double const r = (T_wc.t.y + t * d.y + 100) * 45;
-      int const x = static_cast<int>(s);
-      int const y = static_cast<int>(r);
-      double const fx = s - x;
-      double const fy = r - y;
-      auto const texel = [&](int i, int j) {
-        return static_cast<double>(texture[at(j % side) * at(side) + at(i % side)]);
-      };
-      out[at(v * width + u)] = static_cast<std::uint8_t>(
-          std::lround((1 - fx) * (1 - fy) * texel(x, y) + fx * (1 - fy) * texel(x + 1, y) +
-                      (1 - fx) * fy * texel(x, y + 1) + fx * fy * texel(x + 1, y + 1)));
+      out[at(v * width + u)] = test::texture_at(texture, side, s, r);
     }
   }
   return out;
@@ -199,33 +191,9 @@ std::array<stereo_frame, 2> make_frames(Rig const& rig) {
 
 // ---- driving a tracker ------------------------------------------------------------------------
 
-struct snapshot {
-  std::vector<int> keypoints;
-  int matches = 0, inliers = 0;
-  ft::pose T_cw{};
-  std::vector<float> x, y, depth;
-  std::vector<ft::vec3<float>> point;
-  std::vector<int> octave, holder, partner;
-  std::vector<unsigned char> in_view;  ///< of the entries in use
-};
-
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  return a.size() == b.size() &&
-         (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0);
-}
-void expect_same(snapshot const& a, snapshot const& b) {
-  EXPECT_EQ(a.keypoints, b.keypoints);
-  EXPECT_EQ(a.matches, b.matches);
-  EXPECT_EQ(a.inliers, b.inliers);
-  EXPECT_EQ(std::memcmp(&a.T_cw, &b.T_cw, sizeof(ft::pose)), 0) << "poses differ";
-  EXPECT_TRUE(same_bits(a.x, b.x) && same_bits(a.y, b.y) && same_bits(a.octave, b.octave))
-      << "keypoints differ";
-  EXPECT_TRUE(same_bits(a.depth, b.depth) && same_bits(a.point, b.point)) << "depths differ";
-  EXPECT_EQ(a.partner, b.partner);
-  EXPECT_EQ(a.holder, b.holder);
-  EXPECT_EQ(a.in_view, b.in_view);
-}
+using test::expect_same;
+using test::same_bits;
+using test::snapshot;
 
 template <typename T>
 int count_of(std::vector<T> const& v, std::function<bool(T)> const& good) {
@@ -258,22 +226,7 @@ struct driver {
   }
   snapshot result(bool local) {
     exec.wait();
-    auto const& r = tracker.result();
-    snapshot s;
-    s.keypoints.assign(r.keypoints, r.keypoints + r.cameras);
-    s.matches = r.matches[0];
-    s.inliers = r.inliers[0];
-    s.T_cw = r.T_cw[0];
-    auto const n = r.cameras * r.capacity;
-    s.x.assign(r.x, r.x + n);
-    s.y.assign(r.y, r.y + n);
-    s.octave.assign(r.octave, r.octave + n);
-    s.holder.assign(r.holder, r.holder + n);
-    s.partner.assign(r.partner, r.partner + n);
-    s.depth.assign(r.depth, r.depth + r.capacity);
-    s.point.assign(r.point, r.point + r.capacity);
-    if (local) { s.in_view.assign(r.in_view, r.in_view + tracker.local_count()[0]); }
-    return s;
+    return test::take(tracker, 0, local ? tracker.local_count()[0] : 0);
   }
   snapshot extract(stereo_frame const& f) {
     images(f.left, f.right);

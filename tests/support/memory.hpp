@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -33,6 +34,16 @@ template <typename Field, typename Exec, typename View>
 std::vector<typename Field::type> column(Exec const& exec, View const& view) {
   return from_exec(exec, static_cast<typename Field::type const*>(ft::array_of<Field>(view)),
                    static_cast<std::size_t>(view.capacity) * static_cast<std::size_t>(view.batch));
+}
+
+/// Columns [batch][capacity] and counts into a container of pixels.
+template <typename Exec, typename View>
+void set_pixels(Exec const& exec, View const& view, std::vector<float> const& x,
+                std::vector<float> const& y, std::vector<int> const& count) {
+  ft::copy(exec, ft::array_of<ft::field::x>(view), x.data(), x.size());
+  ft::copy(exec, ft::array_of<ft::field::y>(view), y.data(), y.size());
+  ft::copy(exec, view.count, count.data(), count.size());
+  exec.wait();
 }
 
 }  // namespace test

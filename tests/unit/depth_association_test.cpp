@@ -31,14 +31,6 @@ protected:
   using pixels = ft::pixels<exec_type::space>;
   using matches = ft::stereo_matches<exec_type::space>;
 
-  void set(ft::pixels_view const& v, std::vector<float> const& x, std::vector<float> const& y,
-           std::vector<int> const& count) {
-    auto const& exec = backend.exec;
-    ft::copy(exec, ft::array_of<ft::field::x>(v), x.data(), x.size());
-    ft::copy(exec, ft::array_of<ft::field::y>(v), y.data(), y.size());
-    ft::copy(exec, v.count, count.data(), count.size());
-    exec.wait();
-  }
   void expect(ft::stereo_matches_view const& got, std::vector<answer> const& want) {
     auto const& exec = backend.exec;
     auto const right_x = test::column<ft::field::right_x>(exec, got);
@@ -59,7 +51,7 @@ protected:
     std::vector<float> x(row.size());
     for (std::size_t i = 0; i < row.size(); ++i) { x[i] = static_cast<float>(i); }
     pixels const kp(n);
-    set(kp.view(), x, std::vector<float>(row.size(), 0), {n});
+    test::set_pixels(backend.exec, kp.view(), x, std::vector<float>(row.size(), 0), {n});
     matches const out(n);
     auto const depth = test::to_exec(backend.exec, row);
     ft::associate_depth(
@@ -128,8 +120,8 @@ protected:
     auto const& exec = backend.exec;
     pixels const raw(capacity, batch);
     pixels const undistorted(capacity, batch);
-    set(raw.view(), x, y, count);
-    set(undistorted.view(), ux, y, count);
+    test::set_pixels(backend.exec, raw.view(), x, y, count);
+    test::set_pixels(backend.exec, undistorted.view(), ux, y, count);
     auto const depth = test::to_exec(exec, values);
     constexpr auto size = static_cast<std::ptrdiff_t>(sizeof(T));
     matches const out(capacity, batch);
@@ -175,7 +167,7 @@ TYPED_TEST(depth_association_unit, positions_are_truncated_towards_zero) {
   std::vector<float> const want{1, 16, 4, -1, 1, -1, -1, -1, 16, -1, -1, -1};
   auto const n = static_cast<int>(x.size());
   typename TestFixture::pixels const kp(n);
-  this->set(kp.view(), x, y, {n});
+  test::set_pixels(this->backend.exec, kp.view(), x, y, {n});
   typename TestFixture::matches const out(n);
   ft::associate_depth(exec, kp.view(), kp.view(),
                       ft::depth_images_view<float>{depth.data(), 3, 2, 12, 0, 1}, {1.0f},
@@ -189,7 +181,8 @@ TYPED_TEST(depth_association_unit, bad_input_throws_before_anything_is_queued) {
   typename TestFixture::pixels const other(5, 2);
   typename TestFixture::matches const out(6, 2);
   typename TestFixture::matches const small(6, 1);
-  this->set(kp.view(), std::vector<float>(12, 1), std::vector<float>(12, 1), {6, 6});
+  test::set_pixels(this->backend.exec, kp.view(), std::vector<float>(12, 1),
+                   std::vector<float>(12, 1), {6, 6});
   auto const memory = test::to_exec(exec, std::vector<float>(64, 1));
   using images = ft::depth_images_view<float>;
   images const good{memory.data(), 5, 4, 20, 80, 2};

@@ -208,6 +208,34 @@ TYPED_TEST(packed_pixels_unit, flagged_pixels_are_listed_once_and_counted_past_t
   }
 }
 
+/// True where `mask` (16 bits, cyclic) has 9 ones in a row.
+bool has_arc_of_9(unsigned mask) {
+  unsigned const twice = mask | mask << 16;
+  for (int k = 0; k < 16; ++k) {
+    if ((twice >> k & 0x1ffu) == 0x1ffu) { return true; }
+  }
+  return false;
+}
+
+/// The score by its definition: the largest threshold at which the pixel still is a corner.
+int score_by_definition(std::uint8_t const* center, ft::detail::fast_circle const& circle,
+                        int threshold) {
+  auto const is_corner = [&](int t) {
+    unsigned bright = 0;
+    unsigned dark = 0;
+    for (int k = 0; k < 16; ++k) {
+      int const d = center[circle.offset[k]] - center[0];
+      bright |= static_cast<unsigned>(d > t) << k;
+      dark |= static_cast<unsigned>(d < -t) << k;
+    }
+    return has_arc_of_9(bright) || has_arc_of_9(dark);
+  };
+  if (!is_corner(threshold)) { return 0; }
+  int t = threshold;
+  while (is_corner(t + 1)) { ++t; }
+  return t;
+}
+
 /// Flags and scores of pairs, per pixel of an image whose stride is detect_cell's.
 struct score_all {
   using scratch = ft::no_scratch;
@@ -256,7 +284,7 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
         for (int x = 4; x < pitch - 4; ++x) {
           int const i = y * pitch + x;
           std::uint8_t const* const p = pixels.data() + i;
-          int const want = ft::detail::fast_score(p, circle, threshold);
+          int const want = score_by_definition(p, circle, threshold);
           ASSERT_EQ(scores[at(i)], want) << x << " " << y << " threshold " << threshold;
           corners += static_cast<int>(want > 0);
           int brighter = 0;
@@ -272,6 +300,73 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
     }
   }
   EXPECT_GT(corners, 1000);
+}
+
+TEST(corner_runs, scores_of_runs_are_those_of_single_pixels) {
+  constexpr int run = ft::detail::run_pixels;
+  constexpr int stride = 80;
+  constexpr int height = 40;
+  constexpr ft::detail::fast_circle circle(stride);
+  int corners = 0;
+  for (int const threshold : {0, 1, 7, 20, 100, 254, 255}) {
+    for (unsigned kind = 0; kind < 3; ++kind) {
+      image pixels = kind == 0 ? noise(stride * height, 90u + static_cast<unsigned>(threshold))
+                               : test::random_image(stride, height, kind);
+      if (kind == 2) {
+        for (auto& p : pixels) { p = p < 128 ? std::uint8_t{0} : std::uint8_t{255}; }
+      }
+      for (int y = 3; y < height - 3; ++y) {
+        for (int x : {3, 4, stride - 3 - run}) {
+          std::uint8_t const* const p = pixels.data() + y * stride + x;
+          std::uint8_t scores[run];
+          ft::detail::score_run(p, stride, static_cast<std::uint8_t>(threshold), scores);
+          for (int k = 0; k < run; ++k) {
+            int const want = score_by_definition(p + k, circle, threshold);
+            ASSERT_EQ(int{scores[k]}, want) << x + k << " " << y << " threshold " << threshold;
+            corners += static_cast<int>(want > 0);
+          }
+        }
+      }
+    }
+  }
+  EXPECT_GT(corners, 1000);
+}
+
+TEST(corner_runs, what_does_not_exceed_its_eight_neighbours_is_suppressed) {
+  constexpr int run = ft::detail::run_pixels;
+  constexpr int pitch = run + 2;
+  std::mt19937 random(5);
+  for (int trial = 0; trial < 50; ++trial) {
+    image scores(3 * pitch);
+    for (auto& s : scores) { s = static_cast<std::uint8_t>(random() % (trial < 25 ? 4u : 256u)); }
+    std::uint8_t kept[run];
+    ft::detail::suppress_run(scores.data() + pitch + 1, pitch, kept);
+    for (int k = 0; k < run; ++k) {
+      int const own = scores[at(pitch + 1 + k)];
+      bool highest = true;
+      for (int n : {0, 1, 2, pitch, pitch + 2, 2 * pitch, 2 * pitch + 1, 2 * pitch + 2}) {
+        highest = highest && own > scores[at(n + k)];
+      }
+      ASSERT_EQ(int{kept[k]}, highest ? own : 0) << k;
+    }
+  }
+}
+
+TEST(corner_runs, every_number_from_the_threshold_on_is_visited_in_order) {
+  constexpr int run = ft::detail::run_pixels;
+  std::mt19937 random(6);
+  for (int const threshold : {1, 7, 128, 255}) {
+    std::uint8_t values[run];
+    std::vector<int> want, seen;
+    for (int k = 0; k < run; ++k) {
+      int const near = threshold + static_cast<int>(random() % 3) - 1;
+      values[k] = static_cast<std::uint8_t>(std::min(near, 255));
+      if (values[k] >= threshold) { want.push_back(k); }
+    }
+    ft::detail::for_each_above(values, static_cast<std::uint8_t>(threshold),
+                               [&](int k) { seen.push_back(k); });
+    EXPECT_EQ(seen, want);
+  }
 }
 
 struct blur_by_strips {

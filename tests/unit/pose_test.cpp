@@ -17,6 +17,7 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/pose_problem.hpp"
 
 namespace pose_test {
 
@@ -136,18 +137,6 @@ inline int number_of_inliers(std::vector<unsigned char> const& outlier) {
   return static_cast<int>(std::count(outlier.begin(), outlier.end(), 0));
 }
 
-/// One problem per item.
-template <typename Rig>
-struct solve_problem {
-  using scratch = typename ft::optimize_pose<Rig>::scratch;
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
-                                 ft::pose_problem const& problem,
-                                 ft::pose_params const& params) const {
-    ft::optimize_pose<Rig>{}(g, s, rig, problem, params);
-  }
-};
-
 /// Analytic and numeric derivatives of one observation.
 struct derivatives {
   double analytic[3][6];
@@ -213,7 +202,7 @@ protected:
     auto const d_outlier = test::to_exec(exec, std::vector<unsigned char>(n + 1, 77));
     auto const d_inliers = test::to_exec(exec, std::vector<int>{-1});
     ft::for_each_item<ft::per_block<ft::sum_lanes>>(
-        exec, 1, solve_problem<Rig>{}, rig,
+        exec, 1, test::solve_pose_problem<Rig>{}, rig,
         ft::pose_problem{d_observations.data(), static_cast<int>(n), d_start.data(),
                          d_result.data(), d_outlier.data(), d_inliers.data()},
         ft::pose_params{});

@@ -47,16 +47,6 @@ class undistort_unit : public test::on_backend<Backend> {
 protected:
   Backend backend;
   using pixels = ft::pixels<Backend::exec_type::space>;
-
-  /// Columns [batch][capacity] and counts into a container.
-  void set(ft::pixels_view const& v, std::vector<float> const& x, std::vector<float> const& y,
-           std::vector<int> const& count) {
-    auto const& exec = backend.exec;
-    ft::copy(exec, ft::array_of<ft::field::x>(v), x.data(), x.size());
-    ft::copy(exec, ft::array_of<ft::field::y>(v), y.data(), y.size());
-    ft::copy(exec, v.count, count.data(), count.size());
-    exec.wait();
-  }
 };
 TYPED_TEST_SUITE(undistort_unit, test::backends);
 
@@ -86,9 +76,9 @@ TYPED_TEST(undistort_unit, keypoints_go_where_the_target_camera_sees_their_ray) 
   }
   typename TestFixture::pixels const raw(capacity, batch);
   typename TestFixture::pixels const out(capacity, batch);
-  this->set(raw.view(), x, y, count);
-  this->set(out.view(), std::vector<float>(x.size(), 99), std::vector<float>(x.size(), 98),
-            {-1, -1, -1});
+  test::set_pixels(this->backend.exec, raw.view(), x, y, count);
+  test::set_pixels(this->backend.exec, out.view(), std::vector<float>(x.size(), 99),
+                   std::vector<float>(x.size(), 98), {-1, -1, -1});
   auto const valid = test::to_exec(exec, std::vector<std::uint8_t>(x.size(), 7));
   ft::undistort_keypoints(exec, fisheye(), ideal(), R, raw.view(), out.view(), valid.data());
   auto const u = test::column<ft::field::x>(exec, out.view());
@@ -122,7 +112,7 @@ TYPED_TEST(undistort_unit, a_keypoint_without_a_ray_keeps_its_position_and_is_ma
   std::vector<float> const y{600, 100, nan, 100, -3e38f, 200};
   typename TestFixture::pixels const raw(6);
   typename TestFixture::pixels const out(6);
-  this->set(raw.view(), x, y, {6});
+  test::set_pixels(this->backend.exec, raw.view(), x, y, {6});
   auto const valid = test::to_exec(exec, std::vector<std::uint8_t>(6, 7));
   ft::undistort_keypoints(exec, fisheye(), ideal(), raw.view(), out.view(), valid.data());
   auto const u = test::column<ft::field::x>(exec, out.view());
@@ -154,10 +144,10 @@ TYPED_TEST(undistort_unit, it_works_in_place_on_keypoints_and_leaves_the_other_c
     y[at] = static_cast<float>(450 - 5 * i);
     octave[at] = i % 8;
   }
-  this->set(kp.view(), x, y, {40, 33});
+  test::set_pixels(this->backend.exec, kp.view(), x, y, {40, 33});
   ft::copy(exec, ft::array_of<ft::field::octave>(kp.view()), octave.data(), octave.size());
   typename TestFixture::pixels const apart(40, 2);
-  this->set(apart.view(), x, y, {0, 0});
+  test::set_pixels(this->backend.exec, apart.view(), x, y, {0, 0});
   ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), apart.view(), nullptr);
   ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), kp.view(), nullptr);
   EXPECT_EQ(test::column<ft::field::x>(exec, kp.view()),
@@ -182,7 +172,7 @@ TYPED_TEST(undistort_unit, answers_are_the_same_on_every_executor) {
   std::generate(y.begin(), y.end(), [&] { return position(random); });
   typename TestFixture::pixels const raw(n);
   typename TestFixture::pixels const out(n);
-  this->set(raw.view(), x, y, {n});
+  test::set_pixels(this->backend.exec, raw.view(), x, y, {n});
   auto const valid = test::to_exec(exec, std::vector<std::uint8_t>(n));
   ft::pixels<ft::memory_space::host> const host(n);
   std::copy(x.begin(), x.end(), ft::array_of<ft::field::x>(host.view()));
@@ -208,7 +198,8 @@ TYPED_TEST(undistort_unit, bad_input_throws_before_anything_is_queued) {
   typename TestFixture::pixels const raw(5, 2);
   typename TestFixture::pixels const other(5, 1);
   typename TestFixture::pixels const smaller(4, 2);
-  this->set(raw.view(), std::vector<float>(10, 9), std::vector<float>(10, 9), {0, 0});
+  test::set_pixels(this->backend.exec, raw.view(), std::vector<float>(10, 9),
+                   std::vector<float>(10, 9), {0, 0});
   auto const r = raw.view();
   auto const run = [&](ft::pixels_view const& a, ft::pixels_view const& b) {
     ft::undistort_keypoints(exec, fisheye(), ideal(), a, b, nullptr);

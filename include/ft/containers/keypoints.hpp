@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
@@ -19,8 +20,17 @@ struct alignas(16) descriptor {
 /// Number of differing bits, 0..256.
 FT_HOST_DEVICE inline int hamming(descriptor const& a, descriptor const& b) {
   int distance = 0;
+#if defined(__CUDA_ARCH__)
   FT_UNROLL
   for (int i = 0; i < 8; ++i) { distance += popcount(a.words[i] ^ b.words[i]); }
+#else
+  for (int i = 0; i < 8; i += 2) {
+    std::uint64_t x, y;
+    std::memcpy(&x, a.words + i, sizeof x);
+    std::memcpy(&y, b.words + i, sizeof y);
+    distance += __builtin_popcountll(x ^ y);
+  }
+#endif
   return distance;
 }
 

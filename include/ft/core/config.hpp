@@ -20,6 +20,25 @@
 #define FT_HIDDEN
 #endif
 
+/// FT_WIDE marks a host function that is compiled, with all that it calls, for AVX2 and POPCNT in
+/// programs that are built for older processors; FT_HAS_WIDE says whether there is such a thing.
+/// What it computes stays the same: no fused products come with these instructions.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__AVX2__)
+#define FT_WIDE __attribute__((target("avx2,popcnt"), flatten))
+#define FT_HAS_WIDE 1
+#else
+#define FT_WIDE
+#define FT_HAS_WIDE 0
+#endif
+
+/// Marks what such a stage spends its time in: inlined on the host, so that it is compiled for wide
+/// vectors with the stage. Compilers that do as FT_WIDE says need no such mark.
+#if defined(__GNUC__) && !defined(__CUDA_ARCH__)
+#define FT_INLINE inline __attribute__((always_inline))
+#else
+#define FT_INLINE inline
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #define FT_NO_UNROLL _Pragma("unroll 1")

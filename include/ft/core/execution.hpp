@@ -80,13 +80,49 @@ private:
   bool sequential_ = false;
 };
 
+namespace detail {
+
+/// Stages that say `static constexpr bool wide_on_host = true` run, on the host, in a version for
+/// wide vectors where the processor has them.
+template <typename Op, typename = void>
+inline constexpr bool is_wide_on_host = false;
+template <typename Op>
+inline constexpr bool is_wide_on_host<Op, std::enable_if_t<Op::wide_on_host>> = true;
+
+/// Whether this processor has AVX2 and POPCNT.
+inline bool has_wide_vectors() {
+#if FT_HAS_WIDE
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+#elif defined(__AVX2__)
+  return true;
+#else
+  return false;
+#endif
+}
+
+template <typename Op, typename... Args>
+FT_WIDE void run_wide(Op const& op, int item, Args const&... args) {
+  typename Op::scratch scratch;
+  op(single_group{}, scratch, item, args...);
+}
+template <typename Op, typename... Args>
+void run_plain(Op const& op, int item, Args const&... args) {
+  typename Op::scratch scratch;
+  op(single_group{}, scratch, item, args...);
+}
+
+}  // namespace detail
+
 /// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
 void for_each_item(host_exec const& exec, int items, Op const& op, Args const&... args) {
-  exec.parallel_for(items, [&](int item) {
-    typename Op::scratch scratch;
-    op(single_group{}, scratch, item, args...);
-  });
+  if constexpr (detail::is_wide_on_host<Op> && FT_HAS_WIDE) {
+    if (detail::has_wide_vectors()) {
+      exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
+      return;
+    }
+  }
+  exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
 
 inline void copy_bytes(host_exec const&, void* to, void const* from, std::size_t bytes) {

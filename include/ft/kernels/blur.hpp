@@ -4,7 +4,9 @@
 /// section 4.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
@@ -48,6 +50,7 @@ FT_HOST_DEVICE inline int reflect_101(int i, int n) {
 /// One tile of one level of one image. A single thread goes row by row through scratch; the threads
 /// of a device's group each take strips of 4 columns and keep all they need in registers.
 struct blur_tile {
+  static constexpr bool wide_on_host = true;
   static constexpr int radius = 3;
   static constexpr int strip_rows = 8;
   /// Below this the strips' borders would meet.
@@ -90,6 +93,8 @@ struct blur_tile {
           blur_strip<false>(in, out, x, y);
         }
       }
+    } else if constexpr (Group::max_threads == 1) {
+      blur_alone(s, in, out, x0, y0, w, h);
     } else {
       blur_rows(g, s, in, out, x0, y0, w, h);
     }
@@ -215,6 +220,54 @@ private:
       int const next = i + 4 < rest ? i + 4 : 2 * rest - 6 - i;
       beyond |= static_cast<std::uint32_t>(max_of(next + origin, 0)) << (4 * i);
     }
+  }
+
+  /// By a single thread, over whole rows of the tile's width: loops of a constant length, which
+  /// become vectors.
+  FT_HOST_DEVICE FT_INLINE static void blur_alone(scratch& s, gray_view in,
+                                                  image_view<std::uint8_t> out, int x0, int y0,
+                                                  int w, int h) {
+    constexpr int tw = blur_layout::tile_width;
+    int const first = x0 - radius;  // column of pixels[0]
+    bool const inner = first >= 0 && w == tw && x0 + tw + radius <= in.width;
+    std::uint8_t mirrored[tw + 2 * radius] = {};
+    for (int r = 0; r < h + 2 * radius; ++r) {
+      std::uint8_t const* const row = in.row(detail::reflect_101(y0 + r - radius, in.height));
+      for (int x = first; !inner && x < x0 + w + radius; ++x) {
+        mirrored[x - first] = row[detail::reflect_101(x, in.width)];
+      }
+      std::uint8_t const* const pixels = inner ? row + first : mirrored;
+      std::uint16_t* const sums = s.sums + r * tw;
+      for (int x = 0; x < tw; ++x) {
+        std::uint8_t const* const p = pixels + x;
+        sums[x] = static_cast<std::uint16_t>(18 * (p[0] + p[6]) + 34 * (p[1] + p[5]) +
+                                             48 * (p[2] + p[4]) + 56 * p[3]);
+      }
+    }
+    for (int r = 0; r < h; ++r) {
+      std::uint16_t const* const sums = s.sums + r * tw;
+      std::uint8_t* const to = out.row(y0 + r) + x0;
+      if (w == tw) {
+        for (int x = 0; x < tw; ++x) { to[x] = blurred_pixel(sums + x); }
+      } else {
+        for (int x = 0; x < w; ++x) { to[x] = blurred_pixel(sums + x); }
+      }
+    }
+  }
+
+  /// Weighted sum of 7 sums along rows, rounded to a pixel, in numbers of 16 bits. With a sum as
+  /// 256 high + low, low = 0 where high = 255, no step exceeds them, and nothing is lost: the low
+  /// parts' sum counts in units of 256.
+  FT_HOST_DEVICE FT_INLINE static std::uint8_t blurred_pixel(std::uint16_t const* p) {
+    constexpr int tw = blur_layout::tile_width;
+    auto const weighted = [&](auto const& part) {
+      return static_cast<std::uint16_t>(
+          18 * (part(p[0]) + part(p[6 * tw])) + 34 * (part(p[tw]) + part(p[5 * tw])) +
+          48 * (part(p[2 * tw]) + part(p[4 * tw])) + 56 * part(p[3 * tw]));
+    };
+    auto const high = weighted([](std::uint16_t v) { return v >> 8; });
+    auto const low = weighted([](std::uint16_t v) { return v & 255; });
+    return static_cast<std::uint8_t>(static_cast<std::uint16_t>(high + (low >> 8) + 128) >> 8);
   }
 
   template <typename Group>

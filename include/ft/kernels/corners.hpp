@@ -11,6 +11,7 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/detail/corner_runs.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
 
 namespace ft {
@@ -118,50 +119,9 @@ struct fast_circle {
                -3,          stride - 3,      2 * stride - 2,  3 * stride - 1} {}
 };
 
-/// True where `mask` (16 bits, cyclic) has 9 ones in a row.
-FT_HOST_DEVICE inline bool has_arc_of_9(unsigned mask) {
-  unsigned m = mask | (mask << 16);
-  m &= m >> 1;  // runs of 2
-  m &= m >> 2;  // 4
-  m &= m >> 4;  // 8
-  return (m & (mask | (mask << 16)) >> 8) != 0;
-}
-
 /// The largest threshold below which the pixel is a corner, 0 where it is none above `threshold`:
-/// over the 16 arcs of 9, the largest of the smallest difference, less one.
-FT_HOST_DEVICE inline int fast_score(std::uint8_t const* center, fast_circle const& circle,
-                                     int threshold) {
-  int const v = center[0];
-  int d[16];
-  unsigned bright_mask = 0;
-  unsigned dark_mask = 0;
-  FT_UNROLL
-  for (int k = 0; k < 16; ++k) {
-    d[k] = center[circle.offset[k]] - v;
-    bright_mask |= static_cast<unsigned>(d[k] > threshold) << k;
-    dark_mask |= static_cast<unsigned>(d[k] < -threshold) << k;
-  }
-  bool const is_bright = has_arc_of_9(bright_mask);
-  if (!is_bright && !has_arc_of_9(dark_mask)) { return 0; }
-  // A pixel cannot be both: two arcs of 9 of 16 overlap.
-  int best = 0;
-  int m2[16];
-  int m4[16];
-  FT_UNROLL
-  for (int k = 0; k < 16; ++k) { d[k] = is_bright ? d[k] : -d[k]; }
-  FT_UNROLL
-  for (int k = 0; k < 16; ++k) { m2[k] = min_of(d[k], d[(k + 1) & 15]); }
-  FT_UNROLL
-  for (int k = 0; k < 16; ++k) { m4[k] = min_of(m2[k], m2[(k + 2) & 15]); }
-  FT_UNROLL
-  for (int k = 0; k < 16; ++k) {
-    best = max_of(best, min_of(min_of(m4[k], m4[(k + 4) & 15]), d[(k + 8) & 15]));
-  }
-  return best - 1;
-}
-
-/// The same number, from pairs of 16 bits, which a device has instructions for. @param threshold 0
-/// or more
+/// over the 16 arcs of 9, the largest of the smallest difference, less one. From pairs of 16 bits,
+/// which a device has instructions for. @param threshold 0 or more
 FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_circle const& circle,
                                               int threshold) {
   std::uint32_t p[8];  // opposite pixels of the circle: k, and k + 8 in the high half
@@ -237,6 +197,7 @@ FT_HOST_DEVICE inline unsigned corner_flags(std::uint32_t left, std::uint32_t mi
 
 /// One cell: scores, suppression, choice of the threshold, corners in raster order.
 struct detect_cell {
+  static constexpr bool wide_on_host = true;
   /// Bytes from row to row in scratch. A pixel and its score have the same place in their arrays.
   static constexpr int pitch = 80;
   static constexpr int list_size = 2048;
@@ -279,6 +240,34 @@ struct detect_cell {
       if (g.rank() == 0) { count = 0; }
       return;
     }
+    cell_place const at{x0, y0, patch_w, patch_h, x_rel, y_rel};
+    corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
+                         static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
+    int found = 0;
+    if constexpr (Group::max_threads == 1) {
+      found = detect_alone(s, level, at, params, list);
+    } else {
+      found = detect_together(g, s, level, at, params, list);
+    }
+    if (g.rank() == 0) { count = found; }
+  }
+
+private:
+  /// Where a cell is: its patch in the level, and that in the work area.
+  struct cell_place {
+    int x0, y0, patch_w, patch_h;
+    int x_rel, y_rel;
+  };
+
+  /// Returns the number of corners.
+  template <typename Group>
+  FT_HOST_DEVICE static int detect_together(Group g, scratch& s, gray_view level,
+                                            cell_place const& in, corner_params const& params,
+                                            corner* list) {
+    int const x0 = in.x0;
+    int const y0 = in.y0;
+    int const patch_w = in.patch_w;
+    int const patch_h = in.patch_h;
     int const inner_w = patch_w - 6;
     int const inner_h = patch_h - 6;
     int const first_x = (x0 & 3) + 3;  // column of the first pixel that can be a corner
@@ -297,11 +286,7 @@ struct detect_cell {
     g.sync();
 
     int const low = max_of(min_of(params.min_threshold, params.ini_threshold), 0);
-    if (g.size() == 1) {
-      list_by_runs(s, first_x, inner_w, inner_h, low);
-    } else {
-      list_by_words(g, s, first_x, inner_w, inner_h, low);
-    }
+    list_by_words(g, s, first_x, inner_w, inner_h, low);
     g.sync();
 
     bool const listed = s.candidate_count <= list_size;
@@ -314,12 +299,7 @@ struct detect_cell {
     constexpr detail::fast_circle circle(pitch);
     for (int i = g.rank(); i < candidates; i += g.size()) {
       int const at = place(i);
-      int score;
-      if (g.size() == 1) {
-        score = detail::fast_score(pixels + at, circle, low);
-      } else {
-        score = detail::fast_score_of_pairs(pixels + at, circle, low);
-      }
+      int const score = detail::fast_score_of_pairs(pixels + at, circle, low);
       scores[at + score_offset] = static_cast<std::uint8_t>(score);
     }
     g.sync();
@@ -347,8 +327,6 @@ struct detect_cell {
     int const found = g.exclusive_scan_array(s.word_start, words);
     g.sync();
 
-    corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
-                         static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
     for (int i = g.rank(); i < candidates; i += g.size()) {
       int const at = place(i);
       int const index = at - 3 * pitch;
@@ -357,13 +335,80 @@ struct detect_cell {
       if ((word & bit) == 0) { continue; }
       int const y = index / pitch;
       list[s.word_start[index >> 5] + popcount(word & (bit - 1))] = {
-          static_cast<std::uint16_t>(x_rel + 3 + index - y * pitch - first_x),
-          static_cast<std::uint16_t>(y_rel + 3 + y), scores[at + score_offset]};
+          static_cast<std::uint16_t>(in.x_rel + 3 + index - y * pitch - first_x),
+          static_cast<std::uint16_t>(in.y_rel + 3 + y), scores[at + score_offset]};
     }
-    if (g.rank() == 0) { count = found; }
+    return found;
   }
 
-private:
+  /// The same by a single thread: every pixel gets a score, straight from the image, and only then
+  /// the threshold is chosen.
+  FT_HOST_DEVICE FT_INLINE static int detect_alone(scratch& s, gray_view level,
+                                                   cell_place const& in,
+                                                   corner_params const& params, corner* list) {
+    constexpr int run = detail::run_pixels;
+    constexpr int margin = 4;  // columns before a row's first score
+    static_assert(margin + max_cell_side < pitch && margin + run < pitch, "rows have a rim");
+    int const inner_w = in.patch_w - 6;
+    int const inner_h = in.patch_h - 6;
+    int const runs = ceil_div(inner_w, run);
+    // The last run of a row ends with it: it begins in the one before where there is one.
+    int const last_start = max_of(inner_w - run, 0);
+    auto const start = [&](int r) { return min_of(r * run, last_start); };
+    auto const filled = static_cast<std::size_t>(max_of(inner_w, run));
+    auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
+    auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
+    auto const width = static_cast<std::size_t>(inner_w);
+
+    int const low = clamp(min_of(params.min_threshold, params.ini_threshold), 0, 255);
+    std::memset(scores, 0, pitch);
+    for (int y = 0; y < inner_h; ++y) {
+      std::uint8_t const* const from = level.row(in.y0 + 3 + y) + in.x0 + 3;
+      std::uint8_t* const row = scores + (y + 1) * pitch;
+      for (int r = 0; r < runs; ++r) {
+        detail::score_run(from + start(r), level.stride, static_cast<std::uint8_t>(low),
+                          row + margin + start(r));
+      }
+      std::memset(row, 0, margin);
+      std::memset(row + margin + inner_w, 0, pitch - margin - width);
+    }
+    std::memset(scores + (inner_h + 1) * pitch, 0, pitch);
+
+    std::uint8_t highest[run] = {};
+    for (int y = 0; y < inner_h; ++y) {
+      std::uint8_t const* const row = scores + (y + 1) * pitch + margin;
+      std::uint8_t* const to = kept + y * pitch;
+      for (int r = 0; r < runs; ++r) { detail::suppress_run(row + start(r), pitch, to + start(r)); }
+      std::memset(to + inner_w, 0, filled - width);
+      for (int r = 0; r < runs; ++r) {
+        for (int k = 0; k < run; ++k) { highest[k] = max_of(highest[k], to[start(r) + k]); }
+      }
+    }
+    int strongest = 0;
+    for (int k = 0; k < run; ++k) { strongest = max_of(strongest, int{highest[k]}); }
+
+    // Scores do not depend on the threshold: what survives suppression at the lenient one and
+    // passes the strict one is what the strict one alone gives.
+    int const strict_threshold = max_of(params.ini_threshold, 1);
+    int const threshold =
+        strongest >= strict_threshold ? strict_threshold : max_of(params.min_threshold, 1);
+    if (strongest < threshold) { return 0; }
+    int found = 0;
+    for (int y = 0; y < inner_h; ++y) {
+      std::uint8_t const* const row = kept + y * pitch;
+      for (int r = 0; r < runs; ++r) {
+        int const seen = r * run - start(r);  // by the run before
+        detail::for_each_above(row + start(r), static_cast<std::uint8_t>(threshold), [&](int k) {
+          if (k < seen) { return; }
+          int const x = start(r) + k;
+          list[found++] = {static_cast<std::uint16_t>(in.x_rel + 3 + x),
+                           static_cast<std::uint16_t>(in.y_rel + 3 + y), row[x]};
+        });
+      }
+    }
+    return found;
+  }
+
   /// Lists the places of pixels that can be corners, by all threads of a group, a word at a time.
   template <typename Group>
   FT_HOST_DEVICE static void list_by_words(Group g, scratch& s, int first_x, int inner_w,
@@ -386,45 +431,6 @@ private:
       detail::append_flagged(g, flags, (y + 3) * pitch + 4 * w, s.candidates, list_size,
                              &s.candidate_count);
     }
-  }
-
-  /// The same by a single thread, with twice the pairs: tests of many pixels without a branch
-  /// between them.
-  FT_HOST_DEVICE static void list_by_runs(scratch& s, int first_x, int inner_w, int inner_h,
-                                          int threshold) {
-    constexpr int run = 16;
-    auto const* const pixels = reinterpret_cast<std::uint8_t const*>(s.pixels);
-    auto const t = static_cast<std::int16_t>(threshold);
-    int found = 0;
-    for (int y = 0; y < inner_h; ++y) {
-      for (int x = 0; x < inner_w; x += run) {
-        int const at = (y + 3) * pitch + first_x + x;
-        std::uint8_t const* const c = pixels + at;
-        std::uint8_t flags[run];
-        for (int k = 0; k < run; ++k) {
-          std::int16_t const v = c[k];
-          std::int16_t brightest = 255;
-          std::int16_t darkest = 0;
-          auto const pair = [&](std::int16_t a, std::int16_t b) {
-            brightest = min_of(brightest, max_of(a, b));
-            darkest = max_of(darkest, min_of(a, b));
-          };
-          pair(c[k - 3 * pitch], c[k + 3 * pitch]);
-          pair(c[k - 3], c[k + 3]);
-          pair(c[k - 2 * pitch - 2], c[k + 2 * pitch + 2]);
-          pair(c[k - 2 * pitch + 2], c[k + 2 * pitch - 2]);
-          flags[k] = static_cast<std::uint8_t>((brightest - v > t) | (v - darkest > t));
-        }
-        int const n = min_of(run, inner_w - x);
-        for (int k = 0; k < n; ++k) {
-          if (flags[k] != 0) {
-            if (found < list_size) { s.candidates[found] = static_cast<std::uint16_t>(at + k); }
-            ++found;
-          }
-        }
-      }
-    }
-    s.candidate_count = found;
   }
 
   /// The score where it exceeds those of all eight neighbours, else 0.

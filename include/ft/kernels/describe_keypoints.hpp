@@ -29,22 +29,28 @@ struct describe_keypoint {
                                  described_view const& keypoints) const {
     int const image = item / keypoints.capacity;
     if (item % keypoints.capacity >= keypoints.count[image]) { return; }
-    auto* const bytes = reinterpret_cast<unsigned char*>(&get<field::orb>(keypoints, item));
+    descriptor& orb = get<field::orb>(keypoints, item);
     int const l = get<field::octave>(keypoints, item);
     pixel const at = nearest_pixel(pyramid.geometry, get<field::x>(keypoints, item),
                                    get<field::y>(keypoints, item), l);
     if (!at.valid) {
       if (g.rank() == 0) { get<field::angle>(keypoints, item) = -1; }
-      for (int i = g.rank(); i < 32; i += g.size()) { bytes[i] = 0; }
+      for (int i = g.rank(); i < 8; i += g.size()) { orb.words[i] = 0; }
       return;
     }
     float const angle = orientation(g, pyramid.level(image, l), at.x, at.y);
     float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
     float const a = static_cast<float>(::cos(static_cast<double>(radians)));
     float const b = static_cast<float>(::sin(static_cast<double>(radians)));
-    for (int i = g.rank(); i < 32; i += g.size()) {
-      bytes[i] = static_cast<unsigned char>(
-          descriptor_byte(blurred.level(image, l), at.x, at.y, a, b, pattern, i));
+    gray_view const level = blurred.level(image, l);
+    if (g.size() > 1) {
+      auto const sample = [&](int dx, int dy) { return level(at.x + dx, at.y + dy); };
+      detail::describe_together(g, sample, a, b, pattern, orb);
+    } else {
+      for (int i = 0; i < 8; ++i) {
+        orb.words[i] =
+            detail::descriptor_word(level.row(at.y) + at.x, level.stride, a, b, pattern, i);
+      }
     }
     if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
   }

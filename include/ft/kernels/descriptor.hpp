@@ -47,21 +47,85 @@ FT_HOST_DEVICE bool is_darker(pattern_pair p, float a, float b, Pixel const& at)
   return sample(p.x0, p.y0) < sample(p.x1, p.y1);
 }
 
-}  // namespace detail
-
-/// Byte `index` of the steered BRIEF descriptor at (x, y) of a blurred level. @param a,b cosine and
-/// sine
-FT_HOST_DEVICE inline std::uint32_t descriptor_byte(gray_view blurred, int x, int y, float a,
-                                                    float b, pattern_pair const* pattern,
-                                                    int index) {
-  auto const at = [&](int dx, int dy) { return blurred(x + dx, y + dy); };
-  std::uint32_t byte = 0;
-  for (int bit = 0; bit < 8; ++bit) {
-    byte |= static_cast<std::uint32_t>(detail::is_darker(pattern[8 * index + bit], a, b, at))
-            << bit;
-  }
-  return byte;
+/// Keeps the products in an array apart from the sums that follow, as keep_apart() does.
+template <int N>
+FT_HOST_DEVICE FT_INLINE void keep_all_apart(float (&values)[N]) {
+#if !defined(__CUDA_ARCH__) && ((defined(__FMA__) && defined(__x86_64__)) || defined(__aarch64__))
+  asm("" : "+m"(values));
+#else
+  static_cast<void>(values);
+#endif
 }
+
+/// Word `index` of the steered BRIEF descriptor at `centre`, by a single thread: the 64 points of
+/// its tests are turned in loops that become vectors. @param stride of the level, below 2^15
+FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centre, int stride,
+                                                       float a, float b,
+                                                       pattern_pair const* pattern, int index) {
+  constexpr int points = 64;
+  static_assert(sizeof(pattern_pair) == 4, "nothing but the points");
+  auto const* const tests = reinterpret_cast<std::int8_t const*>(pattern + 32 * index);
+  float xa[points], xb[points], ya[points], yb[points];
+  for (int i = 0; i < points; ++i) {
+    auto const x = static_cast<float>(tests[2 * i]);
+    auto const y = static_cast<float>(tests[2 * i + 1]);
+    xa[i] = x * a;
+    xb[i] = x * b;
+    ya[i] = y * a;
+    yb[i] = y * b;
+  }
+  keep_all_apart(xa);
+  keep_all_apart(xb);
+  keep_all_apart(ya);
+  keep_all_apart(yb);
+  // Adding this leaves no bits below 1: the nearest integer, halves to even, as round_to_even().
+  constexpr float whole = 12582912.0f;
+  auto const pitch = static_cast<float>(stride);
+  std::int32_t at[points];
+  for (int i = 0; i < points; ++i) {
+    float const dx = (xa[i] - yb[i] + whole) - whole;
+    float const dy = (xb[i] + ya[i] + whole) - whole;
+    at[i] = static_cast<std::int32_t>(dy * pitch + dx);  // whole numbers below 2^24
+  }
+  std::uint32_t word = 0;
+  for (int k = 31; k >= 0; --k) {
+    word += word + static_cast<std::uint32_t>(centre[at[2 * k]] < centre[at[2 * k + 1]]);
+  }
+  return word;
+}
+
+/// Steered BRIEF descriptor by several threads: bit by bit, neighbouring bits by neighbouring
+/// threads. @param a,b cosine and sine @param at(dx, dy) a pixel beside the keypoint
+template <typename Group, typename Sample>
+FT_HOST_DEVICE void describe_together(Group g, Sample const& at, float a, float b,
+                                      pattern_pair const* pattern, descriptor& orb) {
+  if constexpr (Group::max_threads == 32) {
+#if defined(__CUDA_ARCH__)
+    constexpr int words = 8;
+    pattern_pair p[words];
+    FT_UNROLL
+    for (int k = 0; k < words; ++k) { p[k] = pattern[32 * k + g.rank()]; }
+    std::uint32_t mine = 0;  // thread k keeps word k
+    FT_UNROLL
+    for (int k = 0; k < words; ++k) {
+      std::uint32_t const word = __ballot_sync(0xffffffffu, is_darker(p[k], a, b, at));
+      mine = g.rank() == k ? word : mine;
+    }
+    if (g.rank() < words) { orb.words[g.rank()] = mine; }
+#endif
+  } else {
+    auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
+    for (int i = g.rank(); i < 32; i += g.size()) {
+      unsigned byte = 0;
+      for (int bit = 0; bit < 8; ++bit) {
+        byte |= static_cast<unsigned>(is_darker(pattern[8 * i + bit], a, b, at)) << bit;
+      }
+      bytes[i] = static_cast<unsigned char>(byte);
+    }
+  }
+}
+
+}  // namespace detail
 
 /// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
 /// list order; inside the overlap from the end of the array backwards.
@@ -122,6 +186,7 @@ struct order_image {
 
 /// One kept corner: the angle and descriptor of its keypoint.
 struct describe_corner {
+  static constexpr bool wide_on_host = true;
   static constexpr int window = 2 * pattern_radius + 1;
   static constexpr int window_words = (window + 3 + 3) / 4;
   struct scratch {  ///< where threads work together: the window around the keypoint
@@ -146,6 +211,8 @@ struct describe_corner {
     if (g.size() > 1) {
       detail::stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window,
                                   s.pixels, window_words);
+    } else {
+      fetch_window(level, x, y);
     }
     float const angle = orientation(g, pyramid.level(image, l), x, y);
     float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
@@ -159,47 +226,30 @@ struct describe_corner {
       auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
-      describe_by_words(g, centre, a, b, pattern, orb);
+      auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
+      detail::describe_together(g, at, a, b, pattern, orb);
     } else {
-      auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
-      for (int i = 0; i < 32; ++i) {
-        bytes[i] = static_cast<unsigned char>(descriptor_byte(level, x, y, a, b, pattern, i));
+      for (int i = 0; i < 8; ++i) {
+        orb.words[i] = detail::descriptor_word(level.row(y) + x, level.stride, a, b, pattern, i);
       }
     }
     if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
   }
 
 private:
-  /// Bit by bit, neighbouring bits by neighbouring threads. @param centre the keypoint in scratch
-  template <typename Group>
-  FT_HOST_DEVICE static void describe_by_words(Group g, std::uint8_t const* centre, float a,
-                                               float b, pattern_pair const* pattern,
-                                               descriptor& orb) {
-    auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-    if constexpr (Group::max_threads == 32) {
-#if defined(__CUDA_ARCH__)
-      constexpr int words = 8;
-      pattern_pair p[words];
-      FT_UNROLL
-      for (int k = 0; k < words; ++k) { p[k] = pattern[32 * k + g.rank()]; }
-      std::uint32_t mine = 0;  // thread k keeps word k
-      FT_UNROLL
-      for (int k = 0; k < words; ++k) {
-        std::uint32_t const word = __ballot_sync(0xffffffffu, detail::is_darker(p[k], a, b, at));
-        mine = g.rank() == k ? word : mine;
-      }
-      if (g.rank() < words) { orb.words[g.rank()] = mine; }
-#endif
-    } else {
-      auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
-      for (int i = g.rank(); i < 32; i += g.size()) {
-        unsigned byte = 0;
-        for (int bit = 0; bit < 8; ++bit) {
-          byte |= static_cast<unsigned>(detail::is_darker(pattern[8 * i + bit], a, b, at)) << bit;
-        }
-        bytes[i] = static_cast<unsigned char>(byte);
-      }
+  /// Has a window that is needed soon brought into the caches, on the host.
+  FT_HOST_DEVICE static void fetch_window(gray_view level, int x, int y) {
+#if defined(__GNUC__) && !defined(__CUDA_ARCH__)
+    for (int r = -pattern_radius; r <= pattern_radius; ++r) {
+      std::uint8_t const* const row = level.row(y + r) + x;
+      __builtin_prefetch(row - pattern_radius);
+      __builtin_prefetch(row + pattern_radius);
     }
+#else
+    static_cast<void>(level);
+    static_cast<void>(x);
+    static_cast<void>(y);
+#endif
   }
 };
 

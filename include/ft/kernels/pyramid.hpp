@@ -9,17 +9,10 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/detail/column_taps.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// Where one destination column (or row) reads from: two neighbours and their weights of 2048.
-struct resize_tap {
-  std::int32_t first;
-  std::int16_t offset;  ///< of the second neighbour: 1, or 0 at the far edge
-  std::int16_t w0, w1;
-  std::int16_t unused;
-};
 
 namespace detail {
 
@@ -63,26 +56,88 @@ inline void make_resize_taps(pyramid_geometry const& geometry, resize_tap* taps)
   }
 }
 
-/// One row of one level of one image.
-struct resize_row {
+/// A band of rows of one level of one image.
+struct resize_band {
+  static constexpr bool wide_on_host = true;
+  static constexpr int rows = 32;
   using scratch = no_scratch;
+
+  FT_HOST_DEVICE static int bands(pyramid_geometry const& geometry, int l) {
+    return ceil_div(geometry.height[l], rows);
+  }
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
                                  resize_tap const* all_taps, int l) const {
-    int const height = pyramid.geometry.height[l];
-    int const image = item / height;
-    int const y = item % height;
-    auto const from = pyramid.level(image, l - 1);
+    int const in_image = bands(pyramid.geometry, l);
+    int const image = item / in_image;
+    int const first = item % in_image * rows;
+    gray_view const from = pyramid.level(image, l - 1);
     auto const to = pyramid.level(image, l);
+    int const end = min_of(first + rows, to.height);
     resize_tap const* const taps = all_taps + pyramid.geometry.tap_offset[l];
-    resize_tap const v = taps[to.width + y];
-    std::uint8_t const* const row0 = from.row(v.first);
-    std::uint8_t const* const row1 = from.row(v.first + v.offset);
-    std::uint8_t* const out = to.row(y);
-    for (int x = g.rank(); x < to.width; x += g.size()) {
-      resize_tap const h = taps[x];
-      out[x] = detail::resized_pixel(row0 + h.first, row1 + h.first, h, v);
+    if constexpr (Group::max_threads == 1) {
+      for (int x = 0; x < to.width; x += strip) {
+        resize_strip(from, to, taps, x, min_of(strip, to.width - x), first, end);
+      }
+    } else {
+      for (int y = first; y < end; ++y) {
+        resize_tap const v = taps[to.width + y];
+        std::uint8_t const* const row0 = from.row(v.first);
+        std::uint8_t const* const row1 = from.row(v.first + v.offset);
+        std::uint8_t* const out = to.row(y);
+        for (int x = g.rank(); x < to.width; x += g.size()) {
+          resize_tap const h = taps[x];
+          out[x] = detail::resized_pixel(row0 + h.first, row1 + h.first, h, v);
+        }
+      }
+    }
+  }
+
+private:
+  static constexpr int strip = 256;  ///< columns that a thread alone takes at a time
+  static constexpr int run = 32;     ///< columns of a loop that becomes vectors
+
+  /// n columns from x on, rows [first, end), by a single thread. Sums along a row are computed once
+  /// for the rows of the level that read it.
+  FT_HOST_DEVICE FT_INLINE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
+                                                    resize_tap const* taps, int x, int n, int first,
+                                                    int end) {
+    detail::column_taps<strip> columns(taps + x, n, from.width);
+    std::int16_t sums[2][strip] = {};
+    int row_of[2] = {-1, -1};
+    auto const sums_of = [&](int row, int other) {
+      for (int k = 0; k < 2; ++k) {
+        if (row_of[k] == row) { return k; }
+      }
+      int const k = row_of[0] == other ? 1 : 0;
+      row_of[k] = row;
+      columns.interpolate(from.row(row), sums[k]);
+      return k;
+    };
+    for (int y = first; y < end; ++y) {
+      resize_tap const v = taps[to.width + y];
+      int const k0 = sums_of(v.first, v.first + v.offset);
+      int const k1 = sums_of(v.first + v.offset, v.first);
+      std::uint8_t* const out = to.row(y) + x;
+      int at = 0;
+      for (; at + run <= n; at += run) {
+        mix_rows<run>(sums[k0] + at, sums[k1] + at, v, out + at, run);
+      }
+      mix_rows<run>(sums[k0] + at, sums[k1] + at, v, out + at, n - at);
+    }
+  }
+
+  template <int Run>
+  FT_HOST_DEVICE FT_INLINE static void mix_rows(std::int16_t const* s0, std::int16_t const* s1,
+                                                resize_tap const& v, std::uint8_t* out, int n) {
+    auto const mixed = [&](int k) {
+      return static_cast<std::uint8_t>(((v.w0 * s0[k] >> 16) + (v.w1 * s1[k] >> 16) + 2) >> 2);
+    };
+    if (n == Run) {
+      for (int k = 0; k < Run; ++k) { out[k] = mixed(k); }
+    } else {
+      for (int k = 0; k < n; ++k) { out[k] = mixed(k); }
     }
   }
 };
@@ -93,8 +148,8 @@ struct resize_row {
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps) {
   for (int l = 1; l < pyramid.geometry.levels; ++l) {
-    for_each_item<per_block<128>>(exec, pyramid.batch * pyramid.geometry.height[l], resize_row{},
-                                  pyramid, taps, l);
+    for_each_item<per_block<128>>(exec, pyramid.batch * resize_band::bands(pyramid.geometry, l),
+                                  resize_band{}, pyramid, taps, l);
   }
 }
 

@@ -169,6 +169,7 @@ struct clear_partners {
 /// One left keypoint of the overlap: its partner and the point.
 template <typename Rig>
 struct match_fisheye_keypoint {
+  static constexpr bool wide_on_host = true;
   using scratch = no_scratch;
 
   template <typename Group>

@@ -26,6 +26,7 @@ struct stereo_params {
 
 /// One left keypoint: its best right one on the row band, then the refined column.
 struct match_left_keypoint {
+  static constexpr bool wide_on_host = true;
   static constexpr int half = 5;  ///< of the window, and the largest shift
   static constexpr int side = 2 * half + 1;
   using scratch = no_scratch;

@@ -117,6 +117,25 @@ struct sort_item {
   }
 };
 
+/// How many even numbers come before each, and how many there are, by portions.
+struct count_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts, int const* data,
+                                 int* counts, int* totals) const {
+    int const n = starts[item + 1] - starts[item];
+    int before = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      int here = -1;
+      int const counted = g.exclusive_count(i < n && data[starts[item] + i] % 2 == 0, here);
+      if (i < n) { counts[starts[item] + i] = before + counted; }
+      before += here;
+    }
+    if (g.rank() == g.size() - 1) { totals[item] = before; }
+  }
+};
+
 /// What each thread of an item is told of its neighbours, and by the ballot of its warp.
 struct neighbours_item {
   using scratch = ft::no_scratch;
@@ -276,6 +295,32 @@ protected:
   }
 
   template <typename Shape>
+  void check_count() {
+    auto const data = random_values(0, 9);
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_data = test::to_exec(backend.exec, data);
+    auto const d_counts = test::to_exec(backend.exec, std::vector<int>(data.size(), -1));
+    auto const d_totals = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
+    ft::for_each_item<Shape>(
+        backend.exec, items(), count_item{}, static_cast<int const*>(d_starts.data()),
+        static_cast<int const*>(d_data.data()), d_counts.data(), d_totals.data());
+    auto const counts =
+        test::from_exec(backend.exec, static_cast<int const*>(d_counts.data()), data.size());
+    auto const totals =
+        test::from_exec(backend.exec, static_cast<int const*>(d_totals.data()), sizes.size());
+    std::vector<int> want(data.size());
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      int sum = 0;
+      for (int i = starts[item]; i < starts[item + 1]; ++i) {
+        want[static_cast<std::size_t>(i)] = sum;
+        sum += static_cast<int>(data[static_cast<std::size_t>(i)] % 2 == 0);
+      }
+      EXPECT_EQ(totals[item], sum) << sizes[item];
+    }
+    EXPECT_EQ(counts, want);
+  }
+
+  template <typename Shape>
   void check_ordered_sum() {
     // Magnitudes far apart, so that another order gives other bits.
     std::mt19937 random(17);
@@ -317,6 +362,17 @@ TYPED_TEST(group_unit, reduce_over_blocks) {
   this->template check_reduce<ft::per_block<128>>();
   this->template check_reduce<ft::per_block<256>>();
   this->template check_reduce<ft::per_block<512>>();
+  this->template check_reduce<ft::per_block<32>>();
+  this->template check_reduce<ft::per_block<96>>();  // warps that are no power of two
+  this->template check_reduce<ft::per_block<1024>>();
+}
+TYPED_TEST(group_unit, count_over_one_thread) { this->template check_count<ft::per_thread>(); }
+TYPED_TEST(group_unit, count_over_a_warp) { this->template check_count<ft::per_warp>(); }
+TYPED_TEST(group_unit, count_over_blocks) {
+  this->template check_count<ft::per_block<32>>();
+  this->template check_count<ft::per_block<96>>();
+  this->template check_count<ft::per_block<512>>();
+  this->template check_count<ft::per_block<1024>>();
 }
 TYPED_TEST(group_unit, scan_over_one_thread) { this->template check_scan<ft::per_thread>(); }
 TYPED_TEST(group_unit, scan_over_a_warp) { this->template check_scan<ft::per_warp>(); }
@@ -325,6 +381,9 @@ TYPED_TEST(group_unit, scan_over_blocks) {
   this->template check_scan<ft::per_block<128>>();
   this->template check_scan<ft::per_block<256>>();
   this->template check_scan<ft::per_block<512>>();
+  this->template check_scan<ft::per_block<32>>();
+  this->template check_scan<ft::per_block<96>>();
+  this->template check_scan<ft::per_block<1024>>();
 }
 TYPED_TEST(group_unit, sort_over_one_thread) { this->template check_sort<ft::per_thread>(); }
 TYPED_TEST(group_unit, sort_over_a_warp) { this->template check_sort<ft::per_warp>(); }

@@ -476,6 +476,51 @@ TYPED_TEST(pose_unit, the_rectified_stereo_jacobian_is_the_derivative) {
 TYPED_TEST(pose_unit, the_fisheye_jacobian_is_the_derivative_for_both_cameras) {
   this->template check_jacobian<fisheye_rig>(1e-5, 1e-6, false);
 }
+TYPED_TEST(pose_unit, an_observation_adds_its_squared_jacobian) {
+  if (TypeParam::exec_type::asynchronous) { GTEST_SKIP() << "a function of the host's, too"; }
+  std::mt19937 random(29);
+  std::uniform_real_distribution<float> any(-2.0f, 2.0f);
+  using number = ft::strict_float;
+  for (int round = 0; round < 200; ++round) {
+    bool const rectified = round % 2 == 0;
+    ft::vec3<number> const p{any(random), any(random), any(random)};
+    number P[3][3];
+    for (auto& row : P) {
+      for (auto& v : row) { v = any(random); }
+    }
+    if (rectified) { P[0][1] = P[1][0] = P[2][1] = 0.0f; }
+    if (rectified) { P[2][0] = P[0][0]; }
+    ft::vec3<number> const W{std::abs(any(random)), std::abs(any(random)),
+                             rectified && round % 4 == 0 ? std::abs(any(random)) : 0.0f};
+    ft::vec3<number> const e{any(random), any(random), any(random)};
+    float sums[ft::detail::pose_terms] = {};
+    ft::detail::add_motion_terms(p, P, W, e, rectified, sums);
+    double const x[3] = {p.x.value, p.y.value, p.z.value};
+    double const w[3] = {W.x.value, W.y.value, W.z.value};
+    double const error[3] = {e.x.value, e.y.value, e.z.value};
+    double J[3][6];
+    for (int r = 0; r < 3; ++r) {
+      for (int k = 0; k < 3; ++k) {
+        int const a = (k + 1) % 3;
+        int const b = (k + 2) % 3;
+        J[r][k] =
+            static_cast<double>(P[r][b].value) * x[a] - static_cast<double>(P[r][a].value) * x[b];
+        J[r][3 + k] = P[r][k].value;
+      }
+    }
+    int at = 6;
+    for (int a = 0; a < 6; ++a) {
+      double gradient = 0;
+      for (int r = 0; r < 3; ++r) { gradient += w[r] * J[r][a] * error[r]; }
+      EXPECT_NEAR(sums[a], gradient, 1e-4) << a;
+      for (int b = a; b < 6; ++b) {
+        double curvature = 0;
+        for (int r = 0; r < 3; ++r) { curvature += w[r] * J[r][a] * J[r][b]; }
+        EXPECT_NEAR(sums[at++], curvature, 1e-4) << a << ", " << b;
+      }
+    }
+  }
+}
 TYPED_TEST(pose_unit, rectified_frames_let_go_of_outliers) {
   this->template check_frames<ft::rectified_rig>();
 }

@@ -620,4 +620,31 @@ TEST(image_domain_unit, sizes_shares_and_calibrations_that_cannot_be_throw) {
   EXPECT_THROW(ft::inspect_image_domain(c, 752, 480), ft::bad_argument);
 }
 
+template <typename Scalar>
+void expect_joint_projection() {
+  auto const camera =
+      ft::kannala_brandt<double>{190.98, 190.97, 254.93, 256.90, 0.0034, 0.0007, -0.0020, 0.0002}
+          .template cast<Scalar>();
+  std::mt19937 random(31);
+  std::uniform_real_distribution<float> side(-3.0f, 3.0f);
+  for (int i = 0; i < 500; ++i) {
+    bool const on_axis = i % 50 == 0;
+    auto const at = [&] { return Scalar(on_axis ? 0.0f : side(random)); };
+    ft::vec3<Scalar> const p{at(), at(), Scalar(side(random))};
+    ft::mat23<Scalar> jacobian;
+    auto const both = ft::project_and_differentiate(camera, p, jacobian);
+    auto const alone = camera.project(p);
+    auto const derivative = camera.project_jacobian(p);
+    EXPECT_EQ(both.valid, alone.valid);
+    EXPECT_EQ(both.pixel.x, alone.pixel.x);
+    EXPECT_EQ(both.pixel.y, alone.pixel.y);
+    for (int k = 0; k < 6; ++k) { EXPECT_EQ(jacobian.m[k], derivative.m[k]) << k; }
+  }
+}
+
+TEST(camera_models, a_projection_with_its_derivative_is_the_same_as_both_alone) {
+  expect_joint_projection<float>();
+  expect_joint_projection<double>();
+}
+
 }  // namespace camera_models_test

@@ -154,7 +154,7 @@ struct differentiate {
     using real = ft::strict_double;
     ft::observation const o = observations[i];
     auto const T = T_cw.template cast<real>();
-    ft::reprojection<Rig> const here(rig, T, o);
+    ft::reprojection<Rig, real, true> const here(rig, T, o);
     real P[3][3];
     here.derivative(rig, o, P);
     auto const& p = here.in_body;

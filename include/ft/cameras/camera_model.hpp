@@ -80,6 +80,14 @@ struct has_jacobian<C, std::void_t<decltype(std::declval<C const&>().project_jac
                    mat23<typename C::scalar_type>> {};
 
 template <typename C, typename = void>
+struct has_joint_projection : std::false_type {};
+template <typename C>
+struct has_joint_projection<C, std::void_t<decltype(std::declval<C const&>().project_with_jacobian(
+                                   std::declval<vec3<typename C::scalar_type>>(),
+                                   std::declval<mat23<typename C::scalar_type>&>()))>>
+    : std::true_type {};
+
+template <typename C, typename = void>
 struct has_names : std::false_type {};
 template <typename C>
 struct has_names<C, std::void_t<decltype(C::num_params), decltype(C::name)>> : std::true_type {};
@@ -96,6 +104,20 @@ template <typename C>
 struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : std::true_type {};
 
 }  // namespace detail
+
+/// A projection and its derivative. Models in which the two share much may have a member
+/// `projection<Scalar> project_with_jacobian(vec3<Scalar> p, mat23<Scalar>& jacobian) const`, with
+/// the same values.
+template <typename C, typename Scalar>
+FT_HOST_DEVICE projection<Scalar> project_and_differentiate(C const& camera, vec3<Scalar> p,
+                                                            mat23<Scalar>& jacobian) {
+  if constexpr (detail::has_joint_projection<C>::value) {
+    return camera.project_with_jacobian(p, jacobian);
+  } else {
+    jacobian = camera.project_jacobian(p);
+    return camera.project(p);
+  }
+}
 
 /// True for a type that keeps the contract above.
 template <typename C>

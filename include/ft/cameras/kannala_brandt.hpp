@@ -33,13 +33,8 @@ struct kannala_brandt {
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
     Scalar const radius = scalar::sqrt(p.x * p.x + p.y * p.y);
-    if (!(radius > Scalar(0))) {  // on the axis, or NaN
-      return {{cx + radius, cy + radius}, radius == Scalar(0) && p.z > Scalar(0)};
-    }
-    Scalar const theta = scalar::atan2(radius, p.z);
-    Scalar const r = distorted(theta);
-    bool const valid = scalar::is_finite(radius) && scalar::is_finite(p.z);
-    return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, valid};
+    if (!(radius > Scalar(0))) { return project_axis(radius, p.z); }
+    return project_at(p, radius, distorted(scalar::atan2(radius, p.z)));
   }
 
   /// Ray with z = 1: (x, y) tan(theta) / theta_d. Beyond 90 degrees off the axis it is the opposite
@@ -78,12 +73,20 @@ struct kannala_brandt {
   }
 
   FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+    mat23<Scalar> jacobian;
+    project_with_jacobian(p, jacobian);
+    return jacobian;
+  }
+  /// project() and project_jacobian() with one arc tangent.
+  FT_HOST_DEVICE projection<Scalar> project_with_jacobian(vec3<Scalar> p,
+                                                          mat23<Scalar>& jacobian) const {
     Scalar const x2 = p.x * p.x;
     Scalar const y2 = p.y * p.y;
     Scalar const r2 = x2 + y2;
     Scalar const radius = scalar::sqrt(r2);
     if (!(radius > Scalar(0))) {
-      return {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}};
+      jacobian = {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}};
+      return project_axis(radius, p.z);
     }
     Scalar const theta = scalar::atan2(radius, p.z);
     Scalar const t2 = theta * theta;
@@ -94,9 +97,10 @@ struct kannala_brandt {
     Scalar const norm2 = r2 + p.z * p.z;
     Scalar const r3 = radius * r2;
     Scalar const along = fd * p.z / (r2 * norm2);
-    return {{fx * (along * x2 + f * y2 / r3), fx * (along * p.x * p.y - f * p.x * p.y / r3),
-             -(fx * (fd * p.x / norm2)), fy * (along * p.x * p.y - f * p.x * p.y / r3),
-             fy * (along * y2 + f * x2 / r3), -(fy * (fd * p.y / norm2))}};
+    jacobian = {{fx * (along * x2 + f * y2 / r3), fx * (along * p.x * p.y - f * p.x * p.y / r3),
+                 -(fx * (fd * p.x / norm2)), fy * (along * p.x * p.y - f * p.x * p.y / r3),
+                 fy * (along * y2 + f * x2 / r3), -(fy * (fd * p.y / norm2))}};
+    return project_at(p, radius, f);
   }
 
   template <typename U>
@@ -109,6 +113,15 @@ struct kannala_brandt {
   }
 
 private:
+  /// On the axis, or NaN. @param radius of the point
+  FT_HOST_DEVICE projection<Scalar> project_axis(Scalar radius, Scalar z) const {
+    return {{cx + radius, cy + radius}, radius == Scalar(0) && z > Scalar(0)};
+  }
+  /// @param r of the image point
+  FT_HOST_DEVICE projection<Scalar> project_at(vec3<Scalar> p, Scalar radius, Scalar r) const {
+    bool const valid = scalar::is_finite(radius) && scalar::is_finite(p.z);
+    return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, valid};
+  }
   FT_HOST_DEVICE Scalar distorted(Scalar theta) const {
     Scalar const t2 = theta * theta;
     Scalar const t3 = theta * t2;

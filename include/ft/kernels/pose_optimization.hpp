@@ -156,8 +156,9 @@ FT_HOST_DEVICE bool solve_6(float const* terms, Real damping, Real (&x)[6]) {
 }  // namespace detail
 
 /// Reprojection error of one observation, its chi-square and its derivative. @tparam Rig
-/// rectified_rig or stereo_rig @tparam Real strict_float or strict_double
-template <typename Rig, typename Real = strict_double>
+/// rectified_rig or stereo_rig @tparam Real strict_float or strict_double @tparam Differentiate
+/// whether derivative() will be asked
+template <typename Rig, typename Real = strict_double, bool Differentiate = false>
 struct reprojection {
   using plain = plain_scalar_t<Real>;
   static constexpr plain infinitely_far = std::numeric_limits<plain>::infinity();
@@ -191,9 +192,9 @@ struct reprojection {
       projection<Real> p;
       if (o.right_camera != 0) {
         in_camera = rig.T_rl.template cast<Real>() * in_body;
-        p = rig.right.template cast<Real>().project(in_camera);
+        p = project(rig.right.template cast<Real>());
       } else {
-        p = rig.left.template cast<Real>().project(in_camera);
+        p = project(rig.left.template cast<Real>());
       }
       valid = p.valid;
       error[0] = real(o.u) - p.pixel.x;
@@ -222,19 +223,15 @@ struct reprojection {
       P[1][2] = -(dv * (in_body.y * iz));
       P[2][2] = P[0][2] + real(rig.bf) * (iz * iz);
     } else {
-      if (o.right_camera != 0) {
-        auto const j = rig.right.template cast<Real>().project_jacobian(in_camera);
-        mat3<Real> const R = rig.T_rl.template cast<Real>().R;
-        for (int r = 0; r < 2; ++r) {
-          for (int k = 0; k < 3; ++k) {
-            P[r][k] =
-                j.m[3 * r] * R.m[k] + j.m[3 * r + 1] * R.m[3 + k] + j.m[3 * r + 2] * R.m[6 + k];
-          }
-        }
-      } else {
-        auto const j = rig.left.template cast<Real>().project_jacobian(in_camera);
-        for (int r = 0; r < 2; ++r) {
-          for (int k = 0; k < 3; ++k) { P[r][k] = j.m[3 * r + k]; }
+      static_assert(Differentiate, "asked for when it was made");
+      auto const& j = camera_derivative.m;
+      bool const right = o.right_camera != 0;
+      mat3<Real> const R = rig.T_rl.template cast<Real>().R;
+      for (int r = 0; r < 2; ++r) {
+        for (int k = 0; k < 3; ++k) {
+          P[r][k] = right
+                        ? j[3 * r] * R.m[k] + j[3 * r + 1] * R.m[3 + k] + j[3 * r + 2] * R.m[6 + k]
+                        : j[3 * r + k];
         }
       }
       P[2][0] = P[2][1] = P[2][2] = zero;
@@ -243,6 +240,17 @@ struct reprojection {
 
 private:
   FT_HOST_DEVICE static Real real(float v) { return Real(static_cast<plain>(v)); }
+
+  template <typename Camera>
+  FT_HOST_DEVICE projection<Real> project(Camera const& camera) {
+    if constexpr (Differentiate) {
+      return project_and_differentiate(camera, in_camera, camera_derivative);
+    } else {
+      return camera.project(in_camera);
+    }
+  }
+
+  mat23<Real> camera_derivative;  ///< d pixel / d in_camera, of unrectified cameras
 };
 
 /// One camera's observations and results.
@@ -544,7 +552,7 @@ private:
     ordered_sum<terms>(g, sums, problem.count, [&](int i, sum_terms<terms>& acc) {
       observation const o = prepared(s, i, problem);
       if (!(o.inv_sigma2 > 0)) { return; }
-      reprojection<Rig, real> const r(rig, D, o);
+      reprojection<Rig, real, true> const r(rig, D, o);
       real const chi2 = r.chi2(o);
       real const limit = r.rows == 3 ? static_cast<float>(params.chi2_stereo)
                                      : static_cast<float>(params.chi2_mono);

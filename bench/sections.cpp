@@ -545,7 +545,8 @@ void host_stages_section(context const& c) {
   int const calls = c.how.frames > 0 ? c.how.frames : 20 * pairs;
   std::string const opencv = opencv_description();
   std::printf(
-      "\nStages on one host thread, both images of a %dx%d pair, %d features, %d calls; ft for %s; "
+      "\nStages on one host thread, its processor time, both images of a %dx%d pair, %d features, "
+      "%d calls; ft for %s; "
       "%s\n",
       s.width, s.height, s.features, calls, instruction_set().c_str(),
       opencv.empty() ? "built without OpenCV" : opencv.c_str());
@@ -555,12 +556,11 @@ void host_stages_section(context const& c) {
     std::vector<double> ours, theirs;
     for (int i = 0; i < warm_up + calls; ++i) {
       stages->prepare(i % pairs);
-      // In turn, so that what else the machine does falls on both, and so does what the first of
-      // two calls finds in the caches.
+      // In turn, so that both find the caches as the other leaves them.
       auto const time = [&](std::function<void()> const& call, std::vector<double>& us) {
-        double const start = now_us();
+        double const start = thread_us();
         call();
-        if (i >= warm_up) { us.push_back(now_us() - start); }
+        if (i >= warm_up) { us.push_back(thread_us() - start); }
       };
       bool const first = i / pairs % 2 == 0;
       if (first) { time(stage.ours, ours); }

@@ -107,6 +107,9 @@ FT_COUNTED_CALL(queued, cudaLaunchKernel,
                  cudaStream_t s),
                 (f, grid, block, a, shared, s))
 #if CUDART_VERSION >= 13000  // what <<< >>> calls from there on
+FT_COUNTED_CALL(queued, cudaLaunchKernelExC,
+                (cudaLaunchConfig_t const* config, void const* kernel, void** arguments),
+                (config, kernel, arguments))
 FT_COUNTED_CALL(queued, __cudaLaunchKernel,
                 (cudaKernel_t f, dim3 grid, dim3 block, void** a, std::size_t shared,
                  cudaStream_t s),

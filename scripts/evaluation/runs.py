@@ -16,6 +16,7 @@ from .sequences import UsageError, sha256_of
 MODES = ("offline", "realtime")
 BACKENDS = ("host", "cuda")
 NO_DEVICE = "no CUDA device"  # of track_sequence's message
+ASK_FOR_HELP = "Run with --help for more information."  # the last line of its complaint about an option
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +116,7 @@ def do_run(run):
 
 def failure_of(folder, status):
     if status != 0:
-        lines = (folder / "log.txt").read_text(errors="replace").strip().splitlines()
+        lines = [line for line in (folder / "log.txt").read_text(errors="replace").splitlines() if line and line != ASK_FOR_HELP]
         ended = f"ended with {status}" if status > 0 else f"ended by signal {-status}"
         return f"{ended}: {lines[-1]}" if lines else ended
     for name in ("summary.json", "times.csv"):

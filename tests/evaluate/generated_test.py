@@ -18,21 +18,28 @@ def evaluate(out, *options):
 
 
 class Generated(unittest.TestCase):
+    def rows(self, path):
+        with open(path, newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+
     def test_sequences_of_both_rigs_are_tracked_once_and_tabulated(self):
         with tempfile.TemporaryDirectory() as folder:
             out = pathlib.Path(folder)
             done = evaluate(out, "--sequences", "_1")
             self.assertEqual(done.returncode, 0, done.stderr)
-            with open(out / "accuracy.csv", newline="", encoding="utf-8") as file:
-                rows = list(csv.DictReader(file))
-            names = [(r["sequence"], r["mode"]) for r in rows]
-            self.assertEqual(len(names), 4)
-            self.assertEqual({n for n, _ in names}, {"generated_pinhole_1", "generated_fisheye_1"})
-            for row in rows:
+            accuracy = [r for r in self.rows(out / "accuracy.csv") if r["mode"] == "offline"]
+            self.assertEqual({r["sequence"] for r in accuracy}, {"generated_pinhole_1", "generated_fisheye_1"})
+            for row in accuracy:
                 self.assertLess(float(row["ATE mean, m"]), 0.05)
-            self.assertIn("other", evaluate(out, "--sequences", "_1", "--", "--pose-optimization", "other").stderr)
+            self.assertEqual([float(r["frames that came"]) for r in self.rows(out / "realtime.csv")], [12, 12])
             again = evaluate(out, "--sequences", "_1")
             self.assertIn("4 runs, 4 of them finished before", again.stdout)
+
+    def test_what_track_sequence_complains_of_is_shown(self):
+        with tempfile.TemporaryDirectory() as folder:
+            done = evaluate(folder, "--sequences", "pinhole_1", "--modes", "offline", "--", "--near", "-3")
+            self.assertEqual(done.returncode, 2)
+            self.assertIn("--near: must be above 0", done.stderr)
 
 
 if __name__ == "__main__":

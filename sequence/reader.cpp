@@ -170,7 +170,8 @@ std::vector<pair_files> find_kitti_pairs(fs::path const& root,
   return pairs;
 }
 
-/// EuRoC state_groundtruth_estimate0: time, position, quaternion w x y z, more that is not read.
+/// EuRoC state_groundtruth_estimate0 and TUM-VI mocap0: time, position, quaternion w x y z, more
+/// that is not read.
 trajectory read_euroc_truth(std::string const& path) {
   trajectory poses;
   for (detail::text_line const& line : detail::read_lines(path)) {
@@ -238,10 +239,11 @@ raw_ground_truth find_ground_truth(fs::path const& root, fs::path const& mav0,
                                    std::vector<std::int64_t> const& times) {
   raw_ground_truth truth;
   std::string const euroc = (mav0 / "state_groundtruth_estimate0" / "data.csv").string();
+  std::string const mocap = (mav0 / "mocap0" / "data.csv").string();
   std::string const tum = (root / "groundtruth.txt").string();
   std::string const kitti = (root / "poses.txt").string();
-  if (!mav0.empty() && detail::is_file(euroc)) {
-    truth.poses = read_euroc_truth(euroc);
+  if (!mav0.empty() && (detail::is_file(euroc) || detail::is_file(mocap))) {
+    truth.poses = read_euroc_truth(detail::is_file(euroc) ? euroc : mocap);
     truth.body = true;
     truth.orientation = !truth.poses.empty();
   } else if (detail::is_file(tum)) {

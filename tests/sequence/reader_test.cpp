@@ -74,13 +74,14 @@ void write_euroc(temp_folder const& folder, int count, std::string const& name =
   }
 }
 
-void write_euroc_truth(temp_folder const& folder) {
+void write_euroc_truth(temp_folder const& folder,
+                       std::string const& sensor = "state_groundtruth_estimate0") {
   std::string text = "#timestamp, p_RS_R_x [m], ...\n";
   for (int i = 10; i < 40; ++i) {  // a body that moves along x, turned by 90 degrees about z
     text += std::to_string(stamp(0) + i * 5'000'000) + "," + std::to_string(0.01 * i) +
             ",2,3,0.70710678,0,0,0.70710678,0,0,0,0,0,0,0,0,0\n";
   }
-  folder.write("mav0/state_groundtruth_estimate0/data.csv", text);
+  folder.write("mav0/" + sensor + "/data.csv", text);
 }
 
 std::string const kitti_calib =
@@ -248,6 +249,22 @@ TEST(reader_euroc, takes_camera_ground_truth_files) {
   EXPECT_EQ(seq::sequence::open(folder.path()).ground_truth().size(), 30U);
   folder.write("mav0/state_groundtruth_estimate0/data.csv", "#\n1,2,3\n");
   EXPECT_TRUE(contains(open_error(folder.path()), "data.csv:2: 3 fields"));
+}
+
+TEST(reader_euroc, motion_capture_of_the_body_is_ground_truth_as_well) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  write_euroc_truth(folder);
+  seq::trajectory const euroc = seq::sequence::open(folder.path()).ground_truth();
+  fs::remove_all(folder.path("mav0/state_groundtruth_estimate0"));
+  write_euroc_truth(folder, "mocap0");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  ASSERT_EQ(s.ground_truth().size(), 30U);
+  ASSERT_EQ(euroc.size(), 30U);
+  for (std::size_t i = 0; i < euroc.size(); ++i) {
+    EXPECT_EQ(s.ground_truth()[i].T_world_camera.matrix(), euroc[i].T_world_camera.matrix());
+  }
 }
 
 TEST(reader_euroc, another_calibration_replaces_the_folders) {

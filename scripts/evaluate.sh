@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Builds track_sequence and what goes with it, then runs scripts/evaluate.py, which says what it does: --help
+set -euo pipefail
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# shellcheck source=scripts/deps.sh
+source "$ft_root/scripts/deps.sh"
+
+evaluate=("$ft_root/scripts/evaluate.py")
+given=" $* "
+case $given in
+  *" -h "* | *" --help "* | *" --self-test "* | *" --bin"*) exec python3 "${evaluate[@]}" "$@" ;;
+esac
+
+build=$ft_root/build
+targets=(track_sequence generate_sequence)
+ft_install_missing build
+if ! command -v python3 >/dev/null; then
+  echo "ft: scripts/evaluate.sh needs python3" >&2
+  exit 1
+fi
+if [[ $given == *" --mpi"* ]]; then
+  targets+=(evaluate_mpi)
+  if ! command -v mpicxx >/dev/null; then
+    ft_as_root apt-get install -y -qq --no-install-recommends openmpi-bin libopenmpi-dev >/dev/null ||
+      { echo "ft: --mpi needs Open MPI: sudo apt-get install openmpi-bin libopenmpi-dev" >&2; exit 1; }
+  fi
+fi
+ft_find_nvcc || echo "ft: no CUDA toolkit found, building for the CPU"
+
+options=(-DFT_BUILD_EXAMPLES=ON)
+if [[ ! -f $build/CMakeCache.txt ]]; then options+=(-DFT_BUILD_TESTS=OFF -DFT_BUILD_BENCH=OFF); fi
+ft_configure "$build" "${options[@]}" >/dev/null
+cmake --build "$build" --parallel "$(ft_jobs)" --target "${targets[@]}"
+
+exec python3 "${evaluate[@]}" "$@"

@@ -118,11 +118,9 @@ namespace detail {
 
 /// Largest descriptor distance that can matter: to be taken, or to be second best.
 FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
-  return p.kind == search_kind::local_map && p.ratio > 0
-             ? max_of(
-                   p.max_distance,
-                   min_of(256, static_cast<int>(static_cast<float>(p.max_distance) / p.ratio) + 1))
-             : p.max_distance;
+  if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_distance; }
+  float const second = min_of(static_cast<float>(p.max_distance) / p.ratio, 256.0f);
+  return max_of(p.max_distance, min_of(256, static_cast<int>(second) + 1));
 }
 
 /// Distance of keypoint k where it can be a candidate at all, else -1; whatever holds it.

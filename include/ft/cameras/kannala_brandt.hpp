@@ -22,12 +22,15 @@ struct kannala_brandt {
   static constexpr char const* name = "kannala_brandt";
   Scalar fx, fy, cx, cy, k1, k2, k3, k4;
 
-  /// @throws bad_argument for a focal length that is not positive, or a NaN
+  /// @throws bad_argument for a focal length that is not positive, a NaN, or a coefficient beyond
+  /// 1e6, with which the polynomial could have no number
   void check() const {
     detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
                           static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
     for (Scalar k : {k1, k2, k3, k4}) {
       detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
+      detail::require_range("camera distortion coefficient", static_cast<double>(to_plain(k)), -1e6,
+                            1e6);
     }
   }
 

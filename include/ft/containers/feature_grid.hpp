@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <utility>
 
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -73,7 +74,15 @@ public:
       : arena_(((detail::require(capacity >= 1 && batch >= 1 && geometry.cells() >= 1,
                                  "a grid needs cells, a capacity and a batch of 1 or more")),
                 [&](carver& c) { carve(c, view_, geometry, capacity, batch); })) {}
-  feature_grid_view view() const { return view_; }
+  feature_grid(feature_grid&& other) noexcept
+      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
+  feature_grid& operator=(feature_grid&& other) noexcept {
+    view_ = std::exchange(other.view_, {});
+    arena_ = std::move(other.arena_);
+    return *this;
+  }
+
+  feature_grid_view view() const { return view_; }  ///< empty after a move
 
 private:
   feature_grid_view view_;

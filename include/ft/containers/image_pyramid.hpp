@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <type_traits>
+#include <utility>
 
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -102,7 +103,15 @@ public:
   explicit image_pyramid(pyramid_geometry const& geometry, int batch = 1)
       : arena_(((detail::require(batch >= 1, "a pyramid needs a batch of 1 or more")),
                 [&](carver& c) { carve(c, view_, geometry, batch); })) {}
-  image_pyramid_view view() const { return view_; }
+  image_pyramid(image_pyramid&& other) noexcept
+      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
+  image_pyramid& operator=(image_pyramid&& other) noexcept {
+    view_ = std::exchange(other.view_, {});
+    arena_ = std::move(other.arena_);
+    return *this;
+  }
+
+  image_pyramid_view view() const { return view_; }  ///< empty after a move
 
 private:
   image_pyramid_view view_;

@@ -79,6 +79,15 @@ inline std::size_t checked_mul(std::size_t a, std::size_t b) {
   return a * b;
 }
 
+/// Items of one launch are counted by an int. @throws bad_argument where their number is none
+inline void require_items(char const* name, std::size_t batch, std::size_t each) {
+  std::size_t const limit = static_cast<std::size_t>(std::numeric_limits<int>::max());
+  if (checked_mul(batch, each) > limit) {
+    throw bad_argument(std::string("ft: ") + name + ": " + std::to_string(batch) + " x " +
+                       std::to_string(each) + ", must be at most " + std::to_string(limit));
+  }
+}
+
 }  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -96,6 +96,32 @@ void deallocate(void* p) noexcept {
   }
 }
 
+/// A count that is 0 in an object that was not made yet or was moved from: how a pipeline knows.
+class moved_count {
+public:
+  moved_count() = default;
+  explicit moved_count(int value) : value_(value) {}
+  moved_count(moved_count&& other) noexcept : value_(std::exchange(other.value_, 0)) {}
+  moved_count& operator=(moved_count&& other) noexcept {
+    value_ = std::exchange(other.value_, 0);
+    return *this;
+  }
+  moved_count(moved_count const&) = delete;
+  moved_count& operator=(moved_count const&) = delete;
+  ~moved_count() = default;
+
+  operator int() const { return value_; }  // NOLINT(google-explicit-constructor): it is one
+  /// @throws bad_argument for 0
+  void require_made(char const* object) const {
+    if (value_ == 0) {
+      throw bad_argument(std::string("ft: the ") + object + " was never made, or was moved from");
+    }
+  }
+
+private:
+  int value_ = 0;
+};
+
 }  // namespace detail
 
 /// `size` elements of T in one space; move-only. Elements are not initialised.

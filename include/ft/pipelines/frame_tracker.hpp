@@ -250,7 +250,8 @@ struct pack_visibility {
 /// or extract() alone where there is no last frame. All memory is taken by the constructor. The
 /// calls are asynchronous on the executor, allocate nothing and never wait; the host fills the
 /// input views before a call and reads result() after exec.wait(). It must not touch either in
-/// between. Counts stay in executor memory: launches are sized by capacity. Move-only; not
+/// between. Counts stay in executor memory: launches are sized by capacity. Move-only; one that was
+/// moved from refuses every call with bad_argument, and its views are no longer its own. Not
 /// thread-safe; instances are independent.
 /// @tparam Rig rectified_rig, or stereo_rig of any two cameras: then both images are searched
 template <typename Exec, typename Rig = rectified_rig>
@@ -279,6 +280,9 @@ public:
     matcher_ = stereo_matcher<Exec, Rig>(rig, extractor_);
     int const capacity = extractor_.capacity();
     auto const b = static_cast<std::size_t>(batch);
+    detail::require_items("keypoints of a batch", 2 * b, static_cast<std::size_t>(capacity));
+    detail::require_items("local map points of a batch", b,
+                          static_cast<std::size_t>(params.local_points));
     auto const slots = detail::checked_mul(b, static_cast<std::size_t>(params.map_slots));
     grid_geometry const cells = grid_geometry::over(0, 0, static_cast<float>(params.orb.width),
                                                     static_cast<float>(params.orb.height));
@@ -343,7 +347,7 @@ public:
   /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
   /// @throws bad_argument as orb_extractor::upload
   void set_image(int b, int camera, gray_view image) {
-    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("camera", camera, 0, 1);
     detail::require(image.data != nullptr, "the image is null");
     auto const& p = params_.orb;
@@ -359,7 +363,7 @@ public:
   /// mask. Not while a frame is queued on another stream. @throws bad_argument as
   /// orb_extractor::set_mask
   void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
-    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("camera", camera, 0, 1);
     extractor_.set_mask(exec, 2 * b + camera, mask);
   }
@@ -387,7 +391,7 @@ public:
   /// exec.wait().
   /// @throws bad_argument for more than params().updates points or a slot outside the map
   void update_map(Exec const& exec, int b, point_update const* updates, int count) {
-    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("map updates", count, 0, params_.updates);
     for (int i = 0; i < count; ++i) {
       detail::require_range("map slot", updates[i].slot, 0, params_.map_slots - 1);
@@ -468,7 +472,7 @@ public:
   /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many,
   /// as in result().keypoints @throws bad_argument for more than capacity()
   void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
-    detail::require_range("camera pair", b, 0, batch_ - 1);
+    detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("descriptors", count, 0, capacity());
     copy(exec, to, static_cast<descriptor const*>(array_of<field::orb>(frame_.camera(b, 0))),
          static_cast<std::size_t>(count));
@@ -486,6 +490,7 @@ public:
 
 private:
   void check_local_counts() const {
+    batch_.require_made("tracker");
     for (int b = 0; b < batch_; ++b) {
       detail::require_range("local map points", local_.host.count[b], 0, params_.local_points);
     }
@@ -583,6 +588,7 @@ private:
   /// @param beside queues what may run beside the images' way up
   template <typename Mark, typename Beside>
   void features(Exec const& exec, Mark& mark, Beside const& beside) {
+    batch_.require_made("tracker");
     beside(input_branch_.fork(exec));
     // Level 0 of all images in one copy: a row of it is an image.
     copy_rows(exec, extractor_.pyramid().data, static_cast<std::size_t>(geometry().bytes),
@@ -617,7 +623,7 @@ private:
 
   Rig rig_{};
   tracker_params params_;
-  int batch_ = 0;
+  detail::moved_count batch_;
   orb_extractor<Exec> extractor_;
   stereo_matcher<Exec, Rig> matcher_;
   frame_view frame_;

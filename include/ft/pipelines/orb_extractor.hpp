@@ -47,7 +47,8 @@ struct orb_params {
 
 /// Extracts ORB features of `batch` images at once. All memory is taken by the constructor;
 /// extract() is asynchronous on the executor, allocates nothing and never waits. Not thread-safe;
-/// any number of instances may work side by side. Move-only.
+/// any number of instances may work side by side. Move-only; one that was moved from refuses every
+/// call with bad_argument, and its views are no longer its own.
 template <typename Exec>
 class orb_extractor {
 public:
@@ -69,6 +70,8 @@ public:
         batch_(batch) {
     corner_layout const cells = corner_layout::make(geometry_);
     distribution_layout const quad = distribution_layout::make(geometry_, params.features);
+    detail::require_items("keypoints of a batch", static_cast<std::size_t>(batch),
+                          static_cast<std::size_t>(quad.total));
     blur_layout_ = blur_layout::make(geometry_);
     std::vector<resize_tap> taps(static_cast<std::size_t>(geometry_.taps));
     make_resize_taps(geometry_, taps.data());
@@ -108,7 +111,7 @@ public:
   /// Queues the copy of image `i` into the pyramid's level 0. Pinned memory makes it asynchronous.
   /// @throws bad_argument for a null image, another size or a stride below the width
   void upload(Exec const& exec, int i, gray_view image) {
-    detail::require_range("image index", i, 0, batch_ - 1);
+    detail::require_range("image index", i, 0, batch() - 1);
     detail::require(image.data != nullptr, "the image is null");
     require_size("image", image, params_.width, params_.height);
     auto const to = pyramid_.level(i, 0);
@@ -124,7 +127,7 @@ public:
   /// @throws bad_argument for a null mask, another size, a stride below the width, or where the
   /// extractor was made without masks
   void set_mask(Exec const& exec, int i, gray_view mask) {
-    detail::require_range("image index", i, 0, batch_ - 1);
+    detail::require_range("image index", i, 0, batch() - 1);
     detail::require(has_masks(), "the extractor was made without masks: its mask_width is 0");
     detail::require(mask.data != nullptr, "the mask is null");
     require_size("mask", mask, masks_.width, masks_.height);
@@ -177,7 +180,8 @@ public:
   /// images of the last extract() or build_levels(). @param keypoints executor memory, one batch
   /// entry per image, any capacity @throws bad_argument for another batch
   void describe_keypoints(Exec const& exec, described_view const& keypoints) const {
-    detail::require_range("batch of keypoints", keypoints.batch, batch_, batch_);
+    batch_.require_made("extractor");
+    detail::require_range("batch of keypoints", keypoints.batch, batch(), batch());
     ft::describe_keypoints(exec, pyramid_, blurred_, pattern_, keypoints);
   }
 
@@ -201,6 +205,7 @@ public:
 private:
   /// Both ways give the same pixels: long rows suit a processor, few launches a device.
   void resize(Exec const& exec) {
+    batch_.require_made("extractor");
     if constexpr (Exec::asynchronous) {
       build_pyramid(exec, pyramid_, taps_, tiles_);
     } else {
@@ -258,7 +263,7 @@ private:
   orb_params params_;
   pyramid_geometry geometry_;
   blur_layout blur_layout_;
-  int batch_ = 0;
+  detail::moved_count batch_;
   image_pyramid_view pyramid_;
   image_pyramid_view blurred_;
   corners_view corners_;

@@ -18,8 +18,8 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the
-/// executor, allocates nothing and never waits. Move-only; not thread-safe; instances are
-/// independent.
+/// executor, allocates nothing and never waits. Move-only; one that was moved from refuses every
+/// call with bad_argument. Not thread-safe; instances are independent.
 /// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap,
 /// triangulated)
 template <typename Exec, typename Rig = rectified_rig>
@@ -40,6 +40,9 @@ public:
       require_invertible(rig.right, extractor.params().width, extractor.params().height, 0.25);
     }
     int const pairs = extractor.batch() / 2;
+    pairs_ = detail::moved_count(pairs);
+    capacity_ = extractor.capacity();
+    height_ = extractor.params().height;
     if constexpr (Rig::rectified) {
       params_.bf = rig.bf;
       params_.max_disparity = rig.bf / rig.baseline;
@@ -57,7 +60,8 @@ public:
     });
   }
 
-  /// Queues the matching of the extractor's current images.
+  /// Queues the matching of the extractor's current images. @throws bad_argument, as its two parts,
+  /// for an extractor of another shape than the one that the matcher was made with
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     prepare(exec, extractor);
     match_prepared(exec, extractor);
@@ -65,6 +69,7 @@ public:
   /// The part of match() that needs places and octaves of keypoints only: what
   /// orb_extractor::extract_beside has when it calls.
   void prepare(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    require_shape(extractor);
     if constexpr (Rig::rectified) {
       sort_right_rows(exec, extractor.keypoints(), right_rows_);
     } else {
@@ -74,6 +79,7 @@ public:
   }
   /// The rest of match().
   void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    require_shape(extractor);
     if constexpr (Rig::rectified) {
       match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
                         right_rows_);
@@ -94,7 +100,18 @@ public:
   stereo_params const& params() const { return params_; }
 
 private:
+  void require_shape(orb_extractor<Exec> const& extractor) const {
+    pairs_.require_made("stereo matcher");
+    detail::require(extractor.batch() == 2 * pairs_ && extractor.capacity() == capacity_ &&
+                        extractor.params().height == height_,
+                    "the extractor's batch, capacity or image height is not that of the one that "
+                    "the stereo matcher was made with");
+  }
+
   Rig rig_{};
+  detail::moved_count pairs_;
+  int capacity_ = 0;
+  int height_ = 0;
   stereo_params params_;
   fisheye_stereo_params fisheye_params_;
   stereo_matches_view matches_;

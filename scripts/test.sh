@@ -82,6 +82,13 @@ check_includes() {
   python3 scripts/check_includes.py
 }
 
+# Skipped, and said so, where clang++ has no libFuzzer.
+fuzz() {
+  local status=0
+  scripts/fuzz.sh 60 || status=$?
+  ((status == 77)) || return "$status"
+}
+
 build_all() {
   cmake --build "$1" --parallel "$jobs"
 }
@@ -139,5 +146,6 @@ if ((!quick)); then
   step "ThreadSanitizer: build" cmake --build --preset host-tsan
   step "ThreadSanitizer: the shim beside a mapping thread" \
     run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
+  step "Fuzzers" fuzz
   step "Consumers" scripts/test_consumers.sh "$build"
 fi

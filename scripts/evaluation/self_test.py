@@ -114,6 +114,7 @@ class Running(Workplace):
         folder = self.make_sequence("s")
         self.do(self.plan(times=1))
         self.do(self.plan(times=1))
+        self.assertIsNone(runs.do_run(self.plan(times=1)[0]))  # as a rank does that has an old plan
         self.assertEqual(len(self.calls(folder)), 1)
         self.do(self.plan(times=3))
         self.assertEqual(len(self.calls(folder)), 3)

@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """evaluate_mpi with several ranks on this machine: mpi_test.py MPIEXEC EVALUATE_MPI. Skips (77) without MPI."""
-import collections
 import json
 import os
 import pathlib
@@ -21,14 +20,18 @@ ALLOWED = {
     "ASAN_OPTIONS": ":".join(filter(None, [os.environ.get("ASAN_OPTIONS"), "detect_leaks=0"])),
 }
 
-# A job: writes who ran it, then does what it is told to.
+# A job: writes who runs it, waits until others have begun as well, ends as it is told to.
 JOB = """
 import json, os, pathlib, sys, time
-folder, name, seconds, status = sys.argv[1:]
+folder, name, others, status = pathlib.Path(sys.argv[1]), *sys.argv[2:]
 names = ("OMPI_COMM_WORLD_RANK", "CUDA_VISIBLE_DEVICES", "FT_RANKS_ON_HOST")
-with open(pathlib.Path(folder) / name, "a") as file:
+with open(folder / name, "a") as file:
     file.write(json.dumps({n: os.environ.get(n) for n in names}) + chr(10))
-time.sleep(float(seconds))
+end = time.monotonic() + 60
+while not all((folder / other).exists() for other in others.split()):
+    if time.monotonic() > end:
+        sys.exit("waited in vain")
+    time.sleep(0.02)
 if status == "kill":
     os.kill(os.getpid(), 9)
 sys.exit(int(status))
@@ -41,8 +44,13 @@ class EvaluateMpi(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
 
-    def job(self, name, seconds=0.0, status="0"):
-        return {"name": name, "command": [sys.executable, "-c", JOB, str(self.folder), name, str(seconds), status]}
+    def job(self, name, status="0", others=()):
+        return {"name": name, "command": [sys.executable, "-c", JOB, str(self.folder), name, " ".join(others), status]}
+
+    def jobs_together(self, together, alone=0):
+        """So many that end only when all of them run at the same time, and some that wait for nothing."""
+        names = [f"together{i}" for i in range(together)]
+        return [self.job(n, others=names) for n in names] + [self.job(f"alone{i}") for i in range(alone)]
 
     def run_plan(self, ranks, plan, *options, devices=None):
         path = self.folder / "plan.json"
@@ -56,25 +64,25 @@ class EvaluateMpi(unittest.TestCase):
     def seen(self, name):
         return [json.loads(line) for line in (self.folder / name).read_text().splitlines()]
 
-    def test_every_job_is_run_once_and_more_than_one_rank_takes_part(self):
-        names = [f"job{i}" for i in range(7)]
-        done = self.run_plan(3, [self.job(n, 0.3) for n in names])
+    def test_every_job_is_run_once_and_every_rank_takes_part(self):
+        plan = self.jobs_together(3, 4)
+        done = self.run_plan(3, plan)
         self.assertEqual(done.returncode, 0, done.stderr)
-        runs = [self.seen(n) for n in names]
+        runs = [self.seen(j["name"]) for j in plan]
         self.assertEqual([len(r) for r in runs], [1] * 7)
         self.assertEqual({r[0]["OMPI_COMM_WORLD_RANK"] for r in runs}, {"0", "1", "2"})
         self.assertEqual({r[0]["FT_RANKS_ON_HOST"] for r in runs}, {"3"})
         self.assertIn("[7/7]", done.stdout)
 
     def test_a_rank_with_a_long_job_is_given_no_other(self):
-        plan = [self.job("long", 3)] + [self.job(f"short{i}", 0.05) for i in range(6)]
-        done = self.run_plan(2, plan)
+        short = [f"short{i}" for i in range(6)]
+        done = self.run_plan(2, [self.job("long", others=short)] + [self.job(n) for n in short])
         self.assertEqual(done.returncode, 0, done.stderr)
-        ranks = collections.Counter(self.seen(j["name"])[0]["OMPI_COMM_WORLD_RANK"] for j in plan)
-        self.assertEqual(ranks[self.seen("long")[0]["OMPI_COMM_WORLD_RANK"]], 1)
+        rank_of_long = self.seen("long")[0]["OMPI_COMM_WORLD_RANK"]
+        self.assertNotIn(rank_of_long, {self.seen(n)[0]["OMPI_COMM_WORLD_RANK"] for n in short})
 
     def test_a_job_that_fails_does_not_stop_the_others_and_is_named(self):
-        plan = [self.job("bad", 0, "3"), self.job("killed", 0, "kill"), {"name": "absent", "command": ["/no/such/program"]}]
+        plan = [self.job("bad", "3"), self.job("killed", "kill"), {"name": "absent", "command": ["/no/such/program"]}]
         done = self.run_plan(3, plan + [self.job(f"good{i}") for i in range(5)])
         self.assertEqual(done.returncode, 1)
         for text in ("bad: ended with 3", "killed: ended with 137", "absent: ended with 127", "3 of 8 jobs failed"):
@@ -95,18 +103,19 @@ class EvaluateMpi(unittest.TestCase):
         self.assertEqual(self.run_plan(3, []).returncode, 0)
 
     def test_ranks_share_the_gpus_of_a_machine_evenly(self):
-        names = [f"job{i}" for i in range(8)]
-        done = self.run_plan(4, [self.job(n, 0.3) for n in names], "--gpus", "2")
+        plan = self.jobs_together(4, 4)
+        done = self.run_plan(4, plan, "--gpus", "2")
         self.assertEqual(done.returncode, 0, done.stderr)
-        seen = [self.seen(n)[0] for n in names]
+        seen = [self.seen(j["name"])[0] for j in plan]
         self.assertEqual({s["CUDA_VISIBLE_DEVICES"] for s in seen}, {"0", "1"})
         for s in seen:
             self.assertEqual(int(s["CUDA_VISIBLE_DEVICES"]), int(s["OMPI_COMM_WORLD_RANK"]) % 2)
 
     def test_gpus_that_a_scheduler_gave_are_kept_to(self):
-        done = self.run_plan(2, [self.job(f"job{i}", 0.3) for i in range(4)], devices="5,GPU-abc")
+        plan = self.jobs_together(2)
+        done = self.run_plan(2, plan, devices="5,GPU-abc")
         self.assertEqual(done.returncode, 0, done.stderr)
-        seen = {self.seen(f"job{i}")[0]["CUDA_VISIBLE_DEVICES"] for i in range(4)}
+        seen = {self.seen(j["name"])[0]["CUDA_VISIBLE_DEVICES"] for j in plan}
         self.assertEqual(seen, {"5", "GPU-abc"})
 
     def test_a_plan_that_is_none_is_refused(self):

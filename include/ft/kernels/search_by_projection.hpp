@@ -532,9 +532,8 @@ private:
         count * made.writes() <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
     for (int k = g.rank(); k < numbers; k += g.size()) {
       made.writer[k] = -1;
-      // With one camera what is held is not listed.
-      made.held[k] = static_cast<std::uint8_t>(cameras == 2 && !ctx.params.from_empty &&
-                                               ctx.observed(ctx.holder[k]));
+      made.held[k] =
+          static_cast<std::uint8_t>(!ctx.params.from_empty && ctx.observed(ctx.holder[k]));
     }
     bool first = true;
     // Below `begin` nothing changes any more.

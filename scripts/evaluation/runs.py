@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of track_sequence: which there are, which are still to be done, doing one."""
+import ctypes
 import dataclasses
 import json
 import os
 import pathlib
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -92,7 +94,8 @@ def do_run(run):
     begin = time.monotonic()
     with open(partial / "log.txt", "wb") as log:
         try:
-            status = subprocess.run([*run.command, "--out", str(partial)], stdout=log, stderr=log, check=False).returncode
+            command = [*run.command, "--out", str(partial)]
+            status = subprocess.run(command, stdout=log, stderr=log, preexec_fn=end_with_parent, check=False).returncode
         except OSError as e:
             log.write(str(e).encode())
             status = 127
@@ -112,6 +115,12 @@ def do_run(run):
         return None
     partial.rename(failed)
     return f"{why} (all of it: {failed / 'log.txt'})"
+
+
+def end_with_parent():
+    """In a child of this program: it is killed when this program ends, so that no run goes on unseen (Linux)."""
+    set_death_signal = 1
+    ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
 
 
 def failure_of(folder, status):

@@ -7,6 +7,7 @@ import pathlib
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 MPIEXEC, PROGRAM = (sys.argv[1:] + ["", ""])[:2]
@@ -26,7 +27,7 @@ import json, os, pathlib, sys, time
 folder, name, others, status = pathlib.Path(sys.argv[1]), *sys.argv[2:]
 names = ("OMPI_COMM_WORLD_RANK", "CUDA_VISIBLE_DEVICES", "FT_RANKS_ON_HOST")
 with open(folder / name, "a") as file:
-    file.write(json.dumps({n: os.environ.get(n) for n in names}) + chr(10))
+    file.write(json.dumps({n: os.environ.get(n) for n in names} | {"pid": os.getpid()}) + chr(10))
 end = time.monotonic() + 60
 while not all((folder / other).exists() for other in others.split()):
     if time.monotonic() > end:
@@ -36,6 +37,15 @@ if status == "kill":
     os.kill(os.getpid(), 9)
 sys.exit(int(status))
 """
+
+
+def until(condition):
+    """Fails where it takes more than 30 s."""
+    end = time.monotonic() + 30
+    while not condition():
+        if time.monotonic() > end:
+            raise AssertionError("did not come about in 30 s")
+        time.sleep(0.05)
 
 
 class EvaluateMpi(unittest.TestCase):
@@ -52,14 +62,17 @@ class EvaluateMpi(unittest.TestCase):
         names = [f"together{i}" for i in range(together)]
         return [self.job(n, others=names) for n in names] + [self.job(f"alone{i}") for i in range(alone)]
 
-    def run_plan(self, ranks, plan, *options, devices=None):
+    def command_of(self, ranks, plan, *options, devices=None):
         path = self.folder / "plan.json"
         path.write_text(plan if isinstance(plan, str) else json.dumps(plan))
         environment = {k: v for k, v in os.environ.items() if k != "CUDA_VISIBLE_DEVICES"} | ALLOWED
         if devices is not None:
             environment["CUDA_VISIBLE_DEVICES"] = devices
-        command = [MPIEXEC, "-n", str(ranks), PROGRAM, str(path), *options]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+        return {"args": [MPIEXEC, "-n", str(ranks), PROGRAM, str(path), *options], "env": environment}
+
+    def run_plan(self, *arguments, **devices):
+        started = self.command_of(*arguments, **devices)
+        return subprocess.run(**started, capture_output=True, text=True, timeout=120, check=False)
 
     def seen(self, name):
         return [json.loads(line) for line in (self.folder / name).read_text().splitlines()]
@@ -98,6 +111,16 @@ class EvaluateMpi(unittest.TestCase):
         done = self.run_plan(1, [self.job("a"), self.job("b")])
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertLess(done.stdout.index("[1/2] a"), done.stdout.index("[2/2] b"))
+
+    def test_no_job_goes_on_when_mpirun_is_killed(self):
+        plan = [self.job(n, others=["never"]) for n in ("a", "b")]
+        with subprocess.Popen(**self.command_of(2, plan), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as mpirun:
+            until(lambda: all((self.folder / j["name"]).exists() and self.seen(j["name"]) for j in plan))
+            mpirun.kill()
+            mpirun.wait(60)
+        for job in plan:
+            process = pathlib.Path("/proc", str(self.seen(job["name"])[0]["pid"]), "cmdline")
+            until(lambda path=process: not path.exists() or str(self.folder) not in path.read_text())
 
     def test_no_jobs(self):
         self.assertEqual(self.run_plan(3, []).returncode, 0)

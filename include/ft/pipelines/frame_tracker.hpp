@@ -545,7 +545,7 @@ private:
     auto const write_visibility = [this](Exec const& e) {
       for_each_item<per_thread>(e, batch_ * params_.local_points, pack_visibility{},
                                 static_cast<visibility const*>(visible_),
-                                static_cast<int const*>(local_.device.count), batch_, int{cameras},
+                                static_cast<int const*>(local_.device.count), batch(), int{cameras},
                                 result_);
     };
     if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {

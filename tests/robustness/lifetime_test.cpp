@@ -2,12 +2,15 @@
 // Moves, destruction in any order, memory that runs out and errors of kernels from elsewhere: each
 // is answered as documented, and a tracker beside it goes on with the same bits.
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <fstream>
 #include <memory>
 #include <new>
 #include <utility>
@@ -178,6 +181,26 @@ TYPED_TEST(lifetime, owners_may_go_in_any_order) {
 // ---- memory -----------------------------------------------------------------------------------
 
 #if !defined(__SANITIZE_ADDRESS__)  // which ends the program instead of throwing
+/// Lets the process have that much more memory and no more, also where the system promises memory
+/// that it has not.
+class memory_limit {
+public:
+  explicit memory_limit(std::size_t more) {
+    unsigned long pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    getrlimit(RLIMIT_AS, &before_);
+    rlimit limit = before_;
+    limit.rlim_cur = pages * static_cast<unsigned long>(sysconf(_SC_PAGESIZE)) + more;
+    EXPECT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
+  }
+  memory_limit(memory_limit const&) = delete;
+  memory_limit& operator=(memory_limit const&) = delete;
+  ~memory_limit() { EXPECT_EQ(setrlimit(RLIMIT_AS, &before_), 0); }
+
+private:
+  rlimit before_{};
+};
+
 TYPED_TEST(lifetime, memory_that_is_not_there_throws_and_harms_nobody) {
   auto const& exec = this->exec();
   typename TestFixture::tracker_type witness(exec, rig(), params());
@@ -189,6 +212,7 @@ TYPED_TEST(lifetime, memory_that_is_not_there_throws_and_harms_nobody) {
   for (int i = 0; i < 3; ++i) {
     auto const make = [&] { typename TestFixture::tracker_type const t(exec, rig(), huge, 2048); };
     if constexpr (TypeParam::exec_type::space == ft::memory_space::host) {
+      memory_limit const limit(std::size_t{1} << 34);
       EXPECT_THROW(make(), std::bad_alloc);
     } else {
       EXPECT_THROW(make(), ft::cuda_error);

@@ -88,8 +88,10 @@ struct solve {
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, system_6 const* systems, double damping,
                                  solution_6* out) const {
     ft::strict_double x[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
-    out[i].solved =
-        static_cast<int>(ft::detail::solve_6(systems[i].upper, damping, systems[i].right, x));
+    double terms[27];
+    for (int k = 0; k < 6; ++k) { terms[k] = systems[i].right[k]; }
+    for (int k = 0; k < 21; ++k) { terms[6 + k] = systems[i].upper[k]; }
+    out[i].solved = static_cast<int>(ft::detail::solve_6(terms, ft::strict_double(damping), x));
     for (int k = 0; k < 6; ++k) { out[i].x[k] = x[k].value; }
   }
 };

@@ -122,8 +122,8 @@ struct symmetric_3 {
 /// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in blocks of 3
 /// (Schur complement). @param terms b, then A as upper triangle by rows. False where the matrix is
 /// not positive definite. @tparam Real that it is solved in
-template <typename Real>
-FT_HOST_DEVICE bool solve_6(float const* terms, Real damping, Real (&x)[6]) {
+template <typename Real, typename Number>
+FT_HOST_DEVICE bool solve_6(Number const* terms, Real damping, Real (&x)[6]) {
   using plain = plain_scalar_t<Real>;
   auto const at = [&](int i) { return Real(static_cast<plain>(terms[6 + i])); };
   auto const b = [&](int i) { return Real(static_cast<plain>(terms[i])); };

@@ -601,6 +601,10 @@ int run_on_backend(options const& o) {
 }  // namespace soak
 
 int main(int argc, char** argv) {
+  // Large blocks go back to the system when they are freed: else the allocator, which learns from
+  // the first ones to keep them, holds pages of trackers that are gone, and they look like growth.
+  mallopt(M_MMAP_THRESHOLD, 1 << 16);
+  mallopt(M_TRIM_THRESHOLD, 1 << 16);
   try {
     return soak::run_on_backend(soak::parse(argc, argv));
   } catch (std::exception const& e) {

@@ -273,13 +273,18 @@ __global__ void users_kernel(T* where) {
   *where = T{1};
 }
 
-TEST(device_lifetime, a_launch_of_the_user_that_failed_shows_and_is_gone) {
+TEST(device_lifetime, a_launch_of_the_user_that_failed_harms_nothing_after_it) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
   ft::orb_extractor<ft::cuda_exec> orb(backend.exec, params().orb, 2);
   int* nowhere = nullptr;
   users_kernel<<<1, 4096>>>(nowhere);  // no block has so many threads: never runs
+#if CUDART_VERSION >= 12030
+  EXPECT_NO_THROW(orb.extract(backend.exec));
+  EXPECT_NO_THROW(backend.exec.wait());
+#else  // a launch's own error cannot be told from one before
   EXPECT_THROW(orb.extract(backend.exec), ft::cuda_error);
+#endif
   EXPECT_NO_THROW(orb.extract(backend.exec));
   EXPECT_NO_THROW(backend.exec.wait());
 }

@@ -453,6 +453,21 @@ TYPED_TEST(pose_unit, a_rectified_observation_that_is_no_number_spoils_no_other)
 TYPED_TEST(pose_unit, a_fisheye_observation_that_is_no_number_spoils_no_other) {
   this->template check_bad_observation_spoils_nothing<fisheye_rig>();
 }
+TYPED_TEST(pose_unit, an_error_beyond_the_range_of_float_spoils_no_other) {
+  auto const rig = make_rig<ft::rectified_rig>();
+  auto s = make_scene(rig, 50, 0, 7);
+  auto const clean = this->solve(rig, s.observations, s.start);
+  ft::observation far = s.observations[10];
+  far.right_u = -1;
+  far.u = 1e25f;  // a number in double, its square none in float
+  s.observations.push_back(far);
+  auto const r = this->solve(rig, s.observations, s.start);
+  EXPECT_EQ(r.outlier[50], 1);
+  EXPECT_EQ(r.inliers, clean.inliers);
+  EXPECT_EQ(r.pose.t.x, clean.pose.t.x);
+  EXPECT_EQ(r.pose.t.y, clean.pose.t.y);
+  EXPECT_EQ(r.pose.t.z, clean.pose.t.z);
+}
 TYPED_TEST(pose_unit, a_fisheye_point_that_is_no_number_is_not_at_the_principal_point) {
   auto const rig = make_rig<fisheye_rig>();
   auto s = make_scene(rig, 50, 0, 7);

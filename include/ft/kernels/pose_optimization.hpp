@@ -488,14 +488,16 @@ struct optimize_pose {
 
 private:
   static constexpr unsigned char outlier = 1;
-  /// Without a number at the start: out of all sums, which one NaN would spoil.
+  /// Without a number at the start, or with one that the sums in float cannot hold: out of all
+  /// sums, which one of them would spoil.
   static constexpr unsigned char unusable = 2;
+  static constexpr double largest_chi2 = 1e30;
 
   FT_HOST_DEVICE static void prepare(scratch& s, int i, Rig const& rig, pose_problem const& problem,
                                      detail::transform const& start) {
     observation const o = problem.observations[i];
     reprojection<Rig> const r(rig, start, o);
-    bool const usable = scalar::is_finite(r.chi2(o));
+    bool const usable = r.chi2(o) < largest_chi2;
     problem.outlier[i] = usable ? 0 : unusable;
     if (i >= scratch_size) { return; }
     s.point[i] = narrowed(r.in_body);

@@ -38,6 +38,10 @@ struct per_block {};
 /// For functors without scratch memory.
 struct no_scratch {};
 
+// Scratch whose size is known at launch only: a functor for blocks may have a member
+// `std::size_t extra_bytes() const`, at most what extra_scratch() says; then `group.extra()` is so
+// much memory on the multiprocessor. The host has none to give.
+
 /// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from
 /// several threads at a time.
 class host_exec {
@@ -125,6 +129,12 @@ void for_each_item(host_exec const& exec, int items, Op const& op, Args const&..
   exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
 
+/// How much extra scratch each of `items` blocks of `Threads` threads may have, bytes.
+template <int Threads, typename Op>
+std::size_t extra_scratch(host_exec const&, int /*items*/) {
+  return 0;
+}
+
 inline void copy_bytes(host_exec const&, void* to, void const* from, std::size_t bytes) {
   if (bytes != 0) { std::memcpy(to, from, bytes); }
 }
@@ -164,6 +174,19 @@ FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Arg
   if (items > 0) {
     detail::launch<Shape>::run(exec.stream, exec.early_launches, items, op, args...);
   }
+}
+
+/// As much as a multiprocessor has where no two blocks share one, else what lets several do.
+/// @throws cuda_error
+template <int Threads, typename Op>
+FT_HIDDEN std::size_t extra_scratch(cuda_exec const&, int items) {
+  constexpr std::size_t declared =
+      sizeof(typename Op::scratch) + sizeof(typename block_group<Threads>::scratch) + 64;
+  constexpr std::size_t usual = 48 * 1024;
+  detail::block_scratch_facts const facts;
+  std::size_t const limit =
+      items <= facts.processors ? max_of(static_cast<std::size_t>(facts.most), usual) : usual;
+  return limit > declared ? limit - declared : 0;
 }
 
 inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {

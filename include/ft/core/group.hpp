@@ -39,6 +39,8 @@ struct max_op {
 /// One thread: every item on the host, and items of a single thread on the device.
 struct single_group {
   static constexpr int max_threads = 1;
+  /// The scratch that a functor's extra_bytes() asked for, aligned to 16 bytes; blocks only.
+  FT_HOST_DEVICE static unsigned char* extra() { return nullptr; }
   FT_HOST_DEVICE static constexpr int rank() { return 0; }
   FT_HOST_DEVICE static constexpr int size() { return 1; }
   FT_HOST_DEVICE static void sync() {}
@@ -226,6 +228,10 @@ struct block_group {
   __device__ static int rank() { return static_cast<int>(threadIdx.x); }
   __device__ static constexpr int size() { return N; }
   __device__ static void sync() { __syncthreads(); }
+  __device__ static unsigned char* extra() {
+    extern __shared__ ulonglong2 extra_scratch[];
+    return reinterpret_cast<unsigned char*>(extra_scratch);
+  }
   __device__ static warp_group part() { return {}; }
   __device__ static int part_index() { return static_cast<int>(threadIdx.x) / 32; }
   __device__ static constexpr int parts() { return warps; }

@@ -119,10 +119,11 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
 /// nodes made in round k are, for odd k, in descending order of their codes, for even k in
 /// ascending order.
 struct distribute_level {
-  /// Levels of up to so many points and nodes are kept in block scratch, others in the workspace.
-  static constexpr int scratch_points = 3328;
+  /// Levels of up to so many points are kept in the block scratch asked for at launch, others in
+  /// the workspace.
+  int scratch_points = 0;
+  /// Levels that keep more nodes are in the workspace, too.
   static constexpr int scratch_nodes = 512;
-  static constexpr int scratch_words = scratch_points / 32;
   static constexpr int max_bins = 2048;  ///< codes are sorted into so many bins first
   /// Depths told apart at first; where nodes are left that might be split, all are.
   static constexpr int usual_depths = 7;
@@ -134,29 +135,37 @@ struct distribute_level {
   static constexpr int ranked_nodes = 256;
 
   struct scratch {
-    struct row_store {
-      unsigned rows[2 * max_rows * scratch_words];
-      std::uint16_t before[2 * max_rows * scratch_words];
-      node_range<std::uint16_t> list[2][scratch_nodes];
-    };
     struct split_store {
       unsigned long long keys[scratch_nodes];
       int splits_before[scratch_nodes];
       int gain_before[scratch_nodes];
     };
     union {
-      unsigned long long keys[scratch_points];  ///< until the points are sorted
-      row_store tree;                           ///< from then on
-    } a;
-    union {
       int bins[max_bins];
       split_store splits;
     } b;
-    unsigned order[scratch_points];
     int totals[2 * max_rows];
     int made;
     unsigned crowded;
   };
+
+  /// Of block scratch, for a point: its key, then, in the same place, its part of the rows; and its
+  /// entry of `order`.
+  static constexpr int bytes_per_point = 12;
+  /// Fewer do not leave place for the nodes beside the rows.
+  static constexpr int min_scratch_points = 2048;
+
+  /// @param bytes of block scratch that there are besides `scratch`
+  static distribute_level with_scratch(std::size_t bytes) {
+    auto const points = min_of(bytes / bytes_per_point, std::size_t{0xffe0}) / 32 * 32;
+    distribute_level op;
+    if (points >= std::size_t{min_scratch_points}) { op.scratch_points = static_cast<int>(points); }
+    return op;
+  }
+  /// What the executor is asked for.
+  std::size_t extra_bytes() const {
+    return static_cast<std::size_t>(scratch_points) * bytes_per_point;
+  }
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
@@ -172,19 +181,21 @@ struct distribute_level {
     int const at = image * layout.total + layout.first[l];
     int size = 0;
     if (points <= scratch_points && layout.capacity[l] <= scratch_nodes) {
+      unsigned char* const memory = g.extra();
       tree<std::uint16_t> t;
-      t.keys = s.a.keys;
-      t.order = s.order;
-      t.rows = s.a.tree.rows;
-      t.before = s.a.tree.before;
-      t.list = s.a.tree.list[0];
-      t.next = s.a.tree.list[1];
-      t.node_keys = s.b.splits.keys;
-      t.splits_before = s.b.splits.splits_before;
-      t.gain_before = s.b.splits.gain_before;
       t.points = corners.level_list(image, l);
       t.n = points;
       t.words = ceil_div(points, 32);
+      t.keys = reinterpret_cast<unsigned long long*>(memory);
+      t.order = reinterpret_cast<unsigned*>(memory + 8 * scratch_points);
+      t.order_size = scratch_points;
+      t.rows = reinterpret_cast<unsigned*>(memory);
+      t.before = reinterpret_cast<std::uint16_t*>(t.rows + 2 * max_rows * t.words);
+      t.list = reinterpret_cast<node_range<std::uint16_t>*>(memory + 6 * scratch_points);
+      t.next = t.list + scratch_nodes;
+      t.node_keys = s.b.splits.keys;
+      t.splits_before = s.b.splits.splits_before;
+      t.gain_before = s.b.splits.gain_before;
       size = run(g, s, t, layout, l, v.kept + at);
     } else {
       size = run_in_workspace(g, s, image, l, points, at, corners, v);
@@ -203,6 +214,7 @@ private:
     t.keys = v.keys + slot +
              static_cast<std::ptrdiff_t>(distribution_view::key_pad) * (image * layout.levels + l);
     t.order = v.order + slot;
+    t.order_size = static_cast<int>(corners.layout.level_slots(l));
     t.n = points;
     t.words = ceil_div(points, 32);
     // Rows and their counts: 2 * max_rows words of each for 32 points, 8 bytes a point.
@@ -221,7 +233,10 @@ private:
   static constexpr unsigned index_mask = (1u << index_bits) - 1;
   static constexpr int never = 31;  ///< depth at which coincident points part
 
-  static_assert(max_rows * scratch_words * 12 + scratch_nodes * 8 <= scratch_points * 8, "aliased");
+  // Rows and their counts take 6 bytes a point, both lists have what is left of the keys' 8.
+  static_assert(2 * max_rows * 6 == 6 * 32, "rows of words of 32 points");
+  static_assert(2 * scratch_nodes * sizeof(node_range<std::uint16_t>) <= 2 * min_scratch_points,
+                "aliased");
 
   /// Where nodes are split: follows from the level's size alone.
   struct shape {
@@ -322,6 +337,7 @@ private:
     int n, words;
     unsigned long long* keys;  ///< code << 32 | index
     unsigned* order;           ///< parting depth from the point before, and index, by code
+    int order_size;            ///< at least n
     unsigned* rows;
     Index* before;
     node_range<Index>* list;  ///< front first
@@ -425,9 +441,9 @@ private:
   FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
     constexpr int batch = 4;  // loads under way at a time
     int* const bins = s.b.bins;
-    unsigned* const table = s.order;  // dead before `order` is filled
+    unsigned* const table = t.order;  // dead before `order` is filled
     int const sides = level.width + level.height;
-    bool const tables = sides <= scratch_points && sides < 2 * t.n;
+    bool const tables = sides <= t.order_size && sides < 2 * t.n;
     for (int i = g.rank(); i < level.bins; i += g.size()) { bins[i] = 0; }
     if (g.rank() == 0) { s.crowded = 0; }
     // The codes of columns and rows where that is less than the codes of all points.
@@ -794,8 +810,12 @@ private:
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners,
                         distribution_view const& out) {
-  for_each_item<per_block<512>>(exec, out.batch * out.layout.levels, distribute_level{}, corners,
-                                out);
+  constexpr int threads = 512;
+  int const items = out.batch * out.layout.levels;
+  for_each_item<per_block<threads>>(
+      exec, items,
+      distribute_level::with_scratch(extra_scratch<threads, distribute_level>(exec, items)),
+      corners, out);
 }
 
 }  // namespace FT_ABI

@@ -415,6 +415,7 @@ public:
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
     features(exec, mark, [this](Exec const& e) { motion_.upload(e); });
+    await_partners<Mark>(exec);
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_.matches, nullptr);
@@ -522,6 +523,7 @@ private:
       copy(exec, poses_, static_cast<pose const*>(input.predicted),
            static_cast<std::size_t>(batch_));
     }
+    await_partners<Mark>(exec);
   }
 
   template <typename Mark>
@@ -585,6 +587,7 @@ private:
            static_cast<std::size_t>(params_.orb.height);
   }
 
+  /// Without rectification the stereo matches are not there before await_partners().
   /// @param beside queues what may run beside the images' way up
   template <typename Mark, typename Beside>
   void features(Exec const& exec, Mark& mark, Beside const& beside) {
@@ -600,10 +603,15 @@ private:
       extractor_.extract_beside(exec, [this](Exec const& e) {
         build_grid<nearest_cell>(grid_branch_.fork(e), extractor_.keypoints(), 0, step,
                                  cameras * batch_, frame_.grids);
-        matcher_.prepare(match_branch_.fork(e), extractor_);
+        if constexpr (Rig::rectified) { matcher_.prepare(match_branch_.fork(e), extractor_); }
       });
-      match_branch_.join(exec);
-      matcher_.match_prepared(exec, extractor_);
+      if constexpr (Rig::rectified) {
+        match_branch_.join(exec);
+        matcher_.match_prepared(exec, extractor_);
+      } else {
+        // The last frame's search does not look at partners.
+        matcher_.match_prepared(match_branch_.fork(exec), extractor_);
+      }
       grid_branch_.join(exec);
     } else {
       extractor_.extract(exec, mark);
@@ -613,6 +621,14 @@ private:
       matcher_.match(exec, extractor_);
     }
     mark("stereo");
+  }
+
+  /// The stereo matches of features() are there for what is queued next.
+  template <typename Mark>
+  void await_partners(Exec const& exec) {
+    if constexpr (!Rig::rectified && std::is_same<std::decay_t<Mark>, no_mark>::value) {
+      match_branch_.join(exec);
+    }
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {

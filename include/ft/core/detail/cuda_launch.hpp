@@ -4,6 +4,9 @@
 
 #include <cuda_runtime.h>
 
+#include <cstddef>
+#include <utility>
+
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
@@ -27,11 +30,40 @@ __device__ inline void await_launch_ahead() {
 #endif
 }
 
+/// Bytes of block scratch that one block may have, and how many multiprocessors there are.
+struct block_scratch_facts {
+  int most = 0;
+  int processors = 0;
+
+  block_scratch_facts() {
+    int device = 0;
+    check(cudaGetDevice(&device), "cudaGetDevice");
+    check(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
+          "cudaDeviceGetAttribute");
+    check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device),
+          "cudaDeviceGetAttribute");
+  }
+};
+
+/// Lets launches of a kernel have what the device has: always the same, so that nobody takes back
+/// what another, or a recording, relies on.
+template <typename... Params>
+FT_HIDDEN void allow_all_block_scratch(void (*kernel)(Params...)) {
+  cudaFuncAttributes facts{};
+  check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes");
+  check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                             block_scratch_facts{}.most - static_cast<int>(facts.sharedSizeBytes)),
+        "cudaFuncSetAttribute");
+}
+
 /// Launches a kernel. @param early while the launch ahead is still running; only kernels compiled
-/// for architectures that know await_launch_ahead() do
+/// for architectures that know await_launch_ahead() do @param extra_bytes of block scratch besides
+/// what the kernel declares
 template <typename... Params, typename... Args>
 FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigned threads,
-                             cudaStream_t stream, bool early, Args const&... args) {
+                             std::size_t extra_bytes, cudaStream_t stream, bool early,
+                             Args const&... args) {
+  if (extra_bytes > 0) { allow_all_block_scratch(kernel); }
 #if CUDART_VERSION >= 12030
   cudaFuncAttributes facts{};
   if (early) { check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
@@ -41,13 +73,14 @@ FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigne
   cudaLaunchConfig_t config{};
   config.gridDim = dim3(blocks);
   config.blockDim = dim3(threads);
+  config.dynamicSmemBytes = extra_bytes;
   config.stream = stream;
   config.attrs = &attribute;
   config.numAttrs = early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
   check(cudaLaunchKernelEx(&config, kernel, args...), "kernel launch");
 #else
   static_cast<void>(early);
-  kernel<<<blocks, threads, 0, stream>>>(args...);
+  kernel<<<blocks, threads, extra_bytes, stream>>>(args...);
   check(cudaGetLastError(), "kernel launch");
 #endif
 }
@@ -81,6 +114,16 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads) per_block_kernel(Op op, Arg
   op(block_group<Threads>{&collectives}, scratch, static_cast<int>(blockIdx.x), args...);
 }
 
+/// What a functor wants of block scratch besides its `scratch`: its extra_bytes(), if it has that.
+template <typename Op, typename = void>
+struct extra_bytes_of {
+  static std::size_t get(Op const&) { return 0; }
+};
+template <typename Op>
+struct extra_bytes_of<Op, decltype(static_cast<void>(std::declval<Op const&>().extra_bytes()))> {
+  static std::size_t get(Op const& op) { return op.extra_bytes(); }
+};
+
 template <typename Shape>
 struct launch;
 
@@ -91,7 +134,7 @@ struct launch<per_thread> {
                             Args const&... args) {
     constexpr int threads = 128;
     launch_kernel(&per_thread_kernel<threads, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, threads)), threads, stream, early, items,
+                  static_cast<unsigned>(ceil_div(items, threads)), threads, 0, stream, early, items,
                   op, args...);
   }
 };
@@ -103,8 +146,8 @@ struct launch<per_warp> {
                             Args const&... args) {
     constexpr int warps = 4;
     launch_kernel(&per_warp_kernel<warps, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, stream, early, items,
-                  op, args...);
+                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, stream, early,
+                  items, op, args...);
   }
 };
 
@@ -116,8 +159,8 @@ struct launch<per_block<N>> {
     static_assert(
         sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
         "static shared memory");
-    launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N, stream, early,
-                  op, args...);
+    launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N,
+                  extra_bytes_of<Op>::get(op), stream, early, op, args...);
   }
 };
 

@@ -636,13 +636,16 @@ void expect_joint_projection() {
     auto const alone = camera.project(p);
     auto const derivative = camera.project_jacobian(p);
     EXPECT_EQ(both.valid, alone.valid);
-    EXPECT_EQ(both.pixel.x, alone.pixel.x);
-    EXPECT_EQ(both.pixel.y, alone.pixel.y);
+    // The arc tangent in float is off by 4e-7, times the focal length; a pixel's last digit is
+    // 6e-5.
+    Scalar const rounding = std::is_same<Scalar, float>::value ? Scalar(2e-4f) : Scalar(0);
+    EXPECT_LE(std::abs(both.pixel.x - alone.pixel.x), rounding);
+    EXPECT_LE(std::abs(both.pixel.y - alone.pixel.y), rounding);
     for (int k = 0; k < 6; ++k) { EXPECT_EQ(jacobian.m[k], derivative.m[k]) << k; }
   }
 }
 
-TEST(camera_models, a_projection_with_its_derivative_is_the_same_as_both_alone) {
+TEST(camera_models, a_projection_with_its_derivative_is_the_same_as_both_alone_up_to_rounding) {
   expect_joint_projection<float>();
   expect_joint_projection<double>();
 }

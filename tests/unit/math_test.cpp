@@ -26,6 +26,15 @@ namespace math_test {
 // ---- functors
 // ------------------------------------------------------------------------------------
 
+struct arc_tangents {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* y, float const* x,
+                                 float* out) const {
+    out[i] = ft::scalar::quick_atan2(ft::strict_float(y[i]), ft::strict_float(x[i])).value;
+  }
+};
+
 template <typename T>
 struct sum_of_product {
   using scratch = ft::no_scratch;
@@ -244,6 +253,38 @@ TYPED_TEST(math_unit, roundings_are_those_of_the_standard_library) {
   for (std::size_t i = 0; i < values.size(); ++i) {
     EXPECT_EQ(even[i], static_cast<int>(std::lrint(values[i]))) << values[i];
     EXPECT_EQ(away[i], static_cast<int>(std::lround(values[i]))) << values[i];
+  }
+}
+
+TYPED_TEST(math_unit, the_quick_arc_tangent_is_near_and_the_same_everywhere) {
+  std::vector<float> y;
+  std::vector<float> x;
+  std::mt19937 random(8);
+  std::uniform_real_distribution<double> angle(1e-6, 3.14159265);
+  std::uniform_real_distribution<double> exponent(-20, 20);
+  for (int i = 0; i < 20000; ++i) {
+    double const a = angle(random);
+    double const size = std::exp(exponent(random));
+    y.push_back(static_cast<float>(size * std::sin(a)));
+    x.push_back(static_cast<float>(size * std::cos(a)));
+  }
+  for (float const v : {0.0f, -0.0f, 1.0f, -1.0f, 1e-30f, 1e30f}) {
+    y.push_back(1.0f);
+    x.push_back(v);
+  }
+  auto const d_y = test::to_exec(this->backend.exec, y);
+  auto const d_x = test::to_exec(this->backend.exec, x);
+  auto const d_out = test::to_exec(this->backend.exec, std::vector<float>(y.size(), -7.0f));
+  ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(y.size()), arc_tangents{},
+                                    static_cast<float const*>(d_y.data()),
+                                    static_cast<float const*>(d_x.data()), d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, static_cast<float const*>(d_out.data()), y.size());
+  for (std::size_t i = 0; i < y.size(); ++i) {
+    double const want = std::atan2(static_cast<double>(y[i]), static_cast<double>(x[i]));
+    EXPECT_LT(std::abs(static_cast<double>(out[i]) - want), 4e-7) << y[i] << ", " << x[i];
+    EXPECT_EQ(out[i],
+              ft::scalar::quick_atan2(ft::strict_float(y[i]), ft::strict_float(x[i])).value);
   }
 }
 

@@ -107,7 +107,7 @@ struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : s
 
 /// A projection and its derivative. Models in which the two share much may have a member
 /// `projection<Scalar> project_with_jacobian(vec3<Scalar> p, mat23<Scalar>& jacobian) const`, with
-/// the same values.
+/// the same values up to rounding: it is for solvers, which do not ask for more.
 template <typename C, typename Scalar>
 FT_HOST_DEVICE projection<Scalar> project_and_differentiate(C const& camera, vec3<Scalar> p,
                                                             mat23<Scalar>& jacobian) {

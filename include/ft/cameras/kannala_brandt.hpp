@@ -80,30 +80,33 @@ struct kannala_brandt {
     project_with_jacobian(p, jacobian);
     return jacobian;
   }
-  /// project() and project_jacobian() with one arc tangent.
+  /// project() and project_jacobian() with one arc tangent, which for a float scalar is
+  /// scalar::quick_atan2: the pixel may differ from project()'s in the last digits.
   FT_HOST_DEVICE projection<Scalar> project_with_jacobian(vec3<Scalar> p,
                                                           mat23<Scalar>& jacobian) const {
-    Scalar const x2 = p.x * p.x;
-    Scalar const y2 = p.y * p.y;
-    Scalar const r2 = x2 + y2;
+    Scalar const r2 = p.x * p.x + p.y * p.y;
     Scalar const radius = scalar::sqrt(r2);
     if (!(radius > Scalar(0))) {
       jacobian = {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}};
       return project_axis(radius, p.z);
     }
-    Scalar const theta = scalar::atan2(radius, p.z);
+    Scalar const theta = scalar::quick_atan2(radius, p.z);
     Scalar const t2 = theta * theta;
-    Scalar const f = distorted(theta);
-    Scalar const fd =
+    Scalar const r = distorted(theta);
+    Scalar const dr =
         Scalar(1) + t2 * (Scalar(3) * k1 +
                           t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
-    Scalar const norm2 = r2 + p.z * p.z;
-    Scalar const r3 = radius * r2;
-    Scalar const along = fd * p.z / (r2 * norm2);
-    jacobian = {{fx * (along * x2 + f * y2 / r3), fx * (along * p.x * p.y - f * p.x * p.y / r3),
-                 -(fx * (fd * p.x / norm2)), fy * (along * p.x * p.y - f * p.x * p.y / r3),
-                 fy * (along * y2 + f * x2 / r3), -(fy * (fd * p.y / norm2))}};
-    return project_at(p, radius, f);
+    // With (c, s) the direction on the image plane: r changes along it by `along` a metre, and
+    // turning the point about the axis moves its image by `across` a metre.
+    Scalar const c = p.x / radius;
+    Scalar const s = p.y / radius;
+    Scalar const across = r / radius;
+    Scalar const turn = dr / (r2 + p.z * p.z);
+    Scalar const along = turn * p.z;
+    Scalar const mixed = (along - across) * (c * s);
+    jacobian = {{fx * (along * (c * c) + across * (s * s)), fx * mixed, -(fx * (turn * p.x)),
+                 fy * mixed, fy * (along * (s * s) + across * (c * c)), -(fy * (turn * p.y))}};
+    return {{fx * r * c + cx, fy * r * s + cy}, is_somewhere(p, radius)};
   }
 
   template <typename U>
@@ -122,8 +125,10 @@ private:
   }
   /// @param r of the image point
   FT_HOST_DEVICE projection<Scalar> project_at(vec3<Scalar> p, Scalar radius, Scalar r) const {
-    bool const valid = scalar::is_finite(radius) && scalar::is_finite(p.z);
-    return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, valid};
+    return {{fx * r * (p.x / radius) + cx, fy * r * (p.y / radius) + cy}, is_somewhere(p, radius)};
+  }
+  FT_HOST_DEVICE static bool is_somewhere(vec3<Scalar> p, Scalar radius) {
+    return scalar::is_finite(radius) && scalar::is_finite(p.z);
   }
   FT_HOST_DEVICE Scalar distorted(Scalar theta) const {
     Scalar const t2 = theta * theta;

@@ -153,6 +153,28 @@ FT_HOST_DEVICE S atan2(S y, S x) {
   return S(
       static_cast<P>(::atan2(static_cast<double>(to_plain(y)), static_cast<double>(to_plain(x)))));
 }
+/// The same for y > 0, for float scalars in float, with an error below 4e-7. Source: Abramowitz and
+/// Stegun, "Handbook of mathematical functions", 4.4.49.
+template <typename S>
+FT_HOST_DEVICE S quick_atan2(S y, S x) {
+  if constexpr (!std::is_same<plain_scalar_t<S>, float>::value) {
+    return atan2(y, x);
+  } else {
+    S const size = abs(x);
+    bool const steep = y > size;
+    S const t = steep ? size / y : y / size;
+    S const t2 = t * t;
+    constexpr float terms[] = {0.0028662257f,  -0.0161657367f, 0.0429096138f,
+                               -0.0752896400f, 0.1065626393f,  -0.1420889944f,
+                               0.1999355085f,  -0.3333314528f, 1.0f};
+    S sum = S(terms[0]);
+    FT_UNROLL
+    for (int i = 1; i < 9; ++i) { sum = sum * t2 + S(terms[i]); }
+    S angle = sum * t;
+    if (steep) { angle = S(1.57079633f) - angle; }
+    return x < S(0) ? S(3.14159265f) - angle : angle;
+  }
+}
 template <typename S>
 FT_HOST_DEVICE S tan(S v) {
   using P = plain_scalar_t<S>;

@@ -357,7 +357,7 @@ private:
     for (int i = 0; i < ctx.windows.count[ctx.b]; ++i) {
       bool refused = false;
       for (int c = 0; c < ctx.frame.cameras; ++c) {
-        int const k = choose(ctx, c, i, refused,
+        int const k = choose(ctx, c, i, window_list(ctx, c, i, ctx.list_count(c, i) != 0), refused,
                              [&](int number) { return ctx.observed(ctx.holder[number]); });
         ctx.match(c, i) = k;
         if (k < 0) { continue; }
@@ -371,6 +371,7 @@ private:
   }
 
   static constexpr int nobody = 0x7fffffff;
+  static constexpr int batch = 4;  ///< loads under way at a time
 
   /// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
   /// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
@@ -395,13 +396,29 @@ private:
       s.guests = 0;
     }
     g.sync();
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for (int i = g.rank(); i < n; i += g.size()) {
-        int const count = ctx.list_count(c, i);
+    for (int base = g.rank(); base < ctx.frame.cameras * n; base += batch * g.size()) {
+      int count[batch];
+      std::uint32_t nearest[batch];
+      FT_UNROLL
+      for (int j = 0; j < batch; ++j) {
+        int const w = base + j * g.size();
+        count[j] = w < ctx.frame.cameras * n ? ctx.list_count(w >= n, w >= n ? w - n : w) : 0;
+      }
+      FT_UNROLL
+      for (int j = 0; j < batch; ++j) {
+        int const w = base + j * g.size();
+        if (count[j] != 0) { nearest[j] = ctx.list(w >= n, w >= n ? w - n : w)->entry[0]; }
+      }
+      FT_UNROLL
+      for (int j = 0; j < batch; ++j) {
+        int const w = base + j * g.size();
+        if (w >= ctx.frame.cameras * n) { break; }
+        int const c = w >= n;
+        int const i = c != 0 ? w - n : w;
         ctx.match(c, i) = -1;
-        if ((count & search_workspace::observed) != 0) {
-          propose(s, ctx, c, i, owner);
-        } else if (count != 0) {
+        if ((count[j] & search_workspace::observed) != 0) {
+          propose(s, ctx, c, i, count[j] & (search_workspace::observed - 1), nearest[j], owner);
+        } else if (count[j] != 0) {
           s.guests = 1;
         }
       }
@@ -418,7 +435,8 @@ private:
           int const count = ctx.list_count(c, i);
           if (count == 0 || (count & search_workspace::observed) != 0) { continue; }
           bool refused = false;
-          int const k = choose(ctx, c, i, refused, [&](int number) { return owner[number] < i; });
+          int const k = choose(ctx, c, i, window_list(ctx, c, i, true), refused,
+                               [&](int number) { return owner[number] < i; });
           ctx.match(c, i) = k;
           if (k < 0) { continue; }
           atomic_max(guest + ctx.number(c, k), i);
@@ -427,17 +445,27 @@ private:
       }
       g.sync();
     }
-    for (int number = g.rank(); number < numbers; number += g.size()) {
-      int const c = number < ctx.frame.capacity() ? 0 : 1;
-      int const i = owner[number];
-      if (i >= 0 && i != nobody) {
-        ctx.match(c, i) = number - c * ctx.frame.capacity();
-        ctx.holder[number] = ctx.slot(c, i);
-        ++taken;
-      } else if (guest[number] >= 0) {
-        ctx.holder[number] = ctx.slot(c, guest[number]);
-      } else if (ctx.params.from_empty) {
-        ctx.holder[number] = -1;
+    for (int base = g.rank(); base < numbers; base += batch * g.size()) {
+      int slot[batch];
+      FT_UNROLL
+      for (int j = 0; j < batch; ++j) {
+        int const number = base + j * g.size();
+        slot[j] = -1;
+        if (number >= numbers) { continue; }
+        int const i = owner[number] >= 0 && owner[number] != nobody ? owner[number] : guest[number];
+        if (i >= 0) { slot[j] = ctx.slot(number >= ctx.frame.capacity(), i); }
+      }
+      FT_UNROLL
+      for (int j = 0; j < batch; ++j) {
+        int const number = base + j * g.size();
+        if (number >= numbers) { break; }
+        int const c = number >= ctx.frame.capacity();
+        int const i = owner[number];
+        if (i >= 0 && i != nobody) {
+          ctx.match(c, i) = number - c * ctx.frame.capacity();
+          ++taken;
+        }
+        if (slot[j] >= 0 || ctx.params.from_empty) { ctx.holder[number] = slot[j]; }
       }
     }
     taken = g.reduce(taken, sum_op{});
@@ -445,28 +473,26 @@ private:
     return true;
   }
 
-  /// Window i proposes; when it drives another one out, goes on for that one.
-  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int* owner) {
-    int place = 0;
-    for (;;) {
-      int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
-      candidate_quad const* const list = ctx.list(c, i);
+  /// Window i proposes; when it drives another one out, goes on for that one. @param n how many
+  /// candidates it has @param entry the nearest
+  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int n,
+                                     std::uint32_t entry, int* owner) {
+    for (int place = 0;;) {
+      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
+      int const k = detail::entry_keypoint(entry);
+      int const before = atomic_min(owner + ctx.number(c, k), i);
+      if (before == nobody) { return; }
+      if (before > i) {
+        i = before;
+        n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+        place = place_of(ctx.list(c, i), k);
+      }
+      ++place;
       if (place >= min_of(n, search_workspace::list_size)) {
         if (n > search_workspace::list_size) { s.list_ended = 1; }
         return;
       }
-      std::uint32_t const entry = list[place / 4].entry[place % 4];
-      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
-      int const k = detail::entry_keypoint(entry);
-      int const before = atomic_min(owner + ctx.number(c, k), i);
-      if (before < i) {
-        ++place;
-      } else if (before == nobody) {
-        return;
-      } else {
-        i = before;
-        place = place_of(ctx.list(c, i), k) + 1;
-      }
+      entry = ctx.list(c, i)[place / 4].entry[place % 4];
     }
   }
   FT_HOST_DEVICE static int place_of(candidate_quad const* list, int k) {
@@ -477,25 +503,37 @@ private:
 
   /// What the points that have candidates chose last. They are numbered anew, in their order; what
   /// point p writes has the numbers from writes() * p on, in the order of writing.
+  ///
+  /// Where all points looked for are observed, a keypoint is taken from its first write on, and
+  /// that is all that is kept of the writes to it; else all of them, in a chain.
   struct choices {
     static constexpr int observed_left = 1 << 30;
     static constexpr int observed_right = 1 << 29;
-    int* open;           ///< index of a point, and whether what its windows look for is observed
-    int* writer;         ///< of a keypoint: a chain of all its writers, -1 = none
-    int* before;         ///< of a write: the next in the chain
+    static constexpr int any_left = 1 << 28;
+    static constexpr int any_right = 1 << 27;
+    int* open;    ///< index of a point, which windows have candidates and look for what is observed
+    int* writer;  ///< of a keypoint: its first write, or the chain's first; else unwritten()
+    int* before;  ///< of a write: the next in the chain, -1 = none
     std::uint8_t* held;  ///< of a keypoint: 1 = taken before
     int cameras;
     int partners;  ///< 1 = stereo partners are taken, too
+    bool chains;
 
     /// Of a point; 1, 2 or 4.
     FT_HOST_DEVICE int writes() const { return cameras << partners; }
-    FT_HOST_DEVICE int point(int p) const { return open[p] & (observed_right - 1); }
+    FT_HOST_DEVICE int point(int p) const { return open[p] & (any_right - 1); }
+    FT_HOST_DEVICE bool any(int p, int camera) const {
+      return (open[p] & (camera == 0 ? any_left : any_right)) != 0;
+    }
     FT_HOST_DEVICE int point_of(int write) const { return write >> (cameras - 1 + partners); }
     FT_HOST_DEVICE int camera_of(int write) const { return (write >> partners) & (cameras - 1); }
     FT_HOST_DEVICE bool observed(int p, int camera) const {
       return (open[p] & (camera == 0 ? observed_left : observed_right)) != 0;
     }
-    /// The last write to a keypoint below number `end`, -1 = none.
+    FT_HOST_DEVICE int unwritten(int number) const {
+      return chains || held[number] != 0 ? -1 : nobody;
+    }
+    /// The last write to a keypoint below number `end`, -1 = none. With chains.
     FT_HOST_DEVICE int last_write(int number, int end) const {
       int last = -1;
       for (int w = writer[number]; w >= 0; w = before[w]) {
@@ -505,11 +543,16 @@ private:
     }
     /// Whether a keypoint is taken when point p's turn comes.
     FT_HOST_DEVICE bool taken(int number, int p) const {
+      if (!chains) { return writer[number] < writes() * p; }
       int const last = last_write(number, writes() * p);
       return last < 0 ? held[number] != 0 : observed(point_of(last), camera_of(last));
     }
     FT_HOST_DEVICE void add(int number, int write) const {
-      before[write] = atomic_exchange(writer + number, write);
+      if (chains) {
+        before[write] = atomic_exchange(writer + number, write);
+      } else {
+        atomic_min(writer + number, write);
+      }
     }
   };
 
@@ -526,14 +569,19 @@ private:
                  nullptr,
                  small ? s.held : ctx.work.held + at * numbers,
                  cameras,
-                 partners};
-    int const count = list_open(g, ctx, n, made.open);
-    made.before =
-        count * made.writes() <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
+                 partners,
+                 false};
+    if (g.rank() == 0) { s.guests = 0; }
+    g.sync();
+    int const count = list_open(g, s, ctx, n, made.open);
+    g.sync();
+    made.chains = s.guests != 0;
+    int const links = made.chains ? count * made.writes() : numbers;
+    made.before = links <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
     for (int k = g.rank(); k < numbers; k += g.size()) {
-      made.writer[k] = -1;
       made.held[k] =
           static_cast<std::uint8_t>(!ctx.params.from_empty && ctx.observed(ctx.holder[k]));
+      made.writer[k] = made.unwritten(k);
     }
     bool first = true;
     // Below `begin` nothing changes any more.
@@ -547,20 +595,36 @@ private:
       int const changed = s.first_changed;
       if (changed == nobody) { break; }
       begin = changed + 1;
-      for (int k = g.rank(); !first && k < numbers; k += g.size()) { made.writer[k] = -1; }
+      for (int k = g.rank(); !first && k < numbers; k += g.size()) {
+        made.writer[k] = made.unwritten(k);
+      }
       g.sync();
-      for (int p = g.rank(); p < count; p += g.size()) { write(ctx, made, p); }
+      for (int p = g.rank(); p < count; p += g.size()) {
+        each_write(ctx, made, p, [&](int number, int w) { made.add(number, w); });
+      }
     }
     g.sync();
+    // Without chains: the last writes, where the links are not needed.
+    int* const last_write = made.before;
+    if (!made.chains) {
+      for (int k = g.rank(); k < numbers; k += g.size()) { last_write[k] = -1; }
+      g.sync();
+      for (int p = g.rank(); p < count; p += g.size()) {
+        each_write(ctx, made, p, [&](int number, int w) { atomic_max(last_write + number, w); });
+      }
+      g.sync();
+    }
     int taken = 0;
     for (int k = g.rank(); k < numbers; k += g.size()) {
-      int const last = made.last_write(k, nobody);
+      int const last = made.chains ? made.last_write(k, nobody) : last_write[k];
       if (last >= 0) {
         ctx.holder[k] = ctx.slot(made.camera_of(last), made.point(made.point_of(last)));
       } else if (ctx.params.from_empty) {
         ctx.holder[k] = -1;
       }
-      for (int w = made.writer[k]; w >= 0; w = made.before[w]) { ++taken; }
+    }
+    for (int p = g.rank(); p < count; p += g.size()) {
+      each_write(ctx, made, p, [&](int, int) { ++taken; });
     }
     taken = g.reduce(taken, sum_op{});
     if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
@@ -568,60 +632,87 @@ private:
 
   /// Lists the points that have candidates, in order; the others take nothing. Returns how many.
   template <typename Group>
-  FT_HOST_DEVICE static int list_open(Group g, context const& ctx, int n, int* open) {
-    int count = 0;
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      int counts[2] = {0, 0};
-      for (int c = 0; c < ctx.frame.cameras && i < n; ++c) {
-        counts[c] = ctx.list_count(c, i);
-        ctx.match(c, i) = -1;
-      }
-      int total = 0;
-      bool const any = (counts[0] | counts[1]) != 0;
-      int const place = count + g.exclusive_count(any, total);
-      if (any) {
-        open[place] = i |
-                      ((counts[0] & search_workspace::observed) != 0 ? choices::observed_left : 0) |
-                      ((counts[1] & search_workspace::observed) != 0 ? choices::observed_right : 0);
-      }
-      count += total;
+  FT_HOST_DEVICE static int list_open(Group g, scratch& s, context const& ctx, int n, int* open) {
+    int const chunk = ceil_div(n, g.size());
+    int const begin = min_of(g.rank() * chunk, n);
+    int const end = min_of(begin + chunk, n);
+    bool const two = ctx.frame.cameras == 2;
+    int mine = 0;
+    for (int i = begin; i < end; ++i) {
+      mine += static_cast<int>((ctx.list_count(0, i) | (two ? ctx.list_count(1, i) : 0)) != 0);
     }
-    return count;
+    int total = 0;
+    int place = g.exclusive_scan(mine, total);
+    for (int i = begin; i < end; ++i) {
+      int flags = 0;
+      bool guest = false;
+      for (int c = 0; c < ctx.frame.cameras; ++c) {
+        int const count = ctx.list_count(c, i);
+        ctx.match(c, i) = -1;
+        if (count == 0) { continue; }
+        flags |= c == 0 ? choices::any_left : choices::any_right;
+        if ((count & search_workspace::observed) != 0) {
+          flags |= c == 0 ? choices::observed_left : choices::observed_right;
+        } else {
+          guest = true;
+        }
+      }
+      if (guest) { s.guests = 1; }
+      if (flags != 0) { open[place++] = i | flags; }
+    }
+    return total;
   }
 
   /// Point p's choice after those made so far. True if it is not what it was.
   FT_HOST_DEVICE static bool choose_anew(context const& ctx, choices const& made, int p,
                                          bool first) {
     int const i = made.point(p);
-    int const old[2] = {ctx.match(0, i), made.cameras == 2 ? ctx.match(1, i) : -1};
+    window_list const lists[2] = {window_list(ctx, 0, i, made.any(p, 0)),
+                                  window_list(ctx, 1, i, made.any(p, 1))};
     bool changed = first;
     bool refused = false;
     int own = -1;  // the partner of what the left window takes
-    for (int c = 0; c < made.cameras; ++c) {
-      int const k = choose(ctx, c, i, refused, [&](int number) {
+    FT_UNROLL
+    for (int c = 0; c < 2; ++c) {
+      if (c >= made.cameras) { break; }
+      int const k = choose(ctx, c, i, lists[c], refused, [&](int number) {
         return number == own ? made.observed(p, 0) : made.taken(number, p);
       });
       if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
-      if (k == (c == 0 ? old[0] : old[1])) { continue; }
+      if (!first && k == ctx.match(c, i)) { continue; }
       changed = true;
       ctx.match(c, i) = k;
     }
     return changed;
   }
 
-  FT_HOST_DEVICE static void write(context const& ctx, choices const& made, int p) {
+  /// Calls visit(keypoint's number, write) for what point p writes.
+  template <typename Visit>
+  FT_HOST_DEVICE static void each_write(context const& ctx, choices const& made, int p,
+                                        Visit const& visit) {
     int const i = made.point(p);
     int at = p * made.writes();
     for (int c = 0; c < made.cameras; ++c, at += 1 << made.partners) {
-      int const k = ctx.match(c, i);
+      int const k = made.any(p, c) ? ctx.match(c, i) : -1;
       if (k < 0) { continue; }
       int const number = ctx.number(c, k);
-      made.add(number, at);
+      visit(number, at);
       int const partner = ctx.partner_of(number);
-      if (partner >= 0) { made.add(partner, at + 1); }
+      if (partner >= 0) { visit(partner, at + 1); }
     }
   }
+
+  /// A window's candidates: how many, and the nearest, loaded together.
+  struct window_list {
+    int n = 0;
+    candidate_quad nearest{};
+
+    FT_HOST_DEVICE window_list(context const& ctx, int c, int i, bool any) {
+      if (!any) { return; }
+      n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+      nearest = *ctx.list(c, i);
+    }
+  };
 
   /// The two nearest keypoints of a window that are not taken.
   struct nearest_two {
@@ -647,12 +738,12 @@ private:
   /// best is not better enough than its second best; then the point's next window takes nothing
   /// @param taken of a keypoint's number
   template <typename Taken>
-  FT_HOST_DEVICE static int choose(context const& ctx, int c, int i, bool& refused,
-                                   Taken const& taken) {
+  FT_HOST_DEVICE static int choose(context const& ctx, int c, int i, window_list const& list,
+                                   bool& refused, Taken const& taken) {
     if (refused) { return -1; }
     bool const with_ratio = ctx.params.kind == search_kind::local_map;
     nearest_two found;
-    if (!choose_from_list(ctx, c, i, with_ratio, taken, found)) {
+    if (!choose_from_list(ctx, c, i, list, with_ratio, taken, found)) {
       found = {};
       choose_from_grid(ctx, c, i, taken, found);
     }
@@ -671,14 +762,15 @@ private:
 
   /// False where the list is at its end, and candidates are left that it does not hold.
   template <typename Taken>
-  FT_HOST_DEVICE static bool choose_from_list(context const& ctx, int c, int i, bool with_ratio,
+  FT_HOST_DEVICE static bool choose_from_list(context const& ctx, int c, int i,
+                                              window_list const& list, bool with_ratio,
                                               Taken const& taken, nearest_two& found) {
-    int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+    int const n = list.n;
     constexpr int size = search_workspace::list_size;
-    candidate_quad const* const list = ctx.list(c, i);
+    candidate_quad quad = list.nearest;
     FT_NO_UNROLL
     for (int q = 0; 4 * q < min_of(n, size); ++q) {
-      candidate_quad const quad = list[q];
+      if (q > 0) { quad = ctx.list(c, i)[q]; }
       FT_UNROLL
       for (int e = 0; e < 4; ++e) {
         int const distance = detail::entry_distance(quad.entry[e]);
@@ -891,13 +983,13 @@ struct check_orientation {
     g.sync();
     int const n = windows.count[b];
     bool const kept = frame.cameras * n <= scratch_size;
-    constexpr std::uint8_t no_match = 255;
     for (int c = 0; c < frame.cameras; ++c) {
-      for (int i = g.rank(); i < n; i += g.size()) {
-        int const k = work.match[work.window(c, b, i)];
+      for (int base = 0; base < n; base += g.size()) {
+        int const i = base + g.rank();
+        int const k = i < n ? work.match[work.window(c, b, i)] : -1;
         int const r = k >= 0 ? bin(frame, last, b, c, i, k) : no_match;
-        if (k >= 0) { atomic_add(s.histogram + r, 1); }
-        if (kept) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
+        count(g.part(), s, r);
+        if (kept && i < n) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
       }
     }
     g.sync();
@@ -950,6 +1042,20 @@ struct check_orientation {
   }
 
 private:
+  static constexpr std::uint8_t no_match = 255;
+
+  /// Adds one to each thread's bin. Most rotations are alike: equal ones are added at once.
+  template <typename Part>
+  FT_HOST_DEVICE static void count(Part part, scratch& s, int r) {
+    FT_NO_UNROLL
+    for (unsigned rest = part.ballot(r != no_match); rest != 0;) {
+      int const first = trailing_zeros(rest);
+      int const value = part.shuffle(r, first);
+      unsigned const same = part.ballot(r == value);
+      if (part.rank() == first) { atomic_add(s.histogram + value, popcount(same)); }
+      rest &= ~same;
+    }
+  }
   FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c,
                                 int i, int k) {
     int const left_count = last.keypoints.count[last.keypoint_step * b];

@@ -150,23 +150,42 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
 /// One tile of one image: its part of every level of a group. Levels lie in scratch in words, as in
 /// memory: a row of a tile starts with the word that its first needed column is in.
 struct resize_tile {
-  /// A tap in bytes of the scratch that it reads.
-  struct tap {
-    std::uint32_t place;    ///< of the first neighbour; how far the second is, in the high half
-    std::uint32_t weights;  ///< of the first; of the second in the high half
-    FT_HOST_DEVICE int first() const { return static_cast<int>(place & 0xffffu); }
-    FT_HOST_DEVICE int step() const { return static_cast<int>(place >> 16); }
-    FT_HOST_DEVICE int w0() const { return static_cast<int>(weights & 0xffffu); }
-    FT_HOST_DEVICE int w1() const { return static_cast<int>(weights >> 16); }
+  /// The columns of a word. Their left neighbours lie within eight bytes, and these in three words.
+  struct alignas(16) word_taps {
+    std::uint32_t place;  ///< of the first of the three words, from the start of a row
+    std::uint32_t align;  ///< selects the eight bytes, four of two words at a time
+    std::uint32_t pairs;  ///< a byte for each column: which of the eight its neighbours are
+    std::uint32_t unused;
+    std::uint32_t weights[4];  ///< of the left neighbour; of the right one in the high half
   };
-  struct four_taps {  ///< of the columns of a word
-    alignas(16) tap of[4];
+  struct row_tap {
+    std::uint32_t place;    ///< of the row above, in words; how far that below is in the high half
+    std::uint32_t weights;  ///< of that above; of that below in the high half
+    FT_HOST_DEVICE int above() const { return static_cast<int>(place & 0xffffu); }
+    FT_HOST_DEVICE int below() const { return above() + static_cast<int>(place >> 16); }
+    FT_HOST_DEVICE std::uint32_t w_above() const { return weights & 0xffffu; }
+    FT_HOST_DEVICE std::uint32_t w_below() const { return weights >> 16; }
+  };
+  /// A tile's part of the source or of a level, worked out once for all threads.
+  struct alignas(16) level_plan {
+    tile_span x, y;
+    std::uint8_t* pixels;          ///< of the whole level
+    int stride;                    ///< of the whole level
+    int first_word;                ///< of the level's rows, that a row in scratch starts with
+    int words;                     ///< of a row in scratch
+    int height;                    ///< rows in scratch
+    int first_column;              ///< of the level's taps, in words
+    int first_row;                 ///< of the level's row taps
+    detail::small_divider row_of;  ///< divides by `words`
+    int whole_words;               ///< 1 = the level's rows may be written by words
+    int spread;                    ///< 1 = some word's neighbours do not fit into eight bytes
   };
   struct scratch {
-    std::uint32_t pixels[2][pyramid_tiles::scratch_pixels / 4];
-    four_taps taps[pyramid_tiles::scratch_taps / 4];  ///< per level: columns, then rows
-    tile_span x[max_levels + 1];                      ///< of the source and the levels
-    tile_span y[max_levels + 1];
+    /// With the two words that the last pixels' loads may look at beyond them.
+    std::uint32_t pixels[2][pyramid_tiles::scratch_pixels / 4 + 2];
+    word_taps columns[pyramid_tiles::scratch_taps / 4];  ///< level after level
+    row_tap rows[pyramid_tiles::scratch_taps];
+    level_plan level[max_levels + 1];  ///< of the source and the levels
   };
 
   template <typename Group>
@@ -177,32 +196,61 @@ struct resize_tile {
     int const image = item / (group.columns * group.rows);
     int const in_image = item - image * group.columns * group.rows;
     int const row = in_image / group.columns;
-    int const column = in_image - row * group.columns;
     int const levels = group.last - group.first + 1;
-    for (int i = g.rank(); i <= levels; i += g.size()) {
-      tile_span const* const spans = tiles.spans + group.spans + i * (group.columns + group.rows);
-      s.x[i] = spans[column];
-      s.y[i] = spans[group.columns + row];
+    if (g.part_index() == 0) {
+      plan_levels(g.part(), s, pyramid, image, tiles.spans + group.spans, group,
+                  in_image - row * group.columns, row);
     }
     g.sync();
-    detail::stage_rectangle(g, pyramid.level(image, group.first - 1), s.x[0].need_begin,
-                            s.y[0].need_begin, s.x[0].need_end - s.x[0].need_begin,
-                            s.y[0].need_end - s.y[0].need_begin, s.pixels[0], words_of(s.x[0]));
+    level_plan const source = s.level[0];
+    detail::stage_rectangle(g, pyramid.level(image, group.first - 1), source.x.need_begin,
+                            source.y.need_begin, source.x.need_end - source.x.need_begin,
+                            source.height, s.pixels[0], source.words);
     stage_taps(g, s, pyramid.geometry, all_taps, group.first, levels);
     g.sync();
-    four_taps const* taps = s.taps;
     for (int i = 1; i <= levels; ++i) {
-      make_level(g, s.pixels[(i - 1) & 1], s.pixels[i & 1], taps, s.x[i], s.y[i],
-                 pyramid.level(image, group.first - 1 + i));
-      taps += words_of(s.x[i]) + (s.y[i].need_end - s.y[i].need_begin + 3) / 4;
+      level_plan const plan = s.level[i];
+      resize_tap const* const spread =
+          plan.spread != 0 ? all_taps + pyramid.geometry.tap_offset[group.first - 1 + i] : nullptr;
+      make_level(g, s, i, plan, spread);
       g.sync();
     }
   }
 
 private:
-  FT_HOST_DEVICE static int first_word(tile_span const& x) { return x.need_begin / 4; }
-  FT_HOST_DEVICE static int words_of(tile_span const& x) {
-    return x.need_begin < x.need_end ? (x.need_end + 3) / 4 - first_word(x) : 0;
+  template <typename Part>
+  FT_HOST_DEVICE static void plan_levels(Part part, scratch& s, image_pyramid_view const& pyramid,
+                                         int image, tile_span const* spans, tile_group const& group,
+                                         int column, int row) {
+    int const levels = group.last - group.first + 1;
+    int words_before = 0;
+    int rows_before = 0;
+    for (int base = 0; base <= levels; base += part.size()) {
+      int const i = base + part.rank();
+      level_plan plan{};
+      if (i <= levels) {
+        tile_span const* const of_level = spans + i * (group.columns + group.rows);
+        plan.x = of_level[column];
+        plan.y = of_level[group.columns + row];
+        auto const level = pyramid.level(image, group.first - 1 + i);
+        plan.pixels = level.data;
+        plan.stride = level.stride;
+        plan.whole_words = static_cast<int>(detail::has_word_rows(level));
+        plan.first_word = plan.x.need_begin / 4;
+        plan.height = plan.y.need_end - plan.y.need_begin;
+        plan.words = plan.x.need_begin < plan.x.need_end && plan.height > 0
+                         ? (plan.x.need_end + 3) / 4 - plan.first_word
+                         : 0;
+        plan.row_of = detail::small_divider(max_of(plan.words, 1));
+      }
+      // The source has no taps.
+      int total = 0;
+      plan.first_column = words_before + part.exclusive_scan(i == 0 ? 0 : plan.words, total);
+      words_before += total;
+      plan.first_row = rows_before + part.exclusive_scan(i == 0 ? 0 : plan.height, total);
+      rows_before += total;
+      if (i <= levels) { s.level[i] = plan; }
+    }
   }
 
   /// The taps of all levels at once, so that none waits for them. Columns of a word that are not
@@ -210,88 +258,148 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static void stage_taps(Group g, scratch& s, pyramid_geometry const& geometry,
                                         resize_tap const* all_taps, int first, int levels) {
-    auto* const to = &s.taps[0].of[0];
-    int begin = 0;  // of a level's
-    for (int i = 1, at = g.rank(); i <= levels; ++i) {
-      tile_span const x = s.x[i];
-      tile_span const y = s.y[i];
-      int const columns = 4 * words_of(x);
-      int const end = begin + columns + (y.need_end - y.need_begin + 3) / 4 * 4;
-      int const pitch = 4 * words_of(s.x[i - 1]);
-      int const from_x = 4 * first_word(s.x[i - 1]);
-      int const from_y = s.y[i - 1].need_begin;
-      resize_tap const* const taps = all_taps + geometry.tap_offset[first - 1 + i];
-      for (; at < end; at += g.size()) {
-        int const c = at - begin;
-        bool const is_column = c < columns;
-        int const of = is_column ? clamp(4 * first_word(x) + c, int{x.need_begin}, x.need_end - 1)
-                                 : min_of(y.need_begin + c - columns, y.need_end - 1) +
-                                       geometry.width[first - 1 + i];
-        resize_tap const t = taps[of];
-        int const scale = is_column ? 1 : pitch;
-        int const place = (t.first - (is_column ? from_x : from_y)) * scale;
-        to[at] = {static_cast<std::uint32_t>(place | t.offset * scale << 16),
-                  static_cast<std::uint32_t>(t.w0 | t.w1 << 16)};
+    int const words = s.level[levels].first_column + s.level[levels].words;
+    int const rows = s.level[levels].first_row + s.level[levels].height;
+    for (int at = g.rank(); at < words + rows; at += g.size()) {
+      int i = 1;
+      if (at < words) {
+        while (i < levels && at >= s.level[i + 1].first_column) { ++i; }
+        level_plan const& plan = s.level[i];
+        bool fits = true;
+        s.columns[at] = taps_of_word(all_taps + geometry.tap_offset[first - 1 + i], plan.x,
+                                     4 * (plan.first_word + at - plan.first_column),
+                                     4 * s.level[i - 1].first_word, fits);
+        if (!fits) { s.level[i].spread = 1; }
+      } else {
+        int const r = at - words;
+        while (i < levels && r >= s.level[i + 1].first_row) { ++i; }
+        level_plan const& plan = s.level[i];
+        resize_tap const t =
+            all_taps[geometry.tap_offset[first - 1 + i] + geometry.width[first - 1 + i] +
+                     plan.y.need_begin + r - plan.first_row];
+        level_plan const& from = s.level[i - 1];
+        s.rows[r] = {static_cast<std::uint32_t>((t.first - from.y.need_begin) * from.words |
+                                                t.offset * from.words << 16),
+                     static_cast<std::uint32_t>(t.w0 | t.w1 << 16)};
       }
-      begin = end;
+    }
+  }
+  FT_HOST_DEVICE static resize_tap tap_of(resize_tap const* columns, tile_span const& x, int c) {
+    return columns[clamp(c, int{x.need_begin}, x.need_end - 1)];
+  }
+  FT_HOST_DEVICE static word_taps taps_of_word(resize_tap const* taps, tile_span const& x, int c,
+                                               int from_x, bool& fits) {
+    word_taps to{};
+    int const start = tap_of(taps, x, c).first - from_x;
+    to.place = static_cast<std::uint32_t>(start / 4);
+    to.align = 0x3210u + 0x1111u * static_cast<std::uint32_t>(start % 4);
+    FT_UNROLL
+    for (int k = 0; k < 4; ++k) {
+      resize_tap const t = tap_of(taps, x, c + k);
+      auto const left = static_cast<std::uint32_t>(t.first - from_x - start);
+      std::uint32_t const right = left + static_cast<std::uint32_t>(t.offset);
+      fits = fits && right < 8;
+      to.pairs |= ((left & 7u) | (right & 7u) << 4) << (8 * k);
+      to.weights[k] = static_cast<std::uint32_t>(t.w0 | t.w1 << 16);
+    }
+    return to;
+  }
+
+  /// Between neighbours in a row, for the columns of a word; without the lowest four bits.
+  struct row_sums {
+    std::uint32_t of[4];
+  };
+  FT_HOST_DEVICE static row_sums sums_of_row(std::uint32_t const* row, word_taps const& taps) {
+    std::uint32_t const* const from = row + taps.place;
+    std::uint32_t const middle = from[1];
+    std::uint32_t const low = detail::permute_bytes(from[0], middle, taps.align);
+    std::uint32_t const high = detail::permute_bytes(middle, from[2], taps.align);
+    row_sums sums;
+    FT_UNROLL
+    for (int k = 0; k < 4; ++k) {
+      std::uint32_t const pair = detail::permute_bytes(low, high, taps.pairs >> (8 * k));
+      sums.of[k] = detail::dot_of_2(taps.weights[k], pair, 0) >> 4;
+    }
+    return sums;
+  }
+  /// The same for neighbours that lie anywhere. @param taps of the whole level's columns
+  FT_HOST_DEVICE static row_sums sums_of_spread_row(std::uint32_t const* row,
+                                                    resize_tap const* taps, tile_span const& x,
+                                                    int column, int from_x) {
+    auto const* const bytes = reinterpret_cast<std::uint8_t const*>(row);
+    row_sums sums;
+    for (int k = 0; k < 4; ++k) {
+      resize_tap const t = tap_of(taps, x, column + k);
+      std::uint8_t const* const left = bytes + (t.first - from_x);
+      sums.of[k] = static_cast<std::uint32_t>(left[0] * t.w0 + left[t.offset] * t.w1) >> 4;
+    }
+    return sums;
+  }
+
+  /// Four pixels between two rows. Both products are cut to their high halves, which are handled
+  /// in pairs.
+  FT_HOST_DEVICE static std::uint32_t mix_rows(row_sums const& above, row_sums const& below,
+                                               row_tap const& v) {
+    constexpr std::uint32_t high_halves = 0x7632;
+    std::uint32_t pair[2];
+    FT_UNROLL
+    for (int k = 0; k < 2; ++k) {
+      std::uint32_t const a = detail::permute_bytes(above.of[k] * v.w_above(),
+                                                    above.of[k + 2] * v.w_above(), high_halves);
+      std::uint32_t const b = detail::permute_bytes(below.of[k] * v.w_below(),
+                                                    below.of[k + 2] * v.w_below(), high_halves);
+      pair[k] = (a + b + 0x00020002u) >> 2;
+    }
+    return detail::permute_bytes(pair[0], pair[1], 0x6240);
+  }
+
+  /// Level i from the one before, a word of two rows at a time. @param spread taps of the whole
+  /// level's columns where those in scratch do not do, or null
+  template <typename Group>
+  FT_HOST_DEVICE static void make_level(Group g, scratch& s, int i, level_plan const& plan,
+                                        resize_tap const* spread) {
+    std::uint32_t const* const from = s.pixels[(i - 1) & 1];
+    std::uint32_t* const to = s.pixels[i & 1];
+    int const from_x = 4 * s.level[i - 1].first_word;
+    word_taps const* const columns = s.columns + plan.first_column;
+    row_tap const* const rows = s.rows + plan.first_row;
+    int const items = plan.words * ((plan.height + 1) / 2);
+    for (int at = g.rank(); at < items; at += g.size()) {
+      int const half = plan.row_of(at);
+      int const word = at - half * plan.words;
+      word_taps const column = columns[word];
+      auto const sums = [&](int row) {
+        return spread == nullptr ? sums_of_row(from + row, column)
+                                 : sums_of_spread_row(from + row, spread, plan.x,
+                                                      4 * (plan.first_word + word), from_x);
+      };
+      int const last = min_of(2 * half + 1, plan.height - 1);
+      row_tap const v0 = rows[2 * half];
+      row_tap const v1 = rows[last];
+      row_sums const above = sums(v0.above());
+      row_sums below = sums(v0.below());
+      write_word(to, plan, 2 * half, word, mix_rows(above, below, v0));
+      if (last == 2 * half) { continue; }
+      if (v1.above() != v0.below()) { below = sums(v1.above()); }
+      write_word(to, plan, last, word, mix_rows(below, sums(v1.below()), v1));
     }
   }
 
-  /// A level from the one before, a word of two rows at a time.
-  template <typename Group>
-  FT_HOST_DEVICE static void make_level(Group g, std::uint32_t const* from_words,
-                                        std::uint32_t* to_words, four_taps const* columns,
-                                        tile_span x, tile_span y,
-                                        image_view<std::uint8_t> const& level) {
-    constexpr int at_once = 2;
-    int const words = words_of(x);
-    int const height = y.need_end - y.need_begin;
-    if (words == 0 || height <= 0) { return; }
-    auto const* const from = reinterpret_cast<std::uint8_t const*>(from_words);
-    tap const* const rows = (columns + words)->of;
-    bool const whole_words = detail::has_word_rows(level);
-    detail::small_divider const row_of(words);
-    int const items = words * ((height + at_once - 1) / at_once);
-    for (int i = g.rank(); i < items; i += g.size()) {
-      int const first_row = row_of(i) * at_once;
-      int const word = i - first_row / at_once * words;
-      four_taps const h = columns[word];
-      std::uint32_t pixels[at_once];
-      FT_UNROLL
-      for (int k = 0; k < at_once; ++k) {
-        tap const v = rows[min_of(first_row + k, height - 1)];
-        std::uint32_t four = 0;
-        FT_UNROLL
-        for (int c = 0; c < 4; ++c) {
-          std::uint8_t const* const row0 = from + v.first() + h.of[c].first();
-          std::uint8_t const* const row1 = row0 + v.step();
-          int const h0 = row0[0] * h.of[c].w0() + row0[h.of[c].step()] * h.of[c].w1();
-          int const h1 = row1[0] * h.of[c].w0() + row1[h.of[c].step()] * h.of[c].w1();
-          auto const pixel = static_cast<unsigned>(
-              (((v.w0() * (h0 >> 4)) >> 16) + ((v.w1() * (h1 >> 4)) >> 16) + 2) >> 2);
-          four |= pixel << (8 * c);
-        }
-        pixels[k] = four;
-      }
-      int const at_x = 4 * (first_word(x) + word);
-      bool const own_word = whole_words && at_x >= x.own_begin && at_x + 4 <= x.own_end;
-      FT_UNROLL
-      for (int k = 0; k < at_once; ++k) {
-        int const r = first_row + k;
-        if (r >= height) { continue; }
-        to_words[r * words + word] = pixels[k];
-        int const at_y = y.need_begin + r;
-        if (at_y < y.own_begin || at_y >= y.own_end) { continue; }
-        std::uint8_t* const to = level.row(at_y) + at_x;
-        if (own_word) {
-          detail::store_word(to, pixels[k]);
-        } else {
-          for (int c = 0; c < 4; ++c) {
-            if (at_x + c >= x.own_begin && at_x + c < x.own_end) {
-              to[c] = static_cast<std::uint8_t>(pixels[k] >> (8 * c));
-            }
-          }
-        }
+  /// To scratch, and to the level where the pixels are the tile's own.
+  FT_HOST_DEVICE static void write_word(std::uint32_t* scratch_words, level_plan const& plan,
+                                        int row, int word, std::uint32_t pixels) {
+    scratch_words[row * plan.words + word] = pixels;
+    int const at_y = plan.y.need_begin + row;
+    if (at_y < plan.y.own_begin || at_y >= plan.y.own_end) { return; }
+    int const at_x = 4 * (plan.first_word + word);
+    std::uint8_t* const to = plan.pixels + static_cast<std::ptrdiff_t>(at_y) * plan.stride + at_x;
+    if (plan.whole_words != 0 && at_x >= plan.x.own_begin && at_x + 4 <= plan.x.own_end) {
+      detail::store_word(to, pixels);
+      return;
+    }
+    for (int k = 0; k < 4; ++k) {
+      if (at_x + k >= plan.x.own_begin && at_x + k < plan.x.own_end) {
+        to[k] = static_cast<std::uint8_t>(pixels >> (8 * k));
       }
     }
   }

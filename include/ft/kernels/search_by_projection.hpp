@@ -58,6 +58,9 @@ struct search_params {
   int max_distance = 100;   ///< descriptors differ in at most this many bits
   float ratio = 0.8f;       ///< best over second best, same octave; local map only
   bool from_empty = false;  ///< nobody holds a keypoint: holders are cleared first
+  /// The candidates are listed while frame.right_x is not there yet: it is looked at when they are
+  /// chosen from. Last frame only.
+  bool right_later = false;
 };
 
 /// Four candidates of a window, each distance << 23 | keypoint.
@@ -123,15 +126,17 @@ FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
   return max_of(p.max_distance, min_of(256, static_cast<int>(second) + 1));
 }
 
+/// Whether a keypoint with column r in the right image, -1 = none, is elsewhere than in the window.
+FT_HOST_DEVICE inline bool misses_right(search_window const& w, float r) {
+  return w.check_right && r > 0 && ::fabsf(w.right_x - r) > w.radius;
+}
+
 /// Distance of keypoint k where it can be a candidate at all, else -1; whatever holds it.
 FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_view const& kp,
                                              float const* right_x, descriptor const& wanted, int k,
                                              int limit) {
   if (!inside(w, kp, k)) { return -1; }
-  if (w.check_right && right_x != nullptr) {
-    float const r = right_x[k];
-    if (r > 0 && ::fabsf(w.right_x - r) > w.radius) { return -1; }
-  }
+  if (right_x != nullptr && misses_right(w, right_x[k])) { return -1; }
   int const distance = hamming(wanted, get<field::orb>(kp, k));
   return distance <= limit ? distance : -1;
 }
@@ -234,7 +239,7 @@ struct list_candidates {
     int const limit = detail::listed_distance(params);
     int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     float const* const right_x =
-        frame.right_x == nullptr
+        frame.right_x == nullptr || params.right_later
             ? nullptr
             : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
     bool left_empty = false;
@@ -309,7 +314,10 @@ struct assign_keypoints {
                       frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
                       frame.partner == nullptr || params.kind != search_kind::local_map
                           ? nullptr
-                          : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()};
+                          : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
+                      frame.right_x == nullptr || !params.right_later
+                          ? nullptr
+                          : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
     if constexpr (Turns) {
       if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) { return; }
       take_turns(g, s, ctx);
@@ -327,7 +335,8 @@ private:
     search_params const& params;
     search_workspace const& work;
     int* holder;
-    int const* partner;  ///< null where partners do not count
+    int const* partner;    ///< null where partners do not count
+    float const* right_x;  ///< null where the lists have looked at it
 
     FT_HOST_DEVICE int number(int camera, int k) const { return camera * frame.capacity() + k; }
     FT_HOST_DEVICE int slot(int camera, int i) const { return windows.at(camera, b, i).slot; }
@@ -343,6 +352,11 @@ private:
     }
     FT_HOST_DEVICE int& match(int camera, int i) const {
       return work.match[work.window(camera, b, i)];
+    }
+    /// Whether keypoint k, which is in window i's list, does not fit for its column on the right.
+    FT_HOST_DEVICE bool misses_right(int camera, int i, int k) const {
+      return right_x != nullptr && camera == 0 &&
+             detail::misses_right(windows.at(0, b, i), right_x[k]);
     }
     /// -1 = none
     FT_HOST_DEVICE int partner_of(int number) const {
@@ -371,7 +385,6 @@ private:
   }
 
   static constexpr int nobody = 0x7fffffff;
-  static constexpr int batch = 4;  ///< loads under way at a time
 
   /// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
   /// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
@@ -396,29 +409,13 @@ private:
       s.guests = 0;
     }
     g.sync();
-    for (int base = g.rank(); base < ctx.frame.cameras * n; base += batch * g.size()) {
-      int count[batch];
-      std::uint32_t nearest[batch];
-      FT_UNROLL
-      for (int j = 0; j < batch; ++j) {
-        int const w = base + j * g.size();
-        count[j] = w < ctx.frame.cameras * n ? ctx.list_count(w >= n, w >= n ? w - n : w) : 0;
-      }
-      FT_UNROLL
-      for (int j = 0; j < batch; ++j) {
-        int const w = base + j * g.size();
-        if (count[j] != 0) { nearest[j] = ctx.list(w >= n, w >= n ? w - n : w)->entry[0]; }
-      }
-      FT_UNROLL
-      for (int j = 0; j < batch; ++j) {
-        int const w = base + j * g.size();
-        if (w >= ctx.frame.cameras * n) { break; }
-        int const c = w >= n;
-        int const i = c != 0 ? w - n : w;
+    for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int const count = ctx.list_count(c, i);
         ctx.match(c, i) = -1;
-        if ((count[j] & search_workspace::observed) != 0) {
-          propose(s, ctx, c, i, count[j] & (search_workspace::observed - 1), nearest[j], owner);
-        } else if (count[j] != 0) {
+        if ((count & search_workspace::observed) != 0) {
+          propose(s, ctx, c, i, owner);
+        } else if (count != 0) {
           s.guests = 1;
         }
       }
@@ -445,27 +442,17 @@ private:
       }
       g.sync();
     }
-    for (int base = g.rank(); base < numbers; base += batch * g.size()) {
-      int slot[batch];
-      FT_UNROLL
-      for (int j = 0; j < batch; ++j) {
-        int const number = base + j * g.size();
-        slot[j] = -1;
-        if (number >= numbers) { continue; }
-        int const i = owner[number] >= 0 && owner[number] != nobody ? owner[number] : guest[number];
-        if (i >= 0) { slot[j] = ctx.slot(number >= ctx.frame.capacity(), i); }
-      }
-      FT_UNROLL
-      for (int j = 0; j < batch; ++j) {
-        int const number = base + j * g.size();
-        if (number >= numbers) { break; }
-        int const c = number >= ctx.frame.capacity();
-        int const i = owner[number];
-        if (i >= 0 && i != nobody) {
-          ctx.match(c, i) = number - c * ctx.frame.capacity();
-          ++taken;
-        }
-        if (slot[j] >= 0 || ctx.params.from_empty) { ctx.holder[number] = slot[j]; }
+    for (int number = g.rank(); number < numbers; number += g.size()) {
+      int const c = number < ctx.frame.capacity() ? 0 : 1;
+      int const i = owner[number];
+      if (i >= 0 && i != nobody) {
+        ctx.match(c, i) = number - c * ctx.frame.capacity();
+        ctx.holder[number] = ctx.slot(c, i);
+        ++taken;
+      } else if (guest[number] >= 0) {
+        ctx.holder[number] = ctx.slot(c, guest[number]);
+      } else if (ctx.params.from_empty) {
+        ctx.holder[number] = -1;
       }
     }
     taken = g.reduce(taken, sum_op{});
@@ -473,26 +460,29 @@ private:
     return true;
   }
 
-  /// Window i proposes; when it drives another one out, goes on for that one. @param n how many
-  /// candidates it has @param entry the nearest
-  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int n,
-                                     std::uint32_t entry, int* owner) {
-    for (int place = 0;;) {
-      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
-      int const k = detail::entry_keypoint(entry);
-      int const before = atomic_min(owner + ctx.number(c, k), i);
-      if (before == nobody) { return; }
-      if (before > i) {
-        i = before;
-        n = ctx.list_count(c, i) & (search_workspace::observed - 1);
-        place = place_of(ctx.list(c, i), k);
-      }
-      ++place;
+  /// Window i proposes; when it drives another one out, goes on for that one.
+  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int* owner) {
+    int place = 0;
+    for (;;) {
+      int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+      candidate_quad const* const list = ctx.list(c, i);
       if (place >= min_of(n, search_workspace::list_size)) {
         if (n > search_workspace::list_size) { s.list_ended = 1; }
         return;
       }
-      entry = ctx.list(c, i)[place / 4].entry[place % 4];
+      std::uint32_t const entry = list[place / 4].entry[place % 4];
+      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
+      int const k = detail::entry_keypoint(entry);
+      bool const fits = !ctx.misses_right(c, i, k);
+      int const before = fits ? atomic_min(owner + ctx.number(c, k), i) : -1;
+      if (before < i) {
+        ++place;
+      } else if (before == nobody) {
+        return;
+      } else {
+        i = before;
+        place = place_of(ctx.list(c, i), k) + 1;
+      }
     }
   }
   FT_HOST_DEVICE static int place_of(candidate_quad const* list, int k) {
@@ -777,7 +767,7 @@ private:
         int const k = detail::entry_keypoint(quad.entry[e]);
         if (4 * q + e >= n) { return true; }
         if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
-        if (taken(ctx.number(c, k))) { continue; }
+        if (taken(ctx.number(c, k)) || ctx.misses_right(c, i, k)) { continue; }
         found.add(k, distance);
         if (!with_ratio || found.second_k >= 0) { return true; }
       }
@@ -983,13 +973,13 @@ struct check_orientation {
     g.sync();
     int const n = windows.count[b];
     bool const kept = frame.cameras * n <= scratch_size;
+    constexpr std::uint8_t no_match = 255;
     for (int c = 0; c < frame.cameras; ++c) {
-      for (int base = 0; base < n; base += g.size()) {
-        int const i = base + g.rank();
-        int const k = i < n ? work.match[work.window(c, b, i)] : -1;
+      for (int i = g.rank(); i < n; i += g.size()) {
+        int const k = work.match[work.window(c, b, i)];
         int const r = k >= 0 ? bin(frame, last, b, c, i, k) : no_match;
-        count(g.part(), s, r);
-        if (kept && i < n) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
+        if (k >= 0) { atomic_add(s.histogram + r, 1); }
+        if (kept) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
       }
     }
     g.sync();
@@ -1042,20 +1032,6 @@ struct check_orientation {
   }
 
 private:
-  static constexpr std::uint8_t no_match = 255;
-
-  /// Adds one to each thread's bin. Most rotations are alike: equal ones are added at once.
-  template <typename Part>
-  FT_HOST_DEVICE static void count(Part part, scratch& s, int r) {
-    FT_NO_UNROLL
-    for (unsigned rest = part.ballot(r != no_match); rest != 0;) {
-      int const first = trailing_zeros(rest);
-      int const value = part.shuffle(r, first);
-      unsigned const same = part.ballot(r == value);
-      if (part.rank() == first) { atomic_add(s.histogram + value, popcount(same)); }
-      rest &= ~same;
-    }
-  }
   FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c,
                                 int i, int k) {
     int const left_count = last.keypoints.count[last.keypoint_step * b];
@@ -1139,21 +1115,37 @@ struct clear_holders {
 /// Search from the last frame: windows, candidates, assignment, orientation check; from empty
 /// holders. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
+/// @param listed called with `exec` between the two launches; what it queues there may be what
+/// fills frame.right_x
+template <typename Exec, typename Rig, typename Listed>
+void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
+                       frame_view const& frame, last_frame_view const& last,
+                       map_points_view const& map, last_search_params const& params,
+                       pyramid_geometry const& geometry, search_windows_view const& windows,
+                       search_workspace const& work, point_stamps const& stamps,
+                       Listed const& listed) {
+  last_search<Rig> const input{rig, poses, last_poses, last, params};
+  search_params search;
+  search.kind = search_kind::last_frame;
+  search.from_empty = true;
+  search.right_later = true;
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_last_point<Rig>{}, input,
+                          frame, map, geometry, search, windows, work);
+  listed(exec);
+  for_each_item<per_block<assign_threads>>(exec, frame.batch,
+                                           assign_last_points<Rig, Exec::asynchronous>{}, input,
+                                           frame, map, geometry, search, stamps, windows, work);
+}
+
+/// The same with frame.right_x there from the start.
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,
                        map_points_view const& map, last_search_params const& params,
                        pyramid_geometry const& geometry, search_windows_view const& windows,
                        search_workspace const& work, point_stamps const& stamps = {}) {
-  last_search<Rig> const input{rig, poses, last_poses, last, params};
-  search_params search;
-  search.kind = search_kind::last_frame;
-  search.from_empty = true;
-  for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_last_point<Rig>{}, input,
-                          frame, map, geometry, search, windows, work);
-  for_each_item<per_block<assign_threads>>(exec, frame.batch,
-                                           assign_last_points<Rig, Exec::asynchronous>{}, input,
-                                           frame, map, geometry, search, stamps, windows, work);
+  search_last_frame(exec, rig, poses, last_poses, frame, last, map, params, geometry, windows, work,
+                    stamps, [](Exec const&) {});
 }
 
 }  // namespace FT_ABI

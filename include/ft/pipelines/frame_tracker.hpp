@@ -415,7 +415,7 @@ public:
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
     features(exec, mark, [this](Exec const& e) { motion_.upload(e); });
-    await_partners<Mark>(exec);
+    await_stereo<Mark>(exec);
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_.matches, nullptr);
@@ -512,8 +512,12 @@ private:
     search.retry_below = params_.enough_matches;
     search.max_x = frustum_.max_x;
     search.max_y = frustum_.max_y;
+    // The lists need no stereo matches, the choice from them needs those of a rectified pair.
     search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_});
+                      geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_},
+                      [this](Exec const& e) {
+                        if constexpr (Rig::rectified) { await_stereo<Mark>(e); }
+                      });
     mark("search last frame");
     if (params_.optimize_last) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
@@ -523,7 +527,7 @@ private:
       copy(exec, poses_, static_cast<pose const*>(input.predicted),
            static_cast<std::size_t>(batch_));
     }
-    await_partners<Mark>(exec);
+    if constexpr (!Rig::rectified) { await_stereo<Mark>(exec); }
   }
 
   template <typename Mark>
@@ -587,7 +591,7 @@ private:
            static_cast<std::size_t>(params_.orb.height);
   }
 
-  /// Without rectification the stereo matches are not there before await_partners().
+  /// Stage by stage the stereo matches are there at the end, in a recording after await_stereo().
   /// @param beside queues what may run beside the images' way up
   template <typename Mark, typename Beside>
   void features(Exec const& exec, Mark& mark, Beside const& beside) {
@@ -605,13 +609,7 @@ private:
                                  cameras * batch_, frame_.grids);
         if constexpr (Rig::rectified) { matcher_.prepare(match_branch_.fork(e), extractor_); }
       });
-      if constexpr (Rig::rectified) {
-        match_branch_.join(exec);
-        matcher_.match_prepared(exec, extractor_);
-      } else {
-        // The last frame's search does not look at partners.
-        matcher_.match_prepared(match_branch_.fork(exec), extractor_);
-      }
+      matcher_.match_prepared(match_branch_.fork(exec), extractor_);
       grid_branch_.join(exec);
     } else {
       extractor_.extract(exec, mark);
@@ -625,10 +623,8 @@ private:
 
   /// The stereo matches of features() are there for what is queued next.
   template <typename Mark>
-  void await_partners(Exec const& exec) {
-    if constexpr (!Rig::rectified && std::is_same<std::decay_t<Mark>, no_mark>::value) {
-      match_branch_.join(exec);
-    }
+  void await_stereo(Exec const& exec) {
+    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) { match_branch_.join(exec); }
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {

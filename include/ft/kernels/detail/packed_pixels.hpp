@@ -101,6 +101,7 @@ FT_HOST_DEVICE bool has_word_rows(image_view<T> const& image) {
 /// 2^31.
 struct small_divider {
   std::uint32_t factor;
+  small_divider() = default;
   FT_HOST_DEVICE explicit small_divider(int n)
       : factor(0x80000000u / static_cast<unsigned>(n) + 1) {}
   FT_HOST_DEVICE int operator()(int i) const {

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <functional>
 #include <numeric>
@@ -35,6 +36,30 @@ inline std::vector<int> starts_of(std::vector<int> const& sizes) {
   for (int const n : sizes) { starts.push_back(starts.back() + n); }
   return starts;
 }
+
+/// Fills its extra scratch with numbers of its own and counts those that are not there afterwards.
+struct use_extra_scratch {
+  using scratch = int;
+  std::size_t bytes = 0;
+  std::size_t extra_bytes() const { return bytes; }
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& misaligned, int item, int* wrong) const {
+    auto* const numbers = reinterpret_cast<int*>(g.extra());
+    int const n = static_cast<int>(bytes / sizeof(int));
+    if (g.rank() == 0) {
+      misaligned = n > 0 && reinterpret_cast<std::uintptr_t>(numbers) % 16 != 0 ? 1 : 0;
+    }
+    for (int i = g.rank(); i < n; i += g.size()) { numbers[i] = 7 * i + item; }
+    g.sync();
+    int bad = 0;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const at = n - 1 - i;
+      bad += static_cast<int>(numbers[at] != 7 * at + item);
+    }
+    bad = g.reduce(bad, ft::sum_op{});
+    if (g.rank() == 0) { wrong[item] = bad + misaligned; }
+  }
+};
 
 /// A value of the largest size that a block's collectives take.
 struct tally {
@@ -431,6 +456,47 @@ TYPED_TEST(group_unit, neighbouring_lanes_and_ballots) {
     }
   }
 }
+TYPED_TEST(group_unit, extra_scratch_is_there_up_to_the_limit) {
+  constexpr int threads = 96;
+  auto const& exec = this->backend.exec;
+  for (int const items : {1, 3, 5000}) {
+    std::size_t const most = ft::extra_scratch<threads, use_extra_scratch>(exec, items);
+    if constexpr (!TypeParam::exec_type::asynchronous) {
+      EXPECT_EQ(most, 0u);
+    } else {
+      EXPECT_GT(most, 40000u);
+      // Every device has 64 KiB and more for a block that is alone on its multiprocessor.
+      EXPECT_EQ(most > 48 * 1024, items <= 3) << items;
+    }
+    auto const d_wrong = test::to_exec(exec, std::vector<int>(static_cast<std::size_t>(items), -1));
+    for (std::size_t const bytes : {std::size_t{0}, std::size_t{16}, most / 2, most}) {
+      use_extra_scratch op;
+      op.bytes = std::min(bytes, most) / 4 * 4;
+      ft::for_each_item<ft::per_block<threads>>(exec, items, op, d_wrong.data());
+      auto const wrong = test::from_exec(exec, static_cast<int const*>(d_wrong.data()),
+                                         static_cast<std::size_t>(items));
+      for (int const w : wrong) { ASSERT_EQ(w, 0) << items << " items, " << op.bytes << " bytes"; }
+    }
+  }
+}
+
+TYPED_TEST(group_unit, more_extra_scratch_than_there_is_throws) {
+  if constexpr (TypeParam::exec_type::asynchronous) {
+    constexpr int threads = 96;
+    auto const& exec = this->backend.exec;
+    auto const d_wrong = test::to_exec(exec, std::vector<int>(1, -1));
+    use_extra_scratch op;
+    op.bytes = ft::extra_scratch<threads, use_extra_scratch>(exec, 1) + 4096;
+    EXPECT_THROW(ft::for_each_item<ft::per_block<threads>>(exec, 1, op, d_wrong.data()),
+                 ft::cuda_error);
+    op.bytes = 64;
+    ft::for_each_item<ft::per_block<threads>>(exec, 1, op, d_wrong.data());
+    EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(d_wrong.data()), 1)[0], 0);
+  } else {
+    EXPECT_EQ(ft::single_group::extra(), nullptr);
+  }
+}
+
 TYPED_TEST(group_unit, ordered_sum_has_the_documented_bits) {
   this->template check_ordered_sum<ft::per_thread>();
   this->template check_ordered_sum<ft::per_block<ft::sum_lanes>>();

@@ -6,7 +6,6 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 
 namespace app {
 
@@ -54,11 +53,6 @@ void motion_model::observe(rigid_pose const& from, rigid_pose const& to, std::in
 
 void motion_model::rest() { motion_ = {}; }
 
-void motion_model::slow_down() {
-  for (auto& t : motion_.t) { t *= 0.5; }
-  rigid_pose const still;
-  for (std::size_t i = 0; i < 9; ++i) { motion_.R[i] = 0.5 * (motion_.R[i] + still.R[i]); }
-  motion_.orthonormalize();
-}
+void motion_model::slow_down() { motion_ = part_of_motion(motion_, 0.5); }
 
 }  // namespace app

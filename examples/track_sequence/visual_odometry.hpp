@@ -33,7 +33,7 @@ constexpr int min_stereo_points = 60;    ///< to begin a map
 constexpr int min_inliers = 20;          ///< to call a frame tracked
 constexpr int min_motion_inliers = 10;   ///< to trust the pose from the last frame
 constexpr int min_recovered = 30;        ///< to call a lost camera found
-constexpr float wide_search = 6;         ///< factor on the local search's radius when lost
+constexpr float wide_searches[]{6, 20};  ///< factors on the local search's radius when lost
 constexpr int patience = 5;              ///< lost frames with features before a new map is begun
 constexpr int wanted_near_points = 100;  ///< a keyframe has at least as many near points
 constexpr int new_near_points = 70;      ///< and is made where so many could be added
@@ -199,19 +199,26 @@ private:
   bool recover(frame_outcome& out) {
     std::vector<rigid_pose> const guesses{motion_.predict(T_cw_, interval_ns_), T_cw_,
                                           map_.last_keyframe_pose()};
-    for (auto const& guess : guesses) {
-      tracker_.predicted()[0] = to_ft(guess);
-      tracker_.stamp()[0] = ++stamp_;
-      timed("update local map",
-            [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
-      ft::local_search_params wide;
-      wide.th = vo::wide_search;
-      run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
-      out.local_points = static_cast<int>(local_.size());
-      out.inliers = tracker_.result().inliers[0];
-      if (out.inliers >= vo::min_recovered) { return true; }
+    for (float const width : vo::wide_searches) {
+      for (auto const& guess : guesses) {
+        if (is_at(guess, width, out)) { return true; }
+      }
     }
     return false;
+  }
+
+  /// Whether a search in the newest points finds the camera around there.
+  bool is_at(rigid_pose const& guess, float width, frame_outcome& out) {
+    tracker_.predicted()[0] = to_ft(guess);
+    tracker_.stamp()[0] = ++stamp_;
+    timed("update local map",
+          [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
+    ft::local_search_params wide;
+    wide.th = width;
+    run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
+    out.local_points = static_cast<int>(local_.size());
+    out.inliers = tracker_.result().inliers[0];
+    return out.inliers >= vo::min_recovered;
   }
 
   void choose_local(std::vector<int> slots) {

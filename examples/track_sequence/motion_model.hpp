@@ -16,8 +16,8 @@ rigid_pose part_of_motion(rigid_pose const& T, double share);
 class motion_model {
 public:
   /// Stamps that differ by less than this share of the interval count as evenly spaced, and the
-  /// motion goes on bit for bit: recorded cameras jitter by less (EuRoC 1e-5, KITTI 0.01), and a
-  /// walk or flight changes its motion by as much from frame to frame.
+  /// motion goes on bit for bit: recorded cameras jitter by less, and a drive or flight changes its
+  /// motion by as much from frame to frame.
   static constexpr double even = 0.05;
   /// No prediction goes further than so many motions; a longer gap is a matter of searching.
   static constexpr double longest = 5;

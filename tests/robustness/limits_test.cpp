@@ -98,7 +98,7 @@ TYPED_TEST_SUITE(limits, test::backends);
 
 TYPED_TEST(limits, any_small_size_is_refused_or_works) {
   using orb = ft::orb_extractor<typename TypeParam::exec_type>;
-  int const rounds = test::effort(120);
+  int const rounds = std::max(20, test::effort(120));  // some work, some are refused
   std::mt19937 random(1);
   int worked = 0;
   int refused = 0;

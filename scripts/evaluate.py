@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs track_sequence over all sequences of a data set, several times, and makes the tables. docs/evaluation.md
 
-scripts/evaluate.sh builds what this needs and calls it."""
+scripts/evaluate.sh builds what this needs and calls it. Needs Python 3.8 or newer, and no packages."""
 import argparse
 import fcntl
+import os
 import pathlib
 import shlex
 import sys
@@ -27,16 +28,16 @@ def parse(arguments):
     )
     parser.add_argument("directory", metavar="DIR", nargs="?", help="folder of a data set, or of one sequence")
     parser.add_argument("--runs", type=positive, default=3, metavar="N", help="of each sequence (3)")
-    parser.add_argument("--backends", type=choice_of(runs.BACKENDS), metavar="LIST", help="host, cuda (both, cuda where there is a GPU)")
-    parser.add_argument("--modes", type=choice_of(runs.MODES), default=list(runs.MODES), metavar="LIST", help="offline, realtime (both)")
+    parser.add_argument("--backends", type=choice_of(runs.BACKENDS), metavar="LIST", help="host, cuda, or host,cuda (both, cuda where there is a GPU)")
+    parser.add_argument("--modes", type=choice_of(runs.MODES), default=list(runs.MODES), metavar="LIST", help="offline: every frame; realtime: what a live camera would lose is dropped (offline,realtime)")
     parser.add_argument("--sequences", metavar="TEXT", default="", help="those alone with TEXT in their name")
     parser.add_argument("--frames", type=positive, metavar="N", help="of each sequence (all; 300 of a generated one)")
     parser.add_argument("--calibration", metavar="FILE", help="for all of them, such as ORB-SLAM3 settings (the sequence's own)")
-    parser.add_argument("--out", type=pathlib.Path, default=ROOT / "build" / "evaluate", metavar="OUT", help="(build/evaluate)")
+    parser.add_argument("--out", type=pathlib.Path, default=ROOT / "build" / "evaluate", metavar="OUT", help="folder of the results (build/evaluate)")
     parser.add_argument("--mpi", metavar="COMMAND", help="run on the ranks that COMMAND starts: 'mpirun -n 4'")
     parser.add_argument("--tables-only", action="store_true", help="run nothing, make the tables of what is finished")
     parser.add_argument("--list", action="store_true", help="run nothing, say which runs there are")
-    parser.add_argument("--bin", type=pathlib.Path, default=BIN, metavar="FOLDER", help="of the programs (build/bin)")
+    parser.add_argument("--bin", type=pathlib.Path, default=BIN, metavar="FOLDER", help="take track_sequence and the others from there: build and install nothing (build/bin, built first)")
     own, passed_on = split_at_dashes(arguments)
     args = parser.parse_args(own)
     args.passed_on = passed_on
@@ -68,7 +69,9 @@ def choice_of(names):
 def program(args, name):
     path = args.bin / name
     if not path.is_file():
-        raise UsageError(f"no program '{path}': scripts/evaluate.sh builds it, --bin names another folder")
+        raise UsageError(f"no program '{path}': scripts/evaluate.sh without --bin builds it")
+    if not os.access(path, os.X_OK):
+        raise UsageError(f"'{path}' cannot be started: chmod +x, or another folder for --bin")
     return path.resolve()
 
 
@@ -87,7 +90,8 @@ def sequences_of(args):
     if args.directory:
         found = sequences.find_sequences(args.directory)
     else:
-        found = sequences.generate_sequences(program(args, "generate_sequence"), args.out / "sequences", args.frames or 300)
+        render = not (args.list or args.tables_only)
+        found = sequences.generate_sequences(program(args, "generate_sequence"), args.out / "sequences", args.frames or 300, render)
     chosen = [s for s in found if args.sequences in s.name]
     if not chosen:
         raise UsageError(f"no sequence has '{args.sequences}' in its name; there are {', '.join(s.name for s in found)}")
@@ -99,7 +103,7 @@ def plan(args):
     chosen = sequences_of(args)
     backends = args.backends
     if backends is None:
-        backends = [b for b in runs.BACKENDS if b == "host" or runs.has_cuda(tracker, chosen[0])]
+        backends = [b for b in runs.BACKENDS if b == "host" or runs.has_cuda(tracker, chosen)]
         if "cuda" not in backends:
             print("no GPU here, or track_sequence was built without CUDA: host alone")
     return runs.plan_runs(tracker, chosen, backends, args.modes, args.runs, options_of(args), args.out)
@@ -125,7 +129,10 @@ def hold_lock(out):
 
 def evaluate(args):
     args.out = args.out.resolve()
-    args.out.mkdir(parents=True, exist_ok=True)
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise UsageError(f"cannot make the folder '{args.out}': {e.strerror}") from e
     with hold_lock(args.out):
         everything = plan(args)
         todo = [r for r in everything if not r.finished]

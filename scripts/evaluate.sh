@@ -1,11 +1,16 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds track_sequence and what goes with it, then runs scripts/evaluate.py, which says what it does: --help
+# Builds track_sequence and what goes with it, then runs scripts/evaluate.py, which says what it does: --help.
+# With --bin FOLDER it takes the programs there, and neither builds nor installs.
 set -euo pipefail
 ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # shellcheck source=scripts/deps.sh
 source "$ft_root/scripts/deps.sh"
 
+if ! command -v python3 >/dev/null; then
+  echo "ft: scripts/evaluate.sh needs python3" >&2
+  exit 1
+fi
 evaluate=("$ft_root/scripts/evaluate.py")
 given=" $* "
 case $given in
@@ -15,10 +20,6 @@ esac
 build=$ft_root/build
 targets=(track_sequence generate_sequence)
 ft_install_missing build
-if ! command -v python3 >/dev/null; then
-  echo "ft: scripts/evaluate.sh needs python3" >&2
-  exit 1
-fi
 if [[ $given == *" --mpi"* ]]; then
   targets+=(evaluate_mpi)
   if ! command -v mpicxx >/dev/null; then

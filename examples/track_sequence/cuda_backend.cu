@@ -26,8 +26,9 @@ class cuda_odometry final : public odometry {
 public:
   explicit cuda_odometry(odometry_options const& options)
       : inner_(ft::cuda_exec(stream_.get()), options, cuda_device_name()) {}
-  frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) override {
-    return inner_.track(left, right);
+  frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
+                      std::uint8_t const* right) override {
+    return inner_.track(time_ns, left, right);
   }
   std::vector<std::string> const& stage_names() const override { return inner_.stage_names(); }
   std::vector<seen_keypoint> keypoints() const override { return inner_.keypoints(); }

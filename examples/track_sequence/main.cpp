@@ -249,7 +249,7 @@ int run(arguments const& a) {
     }
     seq::stereo_frame frame = sequence.load(i);
     app::frame_outcome const outcome =
-        odometry->track(frame.left.pixels.data(), frame.right.pixels.data());
+        odometry->track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
     busy_until_ms = std::max(busy_until_ms, arrival_ms) + outcome.stage_ms.back();
     ++report.frames;
     report.tracked += static_cast<int>(outcome.tracked);

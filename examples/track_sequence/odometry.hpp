@@ -66,8 +66,11 @@ struct frame_outcome {
 class odometry {
 public:
   virtual ~odometry() = default;
+  /// @param time_ns when the pair was taken; its distance to the last one scales the predicted
+  /// motion
   /// @param left,right width x height bytes without padding
-  virtual frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) = 0;
+  virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
+                              std::uint8_t const* right) = 0;
   virtual std::vector<std::string> const& stage_names() const = 0;  ///< the last one is "total"
   virtual std::vector<seen_keypoint> keypoints() const = 0;         ///< of the last frame
   virtual int keyframes() const = 0;

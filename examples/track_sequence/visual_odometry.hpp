@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stereo visual odometry from ft stages alone, for either executor and either kind of rig.
 ///
-/// Per frame: predict with constant velocity -> features, stereo, search from the last frame, pose
+/// Per frame: predict with constant velocity over the time that has passed -> features, stereo,
+/// search from the last frame, pose
 /// -> local map of the keyframes that share points (chosen on the host) -> frustum, search, pose ->
 /// a keyframe where too few points are left, and an adjustment of the newest keyframes and points
 /// (on the host). A frame that is not found so is looked for around the
@@ -17,6 +18,7 @@
 #include <utility>
 #include <vector>
 
+#include "examples/track_sequence/motion_model.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/sparse_map.hpp"
 #include "examples/track_sequence/stage_timer.hpp"
@@ -31,7 +33,7 @@ constexpr int min_stereo_points = 60;    ///< to begin a map
 constexpr int min_inliers = 20;          ///< to call a frame tracked
 constexpr int min_motion_inliers = 10;   ///< to trust the pose from the last frame
 constexpr int min_recovered = 30;        ///< to call a lost camera found
-constexpr float wide_search = 6;         ///< factor on the local search's radius when lost
+constexpr float wide_searches[]{6, 20};  ///< factors on the local search's radius when lost
 constexpr int patience = 5;              ///< lost frames with features before a new map is begun
 constexpr int wanted_near_points = 100;  ///< a keyframe has at least as many near points
 constexpr int new_near_points = 70;      ///< and is made where so many could be added
@@ -82,10 +84,12 @@ public:
         timer_(exec_),
         descriptors_(static_cast<std::size_t>(tracker_.capacity())) {}
 
-  frame_outcome track(std::uint8_t const* left, std::uint8_t const* right) override {
+  frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
+                      std::uint8_t const* right) override {
     sums_.reset();
     double const start = now_ms();
-    ++frame_;
+    interval_ns_ = time_ns - time_ns_;
+    time_ns_ = time_ns;
     auto const& p = tracker_.params().orb;
     tracker_.set_image(0, 0, {left, p.width, p.height, p.width});
     tracker_.set_image(0, 1, {right, p.width, p.height, p.width});
@@ -170,7 +174,7 @@ private:
   }
 
   bool track_from_last(frame_outcome& out) {
-    tracker_.predicted()[0] = to_ft(velocity_ * T_cw_);
+    tracker_.predicted()[0] = to_ft(motion_.predict(T_cw_, interval_ns_));
     tracker_.last_pose()[0] = to_ft(T_cw_);
     tracker_.stamp()[0] = ++stamp_;
     for (int i = 0; i < cameras * tracker_.capacity(); ++i) {
@@ -193,20 +197,28 @@ private:
 
   /// A wide search around poses where the camera may be.
   bool recover(frame_outcome& out) {
-    std::vector<rigid_pose> const guesses{velocity_ * T_cw_, T_cw_, map_.last_keyframe_pose()};
-    for (auto const& guess : guesses) {
-      tracker_.predicted()[0] = to_ft(guess);
-      tracker_.stamp()[0] = ++stamp_;
-      timed("update local map",
-            [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
-      ft::local_search_params wide;
-      wide.th = vo::wide_search;
-      run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
-      out.local_points = static_cast<int>(local_.size());
-      out.inliers = tracker_.result().inliers[0];
-      if (out.inliers >= vo::min_recovered) { return true; }
+    std::vector<rigid_pose> const guesses{motion_.predict(T_cw_, interval_ns_), T_cw_,
+                                          map_.last_keyframe_pose()};
+    for (float const width : vo::wide_searches) {
+      for (auto const& guess : guesses) {
+        if (is_at(guess, width, out)) { return true; }
+      }
     }
     return false;
+  }
+
+  /// Whether a search in the newest points finds the camera around there.
+  bool is_at(rigid_pose const& guess, float width, frame_outcome& out) {
+    tracker_.predicted()[0] = to_ft(guess);
+    tracker_.stamp()[0] = ++stamp_;
+    timed("update local map",
+          [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
+    ft::local_search_params wide;
+    wide.th = width;
+    run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
+    out.local_points = static_cast<int>(local_.size());
+    out.inliers = tracker_.result().inliers[0];
+    return out.inliers >= vo::min_recovered;
   }
 
   void choose_local(std::vector<int> slots) {
@@ -239,10 +251,9 @@ private:
     if (found) {
       rigid_pose const T = from_ft(r.T_cw[0]);
       if (lost_frames_ == 0) {
-        velocity_ = T * T_cw_.inverse();
-        velocity_.orthonormalize();
+        motion_.observe(T_cw_, T, interval_ns_);
       } else {
-        velocity_ = {};
+        motion_.rest();
       }
       T_cw_ = T;
       lost_frames_ = 0;
@@ -261,15 +272,15 @@ private:
       int const depths = count([&](int i) { return r.depth[i] > 0; });
       bool const usable = depths >= vo::min_stereo_points;
       if (has_map) {
-        T_cw_ = velocity_ * T_cw_;  // the best guess goes on, slower and slower
-        slow_down();
+        T_cw_ = motion_.predict(T_cw_, interval_ns_);  // the best guess, slower and slower
+        motion_.slow_down();
         lost_frames_ += 1;
         lost_with_features_ = usable ? lost_with_features_ + 1 : 0;
       }
       if (usable && (!has_map || lost_with_features_ >= vo::patience)) {
         timed("keyframe", [&] {
           map_.clear();
-          velocity_ = {};
+          motion_.rest();
           lost_frames_ = 0;
           lost_with_features_ = 0;
           insert_keyframe();
@@ -281,13 +292,6 @@ private:
       }
     }
     out.T_cw = T_cw_;
-  }
-
-  void slow_down() {
-    for (auto& t : velocity_.t) { t *= 0.5; }
-    rigid_pose still;
-    for (std::size_t i = 0; i < 9; ++i) { velocity_.R[i] = 0.5 * (velocity_.R[i] + still.R[i]); }
-    velocity_.orthonormalize();
   }
 
   void hold() {
@@ -409,8 +413,9 @@ private:
   std::vector<int> held_;   ///< slot of each keypoint of the last frame
   std::vector<int> local_;  ///< slots of the local map
   rigid_pose T_cw_;
-  rigid_pose velocity_;  ///< T_cw of a frame times the inverse of the one before
-  int frame_ = 0;
+  motion_model motion_;
+  std::int64_t time_ns_ = 0;      ///< of the last frame
+  std::int64_t interval_ns_ = 0;  ///< to it from the one before
   int stamp_ = 0;
   int lost_frames_ = 0;
   int lost_with_features_ = 0;

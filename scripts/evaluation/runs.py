@@ -39,12 +39,17 @@ class Run:
         return (pathlib.Path(self.folder) / "run.json").is_file()
 
 
-def has_cuda(program, sequence):
-    """Whether the program can run on a GPU of this machine."""
-    with tempfile.TemporaryDirectory() as out:
-        command = [program, "--sequence", sequence.path, "--backend", "cuda", "--frames", "1", "--quiet", "--out", out]
-        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-    return NO_DEVICE not in done.stderr
+def has_cuda(program, sequences):
+    """Whether the program can run on a GPU of this machine. The first sequence that can be read tells."""
+    for sequence in sequences:
+        with tempfile.TemporaryDirectory() as out:
+            command = [program, "--sequence", sequence.path, "--backend", "cuda", "--frames", "1", "--quiet", "--out", out]
+            done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+            if (pathlib.Path(out) / "summary.json").is_file():
+                return True
+        if NO_DEVICE in done.stderr:
+            return False
+    return False
 
 
 def plan_runs(program, sequences, backends, modes, times, options, out):

@@ -12,12 +12,15 @@ import unittest
 
 from . import runs, sequences, tables
 
-# In place of track_sequence. A file `fail` in the sequence makes it fail, `tell` counts calls.
+# In place of track_sequence. A file `fail` in the sequence makes it fail, `unreadable` before it asks for a GPU; `tell` counts
+# calls.
 TRACKER = """#!{python}
 import json, pathlib, sys
 a = sys.argv[1:]
 value = lambda name: a[a.index(name) + 1]
 sequence, out, backend = pathlib.Path(value("--sequence")), pathlib.Path(value("--out")), value("--backend")
+if (sequence / "unreadable").exists():
+    sys.exit("track_sequence: no calibration")
 if backend == "cuda" and {no_gpu}:
     sys.exit("track_sequence: --backend cuda: no CUDA device here, or ...")
 with open(sequence / "tell", "a") as f:
@@ -161,9 +164,18 @@ class Running(Workplace):
 
     def test_whether_there_is_a_gpu_is_asked_of_the_program(self):
         self.make_sequence("s")
-        (sequence,) = sequences.find_sequences(self.root / "data")
-        self.assertTrue(runs.has_cuda(self.tracker, sequence))
-        self.assertFalse(runs.has_cuda(self.make_tracker(no_gpu=True), sequence))
+        found = sequences.find_sequences(self.root / "data")
+        self.assertTrue(runs.has_cuda(self.tracker, found))
+        self.assertFalse(runs.has_cuda(self.make_tracker(no_gpu=True), found))
+
+    def test_a_sequence_that_cannot_be_read_does_not_tell_whether_there_is_a_gpu(self):
+        (self.make_sequence("a") / "unreadable").touch()
+        found = sequences.find_sequences(self.root / "data")
+        self.assertFalse(runs.has_cuda(self.tracker, found))
+        self.make_sequence("b")
+        found = sequences.find_sequences(self.root / "data")
+        self.assertTrue(runs.has_cuda(self.tracker, found))
+        self.assertFalse(runs.has_cuda(self.make_tracker(no_gpu=True), found))
 
     def test_a_plan_read_back_has_the_same_runs(self):
         self.make_sequence("s")
@@ -307,6 +319,30 @@ class Command(Workplace):
         for arguments in (["--runs", "0"], ["--backends", "tpu"], ["--modes", "", "x"]):
             with self.assertRaises(SystemExit):
                 self.evaluate(*arguments)
+
+    def test_a_folder_for_results_that_cannot_be_made_is_said(self):
+        self.make_sequence("s")
+        (self.root / "file").touch()
+        status, _, errors = self.command(self.root / "data", "--bin", self.root, "--out", self.root / "file" / "out")
+        self.assertEqual(status, 2)
+        self.assertIn("cannot make the folder", errors)
+
+    def test_a_program_that_is_not_executable_is_said(self):
+        self.make_sequence("s")
+        self.tracker.chmod(0o644)
+        status, _, errors = self.evaluate()
+        self.assertEqual(status, 2)
+        self.assertRegex(errors, "'.*track_sequence' cannot be started")
+
+    def test_what_runs_nothing_generates_nothing(self):
+        generator = self.root / "generate_sequence"
+        generator.write_text("#!/bin/sh\nexit 1\n")
+        generator.chmod(0o755)
+        for option in ("--list", "--tables-only"):
+            status, text, errors = self.command("--bin", self.root, "--out", self.out, option)
+            self.assertEqual(status, 2)
+            self.assertIn("generated_pinhole_1, 300 stereo pairs: not generated yet", text)
+            self.assertIn("no sequence is generated yet", errors)
 
     def test_list_runs_nothing(self):
         folder = self.make_sequence("s")

@@ -57,7 +57,7 @@ def fingerprint(folder):
     for name in TELLING:
         file = folder / name
         if bare:
-            file = folder / name.removeprefix("mav0/") if name.startswith("mav0/") else folder.parent / name
+            file = folder / name[len("mav0/") :] if name.startswith("mav0/") else folder.parent / name
         if file.is_file():
             parts += [name, file]
     return sha256_of(*parts)
@@ -93,13 +93,16 @@ def name_of(folder, directory):
 GENERATED = (("pinhole", 1), ("pinhole", 2), ("fisheye", 1), ("fisheye", 2))
 
 
-def generate_sequences(program, directory, frames, rigs_and_seeds=GENERATED):
-    """Those that are not there yet, made by this very program, are rendered; says so."""
+def generate_sequences(program, directory, frames, render=True, rigs_and_seeds=GENERATED):
+    """Those that are not there yet, made by this very program, are rendered, or left out; says so."""
     program = pathlib.Path(program)
     folder = pathlib.Path(directory) / f"{sha256_of(program)}-{frames}"
     for rig, seed in rigs_and_seeds:
         out = folder / f"generated_{rig}_{seed}"
         if (out / ".complete").is_file():
+            continue
+        if not render:
+            print(f"{out.name}, {frames} stereo pairs: not generated yet")
             continue
         print(f"generating {out.name}, {frames} stereo pairs", flush=True)
         shutil.rmtree(out, ignore_errors=True)
@@ -108,4 +111,6 @@ def generate_sequences(program, directory, frames, rigs_and_seeds=GENERATED):
         if done.returncode != 0:
             raise UsageError(f"{program} failed: {done.stderr.strip()}")
         (out / ".complete").touch()
+    if not folder.is_dir():
+        raise UsageError("no sequence is generated yet: run it without --list and --tables-only")
     return find_sequences(folder)

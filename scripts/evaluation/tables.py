@@ -282,5 +282,6 @@ def write_tables(results, title, out):
     everything = [*tables, run_table(results)]
     (out / "tables.html").write_text(as_html(title, said, everything), encoding="utf-8")
     for table in everything:
-        (out / f"{table.name}.csv").write_text(as_csv(table), encoding="utf-8", newline="")
+        with open(out / f"{table.name}.csv", "w", encoding="utf-8", newline="") as file:
+            file.write(as_csv(table))
     return text

@@ -127,8 +127,8 @@ seq::image noise(unsigned seed) {
 /// A copy of a generated sequence, to spoil.
 class spoilt_sequence {
 public:
-  explicit spoilt_sequence(int frames) {
-    fs::copy(generated(frames), path(), fs::copy_options::recursive);
+  explicit spoilt_sequence(int frames, strings const& options = {}) {
+    fs::copy(generated(frames, options), path(), fs::copy_options::recursive);
     for (auto const& file : fs::directory_iterator(fs::path(path()) / "mav0/cam0/data")) {
       names_.push_back(file.path().filename().string());
     }
@@ -157,6 +157,23 @@ public:
     *at = line;
     std::ofstream file(path(name));
     for (std::string const& l : lines) { file << l << "\n"; }
+  }
+  /// Leaves the pairs out of the lists for which `lost(frame)` holds, as a camera does that drops
+  /// them. Returns how many there are left.
+  int drop(std::function<bool(int)> const& lost) const {
+    int left = 0;
+    for (char const* camera : {"cam0", "cam1"}) {
+      std::string const list = path(camera + std::string("/data.csv"));
+      strings const lines = lines_of(read_file(list));
+      std::ofstream file(list);
+      left = 0;
+      for (std::size_t i = 0; i < lines.size(); ++i) {  // a line of names goes first
+        if (i > 0 && lost(static_cast<int>(i) - 1)) { continue; }
+        file << lines[i] << "\n";
+        left += static_cast<int>(i > 0);
+      }
+    }
+    return left;
   }
 
 private:
@@ -556,6 +573,31 @@ TEST(Track, RealtimeDropsNothingWhereThereIsTime) {
   results const r = read_results(folder.path("out"), few);
   EXPECT_EQ(r.number("dropped"), 0);
   EXPECT_EQ(r.number("frames"), few);
+}
+
+TEST(Track, DroppedFramesCostNoOthers) {
+  strings const walk{"--width", "376", "--height", "240", "--fps", "15"};
+  for (int const every : {5, 7, 9}) {
+    spoilt_sequence const s(150, walk);
+    int const left = s.drop([&](int i) { return i >= 15 && (i - 15) % every == 0; });
+    ASSERT_LT(left, 150 - 10);
+    ASSERT_TRUE(succeeded(track(s.path(), s.out())));
+    results const r = read_results(s.out(), left);
+    EXPECT_EQ(r.number("lost"), 0) << every;
+    EXPECT_LT(r.summary.at("ate_rmse_m").get<double>(), 0.05) << every;
+  }
+}
+
+// The camera turns by degrees a frame where it sees again: nothing is known of its motion.
+TEST(Track, AfterALongGapOneNewMapIsEnough) {
+  spoilt_sequence const s(200, {"--width", "564", "--height", "360"});
+  int const left = s.drop([](int i) { return i >= 2 && i < 183; });
+  ASSERT_EQ(left, 19);
+  ASSERT_TRUE(succeeded(track(s.path(), s.out())));
+  results const r = read_results(s.out(), left);
+  int const patience = 5;
+  EXPECT_LE(r.number("lost"), patience);
+  EXPECT_LE(r.number("maps"), 2);
 }
 
 TEST(Track, StopsAfterTheFramesAskedFor) {

@@ -98,7 +98,7 @@ TYPED_TEST_SUITE(limits, test::backends);
 
 TYPED_TEST(limits, any_small_size_is_refused_or_works) {
   using orb = ft::orb_extractor<typename TypeParam::exec_type>;
-  int const rounds = test::effort(120);
+  int const rounds = std::max(20, test::effort(120));  // some work, some are refused
   std::mt19937 random(1);
   int worked = 0;
   int refused = 0;
@@ -259,6 +259,7 @@ TYPED_TEST(limits, a_tracker_takes_what_its_capacities_say_and_no_more) {
       EXPECT_GT(r.keypoints[0], 0);
       EXPECT_EQ(std::count(r.in_view, r.in_view + small().updates - 1, 1), small().updates - 1)
           << "every point written is in view";
+      EXPECT_EQ(std::count(r.in_view, r.in_view + local, 1), small().updates - 1) << "and no other";
     }
   }
   std::vector<ft::descriptor> orb(at(tracker.capacity()) + 1);

@@ -45,16 +45,19 @@ struct pyramid_tiles {
 
 namespace detail {
 
-/// Spans of one axis for levels first - 1 to last. @return false where a tile would need more than
-/// `limit` pixels along the axis @param largest gets the longest stretch that a tile needs
-/// @param sum gets the most columns or rows that a tile computes, over all levels
-inline bool tile_spans(resize_tap const* const* taps, int const* size, int first, int last,
-                       int tiles, int limit, std::vector<tile_span>* spans, int& largest,
-                       int& sum) {
+/// What tiles need along one axis.
+struct axis_tiles {
+  std::vector<tile_span> spans;  ///< [level from the source on][tile]
+  int longest = 0;               ///< stretch that a tile needs of a level
+  int computed = 0;  ///< columns or rows of a tile, over all levels but the source, at most
+};
+
+/// Of levels first - 1 to last.
+inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int first, int last,
+                            int tiles) {
   int const levels = last - first + 2;  // with the source
-  std::vector<tile_span> all(static_cast<std::size_t>(levels * tiles));
-  largest = 0;
-  sum = 0;
+  axis_tiles all;
+  all.spans.resize(static_cast<std::size_t>(levels * tiles));
   for (int t = 0; t < tiles; ++t) {
     int begin = 0;
     int end = 0;
@@ -77,17 +80,15 @@ inline bool tile_spans(resize_tap const* const* taps, int const* size, int first
         begin = own_begin;
         end = own_end;
       }
-      largest = max_of(largest, end - begin);
+      all.longest = max_of(all.longest, end - begin);
       if (l >= first) { computed += end - begin; }
-      all[static_cast<std::size_t>((l - first + 1) * tiles + t)] = {
+      all.spans[static_cast<std::size_t>((l - first + 1) * tiles + t)] = {
           static_cast<std::int16_t>(own_begin), static_cast<std::int16_t>(own_end),
           static_cast<std::int16_t>(begin), static_cast<std::int16_t>(end)};
     }
-    sum = max_of(sum, computed);
+    all.computed = max_of(all.computed, computed);
   }
-  if (largest > limit) { return false; }
-  if (spans != nullptr) { *spans = std::move(all); }
-  return true;
+  return all;
 }
 
 }  // namespace detail
@@ -109,24 +110,19 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
   int first = 1;
   while (first < g.levels) {
     tile_group made;
-    std::vector<tile_span> across;
-    std::vector<tile_span> down;
+    detail::axis_tiles across;
+    detail::axis_tiles down;
     // As many levels as a tile of about that size can carry; of a single one, smaller tiles.
     for (int last = g.levels - 1; made.columns == 0; --last) {
       int const least = last > first ? side : 1;
       for (int s = side; s >= least && made.columns == 0; s /= 2) {
         int const nx = ceil_div(g.width[first - 1], s);
         int const ny = ceil_div(g.height[first - 1], s);
-        int w = 0;
-        int h = 0;
-        int column_taps = 0;
-        int row_taps = 0;
-        constexpr int any = 1 << 14;
+        across = detail::tile_axis(columns, g.width, first, last, nx);
+        down = detail::tile_axis(rows, g.height, first, last, ny);
         constexpr int rest = pyramid_tiles::word_rest;
-        detail::tile_spans(columns, g.width, first, last, nx, any, &across, w, column_taps);
-        detail::tile_spans(rows, g.height, first, last, ny, any, &down, h, row_taps);
-        int const all_taps = column_taps + row_taps + (last - first + 1) * (rest + 3);
-        if ((w + rest) * h <= pyramid_tiles::scratch_pixels &&
+        int const all_taps = across.computed + down.computed + (last - first + 1) * (rest + 3);
+        if ((across.longest + rest) * down.longest <= pyramid_tiles::scratch_pixels &&
             all_taps <= pyramid_tiles::scratch_taps) {
           made = {first, last, nx, ny, 0};
         }
@@ -138,8 +134,8 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
         auto const begin = from.begin() + static_cast<std::ptrdiff_t>(l) * tiles;
         spans.insert(spans.end(), begin, begin + tiles);
       };
-      append(across, made.columns);
-      append(down, made.rows);
+      append(across.spans, made.columns);
+      append(down.spans, made.rows);
     }
     result.group[result.groups++] = made;
     first = made.last + 1;

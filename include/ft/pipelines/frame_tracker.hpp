@@ -327,7 +327,9 @@ public:
     frustum_.levels = params.orb.levels;
     last_.keypoints = last_keypoints_;
     last_.holder = motion_.device.last_holder;
-    // 0 is no frame's number; nothing is held, nothing was seen before.
+    // 0 is no frame's number; nothing is held, nothing was seen before; a map point that was never
+    // written has NaN for a position, and no camera sees it.
+    fill_bytes(exec, array_of<field::position>(map_), 0xff, slots * sizeof(vec3<float>));
     fill_bytes(exec, stamps_, 0, slots * sizeof(int));
     fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
@@ -384,7 +386,7 @@ public:
   int* stamp() { return motion_.host.stamp; }
   /// [batch] at most params().local_points
   int* local_count() { return local_.host.count; }
-  /// [batch][local_points] in search order
+  /// [batch][local_points] in search order; a slot that was never written is not in view
   int* local_slots() { return local_.host.slots; }
 
   /// Queues the writing of map points, each slot at most once. Must not follow another one before

@@ -27,8 +27,9 @@ function(ft_target_defaults target)
 endfunction()
 
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
-# One GoogleTest executable; each of its tests becomes one of ctest's. The label gpu marks what needs a
-# device, cuda what needs no more than the CUDA compiler; the target ft_host_tests builds all others.
+# One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
+# parts of it do. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
+# the target ft_host_tests builds all others.
 function(ft_add_test)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
   if(arg_UNPARSED_ARGUMENTS OR NOT arg_NAME OR NOT arg_SOURCES)
@@ -56,6 +57,15 @@ function(ft_add_test)
   if(arg_LABELS)
     string(REPLACE ";" "\\;" labels "${arg_LABELS}")
     list(APPEND properties LABELS "${labels}")
+  endif()
+  if(FT_TEST_SHARDS)
+    math(EXPR last "${FT_TEST_SHARDS} - 1")
+    foreach(shard RANGE ${last})
+      add_test(NAME ${arg_NAME}_${shard} COMMAND ${arg_NAME} WORKING_DIRECTORY ${PROJECT_BINARY_DIR})
+      set_tests_properties(${arg_NAME}_${shard} PROPERTIES ${properties}
+        ENVIRONMENT "GTEST_TOTAL_SHARDS=${FT_TEST_SHARDS};GTEST_SHARD_INDEX=${shard}")
+    endforeach()
+    return()
   endif()
   gtest_discover_tests(${arg_NAME}
     TEST_PREFIX ${arg_NAME}:

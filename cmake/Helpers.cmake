@@ -75,24 +75,43 @@ function(ft_add_test)
     PROPERTIES ${properties})
 endfunction()
 
-# ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
-# One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
-# sources as CUDA, each through a generated unit that includes it.
-function(ft_add_stage_tests)
-  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
-  ft_add_test(NAME ${arg_NAME}_host SOURCES ${arg_SOURCES} LIBS ft::ft ${arg_LIBS}
-              LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
-  if(NOT FT_HAS_CUDA)
-    return()
-  endif()
+# ft_make_units(out folder extension sources...): units that include FT_TEST_BATCH of the sources each
+function(ft_make_units out folder extension)
   set(units)
-  foreach(source IN LISTS arg_SOURCES)
-    get_filename_component(source ${source} ABSOLUTE)
-    file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${source})
-    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${arg_NAME}_cuda/${relative}.cu)
-    file(CONFIGURE OUTPUT ${unit} CONTENT "#include \"${source}\"\n" @ONLY)
+  list(LENGTH ARGN count)
+  math(EXPR last "${count} - 1")
+  foreach(begin RANGE 0 ${last} ${FT_TEST_BATCH})
+    list(SUBLIST ARGN ${begin} ${FT_TEST_BATCH} sources)
+    set(text)
+    foreach(source IN LISTS sources)
+      get_filename_component(source ${source} ABSOLUTE)
+      string(APPEND text "#include \"${source}\"\n")
+    endforeach()
+    list(GET sources 0 first)
+    get_filename_component(first ${first} ABSOLUTE)
+    file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${first})
+    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${folder}/${relative}.${extension})
+    file(CONFIGURE OUTPUT ${unit} CONTENT "${text}" @ONLY)
     list(APPEND units ${unit})
   endforeach()
-  ft_add_test(NAME ${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda ${arg_LIBS}
-              LABELS gpu ${arg_LABELS})
+  set(${out} ${units} PARENT_SCOPE)
+endfunction()
+
+# ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
+# One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
+# sources as CUDA, through generated units that include them. The plain host program, and it alone, compiles
+# each source by itself.
+function(ft_add_stage_tests)
+  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
+  set(units ${arg_SOURCES})
+  if(FT_SANITIZE)
+    ft_make_units(units ${arg_NAME}_host cpp ${arg_SOURCES})
+  endif()
+  ft_add_test(NAME ${arg_NAME}_host SOURCES ${units} LIBS ft::ft ${arg_LIBS}
+              LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
+  if(FT_HAS_CUDA)
+    ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
+    ft_add_test(NAME ${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda ${arg_LIBS}
+                LABELS gpu ${arg_LABELS})
+  endif()
 endfunction()

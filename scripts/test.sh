@@ -96,7 +96,7 @@ build_all() {
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=5
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests

@@ -27,8 +27,9 @@ function(ft_target_defaults target)
 endfunction()
 
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
-# One GoogleTest executable; each of its tests becomes one of ctest's. The label gpu marks what needs a
-# device, cuda what needs no more than the CUDA compiler; the target ft_host_tests builds all others.
+# One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
+# parts of it do. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
+# the target ft_host_tests builds all others.
 function(ft_add_test)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
   if(arg_UNPARSED_ARGUMENTS OR NOT arg_NAME OR NOT arg_SOURCES)
@@ -53,9 +54,21 @@ function(ft_add_test)
     add_dependencies(ft_host_tests ${arg_NAME})
   endif()
   set(properties TIMEOUT 600)
+  if(FT_TEST_SHARDS)
+    set(properties TIMEOUT 1800)
+  endif()
   if(arg_LABELS)
     string(REPLACE ";" "\\;" labels "${arg_LABELS}")
     list(APPEND properties LABELS "${labels}")
+  endif()
+  if(FT_TEST_SHARDS)
+    math(EXPR last "${FT_TEST_SHARDS} - 1")
+    foreach(shard RANGE ${last})
+      add_test(NAME ${arg_NAME}_${shard} COMMAND ${arg_NAME} WORKING_DIRECTORY ${PROJECT_BINARY_DIR})
+      set_tests_properties(${arg_NAME}_${shard} PROPERTIES ${properties}
+        ENVIRONMENT "GTEST_TOTAL_SHARDS=${FT_TEST_SHARDS};GTEST_SHARD_INDEX=${shard}")
+    endforeach()
+    return()
   endif()
   gtest_discover_tests(${arg_NAME}
     TEST_PREFIX ${arg_NAME}:
@@ -65,24 +78,43 @@ function(ft_add_test)
     PROPERTIES ${properties})
 endfunction()
 
-# ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
-# One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
-# sources as CUDA, each through a generated unit that includes it.
-function(ft_add_stage_tests)
-  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
-  ft_add_test(NAME ${arg_NAME}_host SOURCES ${arg_SOURCES} LIBS ft::ft ${arg_LIBS}
-              LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
-  if(NOT FT_HAS_CUDA)
-    return()
-  endif()
+# ft_make_units(out folder extension sources...): units that include FT_TEST_BATCH of the sources each
+function(ft_make_units out folder extension)
   set(units)
-  foreach(source IN LISTS arg_SOURCES)
-    get_filename_component(source ${source} ABSOLUTE)
-    file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${source})
-    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${arg_NAME}_cuda/${relative}.cu)
-    file(CONFIGURE OUTPUT ${unit} CONTENT "#include \"${source}\"\n" @ONLY)
+  list(LENGTH ARGN count)
+  math(EXPR last "${count} - 1")
+  foreach(begin RANGE 0 ${last} ${FT_TEST_BATCH})
+    list(SUBLIST ARGN ${begin} ${FT_TEST_BATCH} sources)
+    set(text)
+    foreach(source IN LISTS sources)
+      get_filename_component(source ${source} ABSOLUTE)
+      string(APPEND text "#include \"${source}\"\n")
+    endforeach()
+    list(GET sources 0 first)
+    get_filename_component(first ${first} ABSOLUTE)
+    file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${first})
+    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${folder}/${relative}.${extension})
+    file(CONFIGURE OUTPUT ${unit} CONTENT "${text}" @ONLY)
     list(APPEND units ${unit})
   endforeach()
-  ft_add_test(NAME ${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda ${arg_LIBS}
-              LABELS gpu ${arg_LABELS})
+  set(${out} ${units} PARENT_SCOPE)
+endfunction()
+
+# ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
+# One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
+# sources as CUDA, through generated units that include them. The plain host program, and it alone, compiles
+# each source by itself.
+function(ft_add_stage_tests)
+  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
+  set(units ${arg_SOURCES})
+  if(FT_SANITIZE)
+    ft_make_units(units ${arg_NAME}_host cpp ${arg_SOURCES})
+  endif()
+  ft_add_test(NAME ${arg_NAME}_host SOURCES ${units} LIBS ft::ft ${arg_LIBS}
+              LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
+  if(FT_HAS_CUDA)
+    ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
+    ft_add_test(NAME ${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda ${arg_LIBS}
+                LABELS gpu ${arg_LABELS})
+  endif()
 endfunction()

@@ -103,6 +103,31 @@ ft_jobs() {
   echo $((gigabytes < 1 ? 1 : cores < gigabytes ? cores : gigabytes))
 }
 
+# ft_start COMMAND...: beside this shell, as many at a time as ft_jobs says. What it says comes in one piece
+# when it ends. ft_wait waits for all of them, and fails where one failed.
+ft_start() {
+  local command="$*"
+  [[ -n ${ft_failures:-} ]] || ft_failures=$(mktemp)
+  while (($(jobs -rp | wc -l) >= $(ft_jobs))); do wait -n || true; done
+  (
+    said=$(mktemp)
+    exec 3>&1 >"$said" 2>&1
+    trap 'status=$?; cat "$said" >&3; rm "$said"; ((status == 0)) || echo "$command" >>"$ft_failures"' EXIT
+    "$@"
+  ) &
+}
+ft_wait() {
+  local status=0
+  wait
+  if [[ -s ${ft_failures:-} ]]; then
+    sed 's/^/failed: /' "$ft_failures" >&2
+    status=1
+  fi
+  rm -f "${ft_failures:-}"
+  ft_failures=
+  return "$status"
+}
+
 # ft_configure BUILD_DIR OPTION...: with Ninja in a new folder, with what it was made for in an old one.
 ft_configure() {
   local dir=$1 generator=()

@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds the fuzzers of fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run:
-#   scripts/fuzz.sh [SECONDS]     of all of them together; 60 without the argument
+# Builds the fuzzers of fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run, as many
+# at a time as FT_JOBS says:
+#   scripts/fuzz.sh [SECONDS]     the sum over all of them; 60 without the argument
 # Each begins with fuzz/corpus/NAME and what earlier runs found (build-fuzz/corpus/NAME). It ends with
 # an error where a fuzzer finds one; the input is then in build-fuzz/NAME.
 # Without a clang++ that has libFuzzer it says so and ends with 77.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+# shellcheck source=scripts/deps.sh
+source scripts/deps.sh
 
 seconds=${1:-60}
 if ! [[ $seconds =~ ^[1-9][0-9]*$ ]]; then
@@ -28,17 +31,21 @@ fi
 compiler=(clang++)
 if command -v ccache >/dev/null; then compiler=(ccache clang++); fi
 
-build() {
-  local name=$1 sources=(fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source object
+readers_parts=(sequence/{reader,calibration,evaluation,image_io,rectify}.cpp)
+
+object_of() { echo "$folder/$(basename "$1" .cpp).o"; }
+
+compile() {
+  "${compiler[@]}" "${flags[@]}" -isystem /usr/include/eigen3 -c "$1" -o "$(object_of "$1")"
+}
+
+link() {
+  local name=$1 sources=(fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source
   if [[ $name == readers ]]; then
-    sources+=(sequence/{reader,calibration,evaluation,image_io,rectify}.cpp)
+    sources+=("${readers_parts[@]}")
     libraries=(-lpng -ljpeg -lyaml-cpp -lpthread)
   fi
-  for source in "${sources[@]}"; do
-    object=$folder/$(basename "$source" .cpp).o
-    "${compiler[@]}" "${flags[@]}" -isystem /usr/include/eigen3 -c "$source" -o "$object"
-    objects+=("$object")
-  done
+  for source in "${sources[@]}"; do objects+=("$(object_of "$source")"); done
   clang++ "${flags[@]}" "${objects[@]}" -o "$folder/${name}_fuzz" "${libraries[@]}"
 }
 
@@ -57,5 +64,10 @@ run() {
           printf "%-10s %8d executions, %s\n", name, runs, substr(line, RSTART, RLENGTH) }' "$log"
 }
 
-for name in "${fuzzers[@]}"; do build "$name"; done
-for name in "${fuzzers[@]}"; do run "$name"; done
+for source in "${fuzzers[@]/%/_fuzz.cpp}"; do ft_start compile "fuzz/$source"; done
+for source in "${readers_parts[@]}"; do ft_start compile "$source"; done
+ft_wait
+for name in "${fuzzers[@]}"; do ft_start link "$name"; done
+ft_wait
+for name in "${fuzzers[@]}"; do ft_start run "$name"; done
+ft_wait

@@ -12,7 +12,7 @@ usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
   --quick   without the sanitizers and the consumer projects
-FT_JOBS is the number of compile jobs at a time; FT_DATA the folder of the recorded data of the golden
+FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
 EOF
 }
@@ -96,24 +96,28 @@ build_all() {
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=5
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests
 }
 
+clang_compiles_alone() {
+  clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
+    -Iinclude -include "$1" -x c++ /dev/null
+}
 check_headers_with_clang() {
-  local header failed=0 count=0
-  while IFS= read -r header; do
-    count=$((count + 1))
-    clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
-      -Iinclude -include "$header" -x c++ /dev/null || {
-      echo "clang++: include/$header" >&2
-      failed=1
-    }
-  done < <(cd include && find ft -name '*.hpp' -not -path '*/detail/*' -not -path '*/interop/*' | sort)
-  echo "$count headers"
-  return "$failed"
+  local headers header
+  mapfile -t headers < <(cd include &&
+    find ft -name '*.hpp' -not -path '*/detail/*' -not -path '*/interop/*' | sort)
+  for header in "${headers[@]}"; do ft_start clang_compiles_alone "$header"; done
+  ft_wait
+  echo "${#headers[@]} headers"
+}
+
+# Slow checkers repeat less.
+run_sanitizer_tests() {
+  FT_TEST_EFFORT=${FT_TEST_EFFORT:-25} run_ctest sanitizers "$asan" -LE slow
 }
 
 step "Dependencies" ft_install_missing test
@@ -141,7 +145,7 @@ fi
 if ((!quick)); then
   step "Sanitizers: configure" cmake --preset host-asan
   step "Sanitizers: build" build_all "$asan"
-  step "Sanitizers: tests" run_ctest sanitizers "$asan" -LE slow
+  step "Sanitizers: tests" run_sanitizer_tests
   step "ThreadSanitizer: configure" cmake --preset host-tsan
   step "ThreadSanitizer: build" cmake --build --preset host-tsan
   step "ThreadSanitizer: the shim beside a mapping thread" \

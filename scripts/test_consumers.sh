@@ -5,7 +5,8 @@
 #   scripts/test_consumers.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
 # prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
-# The example project of docs/new_camera_model.md is one of them; it needs GoogleTest.
+# The example project of docs/new_camera_model.md is one of them; it needs GoogleTest. As many at a time as
+# FT_JOBS says.
 set -euo pipefail
 ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # shellcheck source=scripts/deps.sh
@@ -67,54 +68,37 @@ example() {
   run "$dir/stereo_depth"
 }
 
-heading install
-prefix=$work/prefix
-quietly cmake --install "$build" --prefix "$prefix"
-
-# OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda
-modes=(OFF)
-if [[ $cuda == ON ]]; then modes+=(LINKED ON); fi
-for mode in "${modes[@]}"; do
-  for standard in 17 20; do
-    cmake_consumer find_package "$mode" "$standard" -DCMAKE_PREFIX_PATH="$prefix"
-  done
-  cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
-  cmake_consumer fetch_content "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
-done
-several_units -DCMAKE_PREFIX_PATH="$prefix"
-
-example host -DCMAKE_PREFIX_PATH="$prefix"
-if [[ $cuda == ON ]]; then example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON; fi
-
-heading "plain_include, ${CXX:-g++}"
-make --no-print-directory -C "$consumers/plain_include" OUT="$work" FT_INCLUDE="$prefix/include" \
-  CXX="${CXX:-g++}" "$work/consumer"
-run "$work/consumer"
-if [[ $cuda == ON ]]; then
+plain_include() {
+  heading "plain_include, ${CXX:-g++}"
+  make --no-print-directory -C "$consumers/plain_include" OUT="$work" FT_INCLUDE="$prefix/include" \
+    CXX="${CXX:-g++}" "$work/consumer"
+  run "$work/consumer"
+}
+plain_include_nvcc() {
   heading "plain_include, nvcc"
   make --no-print-directory -C "$consumers/plain_include" OUT="$work" FT_INCLUDE="$prefix/include" \
     "$work/consumer_cuda"
   run "$work/consumer_cuda"
-fi
+}
 
-if command -v pkg-config >/dev/null; then
+by_pkg_config() {
   heading pkg-config
   export PKG_CONFIG_PATH=$prefix/share/pkgconfig${PKG_CONFIG_PATH:+:$PKG_CONFIG_PATH}
+  local flags
   read -ra flags <<<"$(pkg-config --cflags --libs ft)"
   "${CXX:-g++}" -std=c++17 -O1 "$consumers/consumer.cpp" "${flags[@]}" -o "$work/consumer_pc"
   run "$work/consumer_pc"
-fi
+}
 
-heading "packaging: recipes say the version of the headers"
-python3 "$ft_root/scripts/check_packaging.py"
-
-heading "packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
-quietly cmake -DPORT="$ft_root/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
-  -P "$consumers/vcpkg/run_port.cmake"
-cmake_consumer find_package OFF 17 -DCMAKE_PREFIX_PATH="$work/vcpkg/packages"
+vcpkg_port() {
+  heading "packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
+  quietly cmake -DPORT="$ft_root/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
+    -P "$consumers/vcpkg/run_port.cmake"
+  cmake_consumer find_package OFF 17 -DCMAKE_PREFIX_PATH="$work/vcpkg/packages"
+}
 
 # The dependency is a stand-in for oneTBB's package, so that no package server is needed.
-if command -v conan >/dev/null; then
+conan_recipe() {
   heading packaging/conan
   export CONAN_HOME=$work/conan
   quietly conan profile detect
@@ -122,6 +106,44 @@ if command -v conan >/dev/null; then
   quietly conan create "$ft_root/packaging/conan" --no-remote -s compiler.cppstd=17 \
     -c tools.cmake.cmake_layout:test_folder="$work/conan_test"
   grep '^ft [0-9]' "$work/log"
+}
+
+# in_own_folder FUNCTION ARGUMENT...: beside others, so with a folder of its own for what it writes
+in_own_folder() {
+  work=$(mktemp -d "$work/XXXX")
+  "$@"
+}
+consume() { ft_start in_own_folder "$@"; }
+
+heading install
+prefix=$work/prefix
+quietly cmake --install "$build" --prefix "$prefix"
+
+# OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda
+modes=(OFF)
+if [[ $cuda == ON ]]; then
+  modes+=(LINKED ON)
+  consume example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON  # the longest first
+fi
+consume example host -DCMAKE_PREFIX_PATH="$prefix"
+consume several_units -DCMAKE_PREFIX_PATH="$prefix"
+for mode in "${modes[@]}"; do
+  for standard in 17 20; do
+    consume cmake_consumer find_package "$mode" "$standard" -DCMAKE_PREFIX_PATH="$prefix"
+  done
+  consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
+  consume cmake_consumer fetch_content "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
+done
+consume plain_include
+if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
+if command -v pkg-config >/dev/null; then consume by_pkg_config; fi
+consume vcpkg_port
+if command -v conan >/dev/null; then
+  consume conan_recipe
 else
   echo "Conan is not installed (pip install conan): packaging/conan not created here"
 fi
+ft_wait
+
+heading "packaging: recipes say the version of the headers"
+python3 "$ft_root/scripts/check_packaging.py"

@@ -28,6 +28,7 @@
 #include "sequence/reader.hpp"
 #include "tests/app/process.hpp"
 #include "tests/sequence/test_support.hpp"
+#include "tests/support/effort.hpp"
 
 namespace {
 
@@ -479,6 +480,7 @@ TEST(Track, GeneratedFisheyeSequence) {
 
 // 23 m, whole pixels and a short baseline: depths from single pairs would make it 1 % too short.
 TEST(Track, FisheyeLapKeepsItsScale) {
+  if (test::effort(100) < 100) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   temp_folder const folder;
   std::string const sequence = generated(300, {"--rig", "fisheye"});
   ASSERT_TRUE(succeeded(track(sequence, folder.path("out"), {"--threads", "0"})));

@@ -2,6 +2,7 @@
 #include <memory>
 
 #include "integration/orbslam3/cuda_tracker.hpp"
+#include "tests/orbslam3/backends.hpp"
 
 namespace orbslam3_test {
 

@@ -18,7 +18,7 @@
 #include "tests/orbslam3/plain_search.hpp"
 #include "tests/orbslam3/scene.hpp"
 #include "tests/orbslam3/stand_in.hpp"
-#include "tests/support/backends.hpp"
+#include "tests/support/effort.hpp"
 
 namespace orbslam3_test {
 

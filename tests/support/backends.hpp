@@ -13,17 +13,10 @@
 
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "tests/support/effort.hpp"
 #include "tests/support/memory.hpp"
 
 namespace test {
-
-/// `count` repetitions, or the share of them that FT_TEST_EFFORT (percent, 1 to 100) asks for: slow
-/// checkers need fewer.
-inline int effort(int count) {
-  char const* const percent = std::getenv("FT_TEST_EFFORT");
-  int const share = percent == nullptr ? 100 : std::clamp(std::atoi(percent), 1, 100);
-  return std::max(1, count * share / 100);
-}
 
 struct host_backend {
   using exec_type = ft::host_exec;

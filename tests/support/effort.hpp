@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file How much of a long test to run.
+#pragma once
+
+#include <algorithm>
+#include <cstdlib>
+
+namespace test {
+
+/// `count` repetitions, or the share of them that FT_TEST_EFFORT (percent, 1 to 100) asks for: slow
+/// checkers need fewer.
+inline int effort(int count) {
+  char const* const percent = std::getenv("FT_TEST_EFFORT");
+  int const share = percent == nullptr ? 100 : std::clamp(std::atoi(percent), 1, 100);
+  return std::max(1, count * share / 100);
+}
+
+}  // namespace test

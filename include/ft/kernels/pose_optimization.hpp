@@ -589,12 +589,17 @@ private:
       ordered_sum_scratch<terms>& sums = s.sums[descent.spare];
       linearize(g, s, sums, rig, problem, params, descent.trial, robust);
       if (g.rank() == 0) {
+        // On copies: loads from scratch at once, not one after another between stores.
+        detail::damped_descent next = descent;
+        sum_terms<terms> const there = sums.total;
         if (first) {
-          descent.begin(sums.total, params);
+          next.begin(there, params);
         } else {
-          descent.judge(sums.total, params);
+          next.judge(there, params);
         }
-        descent.propose(s.sums[descent.spare ^ 1].total, params);
+        sum_terms<terms> const best = s.sums[next.spare ^ 1].total;
+        next.propose(best, params);
+        descent = next;
       }
       g.sync();
     }

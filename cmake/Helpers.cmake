@@ -26,6 +26,14 @@ function(ft_target_defaults target)
   set_target_properties(${target} PROPERTIES CXX_EXTENSIONS OFF CUDA_EXTENSIONS OFF)
 endfunction()
 
+# The one unit of a program that has the pipeline in it, where most of its time goes: sanitizers, whose build
+# optimises little, optimise it.
+function(ft_optimize_pipeline target source)
+  if(FT_SANITIZE)
+    set_property(SOURCE ${source} TARGET_DIRECTORY ${target} APPEND PROPERTY COMPILE_OPTIONS -O2)
+  endif()
+endfunction()
+
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
 # One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
 # parts of it do. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;

@@ -1099,6 +1099,7 @@ TEST(Options, FullDisk) {
 // ---- recorded data
 
 TEST(Recorded, Kitti) {
+  if (test::effort(100) < 100) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   SEQ_TEST_SHARED_OR_SKIP(shared);
   temp_folder const folder;
   std::string const sequence = shared + "/data/kitti_0926_stereo";

@@ -17,11 +17,13 @@
 
 #include "integration/orbslam3/plain_types.hpp"
 #include "tests/orbslam3/stand_in.hpp"
+#include "tests/support/effort.hpp"
 #include "tests/support/npy.hpp"
 
 namespace orbslam3_test {
 
-/// Folders with recorded answers; none where there are none.
+/// Folders with recorded answers; none where there are none. FT_TEST_EFFORT keeps a share of them,
+/// evenly spread.
 inline std::vector<std::string> recorded_folders() {
   char const* const data = std::getenv("FT_DATA");
   std::string const root = std::string(data == nullptr ? "../shared" : data) + "/golden";
@@ -32,8 +34,12 @@ inline std::vector<std::string> recorded_folders() {
       found.push_back(entry.path().string());
     }
   }
-  std::sort(found.begin(), found.end());
-  return found;
+  std::sort(found.rbegin(), found.rend());
+  auto const step =
+      found.size() / static_cast<std::size_t>(test::effort(static_cast<int>(found.size())));
+  std::vector<std::string> kept;
+  for (std::size_t i = 0; i < found.size(); i += step) { kept.push_back(found[i]); }
+  return kept;
 }
 
 inline stand_in::matrix image_of(test::npy<std::uint8_t> const& pixels) {

@@ -81,6 +81,16 @@ struct exponential {
     out[i] = ft::detail::exp_se3(d).template cast<double>();
   }
 };
+struct exponential_in_float {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* twists,
+                                 ft::rigid<float>* out) const {
+    ft::strict_float d[6];
+    for (int k = 0; k < 6; ++k) { d[k] = twists[6 * i + k]; }
+    out[i] = ft::detail::exp_se3(d).template cast<float>();
+  }
+};
 
 /// A system of six equations: matrix as upper triangle by rows, right side.
 struct system_6 {
@@ -351,6 +361,34 @@ TYPED_TEST(math_unit, exp_of_a_twist_is_rodrigues_formula) {
     double const tolerance = 1e-14 * std::max(1.0, 4 * angles[i]);
     EXPECT_LT(largest_difference(out[i], exponential_by_rodrigues(&twists[6 * i])), tolerance)
         << "angle " << angles[i];
+  }
+}
+
+TYPED_TEST(math_unit, exp_of_many_turns_in_float_is_a_rotation_still) {
+  std::vector<float> twists;
+  std::mt19937 random(16);
+  std::normal_distribution<float> normal;
+  for (float const angle : {5.0f, 9.0f, 284.0f, 1e4f, 1e6f}) {
+    for (int k = 0; k < 20; ++k) {
+      float const axis[3] = {normal(random), normal(random), normal(random)};
+      float const length = std::sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
+      for (float const v : axis) { twists.push_back(angle * v / length); }
+      for (int j = 0; j < 3; ++j) { twists.push_back(normal(random)); }
+    }
+  }
+  std::size_t const n = twists.size() / 6;
+  auto const d_twists = test::to_exec(this->backend.exec, twists);
+  ft::buffer<ft::rigid<float>, TypeParam::exec_type::space> d_out(n);
+  ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(n), exponential_in_float{},
+                                    static_cast<float const*>(d_twists.data()), d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, static_cast<ft::rigid<float> const*>(d_out.data()), n);
+  for (std::size_t i = 0; i < n; ++i) {
+    auto const R = out[i].template cast<double>().R;
+    auto const product = R * R.transposed();
+    for (int k = 0; k < 9; ++k) {
+      EXPECT_NEAR(product.m[k], k % 4 == 0 ? 1.0 : 0.0, 1e-5) << "twist " << i;
+    }
   }
 }
 

@@ -93,8 +93,14 @@ FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
   rigid<Real> t;
   t.R = one_plus(a, b, w, theta2);
   t.t = one_plus(b, c, w, theta2) * u;
+  // Each product doubles what R lacks of a rotation: of many turns nothing would be left in float.
+  constexpr int harmless = 6;
+  bool const many = halvings > harmless;
   FT_NO_UNROLL
-  for (; halvings > 0; --halvings) { t = t * t; }
+  for (; halvings > 0; --halvings) {
+    t = t * t;
+    if (many) { t = t.orthonormalized(); }
+  }
   return t;
 }
 

@@ -78,6 +78,8 @@ public:
 
   /// Everything is done already when a call returns.
   void wait() const {}
+  /// Where threads read what the caller has at `p`; null where they cannot.
+  static void const* host_address(void const* p) { return p; }
 
 private:
   std::shared_ptr<tbb::task_arena> arena_;
@@ -129,6 +131,9 @@ void for_each_item(host_exec const& exec, int items, Op const& op, Args const&..
   exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
 
+/// For launches that fill the device.
+inline host_exec const& evenly(host_exec const& exec) { return exec; }
+
 /// How much extra scratch each of `items` blocks of `Threads` threads may have, bytes.
 template <int Threads, typename Op>
 std::size_t extra_scratch(host_exec const&, int /*items*/) {
@@ -167,7 +172,22 @@ struct cuda_exec {
   explicit cuda_exec(cudaStream_t s, bool early = false) : stream(s), early_launches(early) {}
   /// Blocks until everything queued on the stream is done. @throws cuda_error
   void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
+  /// Where threads read what the caller has at `p`, in pinned, registered, managed or device
+  /// memory; null where they cannot.
+  static void const* host_address(void const* p) {
+    // A thread that did not use the device yet is told nothing about memory.
+    int device = 0;
+    detail::check(cudaGetDevice(&device), "cudaGetDevice");
+    detail::check(cudaSetDevice(device), "cudaSetDevice");
+    cudaPointerAttributes facts{};
+    detail::check(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
+    return facts.type == cudaMemoryTypeUnregistered ? nullptr : facts.devicePointer;
+  }
 };
+
+/// For launches that fill the device. One that begins early takes its places while the one ahead
+/// still has some: then multiprocessors get different shares of it.
+inline cuda_exec evenly(cuda_exec const& exec) { return cuda_exec(exec.stream); }
 
 template <typename Shape, typename Op, typename... Args>
 FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {

@@ -486,8 +486,8 @@ void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                static_cast<std::size_t>(out.batch * out.layout.levels) * sizeof(int));
     return;
   }
-  for_each_item<per_block<128>>(exec, out.batch * out.layout.cells, detect_cell{}, pyramid, out,
-                                params);
+  for_each_item<per_block<128>>(evenly(exec), out.batch * out.layout.cells, detect_cell{}, pyramid,
+                                out, params);
   for_each_item<per_warp>(exec, out.batch * out.layout.cells, gather_cell{}, out);
 }
 

@@ -408,8 +408,8 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
                    pyramid_tiles const& tiles) {
   for (int i = 0; i < tiles.groups; ++i) {
     tile_group const& group = tiles.group[i];
-    for_each_item<per_block<512>>(exec, pyramid.batch * group.columns * group.rows, resize_tile{},
-                                  pyramid, taps, tiles, i);
+    for_each_item<per_block<512>>(evenly(exec), pyramid.batch * group.columns * group.rows,
+                                  resize_tile{}, pyramid, taps, tiles, i);
   }
 }
 

@@ -137,7 +137,7 @@ public:
               mask.height);
   }
 
-  /// Queues all stages over the uploaded images; the blur beside corners and distribution.
+  /// Queues all stages over the uploaded images; the blur beside the distribution.
   void extract(Exec const& exec) {
     extract_beside(exec, [](Exec const&) {});
   }
@@ -146,8 +146,9 @@ public:
   template <typename Located>
   void extract_beside(Exec const& exec, Located const& located) {
     resize(exec);
-    blur_pyramid(blur_branch_.fork(exec), pyramid_, blurred_, blur_layout_);
     detect(exec);
+    // Beside the quadtree most of a device is idle; its few blocks get their places first.
+    blur_pyramid(blur_branch_.fork_late(exec), pyramid_, blurred_, blur_layout_);
     distribute_corners(exec, corners_, distribution_);
     order(exec);
     located(exec);

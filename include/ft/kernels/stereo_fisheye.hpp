@@ -259,6 +259,21 @@ private:
   }
 };
 
+/// The part of match_stereo_fisheye() that needs no keypoints; one launch.
+template <typename Exec>
+void clear_fisheye_matches(Exec const& exec, fisheye_matches_view const& out) {
+  for_each_item<per_thread>(exec, 2 * out.batch * out.capacity, clear_partners{}, out);
+}
+
+/// The rest of it; one launch.
+template <typename Exec, typename Rig>
+void match_cleared_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
+                           int const* mono_count, pyramid_geometry const& geometry,
+                           fisheye_stereo_params const& params, fisheye_matches_view const& out) {
+  for_each_item<per_warp>(exec, out.batch * out.capacity, match_fisheye_keypoint<Rig>{}, rig,
+                          keypoints, mono_count, geometry, params, out);
+}
+
 /// Partners, depths and points of the keypoints in the overlap of every pair; images 2 b and 2 b +
 /// 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param mono_count [images] keypoints before the overlap's, from describe_corners
@@ -266,9 +281,8 @@ template <typename Exec, typename Rig>
 void match_stereo_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
                           int const* mono_count, pyramid_geometry const& geometry,
                           fisheye_stereo_params const& params, fisheye_matches_view const& out) {
-  for_each_item<per_thread>(exec, 2 * out.batch * out.capacity, clear_partners{}, out);
-  for_each_item<per_warp>(exec, out.batch * out.capacity, match_fisheye_keypoint<Rig>{}, rig,
-                          keypoints, mono_count, geometry, params, out);
+  clear_fisheye_matches(exec, out);
+  match_cleared_fisheye(exec, rig, keypoints, mono_count, geometry, params, out);
 }
 
 }  // namespace FT_ABI

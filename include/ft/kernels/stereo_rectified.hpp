@@ -162,10 +162,15 @@ private:
 
 /// One pair: drops the matches whose score is too far above the median.
 struct cut_stereo_outliers {
+  static constexpr int fine_bits = 6;
+  static constexpr int fine_bins = 1 << fine_bits;
+  static constexpr int coarse_bins = 1 << (16 - fine_bits);  ///< scores are below 2^16
+  static constexpr int kept = 3;                             ///< scores that a thread reads once
   struct scratch {
-    int histogram[256];
-    int before[256];
-    int bin, below;
+    int coarse[coarse_bins];
+    int fine[fine_bins];
+    int bin;   ///< of the median
+    int rank;  ///< of the median inside its bin
   };
 
   template <typename Group>
@@ -173,56 +178,75 @@ struct cut_stereo_outliers {
                                  stereo_matches_view const& matches) const {
     stereo_matches_view const m = matches.slice(pair);
     int const n = *m.count;
-    int found = 0;
-    for (int i = g.rank(); i < n; i += g.size()) {
-      found += static_cast<int>(get<field::score>(m, i) >= 0);
+    int first[kept];
+    FT_UNROLL
+    for (int k = 0; k < kept; ++k) {
+      int const i = g.rank() + k * g.size();
+      first[k] = i < n ? get<field::score>(m, i) : -1;
     }
-    found = g.reduce(found, sum_op{});
+    auto const each_score = [&](auto const& visit) {
+      FT_UNROLL
+      for (int k = 0; k < kept; ++k) {
+        if (first[k] >= 0) { visit(g.rank() + k * g.size(), first[k]); }
+      }
+      for (int i = g.rank() + kept * g.size(); i < n; i += g.size()) {
+        int const score = get<field::score>(m, i);
+        if (score >= 0) { visit(i, score); }
+      }
+    };
+    for (int b = g.rank(); b < coarse_bins; b += g.size()) { s.coarse[b] = 0; }
+    for (int b = g.rank(); b < fine_bins; b += g.size()) { s.fine[b] = 0; }
+    g.sync();
+    each_score([&](int, int score) { atomic_add(s.coarse + (score >> fine_bits), 1); });
+    g.sync();
+
+    // The score of rank found / 2: first its bin, then its place in that.
+    int const chunk = ceil_div(coarse_bins, g.size());
+    int const begin = min_of(g.rank() * chunk, coarse_bins);
+    int const end = min_of(begin + chunk, coarse_bins);
+    int mine = 0;
+    for (int b = begin; b < end; ++b) { mine += s.coarse[b]; }
+    int found = 0;
+    int before = g.exclusive_scan(mine, found);
     if (found == 0) { return; }
-    // The score of rank found / 2, byte by byte: scores are below 2^16.
-    int rank = found / 2;
-    int const high = select(g, s, m, n, rank, 8, -1);
-    int const median = high << 8 | select(g, s, m, n, rank, 0, high);
+    if (before <= found / 2 && found / 2 < before + mine) {
+      int b = begin;
+      for (; before + s.coarse[b] <= found / 2; ++b) { before += s.coarse[b]; }
+      s.bin = b;
+      s.rank = found / 2 - before;
+    }
+    g.sync();
+    int const bin = s.bin;
+    each_score([&](int, int score) {
+      if (score >> fine_bits == bin) { atomic_add(s.fine + (score & (fine_bins - 1)), 1); }
+    });
+    g.sync();
+    int const median = bin << fine_bits | place_of(g.part(), s.fine, s.rank);
+
     float const limit = detail::mul(detail::mul(1.5f, 1.4f), static_cast<float>(median));
-    for (int i = g.rank(); i < n; i += g.size()) {
-      if (static_cast<float>(get<field::score>(m, i)) >= limit) {
+    each_score([&](int i, int score) {
+      if (static_cast<float>(score) >= limit) {
         get<field::right_x>(m, i) = -1;
         get<field::depth>(m, i) = -1;
         get<field::score>(m, i) = -1;
       }
-    }
+    });
   }
 
 private:
-  /// Byte at `shift` of the score of the given rank among those whose higher byte is `high` (any if
-  /// -1); `rank` becomes the rank inside that byte's bin.
-  template <typename Group>
-  FT_HOST_DEVICE static int select(Group g, scratch& s, stereo_matches_view const& m, int n,
-                                   int& rank, int shift, int high) {
-    for (int b = g.rank(); b < 256; b += g.size()) { s.histogram[b] = 0; }
-    g.sync();
-    for (int i = g.rank(); i < n; i += g.size()) {
-      int const score = get<field::score>(m, i);
-      if (score >= 0 && (high < 0 || score >> 8 == high)) {
-        atomic_add(s.histogram + (score >> shift & 255), 1);
-      }
-    }
-    g.sync();
-    for (int b = g.rank(); b < 256; b += g.size()) { s.before[b] = s.histogram[b]; }
-    g.sync();
-    g.exclusive_scan_array(s.before, 256);
-    g.sync();
-    for (int b = g.rank(); b < 256; b += g.size()) {
-      if (s.before[b] <= rank && rank < s.before[b] + s.histogram[b]) {
-        s.bin = b;
-        s.below = s.before[b];
-      }
-    }
-    g.sync();
-    int const bin = s.bin;
-    rank -= s.below;
-    g.sync();
-    return bin;
+  /// The bin that holds a rank, by each warp for itself.
+  template <typename Part>
+  FT_HOST_DEVICE static int place_of(Part part, int const* bins, int rank) {
+    int const chunk = ceil_div(fine_bins, part.size());
+    int const begin = part.rank() * chunk;
+    int mine = 0;
+    for (int b = begin; b < begin + chunk; ++b) { mine += bins[b]; }
+    int total = 0;
+    int before = part.exclusive_scan(mine, total);
+    bool const here = before <= rank && rank < before + mine;
+    int b = begin;
+    for (; here && before + bins[b] <= rank; ++b) { before += bins[b]; }
+    return part.shuffle(b, trailing_zeros(part.ballot(here)));
   }
 };
 

@@ -73,7 +73,7 @@ public:
     if constexpr (Rig::rectified) {
       sort_right_rows(exec, extractor.keypoints(), right_rows_);
     } else {
-      static_cast<void>(exec);
+      clear_fisheye_matches(exec, fisheye_);
       static_cast<void>(extractor);
     }
   }
@@ -84,8 +84,8 @@ public:
       match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
                         right_rows_);
     } else {
-      match_stereo_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
-                           extractor.geometry(), fisheye_params_, fisheye_);
+      match_cleared_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
+                            extractor.geometry(), fisheye_params_, fisheye_);
     }
   }
 

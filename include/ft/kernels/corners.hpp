@@ -211,9 +211,8 @@ struct detect_cell {
     quad scores[(max_cell_side + 2) * pitch / 16];  ///< from row 2 on, with a rim of zeros
     std::uint16_t candidates[list_size];            ///< places of pixels worth a score, any order
     int candidate_count;                            ///< may exceed the list: then all are tried
-    unsigned strict_found;
-    unsigned kept[2][mask_words];  ///< bit per place from row 3: above the lenient, the strict
-                                   ///< threshold
+    unsigned found;                                 ///< anything is kept
+    unsigned kept[mask_words];                      ///< bit per place from row 3
     int word_start[mask_words];
   };
 
@@ -278,50 +277,50 @@ private:
 
     detail::stage_rectangle(g, level, x0, y0, patch_w, patch_h, s.pixels, pitch / 4);
     for (int i = g.rank(); i < (inner_h + 2) * pitch / 16; i += g.size()) { s.scores[i] = {}; }
-    for (int i = g.rank(); i < words; i += g.size()) { s.kept[0][i] = s.kept[1][i] = 0; }
+    for (int i = g.rank(); i < words; i += g.size()) { s.kept[i] = 0; }
     if (g.rank() == 0) {
       s.candidate_count = 0;
-      s.strict_found = 0;
+      s.found = 0;
     }
     g.sync();
 
-    int const low = max_of(min_of(params.min_threshold, params.ini_threshold), 0);
-    list_by_words(g, s, first_x, inner_w, inner_h, low);
-    g.sync();
-
-    bool const listed = s.candidate_count <= list_size;
-    int const candidates = listed ? s.candidate_count : inner_w * inner_h;
+    int candidates = 0;
+    bool listed = true;
     auto const place = [&](int i) {
       if (listed) { return static_cast<int>(s.candidates[i]); }
       int const y = i / inner_w;
       return (y + 3) * pitch + first_x + i - y * inner_w;
     };
     constexpr detail::fast_circle circle(pitch);
-    for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const at = place(i);
-      int const score = detail::fast_score_of_pairs(pixels + at, circle, low);
-      scores[at + score_offset] = static_cast<std::uint8_t>(score);
-    }
-    g.sync();
-
-    // Scores do not depend on the threshold: what survives suppression at the lenient one and
-    // passes the strict one is what the strict one alone gives.
-    int const lenient = max_of(params.min_threshold, 1);
-    int const strict_threshold = max_of(params.ini_threshold, 1);
-    for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const at = place(i);
-      int const score = suppressed_score(scores + at + score_offset);
-      if (score < min_of(lenient, strict_threshold)) { continue; }
-      int const bit = at - 3 * pitch;
-      if (score >= lenient) { atomic_or(&s.kept[0][bit >> 5], 1u << (bit & 31)); }
-      if (score >= strict_threshold) {
-        atomic_or(&s.kept[1][bit >> 5], 1u << (bit & 31));
-        atomic_or(&s.strict_found, 1u);
+    // Scores do not depend on the threshold, and none that is suppressed at the strict one survives
+    // at the lenient: they are only tried where nothing is found.
+    for (int threshold = params.ini_threshold;; threshold = params.min_threshold) {
+      int const low = max_of(threshold, 0);
+      list_by_words(g, s, first_x, inner_w, inner_h, low);
+      g.sync();
+      listed = s.candidate_count <= list_size;
+      candidates = listed ? s.candidate_count : inner_w * inner_h;
+      for (int i = g.rank(); i < candidates; i += g.size()) {
+        int const at = place(i);
+        int const score = detail::fast_score_of_pairs(pixels + at, circle, low);
+        scores[at + score_offset] = static_cast<std::uint8_t>(score);
       }
+      g.sync();
+      for (int i = g.rank(); i < candidates; i += g.size()) {
+        int const at = place(i);
+        if (suppressed_score(scores + at + score_offset) < max_of(threshold, 1)) { continue; }
+        int const bit = at - 3 * pitch;
+        atomic_or(&s.kept[bit >> 5], 1u << (bit & 31));
+        s.found = 1;
+      }
+      g.sync();
+      if (s.found != 0 || threshold <= params.min_threshold) { break; }
+      if (g.rank() == 0) { s.candidate_count = 0; }
+      g.sync();
     }
-    g.sync();
+    if (s.found == 0) { return 0; }
 
-    unsigned const* const kept = s.kept[s.strict_found];
+    unsigned const* const kept = s.kept;
     for (int i = g.rank(); i < words; i += g.size()) { s.word_start[i] = popcount(kept[i]); }
     g.sync();
     int const found = g.exclusive_scan_array(s.word_start, words);

@@ -138,16 +138,24 @@ struct order_image {
                                  int* place, keypoints_view const& out, int* mono_count) const {
     distribution_layout const& layout = kept.layout;
     int const* const counts = kept.kept_count + image * layout.levels;
-    int all = 0;
-    for (int l = 0; l < layout.levels; ++l) { all += counts[l]; }
     stereo_overlap const overlap = overlaps[image];
-    int before = 0;  // corners in lower slots
-    int stereo = 0;  // those of them inside the overlap
+    int all = 0;
+    int stereo = 0;  // corners in lower slots inside the overlap
     for (int base = 0; base < layout.total; base += g.size()) {
       int const slot = base + g.rank();
       int const l = layout.level_of(slot);
       int const at = image * layout.total + slot;
-      bool const valid = slot < layout.total && slot - layout.first[l] < counts[l];
+      int rank = slot - layout.first[l];
+      bool valid = false;
+      all = 0;
+      for (int k = 0; k < layout.levels; ++k) {
+        int const count = counts[k];
+        if (k == l) {
+          valid = slot < layout.total && rank < count;
+          rank += all;
+        }
+        all += count;
+      }
       corner c{};
       float x = 0;
       float y = 0;
@@ -162,9 +170,7 @@ struct order_image {
         }
         inside = x >= overlap.left && x <= overlap.right;
       }
-      int valid_here = 0;
       int inside_here = 0;
-      int const rank = before + g.exclusive_count(valid, valid_here);
       int const stereo_rank = stereo + g.exclusive_count(inside, inside_here);
       if (valid) {
         place[at] = inside ? all - 1 - stereo_rank : rank - stereo_rank;
@@ -174,7 +180,6 @@ struct order_image {
         get<field::response>(out, to) = static_cast<float>(c.response);
         get<field::octave>(out, to) = l;
       }
-      before += valid_here;
       stereo += inside_here;
     }
     if (g.rank() == 0) {

@@ -124,7 +124,8 @@ struct distribute_level {
   int scratch_points = 0;
   /// Levels that keep more nodes are in the workspace, too.
   static constexpr int scratch_nodes = 512;
-  static constexpr int max_bins = 2048;  ///< codes are sorted into so many bins first
+  static constexpr int max_bins = 2048;   ///< codes are sorted into so many bins first,
+  static constexpr int more_bins = 8192;  ///< or so many where the points leave place for them
   /// Depths told apart at first; where nodes are left that might be split, all are.
   static constexpr int usual_depths = 7;
   static constexpr int max_rows =
@@ -141,7 +142,7 @@ struct distribute_level {
       int gain_before[scratch_nodes];
     };
     union {
-      int bins[max_bins];
+      alignas(16) int bins[max_bins];
       split_store splits;
     } b;
     int totals[2 * max_rows];
@@ -188,6 +189,14 @@ struct distribute_level {
       t.words = ceil_div(points, 32);
       t.keys = reinterpret_cast<unsigned long long*>(memory);
       t.order = reinterpret_cast<unsigned*>(memory + 8 * scratch_points);
+      int const even = (points + 1) / 2 * 2;  // keys fill quads
+      if (2 * (scratch_points - even) >= more_bins) {
+        t.bins = reinterpret_cast<int*>(t.keys + even);
+        t.most_bins = more_bins;
+      } else {
+        t.bins = s.b.bins;
+        t.most_bins = max_bins;
+      }
       t.order_size = scratch_points;
       t.rows = reinterpret_cast<unsigned*>(memory);
       t.before = reinterpret_cast<std::uint16_t*>(t.rows + 2 * max_rows * t.words);
@@ -214,6 +223,8 @@ private:
     t.keys = v.keys + slot +
              static_cast<std::ptrdiff_t>(distribution_view::key_pad) * (image * layout.levels + l);
     t.order = v.order + slot;
+    t.bins = s.b.bins;
+    t.most_bins = max_bins;
     t.order_size = static_cast<int>(corners.layout.level_slots(l));
     t.n = points;
     t.words = ceil_div(points, 32);
@@ -250,7 +261,7 @@ private:
     unsigned flip;  ///< the inverted bits
 
     /// @param most depths to tell apart, fewer where no node has more
-    FT_HOST_DEVICE shape(int w, int h, int root_count, int points, int most)
+    FT_HOST_DEVICE shape(int w, int h, int root_count, int points, int most, int most_bins)
         : width(w),
           height(h),
           roots(root_count),
@@ -267,7 +278,7 @@ private:
       rows = depths + 1;
       bins = roots;
       bin_shift = 2 * depths;
-      while (4 * bins <= min_of(max_bins, 2 * points) && bin_shift > 0) {
+      while (4 * bins <= min_of(most_bins, 2 * points) && bin_shift > 0) {
         bins *= 4;
         bin_shift -= 2;
       }
@@ -338,6 +349,8 @@ private:
     unsigned long long* keys;  ///< code << 32 | index
     unsigned* order;           ///< parting depth from the point before, and index, by code
     int order_size;            ///< at least n
+    int* bins;                 ///< of the sort alone
+    int most_bins;
     unsigned* rows;
     Index* before;
     node_range<Index>* list;  ///< front first
@@ -397,7 +410,7 @@ private:
                                 distribution_layout const& layout, int l, corner* kept) {
     int const wanted = layout.wanted[l];
     for (int most = usual_depths;; most = max_rows - 1) {
-      shape const level(layout.width[l], layout.height[l], layout.roots[l], t.n, most);
+      shape const level(layout.width[l], layout.height[l], layout.roots[l], t.n, most, t.most_bins);
       sort_points(g, s, t, level);
       mark_heads(g, t, level);
       count_heads(g, s, t, level);
@@ -436,15 +449,51 @@ private:
     return {0, 0};
   }
 
+  /// Counts become the sums of those before; `crowded` tells whether one is large. Each thread has
+  /// quads that follow each other.
+  template <typename Group>
+  FT_HOST_DEVICE static void scan_bins(Group g, scratch& s, int* bins, int n) {
+    struct alignas(16) quad {
+      int of[4];
+    };
+    auto* const quads = reinterpret_cast<quad*>(bins);
+    int const chunk = ceil_div(ceil_div(n, 4), g.size());
+    int const first = g.rank() * chunk;
+    int const end = min_of(first + chunk, ceil_div(n, 4));
+    int sum = 0;
+    int most = 0;
+    for (int i = first; i < end; ++i) {
+      quad const q = quads[i];
+      FT_UNROLL
+      for (int k = 0; k < 4; ++k) {
+        sum += q.of[k];
+        most = max_of(most, q.of[k]);
+      }
+    }
+    if (most > crowded_bin) { s.crowded = 1; }
+    int total = 0;
+    int at = g.exclusive_scan(sum, total);
+    for (int i = first; i < end; ++i) {
+      quad q = quads[i];
+      FT_UNROLL
+      for (int k = 0; k < 4; ++k) {
+        int const count = q.of[k];
+        q.of[k] = at;
+        at += count;
+      }
+      quads[i] = q;
+    }
+  }
+
   /// Fills `order`: the points by (code, index).
   template <typename Group, typename Index>
   FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
     constexpr int batch = 4;  // loads under way at a time
-    int* const bins = s.b.bins;
+    int* const bins = t.bins;
     unsigned* const table = t.order;  // dead before `order` is filled
     int const sides = level.width + level.height;
     bool const tables = sides <= t.order_size && sides < 2 * t.n;
-    for (int i = g.rank(); i < level.bins; i += g.size()) { bins[i] = 0; }
+    for (int i = g.rank(); i < ceil_div(level.bins, 4) * 4; i += g.size()) { bins[i] = 0; }
     if (g.rank() == 0) { s.crowded = 0; }
     // The codes of columns and rows where that is less than the codes of all points.
     if (tables) {
@@ -469,23 +518,7 @@ private:
       }
     }
     g.sync();
-    int const chunk = ceil_div(level.bins, g.size());
-    int const first = g.rank() * chunk;
-    int const end = min_of(first + chunk, level.bins);
-    int sum = 0;
-    bool crowded = false;
-    for (int i = first; i < end; ++i) {
-      sum += bins[i];
-      crowded = crowded || bins[i] > crowded_bin;
-    }
-    if (crowded) { atomic_or(&s.crowded, 1); }
-    int total = 0;
-    int at = g.exclusive_scan(sum, total);
-    for (int i = first; i < end; ++i) {
-      int const count = bins[i];
-      bins[i] = at;
-      at += count;
-    }
+    scan_bins(g, s, bins, level.bins);
     g.sync();
     for (int base = g.rank(); base < t.n; base += batch * g.size()) {
       unsigned code[batch];

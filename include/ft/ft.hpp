@@ -39,6 +39,7 @@
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/pyramid.hpp"
 #include "ft/kernels/pyramid_tiles.hpp"
+#include "ft/kernels/receive.hpp"
 #include "ft/kernels/rectify.hpp"
 #include "ft/kernels/search_by_projection.hpp"
 #include "ft/kernels/stereo_fisheye.hpp"

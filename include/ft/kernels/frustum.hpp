@@ -140,10 +140,7 @@ struct frustum_point {
     map_points_view const points = map.slice(b);
     int const slot = search.slots[item];
     bool const skip =
-        slot < 0 || slot >= points.capacity ||
-        (search.stamps.seen != nullptr &&
-         search.stamps.seen[static_cast<std::ptrdiff_t>(b) * points.capacity + slot] ==
-             search.stamps.frame[b]);
+        slot < 0 || slot >= points.capacity || search.stamps.stamped(b, points.capacity, slot);
     window_pair pair;
     constexpr int cameras = Rig::rectified ? 1 : 2;
     FT_UNROLL

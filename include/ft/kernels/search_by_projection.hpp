@@ -68,6 +68,18 @@ struct alignas(16) candidate_quad {
   std::uint32_t entry[4];
 };
 
+/// Which map points were seen in which frame: written after a search, so that the next leaves them
+/// out.
+struct point_stamps {
+  int const* frame = nullptr;  ///< [batch] number of this frame
+  int* seen = nullptr;  ///< [batch][map slots] number of the frame that held a point last, or null
+
+  /// Whether a slot of batch entry b was seen in this frame. @param slots of a map
+  FT_HOST_DEVICE bool stamped(int b, int slots, int slot) const {
+    return seen != nullptr && seen[static_cast<std::ptrdiff_t>(b) * slots + slot] == frame[b];
+  }
+};
+
 /// Candidates of one search and the state of the assignment.
 struct search_workspace {
   /// The best candidates of a window are listed; who needs more walks the grid again.
@@ -76,8 +88,11 @@ struct search_workspace {
   /// filled up with ~0 to whole quads
   candidate_quad* list = nullptr;
   static constexpr int observed = 1 << 30;
+  static constexpr int left_out = 1 << 29;
+  static constexpr int counted = left_out - 1;
   /// [cameras][batch][capacity], may exceed list_size; 0 where a window can take none of them; plus
-  /// `observed` where the point looked for is that
+  /// `observed` where the point looked for is that, and `left_out` where candidates are not listed
+  /// since they are taken
   int* list_count = nullptr;
   int* match = nullptr;   ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
   int* open = nullptr;    ///< [batch][capacity] points that have candidates
@@ -244,6 +259,7 @@ struct list_candidates {
             : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
     bool left_empty = false;
     for (int c = 0; c < frame.cameras; ++c) {
+      bool left_out = false;
       search_window const w = windows.camera(c);
       std::ptrdiff_t const at = work.window(c, b, i);
       int found = 0;
@@ -255,18 +271,22 @@ struct list_candidates {
         visit_cells(g, w, frame.grids.slice(frame.cameras * b + c), [&](int k) {
           int distance = -1;
           if (k >= 0) {
-            // With one camera a keypoint that is taken stays taken.
-            int const held = frame.cameras == 1 && !params.from_empty ? holder[k] : -1;
-            if (held < 0 || get<field::observations>(points, held) <= 0) {
-              distance =
-                  detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
+            // What is taken stays taken, but where a point without observations takes it over as a
+            // partner.
+            int const held = params.from_empty ? -1 : holder[c * frame.capacity() + k];
+            distance =
+                detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
+            if (distance >= 0 && held >= 0 && get<field::observations>(points, held) > 0) {
+              distance = -1;
+              left_out = true;
             }
             in_window = in_window || inside(w, kp, k);
           }
           list.add(g, distance, k);
         });
         found = list.finish(g, params.max_distance);
-        if (found > 0 && get<field::observations>(points, w.slot) > 0) {
+        if (frame.cameras == 2 && g.ballot(left_out) != 0) { found |= search_workspace::left_out; }
+        if (found != 0 && get<field::observations>(points, w.slot) > 0) {
           found |= search_workspace::observed;
         }
       }
@@ -297,6 +317,7 @@ struct assign_keypoints {
     int first_changed;
     int list_ended;  ///< 1 = somebody may want what the lists do not hold
     int guests;      ///< 1 = somebody looks for a point without observations
+    int proposed;    ///< 1 = `writer` has the window that took each keypoint, or nobody
   };
   struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
 
@@ -319,12 +340,15 @@ struct assign_keypoints {
                           ? nullptr
                           : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
     if constexpr (Turns) {
+      if (g.rank() == 0) { s.proposed = 0; }
       if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) { return; }
       take_turns(g, s, ctx);
     } else {
       one_after_another(ctx);
     }
   }
+
+  static constexpr int nobody = 0x7fffffff;
 
 private:
   struct context {
@@ -347,6 +371,13 @@ private:
     FT_HOST_DEVICE int list_count(int camera, int i) const {
       return work.list_count[work.window(camera, b, i)];
     }
+    /// The same, 0 where there are no candidates. @param all those that were not listed are some
+    FT_HOST_DEVICE int open_count(int camera, int i, bool all) const {
+      int const mask =
+          all ? search_workspace::counted | search_workspace::left_out : search_workspace::counted;
+      int const count = list_count(camera, i);
+      return (count & mask) != 0 ? count : 0;
+    }
     FT_HOST_DEVICE candidate_quad const* list(int camera, int i) const {
       return work.list + work.window(camera, b, i) * (search_workspace::list_size / 4);
     }
@@ -368,13 +399,16 @@ private:
     int const numbers = ctx.frame.numbers();
     for (int k = 0; ctx.params.from_empty && k < numbers; ++k) { ctx.holder[k] = -1; }
     int taken = 0;
+    bool guests = false;  // what was taken may not be any more
     for (int i = 0; i < ctx.windows.count[ctx.b]; ++i) {
       bool refused = false;
       for (int c = 0; c < ctx.frame.cameras; ++c) {
-        int const k = choose(ctx, c, i, window_list(ctx, c, i, ctx.list_count(c, i) != 0), refused,
+        bool const any = ctx.open_count(c, i, guests) != 0;
+        int const k = choose(ctx, c, i, window_list(ctx, c, i, any, guests), refused,
                              [&](int number) { return ctx.observed(ctx.holder[number]); });
         ctx.match(c, i) = k;
         if (k < 0) { continue; }
+        guests = guests || !ctx.observed(ctx.slot(c, i));
         int const partner = ctx.partner_of(ctx.number(c, k));
         ctx.holder[ctx.number(c, k)] = ctx.slot(c, i);
         if (partner >= 0) { ctx.holder[partner] = ctx.slot(c, i); }
@@ -383,8 +417,6 @@ private:
     }
     ctx.work.matches[ctx.b] = taken;
   }
-
-  static constexpr int nobody = 0x7fffffff;
 
   /// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
   /// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
@@ -432,7 +464,7 @@ private:
           int const count = ctx.list_count(c, i);
           if (count == 0 || (count & search_workspace::observed) != 0) { continue; }
           bool refused = false;
-          int const k = choose(ctx, c, i, window_list(ctx, c, i, true), refused,
+          int const k = choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,
                                [&](int number) { return owner[number] < i; });
           ctx.match(c, i) = k;
           if (k < 0) { continue; }
@@ -456,7 +488,10 @@ private:
       }
     }
     taken = g.reduce(taken, sum_op{});
-    if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
+    if (g.rank() == 0) {
+      ctx.work.matches[ctx.b] = taken;
+      s.proposed = static_cast<int>(small && s.guests == 0);
+    }
     return true;
   }
 
@@ -464,7 +499,7 @@ private:
   FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int* owner) {
     int place = 0;
     for (;;) {
-      int const n = ctx.list_count(c, i) & (search_workspace::observed - 1);
+      int const n = ctx.list_count(c, i) & search_workspace::counted;
       candidate_quad const* const list = ctx.list(c, i);
       if (place >= min_of(n, search_workspace::list_size)) {
         if (n > search_workspace::list_size) { s.list_ended = 1; }
@@ -563,9 +598,13 @@ private:
                  false};
     if (g.rank() == 0) { s.guests = 0; }
     g.sync();
-    int const count = list_open(g, s, ctx, n, made.open);
+    int count = list_open(g, s, ctx, n, made.open, false);
     g.sync();
     made.chains = s.guests != 0;
+    if (made.chains && cameras == 2) {
+      count = list_open(g, s, ctx, n, made.open, true);
+      g.sync();
+    }
     int const links = made.chains ? count * made.writes() : numbers;
     made.before = links <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
     for (int k = g.rank(); k < numbers; k += g.size()) {
@@ -621,15 +660,18 @@ private:
   }
 
   /// Lists the points that have candidates, in order; the others take nothing. Returns how many.
+  /// @param all also those of whose candidates none is listed
   template <typename Group>
-  FT_HOST_DEVICE static int list_open(Group g, scratch& s, context const& ctx, int n, int* open) {
+  FT_HOST_DEVICE static int list_open(Group g, scratch& s, context const& ctx, int n, int* open,
+                                      bool all) {
     int const chunk = ceil_div(n, g.size());
     int const begin = min_of(g.rank() * chunk, n);
     int const end = min_of(begin + chunk, n);
     bool const two = ctx.frame.cameras == 2;
     int mine = 0;
     for (int i = begin; i < end; ++i) {
-      mine += static_cast<int>((ctx.list_count(0, i) | (two ? ctx.list_count(1, i) : 0)) != 0);
+      mine += static_cast<int>(
+          (ctx.open_count(0, i, all) | (two ? ctx.open_count(1, i, all) : 0)) != 0);
     }
     int total = 0;
     int place = g.exclusive_scan(mine, total);
@@ -637,7 +679,7 @@ private:
       int flags = 0;
       bool guest = false;
       for (int c = 0; c < ctx.frame.cameras; ++c) {
-        int const count = ctx.list_count(c, i);
+        int const count = ctx.open_count(c, i, all);
         ctx.match(c, i) = -1;
         if (count == 0) { continue; }
         flags |= c == 0 ? choices::any_left : choices::any_right;
@@ -657,8 +699,8 @@ private:
   FT_HOST_DEVICE static bool choose_anew(context const& ctx, choices const& made, int p,
                                          bool first) {
     int const i = made.point(p);
-    window_list const lists[2] = {window_list(ctx, 0, i, made.any(p, 0)),
-                                  window_list(ctx, 1, i, made.any(p, 1))};
+    window_list const lists[2] = {window_list(ctx, 0, i, made.any(p, 0), made.chains),
+                                  window_list(ctx, 1, i, made.any(p, 1), made.chains)};
     bool changed = first;
     bool refused = false;
     int own = -1;  // the partner of what the left window takes
@@ -695,12 +737,16 @@ private:
   /// A window's candidates: how many, and the nearest, loaded together.
   struct window_list {
     int n = 0;
+    bool complete = true;
     candidate_quad nearest{};
 
-    FT_HOST_DEVICE window_list(context const& ctx, int c, int i, bool any) {
+    /// @param guests what was taken may not be any more: those left out count
+    FT_HOST_DEVICE window_list(context const& ctx, int c, int i, bool any, bool guests) {
       if (!any) { return; }
-      n = ctx.list_count(c, i) & (search_workspace::observed - 1);
-      nearest = *ctx.list(c, i);
+      int const count = ctx.list_count(c, i);
+      n = count & search_workspace::counted;
+      complete = !guests || (count & search_workspace::left_out) == 0;
+      if (!guests || n > 0) { nearest = *ctx.list(c, i); }
     }
   };
 
@@ -757,6 +803,7 @@ private:
                                               Taken const& taken, nearest_two& found) {
     int const n = list.n;
     constexpr int size = search_workspace::list_size;
+    if (!list.complete) { return false; }
     candidate_quad quad = list.nearest;
     FT_NO_UNROLL
     for (int q = 0; 4 * q < min_of(n, size); ++q) {
@@ -956,6 +1003,8 @@ private:
 };
 
 /// One frame: drops the matches whose rotation is not among the three most frequent.
+/// `owner`, where it is not null: per keypoint the window that took it, negative or above all =
+/// none; then every window took one keypoint at most, and every keypoint was taken once.
 struct check_orientation {
   static constexpr int bins = 30;
   static constexpr int scratch_size = 4096;  ///< windows whose bins are kept
@@ -968,13 +1017,25 @@ struct check_orientation {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  last_frame_view const& last, search_windows_view const& windows,
-                                 search_workspace const& work) const {
+                                 search_workspace const& work, int const* owner) const {
     for (int i = g.rank(); i < bins; i += g.size()) { s.histogram[i] = 0; }
     g.sync();
     int const n = windows.count[b];
-    bool const kept = frame.cameras * n <= scratch_size;
+    bool const kept = owner != nullptr || frame.cameras * n <= scratch_size;
     constexpr std::uint8_t no_match = 255;
-    for (int c = 0; c < frame.cameras; ++c) {
+    if (owner != nullptr) {
+      for (int number = g.rank(); number < frame.numbers(); number += g.size()) {
+        int const i = owner[number];
+        int r = no_match;
+        if (i >= 0 && i < n) {
+          int const c = number < frame.capacity() ? 0 : 1;
+          r = bin(frame, last, b, c, i, number - c * frame.capacity());
+          atomic_add(s.histogram + r, 1);
+        }
+        s.bin[number] = static_cast<std::uint8_t>(r);
+      }
+    }
+    for (int c = 0; c < frame.cameras && owner == nullptr; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
         int const k = work.match[work.window(c, b, i)];
         int const r = k >= 0 ? bin(frame, last, b, c, i, k) : no_match;
@@ -1012,7 +1073,17 @@ struct check_orientation {
       top[2] = -1;
     }
     int dropped = 0;
-    for (int c = 0; c < frame.cameras; ++c) {
+    if (owner != nullptr) {
+      for (int number = g.rank(); number < frame.numbers(); number += g.size()) {
+        int const r = s.bin[number];
+        if (r == no_match || r == top[0] || r == top[1] || r == top[2]) { continue; }
+        int const c = number < frame.capacity() ? 0 : 1;
+        frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + number] = -1;
+        work.match[work.window(c, b, owner[number])] = -1;
+        ++dropped;
+      }
+    }
+    for (int c = 0; c < frame.cameras && owner == nullptr; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
         if (kept && s.bin[c * n + i] == no_match) { continue; }
         int& k = work.match[work.window(c, b, i)];
@@ -1044,13 +1115,6 @@ private:
   }
 };
 
-/// Which map points were seen in which frame: written after a search, so that the next leaves them
-/// out.
-struct point_stamps {
-  int const* frame = nullptr;  ///< [batch] number of this frame
-  int* seen = nullptr;         ///< [batch][map slots] number of the frame that held a point last
-};
-
 /// One frame: assignment, orientation check, the same again with twice the radius where there are
 /// too few, stamps.
 template <typename Rig, bool Turns>
@@ -1070,7 +1134,11 @@ struct assign_last_points {
       assign_keypoints<Turns>{}(g, s.assignment, b, frame, map, windows, params, work);
       g.sync();
       if (search.params.orientation_check) {
-        check_orientation{}(g, s.orientation, b, frame, search.last, windows, work);
+        int const* owner = nullptr;
+        if constexpr (Turns) {
+          if (s.assignment.proposed != 0) { owner = s.assignment.writer; }
+        }
+        check_orientation{}(g, s.orientation, b, frame, search.last, windows, work, owner);
         g.sync();
       }
       if (attempt == 1 || work.matches[b] >= search.params.retry_below) { break; }

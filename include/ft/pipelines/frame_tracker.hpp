@@ -19,6 +19,7 @@
 #include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/frustum.hpp"
 #include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/receive.hpp"
 #include "ft/kernels/search_by_projection.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
@@ -125,7 +126,7 @@ inline void carve(carver& c, local_input& v, int points, int batch) {
   v.slots = c.take<int>(b * static_cast<std::size_t>(points));
 }
 
-/// A layout in executor memory with a twin beside the host: one copy moves all of it.
+/// A layout in executor memory with a twin beside the host, which is moved as one block.
 template <typename View, memory_space Device, memory_space Host>
 struct twin {
   View device;
@@ -140,9 +141,11 @@ struct twin {
         host_memory([&](carver& c) { carve(c, host, capacity, sizes...); }) {
     std::memset(host_memory.data(), 0, host_memory.bytes());
   }
-  template <typename Exec>
-  void upload(Exec const& exec) {
-    copy_bytes(exec, device_memory.data(), host_memory.data(), host_memory.bytes());
+  block_source source() const {
+    // An arena is longer than what is carved from it, by more than the quad that is cut off.
+    static_assert(alignment >= 2 * sizeof(receive_part::quad), "all that is carved is copied");
+    return {device_memory.data(), host_memory.data(),
+            static_cast<int>(host_memory.bytes() / sizeof(receive_part::quad))};
   }
 };
 
@@ -165,23 +168,7 @@ struct apply_updates {
   }
 };
 
-/// Keeps of the frame before what the next search needs.
-struct remember_keypoint {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, keypoints_view const& keypoints,
-                                 soa_view<field::angle, field::octave> const& last) const {
-    int const image = item / keypoints.capacity;
-    int const i = item % keypoints.capacity;
-    if (i == 0) { last.count[image] = keypoints.count[image]; }
-    if (i >= keypoints.count[image]) { return; }
-    get<field::angle>(last, item) = get<field::angle>(keypoints, item);
-    get<field::octave>(last, item) = get<field::octave>(keypoints, item);
-  }
-};
-
-/// Writes the frame's result where the host reads it.
+/// Writes the frame's result where the host reads it, and keeps what the next frame's search needs.
 template <typename Rig>
 struct pack_result {
   using scratch = no_scratch;
@@ -190,13 +177,15 @@ struct pack_result {
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
                                  float const* depth, fisheye_matches_view const& fisheye,
                                  pose const* poses, int const* matches, int const* inliers,
-                                 tracked_frame_view const& out) const {
+                                 tracked_frame_view const& out,
+                                 soa_view<field::angle, field::octave> const& last) const {
     int const b = item / frame.numbers();
     int const number = item % frame.numbers();
     int const c = number / frame.capacity();
     int const i = number % frame.capacity();
     keypoints_view const kp = frame.camera(b, c);
-    if (i == 0) { out.keypoints[b * frame.cameras + c] = *kp.count; }
+    auto const kept = last.slice(frame.keypoint_step * b + c);
+    if (i == 0) { out.keypoints[b * frame.cameras + c] = *kept.count = *kp.count; }
     if (number == 0) {
       out.T_cw[b] = poses[b];
       out.matches[b] = matches[b];
@@ -207,7 +196,12 @@ struct pack_result {
     float const y = there ? get<field::y>(kp, i) : 0.0f;
     out.x[item] = x;
     out.y[item] = y;
-    out.octave[item] = there ? get<field::octave>(kp, i) : 0;
+    int const octave = there ? get<field::octave>(kp, i) : 0;
+    out.octave[item] = octave;
+    if (there) {
+      get<field::octave>(kept, i) = octave;
+      get<field::angle>(kept, i) = get<field::angle>(kp, i);
+    }
     out.holder[item] = there ? frame.holder[item] : -1;
     out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
     if (c != 0) { return; }
@@ -306,6 +300,8 @@ public:
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
     images_ = buffer<std::uint8_t, staging>(detail::checked_mul(2 * b, staged_bytes()));
     std::memset(images_.data(), 0, images_.bytes());
+    sources_ = buffer<image_source, staging>(2 * b);
+    for (int i = 0; i < 2 * batch; ++i) { static_cast<void>(staged_image(i / 2, i % 2)); }
     result_memory_ = arena<staging>([&](carver& c) {
       detail::carve(c, result_, capacity, batch, cameras, params.local_points);
     });
@@ -336,7 +332,6 @@ public:
     exec.wait();
     grid_branch_.make();
     match_branch_.make();
-    input_branch_.make();
     view_branch_.make();
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
     motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
@@ -349,17 +344,29 @@ public:
   /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
   /// @throws bad_argument as orb_extractor::upload
   void set_image(int b, int camera, gray_view image) {
-    detail::require_range("camera pair", b, 0, batch() - 1);
-    detail::require_range("camera", camera, 0, 1);
-    detail::require(image.data != nullptr, "the image is null");
+    require_image(b, camera, image);
     auto const& p = params_.orb;
-    detail::require(
-        image.width == p.width && image.height == p.height && image.stride >= image.width,
-        "the image's size is not the tracker's, or its stride is below its width");
+    std::uint8_t* const to = staged_image(b, camera);
     for (int y = 0; y < p.height; ++y) {
-      std::memcpy(staged_image(b, camera) + static_cast<std::ptrdiff_t>(y) * staged_stride(),
-                  image.row(y), static_cast<std::size_t>(p.width));
+      std::memcpy(to + static_cast<std::ptrdiff_t>(y) * staged_stride(), image.row(y),
+                  static_cast<std::size_t>(p.width));
     }
+  }
+  /// Frames take an image from where it lies, without a copy by the host: a camera's buffer. Until
+  /// the next call for this camera, or set_image() or staged_image(); it must stay as it is while a
+  /// frame is queued. @param image rows of `stride` readable bytes, address and stride multiples of
+  /// 16; beside a device in memory that it reads: cudaMallocHost, cudaHostRegister
+  /// @throws bad_argument as set_image(), and for memory that cannot be read in this way
+  void borrow_image(int b, int camera, gray_view image) {
+    require_image(b, camera, image);
+    detail::require(
+        image.stride % 16 == 0 && reinterpret_cast<std::uintptr_t>(image.data) % 16 == 0,
+        "a borrowed image needs an address and a stride that are multiples of 16");
+    auto const* const last = image.row(image.height - 1) + (image.stride - 1);
+    auto const* const data = static_cast<std::uint8_t const*>(Exec::host_address(image.data));
+    detail::require(data != nullptr && Exec::host_address(last) != nullptr,
+                    "the device cannot read a borrowed image: is its memory pinned?");
+    source_of(b, camera) = {data, image.stride};
   }
   /// Queues the copy of a camera's mask: keypoints come from where it is not 0, until the next
   /// mask. Not while a frame is queued on another stream. @throws bad_argument as
@@ -372,8 +379,11 @@ public:
   /// For callers that decode straight into the staging memory: height rows of staged_stride()
   /// bytes.
   std::uint8_t* staged_image(int b, int camera) {
-    return images_.data() +
-           (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
+    std::uint8_t* const data =
+        images_.data() +
+        (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
+    source_of(b, camera) = {data, staged_stride()};
+    return data;
   }
   int staged_stride() const { return geometry().stride[0]; }
   /// [batch] T_cw expected for the next frame
@@ -416,7 +426,7 @@ public:
   }
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
-    features(exec, mark, [this](Exec const& e) { motion_.upload(e); });
+    features(exec, mark, false);
     await_stereo<Mark>(exec);
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
@@ -483,6 +493,11 @@ public:
 
   int capacity() const { return extractor_.capacity(); }
   int batch() const { return batch_; }
+  /// That track() fetches from the host for a frame of all pairs.
+  std::size_t input_bytes() const {
+    return 2 * static_cast<std::size_t>(batch_) * staged_bytes() + motion_.host_memory.bytes() +
+           local_.host_memory.bytes();
+  }
   tracker_params const& params() const { return params_; }
   Rig const& rig() const { return rig_; }
   pyramid_geometry const& geometry() const { return extractor_.geometry(); }
@@ -502,12 +517,7 @@ private:
   /// @param with_local the local map goes up with the rest
   template <typename Mark>
   void queue_motion(Exec const& exec, Mark&& mark, bool with_local) {
-    features(exec, mark, [&](Exec const& e) {
-      for_each_item<per_thread>(e, 2 * batch_ * frame_.capacity(), remember_keypoint{},
-                                extractor_.keypoints(), last_keypoints_);
-      motion_.upload(e);
-      if (with_local) { local_.upload(e); }
-    });
+    features(exec, mark, with_local);
     auto const& input = motion_.device;
     last_search_params search;
     search.th = params_.last_th;
@@ -517,19 +527,37 @@ private:
     // The lists need no stereo matches, the choice from them needs those of a rectified pair.
     search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
                       geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_},
-                      [this](Exec const& e) {
+                      [&](Exec const& e) {
                         if constexpr (Rig::rectified) { await_stereo<Mark>(e); }
+                        if (!params_.optimize_last) { take_prediction<Mark>(e); }
                       });
     mark("search last frame");
     if (params_.optimize_last) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
                      observations_);
       mark("pose last frame");
-    } else {
-      copy(exec, poses_, static_cast<pose const*>(input.predicted),
-           static_cast<std::size_t>(batch_));
+    } else if (branches<Mark>) {
+      view_branch_.join(exec);
     }
     if constexpr (!Rig::rectified) { await_stereo<Mark>(exec); }
+  }
+
+  /// Recordings and calls without marks have side branches.
+  template <typename Mark>
+  static constexpr bool branches = std::is_same<std::decay_t<Mark>, no_mark>::value;
+
+  /// The poses of the next search are those predicted, beside the assignment of this one.
+  template <typename Mark>
+  void take_prediction(Exec const& exec) {
+    auto const queue = [this](Exec const& e) {
+      copy(e, poses_, static_cast<pose const*>(motion_.device.predicted),
+           static_cast<std::size_t>(batch_));
+    };
+    if constexpr (branches<Mark>) {
+      queue(view_branch_.fork(exec));
+    } else {
+      queue(exec);
+    }
   }
 
   template <typename Mark>
@@ -556,7 +584,7 @@ private:
                                 static_cast<int const*>(local_.device.count), batch(), int{cameras},
                                 result_);
     };
-    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
+    if constexpr (branches<Mark>) {
       search_local_map(exec, search, frame_, map_, geometry(), search_params{}, local_windows_,
                        work_, [&](Exec const& e) { write_visibility(view_branch_.fork(e)); });
     } else {
@@ -571,16 +599,15 @@ private:
                      observations_);
       mark("pose local map");
     }
-    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) { view_branch_.join(exec); }
+    if constexpr (branches<Mark>) { view_branch_.join(exec); }
     download(exec, poses_, work_.matches, params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
   }
   template <typename Mark>
   void upload_local(Exec const& exec, local_search_params const& params, bool restart,
                     Mark&& mark) {
-    local_.upload(exec);
+    receive(exec, local_.source(), restart ? motion_.source() : block_source{});
     if (restart) {
-      motion_.upload(exec);
       for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
       copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
            static_cast<std::size_t>(batch_));
@@ -593,23 +620,38 @@ private:
            static_cast<std::size_t>(params_.orb.height);
   }
 
+  image_source& source_of(int b, int camera) { return sources_.data()[2 * b + camera]; }
+  void require_image(int b, int camera, gray_view image) const {
+    detail::require_range("camera pair", b, 0, batch() - 1);
+    detail::require_range("camera", camera, 0, 1);
+    detail::require(image.data != nullptr, "the image is null");
+    auto const& p = params_.orb;
+    detail::require(
+        image.width == p.width && image.height == p.height && image.stride >= image.width,
+        "the image's size is not the tracker's, or its stride is below its width");
+  }
+
+  /// Fetches inputs alone.
+  void receive(Exec const& exec, block_source const& first, block_source const& second) {
+    image_pyramid_view none = extractor_.pyramid();
+    none.batch = 0;
+    receive_images(exec, nullptr, none, first, second);
+  }
+
   /// Stage by stage the stereo matches are there at the end, in a recording after await_stereo().
-  /// @param beside queues what may run beside the images' way up
-  template <typename Mark, typename Beside>
-  void features(Exec const& exec, Mark& mark, Beside const& beside) {
+  /// @param with_local the local map comes with the images
+  template <typename Mark>
+  void features(Exec const& exec, Mark& mark, bool with_local) {
     batch_.require_made("tracker");
-    beside(input_branch_.fork(exec));
-    // Level 0 of all images in one copy: a row of it is an image.
-    copy_rows(exec, extractor_.pyramid().data, static_cast<std::size_t>(geometry().bytes),
-              images_.data(), staged_bytes(), staged_bytes(), 2 * batch_);
-    input_branch_.join(exec);
+    receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(),
+                   with_local ? local_.source() : block_source{});
     mark("upload");
     constexpr int step = Rig::rectified ? 2 : 1;
-    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) {
+    if constexpr (branches<Mark>) {
       extractor_.extract_beside(exec, [this](Exec const& e) {
         build_grid<nearest_cell>(grid_branch_.fork(e), extractor_.keypoints(), 0, step,
                                  cameras * batch_, frame_.grids);
-        if constexpr (Rig::rectified) { matcher_.prepare(match_branch_.fork(e), extractor_); }
+        matcher_.prepare(match_branch_.fork(e), extractor_);
       });
       matcher_.match_prepared(match_branch_.fork(exec), extractor_);
       grid_branch_.join(exec);
@@ -626,13 +668,13 @@ private:
   /// The stereo matches of features() are there for what is queued next.
   template <typename Mark>
   void await_stereo(Exec const& exec) {
-    if constexpr (std::is_same<std::decay_t<Mark>, no_mark>::value) { match_branch_.join(exec); }
+    if constexpr (branches<Mark>) { match_branch_.join(exec); }
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_,
                               matcher_.depth(), matcher_.fisheye_matches(), poses, matches, inliers,
-                              result_);
+                              result_, last_keypoints_);
   }
 
   Rig rig_{};
@@ -656,13 +698,13 @@ private:
   arena<space> arena_;
   buffer<point_update, staging> staged_updates_;
   buffer<std::uint8_t, staging> images_;
-  tracked_frame_view result_;  ///< in staging memory, which a device writes to directly
+  buffer<image_source, staging> sources_;  ///< [batch][2]
+  tracked_frame_view result_;              ///< in staging memory, which a device writes to directly
   arena<staging> result_memory_;
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
   side_branch<Exec> grid_branch_;
   side_branch<Exec> match_branch_;
-  side_branch<Exec> input_branch_;
   side_branch<Exec> view_branch_;
   recording<Exec> extract_recording_;
   recording<Exec> motion_recording_;

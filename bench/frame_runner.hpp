@@ -49,10 +49,12 @@ public:
   frame_runner_of(scene const& s, frame_options const& how)
       : scene_(s),
         batch_(how.batch),
+        borrow_(how.borrow_images),
         owned_(how.host_threads),
         tracker_(exec(), rig_of<Rig>(s), params_of(s, how), how.batch),
         clock_(exec()),
         recorded_clock_(exec()) {
+    lay_out_images();
     build_map();
     stage_times(0, false);
     wait();
@@ -171,6 +173,7 @@ public:
       auto const& r = tracker_.result();
       auto const b = static_cast<std::size_t>(batch_);
       auto const n = b * static_cast<std::size_t>(r.capacity);
+      c.bytes_up += tracker_.input_bytes();
       c.result_bytes =
           b * (sizeof(int) * static_cast<std::size_t>(r.cameras) + sizeof(ft::pose) +
                2 * sizeof(int) + static_cast<std::size_t>(r.local_points)) +
@@ -241,10 +244,34 @@ private:
     return k < n ? k : period - k;
   }
 
+  /// All frames in memory that an executor reads, rows padded.
+  void lay_out_images() {
+    stride_ = (scene_.width + 63) / 64 * 64;
+    auto const image = static_cast<std::size_t>(stride_) * static_cast<std::size_t>(scene_.height);
+    images_ = staged<std::uint8_t>(2 * image * scene_.frames.size());
+    std::fill(images_.data(), images_.data() + images_.size(), std::uint8_t{0});
+    auto const width = static_cast<std::size_t>(scene_.width);
+    for (std::size_t k = 0; k < 2 * scene_.frames.size(); ++k) {
+      auto const& f = scene_.frames[k / 2];
+      std::uint8_t const* const from = (k % 2 == 0 ? f.left : f.right).data();
+      for (int y = 0; y < scene_.height; ++y) {
+        std::copy_n(from + static_cast<std::size_t>(y) * width, width,
+                    images_.data() + k * image +
+                        static_cast<std::size_t>(y) * static_cast<std::size_t>(stride_));
+      }
+    }
+  }
   void set_images(int b, int k) {
-    int const w = scene_.width;
-    tracker_.set_image(b, 0, {frame(k).left.data(), w, scene_.height, w});
-    tracker_.set_image(b, 1, {frame(k).right.data(), w, scene_.height, w});
+    auto const image = static_cast<std::ptrdiff_t>(stride_) * scene_.height;
+    for (int c = 0; c < 2; ++c) {
+      ft::gray_view const view{images_.data() + (2 * k + c) * image, scene_.width, scene_.height,
+                               stride_};
+      if (borrow_) {
+        tracker_.borrow_image(b, c, view);
+      } else {
+        tracker_.set_image(b, c, view);
+      }
+    }
   }
 
   /// Points seen with depth in all of the scene's frames, up to the wanted number: each frame gives
@@ -311,12 +338,15 @@ private:
 
   scene const& scene_;
   int batch_;
+  bool borrow_;
   owned_executor<Exec> owned_;
   ft::frame_tracker<Exec, Rig> tracker_;
   stage_clock<Exec> clock_;
   stage_clock<Exec> recorded_clock_;
   std::vector<std::string> names_;
   std::vector<int> holder_;
+  staged<std::uint8_t> images_;  ///< [frames][2][height][stride_]
+  int stride_ = 0;
   std::vector<ft::point_update> points_;
   staged<ft::vec3<float>> positions_;
   staged<std::uint8_t> pyramid_copy_;

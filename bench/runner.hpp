@@ -32,6 +32,9 @@ struct frame_options {
   int batch = 1;         ///< camera pairs
   bool optimize_last = true;
   bool optimize_local = true;
+  /// Images lie in pinned memory, as a camera leaves them, and the tracker borrows them; else the
+  /// host copies them into the tracker's, where they wait in the caches of its core.
+  bool borrow_images = true;
 };
 
 /// How a frame is queued.

@@ -49,7 +49,6 @@ public:
   frame_runner_of(scene const& s, frame_options const& how)
       : scene_(s),
         batch_(how.batch),
-        borrow_(how.borrow_images),
         owned_(how.host_threads),
         tracker_(exec(), rig_of<Rig>(s), params_of(s, how), how.batch),
         clock_(exec()),
@@ -79,6 +78,8 @@ public:
     }
     std::copy(holder_.begin(), holder_.end(), tracker_.last_holder());
   }
+
+  void borrow_images(bool borrow) override { borrow_ = borrow; }
 
   void launch(call_type how) override {
     switch (how) {
@@ -338,7 +339,7 @@ private:
 
   scene const& scene_;
   int batch_;
-  bool borrow_;
+  bool borrow_ = true;
   owned_executor<Exec> owned_;
   ft::frame_tracker<Exec, Rig> tracker_;
   stage_clock<Exec> clock_;

@@ -32,9 +32,6 @@ struct frame_options {
   int batch = 1;         ///< camera pairs
   bool optimize_last = true;
   bool optimize_local = true;
-  /// Images lie in pinned memory, as a camera leaves them, and the tracker borrows them; else the
-  /// host copies them into the tracker's, where they wait in the caches of its core.
-  bool borrow_images = true;
 };
 
 /// How a frame is queued.
@@ -93,6 +90,10 @@ public:
 
   /// Puts images, prediction and last frame of frame `i` where the executor fetches them.
   virtual void prepare(int i) = 0;
+  /// True, as at first: images lie in pinned memory, as a camera leaves them, and prepare() has
+  /// them borrowed. False: it copies them to the tracker's, where they wait in the caches of its
+  /// core.
+  virtual void borrow_images(bool borrow) = 0;
   /// Queues the frame; on the host all is done on return.
   virtual void launch(call_type how) = 0;
   virtual bool done() = 0;

@@ -167,10 +167,10 @@ void frame_section(context const& c, backend_type b, rig_type rig) {
       add_counts(row, counts);
       (*c.out)[array_of(rig)].push_back(row);
     }
-    o.borrow_images = false;
-    json row = row_of("frame, images copied by the host" + suffix, b, 1,
-                      time_frames(*make_frame_runner(s, o), call_type::whole, c.how.warm_up_on(b),
-                                  c.how.frames_on(b)));
+    runner->borrow_images(false);
+    json row =
+        row_of("frame, images copied by the host" + suffix, b, 1,
+               time_frames(*runner, call_type::whole, c.how.warm_up_on(b), c.how.frames_on(b)));
     add_counts(row, counts);
     (*c.out)[array_of(rig)].push_back(row);
     print_counts(counts);
@@ -247,7 +247,7 @@ void batch_section(context const& c, backend_type b) {
 namespace {
 
 /// All trackers get a frame at the same time, and the next when all are done. The images are in
-/// staging memory before.
+/// pinned memory before.
 void all_at_once(std::vector<std::unique_ptr<frame_runner>>& trackers, int rounds, int warm_up,
                  std::vector<double>& latency, std::vector<double>& round_us) {
   auto const n = trackers.size();
@@ -371,7 +371,11 @@ void streams_section(context const& c, backend_type b) {
       break;
     }
     trackers.resize(static_cast<std::size_t>(n));
+    auto const borrow = [&](bool yes) {
+      for (auto& t : trackers) { t->borrow_images(yes); }
+    };
     if (cuda) {
+      borrow(true);
       std::vector<double> latency, rounds;
       int const count = calls_of_batch(std::max(1, c.how.frames_on(b) / 4), n);
       all_at_once(trackers, count, std::max(2, count / 4), latency, rounds);
@@ -382,6 +386,7 @@ void streams_section(context const& c, backend_type b) {
     }
     std::vector<int> thread_counts{1};
     if (std::min(n, host_threads()) > 1) { thread_counts.push_back(std::min(n, host_threads())); }
+    borrow(false);
     for (int threads : thread_counts) {
       int const target = std::max(2 * c.how.frames_on(b), 12 * n);
       auto frames = without_pause(trackers, threads, target);

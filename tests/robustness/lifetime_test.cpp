@@ -83,6 +83,8 @@ protected:
     ft::point_update const point{};
     ft::descriptor orb;
     EXPECT_THROW(t.set_image(0, 0, view), ft::bad_argument);
+    EXPECT_THROW(t.borrow_image(0, 0, view), ft::bad_argument);
+    EXPECT_THROW(t.staged_image(0, 0), ft::bad_argument);
     EXPECT_THROW(t.set_mask(exec(), 0, 0, view), ft::bad_argument);
     EXPECT_THROW(t.update_map(exec(), 0, &point, 1), ft::bad_argument);
     EXPECT_THROW(t.extract(exec()), ft::bad_argument);

@@ -372,13 +372,14 @@ public:
   /// mask. Not while a frame is queued on another stream. @throws bad_argument as
   /// orb_extractor::set_mask
   void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
-    detail::require_range("camera pair", b, 0, batch() - 1);
-    detail::require_range("camera", camera, 0, 1);
+    require_camera(b, camera);
     extractor_.set_mask(exec, 2 * b + camera, mask);
   }
   /// For callers that decode straight into the staging memory: height rows of staged_stride()
-  /// bytes.
+  /// bytes, from where frames take the image from now on. @throws bad_argument for a camera that
+  /// there is not
   std::uint8_t* staged_image(int b, int camera) {
+    require_camera(b, camera);
     std::uint8_t* const data =
         images_.data() +
         (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
@@ -621,9 +622,12 @@ private:
   }
 
   image_source& source_of(int b, int camera) { return sources_.data()[2 * b + camera]; }
-  void require_image(int b, int camera, gray_view image) const {
+  void require_camera(int b, int camera) const {
     detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("camera", camera, 0, 1);
+  }
+  void require_image(int b, int camera, gray_view image) const {
+    require_camera(b, camera);
     detail::require(image.data != nullptr, "the image is null");
     auto const& p = params_.orb;
     detail::require(

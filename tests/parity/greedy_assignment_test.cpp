@@ -59,6 +59,7 @@ struct outcome {
   std::vector<int> holder;   ///< [batch][cameras * capacity]
   std::vector<int> match;    ///< [cameras][batch][windows]
   std::vector<int> matches;  ///< [batch]
+  std::vector<int> lists;    ///< [cameras][batch][windows] of ft alone: counts and flags
 };
 
 /// How often the oracle met what the scenes are made for.
@@ -74,6 +75,15 @@ struct tally {
   long outside_column = 0;     ///< kept out by the right column
   long equal_distances = 0;    ///< the first of equals was taken
   long right_not_reached = 0;  ///< last frame: nothing in the left window
+  long freed = 0;  ///< held by an observed point before the search, and taken in it all the same
+  // Windows of ft's lists with candidates left out since they are held: all of them, beside more
+  // than a list holds, beside none that is listed, for points with and without observations.
+  long left_out = 0;
+  long left_out_of_long = 0;
+  long left_out_alone = 0;
+  long left_out_of_observed = 0;
+  long left_out_of_guests = 0;
+  long returned_alone = 0;  ///< with none that is listed, one that was left out was taken
 };
 
 // ---- the sequential loop ----------------------------------------------------------------------
@@ -125,10 +135,19 @@ std::vector<int> keypoints_in_area(scene const& s, int image, ft::search_window 
   return keypoints;
 }
 
+/// Whether an observed point holds a keypoint of batch entry b when the search begins.
+bool held_before(scene const& s, int b, int number) {
+  int const held = s.holder[at(static_cast<std::ptrdiff_t>(b) * s.numbers() + number)];
+  return !s.params.from_empty && held >= 0 &&
+         s.observations[at(static_cast<std::ptrdiff_t>(b) * s.slots + held)] > 0;
+}
+
 /// Sections 9 and 10, map point after map point.
 outcome search_in_order(scene const& s, tally& seen) {
-  outcome out{s.holder, std::vector<int>(s.window.size(), poison),
-              std::vector<int>(at(s.batch), poison)};
+  outcome out{s.holder,
+              std::vector<int>(s.window.size(), poison),
+              std::vector<int>(at(s.batch), poison),
+              {}};
   bool const local = s.params.kind == ft::search_kind::local_map;
   for (int b = 0; b < s.batch; ++b) {
     ++seen.frames;
@@ -204,6 +223,7 @@ outcome search_in_order(scene const& s, tally& seen) {
         }
         int const k = c * s.capacity + best_k;
         seen.retaken += static_cast<long>(holder[k] >= 0);
+        seen.freed += static_cast<long>(held_before(s, b, k));
         seen.equal_distances += static_cast<long>(best == second);
         holder[k] = w.slot;
         out.match[number] = best_k;
@@ -291,13 +311,18 @@ outcome search(Exec const& exec, scene const& s) {
   outcome out;
   out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());
   out.matches = test::from_exec(exec, static_cast<int const*>(work.matches), at(s.batch));
-  auto const match =
-      test::from_exec(exec, static_cast<int const*>(work.match),
-                      at(static_cast<std::ptrdiff_t>(s.cameras) * s.batch * work.capacity));
-  for (int row = 0; row < s.cameras * s.batch; ++row) {
-    auto const first = match.begin() + static_cast<std::ptrdiff_t>(row) * work.capacity;
-    out.match.insert(out.match.end(), first, first + s.windows);
-  }
+  auto const of_windows = [&](int const* data) {
+    auto const all = test::from_exec(
+        exec, data, at(static_cast<std::ptrdiff_t>(s.cameras) * s.batch * work.capacity));
+    std::vector<int> values;
+    for (int row = 0; row < s.cameras * s.batch; ++row) {
+      auto const first = all.begin() + static_cast<std::ptrdiff_t>(row) * work.capacity;
+      values.insert(values.end(), first, first + s.windows);
+    }
+    return values;
+  };
+  out.match = of_windows(work.match);
+  out.lists = of_windows(work.list_count);
   return out;
 }
 
@@ -461,6 +486,40 @@ scene random_scene(unsigned seed, ft::search_kind kind, int cameras, scene_limit
   return s;
 }
 
+/// Two cameras, in whose frames most keypoints are held when the search begins, mostly by observed
+/// points, and have stereo partners; windows are wide, and see more keypoints than a list holds.
+/// @param guests of 100 points that are looked for, so many have no observations
+scene held_scene(unsigned seed, ft::search_kind kind, int guests, scene_limits const& limits) {
+  scene s = random_scene(seed, kind, 2, limits);
+  generator g(seed + 1000000);
+  s.params.from_empty = false;
+  // The first half of the map is held, the second looked for.
+  int const half = std::max(1, s.slots / 2);
+  int const lapsed = g.below(40);
+  for (int i = 0; i < s.batch * s.slots; ++i) {
+    int const unobserved = i % s.slots < half ? lapsed : guests;
+    s.observations[at(i)] = g.chance(unobserved) ? -g.below(2) : g.from_to(1, 9);
+  }
+  int const held = g.from_to(60, 100);
+  for (auto& h : s.holder) { h = g.chance(held) ? g.below(half) : -1; }
+  for (auto& w : s.window) {
+    if (w.slot >= 0 && half < s.slots) { w.slot = half + g.below(s.slots - half); }
+    if (g.chance(50)) { w.min_level = 0, w.max_level = -1; }
+  }
+  int const paired = g.from_to(30, 100);
+  s.partner.assign(at(s.batch) * at(s.numbers()), -1);
+  for (int b = 0; b < s.batch; ++b) {
+    int* const p = s.partner.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
+    for (int k = 0; k < s.capacity; ++k) {
+      int const other = s.capacity + g.below(s.capacity);
+      if (!g.chance(paired) || p[other] >= 0) { continue; }
+      p[k] = other;
+      p[other] = k;
+    }
+  }
+  return s;
+}
+
 /// Points that displace each other: point i wants keypoint i - 1 most and keypoint i next.
 scene chain(int links, bool backwards) {
   scene s;
@@ -498,9 +557,10 @@ protected:
     backend_ = std::make_unique<typename Way::backend>();
   }
 
-  void compare(scene const& s) {
+  void compare(scene const& s) { compare(s, search<Way::rounds>(backend_->exec, s)); }
+
+  void compare(scene const& s, outcome const& got) {
     outcome const want = search_in_order(s, seen_);
-    outcome const got = search<Way::rounds>(backend_->exec, s);
     for (int b = 0; b < s.batch; ++b) {
       ASSERT_EQ(got.matches[at(b)], want.matches[at(b)])
           << "number of matches of batch entry " << b;
@@ -525,6 +585,78 @@ protected:
       unsigned const seed = first_seed + static_cast<unsigned>(i);
       SCOPED_TRACE("seed " + std::to_string(seed));
       compare(random_scene(seed, kind, cameras, limits));
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+
+  /// What is left out of the lists is what is held, and is counted.
+  void check_lists(scene const& s, outcome const& got) {
+    using work = ft::search_workspace;
+    bool const local = s.params.kind == ft::search_kind::local_map;
+    auto const number = [&](int c, int b, int i) {
+      return at((static_cast<std::ptrdiff_t>(c) * s.batch + b) * s.windows + i);
+    };
+    for (int b = 0; b < s.batch; ++b) {
+      for (int i = 0; i < s.window_count[at(b)]; ++i) {
+        bool listed = true;
+        for (int c = 0; c < s.cameras; ++c) {
+          SCOPED_TRACE("window " + std::to_string(i) + ", camera " + std::to_string(c));
+          ft::search_window const& w = s.window[number(c, b, i)];
+          int const lists = got.lists[number(c, b, i)];
+          if (!listed || w.slot < 0) {
+            ASSERT_EQ(lists, 0);
+            listed = listed && local;
+            continue;
+          }
+          auto const area = keypoints_in_area(s, s.image(b, c), w);
+          listed = local || !area.empty();
+          bool held = false;
+          bool held_near = false;
+          for (int const k : area) {
+            if (!held_before(s, b, c * s.capacity + k)) { continue; }
+            held = true;
+            held_near =
+                held_near ||
+                bit_distance(
+                    s.wanted[at(static_cast<std::ptrdiff_t>(b) * s.slots + w.slot)],
+                    s.orb[at(static_cast<std::ptrdiff_t>(s.image(b, c)) * s.capacity + k)]) <=
+                    s.params.max_distance;
+          }
+          bool const left_out = (lists & work::left_out) != 0;
+          ASSERT_TRUE(left_out || !held_near) << "a candidate is held, and was not left out";
+          ASSERT_TRUE(held || !left_out) << "nobody holds a candidate";
+          if (!left_out) { continue; }
+          bool const observed =
+              s.observations[at(static_cast<std::ptrdiff_t>(b) * s.slots + w.slot)] > 0;
+          ASSERT_EQ((lists & work::observed) != 0, observed);
+          int const count = lists & work::counted;
+          ++seen_.left_out;
+          seen_.left_out_of_long += static_cast<long>(count > work::list_size);
+          seen_.left_out_alone += static_cast<long>(count == 0);
+          seen_.returned_alone += static_cast<long>(count == 0 && got.match[number(c, b, i)] >= 0);
+          (observed ? seen_.left_out_of_observed : seen_.left_out_of_guests) += 1;
+        }
+      }
+    }
+  }
+
+  void compare_held(scene const& s) {
+    outcome const got = search<Way::rounds>(backend_->exec, s);
+    compare(s, got);
+    if (!this->HasFatalFailure()) { check_lists(s, got); }
+  }
+  void compare_held(ft::search_kind kind, int guests, int scenes, unsigned first_seed) {
+    scene_limits crowd;
+    crowd.batch = 3;
+    crowd.keypoints = 130;
+    crowd.windows = 120;
+    crowd.min_windows = 30;
+    crowd.width = 120;
+    crowd.height = 90;
+    for (int i = 0; i < test::effort(scenes); ++i) {
+      unsigned const seed = first_seed + static_cast<unsigned>(i);
+      SCOPED_TRACE("seed " + std::to_string(seed));
+      compare_held(held_scene(seed, kind, guests, crowd));
       if (this->HasFatalFailure()) { return; }
     }
   }
@@ -576,6 +708,68 @@ TYPED_TEST(greedy_assignment_test, last_frame_with_two_cameras) {
   EXPECT_GT(seen.taken, 5000);
   EXPECT_GT(seen.long_lists, 1000);
   EXPECT_GT(seen.right_not_reached, 1000);
+}
+
+TYPED_TEST(greedy_assignment_test, what_is_held_is_left_out_and_returns_where_it_is_given_up) {
+  this->compare_held(ft::search_kind::local_map, 30, 400, 80000);
+  if (test::effort(100) < 100) { return; }  // too few scenes to count on
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.left_out_of_observed, 20000);
+  EXPECT_GT(seen.left_out_of_guests, 8000);
+  EXPECT_GT(seen.left_out_of_long, 1500);
+  EXPECT_GT(seen.left_out_alone, 6000);
+  EXPECT_GT(seen.returned_alone, 10);
+  EXPECT_GT(seen.freed, 100);
+  EXPECT_GT(seen.partner_overrun, 1000);
+}
+
+TYPED_TEST(greedy_assignment_test, what_is_held_is_not_given_up_where_all_points_are_observed) {
+  this->compare_held(ft::search_kind::local_map, 0, 200, 82000);
+  if (test::effort(100) < 100) { return; }  // too few scenes to count on
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.left_out_of_observed, 10000);
+  EXPECT_EQ(seen.left_out_of_guests, 0);
+  EXPECT_GT(seen.left_out_of_long, 800);
+  EXPECT_GT(seen.left_out_alone, 3000);
+  EXPECT_EQ(seen.freed, 0);
+}
+
+TYPED_TEST(greedy_assignment_test, what_is_held_stays_so_in_a_search_from_the_last_frame) {
+  this->compare_held(ft::search_kind::last_frame, 0, 200, 84000);
+  this->compare_held(ft::search_kind::last_frame, 30, 200, 86000);
+  if (test::effort(100) < 100) { return; }  // too few scenes to count on
+  auto const& seen = this->seen_;
+  EXPECT_GT(seen.left_out_of_observed, 15000);
+  EXPECT_GT(seen.left_out_of_guests, 2500);
+  EXPECT_GT(seen.left_out_of_long, 1500);
+  EXPECT_GT(seen.left_out_alone, 4000);
+  EXPECT_EQ(seen.returned_alone, 0);
+  EXPECT_EQ(seen.freed, 0);
+}
+
+TYPED_TEST(greedy_assignment_test,
+           what_is_held_returns_in_frames_that_block_scratch_does_not_hold) {
+  constexpr int scratch_size = ft::assign_keypoints<true>::scratch_size;
+  scene_limits large;
+  large.batch = 1;
+  large.keypoints = 4000;
+  large.windows = 5000;
+  large.min_windows = 4000;
+  large.width = 752;
+  large.height = 480;
+  int beyond = 0;
+  for (unsigned seed = 88001; seed < 88001 + static_cast<unsigned>(test::effort(4)); ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    scene const s = held_scene(seed, ft::search_kind::local_map, 30, large);
+    beyond += static_cast<int>(s.numbers() > scratch_size && s.window_count[0] > scratch_size);
+    this->compare_held(s);
+    if (this->HasFatalFailure()) { return; }
+  }
+  if (test::effort(100) < 100) { return; }  // too few scenes to count on
+  EXPECT_GE(beyond, 2);
+  EXPECT_GT(this->seen_.left_out_of_long, 200);
+  EXPECT_GT(this->seen_.returned_alone, 5);
+  EXPECT_GT(this->seen_.freed, 20);
 }
 
 TYPED_TEST(greedy_assignment_test, one_point_or_one_keypoint) {

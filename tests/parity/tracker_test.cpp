@@ -11,6 +11,7 @@
 #include <limits>
 #include <memory>
 #include <new>
+#include <random>
 #include <string>
 #include <thread>
 #include <utility>
@@ -305,11 +306,12 @@ void set_images(Tracker& tracker, int b, stereo_frame const& f) {
 
 /// The first frame makes the map, the others are tracked against the frame before and against the
 /// map.
+/// @param give called with batch entry, number and frame before each: hands over its images
 /// @return per frame, step and batch entry
-template <typename Exec, typename Rig>
+template <typename Exec, typename Rig, typename Give>
 std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& exec,
                             std::vector<std::vector<stereo_frame> const*> const& walks,
-                            int first_stamp = 1) {
+                            int first_stamp, Give const& give) {
   std::vector<snapshot> all;
   int const batch = tracker.batch();
   int const numbers = tracker.cameras * tracker.capacity();
@@ -320,7 +322,7 @@ std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& e
   };
   for (std::size_t f = 0; f < walks[0]->size(); ++f) {
     for (int b = 0; b < batch; ++b) {
-      set_images(tracker, b, (*walks[at(b)])[f]);
+      give(b, static_cast<int>(f), (*walks[at(b)])[f]);
       tracker.stamp()[b] = first_stamp + static_cast<int>(f);
     }
     if (f == 0) {
@@ -362,6 +364,15 @@ std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& e
     }
   }
   return all;
+}
+
+/// The same with images that the host copies.
+template <typename Exec, typename Rig>
+std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& exec,
+                            std::vector<std::vector<stereo_frame> const*> const& walks,
+                            int first_stamp = 1) {
+  return track(tracker, exec, walks, first_stamp,
+               [&](int b, int, stereo_frame const& f) { set_images(tracker, b, f); });
 }
 
 template <typename Exec>
@@ -789,6 +800,276 @@ TYPED_TEST(frame_tracker_test, twenty_runs_give_the_same_bits) {
   }
 }
 
+// ---- borrowed images --------------------------------------------------------------------------
+
+/// Where the cameras of a batch leave their images, two frames in turn: rows of another length than
+/// the tracker's own, what is beyond the pixels is noise.
+template <typename Exec>
+class camera_memory {
+public:
+  /// @param stride bytes from row to row
+  camera_memory(int image_width, int stride, int pairs)
+      : width_(image_width),
+        stride_(stride),
+        pairs_(pairs),
+        memory_(4 * at(pairs) * at(stride) * at(height)) {}
+
+  /// Writes an image over the one of two frames before. @param rows of `width` pixels, of which the
+  /// first count
+  ft::gray_view put(int frame, int b, int camera, image const& rows) {
+    std::uint8_t* const to =
+        memory_.data() +
+        (2 * (static_cast<std::ptrdiff_t>(frame % 2) * pairs_ + b) + camera) * stride_ * height;
+    for (int y = 0; y < height; ++y) {
+      std::uint8_t* const row = to + static_cast<std::ptrdiff_t>(y) * stride_;
+      std::copy_n(rows.data() + static_cast<std::ptrdiff_t>(y) * width, width_, row);
+      for (int x = width_; x < stride_; ++x) { row[x] = static_cast<std::uint8_t>(random_()); }
+    }
+    return {to, width_, height, stride_};
+  }
+
+private:
+  int width_;
+  int stride_;
+  int pairs_;
+  ft::buffer<std::uint8_t, ft::staging_space<Exec>> memory_;
+  std::mt19937 random_{7};
+};
+
+ft::tracker_params params_of_width(int image_width) {
+  auto p = params();
+  p.orb.width = image_width;
+  return p;
+}
+
+/// Two walks at a time with images of the left `image_width` columns. @param borrows of frame, pair
+/// and camera: whether this image is borrowed or copied
+template <typename Exec, typename Borrows>
+std::vector<snapshot> track_two(Exec const& exec, int image_width, int stride,
+                                Borrows const& borrows) {
+  ft::frame_tracker<Exec> tracker(exec, rig(), params_of_width(image_width), 2);
+  camera_memory<Exec> memory(image_width, stride, 2);
+  return track(tracker, exec, {&walk(0), &walk(1)}, 1,
+               [&](int b, int frame, stereo_frame const& f) {
+                 for (int c = 0; c < 2; ++c) {
+                   image const& rows = c == 0 ? f.left : f.right;
+                   if (borrows(frame, b, c)) {
+                     tracker.borrow_image(b, c, memory.put(frame, b, c, rows));
+                   } else {
+                     tracker.set_image(b, c, {rows.data(), image_width, height, width});
+                   }
+                 }
+               });
+}
+
+TYPED_TEST(frame_tracker_test, borrowed_images_give_the_bits_of_copied_ones) {
+  auto const& exec = this->exec();
+  // Rows that end with 16 bytes, and inside them: then bytes beyond the pixels come along.
+  for (int const image_width : {480, 469}) {
+    SCOPED_TRACE("width " + std::to_string(image_width));
+    auto const copied = track_two(exec, image_width, 480, [](int, int, int) { return false; });
+    ASSERT_GT(copied.back().inliers, 100);
+    for (int const stride : {480, 496, 1024}) {
+      SCOPED_TRACE("stride " + std::to_string(stride));
+      expect_same(track_two(exec, image_width, stride, [](int, int, int) { return true; }), copied);
+    }
+    expect_same(track_two(exec, image_width, 528,
+                          [](int frame, int b, int c) { return (frame + b + c) % 2 == 0; }),
+                copied);
+    expect_same(track_two(exec, image_width, 528,
+                          [](int frame, int b, int c) { return frame == 1 ? b == 1 : c == 1; }),
+                copied);
+  }
+}
+
+TYPED_TEST(frame_tracker_test, an_image_stays_borrowed_until_the_next_call_for_its_camera) {
+  auto const& exec = this->exec();
+  auto const& frames = walk(2);
+  auto const extracted = [&](auto& tracker) {
+    tracker.extract(exec);
+    exec.wait();
+    return take(tracker, 0, false);
+  };
+  std::vector<snapshot> want;
+  typename TestFixture::tracker_type copying(exec, rig(), params());
+  for (auto const& f : frames) {
+    set_images(copying, 0, f);
+    want.push_back(extracted(copying));
+  }
+  ASSERT_FALSE(same_bits(want[0].x, want[1].x));
+  ASSERT_FALSE(same_bits(want[1].x, want[2].x));
+
+  camera_memory<typename TestFixture::exec_type> memory(width, width + 64, 1);
+  typename TestFixture::tracker_type tracker(exec, rig(), params());
+  set_images(tracker, 0, frames[2]);
+  for (int c = 0; c < 2; ++c) {
+    tracker.borrow_image(0, c, memory.put(0, 0, c, c == 0 ? frames[0].left : frames[0].right));
+  }
+  expect_same(extracted(tracker), want[0]);
+  expect_same(extracted(tracker), want[0]);
+  for (int c = 0; c < 2; ++c) {  // written by the camera, where the last one lay
+    memory.put(0, 0, c, c == 0 ? frames[1].left : frames[1].right);
+  }
+  expect_same(extracted(tracker), want[1]);
+  // What set_image() left in the tracker's own memory is still there.
+  for (int c = 0; c < 2; ++c) { EXPECT_NE(tracker.staged_image(0, c), nullptr); }
+  expect_same(extracted(tracker), want[2]);
+  for (int c = 0; c < 2; ++c) {
+    tracker.borrow_image(0, c, memory.put(1, 0, c, c == 0 ? frames[1].left : frames[1].right));
+  }
+  for (int c = 0; c < 2; ++c) {  // decoded straight into the tracker's
+    image const& rows = c == 0 ? frames[0].left : frames[0].right;
+    std::uint8_t* const to = tracker.staged_image(0, c);
+    for (int y = 0; y < height; ++y) {
+      std::copy_n(rows.data() + static_cast<std::ptrdiff_t>(y) * width, width,
+                  to + static_cast<std::ptrdiff_t>(y) * tracker.staged_stride());
+    }
+  }
+  expect_same(extracted(tracker), want[0]);
+}
+
+TYPED_TEST(frame_tracker_test, a_moved_tracker_keeps_what_it_borrowed) {
+  auto const& exec = this->exec();
+  camera_memory<typename TestFixture::exec_type> memory(width, width + 16, 1);
+  typename TestFixture::tracker_type first(exec, rig(), params());
+  auto const& f = walk(0)[1];
+  set_images(first, 0, f);
+  first.extract(exec);
+  exec.wait();
+  auto const want = take(first, 0, false);
+  set_images(first, 0, walk(0)[2]);
+  first.borrow_image(0, 0, memory.put(0, 0, 0, f.left));
+  first.borrow_image(0, 1, memory.put(0, 0, 1, f.right));
+  auto second = std::move(first);
+  second.extract(exec);
+  exec.wait();
+  expect_same(take(second, 0, false), want);
+}
+
+TYPED_TEST(frame_tracker_test, refuses_images_that_it_cannot_borrow_and_keeps_the_one_it_has) {
+  auto const& exec = this->exec();
+  auto const& f = walk(0)[0];
+  typename TestFixture::tracker_type tracker(exec, rig(), params(), 2);
+  for (int b = 0; b < 2; ++b) { set_images(tracker, b, walk(1)[0]); }
+  tracker.predicted()[0] = walk(1)[0].T_cw;
+  tracker.predicted()[1] = f.T_cw;
+  camera_memory<typename TestFixture::exec_type> memory(width, width + 32, 1);
+  auto const good = memory.put(0, 0, 0, f.left);
+  tracker.borrow_image(1, 0, good);
+  tracker.borrow_image(1, 1, memory.put(0, 0, 1, f.right));
+  auto const refused = [&](int b, int camera, ft::gray_view v) {
+    EXPECT_THROW(tracker.borrow_image(b, camera, v), ft::bad_argument);
+  };
+  int const stride = good.stride;
+  refused(1, 0, {nullptr, width, height, stride});
+  refused(1, 0, {});
+  refused(1, 0, {good.data, width + 1, height, stride});
+  refused(1, 0, {good.data, width - 1, height, stride});
+  refused(1, 0, {good.data, width, height - 1, stride});
+  refused(1, 0, {good.data, height, width, stride});
+  refused(1, 0, {good.data, width, height, width - 16});
+  refused(1, 0, {good.data, width, height, -stride});
+  for (int const off : {1, 4, 8, 15}) {
+    refused(1, 0, {good.data + off, width, height, stride});
+    refused(1, 0, {good.data, width, height, stride - off});
+  }
+  refused(2, 0, good);
+  refused(-1, 0, good);
+  refused(1, 2, good);
+  refused(1, -1, good);
+  EXPECT_THROW(tracker.staged_image(2, 0), ft::bad_argument);
+  EXPECT_THROW(tracker.staged_image(-1, 0), ft::bad_argument);
+  EXPECT_THROW(tracker.staged_image(1, 2), ft::bad_argument);
+  EXPECT_THROW(tracker.staged_image(1, -1), ft::bad_argument);
+  tracker.extract(exec);
+  exec.wait();
+  expect_same(take(tracker, 0, false), track_alone(exec, 1)[0]);
+  expect_same(take(tracker, 1, false), track_alone(exec, 0)[0]);
+}
+
+TYPED_TEST(frame_tracker_test, counts_the_bytes_that_a_frame_fetches) {
+  for (int const pairs : {1, 3}) {
+    typename TestFixture::tracker_type const tracker(this->exec(), rig(), params(), pairs);
+    auto const b = at(pairs);
+    std::size_t const images = 2 * b * at(tracker.staged_stride()) * at(height);
+    std::size_t const inputs =
+        b * (2 * sizeof(ft::pose) +
+             sizeof(int) * (2 + at(tracker.capacity()) + at(params().local_points)));
+    EXPECT_GE(tracker.input_bytes(), images + inputs);
+    EXPECT_LE(tracker.input_bytes(), images + inputs + 8 * 256) << "six pieces, and two ends";
+  }
+}
+
+#if defined(__CUDACC__)
+
+struct alignas(16) quad_of_pixels {
+  std::uint8_t pixels[16];
+};
+
+/// What the device cannot read is refused on the calling thread; what it can is not, also where
+/// that thread has not used the device yet.
+TEST(borrowed_images, come_from_memory_that_the_device_reads) {
+  if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+  test::cuda_backend const backend;
+  auto const& exec = backend.exec;
+  auto const& f = walk(0)[0];
+  ft::frame_tracker<ft::cuda_exec> tracker(exec, rig(), params());
+  tracker.predicted()[0] = f.T_cw;
+  std::vector<quad_of_pixels> pageable(at(width) / sizeof(quad_of_pixels) * at(height));
+  std::memcpy(pageable.data(), f.left.data(), f.left.size());
+  auto const* const ordinary = reinterpret_cast<std::uint8_t const*>(pageable.data());
+  camera_memory<ft::cuda_exec> memory(width, width, 1);
+  ft::gray_view const views[2] = {memory.put(0, 0, 0, f.left), memory.put(0, 0, 1, f.right)};
+  int refused = 0;
+  std::string error;
+  std::thread([&] {
+    try {
+      for (int c = 0; c < 2; ++c) {
+        tracker.borrow_image(0, c, views[c]);
+        try {
+          tracker.borrow_image(0, c, {ordinary, width, height, width});
+        } catch (ft::bad_argument const&) { ++refused; }
+      }
+    } catch (std::exception const& e) { error = e.what(); }
+  }).join();
+  EXPECT_EQ(error, "");
+  EXPECT_EQ(refused, 2);
+  EXPECT_THROW(tracker.borrow_image(0, 0, {ordinary, width, height, width}), ft::bad_argument);
+  tracker.extract(exec);
+  exec.wait();
+  expect_same(take(tracker, 0, false), track_alone(exec, 0)[0]);
+}
+
+/// Memory is pinned as far as it was registered.
+TEST(borrowed_images, lie_in_registered_memory_with_their_last_byte) {
+  if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+  test::cuda_backend const backend;
+  auto const& exec = backend.exec;
+  ft::frame_tracker<ft::cuda_exec> tracker(exec, rig(), params());
+  auto const& f = walk(0)[0];
+  tracker.predicted()[0] = f.T_cw;
+  std::size_t const bytes = f.left.size();
+  ft::buffer<std::uint8_t, ft::memory_space::host> const memory(4 * bytes);
+  std::copy(f.left.begin(), f.left.end(), memory.data());
+  std::copy(f.right.begin(), f.right.end(), memory.data() + bytes);
+  auto const borrow = [&](int camera, std::size_t from) {
+    tracker.borrow_image(0, camera, {memory.data() + from, width, height, width});
+  };
+  ft::detail::check(cudaHostRegister(memory.data(), 2 * bytes, cudaHostRegisterDefault),
+                    "cudaHostRegister");
+  borrow(0, 0);
+  borrow(1, bytes);
+  EXPECT_THROW(borrow(1, bytes + bytes / 2), ft::bad_argument);
+  EXPECT_THROW(borrow(1, 3 * bytes), ft::bad_argument);
+  tracker.extract(exec);
+  exec.wait();
+  expect_same(take(tracker, 0, false), track_alone(exec, 0)[0]);
+  ft::detail::check(cudaHostUnregister(memory.data()), "cudaHostUnregister");
+  EXPECT_THROW(borrow(0, 0), ft::bad_argument);
+}
+
+#endif
+
 // ---- memory -----------------------------------------------------------------------------------
 
 #if !defined(__CUDACC__)
@@ -814,6 +1095,8 @@ TEST(frame_tracker_memory, a_frame_takes_nothing_from_the_heap) {
     return points_of(tracker, exec, 0);
   }();
   tracker.stamp()[0] = 10;
+  camera_memory<ft::host_exec> memory(width, width, 1);
+  auto const lent = memory.put(0, 0, 0, walk(0)[0].left);
   std::vector<std::pair<std::string, long>> taken;
   auto const during = [&](char const* name, auto call) {
     allocation_count const count;
@@ -828,6 +1111,7 @@ TEST(frame_tracker_memory, a_frame_takes_nothing_from_the_heap) {
   during("update_map",
          [&] { tracker.update_map(exec, 0, points.data(), static_cast<int>(points.size())); });
   during("set_image", [&] { set_images(tracker, 0, walk(0)[0]); });
+  during("borrow_image", [&] { tracker.borrow_image(0, 0, lent); });
   for (auto const& [name, allocations] : taken) { EXPECT_EQ(allocations, 0) << name; }
 }
 

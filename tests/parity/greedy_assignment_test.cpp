@@ -9,11 +9,13 @@
 #include <cmath>
 #include <cstdint>
 #include <memory>
+#include <numeric>
 #include <random>
 #include <string>
 #include <tuple>
 #include <vector>
 
+#include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
@@ -50,6 +52,12 @@ struct scene {
   std::vector<int> partner;               ///< [batch][cameras * capacity], or empty
   std::vector<int> holder;                ///< [batch][cameras * capacity]
   ft::search_params params;
+  /// Where the matches are checked for their rotation: angles in degrees; window i is that of left
+  /// keypoint i of the last frame or, from `last_left` on, of right keypoint i - last_left.
+  bool turned = false;
+  std::vector<float> angle;       ///< [step * batch][capacity]
+  std::vector<float> last_angle;  ///< [batch][2][windows]
+  std::vector<int> last_left;     ///< [batch]
 
   int numbers() const { return cameras * capacity; }
   int image(int b, int c) const { return step * b + c; }
@@ -83,6 +91,7 @@ struct tally {
   long left_out_alone = 0;
   long left_out_of_observed = 0;
   long left_out_of_guests = 0;
+  long dropped = 0;         ///< matches for their rotation
   long returned_alone = 0;  ///< with none that is listed, one that was left out was taken
 };
 
@@ -140,6 +149,48 @@ bool held_before(scene const& s, int b, int number) {
   int const held = s.holder[at(static_cast<std::ptrdiff_t>(b) * s.numbers() + number)];
   return !s.params.from_empty && held >= 0 &&
          s.observations[at(static_cast<std::ptrdiff_t>(b) * s.slots + held)] > 0;
+}
+
+/// Section 9, the end: keeps the matches in the three fullest of 30 bins of rotations.
+void drop_turned(scene const& s, int b, outcome& out, tally& seen) {
+  auto const window = [&](int c, int i) {
+    return at((static_cast<std::ptrdiff_t>(c) * s.batch + b) * s.windows + i);
+  };
+  auto const bin = [&](int c, int i, int k) {
+    int const left = s.last_left[at(b)];
+    int const from = i < left ? i : s.windows + i - left;
+    float rotation = s.last_angle[at(2 * static_cast<std::ptrdiff_t>(b) * s.windows + from)] -
+                     s.angle[at(static_cast<std::ptrdiff_t>(s.image(b, c)) * s.capacity + k)];
+    if (rotation < 0) { rotation += 360; }
+    int const r = static_cast<int>(std::round(rotation * (1.0f / 30.0f)));
+    return r == 30 ? 0 : r;
+  };
+  std::vector<int> sizes(30, 0);
+  for (int c = 0; c < s.cameras; ++c) {
+    for (int i = 0; i < s.window_count[at(b)]; ++i) {
+      if (out.match[window(c, i)] >= 0) { ++sizes[at(bin(c, i, out.match[window(c, i)]))]; }
+    }
+  }
+  std::vector<int> order(30);
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int other) { return sizes[at(a)] > sizes[at(other)]; });
+  std::vector<bool> keep(30, false);
+  auto const fullest = static_cast<float>(sizes[at(order[0])]);
+  for (std::size_t t = 0; t < 3; ++t) {
+    if (static_cast<float>(sizes[at(order[t])]) < 0.1f * fullest) { break; }
+    keep[at(order[t])] = true;
+  }
+  for (int c = 0; c < s.cameras; ++c) {
+    for (int i = 0; i < s.window_count[at(b)]; ++i) {
+      int& k = out.match[window(c, i)];
+      if (k < 0 || keep[at(bin(c, i, k))]) { continue; }
+      out.holder[at(static_cast<std::ptrdiff_t>(b) * s.numbers() + c * s.capacity + k)] = -1;
+      k = -1;
+      --out.matches[at(b)];
+      ++seen.dropped;
+    }
+  }
 }
 
 /// Sections 9 and 10, map point after map point.
@@ -239,6 +290,7 @@ outcome search_in_order(scene const& s, tally& seen) {
     }
     out.matches[at(b)] = taken;
     seen.taken += taken;
+    if (s.turned) { drop_turned(s, b, out, seen); }
   }
   return out;
 }
@@ -261,6 +313,7 @@ outcome search(Exec const& exec, scene const& s) {
   ft::feature_grid_view grids;
   ft::search_windows_view windows;
   ft::search_workspace work;
+  ft::soa_view<ft::field::angle, ft::field::octave> last;
   float* right_x = nullptr;
   int* partner = nullptr;
   int* holder = nullptr;
@@ -270,6 +323,7 @@ outcome search(Exec const& exec, scene const& s) {
     ft::carve(c, grids, s.geometry, s.capacity, s.cameras * s.batch);
     ft::carve(c, windows, s.windows, s.batch, s.cameras);
     ft::carve(c, work, s.windows + s.spare, s.capacity, s.batch, s.cameras);
+    ft::carve(c, last, s.windows, 2 * s.batch);
     right_x = c.take<float>(s.right_x.size());
     partner = c.take<int>(s.partner.size());
     holder = c.take<int>(s.holder.size());
@@ -286,6 +340,16 @@ outcome search(Exec const& exec, scene const& s) {
   put(right_x, s.right_x);
   put(partner, s.partner);
   put(holder, s.holder);
+  std::vector<int> last_count;  // lives until the copies are done
+  if (s.turned) {
+    put(ft::array_of<ft::field::angle>(keypoints), s.angle);
+    put(ft::array_of<ft::field::angle>(last), s.last_angle);
+    for (int b = 0; b < s.batch; ++b) {
+      last_count.push_back(s.last_left[at(b)]);
+      last_count.push_back(s.window_count[at(b)] - s.last_left[at(b)]);
+    }
+    put(last.count, last_count);
+  }
 
   ft::frame_view frame;
   frame.keypoints = keypoints;
@@ -300,7 +364,16 @@ outcome search(Exec const& exec, scene const& s) {
   bool const all_images = s.cameras == s.step;
   ft::build_grid<ft::nearest_cell>(exec, keypoints, 0, all_images ? 1 : s.step, s.cameras * s.batch,
                                    grids);
-  if constexpr (Rounds == Exec::asynchronous) {
+  if (s.turned) {
+    ft::last_search<ft::rectified_rig> search{};  // of it the last frame alone is looked at
+    search.last.keypoints = last;
+    search.last.cameras = s.cameras;
+    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
+                                    frame, map, windows, s.params, work);
+    ft::for_each_item<ft::per_block<ft::assign_threads>>(
+        exec, windows.batch, ft::assign_last_points<ft::rectified_rig, Rounds>{}, search, frame,
+        map, ft::pyramid_geometry{}, s.params, ft::point_stamps{}, windows, work);
+  } else if constexpr (Rounds == Exec::asynchronous) {
     ft::search_by_projection(exec, frame, map, windows, s.params, work);
   } else {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
@@ -517,6 +590,29 @@ scene held_scene(unsigned seed, ft::search_kind kind, int guests, scene_limits c
       p[other] = k;
     }
   }
+  return s;
+}
+
+/// A search from the last frame whose matches are checked for their rotation. @param guests as in
+/// held_scene
+scene turned_scene(unsigned seed, int cameras, int guests, scene_limits const& limits) {
+  scene s = random_scene(seed, ft::search_kind::last_frame, cameras, limits);
+  generator g(seed + 2000000);
+  s.turned = true;
+  s.params.from_empty = true;
+  for (auto& o : s.observations) { o = g.chance(guests) ? -g.below(2) : g.from_to(1, 9); }
+  // Most turn by about the same, some by anything; a few lie where bins begin.
+  float const turn = g.real(0, 360);
+  int const others = g.from_to(0, 60);
+  auto const wrapped = [](float a) { return a < 0 ? a + 360 : (a >= 360 ? a - 360 : a); };
+  for (int i = 0; i < s.step * s.batch * s.capacity; ++i) {
+    s.angle.push_back(g.chance(others) ? g.real(0, 360) : wrapped(g.real(-20, 20)));
+  }
+  for (int i = 0; i < 2 * s.batch * s.windows; ++i) {
+    s.last_angle.push_back(g.chance(10) ? 15.0f * static_cast<float>(g.below(24))
+                                        : wrapped(turn + g.real(-20, 20)));
+  }
+  for (int const n : s.window_count) { s.last_left.push_back(cameras == 1 ? n : g.below(n + 1)); }
   return s;
 }
 
@@ -770,6 +866,32 @@ TYPED_TEST(greedy_assignment_test,
   EXPECT_GT(this->seen_.left_out_of_long, 200);
   EXPECT_GT(this->seen_.returned_alone, 5);
   EXPECT_GT(this->seen_.freed, 20);
+}
+
+TYPED_TEST(greedy_assignment_test, matches_of_rare_rotations_are_dropped) {
+  scene_limits large;  // more keypoints and points than block scratch keeps
+  large.batch = 1;
+  large.keypoints = 4000;
+  large.windows = large.min_windows = 5000;
+  large.width = 752;
+  large.height = 480;
+  large.radius = 12;
+  for (int cameras = 1; cameras <= 2; ++cameras) {
+    for (int const guests : {0, 30}) {
+      for (int i = 0; i < test::effort(300); ++i) {
+        auto const seed = 90000u + static_cast<unsigned>(i);
+        SCOPED_TRACE("seed " + std::to_string(seed) + ", cameras: " + std::to_string(cameras) +
+                     ", guests: " + std::to_string(guests));
+        this->compare(turned_scene(seed, cameras, guests, {}));
+        if (this->HasFatalFailure()) { return; }
+      }
+      this->compare(turned_scene(95000, cameras, guests, large));
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
+  if (test::effort(100) < 100) { return; }  // too few scenes to count on
+  EXPECT_GT(this->seen_.taken, 30000);
+  EXPECT_GT(this->seen_.dropped, 8000);
 }
 
 TYPED_TEST(greedy_assignment_test, one_point_or_one_keypoint) {

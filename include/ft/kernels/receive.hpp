@@ -88,6 +88,7 @@ private:
 /// must stay as it is until it is done; allocates nothing; one launch.
 /// @param sources [to.batch], in host memory that the executor's threads can read, looked at when
 /// the launch runs
+/// @param to has a geometry also where its batch is 0
 template <typename Exec>
 void receive_images(Exec const& exec, image_source const* sources, image_pyramid_view const& to,
                     block_source const& first = {}, block_source const& second = {}) {

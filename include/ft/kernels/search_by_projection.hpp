@@ -447,7 +447,7 @@ private:
         ctx.match(c, i) = -1;
         if ((count & search_workspace::observed) != 0) {
           propose(s, ctx, c, i, owner);
-        } else if (count != 0) {
+        } else if ((count & search_workspace::counted) != 0) {
           s.guests = 1;
         }
       }
@@ -461,7 +461,8 @@ private:
     if (s.guests != 0) {
       for (int c = 0; c < ctx.frame.cameras; ++c) {
         for (int i = g.rank(); i < n; i += g.size()) {
-          int const count = ctx.list_count(c, i);
+          // Nothing that was left out comes back here: there are no partners.
+          int const count = ctx.open_count(c, i, false);
           if (count == 0 || (count & search_workspace::observed) != 0) { continue; }
           bool refused = false;
           int const k = choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,

@@ -265,12 +265,12 @@ private:
   void set_images(int b, int k) {
     auto const image = static_cast<std::ptrdiff_t>(stride_) * scene_.height;
     for (int c = 0; c < 2; ++c) {
-      ft::gray_view const view{images_.data() + (2 * k + c) * image, scene_.width, scene_.height,
-                               stride_};
       if (borrow_) {
-        tracker_.borrow_image(b, c, view);
+        tracker_.borrow_image(
+            b, c, {images_.data() + (2 * k + c) * image, scene_.width, scene_.height, stride_});
       } else {
-        tracker_.set_image(b, c, view);
+        auto const& pixels = c == 0 ? frame(k).left : frame(k).right;
+        tracker_.set_image(b, c, {pixels.data(), scene_.width, scene_.height, scene_.width});
       }
     }
   }

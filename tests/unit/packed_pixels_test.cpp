@@ -166,7 +166,9 @@ struct list_flagged {
     g.sync();
     for (int base = 0; base < n; base += g.size()) {
       int const i = base + g.rank();
-      ft::detail::append_flagged(g, i < n ? flags[i] : 0u, 4 * i, s.list, capacity, &s.count);
+      ft::detail::append_flagged(
+          g, i < n ? flags[i] : 0u, [&](unsigned bit) { return 12 * i + static_cast<int>(bit); },
+          s.list, capacity, &s.count);
     }
     g.sync();
     for (int i = g.rank(); i < 512; i += g.size()) { to[i] = s.list[i]; }
@@ -181,10 +183,10 @@ TYPED_TEST(packed_pixels_unit, flagged_pixels_are_listed_once_and_counted_past_t
       std::vector<unsigned> flags(at(n) + 1);
       std::vector<std::uint16_t> want;
       for (int i = 0; i < n; ++i) {
-        for (int k = 0; k < 4; ++k) {
+        for (int k = 0; k < 12; ++k) {
           if (static_cast<int>(random() % 8) >= share) { continue; }
           flags[at(i)] |= 1u << k;
-          want.push_back(static_cast<std::uint16_t>(4 * i + k));
+          want.push_back(static_cast<std::uint16_t>(12 * i + k));
         }
       }
       int const capacity = 300;
@@ -239,6 +241,9 @@ int score_by_definition(std::uint8_t const* center, ft::detail::fast_circle cons
 /// Flags and scores of pairs, per pixel of an image whose stride is detect_cell's.
 struct score_all {
   using scratch = ft::no_scratch;
+  FT_HOST_DEVICE static word halves(std::uint8_t const* p) {
+    return ft::detail::raised_halves(ft::detail::load_word(p));
+  }
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, std::uint8_t const* pixels, int width,
                                  int threshold, int* scores, int* flags) const {
@@ -246,9 +251,9 @@ struct score_all {
     int const y = 3 + item / (width / 4 - 2);
     int const x = 4 + item % (width / 4 - 2) * 4;
     std::uint8_t const* const p = pixels + y * pitch + x;
-    unsigned const four = ft::detail::corner_flags(
-        ft::detail::load_word(p - 4), ft::detail::load_word(p), ft::detail::load_word(p + 4),
-        ft::detail::load_word(p - 3 * pitch), ft::detail::load_word(p + 3 * pitch), threshold);
+    unsigned const four =
+        ft::detail::corner_flags(halves(p - 4), halves(p), halves(p + 4), halves(p - 3 * pitch),
+                                 halves(p + 3 * pitch), threshold);
     constexpr ft::detail::fast_circle circle(pitch);
     for (int k = 0; k < 4; ++k) {
       flags[y * pitch + x + k] = static_cast<int>(four >> k & 1u);
@@ -287,12 +292,14 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
           int const want = score_by_definition(p, circle, threshold);
           ASSERT_EQ(scores[at(i)], want) << x << " " << y << " threshold " << threshold;
           corners += static_cast<int>(want > 0);
+          ASSERT_TRUE(want == 0 || flags[at(i)] != 0);
           int brighter = 0;
           int darker = 0;
+          int const least = (threshold + 1) / 2;
           int const pairs[2][2] = {{p[3 * pitch], p[-3 * pitch]}, {p[3], p[-3]}};
           for (auto const& pair : pairs) {
-            brighter += static_cast<int>(std::max(pair[0], pair[1]) > p[0] + threshold);
-            darker += static_cast<int>(std::min(pair[0], pair[1]) < p[0] - threshold);
+            brighter += static_cast<int>(std::max(pair[0], pair[1]) / 2 >= p[0] / 2 + least);
+            darker += static_cast<int>(std::min(pair[0], pair[1]) / 2 <= p[0] / 2 - least);
           }
           ASSERT_EQ(flags[at(i)], static_cast<int>(brighter == 2 || darker == 2));
         }

@@ -166,31 +166,40 @@ FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_c
   return best > threshold ? best - 1 : 0;
 }
 
+/// The halves of four pixels, each with a bit above it, so that their differences do not meet.
+FT_HOST_DEVICE inline std::uint32_t raised_halves(std::uint32_t word) {
+  return (word >> 1 & 0x7f7f7f7fu) | 0x80808080u;
+}
+
 /// Tells for four neighbouring pixels whether each can be a corner: nine in a row on the circle
 /// hold one of each opposite pair, so one of both pairs on the axes must be brighter, or one of
-/// both darker. @param left,middle,right three words of a row; the pixels are those of `middle`
-/// @param up,down those 3 rows above and below @param threshold 0 to 255 @return a bit per pixel
+/// both darker. Halves are compared, with half of what the difference has to be at least: a few
+/// that are no corners pass, no corner fails.
+/// @param left,middle,right three words of a row as raised_halves(); the pixels are those of
+/// `middle` @param up,down those 3 rows above and below @param threshold 0 to 255
+/// @return a bit per pixel
 FT_HOST_DEVICE inline unsigned corner_flags(std::uint32_t left, std::uint32_t middle,
                                             std::uint32_t right, std::uint32_t up,
                                             std::uint32_t down, int threshold) {
-  constexpr std::uint32_t bytes = 0x00ff00ffu;
-  constexpr std::uint32_t sign = 0x08000800u;
-  std::uint32_t const bias = sign - static_cast<std::uint32_t>(threshold + 1) * 0x00010001u;
+  constexpr std::uint32_t signs = 0x80808080u;
+  constexpr std::uint32_t ones = 0x01010101u;
   std::uint32_t const before = permute_bytes(left, middle, 0x4321);
   std::uint32_t const after = permute_bytes(middle, right, 0x6543);
-  auto const test = [&](std::uint32_t v, std::uint32_t u, std::uint32_t d, std::uint32_t l,
-                        std::uint32_t r) {
-    std::uint32_t const brightest = min_pairs(max_pairs(u, d), max_pairs(l, r));
-    std::uint32_t const darkest = max_pairs(min_pairs(u, d), min_pairs(l, r));
-    return ((brightest + bias - v) | (v + bias - darkest)) &
-           sign;  // differences above the threshold
-  };
-  std::uint32_t const even =
-      test(middle & bytes, up & bytes, down & bytes, before & bytes, after & bytes);
-  std::uint32_t const odd = test(middle >> 8 & bytes, up >> 8 & bytes, down >> 8 & bytes,
-                                 before >> 8 & bytes, after >> 8 & bytes);
-  std::uint32_t const all = even >> 11 | odd >> 10;  // 0 and 1, 16 and 17
-  return (all | all >> 14) & 15u;
+  std::uint32_t const least = static_cast<std::uint32_t>((threshold + 1) / 2) * ones;
+  // From which half on a pixel is brighter: 128, which none has, where it would be more.
+  std::uint32_t const above = (middle & ~signs) + least;
+  std::uint32_t const never = above & signs;
+  std::uint32_t const bright = above & ~(never - (never >> 7));
+  // From which half on it is not darker: 0, which all have, where it would be less.
+  std::uint32_t const below = middle - least;
+  std::uint32_t const some = (below & signs) >> 7;
+  std::uint32_t const level = (below & (some * 0x7fu)) + some;
+  // A difference keeps its sign where the half is not below the other.
+  std::uint32_t const brighter =
+      ((up - bright) | (down - bright)) & ((before - bright) | (after - bright));
+  std::uint32_t const lighter =
+      ((up - level) & (down - level)) | ((before - level) & (after - level));
+  return ((brighter | ~lighter) & signs) * 0x00204081u >> 28;
 }
 
 }  // namespace detail
@@ -200,14 +209,18 @@ struct detect_cell {
   static constexpr bool wide_on_host = true;
   /// Bytes from row to row in scratch. A pixel and its score have the same place in their arrays.
   static constexpr int pitch = 80;
-  static constexpr int list_size = 2048;
+  static constexpr int chain = 5;  ///< rows that a thread looks at together
+  /// A patch's, and those that threads look at beyond it.
+  static constexpr int staged_rows =
+      3 * chain * ((max_cell_side + 3 * chain - 1) / (3 * chain)) + 6;
+  static constexpr int list_size = 1536;
   static constexpr int mask_words = (max_cell_side * pitch + 31) / 32;
   static_assert(pitch >= 3 + max_patch_side && pitch % 16 == 0, "rows of whole words");
   struct quad {
     alignas(16) std::uint32_t words[4];
   };
   struct scratch {
-    std::uint32_t pixels[max_patch_side * pitch / 4];
+    std::uint32_t pixels[staged_rows * pitch / 4];
     quad scores[(max_cell_side + 2) * pitch / 16];  ///< from row 2 on, with a rim of zeros
     std::uint16_t candidates[list_size];            ///< places of pixels worth a score, any order
     int candidate_count;                            ///< may exceed the list: then all are tried
@@ -215,6 +228,9 @@ struct detect_cell {
     unsigned kept[mask_words];                      ///< bit per place from row 3
     int word_start[mask_words];
   };
+
+  /// Of its blocks on a multiprocessor: all of an image pair's at once on a large device.
+  static constexpr int side_by_side = 12;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
@@ -234,21 +250,18 @@ struct detect_cell {
     int const y0 = corner_border + y_rel;
     int const patch_w = min_of(cell_w + 6, level.width - corner_border - x0);
     int const patch_h = min_of(cell_h + 6, level.height - corner_border - y0);
-    int& count = out.cell_count[item];
-    if (patch_w < 7 || patch_h < 7) {
-      if (g.rank() == 0) { count = 0; }
-      return;
-    }
     cell_place const at{x0, y0, patch_w, patch_h, x_rel, y_rel};
     corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
                          static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
     int found = 0;
-    if constexpr (Group::max_threads == 1) {
-      found = detect_alone(s, level, at, params, list);
-    } else {
-      found = detect_together(g, s, level, at, params, list);
+    if (patch_w >= 7 && patch_h >= 7) {
+      if constexpr (Group::max_threads == 1) {
+        found = detect_alone(s, level, at, params, list);
+      } else {
+        found = detect_together(g, s, level, at, params, list);
+      }
     }
-    if (g.rank() == 0) { count = found; }
+    if (g.rank() == 0) { out.cell_count[item] = found; }
   }
 
 private:
@@ -275,7 +288,7 @@ private:
     constexpr int score_offset = -2 * pitch;
     int const words = (inner_h * pitch + 31) / 32;
 
-    detail::stage_rectangle(g, level, x0, y0, patch_w, patch_h, s.pixels, pitch / 4);
+    detail::stage_rectangle<6>(g, level, x0, y0, patch_w, patch_h, s.pixels, pitch / 4);
     for (int i = g.rank(); i < (inner_h + 2) * pitch / 16; i += g.size()) { s.scores[i] = {}; }
     for (int i = g.rank(); i < words; i += g.size()) { s.kept[i] = 0; }
     if (g.rank() == 0) {
@@ -408,27 +421,44 @@ private:
     return found;
   }
 
-  /// Lists the places of pixels that can be corners, by all threads of a group, a word at a time.
+  /// Lists the places of pixels that can be corners, by all threads of a group: each time a word of
+  /// a few rows, 3 apart, so that a row is above and below others.
   template <typename Group>
   FT_HOST_DEVICE static void list_by_words(Group g, scratch& s, int first_x, int inner_w,
                                            int inner_h, int threshold) {
     constexpr int row_words = pitch / 4;
     int const first = first_x / 4;
     int const n = (first_x + inner_w + 3) / 4 - first;  // of a row
+    int const items = n * 3 * ceil_div(inner_h, 3 * chain);
     detail::small_divider const row_of(n);
-    for (int base = 0; base < n * inner_h; base += g.size()) {
-      int const i = min_of(base + g.rank(), n * inner_h - 1);
-      int const y = row_of(i);
-      int const w = first + i - y * n;
-      std::uint32_t const* const p = s.pixels + (y + 3) * row_words + w;
-      unsigned flags =
-          detail::corner_flags(p[-1], p[0], p[1], p[-3 * row_words], p[3 * row_words], threshold);
+    for (int base = 0; base + g.rank() / 32 * 32 < items; base += g.size()) {
+      int const i = min_of(base + g.rank(), items - 1);
+      int const row = row_of(i);
+      int const y = row + row / 3 * (3 * (chain - 1));
+      int const w = first + i - row * n;
+      std::uint32_t const* p = s.pixels + y * row_words + w;
       // not those beside the cell's
-      flags &= 15u << max_of(first_x - 4 * w, 0);
-      flags &= 15u >> max_of(4 * w + 4 - first_x - inner_w, 0);
-      if (base + g.rank() >= n * inner_h) { flags = 0; }
-      detail::append_flagged(g, flags, (y + 3) * pitch + 4 * w, s.candidates, list_size,
-                             &s.candidate_count);
+      unsigned const columns =
+          15u << max_of(first_x - 4 * w, 0) & 15u >> max_of(4 * w + 4 - first_x - inner_w, 0);
+      unsigned flags = 0;
+      std::uint32_t up = detail::raised_halves(p[0]);
+      std::uint32_t middle = detail::raised_halves(p[3 * row_words]);
+      FT_UNROLL
+      for (int k = 0; k < chain; ++k) {
+        p += 3 * row_words;
+        std::uint32_t const down = detail::raised_halves(p[3 * row_words]);
+        unsigned const four = detail::corner_flags(
+            detail::raised_halves(p[-1]), middle, detail::raised_halves(p[1]), up, down, threshold);
+        if (y + 3 * k < inner_h) { flags |= (four & columns) << (4 * k); }
+        up = middle;
+        middle = down;
+      }
+      if (base + g.rank() >= items) { flags = 0; }
+      int const at = (y + 3) * pitch + 4 * w;
+      detail::append_flagged(
+          g, flags,
+          [&](unsigned bit) { return at + static_cast<int>(bit / 4 * (3 * pitch) + bit % 4); },
+          s.candidates, list_size, &s.candidate_count);
     }
   }
 

@@ -121,8 +121,32 @@ FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, in
   int const skew = x0 & 3;
   if (g.size() > 1 && has_word_rows(image)) {
     int const n = (skew + w + 3) / 4;
-    small_divider const row_of(n);
     std::uint8_t const* const from = image.row(y0) + (x0 - skew);
+    if (g.size() >= 128 && n <= 32) {
+      // As many threads for a row as a power of two says; some have nothing to do.
+      int const lanes = n <= 16 ? 4 : 5;
+      int const c = g.rank() & ((1 << lanes) - 1);
+      int const rows = g.size() >> lanes;
+      int r = g.rank() >> lanes;
+      if (c >= n) { return; }
+      std::uint8_t const* at = from + r * image.stride + 4 * c;
+      std::uint32_t* to = words + r * pitch + c;
+      for (; r < h; r += InFlight * rows) {
+        std::uint32_t word[InFlight];
+        FT_UNROLL
+        for (int k = 0; k < InFlight; ++k) {
+          if (r + k * rows < h) { word[k] = load_word(at + k * rows * image.stride); }
+        }
+        FT_UNROLL
+        for (int k = 0; k < InFlight; ++k) {
+          if (r + k * rows < h) { to[k * rows * pitch] = word[k]; }
+        }
+        at += InFlight * rows * image.stride;
+        to += InFlight * rows * pitch;
+      }
+      return;
+    }
+    small_divider const row_of(n);
     for (int base = g.rank(); base < n * h; base += InFlight * g.size()) {
       std::uint32_t word[InFlight];
       int to[InFlight];
@@ -156,40 +180,32 @@ FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, in
   }
 }
 
-/// Appends to `list` the values base + k (k below 4) of every thread for whose k bit k of `flags`
-/// is set, in any order; what no longer fits is counted only. Every thread of the group calls it,
-/// as often as every other of its warp. @param count in scratch
-template <typename Group>
-FT_HOST_DEVICE void append_flagged(Group, unsigned flags, int base, std::uint16_t* list,
+/// Appends to `list` place(k) for every bit k that a thread has in `flags`, in any order; what no
+/// longer fits is counted only. Every thread of the group calls it, as often as every other of its
+/// warp. @param place of an unsigned bit number @param count in scratch
+template <typename Group, typename Place>
+FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, std::uint16_t* list,
                                    int capacity, int* count) {
+  int const own = popcount(flags);
+  int at = 0;
   if constexpr (Group::max_threads >= 32) {
 #if defined(__CUDA_ARCH__)
-    int const own = popcount(flags);
-    unsigned const ones = __ballot_sync(0xffffffffu, (own & 1) != 0);
-    unsigned const twos = __ballot_sync(0xffffffffu, (own & 2) != 0);
-    unsigned const fours = __ballot_sync(0xffffffffu, (own & 4) != 0);
-    if ((ones | twos | fours) == 0) { return; }
-    unsigned const lane = threadIdx.x & 31u;
-    unsigned const upto = 0xffffffffu >> (31u - lane);
-    int const sum = __popc(ones & upto) + 2 * __popc(twos & upto) + 4 * __popc(fours & upto);
-    int at = 0;
-    if (lane == 31) { at = atomicAdd(count, sum); }
-    at = __shfl_sync(0xffffffffu, at, 31) + sum - own;
-    if (at + own > capacity) { return; }
-    std::uint16_t* to = list + at;
+    if (__ballot_sync(0xffffffffu, flags != 0) == 0) { return; }
+    unsigned const upto = 0xffffffffu >> (31u - (threadIdx.x & 31u));
+    int sum = 0;  // of this lane and those below
     FT_UNROLL
-    for (unsigned k = 0; k < 4; ++k) {
-      unsigned const flag = flags >> k & 1u;
-      if (flag != 0) { *to = static_cast<std::uint16_t>(base + static_cast<int>(k)); }
-      to += flag;
+    for (int bit = 0; bit < 6; ++bit) {
+      sum += __popc(__ballot_sync(0xffffffffu, (own >> bit & 1) != 0) & upto) << bit;
     }
+    if ((threadIdx.x & 31u) == 31u) { at = atomicAdd(count, sum); }
+    at = __shfl_sync(0xffffffffu, at, 31) + sum - own;
 #endif
   } else {
-    for (int k = 0; k < 4; ++k) {
-      if ((flags >> k & 1u) == 0) { continue; }
-      int const at = atomic_add(count, 1);
-      if (at < capacity) { list[at] = static_cast<std::uint16_t>(base + k); }
-    }
+    at = own != 0 ? atomic_add(count, own) : 0;
+  }
+  if (at + own > capacity) { return; }
+  for (; flags != 0; flags &= flags - 1) {
+    list[at++] = static_cast<std::uint16_t>(place(static_cast<unsigned>(trailing_zeros(flags))));
   }
 }
 

@@ -13,6 +13,7 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/cameras/unified.hpp"
 #include "ft/containers/feature_grid.hpp"
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"

@@ -12,11 +12,15 @@
 #include <limits>
 #include <vector>
 
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/pyramid.hpp"
 #include "ft/kernels/pyramid_tiles.hpp"
+#include "ft/kernels/receive.hpp"
 #include "tests/support/backends.hpp"
 
 namespace image_pyramid_test {
@@ -293,6 +297,78 @@ TYPED_TEST(image_pyramid_unit, tiles_give_the_same_pixels_as_rows) {
     }
   }
   EXPECT_GT(several_groups, 0) << "some geometry must need more than one launch";
+}
+
+TYPED_TEST(image_pyramid_unit, tiles_of_images_that_are_still_fetched_give_the_same_pixels) {
+  using exec_type = typename TypeParam::exec_type;
+  auto const& exec = this->backend.exec;
+  struct shape {
+    int w, h, levels, batch, side;
+  };
+  // More parts than are on their way at a time, and fewer; more tiles than multiprocessors.
+  for (shape const s :
+       {shape{752, 480, 8, 2, 56}, shape{752, 480, 8, 5, 80}, shape{331, 257, 8, 3, 56},
+        shape{640, 400, 8, 1, 24}, shape{64, 48, 3, 2, 56}, shape{1241, 376, 8, 1, 56}}) {
+    auto const g = ft::pyramid_geometry::make(s.w, s.h, s.levels, 1.2f);
+    typename TestFixture::pyramid const by_rows(g, s.batch);
+    typename TestFixture::pyramid const by_tiles(g, s.batch);
+    std::vector<ft::resize_tap> taps(static_cast<std::size_t>(g.taps));
+    ft::make_resize_taps(g, taps.data());
+    std::vector<ft::tile_span> spans;
+    ft::pyramid_tiles tiles = ft::make_pyramid_tiles(g, taps.data(), spans, s.side);
+    ASSERT_EQ(tiles.groups, 1);
+    auto const d_taps = test::to_exec(exec, taps);
+    auto const d_spans = test::to_exec(exec, spans);
+    tiles.spans = d_spans.data();
+    ft::frame_arrivals arrivals;
+    ft::arena<exec_type::space> const memory(
+        [&](ft::carver& c) { carve(c, arrivals, g, s.batch); });
+    ft::fill_bytes(exec, arrivals.received, 0, arrivals.bytes());
+    int const stride = (s.w + 15) / 16 * 16;
+    auto const bytes = static_cast<std::size_t>(stride) * static_cast<std::size_t>(s.h);
+    auto const batch = static_cast<std::size_t>(s.batch);
+    ft::buffer<std::uint8_t, ft::staging_space<exec_type>> const images(bytes * batch);
+    ft::buffer<ft::image_source, ft::staging_space<exec_type>> const sources(batch);
+    exec.wait();
+    auto const queue = [&](exec_type const& e) {
+      ft::receive_images(e, sources.data(), by_tiles.view(), {}, {}, arrivals);
+      ft::build_pyramid(e, by_tiles.view(), d_taps.data(), tiles, arrivals);
+    };
+    ft::recording<exec_type> recorded;
+    recorded.record(exec, queue);
+    for (unsigned round = 0; round < 4; ++round) {
+      for (int b = 0; b < s.batch; ++b) {
+        auto const pixels =
+            test::random_image(s.w, s.h, 100 * round + static_cast<unsigned>(s.w + b));
+        this->set_level_0(by_rows, b, pixels);
+        std::uint8_t* const to = images.data() + static_cast<std::size_t>(b) * bytes;
+        for (int y = 0; y < s.h; ++y) {
+          std::copy_n(pixels.data() + static_cast<std::ptrdiff_t>(y) * s.w, s.w,
+                      to + static_cast<std::ptrdiff_t>(y) * stride);
+        }
+        sources.data()[b] = {static_cast<std::uint8_t const*>(exec_type::host_address(to)), stride};
+      }
+      ft::build_pyramid(exec, by_rows.view(), d_taps.data());
+      if (round == 0) {
+        queue(exec);
+      } else {
+        recorded.replay(exec, queue);
+      }
+      auto const told = test::from_exec(exec, static_cast<unsigned const*>(arrivals.received),
+                                        static_cast<std::size_t>(arrivals.counters()));
+      EXPECT_EQ(told, std::vector<unsigned>(told.size(), 1u));
+      ft::for_each_item<ft::per_thread>(exec, arrivals.counters(), ft::clear_arrival{}, arrivals);
+      for (int b = 0; b < s.batch; ++b) {
+        for (int l = 0; l < s.levels; ++l) {
+          ASSERT_EQ(this->level_of(by_tiles, b, l), this->level_of(by_rows, b, l))
+              << s.w << "x" << s.h << " round " << round << " image " << b << " level " << l;
+        }
+      }
+    }
+    auto const cleared = test::from_exec(exec, static_cast<unsigned const*>(arrivals.received),
+                                         static_cast<std::size_t>(arrivals.counters()));
+    EXPECT_EQ(cleared, std::vector<unsigned>(cleared.size(), 0u));
+  }
 }
 
 TYPED_TEST(image_pyramid_unit, flat_images_stay_flat) {

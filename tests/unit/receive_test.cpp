@@ -174,10 +174,11 @@ TYPED_TEST(receive_unit, level_0_holds_every_pixel_and_nothing_else_is_written) 
     int width, height, batch;
   };
   // Less than a quad, one, rows that end inside one, one row, one column, parts of 256 quads that
-  // end with a row and inside one.
+  // end with a row and inside one, more images than a fetcher holds the addresses of.
   std::vector<size> const sizes{{1, 1, 1},    {15, 7, 2},    {16, 1, 1},    {17, 3, 5},
                                 {333, 1, 3},  {1, 300, 2},   {64, 64, 2},   {256, 16, 3},
-                                {255, 17, 4}, {333, 257, 3}, {752, 480, 2}, {1241, 376, 1}};
+                                {255, 17, 4}, {333, 257, 3}, {752, 480, 2}, {1241, 376, 1},
+                                {20, 3, 300}};
   unsigned seed = 100;
   for (auto const& s : sizes) {
     SCOPED_TRACE(std::to_string(s.width) + "x" + std::to_string(s.height) + ", batch of " +

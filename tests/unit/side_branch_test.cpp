@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Branches: what is queued on one sees what was there at the fork, and is there after the join,
-// queued or recorded.
+// queued or recorded. Launches beside the one ahead likewise.
 #include "ft/core/side_branch.hpp"
 
 #include <gtest/gtest.h>
@@ -90,10 +90,53 @@ TYPED_TEST(side_branch_unit, what_is_forked_is_there_after_the_join) {
   this->expect_sum([&](auto const& e) { return branch.fork(e); }, branch);
 }
 
-TYPED_TEST(side_branch_unit, what_is_forked_late_is_there_after_the_join) {
-  ft::side_branch<typename TestFixture::exec_type> branch;
-  branch.make();
-  this->expect_sum([&](auto const& e) { return branch.fork_late(e); }, branch);
+TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited_for) {
+  using executor = typename TypeParam::exec_type;
+  auto const& exec = this->backend.exec;
+  constexpr int length = TestFixture::size;
+  constexpr auto count = static_cast<std::size_t>(length);
+  using memory = ft::buffer<int, executor::space>;
+  ft::buffer<int, ft::staging_space<executor>> input(count);
+  memory const values(count);
+  memory const begun(count);
+  memory const ahead(count);
+  memory const first(count);
+  memory const second(count);
+  memory const half(count);
+  memory const joined(count);
+  auto const add = [](executor const& e, int factor, memory const& from, memory const& term,
+                      memory const& to) {
+    ft::for_each_item<ft::per_thread>(e, length, scale_and_add{}, factor,
+                                      static_cast<int const*>(from.data()),
+                                      static_cast<int const*>(term.data()), to.data());
+  };
+  // 3 v; 9 v + v; beside it 15 v + v and 21 v + v; all that the last launches waited for.
+  auto const queue = [&](executor const& e) {
+    ft::copy(e, values.data(), static_cast<int const*>(input.data()), count);
+    add(e, 2, values, values, begun);
+    add(e, 3, begun, values, ahead);
+    add(ft::beside(e), 5, begun, values, first);
+    add(ft::beside(e), 7, begun, values, second);
+    add(ft::in_turn(ft::beside(e)), 1, ahead, first, half);
+    add(e, 1, half, second, joined);
+  };
+  ft::recording<executor> recorded;
+  recorded.record(exec, queue);
+  for (int round = 0; round < 20; ++round) {
+    for (int i = 0; i < length; ++i) { input.data()[i] = (i * 7 + round * 1000) % 100003; }
+    for (memory const* m : {&begun, &ahead, &first, &second, &half, &joined}) {
+      ft::fill_bytes(exec, m->data(), 0x5a, m->bytes());
+    }
+    if (round % 4 == 0) {
+      queue(exec);
+    } else {
+      recorded.replay(exec, queue);
+    }
+    auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
+    for (std::size_t i = 0; i < count; ++i) {
+      ASSERT_EQ(got[i], (10 + 16 + 22) * input.data()[i]) << i << " in round " << round;
+    }
+  }
 }
 
 #if defined(__CUDACC__)
@@ -103,15 +146,18 @@ TEST(launches, that_go_evenly_are_not_early_and_stay_in_their_stream) {
   ft::cuda_exec const early(backend.exec.stream, true);
   EXPECT_FALSE(ft::evenly(early).early_launches);
   EXPECT_EQ(ft::evenly(early).stream, early.stream);
+  EXPECT_FALSE(early.launches_beside);
+  EXPECT_TRUE(ft::beside(early).launches_beside);
+  EXPECT_EQ(ft::beside(early).stream, early.stream);
+  EXPECT_FALSE(ft::in_turn(ft::beside(early)).launches_beside);
+  EXPECT_TRUE(ft::in_turn(ft::beside(early)).early_launches);
+  EXPECT_FALSE(ft::evenly(ft::beside(early)).launches_beside);
+  EXPECT_FALSE(ft::beside(ft::cuda_exec(early.stream)).launches_beside) << "not early";
   ft::side_branch<ft::cuda_exec> branch;
   branch.make();
-  auto const beside = branch.fork(early);
-  EXPECT_TRUE(beside.early_launches);
-  EXPECT_NE(beside.stream, early.stream);
-  branch.join(early);
-  auto const late = branch.fork_late(early);
-  EXPECT_FALSE(late.early_launches);
-  EXPECT_EQ(late.stream, beside.stream);
+  auto const forked = branch.fork(early);
+  EXPECT_TRUE(forked.early_launches);
+  EXPECT_NE(forked.stream, early.stream);
   branch.join(early);
   early.wait();
 }

@@ -133,6 +133,9 @@ void for_each_item(host_exec const& exec, int items, Op const& op, Args const&..
 
 /// For launches that fill the device.
 inline host_exec const& evenly(host_exec const& exec) { return exec; }
+/// For launches that need nothing of the one ahead.
+inline host_exec const& beside(host_exec const& exec) { return exec; }
+inline host_exec const& in_turn(host_exec const& exec) { return exec; }
 
 /// How much extra scratch each of `items` blocks of `Threads` threads may have, bytes.
 template <int Threads, typename Op>
@@ -169,6 +172,9 @@ struct cuda_exec {
   /// a launch. Needs compute capability 9.0 and CUDA 12.3; without effect elsewhere.
   bool early_launches = false;
 
+  /// See beside().
+  bool launches_beside = false;
+
   explicit cuda_exec(cudaStream_t s, bool early = false) : stream(s), early_launches(early) {}
   /// Blocks until everything queued on the stream is done. @throws cuda_error
   void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
@@ -189,10 +195,26 @@ struct cuda_exec {
 /// still has some: then multiprocessors get different shares of it.
 inline cuda_exec evenly(cuda_exec const& exec) { return cuda_exec(exec.stream); }
 
+/// For launches that need nothing of the one ahead, and all of what that waits for: early ones
+/// begin when it has begun, and run beside it. They may also wait for parts of it
+/// (containers/frame_arrivals.hpp): all of its blocks have begun, and do not depend on who waits.
+/// None ends before the one ahead has. Side branches do the same for more than one launch; joining
+/// them costs about two microseconds, as a launch that waits for two does not begin early.
+inline cuda_exec beside(cuda_exec const& exec) {
+  cuda_exec result = exec;
+  result.launches_beside = exec.early_launches;
+  return result;
+}
+/// The same executor for launches that need the one ahead again.
+inline cuda_exec in_turn(cuda_exec const& exec) {
+  return cuda_exec(exec.stream, exec.early_launches);
+}
+
 template <typename Shape, typename Op, typename... Args>
 FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
   if (items > 0) {
-    detail::launch<Shape>::run(exec.stream, exec.early_launches, items, op, args...);
+    detail::launch<Shape>::run({exec.stream, exec.early_launches, exec.launches_beside}, items, op,
+                               args...);
   }
 }
 

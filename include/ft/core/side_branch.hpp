@@ -12,15 +12,13 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// fork() gives an executor for work that may run beside what is queued next; join() makes what is
-/// queued after it wait for that work. Both may be recorded in a graph. fork_late() is for work
-/// that must not take a device's multiprocessors from what is queued next: its kernels are not
-/// launched early, so the next kernel, which is, has its places first.
+/// queued after it wait for that work. Both may be recorded in a graph. A single launch needs no
+/// branch, see beside() in execution.hpp.
 template <typename Exec>
 class side_branch {
 public:
   void make() {}
   Exec const& fork(Exec const& exec) { return exec; }
-  Exec const& fork_late(Exec const& exec) { return exec; }
   void join(Exec const&) {}
 };
 
@@ -62,7 +60,6 @@ public:
     detail::check(cudaStreamWaitEvent(stream_, begin_, 0), "cudaStreamWaitEvent");
     return cuda_exec(stream_, exec.early_launches);
   }
-  cuda_exec fork_late(cuda_exec const& exec) { return evenly(fork(exec)); }
   void join(cuda_exec const& exec) {
     detail::check(cudaEventRecord(end_, stream_), "cudaEventRecord");
     detail::check(cudaStreamWaitEvent(exec.stream, end_, 0), "cudaStreamWaitEvent");

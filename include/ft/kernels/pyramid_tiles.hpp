@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -98,7 +99,7 @@ inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int 
 /// @param spans gets the table; the caller copies it to the executor and sets `spans` of the result
 /// @param side of a tile in the group's source, about, pixels
 inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap const* taps,
-                                        std::vector<tile_span>& spans, int side = 80) {
+                                        std::vector<tile_span>& spans, int side = 56) {
   resize_tap const* columns[max_levels] = {};
   resize_tap const* rows[max_levels] = {};
   for (int l = 1; l < g.levels; ++l) {
@@ -176,6 +177,10 @@ struct resize_tile {
     int whole_words;               ///< 1 = the level's rows may be written by words
     int spread;                    ///< 1 = some word's neighbours do not fit into eight bytes
   };
+  static constexpr int threads = 256;
+  frame_arrivals arrivals{};
+  static constexpr bool shares_multiprocessors = true;
+
   struct scratch {
     /// With the two words that the last pixels' loads may look at beyond them.
     std::uint32_t pixels[2][pyramid_tiles::scratch_pixels / 4 + 2];
@@ -198,11 +203,14 @@ struct resize_tile {
                   in_image - row * group.columns, row);
     }
     g.sync();
+    stage_taps(g, s, pyramid.geometry, all_taps, group.first, levels);
     level_plan const source = s.level[0];
+    if (arrivals.overlapping()) {
+      arrivals.await_rows(g, image, source.y.need_begin, source.y.need_end);
+    }
     detail::stage_rectangle(g, pyramid.level(image, group.first - 1), source.x.need_begin,
                             source.y.need_begin, source.x.need_end - source.x.need_begin,
                             source.height, s.pixels[0], source.words);
-    stage_taps(g, s, pyramid.geometry, all_taps, group.first, levels);
     g.sync();
     for (int i = 1; i <= levels; ++i) {
       level_plan const plan = s.level[i];
@@ -408,9 +416,20 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
                    pyramid_tiles const& tiles) {
   for (int i = 0; i < tiles.groups; ++i) {
     tile_group const& group = tiles.group[i];
-    for_each_item<per_block<512>>(evenly(exec), pyramid.batch * group.columns * group.rows,
-                                  resize_tile{}, pyramid, taps, tiles, i);
+    for_each_item<per_block<resize_tile::threads>>(evenly(exec),
+                                                   pyramid.batch * group.columns * group.rows,
+                                                   resize_tile{}, pyramid, taps, tiles, i);
   }
+}
+
+/// The same while images are still being fetched, each tile from when its rows are there. Follows
+/// receive_images() with the same arrivals. @param tiles of a single group
+template <typename Exec>
+void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
+                   pyramid_tiles const& tiles, frame_arrivals const& arrivals) {
+  for_each_item<per_block<resize_tile::threads>>(
+      beside(exec), pyramid.batch * tiles.group[0].columns * tiles.group[0].rows,
+      resize_tile{arrivals}, pyramid, taps, tiles, 0);
 }
 
 }  // namespace FT_ABI

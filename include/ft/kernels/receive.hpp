@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -29,58 +30,115 @@ struct block_source {
   int quads = 0;               ///< of 16 bytes, as both addresses are multiples of
 };
 
-/// A part of a frame's input: so many times 16 bytes of an image, or of what comes besides.
-struct receive_part {
-  static constexpr int quads = 256;
+/// Every so many-th part of a frame's input, in order: parts of images, and of what comes besides.
+struct receive_parts {
+  static constexpr int quads = frame_arrivals::quads_of_part;
+  /// That take turns. What a device asks its host for at the same time comes in any order: few
+  /// enough parts are on their way for rows to come before those below them, and enough for the bus
+  /// to be busy.
+  static constexpr int fetchers = 24;
+  static constexpr int in_flight = 2;  ///< parts of a fetcher
+  static constexpr int sources_held = 128;
+  /// With a warp that tells what is there while the others wait for more.
+  static constexpr int threads = quads + 32;
   struct alignas(16) quad {
     std::uint32_t words[4];
   };
   struct scratch {
-    image_source source;
+    image_source sources[sources_held];
   };
-  FT_HOST_DEVICE static int parts_of(pyramid_geometry const& g) {
-    return ceil_div(ceil_div(g.width[0], 16) * g.height[0], quads);
+  static constexpr bool shares_multiprocessors = true;
+
+  static int parts_of(block_source const& first, block_source const& second) {
+    return ceil_div(first.quads + second.quads, quads);
   }
 
   /// @param sources [batch of pyramids], host memory
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& to,
                                  image_source const* sources, block_source const& first,
-                                 block_source const& second) const {
-    int const parts = parts_of(to.geometry);
-    int const image = item / parts;
-    if (image < to.batch) {
-      if (g.rank() == 0) { s.source = sources[image]; }
+                                 block_source const& second, frame_arrivals const& arrivals) const {
+    int const of_image = frame_arrivals::parts_of(to.geometry);
+    int const of_images = to.batch * of_image;
+    int const parts = of_images + ceil_div(first.quads + second.quads, quads);
+    int held = -1;  // which of the sources are
+    // Where quad `i` of a part is, and where it goes.
+    struct way {
+      quad const* from;
+      quad* to;
+    };
+    auto const way_of = [&](int part, int i) {
+      int const image = part / of_image;
+      if (part >= of_images) {
+        int const at = (part - of_images) * quads + i;
+        block_source const& block = at < first.quads ? first : second;
+        int const in_block = at < first.quads ? at : at - first.quads;
+        bool const there = in_block < block.quads;
+        return way{there ? static_cast<quad const*>(block.from) + in_block : nullptr,
+                   there ? static_cast<quad*>(block.to) + in_block : nullptr};
+      }
+      auto const level = to.level(image, 0);
+      int const of_row = ceil_div(level.width, 16);
+      int const at = (part - image * of_image) * quads + i;
+      int const y = at / of_row;
+      if (y >= level.height) { return way{nullptr, nullptr}; }
+      auto const x = static_cast<std::ptrdiff_t>(16 * (at - y * of_row));
+      image_source const& from = s.sources[image % sources_held];
+      return way{
+          reinterpret_cast<quad const*>(from.data + static_cast<std::ptrdiff_t>(y) * from.stride +
+                                        x),
+          reinterpret_cast<quad*>(level.data + static_cast<std::ptrdiff_t>(y) * level.stride + x)};
+    };
+    auto const hold_sources = [&](int part) {
+      int const image = part / of_image;
+      if (part >= of_images || image / sources_held == held) { return; }
+      held = image / sources_held;
       g.sync();
-      receive_image(g, to.level(image, 0), s.source, (item - image * parts) * quads);
-      return;
-    }
-    int const begin = (item - to.batch * parts) * quads;
-    for (int i = begin + g.rank(); i < begin + quads; i += g.size()) {
-      if (i < first.quads) {
-        copy(first, i);
-      } else if (i - first.quads < second.quads) {
-        copy(second, i - first.quads);
+      for (int k = g.rank(); k < sources_held && held * sources_held + k < to.batch;
+           k += g.size()) {
+        s.sources[k] = sources[held * sources_held + k];
+      }
+      g.sync();
+    };
+    if constexpr (Group::max_threads == 1) {
+      for (int part = item; part < parts; part += fetchers) {
+        hold_sources(part);
+        for (int i = 0; i < quads; ++i) {
+          way const w = way_of(part, i);
+          if (w.from != nullptr) { *w.to = *w.from; }
+        }
+        if (arrivals.overlapping() && part < of_images) {
+          detail::arrive(g, arrivals.received + part);
+        }
+      }
+    } else {
+      static_assert(Group::max_threads == threads, "a thread a quad");
+      quad on_way[in_flight];
+      quad* place[in_flight];
+      auto const ask = [&](int k, int part) {
+        place[k] = nullptr;
+        if (part >= parts) { return; }
+        hold_sources(part);
+        if (g.rank() >= quads) { return; }
+        way const w = way_of(part, g.rank());
+        place[k] = w.to;
+        if (w.from != nullptr) { on_way[k] = *w.from; }
+      };
+      FT_UNROLL
+      for (int k = 0; k < in_flight; ++k) { ask(k, item + k * fetchers); }
+      for (int base = item; base < parts; base += in_flight * fetchers) {
+        FT_UNROLL
+        for (int k = 0; k < in_flight; ++k) {
+          int const part = base + k * fetchers;
+          if (part >= parts) { break; }
+          if (place[k] != nullptr) { *place[k] = on_way[k]; }
+          ask(k, part + in_flight * fetchers);
+          if (arrivals.overlapping() && part < of_images) {
+            detail::arrive(g, arrivals.received + part, quads);
+          }
+        }
       }
     }
-  }
-
-private:
-  template <typename Group>
-  FT_HOST_DEVICE static void receive_image(Group g, image_view<std::uint8_t> to,
-                                           image_source const& from, int begin) {
-    int const of_row = ceil_div(to.width, 16);
-    int const end = min_of(begin + quads, of_row * to.height);
-    for (int i = begin + g.rank(); i < end; i += g.size()) {
-      int const y = i / of_row;
-      int const x = 16 * (i - y * of_row);
-      *reinterpret_cast<quad*>(to.data + static_cast<std::ptrdiff_t>(y) * to.stride + x) =
-          *reinterpret_cast<quad const*>(from.data + static_cast<std::ptrdiff_t>(y) * from.stride +
-                                         x);
-    }
-  }
-  FT_HOST_DEVICE static void copy(block_source const& block, int i) {
-    static_cast<quad*>(block.to)[i] = static_cast<quad const*>(block.from)[i];
   }
 };
 
@@ -89,14 +147,16 @@ private:
 /// @param sources [to.batch], in host memory that the executor's threads can read, looked at when
 /// the launch runs
 /// @param to has a geometry also where its batch is 0
+/// @param arrivals tells the launches that overlap with this one what is there
 template <typename Exec>
 void receive_images(Exec const& exec, image_source const* sources, image_pyramid_view const& to,
-                    block_source const& first = {}, block_source const& second = {}) {
-  for_each_item<per_block<receive_part::quads>>(
-      exec,
-      to.batch * receive_part::parts_of(to.geometry) +
-          ceil_div(first.quads + second.quads, receive_part::quads),
-      receive_part{}, to, sources, first, second);
+                    block_source const& first = {}, block_source const& second = {},
+                    frame_arrivals const& arrivals = {}) {
+  int const parts =
+      to.batch * frame_arrivals::parts_of(to.geometry) + receive_parts::parts_of(first, second);
+  for_each_item<per_block<receive_parts::threads>>(exec, min_of(parts, receive_parts::fetchers),
+                                                   receive_parts{}, to, sources, first, second,
+                                                   arrivals);
 }
 
 }  // namespace FT_ABI

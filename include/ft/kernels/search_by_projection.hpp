@@ -1184,8 +1184,9 @@ struct clear_holders {
 /// Search from the last frame: windows, candidates, assignment, orientation check; from empty
 /// holders. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
-/// @param listed called with `exec` between the two launches; what it queues there may be what
-/// fills frame.right_x
+/// @param exec may be beside() another launch: the second of these two is in turn
+/// @param listed called with the executor between the two launches; what it queues there may be
+/// what fills frame.right_x
 template <typename Exec, typename Rig, typename Listed>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,
@@ -1200,8 +1201,8 @@ void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose
   search.right_later = true;
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, list_last_point<Rig>{}, input,
                           frame, map, geometry, search, windows, work);
-  listed(exec);
-  for_each_item<per_block<assign_threads>>(exec, frame.batch,
+  listed(in_turn(exec));
+  for_each_item<per_block<assign_threads>>(in_turn(exec), frame.batch,
                                            assign_last_points<Rig, Exec::asynchronous>{}, input,
                                            frame, map, geometry, search, stamps, windows, work);
 }

@@ -258,7 +258,7 @@ void sort_right_rows(Exec const& exec, keypoints_view const& keypoints,
   build_grid<row_cell>(exec, keypoints, 1, 2, keypoints.batch / 2, rows);
 }
 
-/// The rest of match_stereo_rectified(), after sort_right_rows(); two launches.
+/// The part after sort_right_rows(): matches, of which the outliers are still to be cut.
 template <typename Exec>
 void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
                        keypoints_view const& keypoints, stereo_params const& params,
@@ -266,7 +266,13 @@ void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
   int const pairs = keypoints.batch / 2;
   for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
                           keypoints, right_rows, params, out);
-  for_each_item<per_block<512>>(exec, pairs, cut_stereo_outliers{}, out);
+}
+
+/// The last part.
+template <typename Exec>
+void cut_outliers(Exec const& exec, keypoints_view const& keypoints,
+                  stereo_matches_view const& out) {
+  for_each_item<per_block<512>>(exec, keypoints.batch / 2, cut_stereo_outliers{}, out);
 }
 
 /// Right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are pair b.
@@ -278,6 +284,7 @@ void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
                             stereo_matches_view const& out, feature_grid_view const& right_rows) {
   sort_right_rows(exec, keypoints, right_rows);
   match_sorted_rows(exec, pyramid, keypoints, params, out, right_rows);
+  cut_outliers(exec, keypoints, out);
 }
 
 }  // namespace FT_ABI

@@ -143,9 +143,9 @@ struct twin {
   }
   block_source source() const {
     // An arena is longer than what is carved from it, by more than the quad that is cut off.
-    static_assert(alignment >= 2 * sizeof(receive_part::quad), "all that is carved is copied");
+    static_assert(alignment >= 2 * sizeof(receive_parts::quad), "all that is carved is copied");
     return {device_memory.data(), host_memory.data(),
-            static_cast<int>(host_memory.bytes() / sizeof(receive_part::quad))};
+            static_cast<int>(host_memory.bytes() / sizeof(receive_parts::quad))};
   }
 };
 
@@ -165,6 +165,16 @@ struct apply_updates {
     get<field::max_distance>(map, u.slot) = u.max_distance;
     get<field::orb>(map, u.slot) = u.orb;
     get<field::observations>(map, u.slot) = u.observations;
+  }
+};
+
+/// The pose to begin with where none is optimised before.
+struct copy_pose {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, pose const* from, pose* to) const {
+    to[item] = from[item];
   }
 };
 
@@ -330,7 +340,6 @@ public:
     fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
     fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
     exec.wait();
-    grid_branch_.make();
     match_branch_.make();
     view_branch_.make();
     extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
@@ -428,7 +437,10 @@ public:
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
     features(exec, mark, false);
-    await_stereo<Mark>(exec);
+    if constexpr (branches<Mark>) {
+      matcher_.match_prepared(exec, extractor_);
+      matcher_.finish(exec, extractor_);
+    }
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_.matches, nullptr);
@@ -525,41 +537,45 @@ private:
     search.retry_below = params_.enough_matches;
     search.max_x = frustum_.max_x;
     search.max_y = frustum_.max_y;
-    // The lists need no stereo matches, the choice from them needs those of a rectified pair.
-    search_last_frame(exec, rig_, input.predicted, input.last, frame_, last_, map_, search,
-                      geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_},
-                      [&](Exec const& e) {
-                        if constexpr (Rig::rectified) { await_stereo<Mark>(e); }
-                        if (!params_.optimize_last) { take_prediction<Mark>(e); }
-                      });
+    auto const search_on = [&](Exec const& lists, auto const& listed) {
+      search_last_frame(lists, rig_, input.predicted, input.last, frame_, last_, map_, search,
+                        geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_},
+                        listed);
+    };
+    auto const take_prediction = [this](Exec const& e) {
+      if (params_.optimize_last) { return; }
+      for_each_item<per_thread>(e, batch(), copy_pose{},
+                                static_cast<pose const*>(motion_.device.predicted), poses_);
+    };
+    if constexpr (!branches<Mark>) {
+      search_on(exec, take_prediction);
+    } else if constexpr (Rig::rectified) {
+      // The lists need no stereo matches, the choice from them does.
+      matcher_.match_prepared(exec, extractor_);
+      search_on(beside(exec), [&](Exec const& e) {
+        take_prediction(beside(e));
+        matcher_.finish(e, extractor_);
+      });
+    } else {
+      // Nor does the choice for two cameras. The lists begin first.
+      auto&& branch = match_branch_.fork(exec);
+      search_on(exec, [&](Exec const& e) {
+        matcher_.match_prepared(branch, extractor_);
+        take_prediction(beside(e));
+      });
+    }
     mark("search last frame");
     if (params_.optimize_last) {
       optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
                      observations_);
       mark("pose last frame");
-    } else if (branches<Mark>) {
-      view_branch_.join(exec);
     }
-    if constexpr (!Rig::rectified) { await_stereo<Mark>(exec); }
+    if constexpr (branches<Mark> && !Rig::rectified) { match_branch_.join(exec); }
   }
 
   /// Recordings and calls without marks have side branches.
   template <typename Mark>
   static constexpr bool branches = std::is_same<std::decay_t<Mark>, no_mark>::value;
-
-  /// The poses of the next search are those predicted, beside the assignment of this one.
-  template <typename Mark>
-  void take_prediction(Exec const& exec) {
-    auto const queue = [this](Exec const& e) {
-      copy(e, poses_, static_cast<pose const*>(motion_.device.predicted),
-           static_cast<std::size_t>(batch_));
-    };
-    if constexpr (branches<Mark>) {
-      queue(view_branch_.fork(exec));
-    } else {
-      queue(exec);
-    }
-  }
 
   template <typename Mark>
   void queue_track(Exec const& exec, Mark&& mark) {
@@ -642,37 +658,30 @@ private:
     receive_images(exec, nullptr, none, first, second);
   }
 
-  /// Stage by stage the stereo matches are there at the end, in a recording after await_stereo().
+  /// Stage by stage with the stereo matches, in a recording without them.
   /// @param with_local the local map comes with the images
   template <typename Mark>
   void features(Exec const& exec, Mark& mark, bool with_local) {
     batch_.require_made("tracker");
-    receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(),
-                   with_local ? local_.source() : block_source{});
-    mark("upload");
+    block_source const local = with_local ? local_.source() : block_source{};
     constexpr int step = Rig::rectified ? 2 : 1;
     if constexpr (branches<Mark>) {
-      extractor_.extract_beside(exec, [this](Exec const& e) {
-        build_grid<nearest_cell>(grid_branch_.fork(e), extractor_.keypoints(), 0, step,
-                                 cameras * batch_, frame_.grids);
-        matcher_.prepare(match_branch_.fork(e), extractor_);
-      });
-      matcher_.match_prepared(match_branch_.fork(exec), extractor_);
-      grid_branch_.join(exec);
+      extractor_.receive_and_extract(exec, sources_.data(), motion_.source(), local,
+                                     [this](Exec const& e) {
+                                       build_grid<nearest_cell>(e, extractor_.keypoints(), 0, step,
+                                                                cameras * batch_, frame_.grids);
+                                       matcher_.prepare(beside(e), extractor_);
+                                     });
     } else {
+      receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(), local);
+      mark("upload");
       extractor_.extract(exec, mark);
       build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, step, cameras * batch_,
                                frame_.grids);
       mark("grid");
       matcher_.match(exec, extractor_);
+      mark("stereo");
     }
-    mark("stereo");
-  }
-
-  /// The stereo matches of features() are there for what is queued next.
-  template <typename Mark>
-  void await_stereo(Exec const& exec) {
-    if constexpr (branches<Mark>) { match_branch_.join(exec); }
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
@@ -707,7 +716,6 @@ private:
   arena<staging> result_memory_;
   detail::twin<detail::motion_input, space, staging> motion_;
   detail::twin<detail::local_input, space, staging> local_;
-  side_branch<Exec> grid_branch_;
   side_branch<Exec> match_branch_;
   side_branch<Exec> view_branch_;
   recording<Exec> extract_recording_;

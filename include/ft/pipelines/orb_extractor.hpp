@@ -9,12 +9,12 @@
 #include <string>
 #include <vector>
 
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/side_branch.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corner_mask.hpp"
 #include "ft/kernels/corners.hpp"
@@ -23,6 +23,7 @@
 #include "ft/kernels/distribution.hpp"
 #include "ft/kernels/pyramid.hpp"
 #include "ft/kernels/pyramid_tiles.hpp"
+#include "ft/kernels/receive.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -92,8 +93,8 @@ public:
       overlaps_ = c.take<stereo_overlap>(b);
       place_ = c.take<int>(b * static_cast<std::size_t>(quad.total));
       mono_count_ = c.take<int>(b);
+      carve(c, arrivals_, geometry_, batch);
     });
-    blur_branch_.make();
     tiles_.spans = tile_spans;
     std::vector<stereo_overlap> all(overlaps);
     all.resize(b);
@@ -104,6 +105,7 @@ public:
     // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
+    fill_bytes(exec, arrivals_.received, 0, arrivals_.bytes());
     if (has_masks()) { fill_bytes(exec, masks_.data, 255, mask_bytes() * b); }
     exec.wait();
   }
@@ -139,21 +141,33 @@ public:
 
   /// Queues all stages over the uploaded images; the blur beside the distribution.
   void extract(Exec const& exec) {
-    extract_beside(exec, [](Exec const&) {});
-  }
-  /// The same. @param located called with the executor when all of the keypoints but angles and
-  /// descriptors is queued: what it forks there runs beside those
-  template <typename Located>
-  void extract_beside(Exec const& exec, Located const& located) {
     resize(exec);
     detect(exec);
-    // Beside the quadtree most of a device is idle; its few blocks get their places first.
-    blur_pyramid(blur_branch_.fork_late(exec), pyramid_, blurred_, blur_layout_);
-    distribute_corners(exec, corners_, distribution_);
+    distribute_and_blur(exec, 0);
+    order(exec);
+    describe(exec);
+  }
+  /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
+  /// pyramid's tiles are made of rows that are there while the next ones are fetched.
+  /// @param located called with the executor when all of the keypoints but angles and descriptors
+  /// is queued; has to queue a launch there, which runs beside those
+  template <typename Located>
+  void receive_and_extract(Exec const& exec, image_source const* sources, block_source const& first,
+                           block_source const& second, Located const& located) {
+    batch_.require_made("extractor");
+    bool const overlap = Exec::asynchronous && tiles_.groups == 1;
+    if (overlap) {
+      receive_images(exec, sources, pyramid_, first, second, arrivals_);
+      build_pyramid(exec, pyramid_, taps_, tiles_, arrivals_);
+    } else {
+      receive_images(exec, sources, pyramid_, first, second);
+      resize(exec);
+    }
+    detect(exec);
+    distribute_and_blur(exec, overlap ? arrivals_.counters() : 0);
     order(exec);
     located(exec);
-    blur_branch_.join(exec);
-    describe(exec);
+    describe(beside(exec));
   }
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
@@ -204,6 +218,14 @@ public:
   std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
 
 private:
+  /// The blur runs beside the quadtree, where most of a device is idle.
+  /// @param raised counters of arrivals that go back to 0
+  void distribute_and_blur(Exec const& exec, int raised) {
+    distribute_corners(exec, corners_, distribution_);
+    for_each_item<per_thread>(beside(exec), raised, clear_arrival{}, arrivals_);
+    blur_pyramid(beside(exec), pyramid_, blurred_, blur_layout_);
+  }
+
   /// Both ways give the same pixels: long rows suit a processor, few launches a device.
   void resize(Exec const& exec) {
     batch_.require_made("extractor");
@@ -277,8 +299,8 @@ private:
   stereo_overlap* overlaps_ = nullptr;
   int* place_ = nullptr;
   int* mono_count_ = nullptr;
+  frame_arrivals arrivals_;
   arena<space> arena_;
-  side_branch<Exec> blur_branch_;
 };
 
 }  // namespace FT_ABI

@@ -65,6 +65,7 @@ public:
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     prepare(exec, extractor);
     match_prepared(exec, extractor);
+    finish(exec, extractor);
   }
   /// The part of match() that needs places and octaves of keypoints only: what
   /// orb_extractor::extract_beside has when it calls.
@@ -77,7 +78,7 @@ public:
       static_cast<void>(extractor);
     }
   }
-  /// The rest of match().
+  /// The part that needs descriptors.
   void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {
@@ -86,6 +87,15 @@ public:
     } else {
       match_cleared_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
                             extractor.geometry(), fisheye_params_, fisheye_);
+    }
+  }
+  /// The rest of match().
+  void finish(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    require_shape(extractor);
+    if constexpr (Rig::rectified) {
+      cut_outliers(exec, extractor.keypoints(), matches_);
+    } else {
+      static_cast<void>(exec);
     }
   }
 

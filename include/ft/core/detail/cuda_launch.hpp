@@ -5,6 +5,7 @@
 #include <cuda_runtime.h>
 
 #include <cstddef>
+#include <type_traits>
 #include <utility>
 
 #include "ft/core/config.hpp"
@@ -21,12 +22,27 @@ struct per_block;
 
 namespace detail {
 
-/// First in every kernel: waits for the launch ahead where this one began early, and lets the next
-/// one begin.
-__device__ inline void await_launch_ahead() {
+/// First in every kernel. Waits for the launch ahead where this one began early, and lets the next
+/// one begin. @param beside the launch ahead, which has waited for the one before it: what that
+/// wrote is there, in the caches as well
+__device__ inline void begin_launch(bool beside) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
-  cudaGridDependencySynchronize();
+  if (beside) {
+    __threadfence();
+  } else {
+    cudaGridDependencySynchronize();
+  }
   cudaTriggerProgrammaticLaunchCompletion();
+#else
+  static_cast<void>(beside);
+#endif
+}
+/// Last in every kernel: who waits for a launch waits for the one ahead of it, too.
+__device__ inline void end_launch(bool beside) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
+  if (beside && blockIdx.x == 0) { cudaGridDependencySynchronize(); }
+#else
+  static_cast<void>(beside);
 #endif
 }
 
@@ -56,17 +72,38 @@ FT_HIDDEN void allow_all_block_scratch(void (*kernel)(Params...)) {
         "cudaFuncSetAttribute");
 }
 
-/// Launches a kernel. @param early while the launch ahead is still running; only kernels compiled
-/// for architectures that know await_launch_ahead() do @param extra_bytes of block scratch besides
-/// what the kernel declares
+/// Functors whose launches overlap say `static constexpr bool shares_multiprocessors = true`: a
+/// kernel that wants another share of a multiprocessor's memory for block scratch than the one that
+/// is there would wait until it is idle.
+template <typename Op, typename = void>
+inline constexpr bool shares_multiprocessors = false;
+template <typename Op>
+inline constexpr bool shares_multiprocessors<Op, std::enable_if_t<Op::shares_multiprocessors>> =
+    true;
+/// Has a multiprocessor give all that it can to block scratch.
+template <typename... Params>
+FT_HIDDEN void most_block_scratch(void (*kernel)(Params...)) {
+  check(cudaFuncSetAttribute(kernel, cudaFuncAttributePreferredSharedMemoryCarveout,
+                             cudaSharedmemCarveoutMaxShared),
+        "cudaFuncSetAttribute");
+}
+
+/// Where a launch goes, and when it begins; as cuda_exec has it.
+struct launch_order {
+  cudaStream_t stream;
+  bool early;
+  bool beside;
+};
+
+/// Launches a kernel, early only where it is compiled for an architecture that knows
+/// begin_launch(). @param extra_bytes of block scratch besides what the kernel declares
 template <typename... Params, typename... Args>
 FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigned threads,
-                             std::size_t extra_bytes, cudaStream_t stream, bool early,
-                             Args const&... args) {
+                             std::size_t extra_bytes, launch_order how, Args const&... args) {
   if (extra_bytes > 0) { allow_all_block_scratch(kernel); }
 #if CUDART_VERSION >= 12030
   cudaFuncAttributes facts{};
-  if (early) { check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
+  if (how.early) { check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
   cudaLaunchAttribute attribute{};
   attribute.id = cudaLaunchAttributeProgrammaticStreamSerialization;
   attribute.val.programmaticStreamSerializationAllowed = 1;
@@ -74,44 +111,54 @@ FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigne
   config.gridDim = dim3(blocks);
   config.blockDim = dim3(threads);
   config.dynamicSmemBytes = extra_bytes;
-  config.stream = stream;
+  config.stream = how.stream;
   config.attrs = &attribute;
-  config.numAttrs = early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
-  check(cudaLaunchKernelEx(&config, kernel, args...), "kernel launch");
+  config.numAttrs = how.early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
+  check(cudaLaunchKernelEx(&config, kernel, how.beside, args...), "kernel launch");
 #else
-  static_cast<void>(early);
-  kernel<<<blocks, threads, extra_bytes, stream>>>(args...);
+  kernel<<<blocks, threads, extra_bytes, how.stream>>>(how.beside, args...);
   check(cudaGetLastError(), "kernel launch");
 #endif
 }
 
 template <int Threads, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Threads)
-    per_thread_kernel(int items, Op op, Args... args) {
-  await_launch_ahead();
+    per_thread_kernel(bool beside, int items, Op op, Args... args) {
+  begin_launch(beside);
   int const item = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   if (item < items) {
     typename Op::scratch scratch;
     op(single_group{}, scratch, item, args...);
   }
+  end_launch(beside);
 }
 
 template <int Warps, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
-    per_warp_kernel(int items, Op op, Args... args) {
-  await_launch_ahead();
+    per_warp_kernel(bool beside, int items, Op op, Args... args) {
+  begin_launch(beside);
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
   int const item = static_cast<int>(blockIdx.x) * Warps + warp;
   if (item < items) { op(warp_group{}, scratch[warp], item, args...); }
+  end_launch(beside);
 }
 
+/// How many of its blocks a functor wants on a multiprocessor, if it says so: fewer registers.
+template <typename Op, typename = void>
+inline constexpr int blocks_side_by_side = 0;
+template <typename Op>
+inline constexpr int blocks_side_by_side<Op, std::enable_if_t<(Op::side_by_side > 0)>> =
+    Op::side_by_side;
+
 template <int Threads, typename Op, typename... Args>
-FT_HIDDEN __global__ void __launch_bounds__(Threads) per_block_kernel(Op op, Args... args) {
-  await_launch_ahead();
+FT_HIDDEN __global__ void __launch_bounds__(Threads, blocks_side_by_side<Op>)
+    per_block_kernel(bool beside, Op op, Args... args) {
+  begin_launch(beside);
   __shared__ typename block_group<Threads>::scratch collectives;
   __shared__ typename Op::scratch scratch;
   op(block_group<Threads>{&collectives}, scratch, static_cast<int>(blockIdx.x), args...);
+  end_launch(beside);
 }
 
 /// What a functor wants of block scratch besides its `scratch`: its extra_bytes(), if it has that.
@@ -130,37 +177,37 @@ struct launch;
 template <>
 struct launch<per_thread> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
-                            Args const&... args) {
+  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
     constexpr int threads = 128;
     launch_kernel(&per_thread_kernel<threads, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, threads)), threads, 0, stream, early, items,
-                  op, args...);
+                  static_cast<unsigned>(ceil_div(items, threads)), threads, 0, how, items, op,
+                  args...);
   }
 };
 
 template <>
 struct launch<per_warp> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
-                            Args const&... args) {
+  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
     constexpr int warps = 4;
     launch_kernel(&per_warp_kernel<warps, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, stream, early,
-                  items, op, args...);
+                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, how, items, op,
+                  args...);
   }
 };
 
 template <int N>
 struct launch<per_block<N>> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(cudaStream_t stream, bool early, int items, Op const& op,
-                            Args const&... args) {
+  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
     static_assert(
         sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
         "static shared memory");
+    if constexpr (shares_multiprocessors<Op>) {
+      most_block_scratch(&per_block_kernel<N, Op, Args...>);
+    }
     launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N,
-                  extra_bytes_of<Op>::get(op), stream, early, op, args...);
+                  extra_bytes_of<Op>::get(op), how, op, args...);
   }
 };
 

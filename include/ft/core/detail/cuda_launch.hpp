@@ -144,15 +144,24 @@ FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
   end_launch(beside);
 }
 
-/// How many of its blocks a functor wants on a multiprocessor, if it says so: fewer registers.
-template <typename Op, typename = void>
+/// Threads that a multiprocessor of this architecture has at a time, at least.
+#if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 900 || __CUDA_ARCH__ == 1000)
+inline constexpr int threads_at_once = 2048;
+#elif defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+inline constexpr int threads_at_once = 1536;
+#else
+inline constexpr int threads_at_once = 1024;
+#endif
+/// How many of its blocks a functor wants on a multiprocessor, if it says so (`side_by_side`): a
+/// limit of registers. Not so many that all threads would get the fewest that there can be.
+template <int Threads, typename Op, typename = void>
 inline constexpr int blocks_side_by_side = 0;
-template <typename Op>
-inline constexpr int blocks_side_by_side<Op, std::enable_if_t<(Op::side_by_side > 0)>> =
-    Op::side_by_side;
+template <int Threads, typename Op>
+inline constexpr int blocks_side_by_side<Threads, Op, std::enable_if_t<(Op::side_by_side > 0)>> =
+    min_of(int{Op::side_by_side}, threads_at_once * 5 / 6 / Threads);
 
 template <int Threads, typename Op, typename... Args>
-FT_HIDDEN __global__ void __launch_bounds__(Threads, blocks_side_by_side<Op>)
+FT_HIDDEN __global__ void __launch_bounds__(Threads, blocks_side_by_side<Threads, Op>)
     per_block_kernel(bool beside, Op op, Args... args) {
   begin_launch(beside);
   __shared__ typename block_group<Threads>::scratch collectives;

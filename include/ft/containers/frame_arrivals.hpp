@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Container: how far the images of a frame are, while they are fetched and their levels and
-/// corners are made. By it a launch waits for parts of one that is still running, in place of all
-/// of it.
+/// @file Container: how much of a frame's images is there while they are fetched. By it a launch
+/// waits for parts of one that is still running, in place of all of it.
 ///
 /// A launch that waits in this way is beside() the one that it waits for, which has begun with all
 /// of its items: what it waits for comes, whatever else a device does. Where launches follow each

@@ -198,8 +198,8 @@ inline cuda_exec evenly(cuda_exec const& exec) { return cuda_exec(exec.stream); 
 /// For launches that need nothing of the one ahead, and all of what that waits for: early ones
 /// begin when it has begun, and run beside it. They may also wait for parts of it
 /// (containers/frame_arrivals.hpp): all of its blocks have begun, and do not depend on who waits.
-/// None ends before the one ahead has. Side branches do the same for more than one launch; joining
-/// them costs about two microseconds, as a launch that waits for two does not begin early.
+/// None ends before the one ahead has. Side branches do the same for more than one launch, but what
+/// joins one was seen to begin two microseconds late.
 inline cuda_exec beside(cuda_exec const& exec) {
   cuda_exec result = exec;
   result.launches_beside = exec.early_launches;

@@ -60,15 +60,15 @@ public:
     });
   }
 
-  /// Queues the matching of the extractor's current images. @throws bad_argument, as its two parts,
-  /// for an extractor of another shape than the one that the matcher was made with
+  /// Queues the matching of the extractor's current images. @throws bad_argument, as its parts, for
+  /// an extractor of another shape than the one that the matcher was made with
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     prepare(exec, extractor);
     match_prepared(exec, extractor);
     finish(exec, extractor);
   }
   /// The part of match() that needs places and octaves of keypoints only: what
-  /// orb_extractor::extract_beside has when it calls.
+  /// orb_extractor::receive_and_extract has when it calls.
   void prepare(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {

@@ -153,7 +153,7 @@ inline constexpr int threads_at_once = 1536;
 inline constexpr int threads_at_once = 1024;
 #endif
 /// How many of its blocks a functor wants on a multiprocessor, if it says so (`side_by_side`): a
-/// limit of registers. Not so many that all threads would get the fewest that there can be.
+/// limit of registers. Five sixths of the threads at most: with all of them registers do not do.
 template <int Threads, typename Op, typename = void>
 inline constexpr int blocks_side_by_side = 0;
 template <int Threads, typename Op>

@@ -29,8 +29,16 @@ template <typename Backend>
 class side_branch_unit : public test::on_backend<Backend> {
 protected:
   using exec_type = typename Backend::exec_type;
+  using memory = ft::buffer<int, exec_type::space>;
   static constexpr int size = 100000;
   Backend backend;
+
+  static void add(exec_type const& e, int factor, memory const& from, memory const& term,
+                  memory const& to) {
+    ft::for_each_item<ft::per_thread>(e, size, scale_and_add{}, factor,
+                                      static_cast<int const*>(from.data()),
+                                      static_cast<int const*>(term.data()), to.data());
+  }
 
   /// 3 (2 input + input) + (5 (2 input + input) + input) by a branch beside the main line.
   /// @param fork of an executor
@@ -41,17 +49,10 @@ protected:
     for (int i = 0; i < size; ++i) { values.push_back(i % 1009); }
     auto const input = test::to_exec(exec, values);
     constexpr auto count = static_cast<std::size_t>(size);
-    using memory = ft::buffer<int, exec_type::space>;
     memory const begun(count);
     memory const beside(count);
     memory const ahead(count);
     memory const joined(count);
-    auto const add = [](exec_type const& e, int factor, memory const& from, memory const& term,
-                        memory const& to) {
-      ft::for_each_item<ft::per_thread>(e, size, scale_and_add{}, factor,
-                                        static_cast<int const*>(from.data()),
-                                        static_cast<int const*>(term.data()), to.data());
-    };
     auto const queue = [&](exec_type const& e) {
       add(e, 2, input, input, begun);
       add(fork(e), 5, begun, input, beside);
@@ -95,21 +96,16 @@ TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited
   auto const& exec = this->backend.exec;
   constexpr int length = TestFixture::size;
   constexpr auto count = static_cast<std::size_t>(length);
-  using memory = ft::buffer<int, executor::space>;
+  using buffer = typename TestFixture::memory;
   ft::buffer<int, ft::staging_space<executor>> input(count);
-  memory const values(count);
-  memory const begun(count);
-  memory const ahead(count);
-  memory const first(count);
-  memory const second(count);
-  memory const half(count);
-  memory const joined(count);
-  auto const add = [](executor const& e, int factor, memory const& from, memory const& term,
-                      memory const& to) {
-    ft::for_each_item<ft::per_thread>(e, length, scale_and_add{}, factor,
-                                      static_cast<int const*>(from.data()),
-                                      static_cast<int const*>(term.data()), to.data());
-  };
+  buffer const values(count);
+  buffer const begun(count);
+  buffer const ahead(count);
+  buffer const first(count);
+  buffer const second(count);
+  buffer const half(count);
+  buffer const joined(count);
+  auto const add = TestFixture::add;
   // 3 v; 9 v + v; beside it 15 v + v and 21 v + v; all that the last launches waited for.
   auto const queue = [&](executor const& e) {
     ft::copy(e, values.data(), static_cast<int const*>(input.data()), count);
@@ -124,7 +120,7 @@ TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited
   recorded.record(exec, queue);
   for (int round = 0; round < 20; ++round) {
     for (int i = 0; i < length; ++i) { input.data()[i] = (i * 7 + round * 1000) % 100003; }
-    for (memory const* m : {&begun, &ahead, &first, &second, &half, &joined}) {
+    for (buffer const* m : {&begun, &ahead, &first, &second, &half, &joined}) {
       ft::fill_bytes(exec, m->data(), 0x5a, m->bytes());
     }
     if (round % 4 == 0) {

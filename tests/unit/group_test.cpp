@@ -61,6 +61,26 @@ struct use_extra_scratch {
   }
 };
 
+/// Adds up what it wrote while it was prepared.
+struct use_what_is_prepared {
+  static constexpr bool prepares = true;
+  struct scratch {
+    int of[1024];
+  };
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int item, int n, int*) const {
+    for (int i = g.rank(); i < n; i += g.size()) { s.of[n - 1 - i] = i + item; }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, int n, int* out) const {
+    g.sync();
+    int sum = 0;
+    for (int i = g.rank(); i < n; i += g.size()) { sum += s.of[i]; }
+    sum = g.reduce(sum, ft::sum_op{});
+    if (g.rank() == 0) { out[item] = sum; }
+  }
+};
+
 /// A value of the largest size that a block's collectives take.
 struct tally {
   int sum, minimum, maximum, count;
@@ -139,6 +159,24 @@ struct sort_item {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts,
                                  unsigned long long* keys) const {
     g.sort(keys + starts[item], starts[item + 1] - starts[item]);
+  }
+};
+
+/// Whether any number of an item is 0, as each thread is told, and with what only one says.
+struct any_item {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, int const* starts, int const* data,
+                                 int* answers) const {
+    bool zero = false;
+    for (int i = starts[item] + g.rank(); i < starts[item + 1]; i += g.size()) {
+      zero = zero || data[i] == 0;
+    }
+    int const all_told = g.reduce(static_cast<int>(g.any(zero)), ft::min_op{});
+    int const some_told =
+        g.reduce(static_cast<int>(g.any(g.rank() == item % g.size())), ft::min_op{});
+    int const nobody = g.reduce(static_cast<int>(g.any(false)), ft::max_op{});
+    if (g.rank() == g.size() - 1) { answers[item] = all_told + 2 * some_told + 4 * nobody; }
   }
 };
 
@@ -320,6 +358,24 @@ protected:
   }
 
   template <typename Shape>
+  void check_any() {
+    auto const data = random_values(0, 100);
+    auto const d_starts = test::to_exec(backend.exec, starts);
+    auto const d_data = test::to_exec(backend.exec, data);
+    auto const d_answers = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
+    ft::for_each_item<Shape>(backend.exec, items(), any_item{},
+                             static_cast<int const*>(d_starts.data()),
+                             static_cast<int const*>(d_data.data()), d_answers.data());
+    auto const answers =
+        test::from_exec(backend.exec, static_cast<int const*>(d_answers.data()), sizes.size());
+    for (std::size_t item = 0; item < sizes.size(); ++item) {
+      bool const zero =
+          std::count(data.begin() + starts[item], data.begin() + starts[item + 1], 0) > 0;
+      EXPECT_EQ(answers[item], 2 + static_cast<int>(zero)) << sizes[item];
+    }
+  }
+
+  template <typename Shape>
   void check_count() {
     auto const data = random_values(0, 9);
     auto const d_starts = test::to_exec(backend.exec, starts);
@@ -390,6 +446,12 @@ TYPED_TEST(group_unit, reduce_over_blocks) {
   this->template check_reduce<ft::per_block<32>>();
   this->template check_reduce<ft::per_block<96>>();  // warps that are no power of two
   this->template check_reduce<ft::per_block<1024>>();
+}
+TYPED_TEST(group_unit, any_of_each_group) {
+  this->template check_any<ft::per_thread>();
+  this->template check_any<ft::per_warp>();
+  this->template check_any<ft::per_block<96>>();
+  this->template check_any<ft::per_block<512>>();
 }
 TYPED_TEST(group_unit, count_over_one_thread) { this->template check_count<ft::per_thread>(); }
 TYPED_TEST(group_unit, count_over_a_warp) { this->template check_count<ft::per_warp>(); }
@@ -476,6 +538,20 @@ TYPED_TEST(group_unit, extra_scratch_is_there_up_to_the_limit) {
       auto const wrong = test::from_exec(exec, static_cast<int const*>(d_wrong.data()),
                                          static_cast<std::size_t>(items));
       for (int const w : wrong) { ASSERT_EQ(w, 0) << items << " items, " << op.bytes << " bytes"; }
+    }
+  }
+}
+
+TYPED_TEST(group_unit, what_a_block_prepares_is_there) {
+  constexpr int items = 300;
+  auto const& exec = this->backend.exec;
+  for (int const n : {1, 100, 1024}) {
+    auto const out = test::to_exec(exec, std::vector<int>(items, -1));
+    int* const to = out.data();
+    ft::for_each_item<ft::per_block<256>>(exec, items, use_what_is_prepared{}, n, to);
+    auto const got = test::from_exec(exec, static_cast<int const*>(to), items);
+    for (int item = 0; item < items; ++item) {
+      ASSERT_EQ(got[static_cast<std::size_t>(item)], n * (n - 1) / 2 + n * item);
     }
   }
 }

@@ -42,6 +42,8 @@ struct no_scratch {};
 // `std::size_t extra_bytes() const`, at most what extra_scratch() says; then `group.extra()` is so
 // much memory on the multiprocessor. The host has none to give.
 
+// Before it is run, a functor for blocks may prepare(), see group.hpp.
+
 /// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from
 /// several threads at a time.
 class host_exec {
@@ -109,11 +111,13 @@ inline bool has_wide_vectors() {
 template <typename Op, typename... Args>
 FT_WIDE void run_wide(Op const& op, int item, Args const&... args) {
   typename Op::scratch scratch;
+  if constexpr (prepares<Op>) { op.prepare(single_group{}, scratch, item, args...); }
   op(single_group{}, scratch, item, args...);
 }
 template <typename Op, typename... Args>
 void run_plain(Op const& op, int item, Args const&... args) {
   typename Op::scratch scratch;
+  if constexpr (prepares<Op>) { op.prepare(single_group{}, scratch, item, args...); }
   op(single_group{}, scratch, item, args...);
 }
 

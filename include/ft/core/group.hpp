@@ -36,6 +36,18 @@ struct max_op {
   }
 };
 
+namespace detail {
+
+/// Functors for blocks say `static constexpr bool prepares = true` where they have a member
+/// `prepare(group, scratch, item, args...)`: what needs nothing of the launches ahead, and is done
+/// while those end.
+template <typename Op, typename = void>
+inline constexpr bool prepares = false;
+template <typename Op>
+inline constexpr bool prepares<Op, std::enable_if_t<Op::prepares>> = true;
+
+}  // namespace detail
+
 /// One thread: every item on the host, and items of a single thread on the device.
 struct single_group {
   static constexpr int max_threads = 1;
@@ -52,6 +64,8 @@ struct single_group {
   FT_HOST_DEVICE T reduce(T value, Op) const {
     return value;
   }
+  /// Whether any thread says yes.
+  FT_HOST_DEVICE static bool any(bool flag) { return flag; }
   /// How many neighbouring threads `reduce_lanes<Most>` takes together: `Most`, a power of two up
   /// to 32, or 1 where the group is one thread.
   FT_HOST_DEVICE static constexpr int lanes(int) { return 1; }
@@ -121,11 +135,43 @@ __device__ T shuffle_xor(T value, int mask) {
   return value;
 }
 
+/// Whether this architecture reduces a T over a warp in one instruction.
+template <typename T, typename Op>
+inline constexpr bool has_reduce_instruction =
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+    (std::is_same<T, int>::value || std::is_same<T, unsigned>::value) &&
+    (std::is_same<Op, sum_op>::value || std::is_same<Op, min_op>::value ||
+     std::is_same<Op, max_op>::value);
+#else
+    false;
+#endif
+
 template <int Lanes = 32, typename T, typename Op>
 __device__ T warp_reduce(T value, Op op) {
-  FT_UNROLL
-  for (int mask = Lanes / 2; mask > 0; mask /= 2) { value = op(value, shuffle_xor(value, mask)); }
-  return value;
+  constexpr unsigned all = 0xffffffffu;
+  constexpr bool is_min = std::is_same<Op, min_op>::value;
+  constexpr bool is_sum = std::is_same<Op, sum_op>::value;
+  if constexpr (Lanes == 32 && has_reduce_instruction<T, Op>) {
+    if constexpr (is_sum) {
+      return __reduce_add_sync(all, value);
+    } else if constexpr (is_min) {
+      return __reduce_min_sync(all, value);
+    } else {
+      return __reduce_max_sync(all, value);
+    }
+  } else if constexpr (Lanes == 32 && !is_sum && std::is_same<T, unsigned long long>::value &&
+                       has_reduce_instruction<unsigned, Op>) {
+    // The upper words, then the lower ones of those who have the upper one.
+    auto const own = static_cast<unsigned>(value >> 32);
+    unsigned const high = warp_reduce(own, op);
+    unsigned const low =
+        warp_reduce(own == high ? static_cast<unsigned>(value) : (is_min ? all : 0u), op);
+    return static_cast<T>(high) << 32 | low;
+  } else {
+    FT_UNROLL
+    for (int mask = Lanes / 2; mask > 0; mask /= 2) { value = op(value, shuffle_xor(value, mask)); }
+    return value;
+  }
 }
 
 __device__ inline int warp_inclusive_scan(int value) {
@@ -175,6 +221,7 @@ struct warp_group {
   __device__ T reduce(T value, Op op) const {
     return detail::warp_reduce(value, op);
   }
+  __device__ static bool any(bool flag) { return __any_sync(0xffffffffu, flag) != 0; }
   __device__ static constexpr int lanes(int most) { return most; }
   template <int Most, typename T, typename Op>
   __device__ T reduce_lanes(T value, Op op) const {
@@ -257,6 +304,7 @@ struct block_group {
     sync();
     return result;
   }
+  __device__ static bool any(bool flag) { return __syncthreads_or(static_cast<int>(flag)) != 0; }
   __device__ static constexpr int lanes(int most) { return most; }
   template <int Most, typename T, typename Op>
   __device__ T reduce_lanes(T value, Op op) const {

@@ -63,6 +63,21 @@ FT_HOST_DEVICE inline double div(double a, double b) {
   return a / b;
 #endif
 }
+/// 1 / a, correctly rounded.
+FT_HOST_DEVICE inline float reciprocal(float a) {
+#if defined(__CUDA_ARCH__)
+  return __frcp_rn(a);
+#else
+  return 1.0f / a;
+#endif
+}
+FT_HOST_DEVICE inline double reciprocal(double a) {
+#if defined(__CUDA_ARCH__)
+  return __drcp_rn(a);
+#else
+  return 1.0 / a;
+#endif
+}
 FT_HOST_DEVICE inline float square_root(float a) {
 #if defined(__CUDA_ARCH__)
   return __fsqrt_rn(a);
@@ -141,6 +156,11 @@ namespace scalar {
 template <typename S>
 FT_HOST_DEVICE S sqrt(S v) {
   return S(detail::square_root(to_plain(v)));
+}
+/// 1 / v to the bit, in fewer instructions on a GPU.
+template <typename S>
+FT_HOST_DEVICE S reciprocal(S v) {
+  return S(detail::reciprocal(to_plain(v)));
 }
 template <typename S>
 FT_HOST_DEVICE S abs(S v) {

@@ -163,10 +163,13 @@ inline constexpr int blocks_side_by_side<Threads, Op, std::enable_if_t<(Op::side
 template <int Threads, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Threads, blocks_side_by_side<Threads, Op>)
     per_block_kernel(bool beside, Op op, Args... args) {
-  begin_launch(beside);
   __shared__ typename block_group<Threads>::scratch collectives;
   __shared__ typename Op::scratch scratch;
-  op(block_group<Threads>{&collectives}, scratch, static_cast<int>(blockIdx.x), args...);
+  block_group<Threads> const g{&collectives};
+  int const item = static_cast<int>(blockIdx.x);
+  if constexpr (prepares<Op>) { op.prepare(g, scratch, item, args...); }
+  begin_launch(beside);
+  op(g, scratch, item, args...);
   end_launch(beside);
 }
 

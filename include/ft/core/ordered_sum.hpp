@@ -29,24 +29,31 @@ struct ordered_sum_scratch {
 #if defined(__CUDACC__)
 namespace detail {
 
-/// One step of transposed_warp_sum: 2 D values become D. Recursive, as a loop over D may stay a
-/// loop and put the values into memory.
-template <int D>
-__device__ void halve_values(float (&v)[32], int lane) {
+/// One step of transposed_warp_sum: K values become D, or stay K where these are no more.
+/// Recursive, as a loop over D may stay a loop and put the values into memory.
+template <int D, int K, int Size>
+__device__ void halve_values(float (&v)[Size], int lane) {
   bool const upper = (lane & D) != 0;
   FT_UNROLL
-  for (int i = 0; i < D; ++i) {
-    float const give = upper ? v[i] : v[i + D];
-    float const keep = upper ? v[i + D] : v[i];
+  for (int i = 0; i < min_of(D, K); ++i) {
+    float give = v[i];
+    float keep = v[i];
+    // Else the upper lanes get what nobody looks at.
+    if (i + D < K) {
+      give = upper ? v[i] : v[i + D];
+      keep = upper ? v[i + D] : v[i];
+    }
     v[i] = keep + __shfl_xor_sync(0xffffffffu, give, D);
   }
-  if constexpr (D > 1) { halve_values<D / 2>(v, lane); }
+  if constexpr (D > 1) { halve_values<D / 2, min_of(D, K)>(v, lane); }
 }
 
-/// Adds 32 values over the lanes of a warp, value k ending in lane k: each step halves the values
-/// that a lane keeps, so that 31 exchanges do what 32 butterflies do with 160, in the same order.
-__device__ inline float transposed_warp_sum(float (&v)[32], int lane) {
-  halve_values<16>(v, lane);
+/// Adds K <= 32 values over the lanes of a warp, value k ending in lane k: each step halves the
+/// values that a lane keeps, so that 31 exchanges do what 32 butterflies do with 160, in the same
+/// order.
+template <int K>
+__device__ float transposed_warp_sum(float (&v)[K], int lane) {
+  halve_values<16, K>(v, lane);
   return v[0];
 }
 
@@ -55,8 +62,10 @@ __device__ inline float transposed_warp_sum(float (&v)[32], int lane) {
 
 /// K sums over i in [0, n): `add(i, sum_terms<K>& acc)` adds term i. The result is
 /// `scratch.total`, for every thread, until the next call. Groups of one thread or of sum_lanes.
-template <int K, typename Group, typename Add>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add) {
+/// @param then `then()` is run by the first thread as soon as the sums are there; the others wait
+template <int K, typename Group, typename Add, typename Then>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add,
+                                Then const& then) {
   if constexpr (Group::max_threads == 1) {
     static_cast<void>(g);
     sum_terms<K> acc[sum_lanes] = {};
@@ -74,28 +83,42 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
     }
     scratch.total = acc[0];
     for (int w = 32; w < sum_lanes; w += 32) { into(scratch.total, acc[w]); }
+    then();
   } else {
     static_assert(Group::max_threads == sum_lanes, "one thread per lane");
 #if defined(__CUDACC__)
-    sum_terms<K> acc{};
-    for (int i = g.rank(); i < n; i += g.size()) { add(i, acc); }
-    float terms[32];
-    FT_UNROLL
-    for (int k = 0; k < 32; ++k) { terms[k] = k < K ? acc.of[k] : 0.0f; }
     int const lane = g.rank() % 32;
     int const warp = g.rank() / 32;
-    float const mine = detail::transposed_warp_sum(terms, lane);
+    float mine = 0;
+    if (warp * 32 < n) {
+      // -0 plus the first term is that term, with no addition. Nobody sees a difference between -0
+      // and 0: what is left of it at the end is gone with 0 as the first summand.
+      sum_terms<K> acc;
+      FT_UNROLL
+      for (int k = 0; k < K; ++k) { acc.of[k] = -0.0f; }
+      if (g.rank() < n) { add(g.rank(), acc); }
+      for (int i = g.rank() + g.size(); i < n; i += g.size()) { add(i, acc); }
+      mine = detail::transposed_warp_sum(acc.of, lane);
+    }
     if (lane < K) { scratch.warp[warp].of[lane] = mine; }
     g.sync();
-    if (g.rank() < K) {
-      float sum = scratch.warp[0].of[g.rank()];
-      FT_UNROLL
-      for (int w = 1; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].of[g.rank()]; }
-      scratch.total.of[g.rank()] = sum;
+    if (warp == 0) {
+      if (lane < K) {
+        float sum = 0;
+        FT_UNROLL
+        for (int w = 0; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].of[lane]; }
+        scratch.total.of[lane] = sum;
+      }
+      g.part().sync();
+      if (lane == 0) { then(); }
     }
     g.sync();
 #endif
   }
+}
+template <int K, typename Group, typename Add>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add) {
+  ordered_sum(g, scratch, n, add, [] {});
 }
 
 }  // namespace FT_ABI

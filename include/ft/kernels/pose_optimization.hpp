@@ -22,8 +22,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A map point seen at a keypoint.
-struct observation {
+/// A map point seen at a keypoint. Aligned, so that a GPU loads it in two pieces.
+struct alignas(16) observation {
   vec3<float> point;  ///< world frame, metres
   float u, v;         ///< pixels
   float right_u;      ///< column in the right image of a rectified pair; negative = none
@@ -119,7 +119,7 @@ struct symmetric_3 {
                         xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy};
     Real const determinant = xx * c.xx + xy * c.xy + xz * c.xz;
     if (!(xx > Real(0) && c.zz > Real(0) && determinant > Real(0))) { return false; }
-    Real const scale = Real(1) / determinant;
+    Real const scale = scalar::reciprocal(determinant);
     inverse = {c.xx * scale, c.xy * scale, c.xz * scale, c.yy * scale, c.yz * scale, c.zz * scale};
     return true;
   }
@@ -183,7 +183,7 @@ struct reprojection {
     error[2] = Real(0);
     if constexpr (Rig::rectified) {
       auto const& c = rig.camera;
-      Real const inverse = Real(1) / in_body.z;
+      Real const inverse = scalar::reciprocal(in_body.z);
       bool const stereo = o.right_u >= 0;
       iz = stereo ? real(static_cast<float>(inverse.value)) : inverse;
       Real const u = real(c.fx) * in_body.x * iz + real(c.cx);
@@ -360,19 +360,13 @@ struct damped_descent {
   real growth;
   int steps_left;
   int trials_left;
-  int spare;     ///< which of two sums is not that of the best
   bool running;  ///< false = done, `D` is the answer
 
-  FT_HOST_DEVICE void restart(pose_params const& params) {
-    for (int i = 0; i < 9; ++i) { D.R.m[i] = i % 4 == 0 ? 1.0f : 0.0f; }
-    D.t = {0.0f, 0.0f, 0.0f};
+  /// @param sums without any motion
+  FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
+    D = rigid<real>::identity();
     trial = D;
     steps_left = params.steps;
-    spare = 0;
-    running = true;
-  }
-
-  FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
     float largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
@@ -384,15 +378,15 @@ struct damped_descent {
     cost = sums.of[pose_terms - 1];
     trials_left = params.trials;
     running = steps_left > 0;
-    spare ^= 1;
   }
 
-  FT_HOST_DEVICE void judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
+  /// Whether the trial is the best now. @param sums there
+  FT_HOST_DEVICE bool judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
     real const there = sums.of[pose_terms - 1];
     real const decrease = cost - there;
     if (!(decrease > -(real(noise) * cost) && scalar::is_finite(there))) {
       refuse();
-      return;
+      return false;
     }
     real const m = real(2.0f) * (decrease / expected) - 1.0f;
     damping =
@@ -402,7 +396,7 @@ struct damped_descent {
     cost = there;
     trials_left = params.trials;
     running = --steps_left > 0;
-    spare ^= 1;
+    return true;
   }
 
   /// Names the next trial, or ends. @param best the sums at the best
@@ -444,73 +438,103 @@ struct optimize_pose {
   /// So many observations are kept in block scratch, others are looked up each time.
   static constexpr int scratch_size = 1024;
   struct scratch {
-    ordered_sum_scratch<terms> sums[2];
+    ordered_sum_scratch<terms> sums;
+    sum_terms<terms> best;  ///< sums at the best motion so far
     detail::damped_descent descent;
-    vec3<float> point[scratch_size];  ///< in the camera's frame at the start
-    float u[scratch_size];
-    float v[scratch_size];
-    float third[scratch_size];   ///< column in the right image, or 1 = seen by the right camera
-    float weight[scratch_size];  ///< 0 = does not count in this round
+    alignas(16) detail::transform T;  ///< what the last round found; at first the start
+    /// What sums need of an observation, in pieces that are loaded at once.
+    struct alignas(16) {
+      vec3<float> point;  ///< in the camera's frame at the start
+      float weight;       ///< 0 = does not count in this round
+    } place[scratch_size];
+    struct alignas(16) {
+      float u, v, third;  ///< column in the right image, or 1 = seen by the right camera
+      unsigned flags;
+    } pixel[scratch_size];
   };
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, Rig const& rig, pose_problem const& problem,
                                  pose_params const& params) const {
-    int const n = problem.count;
-    if (n < 3) {
-      for (int i = g.rank(); i < n; i += g.size()) { problem.outlier[i] = 0; }
-      if (g.rank() == 0) {
-        *problem.result = *problem.start;
-        *problem.inliers = 0;
-      }
-      return;
+    if (g.rank() == 0) { s.T = problem.start->template cast<strict_double>(); }
+    g.sync();
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < problem.count; i += g.size()) {
+      prepare(s, i, rig, problem, problem.observations[i]);
     }
-    detail::transform const start = problem.start->template cast<strict_double>();
-    for (int i = g.rank(); i < n; i += g.size()) { prepare(s, i, rig, problem, start); }
-    detail::transform T = start;
+    solve(g, s, rig, problem, params);
+  }
+
+  /// Takes in observation i, once s.T is the start: in the thread that will look at it, which is i
+  /// modulo the group's size. @param o observation i of the problem
+  FT_HOST_DEVICE static void prepare(scratch& s, int i, Rig const& rig, pose_problem const& problem,
+                                     observation const& o) {
+    reprojection<Rig> const r(rig, s.T, o);
+    bool const usable = r.chi2(o) < largest_chi2;
+    if (i < scratch_size) {
+      s.place[i] = {narrowed(r.in_body), usable ? o.inv_sigma2 : 0.0f};
+      s.pixel[i] = {o.u, o.v, Rig::rectified ? o.right_u : static_cast<float>(o.right_camera), 0};
+    }
+    set_flags(s, i, problem, usable ? 0 : unusable);
+  }
+
+  /// Optimises once all observations are prepared.
+  template <typename Group>
+  FT_HOST_DEVICE static void solve(Group g, scratch& s, Rig const& rig, pose_problem const& problem,
+                                   pose_params const& params) {
+    int const n = problem.count;
+    bool const enough = n >= 3 && params.rounds > 0;
     bool changed = true;
-    for (int round = 0; round < params.rounds; ++round) {
+    FT_NO_UNROLL
+    for (int round = 0; enough && round < params.rounds; ++round) {
       bool const robust = round + 1 < params.rounds;
       // The same observations and the same kernel give the same pose again.
       if (!changed && robust) { continue; }
-      T = run_round(g, s, rig, problem, params, start, robust);
-      int changes = 0;
+      run_round(g, s, rig, problem, params, robust);
+      bool changes = false;
+      FT_NO_UNROLL
       for (int i = g.rank(); i < n; i += g.size()) {
-        changes += static_cast<int>(classify(s, i, rig, problem, params, T));
+        changes = classify(s, i, rig, problem, params) || changes;
       }
-      changed = g.reduce(changes, sum_op{}) > 0;
+      if (robust) { changed = g.any(changes); }
     }
     int good = 0;
+    FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      problem.outlier[i] = problem.outlier[i] & outlier;
-      good += static_cast<int>(problem.outlier[i] == 0);
+      unsigned const flag = enough ? flags(s, i, problem) & outlier : 0;
+      set_flags(s, i, problem, flag);
+      problem.outlier[i] = static_cast<unsigned char>(flag);
+      good += static_cast<int>(flag == 0);
     }
     good = g.reduce(good, sum_op{});
     if (g.rank() == 0) {
-      *problem.result = T.template cast<float>();
-      *problem.inliers = params.rounds > 0 ? good : 0;
+      *problem.result = enough ? s.T.template cast<float>() : *problem.start;
+      *problem.inliers = enough ? good : 0;
     }
   }
 
+  /// What the problem's `outlier` says, for the thread of observation i.
+  FT_HOST_DEVICE static bool is_outlier(scratch const& s, int i, pose_problem const& problem) {
+    return (flags(s, i, problem) & outlier) != 0;
+  }
+
 private:
-  static constexpr unsigned char outlier = 1;
+  static constexpr unsigned outlier = 1;
   /// Without a number at the start, or with one that the sums in float cannot hold: out of all
   /// sums, which one of them would spoil.
-  static constexpr unsigned char unusable = 2;
+  static constexpr unsigned unusable = 2;
   static constexpr double largest_chi2 = 1e30;
 
-  FT_HOST_DEVICE static void prepare(scratch& s, int i, Rig const& rig, pose_problem const& problem,
-                                     detail::transform const& start) {
-    observation const o = problem.observations[i];
-    reprojection<Rig> const r(rig, start, o);
-    bool const usable = r.chi2(o) < largest_chi2;
-    problem.outlier[i] = usable ? 0 : unusable;
-    if (i >= scratch_size) { return; }
-    s.point[i] = narrowed(r.in_body);
-    s.u[i] = o.u;
-    s.v[i] = o.v;
-    s.third[i] = Rig::rectified ? o.right_u : static_cast<float>(o.right_camera);
-    s.weight[i] = usable ? o.inv_sigma2 : 0.0f;
+  FT_HOST_DEVICE static unsigned flags(scratch const& s, int i, pose_problem const& problem) {
+    return i < scratch_size ? s.pixel[i].flags : problem.outlier[i];
+  }
+  FT_HOST_DEVICE static void set_flags(scratch& s, int i, pose_problem const& problem,
+                                       unsigned flags) {
+    if (i < scratch_size) {
+      s.pixel[i].flags = flags;
+    } else {
+      problem.outlier[i] = static_cast<unsigned char>(flags);
+    }
   }
   FT_HOST_DEVICE static vec3<float> narrowed(vec3<detail::real> p) {
     return {static_cast<float>(p.x.value), static_cast<float>(p.y.value),
@@ -521,8 +545,10 @@ private:
   /// count.
   FT_HOST_DEVICE static observation prepared(scratch const& s, int i, pose_problem const& problem) {
     if (i < scratch_size) {
-      return {s.point[i], s.u[i],      s.v[i],
-              s.third[i], s.weight[i], Rig::rectified ? 0 : static_cast<int>(s.third[i])};
+      auto const place = s.place[i];
+      auto const pixel = s.pixel[i];
+      return {place.point, pixel.u,      pixel.v,
+              pixel.third, place.weight, Rig::rectified ? 0 : static_cast<int>(pixel.third)};
     }
     observation o = problem.observations[i];
     auto const start = problem.start->template cast<strict_double>();
@@ -533,37 +559,36 @@ private:
     return o;
   }
 
-  /// Whether observation i is an outlier at T, for its flag and the next round. True if that is
+  /// Whether observation i is an outlier at s.T, for its flag and the next round. True if that is
   /// new.
   FT_HOST_DEVICE static bool classify(scratch& s, int i, Rig const& rig,
-                                      pose_problem const& problem, pose_params const& params,
-                                      detail::transform const& T) {
+                                      pose_problem const& problem, pose_params const& params) {
     observation const o = problem.observations[i];
-    reprojection<Rig> const r(rig, T, o);
+    reprojection<Rig> const r(rig, s.T, o);
     // Written so that a NaN is too far.
     bool const far = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
-    unsigned char const before = problem.outlier[i];
-    unsigned char const after =
-        static_cast<unsigned char>((before & unusable) | (far ? outlier : 0));
-    problem.outlier[i] = after;
-    if (i < scratch_size) { s.weight[i] = after != 0 ? 0.0f : o.inv_sigma2; }
+    unsigned const before = flags(s, i, problem);
+    unsigned const after = (before & unusable) | (far ? outlier : 0);
+    set_flags(s, i, problem, after);
+    if (i < scratch_size) { s.place[i].weight = after != 0 ? 0.0f : o.inv_sigma2; }
     return before != after;
   }
 
-  /// Gradient, curvature and cost after motion D, over the observations that count.
-  template <typename Group>
-  FT_HOST_DEVICE static void linearize(Group g, scratch& s, ordered_sum_scratch<terms>& sums,
-                                       Rig const& rig, pose_problem const& problem,
-                                       pose_params const& params, rigid<strict_float> const& D,
-                                       bool robust) {
+  /// Gradient, curvature and cost after motion D, over the observations that count; then `then()`.
+  template <typename Group, typename Then>
+  FT_HOST_DEVICE static void linearize(Group g, scratch& s, Rig const& rig,
+                                       pose_problem const& problem, pose_params const& params,
+                                       rigid<strict_float> const& D, bool robust,
+                                       Then const& then) {
     using real = strict_float;
-    ordered_sum<terms>(g, sums, problem.count, [&](int i, sum_terms<terms>& acc) {
+    real const limit_mono = static_cast<float>(params.chi2_mono);
+    real const limit_stereo = static_cast<float>(params.chi2_stereo);
+    auto const add = [&](int i, sum_terms<terms>& acc) {
       observation const o = prepared(s, i, problem);
       if (!(o.inv_sigma2 > 0)) { return; }
       reprojection<Rig, real, true> const r(rig, D, o);
       real const chi2 = r.chi2(o);
-      real const limit = r.rows == 3 ? static_cast<float>(params.chi2_stereo)
-                                     : static_cast<float>(params.chi2_mono);
+      real const limit = r.rows == 3 ? limit_stereo : limit_mono;
       real weight = o.inv_sigma2;
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
@@ -578,38 +603,43 @@ private:
       vec3<real> const weights{weight, weight, r.rows == 3 ? weight : real(0.0f)};
       detail::add_motion_terms(r.in_body, P, weights, {r.error[0], r.error[1], r.error[2]},
                                Rig::rectified, acc.of);
-    });
+    };
+    ordered_sum<terms>(g, s.sums, problem.count, add, then);
   }
 
-  /// The best pose for the observations that count.
+  /// Finds the best pose for the observations that count.
   template <typename Group>
-  FT_HOST_DEVICE static detail::transform run_round(Group g, scratch& s, Rig const& rig,
-                                                    pose_problem const& problem,
-                                                    pose_params const& params,
-                                                    detail::transform const& start, bool robust) {
-    detail::damped_descent& descent = s.descent;
-    if (g.rank() == 0) { descent.restart(params); }
-    g.sync();
+  FT_HOST_DEVICE static void run_round(Group g, scratch& s, Rig const& rig,
+                                       pose_problem const& problem, pose_params const& params,
+                                       bool robust) {
+    auto D = rigid<strict_float>::identity();
     FT_NO_UNROLL
-    for (bool first = true; descent.running; first = false) {
-      ordered_sum_scratch<terms>& sums = s.sums[descent.spare];
-      linearize(g, s, sums, rig, problem, params, descent.trial, robust);
-      if (g.rank() == 0) {
+    for (bool first = true, running = true; running; first = false) {
+      linearize(g, s, rig, problem, params, D, robust, [&] {
         // On copies: loads from scratch at once, not one after another between stores.
-        detail::damped_descent next = descent;
-        sum_terms<terms> const there = sums.total;
+        detail::damped_descent next = s.descent;
+        sum_terms<terms> sums = s.sums.total;
+        bool better = true;
         if (first) {
-          next.begin(there, params);
+          next.begin(sums, params);
         } else {
-          next.judge(there, params);
+          better = next.judge(sums, params);
         }
-        sum_terms<terms> const best = s.sums[next.spare ^ 1].total;
-        next.propose(best, params);
-        descent = next;
-      }
-      g.sync();
+        if (better) {
+          s.best = sums;
+        } else {
+          sums = s.best;
+        }
+        next.propose(sums, params);
+        s.descent = next;
+        if (!next.running) {
+          s.T =
+              next.D.template cast<strict_double>() * problem.start->template cast<strict_double>();
+        }
+      });
+      running = s.descent.running;
+      D = s.descent.trial;
     }
-    return descent.D.template cast<strict_double>() * start;
   }
 };
 
@@ -638,7 +668,11 @@ inline void carve(carver& c, observations_view& v, int capacity, int batch) {
 /// One frame: gathers the observations, optimises the pose, and lets keypoints go of outliers.
 template <typename Rig>
 struct optimize_frame_pose {
-  using scratch = typename optimize_pose<Rig>::scratch;
+  using solver = optimize_pose<Rig>;
+  struct scratch {
+    typename solver::scratch pose;
+    int number[solver::scratch_size];  ///< keypoint number of an observation
+  };
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, Rig const& rig,
@@ -649,44 +683,76 @@ struct optimize_frame_pose {
     map_points_view const points = map.slice(b);
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
-    int n = 0;
-    for (int c = 0; c < frame.cameras; ++c) {
-      int const count = *frame.camera(b, c).count;
-      for (int base = 0; base < count; base += g.size()) {
-        int const number = c * frame.capacity() + base + g.rank();
-        bool const holds = base + g.rank() < count && holder[number] >= 0;
-        int total = 0;
-        int const place = n + g.exclusive_count(holds, total);
-        if (holds) { out.number[at + place] = number; }
-        n += total;
-      }
-    }
-    g.sync();
+    int const first = *frame.camera(b, 0).count;
+    int const all = first + (frame.cameras > 1 ? *frame.camera(b, 1).count : 0);
+    if (g.rank() == 0) { s.pose.T = start[b].template cast<strict_double>(); }
+    int const n = list_observations(g, s, first, all, frame.capacity(), holder, out.number + at);
+    pose_problem const problem{out.items + at, n, start + b, result + b, out.outlier + at,
+                               out.inliers + b};
+    auto const number_of = [&](int i) {
+      return i < solver::scratch_size ? s.number[i] : out.number[at + i];
+    };
+    FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      int const number = out.number[at + i];
+      int const number = number_of(i);
       int const c = number < frame.capacity() ? 0 : 1;
       int const k = number - c * frame.capacity();
       keypoints_view const kp = frame.camera(b, c);
       float const right = Rig::rectified && frame.right_x != nullptr
                               ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
                               : -1.0f;
-      out.items[at + i] = {get<field::position>(points, holder[number]),
-                           get<field::x>(kp, k),
-                           get<field::y>(kp, k),
-                           right,
-                           geometry.inv_sigma2[get<field::octave>(kp, k)],
-                           c};
+      observation const o{get<field::position>(points, holder[number]),
+                          get<field::x>(kp, k),
+                          get<field::y>(kp, k),
+                          right,
+                          geometry.inv_sigma2[get<field::octave>(kp, k)],
+                          c};
+      out.items[at + i] = o;
+      solver::prepare(s.pose, i, rig, problem, o);
     }
-    g.sync();
     if (g.rank() == 0) { out.count[b] = n; }
-    optimize_pose<Rig>{}(
-        g, s, rig,
-        pose_problem{out.items + at, n, start + b, result + b, out.outlier + at, out.inliers + b},
-        params);
-    g.sync();
+    solver::solve(g, s.pose, rig, problem, params);
+    FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      if (out.outlier[at + i] != 0) { holder[out.number[at + i]] = -1; }
+      if (solver::is_outlier(s.pose, i, problem)) { holder[number_of(i)] = -1; }
     }
+  }
+
+private:
+  /// Lists the numbers of the keypoints that hold a point. Returns how many. @param first keypoints
+  /// of the first camera @param all of both
+  template <typename Group>
+  FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int first, int all, int capacity,
+                                              int const* holder, int* listed) {
+    // Each part takes a run of keypoints: one scan, over the parts, gives all their places.
+    auto const part = g.part();
+    int const run = ceil_div(all, g.size()) * part.size();
+    int const from = g.part_index() * run;
+    int const to = min_of(from + run, all);
+    auto const number_of = [&](int k) { return k < first ? k : k - first + capacity; };
+    auto const holds = [&](int k) { return k < to && holder[number_of(k)] >= 0; };
+    int mine = 0;
+    constexpr int at_once = 4;  // loads
+    FT_NO_UNROLL
+    for (int k = from + part.rank(); k < to; k += at_once * part.size()) {
+      FT_UNROLL
+      for (int j = 0; j < at_once; ++j) { mine += static_cast<int>(holds(k + j * part.size())); }
+    }
+    int n = 0;
+    int place = part.shuffle(g.exclusive_scan(mine, n), 0);
+    FT_NO_UNROLL
+    for (int k = from + part.rank(); k - part.rank() < to; k += part.size()) {
+      bool const held = holds(k);
+      int count = 0;
+      int const i = place + part.exclusive_count(held, count);
+      if (held) {
+        listed[i] = number_of(k);
+        if (i < solver::scratch_size) { s.number[i] = number_of(k); }
+      }
+      place += count;
+    }
+    g.sync();
+    return n;
   }
 };
 

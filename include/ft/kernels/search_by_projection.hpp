@@ -94,10 +94,12 @@ struct search_workspace {
   /// `observed` where the point looked for is that, and `left_out` where candidates are not listed
   /// since they are taken
   int* list_count = nullptr;
-  int* match = nullptr;   ///< [cameras][batch][capacity] keypoint taken by each window, -1 = none
+  /// [cameras][batch][capacity] keypoint taken by each window, -1 = none. Who lists the candidates
+  /// begins with what a window of the local map would take if it were alone.
+  int* match = nullptr;
   int* open = nullptr;    ///< [batch][capacity] points that have candidates
-  int* writer = nullptr;  ///< [batch][numbers] the last in the chain of who writes a keypoint
-  int* before = nullptr;  ///< [batch][2 * cameras * capacity] links of the chains
+  int* writer = nullptr;  ///< [batch][numbers] who owns or writes a keypoint
+  int* before = nullptr;  ///< [batch][links] a second such table, or links of chains of writers
   std::uint8_t* held = nullptr;  ///< [batch][numbers] 1 = taken before the search
   int* matches = nullptr;        ///< [batch] keypoints that were given a point
   int capacity = 0;              ///< windows
@@ -156,11 +158,34 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
   return distance <= limit ? distance : -1;
 }
 
+/// Whether a window's best candidate is not better enough than its second best, -1 = none.
+FT_HOST_DEVICE inline bool refuses(search_params const& p, keypoints_view const& kp, int best,
+                                   int best_k, int second, int second_k) {
+  return p.kind == search_kind::local_map && second_k >= 0 &&
+         static_cast<float>(best) > mul(p.ratio, static_cast<float>(second)) &&
+         get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k);
+}
+
 FT_HOST_DEVICE inline int entry_distance(std::uint32_t entry) {
   return static_cast<int>(entry >> 23);
 }
 FT_HOST_DEVICE inline int entry_keypoint(std::uint32_t entry) {
   return static_cast<int>(entry & 0x7fffffu);
+}
+
+/// use(i, load(i)) for all i < n; each thread has `Ahead` loads under way at a time.
+template <int Ahead, typename Group, typename Load, typename Use>
+FT_HOST_DEVICE void load_ahead(Group g, int n, Load const& load, Use const& use) {
+  for (int first = g.rank(); first < n; first += Ahead * g.size()) {
+    decltype(load(0)) loaded[Ahead];
+    FT_UNROLL
+    for (int t = 0; t < Ahead; ++t) { loaded[t] = load(min_of(first + t * g.size(), n - 1)); }
+    FT_UNROLL
+    for (int t = 0; t < Ahead; ++t) {
+      int const i = first + t * g.size();
+      if (i < n) { use(i, loaded[t]); }
+    }
+  }
 }
 
 /// Keeps the best candidates of a window in order: nearest first, of equals the one that came
@@ -216,6 +241,13 @@ public:
     return found_;
   }
 
+  /// Whether a window that is alone, and found `found`, refuses the nearest.
+  FT_HOST_DEVICE bool refused(search_params const& p, keypoints_view const& kp, int found) const {
+    return found > 1 && refuses(p, kp, entry_distance(entry(0)), nearest(),
+                                entry_distance(entry(1)), entry_keypoint(entry(1)));
+  }
+  FT_HOST_DEVICE int nearest() const { return entry_keypoint(entry(0)); }
+
 private:
   FT_HOST_DEVICE static std::uint32_t packed(int distance, int k) {
     return static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
@@ -258,11 +290,13 @@ struct list_candidates {
             ? nullptr
             : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity();
     bool left_empty = false;
+    bool refused = false;
     for (int c = 0; c < frame.cameras; ++c) {
       bool left_out = false;
       search_window const w = windows.camera(c);
       std::ptrdiff_t const at = work.window(c, b, i);
       int found = 0;
+      int first = -1;
       bool in_window = false;
       if (w.slot >= 0 && !left_empty) {
         detail::candidate_list<Group> list(work.list + at * (search_workspace::list_size / 4));
@@ -285,12 +319,20 @@ struct list_candidates {
           list.add(g, distance, k);
         });
         found = list.finish(g, params.max_distance);
+        if (params.kind == search_kind::local_map && found > 0 && !refused) {
+          bool const alike = list.refused(params, kp, found);
+          first = alike ? -1 : list.nearest();
+          refused = alike && c == 0;
+        }
         if (frame.cameras == 2 && g.ballot(left_out) != 0) { found |= search_workspace::left_out; }
         if (found != 0 && get<field::observations>(points, w.slot) > 0) {
           found |= search_workspace::observed;
         }
       }
-      if (g.rank() == 0) { work.list_count[at] = found; }
+      if (g.rank() == 0) {
+        work.list_count[at] = found;
+        work.match[at] = first;
+      }
       if (params.kind == search_kind::last_frame && frame.cameras == 2) {
         left_empty = g.ballot(in_window) == 0;
       }
@@ -314,10 +356,9 @@ struct assign_keypoints {
     int writer[scratch_size];
     int before[scratch_size];
     std::uint8_t held[scratch_size];
-    int first_changed;
-    int list_ended;  ///< 1 = somebody may want what the lists do not hold
-    int guests;      ///< 1 = somebody looks for a point without observations
-    int proposed;    ///< 1 = `writer` has the window that took each keypoint, or nobody
+    int first_changed[3];  ///< of this turn, the one before and the next, which is cleared
+    int list_ended;        ///< 1 = somebody may want what the lists do not hold
+    int guests;            ///< 1 = somebody looks for a point without observations
   };
   struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
 
@@ -325,6 +366,18 @@ struct assign_keypoints {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_workspace const& work) const {
+    assign(g, s, b, frame, map, windows, params, work, [](int const*) { return false; });
+  }
+
+  /// The same. Where every window has one keypoint at most, and every keypoint one owner or nobody,
+  /// calls write(owners) first: list_size times a window and more for each keypoint, or nobody.
+  /// Returns true, and writes nothing, if that did. `s` but for what `owners` points to is free
+  /// then.
+  template <typename Group, typename Write>
+  FT_HOST_DEVICE static bool assign(Group g, scratch& s, int b, frame_view const& frame,
+                                    map_points_view const& map, search_windows_view const& windows,
+                                    search_params const& params, search_workspace const& work,
+                                    Write const& write) {
     static_assert(Turns || Group::max_threads == 1, "the plain loop is for one thread");
     context const ctx{b,
                       frame,
@@ -340,15 +393,21 @@ struct assign_keypoints {
                           ? nullptr
                           : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
     if constexpr (Turns) {
-      if (g.rank() == 0) { s.proposed = 0; }
-      if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) { return; }
-      take_turns(g, s, ctx);
+      if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) {
+        bool const simple = frame.numbers() <= scratch_size && s.guests == 0 && params.from_empty;
+        if (simple && write(s.writer)) { return true; }
+        write_proposed(g, s, ctx);
+      } else {
+        take_turns(g, s, ctx);
+      }
     } else {
       one_after_another(ctx);
     }
+    return false;
   }
 
   static constexpr int nobody = 0x7fffffff;
+  static constexpr int list_size = search_workspace::list_size;
 
 private:
   struct context {
@@ -367,16 +426,14 @@ private:
     FT_HOST_DEVICE bool observed(int slot) const {
       return slot >= 0 && get<field::observations>(points, slot) > 0;
     }
+    /// Whether an observed point holds a keypoint since before the search: nothing of that is
+    /// listed.
+    FT_HOST_DEVICE bool held(int number) const {
+      return !params.from_empty && observed(holder[number]);
+    }
     /// As in search_workspace.
     FT_HOST_DEVICE int list_count(int camera, int i) const {
       return work.list_count[work.window(camera, b, i)];
-    }
-    /// The same, 0 where there are no candidates. @param all those that were not listed are some
-    FT_HOST_DEVICE int open_count(int camera, int i, bool all) const {
-      int const mask =
-          all ? search_workspace::counted | search_workspace::left_out : search_workspace::counted;
-      int const count = list_count(camera, i);
-      return (count & mask) != 0 ? count : 0;
     }
     FT_HOST_DEVICE candidate_quad const* list(int camera, int i) const {
       return work.list + work.window(camera, b, i) * (search_workspace::list_size / 4);
@@ -395,6 +452,11 @@ private:
     }
   };
 
+  /// Of a window's count. @param all candidates that were left out of the list are some
+  FT_HOST_DEVICE static bool has_candidates(int count, bool all) {
+    return (count & (search_workspace::counted | (all ? search_workspace::left_out : 0))) != 0;
+  }
+
   FT_HOST_DEVICE static void one_after_another(context const& ctx) {
     int const numbers = ctx.frame.numbers();
     for (int k = 0; ctx.params.from_empty && k < numbers; ++k) { ctx.holder[k] = -1; }
@@ -403,9 +465,9 @@ private:
     for (int i = 0; i < ctx.windows.count[ctx.b]; ++i) {
       bool refused = false;
       for (int c = 0; c < ctx.frame.cameras; ++c) {
-        bool const any = ctx.open_count(c, i, guests) != 0;
+        bool const any = has_candidates(ctx.list_count(c, i), guests);
         int const k = choose(ctx, c, i, window_list(ctx, c, i, any, guests), refused,
-                             [&](int number) { return ctx.observed(ctx.holder[number]); });
+                             [&](int number, bool) { return ctx.observed(ctx.holder[number]); });
         ctx.match(c, i) = k;
         if (k < 0) { continue; }
         guests = guests || !ctx.observed(ctx.slot(c, i));
@@ -426,47 +488,65 @@ private:
   FT_HOST_DEVICE static bool let_propose(Group g, scratch& s, context const& ctx) {
     int const numbers = ctx.frame.numbers();
     int const n = ctx.windows.count[ctx.b];
-    bool const small = numbers <= scratch_size;
-    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(ctx.b) * numbers;
-    int* const owner = small ? s.writer : ctx.work.writer + at;
-    // The last of those that look for points without observations: they keep nobody away.
-    int* const guest =
-        small ? s.before : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
-    for (int k = g.rank(); k < numbers; k += g.size()) {
-      owner[k] = !ctx.params.from_empty && ctx.observed(ctx.holder[k]) ? -1 : nobody;
-      guest[k] = -1;
-    }
+    int* const owner = owners(s, ctx);
+    for (int k = g.rank(); k < numbers; k += g.size()) { owner[k] = nobody; }
     if (g.rank() == 0) {
       s.list_ended = 0;
       s.guests = 0;
     }
     g.sync();
-    for (int c = 0; c < ctx.frame.cameras; ++c) {
-      for (int i = g.rank(); i < n; i += g.size()) {
-        int const count = ctx.list_count(c, i);
-        ctx.match(c, i) = -1;
-        if ((count & search_workspace::observed) != 0) {
-          propose(s, ctx, c, i, owner);
-        } else if ((count & search_workspace::counted) != 0) {
-          s.guests = 1;
-        }
-      }
-    }
+    detail::load_ahead<2>(
+        g, ctx.frame.cameras * n,
+        [&](int w) { return proposal::from(ctx, w < n ? 0 : 1, w < n ? w : w - n, 0); },
+        [&](int w, proposal const& first) {
+          if ((first.count & search_workspace::observed) != 0) {
+            propose(s, ctx, w < n ? 0 : 1, w < n ? w : w - n, first, owner);
+          } else if ((first.count & search_workspace::counted) != 0) {
+            s.guests = 1;
+          }
+        });
     g.sync();
-    if (s.list_ended != 0) {
-      g.sync();
-      return false;
-    }
+    if (s.list_ended == 0) { return true; }
+    g.sync();
+    return false;
+  }
+
+  /// Of a keypoint: list_size times the window that has it, plus its place in the window's list.
+  FT_HOST_DEVICE static int* owners(scratch& s, context const& ctx) {
+    int const numbers = ctx.frame.numbers();
+    return numbers <= scratch_size ? s.writer
+                                   : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * numbers;
+  }
+
+  /// What the proposals have led to. Those that look for points without observations choose now:
+  /// they keep nobody away.
+  template <typename Group>
+  FT_HOST_DEVICE static void write_proposed(Group g, scratch& s, context const& ctx) {
+    int const numbers = ctx.frame.numbers();
+    int const n = ctx.windows.count[ctx.b];
+    int const* const owner = owners(s, ctx);
+    // The last of them that took a keypoint.
+    int* const guest = numbers <= scratch_size
+                           ? s.before
+                           : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
     int taken = 0;
-    if (s.guests != 0) {
+    bool const guests = s.guests != 0;
+    if (guests) {
+      for (int k = g.rank(); k < numbers; k += g.size()) { guest[k] = -1; }
+      g.sync();
       for (int c = 0; c < ctx.frame.cameras; ++c) {
         for (int i = g.rank(); i < n; i += g.size()) {
           // Nothing that was left out comes back here: there are no partners.
-          int const count = ctx.open_count(c, i, false);
-          if (count == 0 || (count & search_workspace::observed) != 0) { continue; }
+          int const count = ctx.list_count(c, i);
+          if (!has_candidates(count, false) || (count & search_workspace::observed) != 0) {
+            continue;
+          }
           bool refused = false;
-          int const k = choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,
-                               [&](int number) { return owner[number] < i; });
+          int const k =
+              choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,
+                     [&](int number, bool listed) {
+                       return owner[number] / list_size < i || (!listed && ctx.held(number));
+                     });
           ctx.match(c, i) = k;
           if (k < 0) { continue; }
           atomic_max(guest + ctx.number(c, k), i);
@@ -477,108 +557,222 @@ private:
     }
     for (int number = g.rank(); number < numbers; number += g.size()) {
       int const c = number < ctx.frame.capacity() ? 0 : 1;
-      int const i = owner[number];
-      if (i >= 0 && i != nobody) {
+      if (owner[number] != nobody) {
+        int const i = owner[number] / list_size;
         ctx.match(c, i) = number - c * ctx.frame.capacity();
         ctx.holder[number] = ctx.slot(c, i);
         ++taken;
-      } else if (guest[number] >= 0) {
+      } else if (guests && guest[number] >= 0) {
         ctx.holder[number] = ctx.slot(c, guest[number]);
       } else if (ctx.params.from_empty) {
         ctx.holder[number] = -1;
       }
     }
     taken = g.reduce(taken, sum_op{});
-    if (g.rank() == 0) {
-      ctx.work.matches[ctx.b] = taken;
-      s.proposed = static_cast<int>(small && s.guests == 0);
-    }
-    return true;
+    if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
   }
+
+  /// What a window looks at to propose, loaded together.
+  struct proposal {
+    int count;            ///< as in search_workspace
+    std::uint32_t entry;  ///< of its list
+    bool check_right;     ///< as in search_window
+    float right_x, radius;
+
+    FT_HOST_DEVICE static proposal from(context const& ctx, int c, int i, int place) {
+      proposal p{};
+      p.count = ctx.list_count(c, i);
+      p.entry = ctx.list(c, i)[place / 4].entry[place % 4];
+      if (ctx.right_x != nullptr && c == 0) {
+        search_window const& w = ctx.windows.at(0, ctx.b, i);
+        p.check_right = w.check_right;
+        p.right_x = w.right_x;
+        p.radius = w.radius;
+      }
+      return p;
+    }
+    FT_HOST_DEVICE bool misses_right(context const& ctx, int k) const {
+      if (!check_right) { return false; }
+      float const r = ctx.right_x[k];
+      return r > 0 && ::fabsf(right_x - r) > radius;
+    }
+  };
 
   /// Window i proposes; when it drives another one out, goes on for that one.
-  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, int* owner) {
+  FT_HOST_DEVICE static void propose(scratch& s, context const& ctx, int c, int i, proposal now,
+                                     int* owner) {
     int place = 0;
     for (;;) {
-      int const n = ctx.list_count(c, i) & search_workspace::counted;
-      candidate_quad const* const list = ctx.list(c, i);
-      if (place >= min_of(n, search_workspace::list_size)) {
-        if (n > search_workspace::list_size) { s.list_ended = 1; }
+      int const n = now.count & search_workspace::counted;
+      if (place >= min_of(n, list_size)) {
+        if (n > list_size) { s.list_ended = 1; }
         return;
       }
-      std::uint32_t const entry = list[place / 4].entry[place % 4];
-      if (detail::entry_distance(entry) > ctx.params.max_distance) { return; }
-      int const k = detail::entry_keypoint(entry);
-      bool const fits = !ctx.misses_right(c, i, k);
-      int const before = fits ? atomic_min(owner + ctx.number(c, k), i) : -1;
-      if (before < i) {
-        ++place;
-      } else if (before == nobody) {
-        return;
-      } else {
-        i = before;
-        place = place_of(ctx.list(c, i), k) + 1;
+      if (detail::entry_distance(now.entry) > ctx.params.max_distance) { return; }
+      int const k = detail::entry_keypoint(now.entry);
+      int const mine = i * list_size + place;
+      int before = -1;
+      if (!now.misses_right(ctx, k)) { before = atomic_min(owner + ctx.number(c, k), mine); }
+      if (before == nobody) { return; }
+      if (before > mine) {
+        i = before / list_size;
+        place = before % list_size;
       }
+      ++place;
+      now = proposal::from(ctx, c, i, min_of(place, list_size - 1));
     }
   }
-  FT_HOST_DEVICE static int place_of(candidate_quad const* list, int k) {
-    int place = 0;
-    while (detail::entry_keypoint(list[place / 4].entry[place % 4]) != k) { ++place; }
-    return place;
-  }
 
-  /// What the points that have candidates chose last. They are numbered anew, in their order; what
-  /// point p writes has the numbers from writes() * p on, in the order of writing.
-  ///
-  /// Where all points looked for are observed, a keypoint is taken from its first write on, and
-  /// that is all that is kept of the writes to it; else all of them, in a chain.
-  struct choices {
+  /// The points that have candidates. They are numbered anew, in their order; what point p writes
+  /// has the numbers from writes() * p on, in the order of writing.
+  struct open_points {
     static constexpr int observed_left = 1 << 30;
     static constexpr int observed_right = 1 << 29;
     static constexpr int any_left = 1 << 28;
     static constexpr int any_right = 1 << 27;
-    int* open;    ///< index of a point, which windows have candidates and look for what is observed
-    int* writer;  ///< of a keypoint: its first write, or the chain's first; else unwritten()
-    int* before;  ///< of a write: the next in the chain, -1 = none
-    std::uint8_t* held;  ///< of a keypoint: 1 = taken before
+    int* list;  ///< index of a point, which windows have candidates and look for what is observed
     int cameras;
     int partners;  ///< 1 = stereo partners are taken, too
-    bool chains;
+    int count;
 
+    /// Point i in `list`, 0 where it has no candidates. @param counts of its windows, as in
+    /// search_workspace @param all those that were not listed are some
+    FT_HOST_DEVICE static int entry(int i, int const (&counts)[2], bool all) {
+      bool const left = has_candidates(counts[0], all);
+      bool const right = has_candidates(counts[1], all);
+      constexpr int observed = search_workspace::observed;
+      int flags = left ? any_left : 0;
+      flags |= right ? any_right : 0;
+      flags |= left && (counts[0] & observed) != 0 ? observed_left : 0;
+      flags |= right && (counts[1] & observed) != 0 ? observed_right : 0;
+      return flags != 0 ? i | flags : 0;
+    }
+    /// Whether a window with candidates looks for what is not observed.
+    FT_HOST_DEVICE static bool guest(int entry) {
+      return ((entry & any_left) != 0 && (entry & observed_left) == 0) ||
+             ((entry & any_right) != 0 && (entry & observed_right) == 0);
+    }
     /// Of a point; 1, 2 or 4.
     FT_HOST_DEVICE int writes() const { return cameras << partners; }
-    FT_HOST_DEVICE int point(int p) const { return open[p] & (any_right - 1); }
+    FT_HOST_DEVICE int index(int p) const { return list[p] & (any_right - 1); }
     FT_HOST_DEVICE bool any(int p, int camera) const {
-      return (open[p] & (camera == 0 ? any_left : any_right)) != 0;
+      return (list[p] & (camera == 0 ? any_left : any_right)) != 0;
     }
-    FT_HOST_DEVICE int point_of(int write) const { return write >> (cameras - 1 + partners); }
-    FT_HOST_DEVICE int camera_of(int write) const { return (write >> partners) & (cameras - 1); }
     FT_HOST_DEVICE bool observed(int p, int camera) const {
-      return (open[p] & (camera == 0 ? observed_left : observed_right)) != 0;
+      return (list[p] & (camera == 0 ? observed_left : observed_right)) != 0;
     }
-    FT_HOST_DEVICE int unwritten(int number) const {
-      return chains || held[number] != 0 ? -1 : nobody;
+    /// Whether what a write gives a keypoint to is observed.
+    FT_HOST_DEVICE bool observed(int write) const {
+      return observed(write >> (cameras - 1 + partners), (write >> partners) & (cameras - 1));
     }
-    /// The last write to a keypoint below number `end`, -1 = none. With chains.
+  };
+
+  /// What the points wrote in a turn, where all that is looked for is observed: a keypoint is taken
+  /// from its first write on, and that is all that is kept of the writes to it.
+  ///
+  /// One table has those of the turn before, the other gets those of this turn. Every turn adds a
+  /// lower base to its writes' numbers than the turns before: nothing need be cleared in between.
+  struct first_writes {
+    static constexpr bool kept_at_once = true;
+    int* last;  ///< of a keypoint: base + its first write; more, where it has none
+    int* now;   ///< the same of this turn
+    int numbers;
+    int writes;  ///< in a turn, at most
+    int base = 0;
+    int base_now = 0;
+
+    FT_HOST_DEVICE first_writes(int* a, int* b, int keypoints, int most)
+        : last(a), now(b), numbers(keypoints), writes(most) {}
+
+    template <typename Group>
+    FT_HOST_DEVICE void clear(Group g) {
+      for (int k = g.rank(); k < numbers; k += g.size()) { last[k] = now[k] = nobody; }
+      base = base_now = nobody - writes;
+    }
+    /// The turn before is the one that just ended, for all threads.
+    template <typename Group>
+    FT_HOST_DEVICE void next_turn(Group g, context const&, open_points const&) {
+      int* const other = last;
+      int const other_base = base;
+      last = now;
+      base = base_now;
+      now = other;
+      base_now = other_base - writes;
+      if (base_now >= 0) { return; }
+      for (int k = g.rank(); k < numbers; k += g.size()) { now[k] = nobody; }
+      base_now = nobody - writes;
+      g.sync();
+    }
+    FT_HOST_DEVICE void add(int number, int write) const {
+      atomic_min(now + number, base_now + write);
+    }
+    FT_HOST_DEVICE bool written(int number) const { return last[number] < base + writes; }
+    /// Whether a keypoint is taken before the write `end`. @param listed it is in a list
+    FT_HOST_DEVICE bool taken(context const& ctx, open_points const&, int number, int end,
+                              bool listed) const {
+      return last[number] < base + end || (!listed && ctx.held(number));
+    }
+    /// When the turns are over: finds the last write to each keypoint.
+    template <typename Group>
+    FT_HOST_DEVICE void find_last(Group g, context const& ctx, open_points const& open) const {
+      if (open.partners == 0) { return; }  // there is one
+      for (int p = g.rank(); p < open.count; p += g.size()) {
+        each_write(ctx, open, p, last_choice(ctx, open, p),
+                   [&](int, int number, int w) { atomic_min(now + number, -1 - w); });
+      }
+      g.sync();
+    }
+    FT_HOST_DEVICE bool is_last(open_points const& open, int number, int write) const {
+      return open.partners == 0 || now[number] == -1 - write;
+    }
+  };
+
+  /// The same where some of what is looked for is not observed: all writes to a keypoint, in a
+  /// chain.
+  struct write_chains {
+    static constexpr bool kept_at_once = false;
+    int* first;          ///< of a keypoint: first in the chain, -1 = nothing writes it
+    int* next;           ///< of a write: next in the chain, -1 = none
+    std::uint8_t* held;  ///< of a keypoint: 1 = taken before the search
+    int numbers;
+
+    template <typename Group>
+    FT_HOST_DEVICE void clear(Group g) const {
+      for (int k = g.rank(); k < numbers; k += g.size()) { first[k] = -1; }
+    }
+    template <typename Group>
+    FT_HOST_DEVICE void next_turn(Group g, context const& ctx, open_points const& open) const {
+      clear(g);
+      g.sync();
+      for (int p = g.rank(); p < open.count; p += g.size()) {
+        each_write(ctx, open, p, last_choice(ctx, open, p),
+                   [&](int, int number, int w) { add(number, w); });
+      }
+      g.sync();
+    }
+    FT_HOST_DEVICE void add(int number, int write) const {
+      next[write] = atomic_exchange(first + number, write);
+    }
+    FT_HOST_DEVICE bool written(int number) const { return first[number] >= 0; }
+    FT_HOST_DEVICE bool taken(context const&, open_points const& open, int number, int end,
+                              bool) const {
+      int const write = last_write(number, end);
+      return write < 0 ? held[number] != 0 : open.observed(write);
+    }
+    template <typename Group>
+    FT_HOST_DEVICE void find_last(Group, context const&, open_points const&) const {}
+    FT_HOST_DEVICE bool is_last(open_points const&, int number, int write) const {
+      return last_write(number, nobody) == write;
+    }
+
+  private:
+    /// The last write to a keypoint below `end`, -1 = none.
     FT_HOST_DEVICE int last_write(int number, int end) const {
       int last = -1;
-      for (int w = writer[number]; w >= 0; w = before[w]) {
+      for (int w = first[number]; w >= 0; w = next[w]) {
         if (w < end) { last = max_of(last, w); }
       }
       return last;
-    }
-    /// Whether a keypoint is taken when point p's turn comes.
-    FT_HOST_DEVICE bool taken(int number, int p) const {
-      if (!chains) { return writer[number] < writes() * p; }
-      int const last = last_write(number, writes() * p);
-      return last < 0 ? held[number] != 0 : observed(point_of(last), camera_of(last));
-    }
-    FT_HOST_DEVICE void add(int number, int write) const {
-      if (chains) {
-        before[write] = atomic_exchange(writer + number, write);
-      } else {
-        atomic_min(writer + number, write);
-      }
     }
   };
 
@@ -586,153 +780,181 @@ private:
   FT_HOST_DEVICE static void take_turns(Group g, scratch& s, context const& ctx) {
     int const numbers = ctx.frame.numbers();
     int const n = ctx.windows.count[ctx.b];
-    int const cameras = ctx.frame.cameras;
-    int const partners = ctx.partner != nullptr ? 1 : 0;
     bool const small = numbers <= scratch_size;
     std::ptrdiff_t const at = ctx.b;
-    choices made{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
-                 small ? s.writer : ctx.work.writer + at * numbers,
-                 nullptr,
-                 small ? s.held : ctx.work.held + at * numbers,
-                 cameras,
-                 partners,
-                 false};
-    if (g.rank() == 0) { s.guests = 0; }
-    g.sync();
-    int count = list_open(g, s, ctx, n, made.open, false);
-    g.sync();
-    made.chains = s.guests != 0;
-    if (made.chains && cameras == 2) {
-      count = list_open(g, s, ctx, n, made.open, true);
-      g.sync();
-    }
-    int const links = made.chains ? count * made.writes() : numbers;
-    made.before = links <= scratch_size ? s.before : ctx.work.before + at * ctx.work.links;
-    for (int k = g.rank(); k < numbers; k += g.size()) {
-      made.held[k] =
-          static_cast<std::uint8_t>(!ctx.params.from_empty && ctx.observed(ctx.holder[k]));
-      made.writer[k] = made.unwritten(k);
-    }
-    bool first = true;
-    // Below `begin` nothing changes any more.
-    for (int begin = 0; begin < count; first = false) {
-      if (g.rank() == 0) { s.first_changed = nobody; }
-      g.sync();
-      for (int p = begin + g.rank(); p < count; p += g.size()) {
-        if (choose_anew(ctx, made, p, first)) { atomic_min(&s.first_changed, p); }
-      }
-      g.sync();
-      int const changed = s.first_changed;
-      if (changed == nobody) { break; }
-      begin = changed + 1;
-      for (int k = g.rank(); !first && k < numbers; k += g.size()) {
-        made.writer[k] = made.unwritten(k);
-      }
-      g.sync();
-      for (int p = g.rank(); p < count; p += g.size()) {
-        each_write(ctx, made, p, [&](int number, int w) { made.add(number, w); });
-      }
+    int* const links = ctx.work.before + at * ctx.work.links;
+    open_points open{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
+                     ctx.frame.cameras, ctx.partner != nullptr ? 1 : 0, 0};
+    int* const writer = small ? s.writer : ctx.work.writer + at * numbers;
+    first_writes firsts(writer, small ? s.before : links, numbers, n * open.writes());
+    firsts.clear(g);
+    if (g.rank() == 0) {
+      s.guests = 0;
+      s.first_changed[0] = nobody;
+      ctx.work.matches[ctx.b] = 0;
     }
     g.sync();
-    // Without chains: the last writes, where the links are not needed.
-    int* const last_write = made.before;
-    if (!made.chains) {
-      for (int k = g.rank(); k < numbers; k += g.size()) { last_write[k] = -1; }
-      g.sync();
-      for (int p = g.rank(); p < count; p += g.size()) {
-        each_write(ctx, made, p, [&](int number, int w) { atomic_max(last_write + number, w); });
+    list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
+      each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
+    });
+    g.sync();
+    if (s.guests == 0) {
+      firsts.next_turn(g, ctx, open);
+      settle(g, s, ctx, open, firsts);
+    } else {
+      if (open.cameras == 2) {
+        list_open(g, s, ctx, n, open, true, [](int, choice const&) {});
       }
-      g.sync();
-    }
-    int taken = 0;
-    for (int k = g.rank(); k < numbers; k += g.size()) {
-      int const last = made.chains ? made.last_write(k, nobody) : last_write[k];
-      if (last >= 0) {
-        ctx.holder[k] = ctx.slot(made.camera_of(last), made.point(made.point_of(last)));
-      } else if (ctx.params.from_empty) {
-        ctx.holder[k] = -1;
+      write_chains const chains{writer,
+                                open.count * open.writes() <= scratch_size ? s.before : links,
+                                small ? s.held : ctx.work.held + at * numbers, numbers};
+      for (int k = g.rank(); k < numbers; k += g.size()) {
+        chains.held[k] = static_cast<std::uint8_t>(ctx.held(k));
       }
+      chains.next_turn(g, ctx, open);
+      settle(g, s, ctx, open, chains);
     }
-    for (int p = g.rank(); p < count; p += g.size()) {
-      each_write(ctx, made, p, [&](int, int) { ++taken; });
-    }
-    taken = g.reduce(taken, sum_op{});
-    if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
   }
 
-  /// Lists the points that have candidates, in order; the others take nothing. Returns how many.
-  /// @param all also those of whose candidates none is listed
-  template <typename Group>
-  FT_HOST_DEVICE static int list_open(Group g, scratch& s, context const& ctx, int n, int* open,
-                                      bool all) {
-    int const chunk = ceil_div(n, g.size());
-    int const begin = min_of(g.rank() * chunk, n);
-    int const end = min_of(begin + chunk, n);
-    bool const two = ctx.frame.cameras == 2;
-    int mine = 0;
-    for (int i = begin; i < end; ++i) {
-      mine += static_cast<int>(
-          (ctx.open_count(0, i, all) | (two ? ctx.open_count(1, i, all) : 0)) != 0);
-    }
-    int total = 0;
-    int place = g.exclusive_scan(mine, total);
-    for (int i = begin; i < end; ++i) {
-      int flags = 0;
-      bool guest = false;
-      for (int c = 0; c < ctx.frame.cameras; ++c) {
-        int const count = ctx.open_count(c, i, all);
-        ctx.match(c, i) = -1;
-        if (count == 0) { continue; }
-        flags |= c == 0 ? choices::any_left : choices::any_right;
-        if ((count & search_workspace::observed) != 0) {
-          flags |= c == 0 ? choices::observed_left : choices::observed_right;
-        } else {
-          guest = true;
+  /// Turns until nobody chooses anew. Then writes what came of it.
+  template <typename Group, typename Writes>
+  FT_HOST_DEVICE static void settle(Group g, scratch& s, context const& ctx,
+                                    open_points const& open, Writes writes) {
+    // Below `begin` nothing changes any more.
+    int begin = 0;
+    for (int turn = 0;; turn = (turn + 1) % 3) {
+      if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = nobody; }
+      for (int p = g.rank(); p < open.count; p += g.size()) {
+        choice made = last_choice(ctx, open, p);
+        if (p >= begin && choose_anew(ctx, open, writes, p, made)) {
+          atomic_min(s.first_changed + turn, p);
+        }
+        if constexpr (Writes::kept_at_once) {
+          each_write(ctx, open, p, made, [&](int, int number, int w) { writes.add(number, w); });
         }
       }
-      if (guest) { s.guests = 1; }
-      if (flags != 0) { open[place++] = i | flags; }
+      g.sync();
+      int const changed = s.first_changed[turn];
+      if (changed == nobody) { break; }
+      begin = changed + 1;
+      writes.next_turn(g, ctx, open);
     }
-    return total;
+    writes.find_last(g, ctx, open);
+    int taken = 0;
+    for (int p = g.rank(); p < open.count; p += g.size()) {
+      int const i = open.index(p);
+      each_write(ctx, open, p, last_choice(ctx, open, p), [&](int c, int number, int w) {
+        if (writes.is_last(open, number, w)) { ctx.holder[number] = ctx.slot(c, i); }
+        ++taken;
+      });
+    }
+    for (int k = g.rank(); ctx.params.from_empty && k < ctx.frame.numbers(); k += g.size()) {
+      if (!writes.written(k)) { ctx.holder[k] = -1; }
+    }
+    taken = g.part().reduce(taken, sum_op{});
+    if (g.part().rank() == 0) { atomic_add(ctx.work.matches + ctx.b, taken); }
   }
 
-  /// Point p's choice after those made so far. True if it is not what it was.
-  FT_HOST_DEVICE static bool choose_anew(context const& ctx, choices const& made, int p,
-                                         bool first) {
-    int const i = made.point(p);
-    window_list const lists[2] = {window_list(ctx, 0, i, made.any(p, 0), made.chains),
-                                  window_list(ctx, 1, i, made.any(p, 1), made.chains)};
-    bool changed = first;
+  /// Keypoints that a point takes, -1 = none.
+  struct choice {
+    int k[2] = {-1, -1};
+  };
+  FT_HOST_DEVICE static choice last_choice(context const& ctx, open_points const& open, int p) {
+    choice made;
+    FT_UNROLL
+    for (int c = 0; c < 2; ++c) {
+      if (c < open.cameras && open.any(p, c)) { made.k[c] = ctx.match(c, open.index(p)); }
+    }
+    return made;
+  }
+
+  /// Calls visit(camera, keypoint's number, write) for what point p writes.
+  template <typename Visit>
+  FT_HOST_DEVICE static void each_write(context const& ctx, open_points const& open, int p,
+                                        choice const& made, Visit const& visit) {
+    FT_UNROLL
+    for (int c = 0; c < 2; ++c) {
+      if (made.k[c] < 0) { continue; }
+      int const number = ctx.number(c, made.k[c]);
+      int const at = p * open.writes() + (c << open.partners);
+      visit(c, number, at);
+      int const partner = ctx.partner_of(number);
+      if (partner >= 0) { visit(c, partner, at + 1); }
+    }
+  }
+  /// Lists the first n points that have candidates, in order; the others take nothing. Calls
+  /// visit(p, first choice) for each.
+  /// @param all also those of whose candidates none is listed
+  template <typename Group, typename Visit>
+  FT_HOST_DEVICE static void list_open(Group g, scratch& s, context const& ctx, int n,
+                                       open_points& open, bool all, Visit const& visit) {
+    // Neighbouring threads look at neighbouring points, and each at several at a time: loads that
+    // wait together, and one scan for all of them.
+    constexpr int steps = 4;
+    auto const part = g.part();
+    open.count = 0;
+    for (int first = 0; first < n; first += steps * g.size()) {
+      int const begin = first + steps * part.size() * g.part_index() + part.rank();
+      int counts[steps][2];
+      choice made[steps];
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        int const i = begin + t * part.size();
+        FT_UNROLL
+        for (int c = 0; c < 2; ++c) {
+          bool const there = i < n && c < open.cameras;
+          counts[t][c] = there ? ctx.list_count(c, i) : 0;
+          made[t].k[c] = there ? ctx.match(c, i) : -1;
+        }
+      }
+      int entry[steps];
+      int mine = 0;
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        entry[t] = open_points::entry(begin + t * part.size(), counts[t], all);
+        mine += static_cast<int>(entry[t] != 0);
+      }
+      int found = 0;
+      int place = open.count + part.shuffle(g.exclusive_scan(mine, found), 0);
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        int here = 0;
+        int const before = part.exclusive_count(entry[t] != 0, here);
+        if (entry[t] != 0) {
+          open.list[place + before] = entry[t];
+          if (open_points::guest(entry[t])) { s.guests = 1; }
+          visit(place + before, made[t]);
+        }
+        place += here;
+      }
+      open.count += found;
+    }
+  }
+
+  /// Point p's choice after the writes of the turn before. True if it is not what it was.
+  template <typename Writes>
+  FT_HOST_DEVICE static bool choose_anew(context const& ctx, open_points const& open,
+                                         Writes const& writes, int p, choice& made) {
+    int const i = open.index(p);
+    int const end = p * open.writes();
+    window_list const lists[2] = {window_list(ctx, 0, i, open.any(p, 0), !Writes::kept_at_once),
+                                  window_list(ctx, 1, i, open.any(p, 1), !Writes::kept_at_once)};
+    bool changed = false;
     bool refused = false;
     int own = -1;  // the partner of what the left window takes
     FT_UNROLL
     for (int c = 0; c < 2; ++c) {
-      if (c >= made.cameras) { break; }
-      int const k = choose(ctx, c, i, lists[c], refused, [&](int number) {
-        return number == own ? made.observed(p, 0) : made.taken(number, p);
+      if (c >= open.cameras) { break; }
+      int const k = choose(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
+        return number == own ? open.observed(p, 0) : writes.taken(ctx, open, number, end, listed);
       });
       if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
-      if (!first && k == ctx.match(c, i)) { continue; }
+      if (k == made.k[c]) { continue; }
       changed = true;
+      made.k[c] = k;
       ctx.match(c, i) = k;
     }
     return changed;
-  }
-
-  /// Calls visit(keypoint's number, write) for what point p writes.
-  template <typename Visit>
-  FT_HOST_DEVICE static void each_write(context const& ctx, choices const& made, int p,
-                                        Visit const& visit) {
-    int const i = made.point(p);
-    int at = p * made.writes();
-    for (int c = 0; c < made.cameras; ++c, at += 1 << made.partners) {
-      int const k = made.any(p, c) ? ctx.match(c, i) : -1;
-      if (k < 0) { continue; }
-      int const number = ctx.number(c, k);
-      visit(number, at);
-      int const partner = ctx.partner_of(number);
-      if (partner >= 0) { visit(partner, at + 1); }
-    }
   }
 
   /// A window's candidates: how many, and the nearest, loaded together.
@@ -773,7 +995,7 @@ private:
 
   /// The keypoint that window i of camera c takes, -1 = none. @param refused set by a window whose
   /// best is not better enough than its second best; then the point's next window takes nothing
-  /// @param taken of a keypoint's number
+  /// @param taken of a keypoint's number, and whether that is in the list
   template <typename Taken>
   FT_HOST_DEVICE static int choose(context const& ctx, int c, int i, window_list const& list,
                                    bool& refused, Taken const& taken) {
@@ -785,14 +1007,10 @@ private:
       choose_from_grid(ctx, c, i, taken, found);
     }
     if (found.best_k < 0 || found.best > ctx.params.max_distance) { return -1; }
-    if (with_ratio && found.second_k >= 0 &&
-        static_cast<float>(found.best) >
-            detail::mul(ctx.params.ratio, static_cast<float>(found.second))) {
-      keypoints_view const kp = ctx.frame.camera(ctx.b, c);
-      if (get<field::octave>(kp, found.best_k) == get<field::octave>(kp, found.second_k)) {
-        refused = c == 0;
-        return -1;
-      }
+    if (detail::refuses(ctx.params, ctx.frame.camera(ctx.b, c), found.best, found.best_k,
+                        found.second, found.second_k)) {
+      refused = c == 0;
+      return -1;
     }
     return found.best_k;
   }
@@ -815,7 +1033,7 @@ private:
         int const k = detail::entry_keypoint(quad.entry[e]);
         if (4 * q + e >= n) { return true; }
         if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
-        if (taken(ctx.number(c, k)) || ctx.misses_right(c, i, k)) { continue; }
+        if (taken(ctx.number(c, k), true) || ctx.misses_right(c, i, k)) { continue; }
         found.add(k, distance);
         if (!with_ratio || found.second_k >= 0) { return true; }
       }
@@ -837,7 +1055,7 @@ private:
     visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c),
                 [&](int k) {
                   int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
-                  if (distance >= 0 && distance < found.second && !taken(ctx.number(c, k))) {
+                  if (distance >= 0 && distance < found.second && !taken(ctx.number(c, k), false)) {
                     found.add(k, distance);
                   }
                 });
@@ -1003,116 +1221,104 @@ private:
   }
 };
 
-/// One frame: drops the matches whose rotation is not among the three most frequent.
-/// `owner`, where it is not null: per keypoint the window that took it, negative or above all =
-/// none; then every window took one keypoint at most, and every keypoint was taken once.
-struct check_orientation {
+/// How far keypoints turned from the last frame to this one, in bins of 30 degrees.
+struct rotations {
   static constexpr int bins = 30;
+
+  /// Angle of the keypoint of the last frame that window i is for. @param left_count of its
+  /// keypoints are in the left image
+  FT_HOST_DEVICE static float last_angle(last_frame_view const& last, int left_count, int b,
+                                         int i) {
+    bool const left = i < left_count;
+    auto const from = last.keypoints.slice(last.keypoint_step * b + (left ? 0 : 1));
+    return get<field::angle>(from, left ? i : i - left_count);
+  }
+  FT_HOST_DEVICE static int bin(float before, float now) {
+    float rotation = before - now;
+    if (rotation < 0.0f) { rotation += 360.0f; }
+    int const r = round_away(detail::mul(rotation, 1.0f / static_cast<float>(bins)));
+    return r == bins ? 0 : clamp(r, 0, bins - 1);
+  }
+
+  /// The three fullest bins, the lowest index winning a tie; those that are much emptier than the
+  /// first do not count.
+  struct most_frequent {
+    int bin[3];   ///< -1 = none
+    int matches;  ///< in all of them
+
+    FT_HOST_DEVICE bool has(int r) const { return r == bin[0] || r == bin[1] || r == bin[2]; }
+  };
+  /// By all threads of each group that the block is made of: quicker than to wait for one of them.
+  template <typename Part>
+  FT_HOST_DEVICE static most_frequent of(Part w, int const* histogram) {
+    most_frequent top{{-1, -1, -1}, 0};
+    int first = 0;
+    int below = 0x7fffffff;
+    FT_UNROLL
+    for (int t = 0; t < 3; ++t) {
+      int best = 0;  // of keys (count, 31 - index)
+      for (int i = w.rank(); i < bins; i += w.size()) {
+        int const key = histogram[i] * 32 + 31 - i;
+        if (histogram[i] > 0 && key < below) { best = max_of(best, key); }
+      }
+      below = w.reduce(best, max_op{});
+      int const size = below / 32;
+      if (t == 0) { first = size; }
+      if (size == 0 || static_cast<float>(size) < detail::mul(0.1f, static_cast<float>(first))) {
+        break;
+      }
+      top.bin[t] = 31 - below % 32;
+      top.matches += size;
+    }
+    return top;
+  }
+};
+
+/// One frame: drops the matches whose rotation is not among the three most frequent.
+struct check_orientation {
   static constexpr int scratch_size = 4096;  ///< windows whose bins are kept
   struct scratch {
-    int histogram[bins];
-    int top[3];
+    int histogram[rotations::bins];
     std::uint8_t bin[scratch_size];
   };
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  last_frame_view const& last, search_windows_view const& windows,
-                                 search_workspace const& work, int const* owner) const {
-    for (int i = g.rank(); i < bins; i += g.size()) { s.histogram[i] = 0; }
+                                 search_workspace const& work) const {
+    for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.histogram[i] = 0; }
     g.sync();
     int const n = windows.count[b];
-    bool const kept = owner != nullptr || frame.cameras * n <= scratch_size;
+    int const left_count = last.keypoints.count[last.keypoint_step * b];
+    bool const kept = frame.cameras * n <= scratch_size;
     constexpr std::uint8_t no_match = 255;
-    if (owner != nullptr) {
-      for (int number = g.rank(); number < frame.numbers(); number += g.size()) {
-        int const i = owner[number];
-        int r = no_match;
-        if (i >= 0 && i < n) {
-          int const c = number < frame.capacity() ? 0 : 1;
-          r = bin(frame, last, b, c, i, number - c * frame.capacity());
-          atomic_add(s.histogram + r, 1);
-        }
-        s.bin[number] = static_cast<std::uint8_t>(r);
-      }
-    }
-    for (int c = 0; c < frame.cameras && owner == nullptr; ++c) {
+    auto const bin = [&](int c, int i, int k) {
+      return rotations::bin(rotations::last_angle(last, left_count, b, i),
+                            get<field::angle>(frame.camera(b, c), k));
+    };
+    for (int c = 0; c < frame.cameras; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
         int const k = work.match[work.window(c, b, i)];
-        int const r = k >= 0 ? bin(frame, last, b, c, i, k) : no_match;
+        int const r = k >= 0 ? bin(c, i, k) : no_match;
         if (k >= 0) { atomic_add(s.histogram + r, 1); }
         if (kept) { s.bin[c * n + i] = static_cast<std::uint8_t>(r); }
       }
     }
     g.sync();
-    // The three fullest, the lowest index winning a tie: keys (count, 31 - index).
-    if (g.part_index() == 0) {
-      auto const w = g.part();
-      int below = 0x7fffffff;
-      for (int t = 0; t < 3; ++t) {
-        int best = 0;
-        for (int i = w.rank(); i < bins; i += w.size()) {
-          int const key = s.histogram[i] * 32 + 31 - i;
-          if (s.histogram[i] > 0 && key < below) { best = max_of(best, key); }
-        }
-        best = w.reduce(best, max_op{});
-        if (w.rank() == 0) { s.top[t] = best; }
-        below = best;
-      }
-    }
-    g.sync();
-    int top[3];
-    int size[3];
-    for (int t = 0; t < 3; ++t) {
-      top[t] = s.top[t] > 0 ? 31 - s.top[t] % 32 : -1;
-      size[t] = s.top[t] / 32;
-    }
-    float const least = detail::mul(0.1f, static_cast<float>(size[0]));
-    if (static_cast<float>(size[1]) < least) {
-      top[1] = top[2] = -1;
-    } else if (static_cast<float>(size[2]) < least) {
-      top[2] = -1;
-    }
-    int dropped = 0;
-    if (owner != nullptr) {
-      for (int number = g.rank(); number < frame.numbers(); number += g.size()) {
-        int const r = s.bin[number];
-        if (r == no_match || r == top[0] || r == top[1] || r == top[2]) { continue; }
-        int const c = number < frame.capacity() ? 0 : 1;
-        frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + number] = -1;
-        work.match[work.window(c, b, owner[number])] = -1;
-        ++dropped;
-      }
-    }
-    for (int c = 0; c < frame.cameras && owner == nullptr; ++c) {
+    auto const most = rotations::of(g.part(), s.histogram);
+    for (int c = 0; c < frame.cameras; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
         if (kept && s.bin[c * n + i] == no_match) { continue; }
         int& k = work.match[work.window(c, b, i)];
         if (k < 0) { continue; }
-        int const r = kept ? s.bin[c * n + i] : bin(frame, last, b, c, i, k);
-        if (r != top[0] && r != top[1] && r != top[2]) {
-          frame
-              .holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] =
-              -1;
-          k = -1;
-          ++dropped;
-        }
+        int const r = kept ? s.bin[c * n + i] : bin(c, i, k);
+        if (most.has(r)) { continue; }
+        frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + k] =
+            -1;
+        k = -1;
       }
     }
-    dropped = g.reduce(dropped, sum_op{});
-    if (g.rank() == 0) { work.matches[b] -= dropped; }
-  }
-
-private:
-  FT_HOST_DEVICE static int bin(frame_view const& frame, last_frame_view const& last, int b, int c,
-                                int i, int k) {
-    int const left_count = last.keypoints.count[last.keypoint_step * b];
-    auto const from = last.keypoints.slice(last.keypoint_step * b + (i < left_count ? 0 : 1));
-    float rotation = get<field::angle>(from, i < left_count ? i : i - left_count) -
-                     get<field::angle>(frame.camera(b, c), k);
-    if (rotation < 0.0f) { rotation += 360.0f; }
-    int const r = round_away(detail::mul(rotation, 1.0f / static_cast<float>(bins)));
-    return r == bins ? 0 : clamp(r, 0, bins - 1);
+    if (g.rank() == 0) { work.matches[b] = most.matches; }
   }
 };
 
@@ -1120,8 +1326,9 @@ private:
 /// too few, stamps.
 template <typename Rig, bool Turns>
 struct assign_last_points {
+  using assignment = assign_keypoints<Turns>;
   struct scratch {
-    typename assign_keypoints<Turns>::scratch assignment;
+    typename assignment::scratch assigned;
     check_orientation::scratch orientation;
   };
 
@@ -1131,31 +1338,104 @@ struct assign_last_points {
                                  pyramid_geometry const& geometry, search_params const& params,
                                  point_stamps const& stamps, search_windows_view const& windows,
                                  search_workspace const& work) const {
-    for (int attempt = 0;; ++attempt) {
-      assign_keypoints<Turns>{}(g, s.assignment, b, frame, map, windows, params, work);
-      g.sync();
-      if (search.params.orientation_check) {
-        int const* owner = nullptr;
-        if constexpr (Turns) {
-          if (s.assignment.proposed != 0) { owner = s.assignment.writer; }
-        }
-        check_orientation{}(g, s.orientation, b, frame, search.last, windows, work, owner);
-        g.sync();
+    // Asked for early: what depends on it comes after the proposals.
+    int const left_count = search.last.keypoints.count[search.last.keypoint_step * b];
+    int const now = stamps.seen != nullptr ? stamps.frame[b] : 0;
+    auto const stamp = [&](int slot) {
+      if (stamps.seen != nullptr) {
+        stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + slot] = now;
       }
-      if (attempt == 1 || work.matches[b] >= search.params.retry_below) { break; }
+    };
+    for (int least = search.params.retry_below;; least = 0) {
+      // Before the assignment's first barrier.
+      for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.orientation.histogram[i] = 0; }
+      bool enough = false;
+      bool const written = assignment::assign(
+          g, s.assigned, b, frame, map, windows, params, work, [&](int const* owners) {
+            if constexpr (Turns) {
+              enough = write_owned(g, s, b, search, left_count, frame, windows, work, owners, least,
+                                   stamp);
+            }
+            return Turns;
+          });
+      if (!written) {
+        g.sync();
+        if (search.params.orientation_check) {
+          check_orientation{}(g, s.orientation, b, frame, search.last, windows, work);
+          g.sync();
+        }
+        enough = least <= 0 || work.matches[b] >= least;
+        if (enough && stamps.seen != nullptr) {
+          int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+          for (int k = g.rank(); k < frame.numbers(); k += g.size()) {
+            if (holder[k] >= 0) { stamp(holder[k]); }
+          }
+        }
+      }
+      if (enough) { return; }
       list_wider(g, b, search, frame, map, geometry, params, windows, work);
       g.sync();
-    }
-    if (stamps.seen == nullptr) { return; }
-    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
-    for (int k = g.rank(); k < frame.numbers(); k += g.size()) {
-      if (holder[k] >= 0) {
-        stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + holder[k]] = stamps.frame[b];
-      }
     }
   }
 
 private:
+  /// What is left of the matches after the orientation check; or, where these are fewer than
+  /// `least`, nothing, and false. @param left_count as in rotations @param owners as in
+  /// assign_keypoints
+  template <typename Group, typename Stamp>
+  FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, int b, last_search<Rig> const& search,
+                                         int left_count, frame_view const& frame,
+                                         search_windows_view const& windows,
+                                         search_workspace const& work, int const* owners, int least,
+                                         Stamp const& stamp) {
+    int const numbers = frame.numbers();
+    bool const any = windows.count[b] > 0;
+    int* const slots = s.assigned.before;  // of the owners
+    int* const histogram = s.orientation.histogram;
+    struct owner {
+      int slot;
+      float before, now;  // angles
+    };
+    auto const camera_of = [&](int number) { return number < frame.capacity() ? 0 : 1; };
+    // For keypoints that nobody owns what window 0 has is loaded, and not used: no branches.
+    detail::load_ahead<2>(
+        g, any ? numbers : 0,
+        [&](int number) {
+          int const c = camera_of(number);
+          bool const owned = owners[number] != assignment::nobody;
+          int const i = owned ? owners[number] / assignment::list_size : 0;
+          owner o;
+          o.slot = windows.at(c, b, i).slot;
+          o.before = rotations::last_angle(search.last, left_count, b, i);
+          o.now = get<field::angle>(frame.camera(b, c), number - c * frame.capacity());
+          return o;
+        },
+        [&](int number, owner const& o) {
+          if (owners[number] == assignment::nobody) { return; }
+          // Without the check all are in one bin.
+          int const r = search.params.orientation_check ? rotations::bin(o.before, o.now) : 0;
+          s.orientation.bin[number] = static_cast<std::uint8_t>(r);
+          atomic_add(histogram + r, 1);
+          slots[number] = o.slot;
+        });
+    g.sync();
+    auto const most = rotations::of(g.part(), histogram);
+    if (most.matches < least) { return false; }
+    for (int number = g.rank(); number < numbers; number += g.size()) {
+      bool const stays =
+          owners[number] != assignment::nobody && most.has(s.orientation.bin[number]);
+      int const slot = stays ? slots[number] : -1;
+      frame.holder[static_cast<std::ptrdiff_t>(b) * numbers + number] = slot;
+      if (!stays) { continue; }
+      int const c = camera_of(number);
+      work.match[work.window(c, b, owners[number] / assignment::list_size)] =
+          number - c * frame.capacity();
+      stamp(slot);
+    }
+    if (g.rank() == 0) { work.matches[b] = most.matches; }
+    return true;
+  }
+
   template <typename Group>
   FT_HOST_DEVICE static void list_wider(Group g, int b, last_search<Rig> const& search,
                                         frame_view const& frame, map_points_view const& map,

@@ -41,16 +41,21 @@ struct operands {
   word a, b, c;
 };
 struct results {
-  word min, max, swapped, permuted, dot4, dot2;
+  word min, max, swapped, permuted, dot4, dot2, difference, shifted;
 };
 struct apply_all {
   using scratch = ft::no_scratch;
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, operands const* in, results* out) const {
     auto const [a, b, c] = in[i];
-    out[i] = {ft::detail::min_pairs(a, b),        ft::detail::max_pairs(a, b),
-              ft::detail::swap_pair(a),           ft::detail::permute_bytes(a, b, c & 0x7777u),
-              ft::detail::dot_of_4(a, b, c >> 8), ft::detail::dot_of_2(a, b, c >> 8)};
+    out[i] = {ft::detail::min_pairs(a, b),
+              ft::detail::max_pairs(a, b),
+              ft::detail::swap_pair(a),
+              ft::detail::permute_bytes(a, b, c & 0x7777u),
+              ft::detail::dot_of_4(a, b, c >> 8),
+              ft::detail::dot_of_2(a, b, c >> 8),
+              ft::detail::difference_of_4(a, b, c >> 8),
+              ft::detail::bytes_from(a, b, static_cast<int>(c & 3u))};
   }
 };
 
@@ -89,6 +94,48 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
     EXPECT_EQ(out[i].permuted, permuted);
     EXPECT_EQ(out[i].dot4, dot4);
     EXPECT_EQ(out[i].dot2, (c >> 8) + half(a, 0) * byte(b, 0) + half(a, 1) * byte(b, 1));
+    word difference = c >> 8;
+    word shifted = 0;
+    for (int k = 0; k < 4; ++k) {
+      difference += std::max(byte(a, k), byte(b, k)) - std::min(byte(a, k), byte(b, k));
+      int const from = k + static_cast<int>(c & 3u);
+      shifted |= (from < 4 ? byte(a, from) : byte(b, from - 4)) << (8 * k);
+    }
+    EXPECT_EQ(out[i].difference, difference);
+    EXPECT_EQ(out[i].shifted, shifted);
+  }
+}
+
+struct three_words {
+  word of[3];
+};
+struct load_three {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, std::uint8_t const* pixels,
+                                 three_words* out) const {
+    int const bytes = 9 + i % 4;
+    ft::detail::load_bytes(pixels + 20 - bytes - i / 4, bytes, out[i].of);
+  }
+};
+
+TYPED_TEST(packed_pixels_unit, bytes_are_read_from_any_address_up_to_the_last_word) {
+  // They end before each of the last four; what is there are whole words, and no more.
+  auto const pixels = noise(20, 9);
+  constexpr int items = 16;
+  auto const d_pixels = test::to_exec(this->backend.exec, pixels);
+  auto d_out = test::to_exec(this->backend.exec, std::vector<three_words>(items));
+  ft::for_each_item<ft::per_thread>(this->backend.exec, items, load_three{},
+                                    static_cast<std::uint8_t const*>(d_pixels.data()),
+                                    d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, static_cast<three_words const*>(d_out.data()), at(items));
+  for (int i = 0; i < items; ++i) {
+    int const bytes = 9 + i % 4;
+    for (int k = 0; k < bytes; ++k) {
+      EXPECT_EQ(out[at(i)].of[k / 4] >> (8 * (k % 4)) & 0xffu, pixels[at(20 - bytes - i / 4 + k)])
+          << i << ", " << k;
+    }
   }
 }
 

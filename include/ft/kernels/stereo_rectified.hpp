@@ -13,6 +13,10 @@
 #include "ft/containers/matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/math.hpp"
+#include "ft/core/views.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
 #include "ft/kernels/feature_grid.hpp"
 
 namespace ft {
@@ -41,63 +45,61 @@ struct match_left_keypoint {
     int const i = item % keypoints.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
+    // All of them under way together, also for an entry that turns out to have no keypoint.
+    int const count = *left.count;
+    feature const mine{get<field::x>(left, i), get<field::y>(left, i), get<field::octave>(left, i),
+                       get<field::orb>(left, i)};
     if (g.rank() == 0) {
       get<field::right_x>(out, item) = -1;
       get<field::depth>(out, item) = -1;
       get<field::score>(out, item) = -1;
-      if (i == 0) { out.count[pair] = *left.count; }
+      if (i == 0) { out.count[pair] = count; }
     }
-    if (i >= *left.count) { return; }
+    if (i >= count) { return; }
 
-    float const u = get<field::x>(left, i);
-    int const octave = get<field::octave>(left, i);
-    int const j = nearest(g, pyramid.geometry, left, i, right, right_rows.slice(pair), params);
-    if (j < 0) { return; }
+    float const u = mine.x;
+    int const octave = mine.octave;
+    feature_grid_view const rows = right_rows.slice(pair);
+    int const row = row_cell::of(rows.geometry, 0, mine.y);
+    if (row < 0 || u < 0) { return; }
+    span<int const> const listed = listed_near(pyramid.geometry, row, octave, rows);
 
     auto const level_l = pyramid.level(2 * pair, octave);
     auto const level_r = pyramid.level(2 * pair + 1, octave);
     float const inv = pyramid.geometry.inv_scale[octave];
     int const ul = round_away(detail::mul(u, inv));
-    int const vl = round_away(detail::mul(get<field::y>(left, i), inv));
-    int const ur = round_away(detail::mul(get<field::x>(right, j), inv));
-    if (ur < 0 || ur + side >= level_r.width) { return; }
+    int const vl = round_away(detail::mul(mine.y, inv));
     // Cannot happen for extracted keypoints, which stay 19 px inside; a caller's own may be
     // anywhere.
-    if (ur < 2 * half || ul < half || ul + half >= level_l.width || vl < half ||
-        vl + half >= level_l.height) {
+    if (ul < half || ul + half >= level_l.width || vl < half || vl + half >= level_l.height) {
       return;
     }
+    window_part const part(g, level_l, ul, vl);  // is under way while the candidates are compared
+    int const j = nearest(g, pyramid.geometry, mine, row, right, listed, params);
+    if (j < 0) { return; }
+    int const ur = round_away(detail::mul(get<field::x>(right, j), inv));
+    if (ur < 2 * half || ur + side >= level_r.width) { return; }  // below 0: as above
 
-    int sums[side] = {};
-    for (int p = g.rank(); p < side * side; p += g.size()) {
-      int const dx = p % side - half;
-      int const y = vl + p / side - half;
-      int const mine = level_l(ul + dx, y);
-      std::uint8_t const* const theirs = level_r.row(y) + ur - half + dx;
-      FT_UNROLL
-      for (int shift = 0; shift < side; ++shift) {
-        int const d = mine - theirs[shift];
-        sums[shift] += d < 0 ? -d : d;
-      }
+    int sums[side];
+    if constexpr (Group::max_threads == 1) {
+      sum_differences(level_l, level_r, ul, ur, vl, sums);
+    } else {
+      part.sum_differences(g, level_r, ur, vl, sums);
     }
-    FT_UNROLL
-    for (int shift = 0; shift < side; ++shift) { sums[shift] = g.reduce(sums[shift], sum_op{}); }
     if (g.rank() != 0) { return; }
-    int best = 0;
-    for (int shift = 1; shift < side; ++shift) {
-      if (sums[shift] < sums[best]) { best = shift; }
-    }
+    int first = sums[0] << 4;  // the smallest sum, and where it is first
+    FT_UNROLL
+    for (int shift = 1; shift < side; ++shift) { first = min_of(first, sums[shift] << 4 | shift); }
+    int const best = first & 15;
+    int const lowest = first >> 4;
     if (best == 0 || best == side - 1) { return; }
     int before = 0;
     int after = 0;
+    FT_UNROLL
     for (int shift = 1; shift + 1 < side; ++shift) {  // constant indices keep the sums in registers
-      if (shift == best) {
-        before = sums[shift - 1];
-        after = sums[shift + 1];
-      }
+      before = shift == best ? sums[shift - 1] : before;
+      after = shift == best ? sums[shift + 1] : after;
     }
-    int lowest = before;
-    for (int shift = 0; shift < side; ++shift) { lowest = min_of(lowest, sums[shift]); }
 
     strict_float const d1 = static_cast<float>(before);
     strict_float const d2 = static_cast<float>(lowest);
@@ -119,39 +121,161 @@ struct match_left_keypoint {
   }
 
 private:
-  /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 for none near
-  /// enough.
-  template <typename Group>
-  FT_HOST_DEVICE static int nearest(Group g, pyramid_geometry const& geometry,
-                                    keypoints_view const& left, int i, keypoints_view const& right,
-                                    feature_grid_view const& rows, stereo_params const& params) {
-    float const u = get<field::x>(left, i);
-    float const y = get<field::y>(left, i);
-    int const octave = get<field::octave>(left, i);
-    descriptor const mine = get<field::orb>(left, i);
+  /// What is read of a left keypoint.
+  struct feature {
+    float x, y;
+    int octave;
+    descriptor orb;
+  };
+
+  /// Sums of absolute differences of the windows, one a shift, by a single thread.
+  FT_HOST_DEVICE static void sum_differences(gray_view left, gray_view right, int ul, int ur, int v,
+                                             int (&sums)[side]) {
+    for (int& sum : sums) { sum = 0; }
+    for (int p = 0; p < side * side; ++p) {
+      int const dx = p % side - half;
+      int const y = v + p / side - half;
+      int const mine = left(ul + dx, y);
+      std::uint8_t const* const theirs = right.row(y) + ur - half + dx;
+      for (int shift = 0; shift < side; ++shift) {
+        int const d = mine - theirs[shift];
+        sums[shift] += d < 0 ? -d : d;
+      }
+    }
+  }
+
+  /// The part of the left window that a thread of a warp compares: half a row of it, six pixels or
+  /// five. A single thread has no part.
+  class window_part {
+  public:
+    template <typename Group>
+    FT_HOST_DEVICE window_part(Group g, gray_view left, int u, int v) {
+      if constexpr (Group::max_threads > 1) {
+        static_assert(Group::max_threads == 32, "two threads for each of 11 rows");
+        detail::load_bytes(left.row(row(g, v)) + u - half + column(g), pixels(g), words_);
+        words_[1] &= rest(g);
+      }
+    }
+
+    /// The sums for every thread, if the right window is at column u where nothing is shifted.
+    template <typename Group>
+    FT_HOST_DEVICE void sum_differences(Group g, gray_view right, int u, int v,
+                                        int (&sums)[side]) const {
+      std::uint32_t theirs[4];
+      detail::load_bytes(right.row(row(g, v)) + u - 2 * half + column(g), pixels(g) + 2 * half,
+                         theirs);
+      bool const compares = g.rank() < 2 * side;
+      auto const difference = [&](int shift) {
+        auto const from = [&](int byte) {
+          return detail::bytes_from(theirs[byte / 4], theirs[min_of(byte / 4 + 1, 3)], byte % 4);
+        };
+        return detail::difference_of_4(
+            words_[0], from(shift),
+            detail::difference_of_4(words_[1], from(shift + 4) & rest(g), 0));
+      };
+      // Two sums a word: 11 x 11 x 255 has 15 bits.
+      FT_UNROLL
+      for (int shift = 0; shift < side; shift += 2) {
+        std::uint32_t two = difference(shift);
+        if (shift + 1 < side) { two |= difference(shift + 1) << 16; }
+        two = g.reduce(compares ? two : 0, sum_op{});
+        sums[shift] = static_cast<int>(two & 0xffffu);
+        if (shift + 1 < side) { sums[shift + 1] = static_cast<int>(two >> 16); }
+      }
+    }
+
+  private:
+    /// Threads for whom no row is left read the last one again.
+    template <typename Group>
+    FT_HOST_DEVICE static int row(Group g, int v) {
+      return v - half + min_of(g.rank() / 2, side - 1);
+    }
+    template <typename Group>
+    FT_HOST_DEVICE static int column(Group g) {
+      return g.rank() % 2 * 6;
+    }
+    template <typename Group>
+    FT_HOST_DEVICE static int pixels(Group g) {
+      return 6 - g.rank() % 2;
+    }
+    /// The bytes of the second word that are pixels.
+    template <typename Group>
+    FT_HOST_DEVICE static std::uint32_t rest(Group g) {
+      return g.rank() % 2 == 0 ? 0xffffu : 0xffu;
+    }
+
+    std::uint32_t words_[2];
+  };
+
+  /// Right keypoints that may have a band with this row in it.
+  FT_HOST_DEVICE static span<int const> listed_near(pyramid_geometry const& geometry, int row,
+                                                    int octave, feature_grid_view const& rows) {
     int const height = geometry.height[0];
-    int const row = row_cell::of(rows.geometry, 0, y);
-    float const lowest_u = u - params.max_disparity;
-    if (row < 0 || u < 0) { return -1; }
     int const reach =
         static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
     int const begin = rows.start[max_of(row - reach, 0)];
     int const end = rows.start[min_of(row + reach, height - 1) + 1];
+    return {rows.indices + begin, end - begin};
+  }
+
+  /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 for none near
+  /// enough.
+  template <typename Group>
+  FT_HOST_DEVICE static int nearest(Group g, pyramid_geometry const& geometry, feature const& mine,
+                                    int row, keypoints_view const& right, span<int const> listed,
+                                    stereo_params const& params) {
+    float const u = mine.x;
+    int const octave = mine.octave;
+    float const lowest_u = u - params.max_disparity;
+    // Half the height of a right keypoint's band, by its octave.
+    float const finer_band = 2.0f * geometry.scale[max_of(octave - 1, 0)];
+    float const band = 2.0f * geometry.scale[octave];
+    float const coarser_band = 2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)];
+    // Without a branch, so that no load waits for another one's number.
+    auto const is_candidate = [&](float x, float y, int o) {
+      float const b = o == octave ? band : (o < octave ? finer_band : coarser_band);
+      bool const on_octave = (o >= octave - 1) & (o <= octave + 1);
+      bool const off_columns = (x < lowest_u) | (x > u);
+      // That row, which is whole, is in [floor(y - b), ceil(y + b)].
+      bool const on_rows =
+          (y - b < static_cast<float>(row + 1)) & (y + b > static_cast<float>(row - 1));
+      return on_octave & !off_columns & on_rows;
+    };
+    // Of so many candidates the loads of a thread are under way together; some are taken twice.
+    constexpr int together = Group::max_threads == 1 ? 1 : 3;
     unsigned long long best = ~0ull;
-    for (int k = begin + g.rank(); k < end; k += g.size()) {
-      int const j = rows.indices[k];
-      int const o = get<field::octave>(right, j);
-      float const x = get<field::x>(right, j);
-      if (o < octave - 1 || o > octave + 1 || x < lowest_u || x > u) { continue; }
-      float const yr = get<field::y>(right, j);
-      float const band = 2.0f * geometry.scale[o];
-      if (row < static_cast<int>(::floorf(yr - band)) ||
-          row > static_cast<int>(::ceilf(yr + band))) {
-        continue;
+    for (int k = 0; k < listed.size; k += together * g.size()) {
+      int j[together];
+      bool near[together];
+      descriptor theirs[together];
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        j[n] = listed[min_of(k + n * g.size() + g.rank(), listed.size - 1)];
       }
-      int const distance = hamming(mine, get<field::orb>(right, j));
-      best =
-          min_of(best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j));
+      g.sync();  // else the compiler has some of these loads wait for what others bring
+      float x[together];
+      float y[together];
+      int o[together];
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        x[n] = get<field::x>(right, j[n]);
+        y[n] = get<field::y>(right, j[n]);
+        o[n] = get<field::octave>(right, j[n]);
+      }
+      g.sync();
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) { near[n] = is_candidate(x[n], y[n], o[n]); }
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        if (near[n]) { theirs[n] = get<field::orb>(right, j[n]); }
+      }
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        if (!near[n]) { continue; }
+        int const distance = hamming(mine.orb, theirs[n]);
+        best = min_of(
+            best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j[n]));
+      }
     }
     best = g.reduce(best, min_op{});
     return static_cast<int>(best >> 32) < params.max_distance && best != ~0ull
@@ -162,6 +286,7 @@ private:
 
 /// One pair: drops the matches whose score is too far above the median.
 struct cut_stereo_outliers {
+  static constexpr bool prepares = true;
   static constexpr int fine_bits = 6;
   static constexpr int fine_bins = 1 << fine_bits;
   static constexpr int coarse_bins = 1 << (16 - fine_bits);  ///< scores are below 2^16
@@ -173,39 +298,52 @@ struct cut_stereo_outliers {
     int rank;  ///< of the median inside its bin
   };
 
+  /// Clears the bins.
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int /*pair*/,
+                              stereo_matches_view const& /*matches*/) const {
+    FT_NO_UNROLL
+    for (int b = g.rank(); b < coarse_bins; b += g.size()) { s.coarse[b] = 0; }
+    FT_NO_UNROLL
+    for (int b = g.rank(); b < fine_bins; b += g.size()) { s.fine[b] = 0; }
+    g.sync();
+  }
+
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair,
                                  stereo_matches_view const& matches) const {
     stereo_matches_view const m = matches.slice(pair);
-    int const n = *m.count;
-    int first[kept];
+    int first[kept];  // loaded beside the count, which says how many of them there are
     FT_UNROLL
     for (int k = 0; k < kept; ++k) {
       int const i = g.rank() + k * g.size();
-      first[k] = i < n ? get<field::score>(m, i) : -1;
+      first[k] = i < m.capacity ? get<field::score>(m, i) : -1;
+    }
+    int const n = *m.count;
+    FT_UNROLL
+    for (int k = 0; k < kept; ++k) {
+      if (g.rank() + k * g.size() >= n) { first[k] = -1; }
     }
     auto const each_score = [&](auto const& visit) {
       FT_UNROLL
       for (int k = 0; k < kept; ++k) {
         if (first[k] >= 0) { visit(g.rank() + k * g.size(), first[k]); }
       }
+      FT_NO_UNROLL
       for (int i = g.rank() + kept * g.size(); i < n; i += g.size()) {
         int const score = get<field::score>(m, i);
         if (score >= 0) { visit(i, score); }
       }
     };
-    for (int b = g.rank(); b < coarse_bins; b += g.size()) { s.coarse[b] = 0; }
-    for (int b = g.rank(); b < fine_bins; b += g.size()) { s.fine[b] = 0; }
-    g.sync();
     each_score([&](int, int score) { atomic_add(s.coarse + (score >> fine_bits), 1); });
     g.sync();
 
     // The score of rank found / 2: first its bin, then its place in that.
-    int const chunk = ceil_div(coarse_bins, g.size());
-    int const begin = min_of(g.rank() * chunk, coarse_bins);
-    int const end = min_of(begin + chunk, coarse_bins);
+    static_assert(coarse_bins % Group::max_threads == 0, "the same number for every thread");
+    int const chunk = coarse_bins / g.size();
+    int const begin = g.rank() * chunk;
     int mine = 0;
-    for (int b = begin; b < end; ++b) { mine += s.coarse[b]; }
+    for (int b = begin; b < begin + chunk; ++b) { mine += s.coarse[b]; }
     int found = 0;
     int before = g.exclusive_scan(mine, found);
     if (found == 0) { return; }

@@ -68,6 +68,29 @@ FT_HOST_DEVICE inline std::uint32_t dot_of_2(std::uint32_t a, std::uint32_t b, s
   return sum + (a & 0xffffu) * (b & 0xffu) + (a >> 16) * (b >> 8 & 0xffu);
 #endif
 }
+/// `sum` and the absolute differences of the four bytes of a and b.
+FT_HOST_DEVICE inline std::uint32_t difference_of_4(std::uint32_t a, std::uint32_t b,
+                                                    std::uint32_t sum) {
+#if defined(__CUDA_ARCH__)
+  return sum + __vsadu4(a, b);
+#else
+  for (int i = 0; i < 32; i += 8) {
+    std::uint32_t const p = a >> i & 0xffu;
+    std::uint32_t const q = b >> i & 0xffu;
+    sum += p < q ? q - p : p - q;
+  }
+  return sum;
+#endif
+}
+/// Bytes `first` to `first` + 3 of the eight of a and b. @param first 0 to 3
+FT_HOST_DEVICE inline std::uint32_t bytes_from(std::uint32_t a, std::uint32_t b, int first) {
+#if defined(__CUDA_ARCH__)
+  return __funnelshift_r(a, b, static_cast<unsigned>(8 * first));
+#else
+  std::uint64_t const both = static_cast<std::uint64_t>(b) << 32 | a;
+  return static_cast<std::uint32_t>(both >> (8 * first));
+#endif
+}
 
 // ---- words of an image --------------------------------------------------------------------------
 
@@ -87,6 +110,21 @@ FT_HOST_DEVICE inline void store_word(std::uint8_t* p, std::uint32_t word) {
 #else
   std::memcpy(p, &word, sizeof word);
 #endif
+}
+
+/// Words of the `bytes` bytes from p on, at any address. Read by whole words that have some of
+/// them; what fills up the last one may be anything. @param bytes more than N - 1 words, at most N
+template <int N>
+FT_HOST_DEVICE void load_bytes(std::uint8_t const* p, int bytes, std::uint32_t (&words)[N]) {
+  int const skew = static_cast<int>(reinterpret_cast<std::uintptr_t>(p) & 3u);
+  std::uint8_t const* const from = p - skew;
+  std::uint32_t const last = load_word(from + ((skew + bytes - 1) & ~3));
+  FT_UNROLL
+  for (int k = 0; k < N; ++k) { words[k] = load_word(from + 4 * k); }
+  FT_UNROLL
+  for (int k = 0; k < N; ++k) {
+    words[k] = bytes_from(words[k], k + 1 < N ? words[k + 1] : last, skew);
+  }
 }
 
 /// True where every row starts at a multiple of 4 bytes and has room for whole words: then the

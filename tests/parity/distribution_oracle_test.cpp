@@ -250,24 +250,57 @@ protected:
     }
     ft::copy(exec, corners.list, list.data(), list.size());
     ft::copy(exec, corners.list_count, counts.data(), counts.size());
-    if (scratch_points == 0) {
-      ft::distribute_corners(exec, corners, out);
-    } else {
-      ft::distribute_level op;
-      op.scratch_points = scratch_points;
-      ft::for_each_item<ft::per_block<512>>(exec, batch * levels, op, corners, out);
+    // The same points as entries, in another order.
+    corners_list entries(list.size());
+    std::mt19937 random(static_cast<unsigned>(list.size()));
+    for (int b = 0; b < batch; ++b) {
+      for (int l = 0; l < levels; ++l) {
+        auto const first = entries.begin() + b * cells.total_slots + cells.first_slot[l];
+        auto to = first;
+        for (ft::corner const& p : points[static_cast<std::size_t>(b * levels + l)]) {
+          auto const rank = ft::corner_rank::of(p.response, static_cast<std::uint32_t>(to - first));
+          *to++ = {p.x, p.y, static_cast<std::int32_t>(rank)};
+        }
+        std::shuffle(first, to, random);
+      }
     }
+    ft::copy(exec, corners.entries, entries.data(), entries.size());
+    ft::copy(exec, corners.entry_count, counts.data(), counts.size());
+    for (bool const entered : {false, true}) {
+      SCOPED_TRACE(entered ? "entries" : "lists");
+      if (scratch_points == 0) {
+        ft::distribute_corners(exec, corners, out, entered);
+      } else {
+        ft::distribute_level op;
+        op.scratch_points = scratch_points;
+        op.entered = entered;
+        ft::for_each_item<ft::per_block<512>>(exec, batch * levels, op, corners, out);
+      }
+      int compared = 0;
+      check(exec, points, layout, out, levels, batch, compared);
+      levels_compared_ += entered ? 0 : compared;
+    }
+    auto const left =
+        test::from_exec(exec, static_cast<int const*>(corners.entry_count), counts.size());
+    EXPECT_EQ(left, std::vector<int>(counts.size(), 0)) << "entries are taken out";
+  }
+
+  template <typename Exec>
+  void check(Exec const& exec, std::vector<corners_list> const& points,
+             ft::distribution_layout const& layout, ft::distribution_view const& out, int levels,
+             int batch, int& compared) {
     auto const kept =
         test::from_exec(exec, out.kept, static_cast<std::size_t>(batch * layout.total));
-    auto const kept_count = test::from_exec(exec, out.kept_count, counts.size());
+    auto const kept_count =
+        test::from_exec(exec, out.kept_count, static_cast<std::size_t>(batch * levels));
     for (int b = 0; b < batch; ++b) {
       for (int l = 0; l < levels; ++l) {
         auto const at = static_cast<std::size_t>(b * levels + l);
         auto const want =
             distribute(points[at], layout.width[l], layout.height[l], layout.wanted[l]);
-        SCOPED_TRACE("image " + std::to_string(b) + " level " + std::to_string(l) + " of " +
-                     std::to_string(width) + "x" + std::to_string(height) + ", " +
-                     std::to_string(points[at].size()) + " points, wanted " +
+        SCOPED_TRACE("image " + std::to_string(b) + " level " + std::to_string(l) + " with " +
+                     std::to_string(layout.width[l]) + "x" + std::to_string(layout.height[l]) +
+                     ", " + std::to_string(points[at].size()) + " points, wanted " +
                      std::to_string(layout.wanted[l]));
         ASSERT_LE(static_cast<int>(want.size()), layout.capacity[l]);
         ASSERT_EQ(kept_count[at], static_cast<int>(want.size()));
@@ -278,7 +311,7 @@ protected:
               << "node " << i << ": (" << got.x << ", " << got.y << ") " << got.response
               << " instead of (" << want[i].x << ", " << want[i].y << ") " << want[i].response;
         }
-        levels_compared_ += static_cast<int>(!want.empty());
+        compared += static_cast<int>(!want.empty());
       }
     }
   }

@@ -171,6 +171,7 @@ protected:
     auto const cells = test::from_exec(exec, static_cast<int const*>(view.cell_count),
                                        static_cast<std::size_t>(batch * view.layout.cells));
     for (int const n : cells) { EXPECT_LE(n, view.layout.slots[0]); }
+    check_entries(pyramid.view(), {ini, minimum}, view, counts);
     std::vector<std::vector<found>> all;
     for (int b = 0; b < batch; ++b) {
       auto const list =
@@ -180,6 +181,42 @@ protected:
       for (auto const& c : list) { all.back().push_back({c.x, c.y, c.response}); }
     }
     return all;
+  }
+
+private:
+  /// The entries, brought into order by their places, are the list. @param counts of the lists
+  void check_entries(ft::image_pyramid_view const& pyramid, ft::corner_params const& params,
+                     ft::corners_view const& view, std::vector<int> const& counts) {
+    auto const& exec = backend.exec;
+    ASSERT_TRUE(view.can_enter());
+    ft::fill_bytes(exec, view.entry_count, 0, counts.size() * sizeof(int));
+    ft::enter_corners(exec, pyramid, params, view);
+    ASSERT_EQ(test::from_exec(exec, static_cast<int const*>(view.entry_count), counts.size()),
+              counts);
+    for (int b = 0; b < view.batch; ++b) {
+      auto const n = static_cast<std::size_t>(counts[static_cast<std::size_t>(b)]);
+      auto const list =
+          test::from_exec(exec, static_cast<ft::corner const*>(view.level_list(b, 0)), n);
+      auto const places = test::from_exec(
+          exec, static_cast<ft::corner const*>(view.cell_corners + view.level_slot(b, 0)),
+          static_cast<std::size_t>(view.layout.level_slots(0)));
+      auto entries = test::from_exec(
+          exec, static_cast<ft::corner const*>(view.entries + view.level_slot(b, 0)), n);
+      auto const place = [](ft::corner const& c) {
+        constexpr std::uint32_t last = ft::corner_rank::last_place;
+        return last - (static_cast<std::uint32_t>(c.response) & last);
+      };
+      std::sort(entries.begin(), entries.end(),
+                [&](ft::corner const& p, ft::corner const& q) { return place(p) < place(q); });
+      for (std::size_t i = 0; i < n; ++i) {
+        ft::corner const& e = entries[i];
+        ft::corner const& in_cell = places[place(e)];
+        ASSERT_TRUE(in_cell.x == e.x && in_cell.y == e.y);
+        ASSERT_TRUE(list[i].x == e.x && list[i].y == e.y);
+        ASSERT_EQ(ft::corner_rank::response(static_cast<std::uint32_t>(e.response)),
+                  list[i].response);
+      }
+    }
   }
 };
 TYPED_TEST_SUITE(corners_unit, test::backends);

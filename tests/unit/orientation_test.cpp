@@ -25,6 +25,15 @@ struct arc_tangent {
   }
 };
 
+struct turn {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* angle,
+                                 ft::rotation* out) const {
+    out[i] = ft::rotation_by(angle[i]);
+  }
+};
+
 struct spot {
   int x, y;
 };
@@ -98,6 +107,26 @@ TYPED_TEST(orientation_unit, the_arc_tangent_is_exact_on_the_axes) {
   auto const got =
       this->angles({0, 7, 0, -7, 0, 1e6f, -1e6f, 0, -0.0f}, {7, 0, -7, 0, 0, 0, 0, 1e6f, 5});
   EXPECT_EQ(got, (std::vector<float>{0, 90, 180, 270, 0, 90, 270, 0, 0}));
+}
+
+TYPED_TEST(orientation_unit, cosine_and_sine_are_those_of_the_standard_library) {
+  std::vector<float> angles;
+  for (int i = 0; i <= 720; ++i) { angles.push_back(0.5f * static_cast<float>(i)); }
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> any(0.0f, 360.0f);
+  for (int i = 0; i < 200000; ++i) { angles.push_back(any(random)); }
+  auto const& exec = this->backend.exec;
+  auto const d_angles = test::to_exec(exec, angles);
+  auto const d_out = test::to_exec(exec, std::vector<ft::rotation>(angles.size()));
+  ft::for_each_item<ft::per_thread>(exec, static_cast<int>(angles.size()), turn{},
+                                    static_cast<float const*>(d_angles.data()), d_out.data());
+  auto const got =
+      test::from_exec(exec, static_cast<ft::rotation const*>(d_out.data()), angles.size());
+  for (std::size_t i = 0; i < angles.size(); ++i) {
+    float const radians = angles[i] * static_cast<float>(3.14159265358979323846 / 180.0);
+    ASSERT_EQ(got[i].cosine, static_cast<float>(std::cos(double{radians}))) << angles[i];
+    ASSERT_EQ(got[i].sine, static_cast<float>(std::sin(double{radians}))) << angles[i];
+  }
 }
 
 TYPED_TEST(orientation_unit, is_the_direction_of_the_centroid) {

@@ -82,12 +82,12 @@ protected:
     ft::for_each_item<ft::per_warp>(exec, corners.batch * corners.layout.cells, ft::gather_cell{},
                                     corners);
     ft::distribute_corners(exec, corners, kept);
-    run(version::plain, pyramid.batch, ft::order_image{}, g, kept,
+    run(version::plain, pyramid.batch, ft::order_image<>{}, g, kept,
         static_cast<ft::stereo_overlap const*>(overlaps.data()), place.data(), keypoints,
-        mono.data());
+        mono.data(), ft::frame_arrivals{});
     run(v, pyramid.batch * kept.layout.total, ft::describe_corner{}, pyramid, blurred, kept,
         static_cast<ft::pattern_pair const*>(ft::detail::orb_pattern),
-        static_cast<int const*>(place.data()), keypoints);
+        static_cast<int const*>(place.data()), keypoints, ft::frame_arrivals{});
 
     bytes all;
     append_pixels(all, pyramid);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Container: how much of a frame's images is there while they are fetched. By it a launch
-/// waits for parts of one that is still running, in place of all of it.
+/// @file Container: how much of a frame's images is there while they are fetched, and which have
+/// their keypoints in place. By it a launch waits for parts of one that is still running, in place
+/// of all of it.
 ///
 /// A launch that waits in this way is beside() the one that it waits for, which has begun with all
 /// of its items: what it waits for comes, whatever else a device does. Where launches follow each
@@ -67,6 +68,7 @@ struct frame_arrivals {
   static constexpr int quads_of_part = 256;  ///< of 16 bytes: an image is fetched in such parts
 
   unsigned* received = nullptr;  ///< [batch][parts] 1 = the part is there
+  unsigned* placed = nullptr;    ///< [batch] 1 = an image's keypoints have their places
   int batch = 0;
   int parts = 0;  ///< of an image
   int quads_of_row = 0;
@@ -75,8 +77,7 @@ struct frame_arrivals {
   FT_HOST_DEVICE static int parts_of(pyramid_geometry const& g) {
     return ceil_div(ceil_div(g.width[0], 16) * g.height[0], quads_of_part);
   }
-  std::size_t bytes() const { return static_cast<std::size_t>(counters()) * sizeof(unsigned); }
-  int counters() const { return batch * parts; }
+  int counters() const { return batch * (parts + 1); }  ///< of both kinds
 
   /// For rows [begin, end) of level 0.
   template <typename Group>
@@ -85,6 +86,18 @@ struct frame_arrivals {
     int const last = (end * quads_of_row - 1) / quads_of_part;
     detail::await(g, received + image * parts + first, last - first + 1, 1);
   }
+  template <typename Group>
+  FT_HOST_DEVICE void tell_placed(Group const& g, int image) const {
+    if (overlapping()) { detail::arrive(g, placed + image); }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE void await_placed(Group const& g, int image) const {
+    if (overlapping()) {
+      detail::await(g, placed + image, 1, 1);
+    } else {
+      g.sync();
+    }
+  }
 };
 static_assert(std::is_trivially_copyable<frame_arrivals>::value, "passed to kernels");
 
@@ -92,17 +105,19 @@ inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int b
   v.batch = batch;
   v.parts = frame_arrivals::parts_of(g);
   v.quads_of_row = ceil_div(g.width[0], 16);
-  v.received =
-      c.take<unsigned>(static_cast<std::size_t>(batch) * static_cast<std::size_t>(v.parts));
+  auto const b = static_cast<std::size_t>(batch);
+  v.received = c.take<unsigned>(b * static_cast<std::size_t>(v.parts));
+  v.placed = c.take<unsigned>(b);
 }
 
-/// Sets a counter back to 0.
+/// Sets a counter to 0, those of parts first.
 struct clear_arrival {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_arrivals const& arrivals) const {
-    arrivals.received[item] = 0;
+    int const parts = arrivals.batch * arrivals.parts;
+    (item < parts ? arrivals.received[item] : arrivals.placed[item - parts]) = 0;
   }
 };
 

@@ -23,6 +23,21 @@ struct corner {
   std::int32_t response;
 };
 
+/// In a list of any order a corner has its rank in place of its response: 8 bits of response, and
+/// below them what is higher for a lower place in the level's `cell_corners`. So of equals the
+/// first in the ordered list is above the others.
+struct corner_rank {
+  static constexpr int place_bits = 24;
+  static constexpr std::uint32_t last_place = (1u << place_bits) - 1;
+
+  FT_HOST_DEVICE static std::uint32_t of(int response, std::uint32_t place) {
+    return static_cast<std::uint32_t>(response) << place_bits | (last_place - place);
+  }
+  FT_HOST_DEVICE static int response(std::uint32_t rank) {
+    return static_cast<int>(rank >> place_bits);
+  }
+};
+
 inline constexpr int corner_border = 16;  ///< the work area starts here
 inline constexpr int corner_cell_size = 35;
 inline constexpr int max_cell_side = 69;  ///< of a level with a single cell
@@ -90,10 +105,19 @@ struct corners_view {
   int* cell_count = nullptr;       ///< [batch][cells]
   corner* list = nullptr;          ///< [batch][total_slots], per level, cells in order
   int* list_count = nullptr;       ///< [batch][levels]
+  corner* entries = nullptr;       ///< [batch][total_slots], per level in any order: corner_rank
+  int* entry_count = nullptr;      ///< [batch][levels]
 
-  FT_HOST_DEVICE corner* level_list(int image, int l) const {
-    return list + image * layout.total_slots + layout.first_slot[l];
+  /// Whether places in the largest level are few enough for corner_rank.
+  bool can_enter() const {
+    std::ptrdiff_t most = 0;
+    for (int l = 0; l < layout.levels; ++l) { most = max_of(most, layout.level_slots(l)); }
+    return most <= std::ptrdiff_t{corner_rank::last_place};
   }
+  FT_HOST_DEVICE std::ptrdiff_t level_slot(int image, int l) const {
+    return image * layout.total_slots + layout.first_slot[l];
+  }
+  FT_HOST_DEVICE corner* level_list(int image, int l) const { return list + level_slot(image, l); }
 };
 
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
@@ -105,6 +129,8 @@ inline void carve(carver& c, corners_view& v, corner_layout const& layout, int b
   v.cell_count = c.take<int>(b * static_cast<std::size_t>(layout.cells));
   v.list = c.take<corner>(slots);
   v.list_count = c.take<int>(b * static_cast<std::size_t>(layout.levels));
+  v.entries = c.take<corner>(slots);
+  v.entry_count = c.take<int>(b * static_cast<std::size_t>(layout.levels));
 }
 
 namespace detail {
@@ -225,10 +251,13 @@ struct detect_cell {
     std::uint16_t candidates[list_size];            ///< places of pixels worth a score, any order
     int candidate_count;                            ///< may exceed the list: then all are tried
     unsigned found;                                 ///< anything is kept
-    unsigned kept[mask_words];                      ///< bit per place from row 3
+    int first_entry;
+    unsigned kept[mask_words];  ///< bit per place from row 3
     int word_start[mask_words];
   };
 
+  /// Whether corners are also entered into the list of any order.
+  bool enters = false;
   /// Of its blocks on a multiprocessor: all of an image pair's at once on a large device.
   static constexpr int side_by_side = 12;
 
@@ -251,14 +280,21 @@ struct detect_cell {
     int const patch_w = min_of(cell_w + 6, level.width - corner_border - x0);
     int const patch_h = min_of(cell_h + 6, level.height - corner_border - y0);
     cell_place const at{x0, y0, patch_w, patch_h, x_rel, y_rel};
-    corner* const list = out.cell_corners + image * layout.total_slots + layout.first_slot[l] +
-                         static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
+    corner* const list = out.cell_corners + out.level_slot(image, l) + first;
+    entry_list const entered{enters ? out.entries + out.level_slot(image, l) : nullptr,
+                             out.entry_count + image * layout.levels + l,
+                             static_cast<std::uint32_t>(first)};
     int found = 0;
     if (patch_w >= 7 && patch_h >= 7) {
       if constexpr (Group::max_threads == 1) {
         found = detect_alone(s, level, at, params, list);
+        if (enters) {
+          int const entry = atomic_add(entered.count, found);
+          for (int i = 0; i < found; ++i) { entered.write(entry, i, list[i]); }
+        }
       } else {
-        found = detect_together(g, s, level, at, params, list);
+        found = detect_together(g, s, level, at, params, list, entered);
       }
     }
     if (g.rank() == 0) { out.cell_count[item] = found; }
@@ -271,11 +307,25 @@ private:
     int x_rel, y_rel;
   };
 
+  /// Where a cell enters its corners.
+  struct entry_list {
+    corner* to;  ///< the level's, null = it does not
+    int* count;
+    std::uint32_t place;  ///< of the cell's first corner
+
+    /// Corner i of the cell, whose entries begin at `first`.
+    FT_HOST_DEVICE void write(int first, int i, corner const& c) const {
+      to[first + i] = {c.x, c.y,
+                       static_cast<std::int32_t>(
+                           corner_rank::of(c.response, place + static_cast<std::uint32_t>(i)))};
+    }
+  };
+
   /// Returns the number of corners.
   template <typename Group>
   FT_HOST_DEVICE static int detect_together(Group g, scratch& s, gray_view level,
                                             cell_place const& in, corner_params const& params,
-                                            corner* list) {
+                                            corner* list, entry_list const& entered) {
     int const x0 = in.x0;
     int const y0 = in.y0;
     int const patch_w = in.patch_w;
@@ -337,6 +387,9 @@ private:
     for (int i = g.rank(); i < words; i += g.size()) { s.word_start[i] = popcount(kept[i]); }
     g.sync();
     int const found = g.exclusive_scan_array(s.word_start, words);
+    if (entered.to != nullptr && g.rank() == 0) {
+      s.first_entry = atomic_add(entered.count, found);
+    }
     g.sync();
 
     for (int i = g.rank(); i < candidates; i += g.size()) {
@@ -346,9 +399,11 @@ private:
       unsigned const bit = 1u << (index & 31);
       if ((word & bit) == 0) { continue; }
       int const y = index / pitch;
-      list[s.word_start[index >> 5] + popcount(word & (bit - 1))] = {
-          static_cast<std::uint16_t>(in.x_rel + 3 + index - y * pitch - first_x),
-          static_cast<std::uint16_t>(in.y_rel + 3 + y), scores[at + score_offset]};
+      int const to = s.word_start[index >> 5] + popcount(word & (bit - 1));
+      corner const c{static_cast<std::uint16_t>(in.x_rel + 3 + index - y * pitch - first_x),
+                     static_cast<std::uint16_t>(in.y_rel + 3 + y), scores[at + score_offset]};
+      list[to] = c;
+      if (entered.to != nullptr) { entered.write(s.first_entry, to, c); }
     }
     return found;
   }
@@ -490,7 +545,7 @@ struct gather_cell {
     for (int i = g.rank(); i < in_level; i += g.size()) { before += v.cell_count[first + i]; }
     before = g.reduce(before, sum_op{});
     int const count = v.cell_count[item];
-    corner const* const from = v.cell_corners + image * layout.total_slots + layout.first_slot[l] +
+    corner const* const from = v.cell_corners + v.level_slot(image, l) +
                                static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
     corner* const to = v.level_list(image, l) + before;
     for (int i = g.rank(); i < count; i += g.size()) { to[i] = from[i]; }
@@ -505,19 +560,34 @@ struct gather_cell {
   }
 };
 
-/// Corners of all levels of all images: `out.list`, per level in cell order, and `out.list_count`.
-/// Asynchronous on `exec`; allocates nothing; two launches.
+/// Corners of all cells of all images: `out.cell_corners` and `out.cell_count`; and `out.entries`,
+/// for who need not wait for gather_corners(). Asynchronous on `exec`; allocates nothing; one
+/// launch. @pre `out.can_enter()`, and `out.entry_count` is 0
 template <typename Exec>
-void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
-                    corner_params const& params, corners_view const& out) {
+void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_params const& params,
+                   corners_view const& out) {
+  for_each_item<per_block<128>>(evenly(exec), out.batch * out.layout.cells, detect_cell{true},
+                                pyramid, out, params);
+}
+/// From the cells to `out.list`, per level in cell order, and `out.list_count`. Asynchronous on
+/// `exec`; allocates nothing; one launch.
+template <typename Exec>
+void gather_corners(Exec const& exec, corners_view const& out) {
   if (out.layout.cells == 0) {
     fill_bytes(exec, out.list_count, 0,
                static_cast<std::size_t>(out.batch * out.layout.levels) * sizeof(int));
     return;
   }
+  for_each_item<per_warp>(exec, out.batch * out.layout.cells, gather_cell{}, out);
+}
+/// Corners of all levels of all images: `out.list`, per level in cell order, and `out.list_count`.
+/// Asynchronous on `exec`; allocates nothing; two launches.
+template <typename Exec>
+void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
+                    corner_params const& params, corners_view const& out) {
   for_each_item<per_block<128>>(evenly(exec), out.batch * out.layout.cells, detect_cell{}, pyramid,
                                 out, params);
-  for_each_item<per_warp>(exec, out.batch * out.layout.cells, gather_cell{}, out);
+  gather_corners(exec, out);
 }
 
 }  // namespace FT_ABI

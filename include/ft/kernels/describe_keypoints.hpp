@@ -39,17 +39,15 @@ struct describe_keypoint {
       return;
     }
     float const angle = orientation(g, pyramid.level(image, l), at.x, at.y);
-    float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
-    float const a = static_cast<float>(::cos(static_cast<double>(radians)));
-    float const b = static_cast<float>(::sin(static_cast<double>(radians)));
+    rotation const turn = rotation_by(angle);
     gray_view const level = blurred.level(image, l);
     if (g.size() > 1) {
       auto const sample = [&](int dx, int dy) { return level(at.x + dx, at.y + dy); };
-      detail::describe_together(g, sample, a, b, pattern, orb);
+      detail::describe_together(g, sample, turn, detail::own_tests<Group>(g, pattern), orb);
     } else {
       for (int i = 0; i < 8; ++i) {
         orb.words[i] =
-            detail::descriptor_word(level.row(at.y) + at.x, level.stride, a, b, pattern, i);
+            detail::descriptor_word(level.row(at.y) + at.x, level.stride, turn, pattern, i);
       }
     }
     if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }

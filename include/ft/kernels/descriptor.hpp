@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
@@ -31,12 +32,11 @@ inline constexpr int pattern_radius = 18;
 
 namespace detail {
 
-/// Bit of a descriptor's test, rotated. @param a,b cosine and sine @param at the pixel at an offset
-/// from the keypoint
+/// Bit of a descriptor's test, rotated. @param at the pixel at an offset from the keypoint
 template <typename Pixel>
-FT_HOST_DEVICE bool is_darker(pattern_pair p, float a, float b, Pixel const& at) {
-  strict_float const ca = a;
-  strict_float const sb = b;
+FT_HOST_DEVICE bool is_darker(pattern_pair p, rotation turn, Pixel const& at) {
+  strict_float const ca = turn.cosine;
+  strict_float const sb = turn.sine;
   auto const sample = [&](int px, int py) {
     strict_float const fx = static_cast<float>(px);
     strict_float const fy = static_cast<float>(py);
@@ -60,8 +60,10 @@ FT_HOST_DEVICE FT_INLINE void keep_all_apart(float (&values)[N]) {
 /// Word `index` of the steered BRIEF descriptor at `centre`, by a single thread: the 64 points of
 /// its tests are turned in loops that become vectors. @param stride of the level, below 2^15
 FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centre, int stride,
-                                                       float a, float b,
-                                                       pattern_pair const* pattern, int index) {
+                                                       rotation turn, pattern_pair const* pattern,
+                                                       int index) {
+  float const a = turn.cosine;
+  float const b = turn.sine;
   constexpr int points = 64;
   static_assert(sizeof(pattern_pair) == 4, "nothing but the points");
   auto const* const tests = reinterpret_cast<std::int8_t const*>(pattern + 32 * index);
@@ -94,21 +96,36 @@ FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centr
   return word;
 }
 
-/// Steered BRIEF descriptor by several threads: bit by bit, neighbouring bits by neighbouring
-/// threads. @param a,b cosine and sine @param at(dx, dy) a pixel beside the keypoint
+/// The tests of a descriptor that a thread does where several work together: of each word one,
+/// where they are 32, so that neighbouring bits are of neighbouring threads; else bytes.
+template <typename Group>
+struct own_tests {
+  pattern_pair const* all;
+  FT_HOST_DEVICE own_tests(Group, pattern_pair const* pattern) : all(pattern) {}
+};
+#if defined(__CUDACC__)
+template <>
+struct own_tests<warp_group> {
+  static constexpr int words = 8;
+  pattern_pair of_word[words];
+  __device__ own_tests(warp_group g, pattern_pair const* pattern) {
+    FT_UNROLL
+    for (int k = 0; k < words; ++k) { of_word[k] = pattern[32 * k + g.rank()]; }
+  }
+};
+#endif
+
+/// Steered BRIEF descriptor by several threads. @param at(dx, dy) a pixel beside the keypoint
 template <typename Group, typename Sample>
-FT_HOST_DEVICE void describe_together(Group g, Sample const& at, float a, float b,
-                                      pattern_pair const* pattern, descriptor& orb) {
+FT_HOST_DEVICE void describe_together(Group g, Sample const& at, rotation turn,
+                                      own_tests<Group> const& tests, descriptor& orb) {
   if constexpr (Group::max_threads == 32) {
 #if defined(__CUDA_ARCH__)
-    constexpr int words = 8;
-    pattern_pair p[words];
-    FT_UNROLL
-    for (int k = 0; k < words; ++k) { p[k] = pattern[32 * k + g.rank()]; }
+    constexpr int words = own_tests<Group>::words;
     std::uint32_t mine = 0;  // thread k keeps word k
     FT_UNROLL
     for (int k = 0; k < words; ++k) {
-      std::uint32_t const word = __ballot_sync(0xffffffffu, is_darker(p[k], a, b, at));
+      std::uint32_t const word = g.ballot(is_darker(tests.of_word[k], turn, at));
       mine = g.rank() == k ? word : mine;
     }
     if (g.rank() < words) { orb.words[g.rank()] = mine; }
@@ -118,7 +135,7 @@ FT_HOST_DEVICE void describe_together(Group g, Sample const& at, float a, float 
     for (int i = g.rank(); i < 32; i += g.size()) {
       unsigned byte = 0;
       for (int bit = 0; bit < 8; ++bit) {
-        byte |= static_cast<unsigned>(is_darker(pattern[8 * i + bit], a, b, at)) << bit;
+        byte |= static_cast<unsigned>(is_darker(tests.all[8 * i + bit], turn, at)) << bit;
       }
       bytes[i] = static_cast<unsigned char>(byte);
     }
@@ -127,66 +144,139 @@ FT_HOST_DEVICE void describe_together(Group g, Sample const& at, float a, float 
 
 }  // namespace detail
 
-/// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
-/// list order; inside the overlap from the end of the array backwards.
-struct order_image {
+/// One image: nothing is done with its keypoints once they have their places.
+struct only_order {
   using scratch = no_scratch;
 
+  /// Before the launches ahead have ended; ends with a sync().
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int image, pyramid_geometry const& geometry,
+  FT_HOST_DEVICE void prepare(Group, scratch&, int, keypoints_view const&) const {}
+  /// For each keypoint before it has its place, @returns what keep() gets once it has.
+  template <typename Group>
+  FT_HOST_DEVICE std::uint32_t count(Group, scratch&, int, keypoints_view const&, float,
+                                     float) const {
+    return 0;
+  }
+  FT_HOST_DEVICE void keep(scratch&, int, std::uint32_t) const {}
+  /// After a sync().
+  template <typename Group>
+  FT_HOST_DEVICE void sort(Group, scratch&, int, keypoints_view const&, int) const {}
+};
+
+/// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
+/// list order; inside the overlap from the end of the array backwards.
+/// @tparam Then what the same group does with the keypoints on the way, and at last; see only_order
+template <typename Then = only_order>
+struct order_image {
+  Then then;
+  std::size_t extra = 0;  ///< block scratch that nobody uses
+  struct scratch {
+    typename Then::scratch then;
+    int before[max_levels + 1];  ///< corners of the levels below each
+  };
+  /// More would be of no use, and cost registers.
+  static constexpr int side_by_side = 1;
+
+  std::size_t extra_bytes() const { return extra; }
+
+  static constexpr bool prepares = true;
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, pyramid_geometry const&,
+                              distribution_view const&, stereo_overlap const*, int*,
+                              keypoints_view const& out, int*, frame_arrivals const&) const {
+    then.prepare(g, s.then, image, out);
+  }
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int image, pyramid_geometry const& geometry,
                                  distribution_view const& kept, stereo_overlap const* overlaps,
-                                 int* place, keypoints_view const& out, int* mono_count) const {
+                                 int* place, keypoints_view const& out, int* mono_count,
+                                 frame_arrivals const& arrivals) const {
+    constexpr int together = 2;  // slots of a thread, of which loads are under way at a time
     distribution_layout const& layout = kept.layout;
     int const* const counts = kept.kept_count + image * layout.levels;
     stereo_overlap const overlap = overlaps[image];
-    int all = 0;
+    // Corners are under way while it is found out how many there are.
+    slot_place of[together];
+    auto const fetch = [&](int base) {
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        of[k] = slot_place(base + k * g.size() + g.rank(), layout);
+        if (of[k].slot < layout.total) { of[k].c = kept.kept[image * layout.total + of[k].slot]; }
+      }
+    };
+    fetch(0);
+    for (int l = g.rank(); l <= max_levels; l += g.size()) {
+      int sum = 0;
+      FT_UNROLL
+      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, layout.levels) ? counts[k] : 0; }
+      s.before[l] = sum;
+    }
+    g.sync();
+    int const all = s.before[layout.levels];
     int stereo = 0;  // corners in lower slots inside the overlap
-    for (int base = 0; base < layout.total; base += g.size()) {
-      int const slot = base + g.rank();
-      int const l = layout.level_of(slot);
-      int const at = image * layout.total + slot;
-      int rank = slot - layout.first[l];
-      bool valid = false;
-      all = 0;
-      for (int k = 0; k < layout.levels; ++k) {
-        int const count = counts[k];
-        if (k == l) {
-          valid = slot < layout.total && rank < count;
-          rank += all;
-        }
-        all += count;
+    for (int base = 0; base < layout.total; base += together * g.size()) {
+      std::uint32_t entry[together] = {};
+      unsigned inside = 0;  // 16 bits each
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        of[k].locate(layout, s.before, geometry, overlap);
+        inside |= static_cast<unsigned>(of[k].inside) << (16 * k);
+        if (of[k].valid) { entry[k] = then.count(g, s.then, image, out, of[k].x, of[k].y); }
       }
-      corner c{};
-      float x = 0;
-      float y = 0;
-      bool inside = false;
-      if (valid) {
-        c = kept.kept[at];
-        x = static_cast<float>(c.x + corner_border);
-        y = static_cast<float>(c.y + corner_border);
-        if (l > 0) {
-          x = detail::mul(x, geometry.scale[l]);
-          y = detail::mul(y, geometry.scale[l]);
-        }
-        inside = x >= overlap.left && x <= overlap.right;
+      int total = 0;
+      int const lower = g.exclusive_scan(static_cast<int>(inside), total);
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const stereo_rank = stereo + (lower >> (16 * k) & 0xffff);
+        stereo += total >> (16 * k) & 0xffff;
+        if (!of[k].valid) { continue; }
+        int const at = of[k].inside ? all - 1 - stereo_rank : of[k].rank - stereo_rank;
+        place[image * layout.total + of[k].slot] = at;
+        int const to = image * out.capacity + at;
+        get<field::x>(out, to) = of[k].x;
+        get<field::y>(out, to) = of[k].y;
+        get<field::response>(out, to) = static_cast<float>(of[k].c.response);
+        get<field::octave>(out, to) = of[k].level;
+        then.keep(s.then, at, entry[k]);
       }
-      int inside_here = 0;
-      int const stereo_rank = stereo + g.exclusive_count(inside, inside_here);
-      if (valid) {
-        place[at] = inside ? all - 1 - stereo_rank : rank - stereo_rank;
-        int const to = image * out.capacity + place[at];
-        get<field::x>(out, to) = x;
-        get<field::y>(out, to) = y;
-        get<field::response>(out, to) = static_cast<float>(c.response);
-        get<field::octave>(out, to) = l;
-      }
-      stereo += inside_here;
+      fetch(base + together * g.size());
     }
     if (g.rank() == 0) {
       out.count[image] = all;
       mono_count[image] = all - stereo;
     }
+    arrivals.tell_placed(g, image);
+    then.sort(g, s.then, image, out, all);
   }
+
+private:
+  /// The kept corner of a slot.
+  struct slot_place {
+    int slot, level;
+    int rank = 0;  ///< among all of the image
+    bool valid = false;
+    bool inside = false;  ///< the overlap
+    corner c{};
+    float x = 0;
+    float y = 0;
+
+    slot_place() = default;
+    FT_HOST_DEVICE slot_place(int at, distribution_layout const& layout)
+        : slot(at), level(layout.level_of(at)) {}
+    FT_HOST_DEVICE void locate(distribution_layout const& layout, int const* before,
+                               pyramid_geometry const& geometry, stereo_overlap const& overlap) {
+      rank = before[level] + slot - layout.first[level];
+      valid = slot < layout.total && rank < before[level + 1];
+      x = static_cast<float>(c.x + corner_border);
+      y = static_cast<float>(c.y + corner_border);
+      if (level > 0) {
+        x = detail::mul(x, geometry.scale[level]);
+        y = detail::mul(y, geometry.scale[level]);
+      }
+      inside = valid && x >= overlap.left && x <= overlap.right;
+    }
+  };
 };
 
 /// One kept corner: the angle and descriptor of its keypoint.
@@ -202,46 +292,61 @@ struct describe_corner {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
                                  image_pyramid_view const& blurred, distribution_view const& kept,
                                  pattern_pair const* pattern, int const* place,
-                                 keypoints_view const& out) const {
+                                 keypoints_view const& out, frame_arrivals const& arrivals) const {
     distribution_layout const& layout = kept.layout;
     int const image = item / layout.total;
     int const slot = item % layout.total;
     int const l = layout.level_of(slot);
-    if (slot - layout.first[l] >= kept.kept_count[image * layout.levels + l]) { return; }
-
+    // Both loads are under way together: a slot without a corner holds something, too.
     corner const c = kept.kept[item];
+    int const count = kept.kept_count[image * layout.levels + l];
+    g.sync();
+    if (slot - layout.first[l] >= count) { return; }
+
     int const x = c.x + corner_border;
     int const y = c.y + corner_border;
+    gray_view const sharp = pyramid.level(image, l);
     gray_view const level = blurred.level(image, l);
-    if (g.size() > 1) {
-      detail::stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window,
-                                  s.pixels, window_words);
-    } else {
-      fetch_window(level, x, y);
-    }
-    float const angle = orientation(g, pyramid.level(image, l), x, y);
-    float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
-    float const a = static_cast<float>(::cos(static_cast<double>(radians)));
-    float const b = static_cast<float>(::sin(static_cast<double>(radians)));
-
-    int const to = image * out.capacity + place[item];
-    descriptor& orb = get<field::orb>(out, to);
-    if (g.size() > 1) {
-      g.sync();
+    int to = image * out.capacity;
+    float angle = 0;
+    if constexpr (Group::max_threads > 1) {
+      detail::own_tests<Group> const tests(g, pattern);
+      angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
+      rotation const turn = rotation_by(angle);
+      arrivals.await_placed(g, image);
+      to += place[item];
       auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
       auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-      detail::describe_together(g, at, a, b, pattern, orb);
+      detail::describe_together(g, at, turn, tests, get<field::orb>(out, to));
     } else {
+      fetch_window(level, x, y);
+      angle = orientation(g, sharp, x, y);
+      rotation const turn = rotation_by(angle);
+      to += place[item];
+      descriptor& orb = get<field::orb>(out, to);
       for (int i = 0; i < 8; ++i) {
-        orb.words[i] = detail::descriptor_word(level.row(y) + x, level.stride, a, b, pattern, i);
+        orb.words[i] = detail::descriptor_word(level.row(y) + x, level.stride, turn, pattern, i);
       }
     }
     if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
   }
 
 private:
+  /// Copies the window into scratch and returns the angle; the pixels of both are fetched together.
+  template <typename Group>
+  FT_HOST_DEVICE static float stage_and_turn(Group g, gray_view sharp, gray_view level, int x,
+                                             int y, std::uint32_t* pixels) {
+    bool const words = Group::max_threads >= 32 && detail::has_word_rows(sharp);
+    detail::disc_words<Group> disc;
+    if (words) { disc = detail::disc_words<Group>(g, sharp, x, y); }
+    detail::stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window,
+                                pixels, window_words);
+    if (!words) { return orientation(g, sharp, x, y); }
+    detail::moments const m = disc.sums(g);
+    return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
+  }
   /// Has a window that is needed soon brought into the caches, on the host.
   FT_HOST_DEVICE static void fetch_window(gray_view level, int x, int y) {
 #if defined(__GNUC__) && !defined(__CUDA_ARCH__)
@@ -263,23 +368,31 @@ private:
 /// @param overlaps [batch] @param mono_count [batch] gets the keypoints outside the overlap
 /// @param place [batch][layout.total] gets the place of a kept corner's keypoint; all in executor
 /// memory
-template <typename Exec>
+/// @param arrivals tells describe_corners() beside this launch which images have their places
+/// @param then see order_image
+template <typename Exec, typename Then = only_order>
 void order_corners(Exec const& exec, pyramid_geometry const& geometry,
                    distribution_view const& kept, stereo_overlap const* overlaps,
-                   keypoints_view const& out, int* mono_count, int* place) {
-  for_each_item<per_block<1024>>(exec, out.batch, order_image{}, geometry, kept, overlaps, place,
-                                 out, mono_count);
+                   keypoints_view const& out, int* mono_count, int* place,
+                   frame_arrivals const& arrivals = {}, Then const& then = {}) {
+  constexpr int threads = 1024;
+  // All the block scratch that there is: then nothing else is on its multiprocessor.
+  std::size_t const extra = extra_scratch<threads, order_image<Then>>(exec, out.batch);
+  for_each_item<per_block<threads>>(exec, out.batch, order_image<Then>{then, extra}, geometry, kept,
+                                    overlaps, place, out, mono_count, arrivals);
 }
 
 /// Angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing; one
 /// launch.
 /// @param pattern [256], points within `pattern_radius` @param place from order_corners
+/// @param arrivals where this launch is beside order_corners(): the same
 template <typename Exec>
 void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
                       image_pyramid_view const& blurred, distribution_view const& kept,
-                      pattern_pair const* pattern, int const* place, keypoints_view const& out) {
+                      pattern_pair const* pattern, int const* place, keypoints_view const& out,
+                      frame_arrivals const& arrivals = {}) {
   for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid,
-                          blurred, kept, pattern, place, out);
+                          blurred, kept, pattern, place, out, arrivals);
 }
 
 }  // namespace FT_ABI

@@ -119,6 +119,7 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
 /// nodes made in round k are, for odd k, in descending order of their codes, for even k in
 /// ascending order.
 struct distribute_level {
+  bool entered = false;  ///< take the corners' entries, not their ordered list
   /// Levels of up to so many points are kept in the block scratch asked for at launch, others in
   /// the workspace.
   int scratch_points = 0;
@@ -157,9 +158,10 @@ struct distribute_level {
   static constexpr int min_scratch_points = 2048;
 
   /// @param bytes of block scratch that there are besides `scratch`
-  static distribute_level with_scratch(std::size_t bytes) {
+  static distribute_level with_scratch(std::size_t bytes, bool entered) {
     auto const points = min_of(bytes / bytes_per_point, std::size_t{0xffe0}) / 32 * 32;
     distribute_level op;
+    op.entered = entered;
     if (points >= std::size_t{min_scratch_points}) { op.scratch_points = static_cast<int>(points); }
     return op;
   }
@@ -168,13 +170,29 @@ struct distribute_level {
     return static_cast<std::size_t>(scratch_points) * bytes_per_point;
   }
 
+  static constexpr bool prepares = true;
+  /// Empties bins, and fills the tables of codes.
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int item, corners_view const&,
+                              distribution_view const& v) const {
+    distribution_layout const& layout = v.layout;
+    int const l = item % layout.levels;
+    if (scratch_points == 0 || layout.capacity[l] == 0) { return; }
+    shape const level(layout.width[l], layout.height[l], layout.roots[l], 1, usual_depths, 1);
+    empty_bins(g, s.b.bins, max_bins);
+    if (scratch_points > more_bins_words) { empty_bins(g, bins_in_scratch(g), more_bins); }
+    if (level.width + level.height <= scratch_points) {
+      fill_tables(g, level, order_in_scratch(g));
+    }
+  }
+
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
     int const image = item / layout.levels;
     int const l = item % layout.levels;
-    int const points = corners.list_count[item];
+    int const points = (entered ? corners.entry_count : corners.list_count)[item];
     if (points == 0 || layout.capacity[l] == 0) {
       if (g.rank() == 0) { v.kept_count[item] = 0; }
       return;
@@ -184,14 +202,14 @@ struct distribute_level {
     if (points <= scratch_points && layout.capacity[l] <= scratch_nodes) {
       unsigned char* const memory = g.extra();
       tree<std::uint16_t> t;
-      t.points = corners.level_list(image, l);
+      take_points(t, image, l, corners);
       t.n = points;
       t.words = ceil_div(points, 32);
       t.keys = reinterpret_cast<unsigned long long*>(memory);
-      t.order = reinterpret_cast<unsigned*>(memory + 8 * scratch_points);
-      int const even = (points + 1) / 2 * 2;  // keys fill quads
-      if (2 * (scratch_points - even) >= more_bins) {
-        t.bins = reinterpret_cast<int*>(t.keys + even);
+      t.order = order_in_scratch(g);
+      t.prepared = true;
+      if (points <= scratch_points - more_bins_words) {
+        t.bins = bins_in_scratch(g);
         t.most_bins = more_bins;
       } else {
         t.bins = s.b.bins;
@@ -209,14 +227,28 @@ struct distribute_level {
     } else {
       size = run_in_workspace(g, s, image, l, points, at, corners, v);
     }
-    if (g.rank() == 0) { v.kept_count[item] = size; }
+    if (g.rank() == 0) {
+      v.kept_count[item] = size;
+      if (entered) { corners.entry_count[item] = 0; }
+    }
   }
 
 private:
+  // Of the keys' part of block scratch, behind the keys where both have place.
+  static constexpr int more_bins_words = more_bins / 2;
   template <typename Group>
-  FT_HOST_DEVICE static int run_in_workspace(Group g, scratch& s, int image, int l, int points,
-                                             int at, corners_view const& corners,
-                                             distribution_view const& v) {
+  FT_HOST_DEVICE int* bins_in_scratch(Group g) const {
+    return reinterpret_cast<int*>(g.extra() + 8 * (scratch_points - more_bins_words));
+  }
+  template <typename Group>
+  FT_HOST_DEVICE unsigned* order_in_scratch(Group g) const {
+    return reinterpret_cast<unsigned*>(g.extra() + 8 * scratch_points);
+  }
+
+  template <typename Group>
+  FT_HOST_DEVICE int run_in_workspace(Group g, scratch& s, int image, int l, int points, int at,
+                                      corners_view const& corners,
+                                      distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
     std::ptrdiff_t const slot = image * corners.layout.total_slots + corners.layout.first_slot[l];
     tree<int> t;
@@ -236,7 +268,7 @@ private:
     t.node_keys = v.node_keys + at;
     t.splits_before = v.splits_before + at;
     t.gain_before = v.gain_before + at;
-    t.points = corners.level_list(image, l);
+    take_points(t, image, l, corners);
     return run(g, s, t, layout, l, v.kept + at);
   }
 
@@ -345,10 +377,12 @@ private:
   template <typename Index>
   struct tree {
     corner const* points;
+    bool ranked;  ///< they are in any order, with a corner_rank
     int n, words;
     unsigned long long* keys;  ///< code << 32 | index
     unsigned* order;           ///< parting depth from the point before, and index, by code
     int order_size;            ///< at least n
+    bool prepared = false;     ///< bins and tables are
     int* bins;                 ///< of the sort alone
     int most_bins;
     unsigned* rows;
@@ -359,6 +393,17 @@ private:
     int* splits_before;  ///< per node: how many are split before it
     int* gain_before;    ///< and how many nodes more the list has by then
 
+    FT_HOST_DEVICE corner point(int i) const {
+      corner c = points[i];
+      if (ranked) { c.response = corner_rank::response(static_cast<std::uint32_t>(c.response)); }
+      return c;
+    }
+    /// The strongest point's is the highest, of equals that of the first.
+    FT_HOST_DEVICE unsigned long long strength(int i) const {
+      auto const response =
+          static_cast<unsigned long long>(static_cast<std::uint32_t>(points[i].response));
+      return ranked ? response : response << 32 | (0xffffffffu - static_cast<unsigned>(i));
+    }
     FT_HOST_DEVICE int depth_at(int p) const {
       return p < n ? static_cast<int>(order[p] >> index_bits) : 0;
     }
@@ -403,6 +448,13 @@ private:
       return 32 * w + popcount((bits & (0u - bits)) - 1);
     }
   };
+
+  template <typename Index>
+  FT_HOST_DEVICE void take_points(tree<Index>& t, int image, int l,
+                                  corners_view const& corners) const {
+    t.points = (entered ? corners.entries : corners.list) + corners.level_slot(image, l);
+    t.ranked = entered;
+  }
 
   /// All of a level. Returns the number of kept corners.
   template <typename Group, typename Index>
@@ -485,6 +537,18 @@ private:
     }
   }
 
+  template <typename Group>
+  FT_HOST_DEVICE static void empty_bins(Group g, int* bins, int n) {
+    for (int i = g.rank(); i < n; i += g.size()) { bins[i] = 0; }
+  }
+  /// The codes of columns, then of rows.
+  template <typename Group>
+  FT_HOST_DEVICE static void fill_tables(Group g, shape const& level, unsigned* table) {
+    for (int i = g.rank(); i < level.width + level.height; i += g.size()) {
+      table[i] = i < level.width ? level.column_code(i) : level.row_code(i - level.width);
+    }
+  }
+
   /// Fills `order`: the points by (code, index).
   template <typename Group, typename Index>
   FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
@@ -492,15 +556,14 @@ private:
     int* const bins = t.bins;
     unsigned* const table = t.order;  // dead before `order` is filled
     int const sides = level.width + level.height;
-    bool const tables = sides <= t.order_size && sides < 2 * t.n;
-    for (int i = g.rank(); i < ceil_div(level.bins, 4) * 4; i += g.size()) { bins[i] = 0; }
-    if (g.rank() == 0) { s.crowded = 0; }
-    // The codes of columns and rows where that is less than the codes of all points.
-    if (tables) {
-      for (int i = g.rank(); i < sides; i += g.size()) {
-        table[i] = i < level.width ? level.column_code(i) : level.row_code(i - level.width);
-      }
+    // Where that is less than the codes of all points, or done already.
+    bool const tables = sides <= t.order_size && (t.prepared || sides < 2 * t.n);
+    if (!t.prepared) {
+      empty_bins(g, bins, ceil_div(level.bins, 4) * 4);
+      if (tables) { fill_tables(g, level, table); }
     }
+    t.prepared = false;  // for another number of depths
+    if (g.rank() == 0) { s.crowded = 0; }
     g.sync();
     for (int base = g.rank(); base < t.n; base += batch * g.size()) {
       corner p[batch];
@@ -525,7 +588,8 @@ private:
       FT_UNROLL
       for (int k = 0; k < batch; ++k) {
         int const i = min_of(base + k * g.size(), t.n - 1);
-        code[k] = tables ? table[t.points[i].x] ^ table[level.width + t.points[i].y] : t.order[i];
+        corner const p = t.points[i];
+        code[k] = tables ? table[p.x] ^ table[level.width + p.y] : t.order[i];
       }
       FT_UNROLL
       for (int k = 0; k < batch; ++k) {
@@ -818,36 +882,38 @@ private:
     int const lane = g.rank() % lanes;
     for (int base = 0; base < size; base += g.size() / lanes) {
       int const i = base + g.rank() / lanes;
-      unsigned long long best = 0;
+      unsigned long long mine = 0;
+      int strongest = 0;
       if (i < size) {
         node_range<Index> const node = t.list[i];
         for (int p = node.begin + lane; p < node.end; p += lanes) {
           int const index = t.index_at(p);
-          unsigned long long const key =
-              static_cast<unsigned long long>(static_cast<unsigned>(t.points[index].response))
-                  << 32 |
-              (0xffffffffu - static_cast<unsigned>(index));
-          best = max_of(best, key);
+          unsigned long long const strength = t.strength(index);
+          if (strength > mine) {
+            mine = strength;
+            strongest = index;
+          }
         }
       }
-      best = g.template reduce_lanes<most>(best, max_op{});
-      if (i < size && lane == 0) {
-        kept[i] = t.points[0xffffffffu - static_cast<unsigned>(best & 0xffffffffu)];
-      }
+      unsigned long long const best = g.template reduce_lanes<most>(mine, max_op{});
+      if (i < size && mine == best) { kept[i] = t.point(strongest); }
     }
   }
 };
 
 /// Thins the corners of every level of every image to about the wanted number. Asynchronous on
 /// `exec`; allocates nothing; one launch. @pre corners lie within their level's work area
+/// @param entered from enter_corners(), whose entries it takes out again, not from the ordered
+/// lists: the same in the end
 template <typename Exec>
-void distribute_corners(Exec const& exec, corners_view const& corners,
-                        distribution_view const& out) {
+void distribute_corners(Exec const& exec, corners_view const& corners, distribution_view const& out,
+                        bool entered = false) {
   constexpr int threads = 512;
   int const items = out.batch * out.layout.levels;
   for_each_item<per_block<threads>>(
       exec, items,
-      distribute_level::with_scratch(extra_scratch<threads, distribute_level>(exec, items)),
+      distribute_level::with_scratch(extra_scratch<threads, distribute_level>(exec, items),
+                                     entered),
       corners, out);
 }
 

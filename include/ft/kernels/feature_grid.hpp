@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/keypoints.hpp"
@@ -35,83 +36,163 @@ struct row_cell {
   }
 };
 
+/// Block scratch of fill_grid: for grids of less than so many cells, and images of up to so many
+/// keypoints.
+struct grid_scratch {
+  static constexpr int size = 4096;
+  static constexpr std::uint32_t nowhere = 0xffffffffu;
+  int start[size];            ///< of cells; their counts at first
+  std::uint32_t entry[size];  ///< of a keypoint: its cell, and how many of it were counted before
+  std::uint16_t list[size];   ///< cell by cell, in any order within one
+
+  FT_HOST_DEVICE static bool fits(grid_geometry const& g, int keypoints) {
+    return g.cells() < size && keypoints <= size;
+  }
+};
+
 /// The grid of one image: counts, their prefix sum, then every keypoint into its cell's part of the
 /// list. A group of several threads fills a part in any order; each keypoint then counts the lower
 /// ones of its cell, which is its place. No sort, and the same lists on every executor.
 /// @tparam Cell nearest_cell or row_cell
 template <typename Cell>
 struct fill_grid {
-  /// Grids of up to so many cells, and images of up to so many keypoints, are worked on in block
-  /// scratch, others in executor memory.
-  static constexpr int scratch_size = 4096;
-  struct scratch {
-    int start[scratch_size];
-    int unsorted[scratch_size];
-  };
+  using scratch = grid_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, keypoints_view const& all,
                                  int first, int step, feature_grid_view const& grids) const {
     keypoints_view const kp = all.slice(first + item * step);
     feature_grid_view const grid = grids.slice(item);
-    int const cells = grid.geometry.cells();
     int const n = *kp.count;
-    constexpr bool one_thread = Group::max_threads == 1;
-    int* const start = !one_thread && cells < scratch_size ? s.start : grid.start;
-    int* const list = one_thread ? grid.indices : n <= scratch_size ? s.unsorted : grid.unsorted;
-    for (int c = g.rank(); c <= cells; c += g.size()) { start[c] = 0; }
-    g.sync();
+    if (Group::max_threads == 1 || !scratch::fits(grid.geometry, n)) {
+      in_memory(g, kp, n, grid);
+      return;
+    }
+    clear(g, s, grid.geometry);
+    FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      int const c = cell_of(grid, kp, i);
-      if (c >= 0) { atomic_add(start + c, 1); }
+      s.entry[i] = count(s, grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
     }
     g.sync();
+    sort(g, s, n, grid);
+  }
+
+  /// In scratch, by several threads: first of all.
+  template <typename Group>
+  FT_HOST_DEVICE static void clear(Group g, scratch& s, grid_geometry const& geometry) {
+    for (int c = g.rank(); c < geometry.cells(); c += g.size()) { s.start[c] = 0; }
+    g.sync();
+  }
+  /// Then for each keypoint, in any order. Returns its entry.
+  FT_HOST_DEVICE static std::uint32_t count(scratch& s, grid_geometry const& geometry, float x,
+                                            float y) {
+    int const c = Cell::of(geometry, x, y);
+    if (c < 0) { return scratch::nowhere; }
+    return static_cast<std::uint32_t>(atomic_add(s.start + c, 1) << 16 | c);
+  }
+  /// At last. @pre all are counted, and a sync() since
+  template <typename Group>
+  FT_HOST_DEVICE static void sort(Group g, scratch& s, int n, feature_grid_view const& grid) {
     // Prefix sum, each thread over cells that follow each other.
+    int const cells = grid.geometry.cells();
     int const each = ceil_div(cells, g.size());
     int const begin = min_of(g.rank() * each, cells);
     int const end = min_of(begin + each, cells);
     int mine = 0;
-    for (int c = begin; c < end; ++c) { mine += start[c]; }
+    for (int c = begin; c < end; ++c) { mine += s.start[c]; }
     int total = 0;
     int before = g.exclusive_scan(mine, total);
     for (int c = begin; c < end; ++c) {
-      int const count = start[c];
-      start[c] = before;
-      before += count;
+      int const here = s.start[c];
+      s.start[c] = before;
+      grid.start[c] = before;
+      before += here;
+    }
+    if (g.rank() == 0) {
+      s.start[cells] = total;
+      grid.start[cells] = total;
     }
     g.sync();
-    // start[c] moves forward while its cell fills and ends as the start of the next.
     for (int i = g.rank(); i < n; i += g.size()) {
-      int const c = cell_of(grid, kp, i);
-      if (c >= 0) { list[atomic_add(start + c, 1)] = i; }
+      std::uint32_t const e = s.entry[i];
+      if (e == scratch::nowhere) { continue; }
+      s.list[s.start[e & 0xffffu] + static_cast<int>(e >> 16)] = static_cast<std::uint16_t>(i);
     }
     g.sync();
-    if constexpr (!one_thread) {
-      for (int i = g.rank(); i < n; i += g.size()) {
-        int const c = cell_of(grid, kp, i);
-        if (c < 0) { continue; }
-        int const from = c > 0 ? start[c - 1] : 0;
-        int const to = start[c];
-        int lower = 0;
-        for (int at = from; at < to; ++at) { lower += static_cast<int>(list[at] < i); }
-        grid.indices[from + lower] = i;
-      }
-      g.sync();
-    }
-    // From the last cell down, so that a thread writes what no later step reads.
-    for (int base = (cells / g.size()) * g.size(); base >= 0; base -= g.size()) {
-      int const c = base + g.rank();
-      int const previous = c <= cells && c > 0 ? start[c - 1] : 0;
-      if (start == grid.start) { g.sync(); }
-      if (c <= cells) { grid.start[c] = previous; }
-      if (start == grid.start) { g.sync(); }
+    for (int i = g.rank(); i < n; i += g.size()) {
+      std::uint32_t const e = s.entry[i];
+      if (e == scratch::nowhere) { continue; }
+      int const from = s.start[e & 0xffffu];
+      int const to = s.start[(e & 0xffffu) + 1];
+      int lower = 0;
+      for (int at = from; at < to; ++at) { lower += static_cast<int>(s.list[at] < i); }
+      grid.indices[from + lower] = i;
     }
   }
 
 private:
-  FT_HOST_DEVICE static int cell_of(feature_grid_view const& grid, keypoints_view const& kp,
-                                    int i) {
-    return Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
+  /// Without scratch. Not unrolled: few need it, and all would fetch it.
+  template <typename Group>
+  FT_HOST_DEVICE static void in_memory(Group g, keypoints_view const& kp, int n,
+                                       feature_grid_view const& grid) {
+    int const cells = grid.geometry.cells();
+    int* const start = grid.start;
+    int* const list = Group::max_threads == 1 ? grid.indices : grid.unsorted;
+    auto const cell = [&](int i) {
+      return Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
+    };
+    FT_NO_UNROLL
+    for (int c = g.rank(); c <= cells; c += g.size()) { start[c] = 0; }
+    g.sync();
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const c = cell(i);
+      if (c >= 0) { atomic_add(start + c, 1); }
+    }
+    g.sync();
+    int const each = ceil_div(cells, g.size());
+    int const begin = min_of(g.rank() * each, cells);
+    int const end = min_of(begin + each, cells);
+    int mine = 0;
+    FT_NO_UNROLL
+    for (int c = begin; c < end; ++c) { mine += start[c]; }
+    int total = 0;
+    int before = g.exclusive_scan(mine, total);
+    FT_NO_UNROLL
+    for (int c = begin; c < end; ++c) {
+      int const here = start[c];
+      start[c] = before;
+      before += here;
+    }
+    g.sync();
+    // start[c] moves forward while its cell fills and ends as the start of the next.
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const c = cell(i);
+      if (c >= 0) { list[atomic_add(start + c, 1)] = i; }
+    }
+    g.sync();
+    FT_NO_UNROLL
+    for (int i = g.rank(); list != grid.indices && i < n; i += g.size()) {
+      int const c = cell(i);
+      if (c < 0) { continue; }
+      int const from = c > 0 ? start[c - 1] : 0;
+      int const to = start[c];
+      int lower = 0;
+      FT_NO_UNROLL
+      for (int at = from; at < to; ++at) { lower += static_cast<int>(list[at] < i); }
+      grid.indices[from + lower] = i;
+    }
+    g.sync();
+    // From the last cell down, so that a thread writes what no later step reads.
+    FT_NO_UNROLL
+    for (int base = (cells / g.size()) * g.size(); base >= 0; base -= g.size()) {
+      int const c = base + g.rank();
+      int const previous = c <= cells && c > 0 ? start[c - 1] : 0;
+      g.sync();
+      if (c <= cells) { start[c] = previous; }
+      g.sync();
+    }
   }
 };
 

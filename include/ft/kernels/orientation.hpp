@@ -3,6 +3,7 @@
 /// section 4; Rosin, "Measuring corner properties", CVIU 1999.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include "ft/core/config.hpp"
@@ -53,18 +54,55 @@ struct moments {
   }
 };
 
-/// Share of the pixels (x + u .. x + u + 3, y + v) that lie in the disc around (x, y).
-/// @param u such that the first pixel is at a whole word
-FT_HOST_DEVICE inline moments moments_of_word(gray_view level, int x, int y, int u, int v) {
-  int const half = disc_half_width(v < 0 ? -v : v);
-  int const before = max_of(-half - u, 0);    // pixels outside, from the left
-  int const after = max_of(u + 3 - half, 0);  // from the right
-  if (before > 3 || after > 3) { return {0, 0}; }
-  std::uint32_t const inside = 0xffffffffu << (8 * before) & 0xffffffffu >> (8 * after);
-  std::uint32_t const word = load_word(level.row(y + v) + x + u) & inside;
-  int const sum = static_cast<int>(dot_of_4(word, 0x01010101u, 0));
-  return {u * sum + static_cast<int>(dot_of_4(word, 0x03020100u, 0)), v * sum};
-}
+/// The disc around (x, y) by words, for groups of whole warps: eight threads for a row, so that
+/// threads side by side read pixels side by side. All loads of a thread are under way together, and
+/// beside those that the caller does before it asks for sums. @pre has_word_rows(level)
+template <typename Group>
+class disc_words {
+public:
+  disc_words() = default;
+  FT_HOST_DEVICE disc_words(Group g, gray_view level, int x, int y) {
+    int const first = ((x - radius) & ~3) - x;
+    u = first + g.rank() % 8 * 4;
+    std::uint8_t const* const column = level.row(y) + x + u;
+    FT_UNROLL
+    for (int k = 0; k < each; ++k) {
+      word[k] = load_word(column + min_of(row(g, k), radius) * level.stride);
+    }
+    // A ninth word has pixels of the longest rows only.
+    last_u = first + 32;
+    last_v = g.rank() - radius;
+    bool const reaches = last_v <= radius && half_width(last_v) >= last_u;
+    last = reaches ? load_word(level.row(y + last_v) + x + last_u) : 0;
+  }
+  /// Of all words of the group; the same in every thread.
+  FT_HOST_DEVICE moments sums(Group g) const {
+    moments m = of_word(last, last_u, last_v);
+    FT_UNROLL
+    for (int k = 0; k < each; ++k) { m = m + of_word(word[k], u, row(g, k)); }
+    return {g.reduce(m.m10, sum_op{}), g.reduce(m.m01, sum_op{})};
+  }
+
+private:
+  static constexpr int radius = orientation_radius;
+  static constexpr int rows = max_of(Group::max_threads / 8, 1);  ///< at a time
+  static constexpr int each = (2 * radius + rows) / rows;         ///< words of a thread
+  std::uint32_t word[each], last;
+  int u, last_u, last_v;  ///< of a word's first pixel, from (x, y)
+
+  FT_HOST_DEVICE static int row(Group g, int k) { return g.rank() / 8 + k * rows - radius; }
+  FT_HOST_DEVICE static int half_width(int v) { return disc_half_width(v < 0 ? -v : v); }
+  FT_HOST_DEVICE static moments of_word(std::uint32_t pixels, int u, int v) {
+    if (v > radius) { return {0, 0}; }
+    int const half = half_width(v);
+    int const before = min_of(max_of(-half - u, 0), 4);    // pixels outside, from the left
+    int const after = min_of(max_of(u + 3 - half, 0), 4);  // from the right
+    pixels &=
+        static_cast<std::uint32_t>(0xffffffffull << (8 * before) & 0xffffffffull >> (8 * after));
+    int const sum = static_cast<int>(dot_of_4(pixels, 0x01010101u, 0));
+    return {u * sum + static_cast<int>(dot_of_4(pixels, 0x03020100u, 0)), v * sum};
+  }
+};
 
 /// The moments of the disc around (x, y), by a single thread: first sums of columns, over the
 /// disc's rows, in loops that become vectors. @pre column x + 16 is in the level, too
@@ -102,21 +140,11 @@ template <typename Group>
 FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int y) {
   detail::moments m{0, 0};
   constexpr int side = 2 * orientation_radius + 1;
-  if (g.size() > 1 && detail::has_word_rows(level)) {
-    // By words, so that threads side by side read pixels side by side.
-    constexpr int words = 9;  // of a row: side bytes, from any address
-    int const first = (x - orientation_radius) & ~3;
-    int const steps = (side * words + g.size() - 1) / g.size();
-    FT_UNROLL
-    for (int k = 0; k < steps; ++k) {
-      int const i = g.rank() + k * g.size();
-      int const v = i / words - orientation_radius;
-      int const u = first + i % words * 4 - x;  // of the word's first pixel
-      if (v > orientation_radius) { continue; }
-      m = m + detail::moments_of_word(level, x, y, u, v);
+  if constexpr (Group::max_threads >= 32) {
+    if (detail::has_word_rows(level)) {
+      m = detail::disc_words<Group>(g, level, x, y).sums(g);
+      return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
     }
-    m = g.reduce(m, sum_op{});
-    return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
   }
   if (g.size() == 1 && x + orientation_radius + 1 < level.width) {
     m = detail::moments_by_columns(level, x, y);
@@ -135,6 +163,53 @@ FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int 
   }
   m = g.reduce(m, sum_op{});
   return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
+}
+
+/// How a descriptor's pattern is turned.
+struct rotation {
+  float cosine, sine;
+};
+
+namespace detail {
+
+/// Cosine and sine in double, rounded to float, by one reduction and without a table in memory: the
+/// polynomials of fdlibm's k_cos.c and k_sin.c. Every float of [0, 2 pi] gives what ::cos and ::sin
+/// give. For processors with fused products.
+FT_HOST_DEVICE inline rotation rotation_by_fma(float radians) {
+  int const quarter = round_to_even(radians * 0.636619772f);
+  double const q = quarter;
+  double const r = ::fma(q, -6.123233995736766e-17, ::fma(q, -1.5707963267948966, double{radians}));
+  double const z = r * r;
+  double s = 1.58969099521155010221e-10;
+  double c = -1.13596475577881948265e-11;
+  s = ::fma(s, z, -2.50507602534068634195e-08);
+  c = ::fma(c, z, 2.08757232129817482790e-09);
+  s = ::fma(s, z, 2.75573137070700676789e-06);
+  c = ::fma(c, z, -2.75573143513906633035e-07);
+  s = ::fma(s, z, -1.98412698298579493134e-04);
+  c = ::fma(c, z, 2.48015872894767294178e-05);
+  s = ::fma(s, z, 8.33333333332248946124e-03);
+  c = ::fma(c, z, -1.38888888888741095749e-03);
+  s = ::fma(s, z, -1.66666666666666324348e-01);
+  c = ::fma(c, z, 4.16666666666666019037e-02);
+  s = ::fma(s * z, r, r);
+  c = ::fma(::fma(c, z, -0.5), z, 1.0);
+  bool const odd = (quarter & 1) != 0;
+  auto const cosine = static_cast<float>(odd ? s : c);
+  auto const sine = static_cast<float>(odd ? c : s);
+  return {((quarter + 1) & 2) != 0 ? -cosine : cosine, (quarter & 2) != 0 ? -sine : sine};
+}
+
+}  // namespace detail
+
+/// @param angle as orientation() gives it
+FT_HOST_DEVICE inline rotation rotation_by(float angle) {
+  float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
+#if defined(__CUDA_ARCH__)
+  return detail::rotation_by_fma(radians);
+#else
+  return {static_cast<float>(::cos(double{radians})), static_cast<float>(::sin(double{radians}))};
+#endif
 }
 
 }  // namespace FT_ABI

@@ -149,6 +149,60 @@ struct twin {
   }
 };
 
+/// One image, once its keypoints have their places: what searches and stereo find them by.
+template <bool Rectified>
+struct sort_keypoints {
+  feature_grid_view grids;
+  feature_grid_view right_rows;  ///< rectified
+  using scratch = grid_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, keypoints_view const& all) const {
+    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
+      if (in_scratch) { fill.clear(g, s, grid.geometry); }
+    });
+  }
+  template <typename Group>
+  FT_HOST_DEVICE std::uint32_t count(Group, scratch& s, int image, keypoints_view const& all,
+                                     float x, float y) const {
+    std::uint32_t entry = 0;
+    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
+      if (in_scratch) { entry = fill.count(s, grid.geometry, x, y); }
+    });
+    return entry;
+  }
+  FT_HOST_DEVICE void keep(scratch& s, int keypoint, std::uint32_t entry) const {
+    if (keypoint < scratch::size) { s.entry[keypoint] = entry; }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE void sort(Group g, scratch& s, int image, keypoints_view const& all, int n) const {
+    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
+      if (in_scratch) {
+        fill.sort(g, s, n, grid);
+      } else {
+        g.sync();
+        fill(g, s, 0, all.slice(image), 0, 1, grid);
+      }
+    });
+  }
+
+private:
+  /// Calls f(fill_grid, the image's grid, whether scratch does for all that the image may have).
+  template <typename Group, typename F>
+  FT_HOST_DEVICE void with_grid(int image, keypoints_view const& all, F const& f) const {
+    auto const call = [&](auto fill, feature_grid_view const& grid) {
+      f(fill, grid, Group::max_threads > 1 && scratch::fits(grid.geometry, all.capacity));
+    };
+    if (!Rectified) {
+      call(fill_grid<nearest_cell>{}, grids.slice(image));
+    } else if (image % 2 == 0) {
+      call(fill_grid<nearest_cell>{}, grids.slice(image / 2));
+    } else {
+      call(fill_grid<row_cell>{}, right_rows.slice(image / 2));
+    }
+  }
+};
+
 }  // namespace detail
 
 /// Writes the points of an update into the map.
@@ -178,15 +232,36 @@ struct copy_pose {
   }
 };
 
-/// Writes the frame's result where the host reads it, and keeps what the next frame's search needs.
+/// Writes what the search found, and the poses, where the host reads it.
+struct pack_matches {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
+                                 pose const* poses, int const* matches, int const* inliers,
+                                 tracked_frame_view const& out) const {
+    int const b = item / frame.numbers();
+    int const number = item % frame.numbers();
+    int const c = number / frame.capacity();
+    if (number == 0) {
+      out.T_cw[b] = poses[b];
+      out.matches[b] = matches[b];
+      out.inliers[b] = inliers != nullptr ? inliers[b] : matches[b];
+    }
+    bool const there = number % frame.capacity() < *frame.camera(b, c).count;
+    out.holder[item] = there ? frame.holder[item] : -1;
+  }
+};
+
+/// Writes the keypoints where the host reads them, and keeps what the next frame's search needs of
+/// them: after this frame's.
 template <typename Rig>
-struct pack_result {
+struct pack_keypoints {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
                                  float const* depth, fisheye_matches_view const& fisheye,
-                                 pose const* poses, int const* matches, int const* inliers,
                                  tracked_frame_view const& out,
                                  soa_view<field::angle, field::octave> const& last) const {
     int const b = item / frame.numbers();
@@ -196,11 +271,6 @@ struct pack_result {
     keypoints_view const kp = frame.camera(b, c);
     auto const kept = last.slice(frame.keypoint_step * b + c);
     if (i == 0) { out.keypoints[b * frame.cameras + c] = *kept.count = *kp.count; }
-    if (number == 0) {
-      out.T_cw[b] = poses[b];
-      out.matches[b] = matches[b];
-      out.inliers[b] = inliers != nullptr ? inliers[b] : matches[b];
-    }
     bool const there = i < *kp.count;
     float const x = there ? get<field::x>(kp, i) : 0.0f;
     float const y = there ? get<field::y>(kp, i) : 0.0f;
@@ -212,7 +282,6 @@ struct pack_result {
       get<field::octave>(kept, i) = octave;
       get<field::angle>(kept, i) = get<field::angle>(kp, i);
     }
-    out.holder[item] = there ? frame.holder[item] : -1;
     out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
     if (c != 0) { return; }
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.capacity() + i;
@@ -603,7 +672,11 @@ private:
     };
     if constexpr (branches<Mark>) {
       search_local_map(exec, search, frame_, map_, geometry(), search_params{}, local_windows_,
-                       work_, [&](Exec const& e) { write_visibility(view_branch_.fork(e)); });
+                       work_, [&](Exec const& e) {
+                         auto&& branch = view_branch_.fork(e);
+                         write_visibility(branch);
+                         write_keypoints(branch);
+                       });
     } else {
       find_visible_points(exec, search, map_, geometry(), local_windows_);
       write_visibility(exec);
@@ -616,8 +689,13 @@ private:
                      observations_);
       mark("pose local map");
     }
-    if constexpr (branches<Mark>) { view_branch_.join(exec); }
-    download(exec, poses_, work_.matches, params_.optimize_local ? observations_.inliers : nullptr);
+    if constexpr (branches<Mark>) {
+      view_branch_.join(exec);
+    } else {
+      write_keypoints(exec);
+    }
+    write_matches(exec, poses_, work_.matches,
+                  params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
   }
   template <typename Mark>
@@ -658,24 +736,22 @@ private:
     receive_images(exec, nullptr, none, first, second);
   }
 
-  /// Stage by stage with the stereo matches, in a recording without them.
+  /// Stage by stage with the stereo matches, in a recording with what they need of the keypoints.
   /// @param with_local the local map comes with the images
   template <typename Mark>
   void features(Exec const& exec, Mark& mark, bool with_local) {
     batch_.require_made("tracker");
     block_source const local = with_local ? local_.source() : block_source{};
-    constexpr int step = Rig::rectified ? 2 : 1;
     if constexpr (branches<Mark>) {
-      extractor_.receive_and_extract(exec, sources_.data(), motion_.source(), local,
-                                     [this](Exec const& e) {
-                                       build_grid<nearest_cell>(e, extractor_.keypoints(), 0, step,
-                                                                cameras * batch_, frame_.grids);
-                                       matcher_.prepare(beside(e), extractor_);
-                                     });
+      extractor_.receive_and_extract(
+          exec, sources_.data(), motion_.source(), local,
+          [this](Exec const& e) { matcher_.clear(e); },
+          detail::sort_keypoints<Rig::rectified>{frame_.grids, matcher_.right_rows()});
     } else {
       receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(), local);
       mark("upload");
       extractor_.extract(exec, mark);
+      constexpr int step = Rig::rectified ? 2 : 1;
       build_grid<nearest_cell>(exec, extractor_.keypoints(), 0, step, cameras * batch_,
                                frame_.grids);
       mark("grid");
@@ -685,9 +761,17 @@ private:
   }
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_result<Rig>{}, rig_, frame_,
-                              matcher_.depth(), matcher_.fisheye_matches(), poses, matches, inliers,
-                              result_, last_keypoints_);
+    write_keypoints(exec);
+    write_matches(beside(exec), poses, matches, inliers);
+  }
+  void write_keypoints(Exec const& exec) {
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_keypoints<Rig>{}, rig_, frame_,
+                              matcher_.depth(), matcher_.fisheye_matches(), result_,
+                              last_keypoints_);
+  }
+  void write_matches(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_matches{}, frame_, poses,
+                              matches, inliers, result_);
   }
 
   Rig rig_{};

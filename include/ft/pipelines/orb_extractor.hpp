@@ -105,7 +105,11 @@ public:
     // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
-    fill_bytes(exec, arrivals_.received, 0, arrivals_.bytes());
+    // Corners are read ahead of how many there are.
+    fill_bytes(exec, distribution_.kept, 0,
+               static_cast<std::size_t>(quad.total) * b * sizeof(corner));
+    clear_arrivals(exec);
+    forget_entries(exec);
     if (has_masks()) { fill_bytes(exec, masks_.data, 255, mask_bytes() * b); }
     exec.wait();
   }
@@ -141,19 +145,23 @@ public:
 
   /// Queues all stages over the uploaded images; the blur beside the distribution.
   void extract(Exec const& exec) {
+    forget_entries(exec);
     resize(exec);
-    detect(exec);
-    distribute_and_blur(exec, 0);
-    order(exec);
-    describe(exec);
+    extract_from_pyramid(
+        exec,
+        [this](Exec const& e) {
+          if (enters()) { gather_corners(e, corners_); }
+        },
+        only_order{});
   }
   /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
   /// pyramid's tiles are made of rows that are there while the next ones are fetched.
-  /// @param located called with the executor when all of the keypoints but angles and descriptors
-  /// is queued; has to queue a launch there, which runs beside those
-  template <typename Located>
+  /// @param besides called with an executor for launches beside the distribution, which leaves most
+  /// of a device idle
+  /// @param then what is done with an image's keypoints while they are described, see order_image
+  template <typename Besides, typename Then>
   void receive_and_extract(Exec const& exec, image_source const* sources, block_source const& first,
-                           block_source const& second, Located const& located) {
+                           block_source const& second, Besides const& besides, Then const& then) {
     batch_.require_made("extractor");
     bool const overlap = Exec::asynchronous && tiles_.groups == 1;
     if (overlap) {
@@ -163,25 +171,23 @@ public:
       receive_images(exec, sources, pyramid_, first, second);
       resize(exec);
     }
-    detect(exec);
-    distribute_and_blur(exec, overlap ? arrivals_.counters() : 0);
-    order(exec);
-    located(exec);
-    describe(beside(exec));
+    extract_from_pyramid(exec, besides, then);
   }
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
+    forget_entries(exec);
     resize(exec);
     mark("pyramid");
     detect(exec);
     mark("corners");
-    distribute_corners(exec, corners_, distribution_);
+    distribute(exec);
+    if (enters()) { gather_corners(beside(exec), corners_); }
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
-    order(exec);
-    describe(exec);
+    order(exec, {}, only_order{});
+    describe(exec, {});
     mark("descriptors");
   }
 
@@ -208,6 +214,7 @@ public:
   int const* mono_count() const { return mono_count_; }    ///< [batch], outside the stereo overlap
   image_pyramid_view pyramid() const { return pyramid_; }
   image_pyramid_view blurred() const { return blurred_; }
+  /// Lists after extract(), not after receive_and_extract().
   corners_view corners() const { return corners_; }
   distribution_view distribution() const { return distribution_; }
 
@@ -218,12 +225,20 @@ public:
   std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
 
 private:
-  /// The blur runs beside the quadtree, where most of a device is idle.
-  /// @param raised counters of arrivals that go back to 0
-  void distribute_and_blur(Exec const& exec, int raised) {
-    distribute_corners(exec, corners_, distribution_);
-    for_each_item<per_thread>(beside(exec), raised, clear_arrival{}, arrivals_);
+  /// The blur runs beside the quadtree, where most of a device is idle, and the description beside
+  /// the order, of which it needs the places in the end.
+  template <typename Besides, typename Then>
+  void extract_from_pyramid(Exec const& exec, Besides const& besides, Then const& then) {
+    detect(exec);
+    distribute(exec);
+    clear_arrivals(beside(exec));
+    besides(beside(exec));
     blur_pyramid(beside(exec), pyramid_, blurred_, blur_layout_);
+    order(exec, arrivals_, then);
+    describe(beside(exec), arrivals_);
+  }
+  void clear_arrivals(Exec const& exec) {
+    for_each_item<per_thread>(exec, arrivals_.counters(), clear_arrival{}, arrivals_);
   }
 
   /// Both ways give the same pixels: long rows suit a processor, few launches a device.
@@ -235,19 +250,35 @@ private:
       build_pyramid(exec, pyramid_, taps_);
     }
   }
-  void order(Exec const& exec) {
-    order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_);
+  template <typename Then>
+  void order(Exec const& exec, frame_arrivals const& arrivals, Then const& then) {
+    order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_,
+                  arrivals, then);
   }
+  /// The distribution takes corners in any order, but masks lists, which are then gathered before.
+  bool enters() const { return !has_masks() && corners_.can_enter(); }
   void detect(Exec const& exec) {
-    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
+    corner_params const thresholds{params_.ini_threshold, params_.min_threshold};
+    if (enters()) {
+      enter_corners(exec, pyramid_, thresholds, corners_);
+    } else {
+      detect_corners(exec, pyramid_, thresholds, corners_);
+    }
     if (has_masks()) { mask_corners(exec, geometry_, masks_, corners_); }
+  }
+  void distribute(Exec const& exec) { distribute_corners(exec, corners_, distribution_, enters()); }
+  /// Of a call that ended early.
+  void forget_entries(Exec const& exec) {
+    fill_bytes(exec, corners_.entry_count, 0,
+               static_cast<std::size_t>(batch() * geometry_.levels) * sizeof(int));
   }
   bool has_masks() const { return masks_.data != nullptr; }
   std::size_t mask_bytes() const {
     return static_cast<std::size_t>(masks_.width) * static_cast<std::size_t>(masks_.height);
   }
-  void describe(Exec const& exec) {
-    describe_corners(exec, pyramid_, blurred_, distribution_, pattern_, place_, keypoints_);
+  void describe(Exec const& exec, frame_arrivals const& arrivals) {
+    describe_corners(exec, pyramid_, blurred_, distribution_, pattern_, place_, keypoints_,
+                     arrivals);
   }
 
   /// @throws bad_argument for another size or a stride below the width

@@ -63,22 +63,24 @@ public:
   /// Queues the matching of the extractor's current images. @throws bad_argument, as its parts, for
   /// an extractor of another shape than the one that the matcher was made with
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
-    prepare(exec, extractor);
+    require_shape(extractor);
+    clear(exec);
+    if constexpr (Rig::rectified) { sort_right_rows(exec, extractor.keypoints(), right_rows_); }
     match_prepared(exec, extractor);
     finish(exec, extractor);
   }
-  /// The part of match() that needs places and octaves of keypoints only: what
-  /// orb_extractor::receive_and_extract has when it calls.
-  void prepare(Exec const& exec, orb_extractor<Exec> const& extractor) {
-    require_shape(extractor);
+  /// The part of match() that needs no keypoints.
+  void clear(Exec const& exec) {
+    pairs_.require_made("stereo matcher");
     if constexpr (Rig::rectified) {
-      sort_right_rows(exec, extractor.keypoints(), right_rows_);
+      static_cast<void>(exec);
     } else {
       clear_fisheye_matches(exec, fisheye_);
-      static_cast<void>(extractor);
     }
   }
-  /// The part that needs descriptors.
+  /// Of a rectified rig the grid of the right images' rows, which match_prepared() needs.
+  feature_grid_view right_rows() const { return right_rows_; }
+  /// The part that needs descriptors, after clear().
   void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {

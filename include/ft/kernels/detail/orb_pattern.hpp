@@ -12,7 +12,7 @@ inline namespace FT_ABI {
 
 /// A descriptor test: is the blurred image darker at (x0, y0) than at (x1, y1)? Pixels, relative to
 /// the keypoint, before rotation.
-struct pattern_pair {
+struct alignas(4) pattern_pair {
   std::int8_t x0, y0, x1, y1;
 };
 

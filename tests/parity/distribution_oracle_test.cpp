@@ -421,4 +421,25 @@ TYPED_TEST(distribution_oracle_test, nodes_far_down_the_tree) {
   }
 }
 
+TYPED_TEST(distribution_oracle_test, nodes_of_many_points_in_wide_levels) {
+  // The wider a level, the fewer points a node may have for a key of 32 bits.
+  for (int const width : {1000, 4000, 16384}) {
+    int const most = width > 16000 ? 127 : width > 3000 ? 511 : 2047;
+    for (int const n : {most - 1, most, most + 1, most + 70}) {
+      corners_list list;
+      for (int i = 0; i < n; ++i) {  // in one node after the first round
+        list.push_back({static_cast<std::uint16_t>(705 + i % 44),
+                        static_cast<std::uint16_t>(3 + i / 44), 7 + i * 37 % 11});
+      }
+      // The list grows in the first rounds.
+      for (int const x : {10, 40, 80}) { list.push_back({static_cast<std::uint16_t>(x), 5, 9}); }
+      for (int wanted = 3; wanted < 11; ++wanted) {
+        SCOPED_TRACE(std::to_string(width) + " columns, " + std::to_string(n) + " points together");
+        this->compare({list}, width, 140, 1, wanted, 1);
+        if (this->HasFatalFailure()) { return; }
+      }
+    }
+  }
+}
+
 }  // namespace distribution_oracle

@@ -142,12 +142,18 @@ struct distribute_level {
       int splits_before[scratch_nodes];
       int gain_before[scratch_nodes];
     };
+    struct packed_store {
+      unsigned keys[scratch_nodes];
+      int before[scratch_nodes];
+    };
     union {
       alignas(16) int bins[max_bins];
       split_store splits;
+      packed_store packed;
     } b;
     int totals[2 * max_rows];
     int made;
+    int candidates;  ///< keys of split_together() so far, and `large_node` for each that has none
     unsigned crowded;
   };
 
@@ -468,10 +474,12 @@ private:
       count_heads(g, s, t, level);
       rounds const r = count_rounds(level, s.totals, wanted);
       if (r.last == 0) { continue; }  // the points are crowded: more depths
-      int children = list_nodes(g, t, level, r.whole, s.totals);
+      int children = list_nodes(g, s, t, level, r.whole);
       int size = s.totals[level.row_of(r.whole)];
       for (int depth = r.whole + 1; depth <= r.last; ++depth) {
-        size = split_one_by_one(g, s, t, level, depth, children, size, wanted);
+        if (!split_together(g, s, t, level, depth, children, size, wanted)) {
+          size = split_one_by_one(g, s, t, level, depth, children, size, wanted);
+        }
       }
       keep_strongest(g, t, size, kept);
       return size;
@@ -701,12 +709,14 @@ private:
   /// nodes of one point made in the one before, and so on; those made in one round in order of
   /// their codes, descending for odd rounds. Returns how many were made in the last.
   template <typename Group, typename Index>
-  FT_HOST_DEVICE static int list_nodes(Group g, tree<Index>& t, shape const& level, int whole,
-                                       int const* totals) {
+  FT_HOST_DEVICE static int list_nodes(Group g, scratch& s, tree<Index>& t, shape const& level,
+                                       int whole) {
+    int const* const totals = s.totals;
     int const* const alone = totals + level.rows;
     int const size = totals[level.row_of(whole)];
     int const alone_before = alone[level.row_of(whole - 1)];
     int const children = size - alone_before;
+    if (g.rank() == 0) { s.candidates = 0; }
     for (int i = g.rank(); i < size; i += g.size()) {
       int const begin = t.select(level.row_of(whole), i);
       int const end = t.bit_above(level.row_of(whole), begin);
@@ -795,27 +805,147 @@ private:
       made = s.made;
       if (stays) { t.next[made + stayed + rank] = t.list[i]; }
       if (splits) {
-        // The order of creation is that of the quadrants, which the codes of even depths invert;
-        // the list has the reverse.
         node_range<Index> const node = t.list[i];
-        int const created = t.splits_before[i] + t.gain_before[i];
-        int const count = children_of(t, node, row, heads);
-        int begin = node.begin;
-        for (int c = 0; c < count; ++c) {
-          int const end = c + 1 == count ? static_cast<int>(node.end) : t.bit_above(row, begin);
-          int const creation = created + (depth % 2 == 0 ? count - 1 - c : c);
-          t.next[made - 1 - creation] = {static_cast<Index>(begin), static_cast<Index>(end)};
-          begin = end;
-        }
+        write_children(t, t.next, node, row, depth, children_of(t, node, row, heads),
+                       made - 1 - t.splits_before[i] - t.gain_before[i]);
       }
       stayed += total;
     }
+    if (g.rank() == 0) { s.candidates = 0; }
     g.sync();
     node_range<Index>* const swap = t.list;
     t.list = t.next;
     t.next = swap;
     children = made;
     return made + stayed;
+  }
+
+  /// Keys of 32 bits, from above: points, left edge, place, gain. In a level of 16384 columns they
+  /// have place for 127 points, in one of 1024 for 2047.
+  static constexpr int gain_bits = 2;
+  static constexpr int place_bits = 9;
+  static constexpr int large_node = 1 << 16;
+  static_assert(scratch_nodes <= 1 << place_bits, "places of nodes");
+
+  /// The same for lists of up to a node a thread, which keeps it in registers; only nodes that can
+  /// be split are compared. Returns false, and has changed nothing, where nodes are too many or a
+  /// key has no place for the points of one.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static bool split_together(Group g, scratch& s, tree<Index>& t, shape const& level,
+                                            int depth, int& children, int& size, int wanted) {
+    if (g.size() == 1 || size > min_of(g.size(), scratch_nodes)) { return false; }
+    auto const part = g.part();
+    unsigned* const keys = s.b.packed.keys;
+    int* const before = s.b.packed.before;
+    int const row = level.row_of(depth);
+    int const candidates = size - s.totals[level.rows + level.row_of(depth - 1)];
+    int edge_bits = 1;
+    while (1 << edge_bits < level.width) { ++edge_bits; }
+    int const count_shift = gain_bits + place_bits + edge_bits;
+    unsigned const most_points = ~0u >> count_shift;
+
+    int const i = g.rank();
+    node_range<Index> node{0, 0};
+    if (i < size) { node = t.list[i]; }
+    auto const points = static_cast<unsigned>(node.end - node.begin);
+    bool const candidate = i < children && points > 1;
+    int count = 0;
+    unsigned key = 0;
+    if (candidate) {
+      count = children_of(t, node, row, s.totals[row]);
+      int const edge = level.left_edge(t.points[t.index_at(node.begin)].x, depth - 1);
+      key = (most_points - min_of(points, most_points)) << count_shift |
+            static_cast<unsigned>((1 << edge_bits) - 1 - edge) << (gain_bits + place_bits) |
+            static_cast<unsigned>(i) << gain_bits | static_cast<unsigned>(count - 1);
+    }
+    // Keys have their nodes' places: they may lie in any order.
+    int of_part = 0;
+    int const in_part = part.exclusive_count(candidate, of_part);
+    int const large = part.any(candidate && points > most_points) ? large_node : 0;
+    int first = 0;
+    if (part.rank() == 0 && of_part > 0) { first = atomic_add(&s.candidates, of_part + large); }
+    first = part.shuffle(first, 0) & (large_node - 1);
+    if (candidate) { keys[first + in_part] = key; }
+    if (i >= candidates && i < ceil_div(candidates, 4) * 4) { keys[i] = ~0u; }
+    if (i < size) { before[i] = 0; }
+    if (i == 0) { s.made = 0; }
+    g.sync();
+    if (s.candidates >= large_node) { return false; }
+    rank_packed(g, s, candidates);
+    g.sync();
+
+    // The last node to be split knows how many are made.
+    int const splits_before = i < size ? before[i] >> 16 : 0;
+    int const gain_before = i < size ? before[i] & 0xffff : 0;
+    bool const splits = candidate && size + gain_before < wanted;
+    if (splits) {
+      int const gained = gain_before + count - 1;
+      if (size + gained >= wanted || splits_before + 1 == candidates) {
+        s.made = splits_before + 1 + gained;
+      }
+    }
+    bool const stays = i < size && !splits;
+    int stayed = 0;
+    int const rank = g.exclusive_count(stays, stayed);
+    int const made = s.made;
+    if (stays) { t.list[made + rank] = node; }
+    if (splits) {
+      write_children(t, t.list, node, row, depth, count, made - 1 - splits_before - gain_before);
+    }
+    if (i == 0) { s.candidates = 0; }
+    g.sync();
+    children = made;
+    size = made + stayed;
+    return true;
+  }
+
+  /// What comes before each node: splits, and in the lower half gain. A warp takes 32 nodes and a
+  /// part of the keys.
+  template <typename Group>
+  FT_HOST_DEVICE static void rank_packed(Group g, scratch& s, int n) {
+    struct alignas(16) quad {
+      unsigned of[4];
+    };
+    if (n == 0) { return; }
+    auto const part = g.part();
+    auto const* const quads = reinterpret_cast<quad const*>(s.b.packed.keys);
+    int const all = ceil_div(n, 4);
+    int const rows = ceil_div(n, 32);
+    int const columns = max_of(g.parts() / rows, 1);
+    int const each = ceil_div(all, columns);
+    for (int tile = g.part_index(); tile < rows * columns; tile += g.parts()) {
+      int const row = tile / columns;
+      int const from = (tile - row * columns) * each;
+      int const to = min_of(from + each, all);
+      for (int k = 32 * row + part.rank(); k < min_of(32 * row + 32, n); k += part.size()) {
+        unsigned const key = s.b.packed.keys[k];
+        unsigned sum = 0;
+        for (int j = from; j < to; ++j) {
+          quad const q = quads[j];
+          FT_UNROLL
+          for (unsigned const other : q.of) {
+            sum += other < key ? (other & ((1u << gain_bits) - 1)) | 1u << 16 : 0u;
+          }
+        }
+        atomic_add(s.b.packed.before + (key >> gain_bits & ((1u << place_bits) - 1)),
+                   static_cast<int>(sum));
+      }
+    }
+  }
+
+  /// The nodes that one is split into, the last made first, which goes to place `last - (count -
+  /// 1)`. The order of creation is that of the quadrants, which the codes of even depths invert.
+  template <typename Index>
+  FT_HOST_DEVICE static void write_children(tree<Index> const& t, node_range<Index>* list,
+                                            node_range<Index> node, int row, int depth, int count,
+                                            int last) {
+    int begin = node.begin;
+    for (int c = 0; c < count; ++c) {
+      int const end = c + 1 == count ? static_cast<int>(node.end) : t.bit_above(row, begin);
+      int const creation = depth % 2 == 0 ? count - 1 - c : c;
+      list[last - creation] = {static_cast<Index>(begin), static_cast<Index>(end)};
+      begin = end;
+    }
   }
 
   template <typename Index>

@@ -222,6 +222,12 @@ struct distribute_level {
         t.most_bins = max_bins;
       }
       t.order_size = scratch_points;
+      // Behind keys and rows, before what else lies in their part.
+      int const copy_at = 8 * 32 * t.words;
+      if (copy_at + static_cast<int>(sizeof(corner)) * points <=
+          min_of(6 * scratch_points, 8 * (scratch_points - more_bins_words))) {
+        t.copy = reinterpret_cast<corner*>(memory + copy_at);
+      }
       t.rows = reinterpret_cast<unsigned*>(memory);
       t.before = reinterpret_cast<std::uint16_t*>(t.rows + 2 * max_rows * t.words);
       t.list = reinterpret_cast<node_range<std::uint16_t>*>(memory + 6 * scratch_points);
@@ -385,6 +391,7 @@ private:
     corner const* points;
     bool ranked;  ///< they are in any order, with a corner_rank
     int n, words;
+    corner* copy = nullptr;    ///< where points are put once, to be read again; or null
     unsigned long long* keys;  ///< code << 32 | index
     unsigned* order;           ///< parting depth from the point before, and index, by code
     int order_size;            ///< at least n
@@ -584,11 +591,16 @@ private:
           unsigned const code = tables ? table[p[k].x] ^ table[level.width + p[k].y]
                                        : level.column_code(p[k].x) ^ level.row_code(p[k].y);
           if (!tables) { t.order[i] = code; }
+          if (t.copy != nullptr) { t.copy[i] = p[k]; }
           atomic_add(bins + (code >> level.bin_shift), 1);
         }
       }
     }
     g.sync();
+    if (t.copy != nullptr) {
+      t.points = t.copy;
+      t.copy = nullptr;
+    }
     scan_bins(g, s, bins, level.bins);
     g.sync();
     for (int base = g.rank(); base < t.n; base += batch * g.size()) {
@@ -1008,6 +1020,7 @@ private:
   template <typename Group, typename Index>
   FT_HOST_DEVICE static void keep_strongest(Group g, tree<Index> const& t, int size, corner* kept) {
     constexpr int most = 4;
+    constexpr int batch = Group::max_threads == 1 ? 1 : 4;
     int const lanes = g.lanes(most);
     int const lane = g.rank() % lanes;
     for (int base = 0; base < size; base += g.size() / lanes) {
@@ -1016,12 +1029,22 @@ private:
       int strongest = 0;
       if (i < size) {
         node_range<Index> const node = t.list[i];
-        for (int p = node.begin + lane; p < node.end; p += lanes) {
-          int const index = t.index_at(p);
-          unsigned long long const strength = t.strength(index);
-          if (strength > mine) {
-            mine = strength;
-            strongest = index;
+        // Some loads are under way at a time; the last point may be looked at again.
+        for (int first = node.begin + lane; first < node.end; first += batch * lanes) {
+          int index[batch];
+          unsigned long long strength[batch];
+          FT_UNROLL
+          for (int k = 0; k < batch; ++k) {
+            index[k] = t.index_at(min_of(first + k * lanes, node.end - 1));
+          }
+          FT_UNROLL
+          for (int k = 0; k < batch; ++k) { strength[k] = t.strength(index[k]); }
+          FT_UNROLL
+          for (int k = 0; k < batch; ++k) {
+            if (strength[k] > mine) {
+              mine = strength[k];
+              strongest = index[k];
+            }
           }
         }
       }

@@ -322,7 +322,7 @@ private:
       rows = depths + 1;
       bins = roots;
       bin_shift = 2 * depths;
-      while (4 * bins <= min_of(most_bins, 2 * points) && bin_shift > 0) {
+      while (4 * bins <= min_of(most_bins, 4 * points) && bin_shift > 0) {
         bins *= 4;
         bin_shift -= 2;
       }
@@ -516,39 +516,79 @@ private:
     return {0, 0};
   }
 
-  /// Counts become the sums of those before; `crowded` tells whether one is large. Each thread has
-  /// quads that follow each other.
+  /// Counts become the sums of those before; `crowded` tells whether one is large. Counts are in
+  /// registers between, by quads, of which threads side by side have neighbouring ones.
   template <typename Group>
   FT_HOST_DEVICE static void scan_bins(Group g, scratch& s, int* bins, int n) {
+    constexpr int most_quads = more_bins / 4 / Group::max_threads;
+    static_assert(4 * most_quads * Group::max_threads == more_bins, "whole quads");
+    int const quads = ceil_div(n, 4);
+    if (Group::max_threads > 1 && quads > g.size()) {
+      scan_quads<most_quads>(g, s, bins, quads);
+    } else {
+      scan_quads<1>(g, s, bins, quads);
+    }
+  }
+  /// @tparam Each quads of a thread, at most
+  template <int Each, typename Group>
+  FT_HOST_DEVICE static void scan_quads(Group g, scratch& s, int* bins, int n) {
     struct alignas(16) quad {
       int of[4];
     };
     auto* const quads = reinterpret_cast<quad*>(bins);
-    int const chunk = ceil_div(ceil_div(n, 4), g.size());
-    int const first = g.rank() * chunk;
-    int const end = min_of(first + chunk, ceil_div(n, 4));
-    int sum = 0;
-    int most = 0;
-    for (int i = first; i < end; ++i) {
-      quad const q = quads[i];
-      FT_UNROLL
-      for (int k = 0; k < 4; ++k) {
-        sum += q.of[k];
-        most = max_of(most, q.of[k]);
-      }
-    }
-    if (most > crowded_bin) { s.crowded = 1; }
-    int total = 0;
-    int at = g.exclusive_scan(sum, total);
-    for (int i = first; i < end; ++i) {
-      quad q = quads[i];
-      FT_UNROLL
-      for (int k = 0; k < 4; ++k) {
-        int const count = q.of[k];
-        q.of[k] = at;
+    if constexpr (Group::max_threads == 1) {
+      int at = 0;
+      for (int i = 0; i < 4 * n; ++i) {
+        int const count = bins[i];
+        if (count > crowded_bin) { s.crowded = 1; }
+        bins[i] = at;
         at += count;
       }
-      quads[i] = q;
+    } else {
+      auto const part = g.part();
+      int const width = part.size();
+      // A warp has quads that follow each other.
+      int const chunk = ceil_div(n, g.parts());
+      int const first = g.part_index() * chunk;
+      int const end = min_of(first + chunk, n);
+      quad q[Each];
+      int sum[Each];
+      int all = 0;
+      int most = 0;
+      FT_UNROLL
+      for (int k = 0; k < Each; ++k) {
+        int const i = first + k * width + part.rank();
+        q[k] = {};
+        if (i < end) { q[k] = quads[i]; }
+        sum[k] = q[k].of[0] + q[k].of[1] + q[k].of[2] + q[k].of[3];
+        all += sum[k];
+        most = max_of(max_of(most, max_of(q[k].of[0], q[k].of[1])), max_of(q[k].of[2], q[k].of[3]));
+      }
+      if (most > crowded_bin) { s.crowded = 1; }
+      int total = 0;
+      int at = g.exclusive_scan(all, total);
+      if constexpr (Each > 1) {
+        int warp_at = part.shuffle(at, 0);
+        FT_UNROLL
+        for (int k = 0; k < Each; ++k) {
+          sum[k] = part.exclusive_scan(sum[k], total) + warp_at;
+          warp_at += total;
+        }
+      } else {
+        sum[0] = at;
+      }
+      FT_UNROLL
+      for (int k = 0; k < Each; ++k) {
+        int const i = first + k * width + part.rank();
+        at = sum[k];
+        FT_UNROLL
+        for (int& count : q[k].of) {
+          int const here = count;
+          count = at;
+          at += here;
+        }
+        if (i < end) { quads[i] = q[k]; }
+      }
     }
   }
 
@@ -622,7 +662,7 @@ private:
     }
     g.sync();
     // A bin ends now where it says. Within it a point's place is the number of smaller keys, and
-    // the largest of these is the point before.
+    // the largest of these is that of the point before.
     bool const compare = s.crowded != 0;
     if (compare) { g.sort(t.keys, t.n); }
     for (int p = g.rank(); p < t.n; p += g.size()) {
@@ -632,15 +672,14 @@ private:
       int const bin_begin = compare ? p : bin > 0 ? bins[bin - 1] : 0;
       int const bin_end = compare ? p : bins[bin];
       int to = bin_begin;
-      unsigned long long previous = bin_begin > 0 ? t.keys[bin_begin - 1] : 0;
+      auto previous = bin_begin > 0 ? static_cast<unsigned>(t.keys[bin_begin - 1] >> 32) : 0u;
       for (int q = bin_begin; q < bin_end; ++q) {
         unsigned long long const other = t.keys[q];
         bool const smaller = other < key;
         to += static_cast<int>(smaller);
-        previous = smaller && previous < other ? other : previous;
+        previous = max_of(previous, smaller ? static_cast<unsigned>(other >> 32) : 0u);
       }
-      int const depth =
-          to == 0 ? 0 : level.parting_depth(static_cast<unsigned>(previous >> 32), code);
+      int const depth = to == 0 ? 0 : level.parting_depth(previous, code);
       t.order[to] =
           static_cast<unsigned>(depth) << index_bits | static_cast<unsigned>(key & index_mask);
     }

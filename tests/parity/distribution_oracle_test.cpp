@@ -274,7 +274,12 @@ protected:
         ft::distribute_level op;
         op.scratch_points = scratch_points;
         op.entered = entered;
-        ft::for_each_item<ft::per_block<512>>(exec, batch * levels, op, corners, out);
+        if (op.has_more_bins()) {
+          ft::distribute_level_alone const alone{op};
+          ft::for_each_item<ft::per_block<512>>(exec, batch * levels, alone, corners, out);
+        } else {
+          ft::for_each_item<ft::per_block<512>>(exec, batch * levels, op, corners, out);
+        }
       }
       int compared = 0;
       check(exec, points, layout, out, levels, batch, compared);
@@ -417,6 +422,26 @@ TYPED_TEST(distribution_oracle_test, nodes_far_down_the_tree) {
     for (int wanted = 1; wanted <= n + 4; wanted += 3) {
       this->compare({list}, 1280, 720, 1, wanted, 1);
       if (this->HasFatalFailure()) { return; }
+    }
+  }
+}
+
+TYPED_TEST(distribution_oracle_test, around_what_threads_keep_in_registers) {
+  unsigned seed = 500;
+  // Roots, whose numbers are a part of what a register holds, and points.
+  int const shapes[][2] = {{752, 480}, {6000, 140}, {9000, 140}, {16384, 140}};
+  for (auto const& side : shapes) {
+    auto const geometry = ft::pyramid_geometry::make(side[0], side[1], 1, 1.2f);
+    for (int kind = 0; kind < static_cast<int>(scatter::count); ++kind) {
+      for (int const n : {4095, 4096, 4097}) {
+        std::mt19937 random(++seed);
+        auto list = random_points(random, static_cast<scatter>(kind), 2 * n, geometry.width[0] - 32,
+                                  geometry.height[0] - 32);
+        list.resize(std::min(list.size(), static_cast<std::size_t>(n)));
+        SCOPED_TRACE("kind " + std::to_string(kind) + ", seed " + std::to_string(seed));
+        this->compare({list}, side[0], side[1], 1, 261, 1);
+        if (this->HasFatalFailure()) { return; }
+      }
     }
   }
 }

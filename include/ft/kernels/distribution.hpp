@@ -176,6 +176,9 @@ struct distribute_level {
     return static_cast<std::size_t>(scratch_points) * bytes_per_point;
   }
 
+  /// Whether there is place for them, as there is where no two blocks share a multiprocessor.
+  FT_HOST_DEVICE bool has_more_bins() const { return scratch_points > more_bins / 2; }
+
   static constexpr bool prepares = true;
   /// Empties bins, and fills the tables of codes.
   template <typename Group>
@@ -186,7 +189,7 @@ struct distribute_level {
     if (scratch_points == 0 || layout.capacity[l] == 0) { return; }
     shape const level(layout.width[l], layout.height[l], layout.roots[l], 1, usual_depths, 1);
     empty_bins(g, s.b.bins, max_bins);
-    if (scratch_points > more_bins_words) { empty_bins(g, bins_in_scratch(g), more_bins); }
+    if (has_more_bins()) { empty_bins(g, bins_in_scratch(g), more_bins); }
     if (level.width + level.height <= scratch_points) {
       fill_tables(g, level, order_in_scratch(g));
     }
@@ -194,6 +197,14 @@ struct distribute_level {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
+                                 distribution_view const& v) const {
+    distribute<0>(g, s, item, corners, v);
+  }
+
+protected:
+  /// @tparam Held points that a thread keeps in registers while they are sorted, where that is all
+  template <int Held, typename Group>
+  FT_HOST_DEVICE void distribute(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
     int const image = item / layout.levels;
@@ -235,7 +246,7 @@ struct distribute_level {
       t.node_keys = s.b.splits.keys;
       t.splits_before = s.b.splits.splits_before;
       t.gain_before = s.b.splits.gain_before;
-      size = run(g, s, t, layout, l, v.kept + at);
+      size = run<Held>(g, s, t, layout, l, v.kept + at);
     } else {
       size = run_in_workspace(g, s, image, l, points, at, corners, v);
     }
@@ -281,7 +292,7 @@ private:
     t.splits_before = v.splits_before + at;
     t.gain_before = v.gain_before + at;
     take_points(t, image, l, corners);
-    return run(g, s, t, layout, l, v.kept + at);
+    return run<0>(g, s, t, layout, l, v.kept + at);
   }
 
   static constexpr int index_bits = 26;  ///< of an entry of `order`; above it the depth
@@ -470,13 +481,13 @@ private:
   }
 
   /// All of a level. Returns the number of kept corners.
-  template <typename Group, typename Index>
+  template <int Held, typename Group, typename Index>
   FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t,
                                 distribution_layout const& layout, int l, corner* kept) {
     int const wanted = layout.wanted[l];
     for (int most = usual_depths;; most = max_rows - 1) {
       shape const level(layout.width[l], layout.height[l], layout.roots[l], t.n, most, t.most_bins);
-      sort_points(g, s, t, level);
+      sort_points<Held>(g, s, t, level);
       mark_heads(g, t, level);
       count_heads(g, s, t, level);
       rounds const r = count_rounds(level, s.totals, wanted);
@@ -604,8 +615,10 @@ private:
     }
   }
 
+  static constexpr int rank_bits = 12;  ///< of a point's rank in its bin, below its code
+
   /// Fills `order`: the points by (code, index).
-  template <typename Group, typename Index>
+  template <int Held, typename Group, typename Index>
   FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
     constexpr int batch = 4;  // loads under way at a time
     int* const bins = t.bins;
@@ -620,19 +633,47 @@ private:
     t.prepared = false;  // for another number of depths
     if (g.rank() == 0) { s.crowded = 0; }
     g.sync();
-    for (int base = g.rank(); base < t.n; base += batch * g.size()) {
-      corner p[batch];
+    auto const code_of = [&](corner const& p) {
+      return tables ? table[p.x] ^ table[level.width + p.y]
+                    : level.column_code(p.x) ^ level.row_code(p.y);
+    };
+    // A thread keeps its points' codes, and their ranks in their bins, where registers do.
+    unsigned kept[max_of(Held, 1)] = {};
+    bool const keeps =
+        Held > 0 && Held * g.size() <= 1 << rank_bits && t.n <= Held * g.size() &&
+        static_cast<unsigned long long>(level.roots) << 2 * level.depths <= 1u << (32 - rank_bits);
+    if (keeps) {
+      corner p[max_of(Held, 1)];
       FT_UNROLL
-      for (int k = 0; k < batch; ++k) { p[k] = t.points[min_of(base + k * g.size(), t.n - 1)]; }
+      for (int k = 0; k < Held; ++k) {
+        int const i = g.rank() + k * g.size();
+        p[k] = {};
+        if (i < t.n) { p[k] = t.points[i]; }
+      }
       FT_UNROLL
-      for (int k = 0; k < batch; ++k) {
-        int const i = base + k * g.size();
+      for (int k = 0; k < Held; ++k) {
+        int const i = g.rank() + k * g.size();
         if (i < t.n) {
-          unsigned const code = tables ? table[p[k].x] ^ table[level.width + p[k].y]
-                                       : level.column_code(p[k].x) ^ level.row_code(p[k].y);
-          if (!tables) { t.order[i] = code; }
+          unsigned const code = code_of(p[k]);
           if (t.copy != nullptr) { t.copy[i] = p[k]; }
-          atomic_add(bins + (code >> level.bin_shift), 1);
+          int const rank = atomic_add(bins + (code >> level.bin_shift), 1);
+          kept[k] = code << rank_bits | static_cast<unsigned>(rank);
+        }
+      }
+    } else {
+      for (int base = g.rank(); base < t.n; base += batch * g.size()) {
+        corner p[batch];
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) { p[k] = t.points[min_of(base + k * g.size(), t.n - 1)]; }
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) {
+          int const i = base + k * g.size();
+          if (i < t.n) {
+            unsigned const code = code_of(p[k]);
+            if (!tables) { t.order[i] = code; }
+            if (t.copy != nullptr) { t.copy[i] = p[k]; }
+            atomic_add(bins + (code >> level.bin_shift), 1);
+          }
         }
       }
     }
@@ -643,34 +684,49 @@ private:
     }
     scan_bins(g, s, bins, level.bins);
     g.sync();
-    for (int base = g.rank(); base < t.n; base += batch * g.size()) {
-      unsigned code[batch];
+    if (keeps) {
       FT_UNROLL
-      for (int k = 0; k < batch; ++k) {
-        int const i = min_of(base + k * g.size(), t.n - 1);
-        corner const p = t.points[i];
-        code[k] = tables ? table[p.x] ^ table[level.width + p.y] : t.order[i];
-      }
-      FT_UNROLL
-      for (int k = 0; k < batch; ++k) {
-        int const i = base + k * g.size();
+      for (int k = 0; k < Held; ++k) {
+        int const i = g.rank() + k * g.size();
         if (i < t.n) {
-          int const to = atomic_add(bins + (code[k] >> level.bin_shift), 1);
-          t.keys[to] = static_cast<unsigned long long>(code[k]) << 32 | static_cast<unsigned>(i);
+          unsigned const code = kept[k] >> rank_bits;
+          int const to =
+              bins[code >> level.bin_shift] + static_cast<int>(kept[k] & ((1u << rank_bits) - 1));
+          t.keys[to] = static_cast<unsigned long long>(code) << 32 | static_cast<unsigned>(i);
+        }
+      }
+    } else {
+      for (int base = g.rank(); base < t.n; base += batch * g.size()) {
+        unsigned code[batch];
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) {
+          int const i = min_of(base + k * g.size(), t.n - 1);
+          corner const p = t.points[i];
+          code[k] = tables ? table[p.x] ^ table[level.width + p.y] : t.order[i];
+        }
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) {
+          int const i = base + k * g.size();
+          if (i < t.n) {
+            int const to = atomic_add(bins + (code[k] >> level.bin_shift), 1);
+            t.keys[to] = static_cast<unsigned long long>(code[k]) << 32 | static_cast<unsigned>(i);
+          }
         }
       }
     }
     g.sync();
-    // A bin ends now where it says. Within it a point's place is the number of smaller keys, and
-    // the largest of these is that of the point before.
+    // A bin begins where it says, and ends there if its points were counted again while they were
+    // moved. Within it a point's place is the number of smaller keys, and the largest of these is
+    // that of the point before.
     bool const compare = s.crowded != 0;
     if (compare) { g.sort(t.keys, t.n); }
     for (int p = g.rank(); p < t.n; p += g.size()) {
       unsigned long long const key = t.keys[p];
       unsigned const code = static_cast<unsigned>(key >> 32);
       unsigned const bin = code >> level.bin_shift;
-      int const bin_begin = compare ? p : bin > 0 ? bins[bin - 1] : 0;
-      int const bin_end = compare ? p : bins[bin];
+      int const at = static_cast<int>(bin) - (keeps ? 0 : 1);
+      int const bin_begin = compare ? p : at >= 0 ? bins[at] : 0;
+      int const bin_end = compare ? p : at + 1 < level.bins ? bins[at + 1] : t.n;
       int to = bin_begin;
       auto previous = bin_begin > 0 ? static_cast<unsigned>(t.keys[bin_begin - 1] >> 32) : 0u;
       for (int q = bin_begin; q < bin_end; ++q) {
@@ -1093,6 +1149,17 @@ private:
   }
 };
 
+/// The same for a block that has a multiprocessor to itself, and all of its registers.
+struct distribute_level_alone : distribute_level {
+  static constexpr int side_by_side = 1;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
+                                 distribution_view const& v) const {
+    distribute<8>(g, s, item, corners, v);
+  }
+};
+
 /// Thins the corners of every level of every image to about the wanted number. Asynchronous on
 /// `exec`; allocates nothing; one launch. @pre corners lie within their level's work area
 /// @param entered from enter_corners(), whose entries it takes out again, not from the ordered
@@ -1102,11 +1169,13 @@ void distribute_corners(Exec const& exec, corners_view const& corners, distribut
                         bool entered = false) {
   constexpr int threads = 512;
   int const items = out.batch * out.layout.levels;
-  for_each_item<per_block<threads>>(
-      exec, items,
-      distribute_level::with_scratch(extra_scratch<threads, distribute_level>(exec, items),
-                                     entered),
-      corners, out);
+  auto const op = distribute_level::with_scratch(
+      extra_scratch<threads, distribute_level>(exec, items), entered);
+  if (op.has_more_bins()) {
+    for_each_item<per_block<threads>>(exec, items, distribute_level_alone{op}, corners, out);
+  } else {
+    for_each_item<per_block<threads>>(exec, items, op, corners, out);
+  }
 }
 
 }  // namespace FT_ABI

@@ -209,6 +209,10 @@ protected:
     distribution_layout const& layout = v.layout;
     int const image = item / layout.levels;
     int const l = item % layout.levels;
+    // Points are under way while it is found out how many there are.
+    corner held[max_of(Held, 1)];
+    fetch_points<Held>(g, held, corners_of(image, l, corners),
+                       static_cast<int>(corners.layout.level_slots(l)));
     int const points = (entered ? corners.entry_count : corners.list_count)[item];
     if (points == 0 || layout.capacity[l] == 0) {
       if (g.rank() == 0) { v.kept_count[item] = 0; }
@@ -246,7 +250,7 @@ protected:
       t.node_keys = s.b.splits.keys;
       t.splits_before = s.b.splits.splits_before;
       t.gain_before = s.b.splits.gain_before;
-      size = run<Held>(g, s, t, layout, l, v.kept + at);
+      size = run<Held>(g, s, t, held, layout, l, v.kept + at);
     } else {
       size = run_in_workspace(g, s, image, l, points, at, corners, v);
     }
@@ -292,7 +296,8 @@ private:
     t.splits_before = v.splits_before + at;
     t.gain_before = v.gain_before + at;
     take_points(t, image, l, corners);
-    return run<0>(g, s, t, layout, l, v.kept + at);
+    corner held[1];
+    return run<0>(g, s, t, held, layout, l, v.kept + at);
   }
 
   static constexpr int index_bits = 26;  ///< of an entry of `order`; above it the depth
@@ -473,25 +478,44 @@ private:
     }
   };
 
+  FT_HOST_DEVICE corner const* corners_of(int image, int l, corners_view const& corners) const {
+    return (entered ? corners.entries : corners.list) + corners.level_slot(image, l);
+  }
+  /// A thread's points, the first `Held` turns. @param n of these and others
+  template <int Held, typename Group, int Size>
+  FT_HOST_DEVICE static void fetch_points(Group g, corner (&held)[Size], corner const* points,
+                                          int n) {
+    FT_UNROLL
+    for (int k = 0; k < Held; ++k) {
+      int const i = g.rank() + k * g.size();
+      held[k] = {};
+      if (i < n) { held[k] = points[i]; }
+    }
+  }
+
   template <typename Index>
   FT_HOST_DEVICE void take_points(tree<Index>& t, int image, int l,
                                   corners_view const& corners) const {
-    t.points = (entered ? corners.entries : corners.list) + corners.level_slot(image, l);
+    t.points = corners_of(image, l, corners);
     t.ranked = entered;
   }
 
   /// All of a level. Returns the number of kept corners.
-  template <int Held, typename Group, typename Index>
-  FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t,
+  /// @param held the level's first points
+  template <int Held, typename Group, typename Index, int Size>
+  FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t, corner (&held)[Size],
                                 distribution_layout const& layout, int l, corner* kept) {
     int const wanted = layout.wanted[l];
     for (int most = usual_depths;; most = max_rows - 1) {
       shape const level(layout.width[l], layout.height[l], layout.roots[l], t.n, most, t.most_bins);
-      sort_points<Held>(g, s, t, level);
+      sort_points<Held>(g, s, t, held, level);
       mark_heads(g, t, level);
       count_heads(g, s, t, level);
       rounds const r = count_rounds(level, s.totals, wanted);
-      if (r.last == 0) { continue; }  // the points are crowded: more depths
+      if (r.last == 0) {  // the points are crowded: more depths
+        fetch_points<Held>(g, held, t.points, t.n);
+        continue;
+      }
       int children = list_nodes(g, s, t, level, r.whole);
       int size = s.totals[level.row_of(r.whole)];
       for (int depth = r.whole + 1; depth <= r.last; ++depth) {
@@ -618,8 +642,9 @@ private:
   static constexpr int rank_bits = 12;  ///< of a point's rank in its bin, below its code
 
   /// Fills `order`: the points by (code, index).
-  template <int Held, typename Group, typename Index>
-  FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t, shape const& level) {
+  template <int Held, typename Group, typename Index, int Size>
+  FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t,
+                                         corner const (&held)[Size], shape const& level) {
     constexpr int batch = 4;  // loads under way at a time
     int* const bins = t.bins;
     unsigned* const table = t.order;  // dead before `order` is filled
@@ -643,19 +668,12 @@ private:
         Held > 0 && Held * g.size() <= 1 << rank_bits && t.n <= Held * g.size() &&
         static_cast<unsigned long long>(level.roots) << 2 * level.depths <= 1u << (32 - rank_bits);
     if (keeps) {
-      corner p[max_of(Held, 1)];
-      FT_UNROLL
-      for (int k = 0; k < Held; ++k) {
-        int const i = g.rank() + k * g.size();
-        p[k] = {};
-        if (i < t.n) { p[k] = t.points[i]; }
-      }
       FT_UNROLL
       for (int k = 0; k < Held; ++k) {
         int const i = g.rank() + k * g.size();
         if (i < t.n) {
-          unsigned const code = code_of(p[k]);
-          if (t.copy != nullptr) { t.copy[i] = p[k]; }
+          unsigned const code = code_of(held[k]);
+          if (t.copy != nullptr) { t.copy[i] = held[k]; }
           int const rank = atomic_add(bins + (code >> level.bin_shift), 1);
           kept[k] = code << rank_bits | static_cast<unsigned>(rank);
         }

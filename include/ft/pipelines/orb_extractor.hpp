@@ -105,7 +105,10 @@ public:
     // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
-    // Corners are read ahead of how many there are.
+    // Corners are read ahead of how many there are, in all stages.
+    auto const slots = b * static_cast<std::size_t>(cells.total_slots);
+    fill_bytes(exec, corners_.list, 0, slots * sizeof(corner));
+    fill_bytes(exec, corners_.entries, 0, slots * sizeof(corner));
     fill_bytes(exec, distribution_.kept, 0,
                static_cast<std::size_t>(quad.total) * b * sizeof(corner));
     clear_arrivals(exec);

@@ -665,18 +665,31 @@ private:
     // A thread keeps its points' codes, and their ranks in their bins, where registers do.
     unsigned kept[max_of(Held, 1)] = {};
     bool const keeps =
-        Held > 0 && Held * g.size() <= 1 << rank_bits && t.n <= Held * g.size() &&
+        Held > 0 && tables && Held * g.size() <= 1 << rank_bits && t.n <= Held * g.size() &&
         static_cast<unsigned long long>(level.roots) << 2 * level.depths <= 1u << (32 - rank_bits);
     if (keeps) {
+      // Loop by loop, so that nothing waits for what another point needs.
+      auto const is_point = [&](int k) { return g.rank() + k * g.size() < t.n; };
+      int rank[max_of(Held, 1)] = {};
       FT_UNROLL
       for (int k = 0; k < Held; ++k) {
-        int const i = g.rank() + k * g.size();
-        if (i < t.n) {
-          unsigned const code = code_of(held[k]);
-          if (t.copy != nullptr) { t.copy[i] = held[k]; }
-          int const rank = atomic_add(bins + (code >> level.bin_shift), 1);
-          kept[k] = code << rank_bits | static_cast<unsigned>(rank);
+        int const x = is_point(k) ? held[k].x : 0;
+        int const y = is_point(k) ? held[k].y : 0;
+        kept[k] = table[x] ^ table[level.width + y];
+      }
+      FT_UNROLL
+      for (int k = 0; k < Held; ++k) {
+        if (is_point(k)) { rank[k] = atomic_add(bins + (kept[k] >> level.bin_shift), 1); }
+      }
+      if (t.copy != nullptr) {
+        FT_UNROLL
+        for (int k = 0; k < Held; ++k) {
+          if (is_point(k)) { t.copy[g.rank() + k * g.size()] = held[k]; }
         }
+      }
+      FT_UNROLL
+      for (int k = 0; k < Held; ++k) {
+        kept[k] = kept[k] << rank_bits | static_cast<unsigned>(rank[k]);
       }
     } else {
       for (int base = g.rank(); base < t.n; base += batch * g.size()) {
@@ -703,14 +716,16 @@ private:
     scan_bins(g, s, bins, level.bins);
     g.sync();
     if (keeps) {
+      int begin[max_of(Held, 1)];
+      FT_UNROLL
+      for (int k = 0; k < Held; ++k) { begin[k] = bins[kept[k] >> rank_bits >> level.bin_shift]; }
       FT_UNROLL
       for (int k = 0; k < Held; ++k) {
         int const i = g.rank() + k * g.size();
         if (i < t.n) {
-          unsigned const code = kept[k] >> rank_bits;
-          int const to =
-              bins[code >> level.bin_shift] + static_cast<int>(kept[k] & ((1u << rank_bits) - 1));
-          t.keys[to] = static_cast<unsigned long long>(code) << 32 | static_cast<unsigned>(i);
+          int const rank = static_cast<int>(kept[k] & ((1u << rank_bits) - 1));
+          t.keys[begin[k] + rank] = static_cast<unsigned long long>(kept[k] >> rank_bits) << 32 |
+                                    static_cast<unsigned>(i);
         }
       }
     } else {

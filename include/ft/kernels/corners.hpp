@@ -18,7 +18,7 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// A corner before it becomes a keypoint; position relative to the work area's corner (16, 16).
-struct corner {
+struct alignas(8) corner {
   std::uint16_t x, y;
   std::int32_t response;
 };

@@ -13,6 +13,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -210,7 +211,7 @@ protected:
     int const image = item / layout.levels;
     int const l = item % layout.levels;
     // Points are under way while it is found out how many there are.
-    corner held[max_of(Held, 1)];
+    corner_word held[max_of(Held, 1)];
     fetch_points<Held>(g, held, corners_of(image, l, corners),
                        static_cast<int>(corners.layout.level_slots(l)));
     int const points = (entered ? corners.entry_count : corners.list_count)[item];
@@ -296,7 +297,7 @@ private:
     t.splits_before = v.splits_before + at;
     t.gain_before = v.gain_before + at;
     take_points(t, image, l, corners);
-    corner held[1];
+    corner_word held[1] = {};
     return run<0>(g, s, t, held, layout, l, v.kept + at);
   }
 
@@ -478,18 +479,28 @@ private:
     }
   };
 
+  /// A corner as one word: taken apart where it is needed, not where it is loaded, which would have
+  /// the next load wait.
+  using corner_word = unsigned long long;
+  static_assert(sizeof(corner) == sizeof(corner_word) && alignof(corner) == sizeof(corner_word),
+                "one load");
+  FT_HOST_DEVICE static corner corner_of(corner_word word) {
+    corner c;
+    std::memcpy(&c, &word, sizeof(c));
+    return c;
+  }
   FT_HOST_DEVICE corner const* corners_of(int image, int l, corners_view const& corners) const {
     return (entered ? corners.entries : corners.list) + corners.level_slot(image, l);
   }
   /// A thread's points, the first `Held` turns. @param n of these and others
   template <int Held, typename Group, int Size>
-  FT_HOST_DEVICE static void fetch_points(Group g, corner (&held)[Size], corner const* points,
+  FT_HOST_DEVICE static void fetch_points(Group g, corner_word (&held)[Size], corner const* points,
                                           int n) {
     FT_UNROLL
     for (int k = 0; k < Held; ++k) {
       int const i = g.rank() + k * g.size();
       held[k] = {};
-      if (i < n) { held[k] = points[i]; }
+      if (i < n) { held[k] = *reinterpret_cast<corner_word const*>(points + i); }
     }
   }
 
@@ -503,7 +514,7 @@ private:
   /// All of a level. Returns the number of kept corners.
   /// @param held the level's first points
   template <int Held, typename Group, typename Index, int Size>
-  FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t, corner (&held)[Size],
+  FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t, corner_word (&held)[Size],
                                 distribution_layout const& layout, int l, corner* kept) {
     int const wanted = layout.wanted[l];
     for (int most = usual_depths;; most = max_rows - 1) {
@@ -644,7 +655,7 @@ private:
   /// Fills `order`: the points by (code, index).
   template <int Held, typename Group, typename Index, int Size>
   FT_HOST_DEVICE static void sort_points(Group g, scratch& s, tree<Index>& t,
-                                         corner const (&held)[Size], shape const& level) {
+                                         corner_word const (&held)[Size], shape const& level) {
     constexpr int batch = 4;  // loads under way at a time
     int* const bins = t.bins;
     unsigned* const table = t.order;  // dead before `order` is filled
@@ -673,8 +684,8 @@ private:
       int rank[max_of(Held, 1)] = {};
       FT_UNROLL
       for (int k = 0; k < Held; ++k) {
-        int const x = is_point(k) ? held[k].x : 0;
-        int const y = is_point(k) ? held[k].y : 0;
+        int const x = is_point(k) ? corner_of(held[k]).x : 0;
+        int const y = is_point(k) ? corner_of(held[k]).y : 0;
         kept[k] = table[x] ^ table[level.width + y];
       }
       FT_UNROLL
@@ -684,7 +695,7 @@ private:
       if (t.copy != nullptr) {
         FT_UNROLL
         for (int k = 0; k < Held; ++k) {
-          if (is_point(k)) { t.copy[g.rank() + k * g.size()] = held[k]; }
+          if (is_point(k)) { t.copy[g.rank() + k * g.size()] = corner_of(held[k]); }
         }
       }
       FT_UNROLL

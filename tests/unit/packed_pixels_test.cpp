@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <random>
 #include <utility>
 #include <vector>
@@ -41,7 +42,7 @@ struct operands {
   word a, b, c;
 };
 struct results {
-  word min, max, swapped, permuted, dot4, dot2, difference, shifted;
+  word min, max, swapped, permuted, dot4, dot2, difference, differences, shifted;
 };
 struct apply_all {
   using scratch = ft::no_scratch;
@@ -55,6 +56,7 @@ struct apply_all {
               ft::detail::dot_of_4(a, b, c >> 8),
               ft::detail::dot_of_2(a, b, c >> 8),
               ft::detail::difference_of_4(a, b, c >> 8),
+              ft::detail::differences_of_4(a, b),
               ft::detail::bytes_from(a, b, static_cast<int>(c & 3u))};
   }
 };
@@ -95,13 +97,17 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
     EXPECT_EQ(out[i].dot4, dot4);
     EXPECT_EQ(out[i].dot2, (c >> 8) + half(a, 0) * byte(b, 0) + half(a, 1) * byte(b, 1));
     word difference = c >> 8;
+    word differences = 0;
     word shifted = 0;
     for (int k = 0; k < 4; ++k) {
-      difference += std::max(byte(a, k), byte(b, k)) - std::min(byte(a, k), byte(b, k));
+      word const of_byte = std::max(byte(a, k), byte(b, k)) - std::min(byte(a, k), byte(b, k));
+      difference += of_byte;
+      differences |= of_byte << (8 * k);
       int const from = k + static_cast<int>(c & 3u);
       shifted |= (from < 4 ? byte(a, from) : byte(b, from - 4)) << (8 * k);
     }
     EXPECT_EQ(out[i].difference, difference);
+    EXPECT_EQ(out[i].differences, differences);
     EXPECT_EQ(out[i].shifted, shifted);
   }
 }
@@ -288,8 +294,20 @@ int score_by_definition(std::uint8_t const* center, ft::detail::fast_circle cons
 /// Flags and scores of pairs, per pixel of an image whose stride is detect_cell's.
 struct score_all {
   using scratch = ft::no_scratch;
-  FT_HOST_DEVICE static word halves(std::uint8_t const* p) {
-    return ft::detail::raised_halves(ft::detail::load_word(p));
+  /// Whether of both opposite pairs on the axes one differs enough: a bit per pixel of the word.
+  FT_HOST_DEVICE static unsigned corner_flags(std::uint8_t const* p, int threshold) {
+    constexpr int three_rows = 3 * ft::detect_cell::pitch;
+    word const rest = ft::detail::threshold_rest(threshold);
+    word const middle = ft::detail::load_word(p);
+    auto const exceeding = [&](word other) {
+      return ft::detail::exceeding(ft::detail::differences_of_4(other, middle), rest);
+    };
+    word const beside =
+        exceeding(ft::detail::permute_bytes(ft::detail::load_word(p - 4), middle, 0x4321)) |
+        exceeding(ft::detail::permute_bytes(middle, ft::detail::load_word(p + 4), 0x6543));
+    word const vertical = exceeding(ft::detail::load_word(p - three_rows)) |
+                          exceeding(ft::detail::load_word(p + three_rows));
+    return (beside & vertical & 0x80808080u) * 0x00204081u >> 28;
   }
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, std::uint8_t const* pixels, int width,
@@ -298,9 +316,7 @@ struct score_all {
     int const y = 3 + item / (width / 4 - 2);
     int const x = 4 + item % (width / 4 - 2) * 4;
     std::uint8_t const* const p = pixels + y * pitch + x;
-    unsigned const four =
-        ft::detail::corner_flags(halves(p - 4), halves(p), halves(p + 4), halves(p - 3 * pitch),
-                                 halves(p + 3 * pitch), threshold);
+    unsigned const four = corner_flags(p, threshold);
     constexpr ft::detail::fast_circle circle(pitch);
     for (int k = 0; k < 4; ++k) {
       flags[y * pitch + x + k] = static_cast<int>(four >> k & 1u);
@@ -340,15 +356,17 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
           ASSERT_EQ(scores[at(i)], want) << x << " " << y << " threshold " << threshold;
           corners += static_cast<int>(want > 0);
           ASSERT_TRUE(want == 0 || flags[at(i)] != 0);
-          int brighter = 0;
-          int darker = 0;
-          int const least = (threshold + 1) / 2;
+          // A byte's carry lets pass what is equal to the threshold.
+          int exceed = 0;
+          int reach = 0;
           int const pairs[2][2] = {{p[3 * pitch], p[-3 * pitch]}, {p[3], p[-3]}};
           for (auto const& pair : pairs) {
-            brighter += static_cast<int>(std::max(pair[0], pair[1]) / 2 >= p[0] / 2 + least);
-            darker += static_cast<int>(std::min(pair[0], pair[1]) / 2 <= p[0] / 2 - least);
+            int const most = std::max(std::abs(pair[0] - p[0]), std::abs(pair[1] - p[0]));
+            exceed += static_cast<int>(most > std::min(threshold, 127));
+            reach += static_cast<int>(most >= std::min(threshold, 127));
           }
-          ASSERT_EQ(flags[at(i)], static_cast<int>(brighter == 2 || darker == 2));
+          ASSERT_TRUE(exceed < 2 || flags[at(i)] != 0);
+          ASSERT_TRUE(reach == 2 || flags[at(i)] == 0);
         }
       }
     }

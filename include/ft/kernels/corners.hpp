@@ -192,40 +192,15 @@ FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_c
   return best > threshold ? best - 1 : 0;
 }
 
-/// The halves of four pixels, each with a bit above it, so that their differences do not meet.
-FT_HOST_DEVICE inline std::uint32_t raised_halves(std::uint32_t word) {
-  return (word >> 1 & 0x7f7f7f7fu) | 0x80808080u;
+/// Tells which of four differences exceed a threshold, by the highest bit of each byte; other bits
+/// may be anything. A byte may carry into the next one: then one that is equal to the threshold
+/// passes, too. @param rest from threshold_rest()
+FT_HOST_DEVICE inline std::uint32_t exceeding(std::uint32_t differences, std::uint32_t rest) {
+  return (differences + rest) | differences;
 }
-
-/// Tells for four neighbouring pixels whether each can be a corner: nine in a row on the circle
-/// hold one of each opposite pair, so one of both pairs on the axes must be brighter, or one of
-/// both darker. Halves are compared, with half of what the difference has to be at least: a few
-/// that are no corners pass, no corner fails.
-/// @param left,middle,right three words of a row as raised_halves(); the pixels are those of
-/// `middle` @param up,down those 3 rows above and below @param threshold 0 to 255
-/// @return a bit per pixel
-FT_HOST_DEVICE inline unsigned corner_flags(std::uint32_t left, std::uint32_t middle,
-                                            std::uint32_t right, std::uint32_t up,
-                                            std::uint32_t down, int threshold) {
-  constexpr std::uint32_t signs = 0x80808080u;
-  constexpr std::uint32_t ones = 0x01010101u;
-  std::uint32_t const before = permute_bytes(left, middle, 0x4321);
-  std::uint32_t const after = permute_bytes(middle, right, 0x6543);
-  std::uint32_t const least = static_cast<std::uint32_t>((threshold + 1) / 2) * ones;
-  // From which half on a pixel is brighter: 128, which none has, where it would be more.
-  std::uint32_t const above = (middle & ~signs) + least;
-  std::uint32_t const never = above & signs;
-  std::uint32_t const bright = above & ~(never - (never >> 7));
-  // From which half on it is not darker: 0, which all have, where it would be less.
-  std::uint32_t const below = middle - least;
-  std::uint32_t const some = (below & signs) >> 7;
-  std::uint32_t const level = (below & (some * 0x7fu)) + some;
-  // A difference keeps its sign where the half is not below the other.
-  std::uint32_t const brighter =
-      ((up - bright) | (down - bright)) & ((before - bright) | (after - bright));
-  std::uint32_t const lighter =
-      ((up - level) & (down - level)) | ((before - level) & (after - level));
-  return ((brighter | ~lighter) & signs) * 0x00204081u >> 28;
+/// What takes a difference above the threshold to 128. @param threshold 0 to 255; above 127 as 127
+FT_HOST_DEVICE inline std::uint32_t threshold_rest(int threshold) {
+  return static_cast<std::uint32_t>(127 - min_of(threshold, 127)) * 0x01010101u;
 }
 
 }  // namespace detail
@@ -240,6 +215,7 @@ struct detect_cell {
   static constexpr int staged_rows =
       3 * chain * ((max_cell_side + 3 * chain - 1) / (3 * chain)) + 6;
   static constexpr int list_size = 1536;
+  static constexpr int word_items_most = (max_cell_side + 6) / 4 * (staged_rows - 6) / chain;
   static constexpr int mask_words = (max_cell_side * pitch + 31) / 32;
   static_assert(pitch >= 3 + max_patch_side && pitch % 16 == 0, "rows of whole words");
   struct quad {
@@ -249,10 +225,13 @@ struct detect_cell {
     std::uint32_t pixels[staged_rows * pitch / 4];
     quad scores[(max_cell_side + 2) * pitch / 16];  ///< from row 2 on, with a rim of zeros
     std::uint16_t candidates[list_size];            ///< places of pixels worth a score, any order
-    int candidate_count;                            ///< may exceed the list: then all are tried
-    unsigned found;                                 ///< anything is kept
+    /// Of the strict threshold, and how many more of the lenient one; may exceed the list: then all
+    /// pixels are tried. Two, as a warp may list while another still reads the first.
+    int candidate_count[2];
+    unsigned found;  ///< anything is kept
     int first_entry;
-    unsigned kept[mask_words];  ///< bit per place from row 3
+    std::uint32_t lenient[word_items_most];  ///< flags of pixels for the lenient threshold alone
+    unsigned kept[mask_words];               ///< bit per place from row 3
     int word_start[mask_words];
   };
 
@@ -342,11 +321,20 @@ private:
     for (int i = g.rank(); i < (inner_h + 2) * pitch / 16; i += g.size()) { s.scores[i] = {}; }
     for (int i = g.rank(); i < words; i += g.size()) { s.kept[i] = 0; }
     if (g.rank() == 0) {
-      s.candidate_count = 0;
+      s.candidate_count[0] = 0;
+      s.candidate_count[1] = 0;
       s.found = 0;
     }
     g.sync();
 
+    constexpr detail::fast_circle circle(pitch);
+    // Scores do not depend on the threshold, and none that is suppressed at the strict one survives
+    // at the lenient: pixels for that one are only tried where nothing is found.
+    bool const has_lenient = params.min_threshold < params.ini_threshold;
+    int const strict = max_of(params.ini_threshold, 0);
+    int const low = has_lenient ? max_of(params.min_threshold, 0) : strict;
+    list_by_words(g, s, first_x, inner_w, inner_h, strict, low);
+    g.sync();
     int candidates = 0;
     bool listed = true;
     auto const place = [&](int i) {
@@ -354,31 +342,32 @@ private:
       int const y = i / inner_w;
       return (y + 3) * pitch + first_x + i - y * inner_w;
     };
-    constexpr detail::fast_circle circle(pitch);
-    // Scores do not depend on the threshold, and none that is suppressed at the strict one survives
-    // at the lenient: they are only tried where nothing is found.
-    for (int threshold = params.ini_threshold;; threshold = params.min_threshold) {
-      int const low = max_of(threshold, 0);
-      list_by_words(g, s, first_x, inner_w, inner_h, low);
-      g.sync();
-      listed = s.candidate_count <= list_size;
-      candidates = listed ? s.candidate_count : inner_w * inner_h;
-      for (int i = g.rank(); i < candidates; i += g.size()) {
-        int const at = place(i);
-        int const score = detail::fast_score_of_pairs(pixels + at, circle, low);
-        scores[at + score_offset] = static_cast<std::uint8_t>(score);
+    for (bool lenient = false;; lenient = true) {
+      int const scored = candidates;
+      candidates = s.candidate_count[0] + (lenient ? s.candidate_count[1] : 0);
+      if (candidates > list_size) {
+        listed = false;
+        candidates = inner_w * inner_h;
       }
-      g.sync();
-      for (int i = g.rank(); i < candidates; i += g.size()) {
-        int const at = place(i);
-        if (suppressed_score(scores + at + score_offset) < max_of(threshold, 1)) { continue; }
-        int const bit = at - 3 * pitch;
-        atomic_or(&s.kept[bit >> 5], 1u << (bit & 31));
-        s.found = 1;
+      if (candidates > 0) {
+        for (int i = (listed ? scored : 0) + g.rank(); i < candidates; i += g.size()) {
+          int const at = place(i);
+          int const score = detail::fast_score_of_pairs(pixels + at, circle, low);
+          scores[at + score_offset] = static_cast<std::uint8_t>(score);
+        }
+        g.sync();
+        int const least = max_of(lenient ? low : strict, 1);
+        for (int i = g.rank(); i < candidates; i += g.size()) {
+          int const at = place(i);
+          if (suppressed_score(scores + at + score_offset) < least) { continue; }
+          int const bit = at - 3 * pitch;
+          atomic_or(&s.kept[bit >> 5], 1u << (bit & 31));
+          s.found = 1;
+        }
+        g.sync();
       }
-      g.sync();
-      if (s.found != 0 || threshold <= params.min_threshold) { break; }
-      if (g.rank() == 0) { s.candidate_count = 0; }
+      if (s.found != 0 || lenient || !has_lenient) { break; }
+      list_lenient(g, s, first_x, inner_w, inner_h);
       g.sync();
     }
     if (s.found == 0) { return 0; }
@@ -476,44 +465,104 @@ private:
     return found;
   }
 
-  /// Lists the places of pixels that can be corners, by all threads of a group: each time a word of
-  /// a few rows, 3 apart, so that a row is above and below others.
+  /// The words that can hold corners, row by row: each is an item, with those `3 k` rows below it.
+  struct word_items {
+    int first;  ///< column of a row's first word, in words
+    int n;      ///< of a row
+    int count;
+    detail::small_divider row_of;
+
+    FT_HOST_DEVICE word_items(int first_x, int inner_w, int inner_h)
+        : first(first_x / 4),
+          n((first_x + inner_w + 3) / 4 - first),
+          count(n * 3 * ceil_div(inner_h, 3 * chain)),
+          row_of(n) {}
+    /// Row of the patch 3 above an item's first pixels, and column of the word.
+    struct position {
+      int y, w;
+    };
+    FT_HOST_DEVICE position operator()(int i) const {
+      int const row = row_of(i);
+      return {row + row / 3 * (3 * (chain - 1)), first + i - row * n};
+    }
+  };
+  /// Lists pixels by the flags of an item: bit 8 - chain + k of byte j is pixel j of row k.
+  template <typename Group>
+  FT_HOST_DEVICE static void append(Group g, scratch& s, word_items::position const& item,
+                                    std::uint32_t flags, int listed, int* count) {
+    int const at = (item.y + 3 - 3 * (8 - chain)) * pitch + 4 * item.w;
+    detail::append_flagged(
+        g, flags,
+        [&](unsigned bit) { return at + static_cast<int>(bit % 8 * (3 * pitch) + bit / 8); },
+        s.candidates + listed, list_size - listed, count);
+  }
+
+  /// Lists the places of pixels that can be corners at the strict threshold, by all threads of a
+  /// group: each time a word of a few rows, 3 apart, so that a row is above and below others. Notes
+  /// the others that can be corners at the lenient one. Nine in a row on the circle hold one of
+  /// each opposite pair, so one of both pairs on the axes must differ by more than the threshold: a
+  /// few that are no corners pass, no corner fails.
   template <typename Group>
   FT_HOST_DEVICE static void list_by_words(Group g, scratch& s, int first_x, int inner_w,
-                                           int inner_h, int threshold) {
-    constexpr int row_words = pitch / 4;
-    int const first = first_x / 4;
-    int const n = (first_x + inner_w + 3) / 4 - first;  // of a row
-    int const items = n * 3 * ceil_div(inner_h, 3 * chain);
-    detail::small_divider const row_of(n);
-    for (int base = 0; base + g.rank() / 32 * 32 < items; base += g.size()) {
-      int const i = min_of(base + g.rank(), items - 1);
-      int const row = row_of(i);
-      int const y = row + row / 3 * (3 * (chain - 1));
-      int const w = first + i - row * n;
-      std::uint32_t const* p = s.pixels + y * row_words + w;
-      // not those beside the cell's
-      unsigned const columns =
-          15u << max_of(first_x - 4 * w, 0) & 15u >> max_of(4 * w + 4 - first_x - inner_w, 0);
-      unsigned flags = 0;
-      std::uint32_t up = detail::raised_halves(p[0]);
-      std::uint32_t middle = detail::raised_halves(p[3 * row_words]);
+                                           int inner_h, int strict, int lenient) {
+    constexpr int step = 3 * pitch / 4;
+    constexpr std::uint32_t signs = 0x80808080u;
+    word_items const items(first_x, inner_w, inner_h);
+    std::uint32_t const strict_rest = detail::threshold_rest(strict);
+    std::uint32_t const lenient_rest = detail::threshold_rest(lenient);
+    for (int base = 0; base + g.rank() / 32 * 32 < items.count; base += g.size()) {
+      int const i = min_of(base + g.rank(), items.count - 1);
+      auto const item = items(i);
+      std::uint32_t const* p = s.pixels + item.y * (pitch / 4) + item.w;
+      std::uint32_t strict_flags = 0;
+      std::uint32_t flags = 0;
+      std::uint32_t middle = p[step];
+      std::uint32_t difference = detail::differences_of_4(p[0], middle);
+      std::uint32_t strict_above = detail::exceeding(difference, strict_rest);
+      std::uint32_t above = detail::exceeding(difference, lenient_rest);
       FT_UNROLL
       for (int k = 0; k < chain; ++k) {
-        p += 3 * row_words;
-        std::uint32_t const down = detail::raised_halves(p[3 * row_words]);
-        unsigned const four = detail::corner_flags(
-            detail::raised_halves(p[-1]), middle, detail::raised_halves(p[1]), up, down, threshold);
-        if (y + 3 * k < inner_h) { flags |= (four & columns) << (4 * k); }
-        up = middle;
+        p += step;
+        std::uint32_t const down = p[step];
+        std::uint32_t const before =
+            detail::differences_of_4(detail::permute_bytes(p[-1], middle, 0x4321), middle);
+        std::uint32_t const after =
+            detail::differences_of_4(detail::permute_bytes(middle, p[1], 0x6543), middle);
+        difference = detail::differences_of_4(middle, down);
+        std::uint32_t const strict_below = detail::exceeding(difference, strict_rest);
+        std::uint32_t const below = detail::exceeding(difference, lenient_rest);
+        std::uint32_t const strict_beside =
+            detail::exceeding(before, strict_rest) | detail::exceeding(after, strict_rest);
+        std::uint32_t const beside =
+            detail::exceeding(before, lenient_rest) | detail::exceeding(after, lenient_rest);
+        strict_flags = strict_flags >> 1 | ((strict_above | strict_below) & strict_beside & signs);
+        flags = flags >> 1 | ((above | below) & beside & signs);
+        strict_above = strict_below;
+        above = below;
         middle = down;
       }
-      if (base + g.rank() >= items) { flags = 0; }
-      int const at = (y + 3) * pitch + 4 * w;
-      detail::append_flagged(
-          g, flags,
-          [&](unsigned bit) { return at + static_cast<int>(bit / 4 * (3 * pitch) + bit % 4); },
-          s.candidates, list_size, &s.candidate_count);
+      // Not those beside or below the cell's.
+      int const left = max_of(first_x - 4 * item.w, 0);
+      int const right = max_of(4 * item.w + 4 - first_x - inner_w, 0);
+      int const rows = min_of((inner_h - item.y + 2) / 3, chain);
+      std::uint32_t const inside = ((1u << rows) - 1) * (0x01010101u << (8 - chain)) &
+                                   0xffffffffu << (8 * left) & 0xffffffffu >> (8 * right);
+      bool const own = base + g.rank() < items.count;
+      strict_flags = own ? strict_flags & inside : 0;
+      if (own) { s.lenient[i] = flags & inside & ~strict_flags; }
+      append(g, s, item, strict_flags, 0, &s.candidate_count[0]);
+    }
+  }
+  /// Lists the pixels that the same threads have noted, after the others.
+  template <typename Group>
+  FT_HOST_DEVICE static void list_lenient(Group g, scratch& s, int first_x, int inner_w,
+                                          int inner_h) {
+    word_items const items(first_x, inner_w, inner_h);
+    int const listed = min_of(s.candidate_count[0], list_size);
+    for (int base = 0; base + g.rank() / 32 * 32 < items.count; base += g.size()) {
+      int const i = min_of(base + g.rank(), items.count - 1);
+      append(g, s, items(i), base + g.rank() < items.count ? s.lenient[i] : 0, listed,
+             &s.candidate_count[1]);
     }
   }
 

@@ -82,6 +82,20 @@ FT_HOST_DEVICE inline std::uint32_t difference_of_4(std::uint32_t a, std::uint32
   return sum;
 #endif
 }
+/// The absolute differences of the four bytes of a and b.
+FT_HOST_DEVICE inline std::uint32_t differences_of_4(std::uint32_t a, std::uint32_t b) {
+#if defined(__CUDA_ARCH__)
+  return __vabsdiffu4(a, b);
+#else
+  std::uint32_t result = 0;
+  for (int i = 0; i < 32; i += 8) {
+    std::uint32_t const p = a >> i & 0xffu;
+    std::uint32_t const q = b >> i & 0xffu;
+    result |= (p < q ? q - p : p - q) << i;
+  }
+  return result;
+#endif
+}
 /// Bytes `first` to `first` + 3 of the eight of a and b. @param first 0 to 3
 FT_HOST_DEVICE inline std::uint32_t bytes_from(std::uint32_t a, std::uint32_t b, int first) {
 #if defined(__CUDA_ARCH__)
@@ -226,8 +240,8 @@ FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, st
                                    int capacity, int* count) {
   int const own = popcount(flags);
   int at = 0;
-  if constexpr (Group::max_threads >= 32) {
 #if defined(__CUDA_ARCH__)
+  if constexpr (Group::max_threads >= 32) {
     if (__ballot_sync(0xffffffffu, flags != 0) == 0) { return; }
     unsigned const upto = 0xffffffffu >> (31u - (threadIdx.x & 31u));
     int sum = 0;  // of this lane and those below
@@ -237,8 +251,9 @@ FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, st
     }
     if ((threadIdx.x & 31u) == 31u) { at = atomicAdd(count, sum); }
     at = __shfl_sync(0xffffffffu, at, 31) + sum - own;
+  } else
 #endif
-  } else {
+  {
     at = own != 0 ? atomic_add(count, own) : 0;
   }
   if (at + own > capacity) { return; }

@@ -216,7 +216,8 @@ struct detect_cell {
       3 * chain * ((max_cell_side + 3 * chain - 1) / (3 * chain)) + 6;
   static constexpr int list_size = 1536;
   static constexpr int word_items_most = (max_cell_side + 6) / 4 * (staged_rows - 6) / chain;
-  static constexpr int mask_words = (max_cell_side * pitch + 31) / 32;
+  static constexpr int most_kept = (max_cell_side + 1) / 2 * ((max_cell_side + 1) / 2);
+  static_assert(2 * most_kept <= staged_rows * pitch, "corners fit into the place of the pixels");
   static_assert(pitch >= 3 + max_patch_side && pitch % 16 == 0, "rows of whole words");
   struct quad {
     alignas(16) std::uint32_t words[4];
@@ -228,11 +229,11 @@ struct detect_cell {
     /// Of the strict threshold, and how many more of the lenient one; may exceed the list: then all
     /// pixels are tried. Two, as a warp may list while another still reads the first.
     int candidate_count[2];
-    unsigned found;  ///< anything is kept
-    int first_entry;
+    int kept;                                ///< corners: their places are kept_places()
     std::uint32_t lenient[word_items_most];  ///< flags of pixels for the lenient threshold alone
-    unsigned kept[mask_words];               ///< bit per place from row 3
-    int word_start[mask_words];
+
+    /// Instead of the pixels, which have their scores when a corner is found.
+    FT_HOST_DEVICE std::uint16_t* kept_places() { return reinterpret_cast<std::uint16_t*>(pixels); }
   };
 
   /// Whether corners are also entered into the list of any order.
@@ -270,7 +271,7 @@ struct detect_cell {
         found = detect_alone(s, level, at, params, list);
         if (enters) {
           int const entry = atomic_add(entered.count, found);
-          for (int i = 0; i < found; ++i) { entered.write(entry, i, list[i]); }
+          for (int i = 0; i < found; ++i) { entered.write(entry + i, i, list[i]); }
         }
       } else {
         found = detect_together(g, s, level, at, params, list, entered);
@@ -292,11 +293,11 @@ private:
     int* count;
     std::uint32_t place;  ///< of the cell's first corner
 
-    /// Corner i of the cell, whose entries begin at `first`.
-    FT_HOST_DEVICE void write(int first, int i, corner const& c) const {
-      to[first + i] = {c.x, c.y,
-                       static_cast<std::int32_t>(
-                           corner_rank::of(c.response, place + static_cast<std::uint32_t>(i)))};
+    /// Corner i of the cell, as entry number `entry`.
+    FT_HOST_DEVICE void write(int entry, int i, corner const& c) const {
+      to[entry] = {c.x, c.y,
+                   static_cast<std::int32_t>(
+                       corner_rank::of(c.response, place + static_cast<std::uint32_t>(i)))};
     }
   };
 
@@ -315,15 +316,13 @@ private:
     auto const* const pixels = reinterpret_cast<std::uint8_t const*>(s.pixels);
     auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
     constexpr int score_offset = -2 * pitch;
-    int const words = (inner_h * pitch + 31) / 32;
 
     detail::stage_rectangle<6>(g, level, x0, y0, patch_w, patch_h, s.pixels, pitch / 4);
     for (int i = g.rank(); i < (inner_h + 2) * pitch / 16; i += g.size()) { s.scores[i] = {}; }
-    for (int i = g.rank(); i < words; i += g.size()) { s.kept[i] = 0; }
     if (g.rank() == 0) {
       s.candidate_count[0] = 0;
       s.candidate_count[1] = 0;
-      s.found = 0;
+      s.kept = 0;
     }
     g.sync();
 
@@ -360,39 +359,35 @@ private:
         for (int i = g.rank(); i < candidates; i += g.size()) {
           int const at = place(i);
           if (suppressed_score(scores + at + score_offset) < least) { continue; }
-          int const bit = at - 3 * pitch;
-          atomic_or(&s.kept[bit >> 5], 1u << (bit & 31));
-          s.found = 1;
+          s.kept_places()[atomic_add(&s.kept, 1)] = static_cast<std::uint16_t>(at);
         }
         g.sync();
       }
-      if (s.found != 0 || lenient || !has_lenient) { break; }
+      if (s.kept != 0 || lenient || !has_lenient) { break; }
       list_lenient(g, s, first_x, inner_w, inner_h);
       g.sync();
     }
-    if (s.found == 0) { return 0; }
-
-    unsigned const* const kept = s.kept;
-    for (int i = g.rank(); i < words; i += g.size()) { s.word_start[i] = popcount(kept[i]); }
-    g.sync();
-    int const found = g.exclusive_scan_array(s.word_start, words);
-    if (entered.to != nullptr && g.rank() == 0) {
-      s.first_entry = atomic_add(entered.count, found);
-    }
-    g.sync();
-
-    for (int i = g.rank(); i < candidates; i += g.size()) {
-      int const at = place(i);
-      int const index = at - 3 * pitch;
-      unsigned const word = kept[index >> 5];
-      unsigned const bit = 1u << (index & 31);
-      if ((word & bit) == 0) { continue; }
-      int const y = index / pitch;
-      int const to = s.word_start[index >> 5] + popcount(word & (bit - 1));
-      corner const c{static_cast<std::uint16_t>(in.x_rel + 3 + index - y * pitch - first_x),
-                     static_cast<std::uint16_t>(in.y_rel + 3 + y), scores[at + score_offset]};
+    // A corner's place in raster order is how many are before it. There are few: each is compared
+    // with all, in place of scans with their barriers. A warp takes its entries for itself.
+    int const found = s.kept;
+    std::uint16_t const* const kept = s.kept_places();
+    auto const warp = g.part();
+    for (int base = g.part_index() * warp.size(); base < found; base += g.size()) {
+      int entry = 0;
+      if (entered.to != nullptr && warp.rank() == 0) {
+        entry = atomic_add(entered.count, min_of(warp.size(), found - base));
+      }
+      int const i = base + warp.rank();
+      int const at = kept[min_of(i, found - 1)];
+      int to = 0;
+      for (int k = 0; k < found; ++k) { to += static_cast<int>(kept[k] < at); }
+      entry = warp.shuffle(entry, 0) + warp.rank();
+      if (i >= found) { continue; }
+      int const y = at / pitch;
+      corner const c{static_cast<std::uint16_t>(in.x_rel + 3 + at - y * pitch - first_x),
+                     static_cast<std::uint16_t>(in.y_rel + y), scores[at + score_offset]};
       list[to] = c;
-      if (entered.to != nullptr) { entered.write(s.first_entry, to, c); }
+      if (entered.to != nullptr) { entered.write(entry, to, c); }
     }
     return found;
   }

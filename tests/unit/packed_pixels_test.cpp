@@ -42,7 +42,7 @@ struct operands {
   word a, b, c;
 };
 struct results {
-  word min, max, swapped, permuted, dot4, dot2, difference, differences, shifted;
+  word min, max, swapped, permuted, selected, dot4, dot2, difference, differences, shifted;
 };
 struct apply_all {
   using scratch = ft::no_scratch;
@@ -53,6 +53,7 @@ struct apply_all {
               ft::detail::max_pairs(a, b),
               ft::detail::swap_pair(a),
               ft::detail::permute_bytes(a, b, c & 0x7777u),
+              ft::detail::select_bytes(a, b, c & 0x77777777u),
               ft::detail::dot_of_4(a, b, c >> 8),
               ft::detail::dot_of_2(a, b, c >> 8),
               ft::detail::difference_of_4(a, b, c >> 8),
@@ -94,6 +95,7 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
               std::max(half(a, 0), half(b, 0)) + (std::max(half(a, 1), half(b, 1)) << 16));
     EXPECT_EQ(out[i].swapped, half(a, 1) + (half(a, 0) << 16));
     EXPECT_EQ(out[i].permuted, permuted);
+    EXPECT_EQ(out[i].selected, permuted);
     EXPECT_EQ(out[i].dot4, dot4);
     EXPECT_EQ(out[i].dot2, (c >> 8) + half(a, 0) * byte(b, 0) + half(a, 1) * byte(b, 1));
     word difference = c >> 8;

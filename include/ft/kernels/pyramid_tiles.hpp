@@ -214,9 +214,12 @@ struct resize_tile {
     g.sync();
     for (int i = 1; i <= levels; ++i) {
       level_plan const plan = s.level[i];
-      resize_tap const* const spread =
-          plan.spread != 0 ? all_taps + pyramid.geometry.tap_offset[group.first - 1 + i] : nullptr;
-      make_level(g, s, i, plan, spread);
+      if (plan.spread == 0) {
+        make_level<false>(g, s, i, plan, nullptr);
+      } else {
+        make_level<true>(g, s, i, plan,
+                         all_taps + pyramid.geometry.tap_offset[group.first - 1 + i]);
+      }
       g.sync();
     }
   }
@@ -316,12 +319,12 @@ private:
   FT_HOST_DEVICE static row_sums sums_of_row(std::uint32_t const* row, word_taps const& taps) {
     std::uint32_t const* const from = row + taps.place;
     std::uint32_t const middle = from[1];
-    std::uint32_t const low = detail::permute_bytes(from[0], middle, taps.align);
-    std::uint32_t const high = detail::permute_bytes(middle, from[2], taps.align);
+    std::uint32_t const low = detail::select_bytes(from[0], middle, taps.align);
+    std::uint32_t const high = detail::select_bytes(middle, from[2], taps.align);
     row_sums sums;
     FT_UNROLL
     for (int k = 0; k < 4; ++k) {
-      std::uint32_t const pair = detail::permute_bytes(low, high, taps.pairs >> (8 * k));
+      std::uint32_t const pair = detail::select_bytes(low, high, taps.pairs >> (8 * k));
       sums.of[k] = detail::dot_of_2(taps.weights[k], pair, 0) >> 4;
     }
     return sums;
@@ -357,9 +360,9 @@ private:
     return detail::permute_bytes(pair[0], pair[1], 0x6240);
   }
 
-  /// Level i from the one before, a word of two rows at a time. @param spread taps of the whole
-  /// level's columns where those in scratch do not do, or null
-  template <typename Group>
+  /// Level i from the one before, a word of two rows at a time. @tparam Spread the taps in scratch
+  /// do not do @param spread then those of the whole level's columns
+  template <bool Spread, typename Group>
   FT_HOST_DEVICE static void make_level(Group g, scratch& s, int i, level_plan const& plan,
                                         resize_tap const* spread) {
     std::uint32_t const* const from = s.pixels[(i - 1) & 1];
@@ -368,14 +371,19 @@ private:
     word_taps const* const columns = s.columns + plan.first_column;
     row_tap const* const rows = s.rows + plan.first_row;
     int const items = plan.words * ((plan.height + 1) / 2);
+    static_cast<void>(spread);
+    static_cast<void>(from_x);
     for (int at = g.rank(); at < items; at += g.size()) {
       int const half = plan.row_of(at);
       int const word = at - half * plan.words;
       word_taps const column = columns[word];
       auto const sums = [&](int row) {
-        return spread == nullptr ? sums_of_row(from + row, column)
-                                 : sums_of_spread_row(from + row, spread, plan.x,
-                                                      4 * (plan.first_word + word), from_x);
+        if constexpr (Spread) {
+          return sums_of_spread_row(from + row, spread, plan.x, 4 * (plan.first_word + word),
+                                    from_x);
+        } else {
+          return sums_of_row(from + row, column);
+        }
       };
       int const last = min_of(2 * half + 1, plan.height - 1);
       row_tap const v0 = rows[2 * half];
@@ -396,7 +404,10 @@ private:
     int const at_y = plan.y.need_begin + row;
     if (at_y < plan.y.own_begin || at_y >= plan.y.own_end) { return; }
     int const at_x = 4 * (plan.first_word + word);
-    std::uint8_t* const to = plan.pixels + static_cast<std::ptrdiff_t>(at_y) * plan.stride + at_x;
+    // An image's level has less than 2^32 pixels.
+    std::uint8_t* const to =
+        plan.pixels + (static_cast<unsigned>(at_y) * static_cast<unsigned>(plan.stride) +
+                       static_cast<unsigned>(at_x));
     if (plan.whole_words != 0 && at_x >= plan.x.own_begin && at_x + 4 <= plan.x.own_end) {
       detail::store_word(to, pixels);
       return;

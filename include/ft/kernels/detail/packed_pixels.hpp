@@ -51,6 +51,19 @@ FT_HOST_DEVICE inline std::uint32_t permute_bytes(std::uint32_t a, std::uint32_t
 #endif
 }
 
+/// The same for a selector known at run time only, whose digits are below 8: a device need not cut
+/// them.
+FT_HOST_DEVICE inline std::uint32_t select_bytes(std::uint32_t a, std::uint32_t b,
+                                                 std::uint32_t selector) {
+#if defined(__CUDA_ARCH__)
+  std::uint32_t result;
+  asm("prmt.b32 %0, %1, %2, %3;" : "=r"(result) : "r"(a), "r"(b), "r"(selector));
+  return result;
+#else
+  return permute_bytes(a, b, selector);
+#endif
+}
+
 /// `sum` and the products of the four bytes of a and b.
 FT_HOST_DEVICE inline std::uint32_t dot_of_4(std::uint32_t a, std::uint32_t b, std::uint32_t sum) {
 #if defined(__CUDA_ARCH__)

@@ -62,8 +62,6 @@ struct match_left_keypoint {
     feature_grid_view const rows = right_rows.slice(pair);
     int const row = row_cell::of(rows.geometry, 0, mine.y);
     if (row < 0 || u < 0) { return; }
-    span<int const> const listed = listed_near(pyramid.geometry, row, octave, rows);
-
     auto const level_l = pyramid.level(2 * pair, octave);
     auto const level_r = pyramid.level(2 * pair + 1, octave);
     float const inv = pyramid.geometry.inv_scale[octave];
@@ -74,7 +72,13 @@ struct match_left_keypoint {
     if (ul < half || ul + half >= level_l.width || vl < half || vl + half >= level_l.height) {
       return;
     }
+    // Right keypoints that may have a band with this row in it.
+    int const reach = reach_of(pyramid.geometry, octave);
+    int const begin = rows.start[max_of(row - reach, 0)];
+    int const end = rows.start[min_of(row + reach, pyramid.geometry.height[0] - 1) + 1];
     window_part const part(g, level_l, ul, vl);  // is under way while the candidates are compared
+    g.sync();  // else the compiler has these loads wait for those of the rows
+    span<int const> const listed{rows.indices + begin, end - begin};
     int const j = nearest(g, pyramid.geometry, mine, row, right, listed, params);
     if (j < 0) { return; }
     int const ur = round_away(detail::mul(get<field::x>(right, j), inv));
@@ -152,8 +156,12 @@ private:
     FT_HOST_DEVICE window_part(Group g, gray_view left, int u, int v) {
       if constexpr (Group::max_threads > 1) {
         static_assert(Group::max_threads == 32, "two threads for each of 11 rows");
-        detail::load_bytes(left.row(row(g, v)) + u - half + column(g), pixels(g), words_);
-        words_[1] &= rest(g);
+        std::uint8_t const* const at = left.row(row(g, v)) + u - half + column(g);
+        skew_ = static_cast<int>(reinterpret_cast<std::uintptr_t>(at) & 3u);
+        std::uint8_t const* const from = at - skew_;
+        words_[0] = detail::load_word(from);
+        words_[1] = detail::load_word(from + 4);
+        words_[2] = detail::load_word(from + ((skew_ + pixels(g) - 1) & ~3));
       }
     }
 
@@ -165,13 +173,14 @@ private:
       detail::load_bytes(right.row(row(g, v)) + u - 2 * half + column(g), pixels(g) + 2 * half,
                          theirs);
       bool const compares = g.rank() < 2 * side;
+      std::uint32_t const mine[2] = {detail::bytes_from(words_[0], words_[1], skew_),
+                                     detail::bytes_from(words_[1], words_[2], skew_) & rest(g)};
       auto const difference = [&](int shift) {
         auto const from = [&](int byte) {
           return detail::bytes_from(theirs[byte / 4], theirs[min_of(byte / 4 + 1, 3)], byte % 4);
         };
         return detail::difference_of_4(
-            words_[0], from(shift),
-            detail::difference_of_4(words_[1], from(shift + 4) & rest(g), 0));
+            mine[0], from(shift), detail::difference_of_4(mine[1], from(shift + 4) & rest(g), 0));
       };
       // Two sums a word: 11 x 11 x 255 has 15 bits.
       FT_UNROLL
@@ -204,18 +213,14 @@ private:
       return g.rank() % 2 == 0 ? 0xffffu : 0xffu;
     }
 
-    std::uint32_t words_[2];
+    /// The words that have the pixels, as they were loaded: to shift them is to wait for them.
+    std::uint32_t words_[3];
+    int skew_;
   };
 
-  /// Right keypoints that may have a band with this row in it.
-  FT_HOST_DEVICE static span<int const> listed_near(pyramid_geometry const& geometry, int row,
-                                                    int octave, feature_grid_view const& rows) {
-    int const height = geometry.height[0];
-    int const reach =
-        static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
-    int const begin = rows.start[max_of(row - reach, 0)];
-    int const end = rows.start[min_of(row + reach, height - 1) + 1];
-    return {rows.indices + begin, end - begin};
+  /// How many rows away a right keypoint can be.
+  FT_HOST_DEVICE static int reach_of(pyramid_geometry const& geometry, int octave) {
+    return static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
   }
 
   /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 for none near

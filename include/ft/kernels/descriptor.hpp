@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
@@ -25,6 +26,14 @@ inline namespace FT_ABI {
 struct stereo_overlap {
   float left = 0;
   float right = 0;
+
+  /// No keypoint, or every keypoint, of images this wide is inside: all are above 0 and below it.
+  FT_HOST_DEVICE bool has_none(int width) const {
+    return right <= 0 || left >= static_cast<float>(width);
+  }
+  FT_HOST_DEVICE bool has_all(int width) const {
+    return left <= 0 && right >= static_cast<float>(width);
+  }
 };
 
 /// Points of a descriptor's pattern lie so far from the keypoint at most, rotated and rounded.
@@ -169,10 +178,12 @@ struct only_order {
 template <typename Then = only_order>
 struct order_image {
   Then then;
-  std::size_t extra = 0;  ///< block scratch that nobody uses
+  std::size_t extra = 0;              ///< block scratch that nobody uses
+  static constexpr int known = 2048;  ///< slots whose levels are found out ahead
   struct scratch {
     typename Then::scratch then;
     int before[max_levels + 1];  ///< corners of the levels below each
+    std::uint8_t level[known];   ///< of a slot; each is read by the thread that wrote it
   };
   /// More would be of no use, and cost registers.
   static constexpr int side_by_side = 1;
@@ -182,8 +193,12 @@ struct order_image {
   static constexpr bool prepares = true;
   template <typename Group>
   FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, pyramid_geometry const&,
-                              distribution_view const&, stereo_overlap const*, int*,
+                              distribution_view const& kept, stereo_overlap const*, int*,
                               keypoints_view const& out, int*, frame_arrivals const&) const {
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < known; i += g.size()) {
+      s.level[i] = static_cast<std::uint8_t>(kept.layout.level_of(i));
+    }
     then.prepare(g, s.then, image, out);
   }
 
@@ -201,8 +216,14 @@ struct order_image {
     auto const fetch = [&](int base) {
       FT_UNROLL
       for (int k = 0; k < together; ++k) {
-        of[k] = slot_place(base + k * g.size() + g.rank(), layout);
-        if (of[k].slot < layout.total) { of[k].c = kept.kept[image * layout.total + of[k].slot]; }
+        int const slot = base + k * g.size() + g.rank();
+        of[k] = slot_place(slot);
+        // Past the last slot that one again: no load is behind a branch. Without slots it is
+        // whatever comes after them.
+        int const held = max_of(min_of(slot, layout.total - 1), 0);
+        of[k].word = corner_word(kept.kept + image * layout.total + held);
+        bool const ahead = Group::max_threads > 1 && slot < known;
+        of[k].level = ahead ? static_cast<int>(s.level[slot]) : layout.level_of(slot);
       }
     };
     fetch(0);
@@ -240,32 +261,48 @@ struct order_image {
         get<field::octave>(out, to) = of[k].level;
         then.keep(s.then, at, entry[k]);
       }
-      fetch(base + together * g.size());
+      if (base + together * g.size() < layout.total) { fetch(base + together * g.size()); }
     }
     if (g.rank() == 0) {
       out.count[image] = all;
       mono_count[image] = all - stereo;
     }
-    arrivals.tell_placed(g, image);
+    // The others work out their places themselves: those who tell have to wait for their stores.
+    int const width = geometry.width[0];
+    if (!overlap.has_none(width) && !overlap.has_all(width)) { arrivals.tell_placed(g, image); }
     then.sort(g, s.then, image, out, all);
   }
 
 private:
+  FT_HOST_DEVICE static std::uint64_t corner_word(corner const* at) {
+    static_assert(sizeof(corner) == 8 && alignof(corner) == 8, "a corner is a word");
+#if defined(__CUDA_ARCH__)
+    return *reinterpret_cast<unsigned long long const*>(at);
+#else
+    std::uint64_t word;
+    std::memcpy(&word, at, sizeof word);
+    return word;
+#endif
+  }
+
   /// The kept corner of a slot.
   struct slot_place {
-    int slot, level;
+    int slot;
+    int level = 0;
     int rank = 0;  ///< among all of the image
     bool valid = false;
     bool inside = false;  ///< the overlap
+    /// The corner as it was loaded: to look at its parts is to wait for it.
+    std::uint64_t word = 0;
     corner c{};
     float x = 0;
     float y = 0;
 
     slot_place() = default;
-    FT_HOST_DEVICE slot_place(int at, distribution_layout const& layout)
-        : slot(at), level(layout.level_of(at)) {}
+    FT_HOST_DEVICE explicit slot_place(int at) : slot(at) {}
     FT_HOST_DEVICE void locate(distribution_layout const& layout, int const* before,
                                pyramid_geometry const& geometry, stereo_overlap const& overlap) {
+      std::memcpy(&c, &word, sizeof c);
       rank = before[level] + slot - layout.first[level];
       valid = slot < layout.total && rank < before[level + 1];
       x = static_cast<float>(c.x + corner_border);
@@ -281,6 +318,8 @@ private:
 
 /// One kept corner: the angle and descriptor of its keypoint.
 struct describe_corner {
+  /// [batch] as order_image has them; needed where this is done beside that
+  stereo_overlap const* overlaps = nullptr;
   static constexpr bool wide_on_host = true;
   static constexpr int window = 2 * pattern_radius + 1;
   static constexpr int window_words = (window + 3 + 3) / 4;
@@ -296,10 +335,14 @@ struct describe_corner {
     distribution_layout const& layout = kept.layout;
     int const image = item / layout.total;
     int const slot = item % layout.total;
-    int const l = layout.level_of(slot);
-    // Both loads are under way together: a slot without a corner holds something, too.
+    // All loads are under way together: a slot without a corner holds something, too.
     corner const c = kept.kept[item];
-    int const count = kept.kept_count[image * layout.levels + l];
+    int const* const counts = kept.kept_count + image * layout.levels;
+    [[maybe_unused]] level_count const own(g, counts, layout.levels);
+    [[maybe_unused]] stereo_overlap const overlap =
+        Group::max_threads > 1 && overlaps != nullptr ? overlaps[image] : unknown_overlap();
+    int const l = level_of(layout, slot);
+    int const count = Group::max_threads > 1 ? g.shuffle(own.count, l) : counts[l];
     g.sync();
     if (slot - layout.first[l] >= count) { return; }
 
@@ -313,8 +356,15 @@ struct describe_corner {
       detail::own_tests<Group> const tests(g, pattern);
       angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
       rotation const turn = rotation_by(angle);
-      arrivals.await_placed(g, image);
-      to += place[item];
+      int const width = pyramid.geometry.width[0];
+      bool const none = overlap.has_none(width);
+      if (none || overlap.has_all(width)) {
+        int const rank = own.below(g, l) + slot - layout.first[l];
+        to += none ? rank : own.all(g) - 1 - rank;
+      } else {
+        arrivals.await_placed(g, image);
+        to += place[item];
+      }
       auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
@@ -334,6 +384,36 @@ struct describe_corner {
   }
 
 private:
+  /// The kept corners of an image's levels, of which each thread has one.
+  struct level_count {
+    int level, count;
+
+    template <typename Group>
+    FT_HOST_DEVICE level_count(Group g, int const* counts, int levels) : level(g.rank()), count(0) {
+      static_assert(Group::max_threads == 1 || Group::max_threads >= max_levels, "one a thread");
+      if (Group::max_threads > 1 && level < levels) { count = counts[level]; }
+    }
+    template <typename Group>
+    FT_HOST_DEVICE int below(Group g, int l) const {
+      return g.reduce(level < l ? count : 0, sum_op{});
+    }
+    template <typename Group>
+    FT_HOST_DEVICE int all(Group g) const {
+      return g.reduce(count, sum_op{});
+    }
+  };
+
+  /// In which some keypoints are and some are not.
+  FT_HOST_DEVICE static stereo_overlap unknown_overlap() { return {1e-30f, 1e-30f}; }
+  /// As layout.level_of(): no comparison waits for the one before.
+  FT_HOST_DEVICE static int level_of(distribution_layout const& layout, int slot) {
+    int l = 0;
+    FT_UNROLL
+    for (int k = 1; k < max_levels; ++k) {
+      l += static_cast<int>((k < layout.levels) & (slot >= layout.first[k]));
+    }
+    return l;
+  }
   /// Copies the window into scratch and returns the angle; the pixels of both are fetched together.
   template <typename Group>
   FT_HOST_DEVICE static float stage_and_turn(Group g, gray_view sharp, gray_view level, int x,
@@ -368,7 +448,8 @@ private:
 /// @param overlaps [batch] @param mono_count [batch] gets the keypoints outside the overlap
 /// @param place [batch][layout.total] gets the place of a kept corner's keypoint; all in executor
 /// memory
-/// @param arrivals tells describe_corners() beside this launch which images have their places
+/// @param arrivals tells describe_corners() beside this launch which images have their places, of
+/// those that have keypoints inside their overlap and outside
 /// @param then see order_image
 template <typename Exec, typename Then = only_order>
 void order_corners(Exec const& exec, pyramid_geometry const& geometry,
@@ -386,13 +467,18 @@ void order_corners(Exec const& exec, pyramid_geometry const& geometry,
 /// launch.
 /// @param pattern [256], points within `pattern_radius` @param place from order_corners
 /// @param arrivals where this launch is beside order_corners(): the same
+/// @param overlaps likewise; without them the places are read
+/// @throws bad_argument for arrivals without overlaps
 template <typename Exec>
 void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
                       image_pyramid_view const& blurred, distribution_view const& kept,
                       pattern_pair const* pattern, int const* place, keypoints_view const& out,
-                      frame_arrivals const& arrivals = {}) {
-  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{}, pyramid,
-                          blurred, kept, pattern, place, out, arrivals);
+                      frame_arrivals const& arrivals = {},
+                      stereo_overlap const* overlaps = nullptr) {
+  detail::require(!arrivals.overlapping() || overlaps != nullptr,
+                  "descriptors beside the order need its overlaps");
+  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total, describe_corner{overlaps},
+                          pyramid, blurred, kept, pattern, place, out, arrivals);
 }
 
 }  // namespace FT_ABI

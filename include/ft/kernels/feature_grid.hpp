@@ -45,8 +45,10 @@ struct grid_scratch {
   std::uint32_t entry[size];  ///< of a keypoint: its cell, and how many of it were counted before
   std::uint16_t list[size];   ///< cell by cell, in any order within one
 
-  FT_HOST_DEVICE static bool fits(grid_geometry const& g, int keypoints) {
-    return g.cells() < size && keypoints <= size;
+  /// Whether a group works in scratch: threads keep their part of it in registers.
+  template <typename Group>
+  FT_HOST_DEVICE static bool serves(grid_geometry const& g, int keypoints) {
+    return Group::max_threads >= 256 && g.cells() < size && keypoints <= size;
   }
 };
 
@@ -64,7 +66,7 @@ struct fill_grid {
     keypoints_view const kp = all.slice(first + item * step);
     feature_grid_view const grid = grids.slice(item);
     int const n = *kp.count;
-    if (Group::max_threads == 1 || !scratch::fits(grid.geometry, n)) {
+    if (!scratch::template serves<Group>(grid.geometry, n)) {
       in_memory(g, kp, n, grid);
       return;
     }
@@ -94,39 +96,76 @@ struct fill_grid {
   template <typename Group>
   FT_HOST_DEVICE static void sort(Group g, scratch& s, int n, feature_grid_view const& grid) {
     // Prefix sum, each thread over cells that follow each other.
+    constexpr int most =
+        Group::max_threads >= 256 ? ceil_div(scratch::size, Group::max_threads) : 1;
     int const cells = grid.geometry.cells();
     int const each = ceil_div(cells, g.size());
-    int const begin = min_of(g.rank() * each, cells);
-    int const end = min_of(begin + each, cells);
+    int const begin = g.rank() * each;
+    int here[most];
     int mine = 0;
-    for (int c = begin; c < end; ++c) { mine += s.start[c]; }
+    FT_UNROLL
+    for (int k = 0; k < most; ++k) {
+      here[k] = k < each && begin + k < cells ? s.start[begin + k] : 0;
+      mine += here[k];
+    }
     int total = 0;
     int before = g.exclusive_scan(mine, total);
-    for (int c = begin; c < end; ++c) {
-      int const here = s.start[c];
-      s.start[c] = before;
-      grid.start[c] = before;
-      before += here;
+    FT_UNROLL
+    for (int k = 0; k < most; ++k) {
+      if (k < each && begin + k < cells) {
+        s.start[begin + k] = before;
+        grid.start[begin + k] = before;
+      }
+      before += here[k];
     }
     if (g.rank() == 0) {
       s.start[cells] = total;
       grid.start[cells] = total;
     }
     g.sync();
-    for (int i = g.rank(); i < n; i += g.size()) {
-      std::uint32_t const e = s.entry[i];
-      if (e == scratch::nowhere) { continue; }
-      s.list[s.start[e & 0xffffu] + static_cast<int>(e >> 16)] = static_cast<std::uint16_t>(i);
+    constexpr int together = 2;  // keypoints of a thread at a time
+    FT_NO_UNROLL
+    for (int base = g.rank(); base < n; base += together * g.size()) {
+      std::uint32_t e[together];
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const i = base + k * g.size();
+        e[k] = i < n ? s.entry[i] : scratch::nowhere;
+      }
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        if (e[k] == scratch::nowhere) { continue; }
+        s.list[s.start[e[k] & 0xffffu] + static_cast<int>(e[k] >> 16)] =
+            static_cast<std::uint16_t>(base + k * g.size());
+      }
     }
     g.sync();
-    for (int i = g.rank(); i < n; i += g.size()) {
-      std::uint32_t const e = s.entry[i];
-      if (e == scratch::nowhere) { continue; }
-      int const from = s.start[e & 0xffffu];
-      int const to = s.start[(e & 0xffffu) + 1];
-      int lower = 0;
-      for (int at = from; at < to; ++at) { lower += static_cast<int>(s.list[at] < i); }
-      grid.indices[from + lower] = i;
+    FT_NO_UNROLL
+    for (int base = g.rank(); base < n; base += together * g.size()) {
+      int from[together];
+      int to[together];
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const i = base + k * g.size();
+        std::uint32_t const e = i < n ? s.entry[i] : scratch::nowhere;
+        bool const there = e != scratch::nowhere;
+        from[k] = there ? s.start[e & 0xffffu] : 0;
+        to[k] = there ? s.start[(e & 0xffffu) + 1] : 0;
+      }
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const i = base + k * g.size();
+        int lower = 0;
+        FT_NO_UNROLL
+        for (int at = from[k]; at < to[k]; at += 4) {
+          FT_UNROLL
+          for (int m = 0; m < 4; ++m) {  // where fewer are left, the last one again
+            int const other = s.list[min_of(at + m, to[k] - 1)];
+            lower += static_cast<int>((at + m < to[k]) & (other < i));
+          }
+        }
+        if (from[k] < to[k]) { grid.indices[from[k] + lower] = i; }
+      }
     }
   }
 

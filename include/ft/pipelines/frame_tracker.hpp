@@ -191,7 +191,7 @@ private:
   template <typename Group, typename F>
   FT_HOST_DEVICE void with_grid(int image, keypoints_view const& all, F const& f) const {
     auto const call = [&](auto fill, feature_grid_view const& grid) {
-      f(fill, grid, Group::max_threads > 1 && scratch::fits(grid.geometry, all.capacity));
+      f(fill, grid, scratch::template serves<Group>(grid.geometry, all.capacity));
     };
     if (!Rectified) {
       call(fill_grid<nearest_cell>{}, grids.slice(image));

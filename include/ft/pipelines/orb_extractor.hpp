@@ -229,7 +229,7 @@ public:
 
 private:
   /// The blur runs beside the quadtree, where most of a device is idle, and the description beside
-  /// the order, of which it needs the places in the end.
+  /// the order, of which it may need the places in the end.
   template <typename Besides, typename Then>
   void extract_from_pyramid(Exec const& exec, Besides const& besides, Then const& then) {
     detect(exec);
@@ -281,7 +281,7 @@ private:
   }
   void describe(Exec const& exec, frame_arrivals const& arrivals) {
     describe_corners(exec, pyramid_, blurred_, distribution_, pattern_, place_, keypoints_,
-                     arrivals);
+                     arrivals, overlaps_);
   }
 
   /// @throws bad_argument for another size or a stride below the width

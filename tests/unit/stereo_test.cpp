@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rectified stereo: known shifts, a plain reading of section 5 of the specification, pairs without
-// keypoints, keypoints at the rim, and the cut of outliers against a sort.
+// keypoints, keypoints at the rim, and the cut of outliers against a sort. Two cameras: the two
+// ways to triangulate, the nearest two of many descriptors.
 #include "ft/kernels/stereo_rectified.hpp"
 
 #include <gtest/gtest.h>
@@ -18,6 +19,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/matches.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
 
@@ -487,6 +489,104 @@ TYPED_TEST(stereo_unit, outliers_are_cut_at_the_median) {
   cut(ft::per_block<512>{});  // as the matcher does
   cut(ft::per_block<256>{});
   cut(ft::per_block<1024>{});
+}
+
+/// By squares and by rotations, of a symmetric matrix each.
+struct find_eigenvectors {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, double const* matrices, int* by_squares,
+                                 double* squares, double* rotations) const {
+    ft::detail::symmetric_4 upper;
+    ft::strict_double full[4][4];
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < 4; ++j) {
+        full[i][j] = matrices[16 * item + 4 * i + j];
+        if (j >= i) { upper.m[i][j] = full[i][j]; }
+      }
+    }
+    ft::strict_double v[4] = {0.0, 0.0, 0.0, 0.0};
+    by_squares[item] = static_cast<int>(ft::detail::smallest_eigenvector_by_squares(upper, v));
+    for (int i = 0; i < 4; ++i) { squares[4 * item + i] = v[i].value; }
+    ft::detail::smallest_eigenvector_4(full, v);
+    for (int i = 0; i < 4; ++i) { rotations[4 * item + i] = v[i].value; }
+  }
+};
+
+TYPED_TEST(stereo_unit, lowest_eigenvectors_agree_in_both_ways) {
+  std::mt19937_64 random(41);
+  std::normal_distribution<double> normal;
+  constexpr int n = 4000;
+  std::vector<double> matrices;
+  for (int t = 0; t < n; ++t) {
+    // Rows as of triangulation: three directions, and a column as small as the baseline. Some have
+    // an exact answer, some are so near to a second one that rounding shows.
+    double rows[4][4];
+    double const baseline = t % 8 == 7 ? 1e-7 : std::pow(10.0, -2.0 * (t % 5) / 4);
+    double const noise = t % 3 == 0 ? 0.0 : std::pow(10.0, -4.0 + t % 4);
+    double point[4];
+    for (double& p : point) { p = normal(random); }
+    for (auto& row : rows) {
+      for (double& r : row) { r = normal(random); }
+      row[3] *= baseline;
+      double along = 0;
+      double length = 0;
+      for (int i = 0; i < 4; ++i) {
+        along += row[i] * point[i];
+        length += point[i] * point[i];
+      }
+      for (int i = 0; i < 4; ++i) {
+        row[i] += -along / length * point[i] + noise * baseline * normal(random);
+      }
+    }
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < 4; ++j) {
+        double sum = 0;
+        for (auto const& row : rows) { sum += row[i] * row[j]; }
+        matrices.push_back(sum);
+      }
+    }
+  }
+  // Without an answer, or with several.
+  for (double diagonal : {0.0, 1.0}) {
+    for (int i = 0; i < 16; ++i) { matrices.push_back(i % 5 == 0 ? diagonal : 0.0); }
+  }
+  constexpr std::size_t all = n + 2;
+  auto const& exec = this->backend.exec;
+  ft::buffer<double, TestFixture::space> input(16 * all);
+  ft::buffer<double, TestFixture::space> output(8 * all);
+  ft::buffer<int, TestFixture::space> ways(all);
+  ft::copy(exec, input.data(), static_cast<double const*>(matrices.data()), matrices.size());
+  ft::for_each_item<ft::per_thread>(exec, static_cast<int>(all), find_eigenvectors{},
+                                    static_cast<double const*>(input.data()), ways.data(),
+                                    output.data(), output.data() + 4 * all);
+  std::vector<int> by_squares(all);
+  std::vector<double> found(8 * all);
+  ft::copy(exec, by_squares.data(), static_cast<int const*>(ways.data()), all);
+  ft::copy(exec, found.data(), static_cast<double const*>(output.data()), 8 * all);
+  exec.wait();
+  int refused = 0;
+  for (std::size_t t = 0; t < n; ++t) {
+    refused += static_cast<int>(by_squares[t] == 0);
+    if (by_squares[t] == 0) { continue; }
+    double const* const a = found.data() + 4 * t;
+    double const* const b = found.data() + 4 * (all + t);
+    double aa = 0, bb = 0, ab = 0;
+    for (int i = 0; i < 4; ++i) {
+      aa += a[i] * a[i];
+      bb += b[i] * b[i];
+      ab += a[i] * b[i];
+    }
+    double apart = 0;
+    for (int i = 0; i < 4; ++i) {
+      apart = std::max(apart, std::abs(a[i] / std::sqrt(aa) - b[i] * ab / std::sqrt(aa) / bb));
+    }
+    EXPECT_LT(apart, 1e-8) << "matrix " << t;
+  }
+  EXPECT_GT(refused, 0) << "the rotations are needed, too";
+  EXPECT_LT(refused, n / 4);
+  EXPECT_EQ(by_squares[n], 0);
+  EXPECT_EQ(by_squares[n + 1], 0);
 }
 
 }  // namespace stereo_test

@@ -304,6 +304,15 @@ void set_images(Tracker& tracker, int b, stereo_frame const& f) {
   tracker.set_image(b, 1, view(f.right));
 }
 
+/// How a frame is tracked: by two calls, one, or one whose stages are queued one after the other.
+enum class calls { halves, whole, stages };
+
+struct walk_options {
+  calls by = calls::halves;
+  int guests = 0;  ///< every so many points of the map are not observed, 0 = none
+  int kept = 1;    ///< every so many keypoints of the last frame tell what they hold
+};
+
 /// The first frame makes the map, the others are tracked against the frame before and against the
 /// map.
 /// @param give called with batch entry, number and frame before each: hands over its images
@@ -311,11 +320,16 @@ void set_images(Tracker& tracker, int b, stereo_frame const& f) {
 template <typename Exec, typename Rig, typename Give>
 std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& exec,
                             std::vector<std::vector<stereo_frame> const*> const& walks,
-                            int first_stamp, Give const& give) {
+                            int first_stamp, Give const& give, walk_options const& how = {}) {
   std::vector<snapshot> all;
   int const batch = tracker.batch();
   int const numbers = tracker.cameras * tracker.capacity();
   std::vector<std::vector<int>> slots(at(batch));
+  auto const forget_some = [&] {
+    for (int i = 0; i < batch * numbers; ++i) {
+      if (i % how.kept != 0) { tracker.last_holder()[i] = -1; }
+    }
+  };
   auto const keep = [&](bool local) {
     exec.wait();
     for (int b = 0; b < batch; ++b) { all.push_back(take(tracker, b, local)); }
@@ -330,7 +344,10 @@ std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& e
       tracker.extract(exec);
       keep(false);
       for (int b = 0; b < batch; ++b) {
-        auto const points = points_of(tracker, exec, b);
+        auto points = points_of(tracker, exec, b);
+        for (std::size_t i = 0; how.guests > 0 && i < points.size(); i += at(how.guests)) {
+          points[i].observations = 0;
+        }
         tracker.update_map(exec, b, points.data(), static_cast<int>(points.size()));
         exec.wait();
         int* const holder = tracker.last_holder() + static_cast<std::ptrdiff_t>(b) * numbers;
@@ -344,17 +361,24 @@ std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& e
         }
         tracker.last_pose()[b] = tracker.predicted()[b];
       }
+      forget_some();
       continue;
     }
-    tracker.track_motion(exec);
-    keep(false);
     for (int b = 0; b < batch; ++b) {
       tracker.local_count()[b] = static_cast<int>(slots[at(b)].size());
       std::copy(
           slots[at(b)].begin(), slots[at(b)].end(),
           tracker.local_slots() + static_cast<std::ptrdiff_t>(b) * tracker.params().local_points);
     }
-    tracker.track_local(exec);
+    if (how.by == calls::halves) {
+      tracker.track_motion(exec);
+      keep(false);
+      tracker.track_local(exec);
+    } else if (how.by == calls::whole) {
+      tracker.track(exec);
+    } else {
+      tracker.track(exec, [](char const*) {});
+    }
     keep(true);
     for (int b = 0; b < batch; ++b) {
       std::copy(tracker.result().holder + static_cast<std::ptrdiff_t>(b) * numbers,
@@ -362,6 +386,7 @@ std::vector<snapshot> track(ft::frame_tracker<Exec, Rig>& tracker, Exec const& e
                 tracker.last_holder() + static_cast<std::ptrdiff_t>(b) * numbers);
       tracker.predicted()[b] = tracker.last_pose()[b] = tracker.result().T_cw[b];
     }
+    forget_some();
   }
   return all;
 }
@@ -531,6 +556,48 @@ TYPED_TEST(frame_tracker_test, without_pose_optimisation_keeps_the_prediction) {
   }
   EXPECT_GT(seen[1].matches, 100);
   EXPECT_EQ(held(seen[1]), seen[1].matches);
+}
+
+/// A walk by all `calls` gives the same bits.
+template <typename Rig, typename Exec>
+void expect_same_by_all_calls(Exec const& exec, Rig const& rig, ft::tracker_params const& p,
+                              std::vector<std::vector<stereo_frame> const*> const& walks,
+                              int guests) {
+  auto const all = [&](calls how) {
+    ft::frame_tracker<Exec, Rig> tracker(exec, rig, p, static_cast<int>(walks.size()));
+    return track(tracker, exec, walks, 1,
+                 [&](int b, int, stereo_frame const& f) { set_images(tracker, b, f); },
+                 {how, guests, 3});
+  };
+  auto const halves = all(calls::halves);
+  std::vector<snapshot> wanted;  // without the results in between
+  for (std::size_t i = 0; i < halves.size(); ++i) {
+    std::size_t const step = i / walks.size();
+    if (step % 2 == 0) { wanted.push_back(halves[i]); }
+  }
+  int matches = 0;
+  for (auto const& frame : wanted) { matches += frame.matches; }
+  EXPECT_GT(matches, 60) << "the local map adds next to nothing";
+  {
+    SCOPED_TRACE("one call");
+    expect_same(all(calls::whole), wanted);
+  }
+  SCOPED_TRACE("stage by stage");
+  expect_same(all(calls::stages), wanted);
+}
+
+TYPED_TEST(frame_tracker_test, one_call_gives_the_bits_of_two_halves) {
+  auto const fisheye_walk = make_walk(fisheye(), 0, 3);
+  for (bool const optimize : {false, true}) {
+    for (int const guests : {0, 5}) {
+      SCOPED_TRACE((optimize ? "with" : "without") + std::string(" pose optimisation, ") +
+                   (guests > 0 ? "some points" : "no point") + " without observations");
+      auto p = params();
+      p.optimize_last = p.optimize_local = optimize;
+      expect_same_by_all_calls(this->exec(), rig(), p, {&walk(0), &walk(1), &walk(2)}, guests);
+      expect_same_by_all_calls(this->exec(), fisheye(), p, {&fisheye_walk}, guests);
+    }
+  }
 }
 
 // ---- bad input --------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ struct no_scratch {};
 // `std::size_t extra_bytes() const`, at most what extra_scratch() says; then `group.extra()` is so
 // much memory on the multiprocessor. The host has none to give.
 
-// Before it is run, a functor for blocks may prepare(), see group.hpp.
+// Before it is run, a functor for blocks may prepare(), one for warps begin(); see group.hpp.
 
 /// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from
 /// several threads at a time.
@@ -112,12 +112,18 @@ template <typename Op, typename... Args>
 FT_WIDE void run_wide(Op const& op, int item, Args const&... args) {
   typename Op::scratch scratch;
   if constexpr (prepares<Op>) { op.prepare(single_group{}, scratch, item, args...); }
+  if constexpr (begins_beside<Op>) {
+    if (!op.begin(single_group{}, scratch, item, args...)) { return; }
+  }
   op(single_group{}, scratch, item, args...);
 }
 template <typename Op, typename... Args>
 void run_plain(Op const& op, int item, Args const&... args) {
   typename Op::scratch scratch;
   if constexpr (prepares<Op>) { op.prepare(single_group{}, scratch, item, args...); }
+  if constexpr (begins_beside<Op>) {
+    if (!op.begin(single_group{}, scratch, item, args...)) { return; }
+  }
   op(single_group{}, scratch, item, args...);
 }
 

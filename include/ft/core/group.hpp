@@ -46,6 +46,14 @@ inline constexpr bool prepares = false;
 template <typename Op>
 inline constexpr bool prepares<Op, std::enable_if_t<Op::prepares>> = true;
 
+/// Functors for warps say `static constexpr bool begins_beside = true` where they have a member
+/// `bool begin(group, scratch, item, args...)`: what they do, in a launch that is beside() another,
+/// before they wait for that one. False ends the item.
+template <typename Op, typename = void>
+inline constexpr bool begins_beside = false;
+template <typename Op>
+inline constexpr bool begins_beside<Op, std::enable_if_t<Op::begins_beside>> = true;
+
 }  // namespace detail
 
 /// One thread: every item on the host, and items of a single thread on the device.

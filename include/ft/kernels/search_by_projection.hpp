@@ -61,6 +61,9 @@ struct search_params {
   /// The candidates are listed while frame.right_x is not there yet: it is looked at when they are
   /// chosen from. Last frame only.
   bool right_later = false;
+  /// The candidates are listed while frame.holder and the points' stamps are not there yet:
+  /// leave_out() follows. Local map only.
+  bool holders_later = false;
 };
 
 /// Four candidates of a window, each distance << 23 | keypoint.
@@ -89,10 +92,11 @@ struct search_workspace {
   candidate_quad* list = nullptr;
   static constexpr int observed = 1 << 30;
   static constexpr int left_out = 1 << 29;
-  static constexpr int counted = left_out - 1;
-  /// [cameras][batch][capacity], may exceed list_size; 0 where a window can take none of them; plus
-  /// `observed` where the point looked for is that, and `left_out` where candidates are not listed
-  /// since they are taken
+  static constexpr int unlisted = 1 << 28;
+  static constexpr int counted = unlisted - 1;
+  /// [cameras][batch][capacity] how many are listed, 0 where a window can take none of them; plus
+  /// `unlisted` where there are farther ones, `observed` where the point looked for is that, and
+  /// `left_out` where candidates are not listed since they are taken
   int* list_count = nullptr;
   /// [cameras][batch][capacity] keypoint taken by each window, -1 = none. Who lists the candidates
   /// begins with what a window of the local map would take if it were alone.
@@ -196,7 +200,9 @@ class candidate_list {
 public:
   static constexpr int size = search_workspace::list_size;
 
-  FT_HOST_DEVICE explicit candidate_list(candidate_quad* to) : to_(to) {}
+  /// @param found so many are there already
+  FT_HOST_DEVICE explicit candidate_list(candidate_quad* to, int found = 0)
+      : to_(to), found_(found) {}
 
   /// Candidates in the order of ranks; a negative distance is none.
   FT_HOST_DEVICE void add(Group g, int distance, int k) {
@@ -232,21 +238,43 @@ public:
     }
   }
 
-  /// Fills up the last quad. Returns how many candidates there were, 0 where the best is farther
-  /// than `limit`.
-  FT_HOST_DEVICE int finish(Group g, int limit) {
-    int const listed = min_of(found_, size);
-    if (listed == 0 || entry_distance(entry(0)) > limit) { return 0; }
-    for (int i = listed + g.rank(); i < (listed + 3) / 4 * 4; i += g.size()) { entry(i) = ~0u; }
-    return found_;
+  /// Takes out those of which taken(keypoint) is true. Returns how many these were.
+  template <typename Taken>
+  FT_HOST_DEVICE int take_out(Group g, Taken const& taken) {
+    int const listed = listed_now();
+    int left = 0;
+    for (int base = 0; base < listed; base += g.size()) {
+      int const i = base + g.rank();
+      std::uint32_t const that = entry(min_of(i, listed - 1));
+      bool const stays = i < listed && !taken(entry_keypoint(that));
+      int stay = 0;
+      int const place = left + g.exclusive_count(stays, stay);
+      g.sync();
+      if (stays) { entry(place) = that; }
+      left += stay;
+    }
+    g.sync();
+    taken_out_ = listed - left;
+    return taken_out_;
   }
 
-  /// Whether a window that is alone, and found `found`, refuses the nearest.
-  FT_HOST_DEVICE bool refused(search_params const& p, keypoints_view const& kp, int found) const {
-    return found > 1 && refuses(p, kp, entry_distance(entry(0)), nearest(),
-                                entry_distance(entry(1)), entry_keypoint(entry(1)));
+  /// Fills up the last quad. Returns how many are listed, 0 where the best is farther than `limit`,
+  /// plus search_workspace::unlisted.
+  FT_HOST_DEVICE int finish(Group g, int limit) {
+    int const listed = listed_now();
+    if (listed > 0 && entry_distance(entry(0)) > limit) { return 0; }
+    for (int i = listed + g.rank(); i < (listed + 3) / 4 * 4; i += g.size()) { entry(i) = ~0u; }
+    return listed + (unlisted() ? search_workspace::unlisted : 0);
+  }
+
+  /// Whether a window that is alone, and listed so many, refuses the nearest.
+  FT_HOST_DEVICE bool refused(search_params const& p, keypoints_view const& kp, int listed) const {
+    return listed > 1 && refuses(p, kp, entry_distance(entry(0)), nearest(),
+                                 entry_distance(entry(1)), entry_keypoint(entry(1)));
   }
   FT_HOST_DEVICE int nearest() const { return entry_keypoint(entry(0)); }
+  /// How many there were, may exceed what is listed.
+  FT_HOST_DEVICE int found() const { return found_; }
 
 private:
   FT_HOST_DEVICE static std::uint32_t packed(int distance, int k) {
@@ -254,18 +282,29 @@ private:
   }
   FT_HOST_DEVICE std::uint32_t& entry(int i) const { return to_[i / 4].entry[i % 4]; }
 
+  FT_HOST_DEVICE int listed_now() const { return min_of(found_, size) - taken_out_; }
+  FT_HOST_DEVICE bool unlisted() const { return found_ > size; }
+
   candidate_quad* to_;
   int found_ = 0;
+  int taken_out_ = 0;
 };
 
 }  // namespace detail
 
 /// One point: the candidates in its windows.
 struct list_candidates {
-  using scratch = no_scratch;
+  static constexpr int quads = search_workspace::list_size / 4;
+  /// Of a warp: lists while they are made.
+  struct scratch {
+    candidate_quad list[2][quads];
+    // Where holders come later:
+    int found[2];
+    bool observed[2];  ///< the point that is looked for
+  };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, frame_view const& frame,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_workspace const& work) const {
     int const b = item / windows.capacity;
@@ -274,17 +313,17 @@ struct list_candidates {
     window_pair pair;
     pair.of[0] = windows.at(0, b, i);
     if (frame.cameras == 2) { pair.of[1] = windows.at(1, b, i); }
-    list(g, b, i, pair, frame, map, params, work);
+    list(g, s, b, i, pair, frame, map, params, work);
   }
 
   /// Point i of batch entry b.
   template <typename Group>
-  FT_HOST_DEVICE static void list(Group g, int b, int i, window_pair const& windows,
+  FT_HOST_DEVICE static void list(Group g, scratch& s, int b, int i, window_pair const& windows,
                                   frame_view const& frame, map_points_view const& map,
                                   search_params const& params, search_workspace const& work) {
     map_points_view const points = map.slice(b);
     int const limit = detail::listed_distance(params);
-    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    int const* const holder = holders(b, frame, params);
     float const* const right_x =
         frame.right_x == nullptr || params.right_later
             ? nullptr
@@ -294,23 +333,18 @@ struct list_candidates {
     for (int c = 0; c < frame.cameras; ++c) {
       bool left_out = false;
       search_window const w = windows.camera(c);
-      std::ptrdiff_t const at = work.window(c, b, i);
-      int found = 0;
-      int first = -1;
+      detail::candidate_list<Group> list(s.list[c]);
       bool in_window = false;
       if (w.slot >= 0 && !left_empty) {
-        detail::candidate_list<Group> list(work.list + at * (search_workspace::list_size / 4));
         keypoints_view const kp = frame.camera(b, c);
         descriptor const wanted = get<field::orb>(points, w.slot);
         visit_cells(g, w, frame.grids.slice(frame.cameras * b + c), [&](int k) {
           int distance = -1;
           if (k >= 0) {
-            // What is taken stays taken, but where a point without observations takes it over as a
-            // partner.
-            int const held = params.from_empty ? -1 : holder[c * frame.capacity() + k];
+            int const held = holder == nullptr ? -1 : holder[c * frame.capacity() + k];
             distance =
                 detail::candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
-            if (distance >= 0 && held >= 0 && get<field::observations>(points, held) > 0) {
+            if (distance >= 0 && keeps(points, held)) {
               distance = -1;
               left_out = true;
             }
@@ -318,25 +352,80 @@ struct list_candidates {
           }
           list.add(g, distance, k);
         });
-        found = list.finish(g, params.max_distance);
-        if (params.kind == search_kind::local_map && found > 0 && !refused) {
-          bool const alike = list.refused(params, kp, found);
-          first = alike ? -1 : list.nearest();
-          refused = alike && c == 0;
-        }
-        if (frame.cameras == 2 && g.ballot(left_out) != 0) { found |= search_workspace::left_out; }
-        if (found != 0 && get<field::observations>(points, w.slot) > 0) {
-          found |= search_workspace::observed;
-        }
       }
-      if (g.rank() == 0) {
-        work.list_count[at] = found;
-        work.match[at] = first;
+      bool const observed = w.slot >= 0 && keeps(points, w.slot);
+      if (!params.holders_later) {
+        write(g, s, b, i, c, observed, list, left_out, refused, frame, params, work);
+      } else if (g.rank() == 0) {
+        s.found[c] = list.found();
+        s.observed[c] = observed;
       }
       if (params.kind == search_kind::last_frame && frame.cameras == 2) {
         left_empty = g.ballot(in_window) == 0;
       }
     }
+    g.sync();
+  }
+
+  /// What list() does at once where the holders are there.
+  template <typename Group>
+  FT_HOST_DEVICE static void leave_out(Group g, scratch& s, int b, int i, frame_view const& frame,
+                                       map_points_view const& map, search_params params,
+                                       search_workspace const& work) {
+    params.holders_later = false;
+    map_points_view const points = map.slice(b);
+    int const* const holder = holders(b, frame, params);
+    bool refused = false;
+    for (int c = 0; c < frame.cameras; ++c) {
+      int const found = s.found[c];
+      detail::candidate_list<Group> list(s.list[c], found);
+      int const taken =
+          list.take_out(g, [&](int k) { return keeps(points, holder[c * frame.capacity() + k]); });
+      write(g, s, b, i, c, s.observed[c], list, taken > 0, refused, frame, params, work);
+    }
+  }
+
+private:
+  /// Null where nobody holds anything yet.
+  FT_HOST_DEVICE static int const* holders(int b, frame_view const& frame,
+                                           search_params const& params) {
+    bool const none = params.from_empty || params.holders_later;
+    return none ? nullptr : frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+  }
+  /// Whether the point in a slot, -1 = none, keeps a keypoint that it holds: what is taken stays
+  /// taken, but where a point without observations takes it over as a partner.
+  FT_HOST_DEVICE static bool keeps(map_points_view const& points, int slot) {
+    return slot >= 0 && get<field::observations>(points, slot) > 0;
+  }
+
+  /// The list of window i of camera c. @param observed the point looked for is that
+  /// @param left_out of any thread: something taken is not in it
+  /// @param refused see assign_keypoints::choose
+  template <typename Group>
+  FT_HOST_DEVICE static void write(Group g, scratch& s, int b, int i, int c, bool observed,
+                                   detail::candidate_list<Group>& list, bool left_out,
+                                   bool& refused, frame_view const& frame,
+                                   search_params const& params, search_workspace const& work) {
+    std::ptrdiff_t const at = work.window(c, b, i);
+    int found = list.finish(g, params.max_distance);
+    int const listed = found & search_workspace::counted;
+    int first = -1;
+    if (params.kind == search_kind::local_map && listed > 0 && !refused) {
+      bool const alike = list.refused(params, frame.camera(b, c), listed);
+      first = alike ? -1 : list.nearest();
+      refused = alike && c == 0;
+    }
+    g.sync();
+    for (int q = g.rank(); 4 * q < listed; q += g.size()) {
+      work.list[at * quads + q] = s.list[c][q];
+    }
+    if (frame.cameras == 2 && g.ballot(left_out) != 0) { found |= search_workspace::left_out; }
+    if (found != 0 && observed) { found |= search_workspace::observed; }
+    if (g.rank() == 0) {
+      work.list_count[at] = found;
+      work.match[at] = first;
+    }
+    g.sync();
   }
 };
 
@@ -362,22 +451,33 @@ struct assign_keypoints {
   };
   struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
 
+  static constexpr bool prepares = true;
+  /// Empties the tables.
+  template <typename Group, typename... Args>
+  FT_HOST_DEVICE static void prepare(Group g, scratch& s, int, frame_view const& frame,
+                                     Args const&...) {
+    if constexpr (Turns) {
+      if (in_scratch(frame)) { empty(g, s, s.writer, s.before, frame.numbers()); }
+    }
+  }
+
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_workspace const& work) const {
-    assign(g, s, b, frame, map, windows, params, work, [](int const*) { return false; });
+    assign(g, s, b, frame, map, windows, params, work, true, [](int const*) { return false; });
   }
 
   /// The same. Where every window has one keypoint at most, and every keypoint one owner or nobody,
   /// calls write(owners) first: list_size times a window and more for each keypoint, or nobody.
   /// Returns true, and writes nothing, if that did. `s` but for what `owners` points to is free
   /// then.
+  /// @param prepared prepare() was called, and nothing else since
   template <typename Group, typename Write>
   FT_HOST_DEVICE static bool assign(Group g, scratch& s, int b, frame_view const& frame,
                                     map_points_view const& map, search_windows_view const& windows,
                                     search_params const& params, search_workspace const& work,
-                                    Write const& write) {
+                                    bool prepared, Write const& write) {
     static_assert(Turns || Group::max_threads == 1, "the plain loop is for one thread");
     context const ctx{b,
                       frame,
@@ -393,11 +493,19 @@ struct assign_keypoints {
                           ? nullptr
                           : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
     if constexpr (Turns) {
-      if (params.kind == search_kind::last_frame && let_propose(g, s, ctx)) {
-        bool const simple = frame.numbers() <= scratch_size && s.guests == 0 && params.from_empty;
+      auto const empty_all = [&] { empty(g, s, owners(s, ctx), seconds(s, ctx), frame.numbers()); };
+      if (!prepared || !in_scratch(frame)) { empty_all(); }
+      g.sync();
+      bool const proposes = params.kind == search_kind::last_frame;
+      if (proposes && let_propose(g, s, ctx)) {
+        bool const simple = in_scratch(frame) && s.guests == 0 && params.from_empty;
         if (simple && write(s.writer)) { return true; }
         write_proposed(g, s, ctx);
       } else {
+        if (proposes) {
+          empty_all();
+          g.sync();
+        }
         take_turns(g, s, ctx);
       }
     } else {
@@ -454,7 +562,8 @@ private:
 
   /// Of a window's count. @param all candidates that were left out of the list are some
   FT_HOST_DEVICE static bool has_candidates(int count, bool all) {
-    return (count & (search_workspace::counted | (all ? search_workspace::left_out : 0))) != 0;
+    constexpr int some = search_workspace::counted | search_workspace::unlisted;
+    return (count & (some | (all ? search_workspace::left_out : 0))) != 0;
   }
 
   FT_HOST_DEVICE static void one_after_another(context const& ctx) {
@@ -486,22 +595,15 @@ private:
   /// marriage", 1962). False where a list was at its end.
   template <typename Group>
   FT_HOST_DEVICE static bool let_propose(Group g, scratch& s, context const& ctx) {
-    int const numbers = ctx.frame.numbers();
     int const n = ctx.windows.count[ctx.b];
     int* const owner = owners(s, ctx);
-    for (int k = g.rank(); k < numbers; k += g.size()) { owner[k] = nobody; }
-    if (g.rank() == 0) {
-      s.list_ended = 0;
-      s.guests = 0;
-    }
-    g.sync();
     detail::load_ahead<2>(
         g, ctx.frame.cameras * n,
         [&](int w) { return proposal::from(ctx, w < n ? 0 : 1, w < n ? w : w - n, 0); },
         [&](int w, proposal const& first) {
           if ((first.count & search_workspace::observed) != 0) {
             propose(s, ctx, w < n ? 0 : 1, w < n ? w : w - n, first, owner);
-          } else if ((first.count & search_workspace::counted) != 0) {
+          } else if (has_candidates(first.count, false)) {
             s.guests = 1;
           }
         });
@@ -511,11 +613,31 @@ private:
     return false;
   }
 
+  /// Whether block scratch has place for a table of keypoints.
+  FT_HOST_DEVICE static bool in_scratch(frame_view const& frame) {
+    return frame.numbers() <= scratch_size;
+  }
   /// Of a keypoint: list_size times the window that has it, plus its place in the window's list.
   FT_HOST_DEVICE static int* owners(scratch& s, context const& ctx) {
-    int const numbers = ctx.frame.numbers();
-    return numbers <= scratch_size ? s.writer
-                                   : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * numbers;
+    return in_scratch(ctx.frame)
+               ? s.writer
+               : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.numbers();
+  }
+  /// The other table of keypoints.
+  FT_HOST_DEVICE static int* seconds(scratch& s, context const& ctx) {
+    return in_scratch(ctx.frame)
+               ? s.before
+               : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
+  }
+  /// Nobody has or writes a keypoint yet.
+  template <typename Group>
+  FT_HOST_DEVICE static void empty(Group g, scratch& s, int* writer, int* before, int numbers) {
+    for (int k = g.rank(); k < numbers; k += g.size()) { writer[k] = before[k] = nobody; }
+    if (g.rank() == 0) {
+      s.list_ended = 0;
+      s.guests = 0;
+      s.first_changed[0] = nobody;
+    }
   }
 
   /// What the proposals have led to. Those that look for points without observations choose now:
@@ -526,9 +648,7 @@ private:
     int const n = ctx.windows.count[ctx.b];
     int const* const owner = owners(s, ctx);
     // The last of them that took a keypoint.
-    int* const guest = numbers <= scratch_size
-                           ? s.before
-                           : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
+    int* const guest = seconds(s, ctx);
     int taken = 0;
     bool const guests = s.guests != 0;
     if (guests) {
@@ -603,9 +723,8 @@ private:
                                      int* owner) {
     int place = 0;
     for (;;) {
-      int const n = now.count & search_workspace::counted;
-      if (place >= min_of(n, list_size)) {
-        if (n > list_size) { s.list_ended = 1; }
+      if (place >= (now.count & search_workspace::counted)) {
+        if ((now.count & search_workspace::unlisted) != 0) { s.list_ended = 1; }
         return;
       }
       if (detail::entry_distance(now.entry) > ctx.params.max_distance) { return; }
@@ -678,17 +797,18 @@ private:
     int* now;   ///< the same of this turn
     int numbers;
     int writes;  ///< in a turn, at most
-    int base = 0;
-    int base_now = 0;
+    int base;
+    int base_now;
 
+    /// @param a,b emptied
     FT_HOST_DEVICE first_writes(int* a, int* b, int keypoints, int most)
-        : last(a), now(b), numbers(keypoints), writes(most) {}
+        : last(a),
+          now(b),
+          numbers(keypoints),
+          writes(most),
+          base(nobody - most),
+          base_now(nobody - most) {}
 
-    template <typename Group>
-    FT_HOST_DEVICE void clear(Group g) {
-      for (int k = g.rank(); k < numbers; k += g.size()) { last[k] = now[k] = nobody; }
-      base = base_now = nobody - writes;
-    }
     /// The turn before is the one that just ended, for all threads.
     template <typename Group>
     FT_HOST_DEVICE void next_turn(Group g, context const&, open_points const&) {
@@ -780,20 +900,12 @@ private:
   FT_HOST_DEVICE static void take_turns(Group g, scratch& s, context const& ctx) {
     int const numbers = ctx.frame.numbers();
     int const n = ctx.windows.count[ctx.b];
-    bool const small = numbers <= scratch_size;
     std::ptrdiff_t const at = ctx.b;
-    int* const links = ctx.work.before + at * ctx.work.links;
     open_points open{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
                      ctx.frame.cameras, ctx.partner != nullptr ? 1 : 0, 0};
-    int* const writer = small ? s.writer : ctx.work.writer + at * numbers;
-    first_writes firsts(writer, small ? s.before : links, numbers, n * open.writes());
-    firsts.clear(g);
-    if (g.rank() == 0) {
-      s.guests = 0;
-      s.first_changed[0] = nobody;
-      ctx.work.matches[ctx.b] = 0;
-    }
-    g.sync();
+    int* const writer = owners(s, ctx);
+    first_writes firsts(writer, seconds(s, ctx), numbers, n * open.writes());
+    if (g.rank() == 0) { ctx.work.matches[ctx.b] = 0; }
     list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
       each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
     });
@@ -805,9 +917,11 @@ private:
       if (open.cameras == 2) {
         list_open(g, s, ctx, n, open, true, [](int, choice const&) {});
       }
-      write_chains const chains{writer,
-                                open.count * open.writes() <= scratch_size ? s.before : links,
-                                small ? s.held : ctx.work.held + at * numbers, numbers};
+      write_chains const chains{
+          writer,
+          open.count * open.writes() <= scratch_size ? s.before
+                                                     : ctx.work.before + at * ctx.work.links,
+          in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers, numbers};
       for (int k = g.rank(); k < numbers; k += g.size()) {
         chains.held[k] = static_cast<std::uint8_t>(ctx.held(k));
       }
@@ -960,7 +1074,8 @@ private:
   /// A window's candidates: how many, and the nearest, loaded together.
   struct window_list {
     int n = 0;
-    bool complete = true;
+    bool complete = true;   ///< what was left out is of no use
+    bool unlisted = false;  ///< there are farther ones
     candidate_quad nearest{};
 
     /// @param guests what was taken may not be any more: those left out count
@@ -968,6 +1083,7 @@ private:
       if (!any) { return; }
       int const count = ctx.list_count(c, i);
       n = count & search_workspace::counted;
+      unlisted = (count & search_workspace::unlisted) != 0;
       complete = !guests || (count & search_workspace::left_out) == 0;
       if (!guests || n > 0) { nearest = *ctx.list(c, i); }
     }
@@ -1021,24 +1137,23 @@ private:
                                               window_list const& list, bool with_ratio,
                                               Taken const& taken, nearest_two& found) {
     int const n = list.n;
-    constexpr int size = search_workspace::list_size;
     if (!list.complete) { return false; }
     candidate_quad quad = list.nearest;
     FT_NO_UNROLL
-    for (int q = 0; 4 * q < min_of(n, size); ++q) {
+    for (int q = 0; 4 * q < n; ++q) {
       if (q > 0) { quad = ctx.list(c, i)[q]; }
       FT_UNROLL
       for (int e = 0; e < 4; ++e) {
         int const distance = detail::entry_distance(quad.entry[e]);
         int const k = detail::entry_keypoint(quad.entry[e]);
-        if (4 * q + e >= n) { return true; }
+        if (4 * q + e >= n) { return !list.unlisted; }
         if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
         if (taken(ctx.number(c, k), true) || ctx.misses_right(c, i, k)) { continue; }
         found.add(k, distance);
         if (!with_ratio || found.second_k >= 0) { return true; }
       }
     }
-    return n <= size;
+    return !list.unlisted;
   }
 
   template <typename Taken>
@@ -1118,10 +1233,10 @@ struct last_search {
 /// One keypoint of the last frame: the windows of its map point, and their candidates.
 template <typename Rig>
 struct list_last_point {
-  using scratch = no_scratch;
+  using scratch = list_candidates::scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, last_search<Rig> const& search,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, last_search<Rig> const& search,
                                  frame_view const& frame, map_points_view const& map,
                                  pyramid_geometry const& geometry, search_params const& params,
                                  search_windows_view const& windows,
@@ -1131,13 +1246,13 @@ struct list_last_point {
     int const count = last_point_count(search.last, b);
     if (i == 0 && g.rank() == 0) { windows.count[b] = count; }
     if (i >= count) { return; }
-    list(g, b, i, search, search.params.th, frame, map, geometry, params, windows, work);
+    list(g, s, b, i, search, search.params.th, frame, map, geometry, params, windows, work);
   }
 
   /// Window i of batch entry b. @param th half side of a window at scale 1, pixels
   template <typename Group>
-  FT_HOST_DEVICE static void list(Group g, int b, int i, last_search<Rig> const& search, float th,
-                                  frame_view const& frame, map_points_view const& map,
+  FT_HOST_DEVICE static void list(Group g, scratch& s, int b, int i, last_search<Rig> const& search,
+                                  float th, frame_view const& frame, map_points_view const& map,
                                   pyramid_geometry const& geometry, search_params const& params,
                                   search_windows_view const& windows,
                                   search_workspace const& work) {
@@ -1147,7 +1262,7 @@ struct list_last_point {
       windows.at(0, b, i) = pair.of[0];
       if constexpr (!Rig::rectified) { windows.at(1, b, i) = pair.of[1]; }
     }
-    list_candidates::list(g, b, i, pair, frame, map, params, work);
+    list_candidates::list(g, s, b, i, pair, frame, map, params, work);
   }
 
 private:
@@ -1328,9 +1443,19 @@ template <typename Rig, bool Turns>
 struct assign_last_points {
   using assignment = assign_keypoints<Turns>;
   struct scratch {
-    typename assignment::scratch assigned;
+    union {
+      typename assignment::scratch assigned;
+      list_candidates::scratch lists[assign_threads / 32];  ///< of the warps, for the second try
+    };
     check_orientation::scratch orientation;
   };
+
+  static constexpr bool prepares = true;
+  template <typename Group, typename... Args>
+  FT_HOST_DEVICE static void prepare(Group g, scratch& s, int b, last_search<Rig> const&,
+                                     frame_view const& frame, Args const&...) {
+    assignment::prepare(g, s.assigned, b, frame);
+  }
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, last_search<Rig> const& search,
@@ -1346,12 +1471,13 @@ struct assign_last_points {
         stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + slot] = now;
       }
     };
+    bool prepared = true;
     for (int least = search.params.retry_below;; least = 0) {
       // Before the assignment's first barrier.
       for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.orientation.histogram[i] = 0; }
       bool enough = false;
       bool const written = assignment::assign(
-          g, s.assigned, b, frame, map, windows, params, work, [&](int const* owners) {
+          g, s.assigned, b, frame, map, windows, params, work, prepared, [&](int const* owners) {
             if constexpr (Turns) {
               enough = write_owned(g, s, b, search, left_count, frame, windows, work, owners, least,
                                    stamp);
@@ -1373,8 +1499,10 @@ struct assign_last_points {
         }
       }
       if (enough) { return; }
-      list_wider(g, b, search, frame, map, geometry, params, windows, work);
       g.sync();
+      list_wider(g, s, b, search, frame, map, geometry, params, windows, work);
+      g.sync();
+      prepared = false;
     }
   }
 
@@ -1437,7 +1565,7 @@ private:
   }
 
   template <typename Group>
-  FT_HOST_DEVICE static void list_wider(Group g, int b, last_search<Rig> const& search,
+  FT_HOST_DEVICE static void list_wider(Group g, scratch& s, int b, last_search<Rig> const& search,
                                         frame_view const& frame, map_points_view const& map,
                                         pyramid_geometry const& geometry,
                                         search_params const& params,
@@ -1445,8 +1573,8 @@ private:
                                         search_workspace const& work) {
     int const count = windows.count[b];
     for (int i = g.part_index(); i < count; i += g.parts()) {
-      list_last_point<Rig>::list(g.part(), b, i, search, 2 * search.params.th, frame, map, geometry,
-                                 params, windows, work);
+      list_last_point<Rig>::list(g.part(), s.lists[g.part_index()], b, i, search,
+                                 2 * search.params.th, frame, map, geometry, params, windows, work);
     }
   }
 };

@@ -360,7 +360,7 @@ public:
     grid_geometry const cells = grid_geometry::over(0, 0, static_cast<float>(params.orb.width),
                                                     static_cast<float>(params.orb.height));
     int const numbers = cameras * capacity;
-    int const windows = max_of(numbers, params.local_points);
+    int const windows = lists_early() ? numbers : max_of(numbers, params.local_points);
     arena_ = arena<space>([&](carver& c) {
       carve(c, map_, params.map_slots, batch);
       carve(c, frame_.grids, cells, capacity, cameras * batch);
@@ -368,6 +368,7 @@ public:
       carve(c, last_windows_, numbers, batch, cameras);
       carve(c, local_windows_, params.local_points, batch, cameras);
       carve(c, work_, windows, capacity, batch, cameras);
+      if (lists_early()) { carve(c, local_work_, params.local_points, capacity, batch, cameras); }
       carve(c, observations_, numbers, batch);
       frame_.holder = c.take<int>(b * static_cast<std::size_t>(numbers));
       stamps_ = c.take<int>(slots);
@@ -376,6 +377,7 @@ public:
                                     static_cast<std::size_t>(params.local_points));
       updates_ = c.take<point_update>(static_cast<std::size_t>(params.updates));
     });
+    if (!lists_early()) { local_work_ = work_; }
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
     images_ = buffer<std::uint8_t, staging>(detail::checked_mul(2 * b, staged_bytes()));
     std::memset(images_.data(), 0, images_.bytes());
@@ -639,7 +641,9 @@ private:
                      observations_);
       mark("pose last frame");
     }
-    if constexpr (branches<Mark> && !Rig::rectified) { match_branch_.join(exec); }
+    if constexpr (branches<Mark> && !Rig::rectified) {
+      if (!(with_local && lists_early())) { match_branch_.join(exec); }
+    }
   }
 
   /// Recordings and calls without marks have side branches.
@@ -649,12 +653,17 @@ private:
   template <typename Mark>
   void queue_track(Exec const& exec, Mark&& mark) {
     queue_motion(exec, mark, true);
-    queue_local(exec, {}, mark);
+    queue_local(exec, {}, mark, branches<Mark> && lists_early());
   }
 
-  /// After the local map's slots and the poses are there.
+  /// Whether the local map is looked for from where the search from the last frame is: then its
+  /// candidates are listed while that one chooses.
+  bool lists_early() const { return !params_.optimize_last; }
+
+  /// After the local map's slots and the poses are there. @param early the launch ahead is the
+  /// choice of the search from the last frame
   template <typename Mark>
-  void queue_local(Exec const& exec, local_search_params const& params, Mark&& mark) {
+  void queue_local(Exec const& exec, local_search_params const& params, Mark&& mark, bool early) {
     local_search<Rig> search;
     search.rig = rig_;
     search.poses = poses_;
@@ -671,17 +680,19 @@ private:
                                 result_);
     };
     if constexpr (branches<Mark>) {
+      auto const write_beside = [&](Exec const& e) {
+        if (early && !Rig::rectified) { match_branch_.join(e); }
+        auto&& branch = view_branch_.fork(e);
+        write_visibility(branch);
+        write_keypoints(branch);
+      };
       search_local_map(exec, search, frame_, map_, geometry(), search_params{}, local_windows_,
-                       work_, [&](Exec const& e) {
-                         auto&& branch = view_branch_.fork(e);
-                         write_visibility(branch);
-                         write_keypoints(branch);
-                       });
+                       local_work_, write_beside, early);
     } else {
       find_visible_points(exec, search, map_, geometry(), local_windows_);
       write_visibility(exec);
       mark("frustum");
-      search_by_projection(exec, frame_, map_, local_windows_, search_params{}, work_);
+      search_by_projection(exec, frame_, map_, local_windows_, search_params{}, local_work_);
       mark("search local map");
     }
     if (params_.optimize_local) {
@@ -694,7 +705,7 @@ private:
     } else {
       write_keypoints(exec);
     }
-    write_matches(exec, poses_, work_.matches,
+    write_matches(exec, poses_, local_work_.matches,
                   params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
   }
@@ -707,7 +718,7 @@ private:
       copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
            static_cast<std::size_t>(batch_));
     }
-    queue_local(exec, params, mark);
+    queue_local(exec, params, mark, false);
   }
 
   std::size_t staged_bytes() const {
@@ -786,6 +797,7 @@ private:
   search_windows_view last_windows_;
   search_windows_view local_windows_;
   search_workspace work_;
+  search_workspace local_work_;  ///< the same, where nothing is listed early
   observations_view observations_;
   frustum_params frustum_;
   int* stamps_ = nullptr;

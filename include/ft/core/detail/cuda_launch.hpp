@@ -37,6 +37,14 @@ __device__ inline void begin_launch(bool beside) {
   static_cast<void>(beside);
 #endif
 }
+/// Waits for the launch ahead of one that is beside it.
+__device__ inline void wait_for_launch_ahead(bool beside) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
+  if (beside) { cudaGridDependencySynchronize(); }
+#else
+  static_cast<void>(beside);
+#endif
+}
 /// Last in every kernel: who waits for a launch waits for the one ahead of it, too.
 __device__ inline void end_launch(bool beside) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
@@ -140,7 +148,12 @@ FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
   int const item = static_cast<int>(blockIdx.x) * Warps + warp;
-  if (item < items) { op(warp_group{}, scratch[warp], item, args...); }
+  bool more = item < items;
+  if constexpr (begins_beside<Op>) {
+    more = more && op.begin(warp_group{}, scratch[warp], item, args...);
+    if (more) { wait_for_launch_ahead(beside); }
+  }
+  if (more) { op(warp_group{}, scratch[warp], item, args...); }
   end_launch(beside);
 }
 

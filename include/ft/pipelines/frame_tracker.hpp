@@ -222,16 +222,6 @@ struct apply_updates {
   }
 };
 
-/// The pose to begin with where none is optimised before.
-struct copy_pose {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, pose const* from, pose* to) const {
-    to[item] = from[item];
-  }
-};
-
 /// Writes what the search found, and the poses, where the host reads it.
 struct pack_matches {
   using scratch = no_scratch;
@@ -526,7 +516,7 @@ public:
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
     queue_motion(exec, mark, false);
-    download(exec, poses_, work_.matches, params_.optimize_last ? observations_.inliers : nullptr);
+    download(exec, pose_of_motion(), work_.matches, params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
   }
 
@@ -613,27 +603,16 @@ private:
                         geometry(), last_windows_, work_, point_stamps{input.stamp, stamps_},
                         listed);
     };
-    auto const take_prediction = [this](Exec const& e) {
-      if (params_.optimize_last) { return; }
-      for_each_item<per_thread>(e, batch(), copy_pose{},
-                                static_cast<pose const*>(motion_.device.predicted), poses_);
-    };
     if constexpr (!branches<Mark>) {
-      search_on(exec, take_prediction);
+      search_on(exec, [](Exec const&) {});
     } else if constexpr (Rig::rectified) {
       // The lists need no stereo matches, the choice from them does.
       matcher_.match_prepared(exec, extractor_);
-      search_on(beside(exec), [&](Exec const& e) {
-        take_prediction(beside(e));
-        matcher_.finish(e, extractor_);
-      });
+      search_on(beside(exec), [&](Exec const& e) { matcher_.finish(e, extractor_); });
     } else {
       // Nor does the choice for two cameras. The lists begin first.
       auto&& branch = match_branch_.fork(exec);
-      search_on(exec, [&](Exec const& e) {
-        matcher_.match_prepared(branch, extractor_);
-        take_prediction(beside(e));
-      });
+      search_on(exec, [&](Exec const&) { matcher_.match_prepared(branch, extractor_); });
     }
     mark("search last frame");
     if (params_.optimize_last) {
@@ -656,6 +635,10 @@ private:
     queue_local(exec, {}, mark, branches<Mark> && lists_early());
   }
 
+  /// The pose that the search in the local map begins with, [batch].
+  pose const* pose_of_motion() const {
+    return params_.optimize_last ? poses_ : motion_.device.predicted;
+  }
   /// Whether the local map is looked for from where the search from the last frame is: then its
   /// candidates are listed while that one chooses.
   bool lists_early() const { return !params_.optimize_last; }
@@ -666,7 +649,7 @@ private:
   void queue_local(Exec const& exec, local_search_params const& params, Mark&& mark, bool early) {
     local_search<Rig> search;
     search.rig = rig_;
-    search.poses = poses_;
+    search.poses = pose_of_motion();
     search.slots = local_.device.slots;
     search.slot_count = local_.device.count;
     search.stamps = {motion_.device.stamp, stamps_};
@@ -696,7 +679,7 @@ private:
       mark("search local map");
     }
     if (params_.optimize_local) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, poses_, poses_,
+      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, pose_of_motion(), poses_,
                      observations_);
       mark("pose local map");
     }
@@ -705,7 +688,7 @@ private:
     } else {
       write_keypoints(exec);
     }
-    write_matches(exec, poses_, local_work_.matches,
+    write_matches(exec, params_.optimize_local ? poses_ : pose_of_motion(), local_work_.matches,
                   params_.optimize_local ? observations_.inliers : nullptr);
     mark("download");
   }
@@ -715,8 +698,10 @@ private:
     receive(exec, local_.source(), restart ? motion_.source() : block_source{});
     if (restart) {
       for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
-      copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
-           static_cast<std::size_t>(batch_));
+      if (params_.optimize_last) {
+        copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
+             static_cast<std::size_t>(batch_));
+      }
     }
     queue_local(exec, params, mark, false);
   }

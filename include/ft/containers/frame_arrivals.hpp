@@ -77,7 +77,7 @@ struct frame_arrivals {
   FT_HOST_DEVICE static int parts_of(pyramid_geometry const& g) {
     return ceil_div(ceil_div(g.width[0], 16) * g.height[0], quads_of_part);
   }
-  int counters() const { return batch * (parts + 1); }  ///< of both kinds
+  FT_HOST_DEVICE int counters() const { return batch * (parts + 1); }  ///< of both kinds
 
   /// For rows [begin, end) of level 0.
   template <typename Group>
@@ -118,6 +118,24 @@ struct clear_arrival {
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_arrivals const& arrivals) const {
     int const parts = arrivals.batch * arrivals.parts;
     (item < parts ? arrivals.received[item] : arrivals.placed[item - parts]) = 0;
+  }
+};
+
+/// The same and what else there is, for with_small_items.
+template <typename Also>
+struct clear_arrivals_and {
+  frame_arrivals arrivals;
+  Also also;
+
+  FT_HOST_DEVICE int count() const { return arrivals.counters() + also.count(); }
+  FT_HOST_DEVICE void operator()(int item) const {
+    int const counters = arrivals.counters();
+    if (item < counters) {
+      no_scratch none;
+      clear_arrival{}(single_group{}, none, item, arrivals);
+    } else {
+      also(item - counters);
+    }
   }
 };
 

@@ -122,6 +122,14 @@ private:
   arena<Space> arena_;
 };
 
+/// Sets all bytes of all columns and counts. Asynchronous where the executor is.
+template <typename Exec, typename... Fields>
+void fill(Exec const& exec, soa_view<Fields...> const& to, int value) {
+  std::size_t const n = static_cast<std::size_t>(to.capacity) * static_cast<std::size_t>(to.batch);
+  (fill_bytes(exec, array_of<Fields>(to), value, n * sizeof(typename Fields::type)), ...);
+  fill_bytes(exec, to.count, value, static_cast<std::size_t>(to.batch) * sizeof(int));
+}
+
 /// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous
 /// where the executor is; allocates nothing. @throws bad_argument for different shapes
 template <typename Exec, typename... Fields>

@@ -141,6 +141,30 @@ void for_each_item(host_exec const& exec, int items, Op const& op, Args const&..
   exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
 
+/// No items of another stage.
+struct no_items {
+  FT_HOST_DEVICE static int count() { return 0; }
+  FT_HOST_DEVICE void operator()(int /*item*/) const {}
+};
+
+/// A functor whose threads first do small items of another stage among them, `also(i)` for all i <
+/// also.count(): a launch less, and what waits for launches that were beside each other waits for
+/// one less.
+template <typename Op, typename Also>
+struct with_small_items {
+  static constexpr bool wide_on_host = detail::is_wide_on_host<Op>;
+  using scratch = typename Op::scratch;
+  Op op;
+  Also also;
+  int items;  ///< of the launch
+
+  template <typename Group, typename... Args>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, Args const&... args) const {
+    for (int i = item * g.size() + g.rank(); i < also.count(); i += items * g.size()) { also(i); }
+    op(g, s, item, args...);
+  }
+};
+
 /// For launches that fill the device.
 inline host_exec const& evenly(host_exec const& exec) { return exec; }
 /// For launches that need nothing of the one ahead.

@@ -311,12 +311,13 @@ private:
 };
 
 /// Every level of every image of `from`, blurred, into `to`. Asynchronous on `exec`; allocates
-/// nothing; one launch.
-template <typename Exec>
+/// nothing; one launch. @param also see with_small_items
+template <typename Exec, typename Also = no_items>
 void blur_pyramid(Exec const& exec, image_pyramid_view const& from, image_pyramid_view const& to,
-                  blur_layout const& layout) {
-  for_each_item<per_block<64>>(exec, from.batch * layout.first[layout.levels], blur_tile{}, from,
-                               to, layout);
+                  blur_layout const& layout, Also const& also = {}) {
+  int const tiles = from.batch * layout.first[layout.levels];
+  for_each_item<per_block<64>>(
+      exec, tiles, with_small_items<blur_tile, Also>{blur_tile{}, also, tiles}, from, to, layout);
 }
 
 }  // namespace FT_ABI

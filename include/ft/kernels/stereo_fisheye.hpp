@@ -296,12 +296,17 @@ FT_HOST_DEVICE inline vec3<float> triangulate(vec3<float> left, vec3<float> righ
 
 }  // namespace detail
 
-/// Forgets the partners of a frame before.
+/// Forgets the partners of a frame before; also for with_small_items.
 struct clear_partners {
   using scratch = no_scratch;
+  fisheye_matches_view out;
 
+  FT_HOST_DEVICE int count() const { return 2 * out.batch * out.capacity; }
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, fisheye_matches_view const& out) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item) const {
+    (*this)(item);
+  }
+  FT_HOST_DEVICE void operator()(int item) const {
     out.partner[item] = -1;
     int const k = item % (2 * out.capacity);
     if (k < out.capacity) {
@@ -443,7 +448,8 @@ private:
 /// The part of match_stereo_fisheye() that needs no keypoints; one launch.
 template <typename Exec>
 void clear_fisheye_matches(Exec const& exec, fisheye_matches_view const& out) {
-  for_each_item<per_thread>(exec, 2 * out.batch * out.capacity, clear_partners{}, out);
+  clear_partners const clear{out};
+  for_each_item<per_thread>(exec, clear.count(), clear);
 }
 
 /// The rest of it; one launch.

@@ -399,7 +399,6 @@ public:
     fill_bytes(exec, array_of<field::position>(map_), 0xff, slots * sizeof(vec3<float>));
     fill_bytes(exec, stamps_, 0, slots * sizeof(int));
     fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
-    fill_bytes(exec, extractor_.keypoints().count, 0, 2 * b * sizeof(int));
     exec.wait();
     match_branch_.make();
     view_branch_.make();
@@ -516,7 +515,8 @@ public:
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
     queue_motion(exec, mark, false);
-    download(exec, pose_of_motion(), work_.matches, params_.optimize_last ? observations_.inliers : nullptr);
+    download(exec, pose_of_motion(), work_.matches,
+             params_.optimize_last ? observations_.inliers : nullptr);
     mark("download");
   }
 
@@ -740,8 +740,7 @@ private:
     block_source const local = with_local ? local_.source() : block_source{};
     if constexpr (branches<Mark>) {
       extractor_.receive_and_extract(
-          exec, sources_.data(), motion_.source(), local,
-          [this](Exec const& e) { matcher_.clear(e); },
+          exec, sources_.data(), motion_.source(), local, matcher_.clearing(),
           detail::sort_keypoints<Rig::rectified>{frame_.grids, matcher_.right_rows()});
     } else {
       receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(), local);

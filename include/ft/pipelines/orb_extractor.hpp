@@ -105,7 +105,8 @@ public:
     // Whole words are read, so that what fills up rows has to be there.
     fill_bytes(exec, pyramid_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
-    // Corners are read ahead of how many there are, in all stages.
+    // Corners and keypoints are read ahead of how many there are, in all stages.
+    fill(exec, keypoints_, 0);
     auto const slots = b * static_cast<std::size_t>(cells.total_slots);
     fill_bytes(exec, corners_.list, 0, slots * sizeof(corner));
     fill_bytes(exec, corners_.entries, 0, slots * sizeof(corner));
@@ -155,16 +156,16 @@ public:
         [this](Exec const& e) {
           if (enters()) { gather_corners(e, corners_); }
         },
-        only_order{});
+        no_items{}, only_order{});
   }
   /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
   /// pyramid's tiles are made of rows that are there while the next ones are fetched.
-  /// @param besides called with an executor for launches beside the distribution, which leaves most
-  /// of a device idle
+  /// @param also small items beside the distribution, which leaves most of a device idle; see
+  /// with_small_items
   /// @param then what is done with an image's keypoints while they are described, see order_image
-  template <typename Besides, typename Then>
+  template <typename Also, typename Then>
   void receive_and_extract(Exec const& exec, image_source const* sources, block_source const& first,
-                           block_source const& second, Besides const& besides, Then const& then) {
+                           block_source const& second, Also const& also, Then const& then) {
     batch_.require_made("extractor");
     bool const overlap = Exec::asynchronous && tiles_.groups == 1;
     if (overlap) {
@@ -174,7 +175,8 @@ public:
       receive_images(exec, sources, pyramid_, first, second);
       resize(exec);
     }
-    extract_from_pyramid(exec, besides, then);
+    extract_from_pyramid(
+        exec, [](Exec const&) {}, also, then);
   }
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
@@ -230,13 +232,15 @@ public:
 private:
   /// The blur runs beside the quadtree, where most of a device is idle, and the description beside
   /// the order, of which it may need the places in the end.
-  template <typename Besides, typename Then>
-  void extract_from_pyramid(Exec const& exec, Besides const& besides, Then const& then) {
+  /// @param besides called with an executor for other launches there @param also small items there
+  template <typename Besides, typename Also, typename Then>
+  void extract_from_pyramid(Exec const& exec, Besides const& besides, Also const& also,
+                            Then const& then) {
     detect(exec);
     distribute(exec);
-    clear_arrivals(beside(exec));
     besides(beside(exec));
-    blur_pyramid(beside(exec), pyramid_, blurred_, blur_layout_);
+    blur_pyramid(beside(exec), pyramid_, blurred_, blur_layout_,
+                 clear_arrivals_and<Also>{arrivals_, also});
     order(exec, arrivals_, then);
     describe(beside(exec), arrivals_);
   }

@@ -64,23 +64,26 @@ public:
   /// an extractor of another shape than the one that the matcher was made with
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
-    clear(exec);
-    if constexpr (Rig::rectified) { sort_right_rows(exec, extractor.keypoints(), right_rows_); }
+    if constexpr (Rig::rectified) {
+      sort_right_rows(exec, extractor.keypoints(), right_rows_);
+    } else {
+      clear_fisheye_matches(exec, fisheye_);
+    }
     match_prepared(exec, extractor);
     finish(exec, extractor);
   }
-  /// The part of match() that needs no keypoints.
-  void clear(Exec const& exec) {
+  /// The part of match() that needs no keypoints, for with_small_items.
+  auto clearing() const {
     pairs_.require_made("stereo matcher");
     if constexpr (Rig::rectified) {
-      static_cast<void>(exec);
+      return no_items{};
     } else {
-      clear_fisheye_matches(exec, fisheye_);
+      return clear_partners{fisheye_};
     }
   }
   /// Of a rectified rig the grid of the right images' rows, which match_prepared() needs.
   feature_grid_view right_rows() const { return right_rows_; }
-  /// The part that needs descriptors, after clear().
+  /// The part that needs descriptors, after clearing().
   void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {

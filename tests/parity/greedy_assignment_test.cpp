@@ -323,7 +323,9 @@ struct list_then_leave_out {
                                  ft::search_windows_view const& windows,
                                  ft::search_params const& params,
                                  ft::search_workspace const& work) const {
-    ft::list_candidates::leave_out(g, s, item / windows.capacity, item % windows.capacity, frame,
+    int const b = item / windows.capacity;
+    ft::list_candidates::leave_out(g, s, b, item % windows.capacity,
+                                   ft::list_candidates::held(g, s, b, frame, map, params), frame,
                                    map, params, work);
   }
 };
@@ -984,6 +986,24 @@ TYPED_TEST(greedy_assignment_test, chains_of_displacement) {
     }
   }
   EXPECT_GT(this->seen_.blocked, 500);
+}
+
+TYPED_TEST(greedy_assignment_test, rotations_of_more_points_than_block_scratch_keeps) {
+  constexpr int scratch_size = ft::assign_keypoints<true>::scratch_size;
+  scene_limits large;
+  large.batch = 1;
+  large.keypoints = 1200;
+  large.windows = large.min_windows = scratch_size + 500;
+  large.width = 752;
+  large.height = 480;
+  large.radius = 12;
+  for (int cameras = 1; cameras <= 2; ++cameras) {
+    for (unsigned seed = 96000; seed < 96004; ++seed) {
+      SCOPED_TRACE("seed " + std::to_string(seed) + ", cameras: " + std::to_string(cameras));
+      this->compare(turned_scene(seed, cameras, 0, large));
+      if (this->HasFatalFailure()) { return; }
+    }
+  }
 }
 
 }  // namespace greedy_assignment

@@ -236,11 +236,14 @@ struct list_local_point_early {
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
     bool const known = s.slot >= 0 && s.slot < map.capacity;
-    if (known && search.stamps.stamped(b, map.capacity, s.slot)) {
+    // The stamp and the holders of all candidates are asked for together.
+    bool const stamped = known && search.stamps.stamped(b, map.capacity, s.slot);
+    unsigned const held = list_candidates::held(g, s, b, frame, map, params);
+    if (stamped) {
       constexpr int cameras = Rig::rectified ? 1 : 2;
       for (int c = g.rank(); c < cameras; c += g.size()) { hide(c, b, i, search, windows, work); }
     } else {
-      list_candidates::leave_out(g, s, b, i, frame, map, params, work);
+      list_candidates::leave_out(g, s, b, i, held, frame, map, params, work);
     }
   }
 

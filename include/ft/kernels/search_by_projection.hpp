@@ -238,7 +238,7 @@ public:
     }
   }
 
-  /// Takes out those of which taken(keypoint) is true. Returns how many these were.
+  /// Takes out those of which taken(place, keypoint) is true. Returns how many these were.
   template <typename Taken>
   FT_HOST_DEVICE int take_out(Group g, Taken const& taken) {
     int const listed = listed_now();
@@ -246,7 +246,7 @@ public:
     for (int base = 0; base < listed; base += g.size()) {
       int const i = base + g.rank();
       std::uint32_t const that = entry(min_of(i, listed - 1));
-      bool const stays = i < listed && !taken(entry_keypoint(that));
+      bool const stays = i < listed && !taken(i, entry_keypoint(that));
       int stay = 0;
       int const place = left + g.exclusive_count(stays, stay);
       g.sync();
@@ -367,11 +367,32 @@ struct list_candidates {
     g.sync();
   }
 
-  /// What list() does at once where the holders are there.
+  /// Which of the candidates that list() listed are held, bit 16 * camera + place: all are looked
+  /// up at once. For leave_out(); groups of one thread look them up there.
   template <typename Group>
-  FT_HOST_DEVICE static void leave_out(Group g, scratch& s, int b, int i, frame_view const& frame,
-                                       map_points_view const& map, search_params params,
-                                       search_workspace const& work) {
+  FT_HOST_DEVICE static unsigned held(Group g, scratch const& s, int b, frame_view const& frame,
+                                      map_points_view const& map, search_params params) {
+    constexpr int size = search_workspace::list_size;
+    static_assert(size == 16 && (Group::max_threads == 1 || Group::max_threads == 32), "bits");
+    if constexpr (Group::max_threads == 1) {
+      return 0;
+    } else {
+      params.holders_later = false;
+      int const* const holder = holders(b, frame, params);
+      int const c = g.rank() / size;
+      int const place = g.rank() % size;
+      bool const listed = c < frame.cameras && place < s.found[c];
+      int const k = listed ? detail::entry_keypoint(s.list[c][place / 4].entry[place % 4]) : 0;
+      int const slot = listed && holder != nullptr ? holder[c * frame.capacity() + k] : -1;
+      return g.ballot(keeps(map.slice(b), slot));
+    }
+  }
+
+  /// What list() does at once where the holders are there. @param taken_bits what held() said
+  template <typename Group>
+  FT_HOST_DEVICE static void leave_out(Group g, scratch& s, int b, int i, unsigned taken_bits,
+                                       frame_view const& frame, map_points_view const& map,
+                                       search_params params, search_workspace const& work) {
     params.holders_later = false;
     map_points_view const points = map.slice(b);
     int const* const holder = holders(b, frame, params);
@@ -379,8 +400,13 @@ struct list_candidates {
     for (int c = 0; c < frame.cameras; ++c) {
       int const found = s.found[c];
       detail::candidate_list<Group> list(s.list[c], found);
-      int const taken =
-          list.take_out(g, [&](int k) { return keeps(points, holder[c * frame.capacity() + k]); });
+      int const taken = list.take_out(g, [&](int place, int k) {
+        if constexpr (Group::max_threads == 1) {
+          return holder != nullptr && keeps(points, holder[c * frame.capacity() + k]);
+        } else {
+          return (taken_bits >> (search_workspace::list_size * c + place) & 1u) != 0;
+        }
+      });
       write(g, s, b, i, c, s.observed[c], list, taken > 0, refused, frame, params, work);
     }
   }
@@ -432,24 +458,34 @@ private:
 /// Threads of a block that assigns the keypoints of a frame.
 inline constexpr int assign_threads = 1024;
 
+namespace detail {
+
+/// State of an assignment in block scratch.
+struct assign_scratch {
+  static constexpr int size = 3072;
+  int open[size];
+  int writer[size];
+  int before[size];
+  std::uint8_t held[size];
+  int first_changed[3];  ///< of this turn, the one before and the next, which is cleared
+  int open_count;        ///< points in `open`, where they come in any order
+  int list_ended;        ///< 1 = somebody may want what the lists do not hold
+  int guests;            ///< 1 = somebody looks for a point without observations
+};
+
+}  // namespace detail
+
 /// All windows of one frame: who takes which keypoint.
 /// @tparam Turns true: all points choose at once, until nothing changes; false: the plain loop, for
 ///   groups of one thread
-template <bool Turns>
+/// @tparam Single one camera, and no stereo partners: the same with fewer instructions, which is
+///   what a block that is alone waits for. Chosen by assign() itself.
+template <bool Turns, bool Single = false>
 struct assign_keypoints {
   /// Frames of up to so many keypoints, and searches of so many points with candidates, keep their
   /// state in block scratch, others in the workspace.
-  static constexpr int scratch_size = 3072;
-  struct turns_scratch {
-    int open[scratch_size];
-    int writer[scratch_size];
-    int before[scratch_size];
-    std::uint8_t held[scratch_size];
-    int first_changed[3];  ///< of this turn, the one before and the next, which is cleared
-    int list_ended;        ///< 1 = somebody may want what the lists do not hold
-    int guests;            ///< 1 = somebody looks for a point without observations
-  };
-  struct scratch : std::conditional_t<Turns, turns_scratch, no_scratch> {};
+  static constexpr int scratch_size = detail::assign_scratch::size;
+  using scratch = std::conditional_t<Turns, detail::assign_scratch, no_scratch>;
 
   static constexpr bool prepares = true;
   /// Empties the tables.
@@ -465,13 +501,14 @@ struct assign_keypoints {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_windows_view const& windows,
                                  search_params const& params, search_workspace const& work) const {
-    assign(g, s, b, frame, map, windows, params, work, true, [](int const*) { return false; });
+    assign(g, s, b, frame, map, windows, params, work, true,
+           [](auto, int const*) { return false; });
   }
 
   /// The same. Where every window has one keypoint at most, and every keypoint one owner or nobody,
-  /// calls write(owners) first: list_size times a window and more for each keypoint, or nobody.
-  /// Returns true, and writes nothing, if that did. `s` but for what `owners` points to is free
-  /// then.
+  /// calls write(single, owners) first, with a constant `Single` and, for each keypoint, list_size
+  /// times a window and more, or nobody. Returns true, and writes nothing, if that did. `s` but for
+  /// what `owners` points to is free then.
   /// @param prepared prepare() was called, and nothing else since
   template <typename Group, typename Write>
   FT_HOST_DEVICE static bool assign(Group g, scratch& s, int b, frame_view const& frame,
@@ -479,6 +516,13 @@ struct assign_keypoints {
                                     search_params const& params, search_workspace const& work,
                                     bool prepared, Write const& write) {
     static_assert(Turns || Group::max_threads == 1, "the plain loop is for one thread");
+    bool const partners = frame.partner != nullptr && params.kind == search_kind::local_map;
+    if constexpr (Turns && !Single) {
+      if (frame.cameras == 1 && !partners) {
+        return assign_keypoints<Turns, true>::assign(g, s, b, frame, map, windows, params, work,
+                                                     prepared, write);
+      }
+    }
     context const ctx{b,
                       frame,
                       map.slice(b),
@@ -486,9 +530,9 @@ struct assign_keypoints {
                       params,
                       work,
                       frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
-                      frame.partner == nullptr || params.kind != search_kind::local_map
-                          ? nullptr
-                          : frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
+                      partners && !Single
+                          ? frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()
+                          : nullptr,
                       frame.right_x == nullptr || !params.right_later
                           ? nullptr
                           : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
@@ -499,7 +543,8 @@ struct assign_keypoints {
       bool const proposes = params.kind == search_kind::last_frame;
       if (proposes && let_propose(g, s, ctx)) {
         bool const simple = in_scratch(frame) && s.guests == 0 && params.from_empty;
-        if (simple && write(s.writer)) { return true; }
+        using single = std::integral_constant<bool, Single>;
+        if (simple && write(single{}, static_cast<int const*>(s.writer))) { return true; }
         write_proposed(g, s, ctx);
       } else {
         if (proposes) {
@@ -529,7 +574,15 @@ private:
     int const* partner;    ///< null where partners do not count
     float const* right_x;  ///< null where the lists have looked at it
 
-    FT_HOST_DEVICE int number(int camera, int k) const { return camera * frame.capacity() + k; }
+    FT_HOST_DEVICE int cameras() const { return Single ? 1 : frame.cameras; }
+    FT_HOST_DEVICE int numbers() const { return cameras() * frame.capacity(); }
+    FT_HOST_DEVICE bool partners() const { return !Single && partner != nullptr; }
+    FT_HOST_DEVICE int camera_of(int number) const {
+      return Single || number < frame.capacity() ? 0 : 1;
+    }
+    FT_HOST_DEVICE int number(int camera, int k) const {
+      return Single ? k : camera * frame.capacity() + k;
+    }
     FT_HOST_DEVICE int slot(int camera, int i) const { return windows.at(camera, b, i).slot; }
     FT_HOST_DEVICE bool observed(int slot) const {
       return slot >= 0 && get<field::observations>(points, slot) > 0;
@@ -555,9 +608,7 @@ private:
              detail::misses_right(windows.at(0, b, i), right_x[k]);
     }
     /// -1 = none
-    FT_HOST_DEVICE int partner_of(int number) const {
-      return partner != nullptr ? partner[number] : -1;
-    }
+    FT_HOST_DEVICE int partner_of(int number) const { return partners() ? partner[number] : -1; }
   };
 
   /// Of a window's count. @param all candidates that were left out of the list are some
@@ -567,13 +618,13 @@ private:
   }
 
   FT_HOST_DEVICE static void one_after_another(context const& ctx) {
-    int const numbers = ctx.frame.numbers();
+    int const numbers = ctx.numbers();
     for (int k = 0; ctx.params.from_empty && k < numbers; ++k) { ctx.holder[k] = -1; }
     int taken = 0;
     bool guests = false;  // what was taken may not be any more
     for (int i = 0; i < ctx.windows.count[ctx.b]; ++i) {
       bool refused = false;
-      for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for (int c = 0; c < ctx.cameras(); ++c) {
         bool const any = has_candidates(ctx.list_count(c, i), guests);
         int const k = choose(ctx, c, i, window_list(ctx, c, i, any, guests), refused,
                              [&](int number, bool) { return ctx.observed(ctx.holder[number]); });
@@ -595,22 +646,31 @@ private:
   /// marriage", 1962). False where a list was at its end.
   template <typename Group>
   FT_HOST_DEVICE static bool let_propose(Group g, scratch& s, context const& ctx) {
-    int const n = ctx.windows.count[ctx.b];
-    int* const owner = owners(s, ctx);
-    detail::load_ahead<2>(
-        g, ctx.frame.cameras * n,
-        [&](int w) { return proposal::from(ctx, w < n ? 0 : 1, w < n ? w : w - n, 0); },
-        [&](int w, proposal const& first) {
-          if ((first.count & search_workspace::observed) != 0) {
-            propose(s, ctx, w < n ? 0 : 1, w < n ? w : w - n, first, owner);
-          } else if (has_candidates(first.count, false)) {
-            s.guests = 1;
-          }
-        });
+    // One call for both would hide from compilers what is in block scratch.
+    if (in_scratch(ctx.frame)) {
+      let_propose(g, s, ctx, s.writer);
+    } else {
+      let_propose(g, s, ctx, owners(s, ctx));
+    }
     g.sync();
     if (s.list_ended == 0) { return true; }
     g.sync();
     return false;
+  }
+  template <typename Group>
+  FT_HOST_DEVICE static void let_propose(Group g, scratch& s, context const& ctx, int* owner) {
+    int const n = ctx.windows.count[ctx.b];
+    auto const camera = [n](int w) { return Single || w < n ? 0 : 1; };
+    detail::load_ahead<2>(
+        g, ctx.cameras() * n,
+        [&](int w) { return proposal::from(ctx, camera(w), w - camera(w) * n, 0); },
+        [&](int w, proposal const& first) {
+          if ((first.count & search_workspace::observed) != 0) {
+            propose(s, ctx, camera(w), w - camera(w) * n, first, owner);
+          } else if (has_candidates(first.count, false)) {
+            s.guests = 1;
+          }
+        });
   }
 
   /// Whether block scratch has place for a table of keypoints.
@@ -621,7 +681,7 @@ private:
   FT_HOST_DEVICE static int* owners(scratch& s, context const& ctx) {
     return in_scratch(ctx.frame)
                ? s.writer
-               : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.numbers();
+               : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * ctx.numbers();
   }
   /// The other table of keypoints.
   FT_HOST_DEVICE static int* seconds(scratch& s, context const& ctx) {
@@ -634,6 +694,7 @@ private:
   FT_HOST_DEVICE static void empty(Group g, scratch& s, int* writer, int* before, int numbers) {
     for (int k = g.rank(); k < numbers; k += g.size()) { writer[k] = before[k] = nobody; }
     if (g.rank() == 0) {
+      s.open_count = 0;
       s.list_ended = 0;
       s.guests = 0;
       s.first_changed[0] = nobody;
@@ -644,7 +705,7 @@ private:
   /// they keep nobody away.
   template <typename Group>
   FT_HOST_DEVICE static void write_proposed(Group g, scratch& s, context const& ctx) {
-    int const numbers = ctx.frame.numbers();
+    int const numbers = ctx.numbers();
     int const n = ctx.windows.count[ctx.b];
     int const* const owner = owners(s, ctx);
     // The last of them that took a keypoint.
@@ -654,7 +715,7 @@ private:
     if (guests) {
       for (int k = g.rank(); k < numbers; k += g.size()) { guest[k] = -1; }
       g.sync();
-      for (int c = 0; c < ctx.frame.cameras; ++c) {
+      for (int c = 0; c < ctx.cameras(); ++c) {
         for (int i = g.rank(); i < n; i += g.size()) {
           // Nothing that was left out comes back here: there are no partners.
           int const count = ctx.list_count(c, i);
@@ -676,7 +737,7 @@ private:
       g.sync();
     }
     for (int number = g.rank(); number < numbers; number += g.size()) {
-      int const c = number < ctx.frame.capacity() ? 0 : 1;
+      int const c = ctx.camera_of(number);
       if (owner[number] != nobody) {
         int const i = owner[number] / list_size;
         ctx.match(c, i) = number - c * ctx.frame.capacity();
@@ -750,9 +811,13 @@ private:
     static constexpr int any_left = 1 << 28;
     static constexpr int any_right = 1 << 27;
     int* list;  ///< index of a point, which windows have candidates and look for what is observed
-    int cameras;
-    int partners;  ///< 1 = stereo partners are taken, too
     int count;
+    int cameras_;
+    int partners_;
+
+    FT_HOST_DEVICE int cameras() const { return Single ? 1 : cameras_; }
+    /// 1 = stereo partners are taken, too
+    FT_HOST_DEVICE int partners() const { return Single ? 0 : partners_; }
 
     /// Point i in `list`, 0 where it has no candidates. @param counts of its windows, as in
     /// search_workspace @param all those that were not listed are some
@@ -772,7 +837,7 @@ private:
              ((entry & any_right) != 0 && (entry & observed_right) == 0);
     }
     /// Of a point; 1, 2 or 4.
-    FT_HOST_DEVICE int writes() const { return cameras << partners; }
+    FT_HOST_DEVICE int writes() const { return cameras() << partners(); }
     FT_HOST_DEVICE int index(int p) const { return list[p] & (any_right - 1); }
     FT_HOST_DEVICE bool any(int p, int camera) const {
       return (list[p] & (camera == 0 ? any_left : any_right)) != 0;
@@ -782,7 +847,8 @@ private:
     }
     /// Whether what a write gives a keypoint to is observed.
     FT_HOST_DEVICE bool observed(int write) const {
-      return observed(write >> (cameras - 1 + partners), (write >> partners) & (cameras - 1));
+      return observed(write >> (cameras() - 1 + partners()),
+                      (write >> partners()) & (cameras() - 1));
     }
   };
 
@@ -835,7 +901,7 @@ private:
     /// When the turns are over: finds the last write to each keypoint.
     template <typename Group>
     FT_HOST_DEVICE void find_last(Group g, context const& ctx, open_points const& open) const {
-      if (open.partners == 0) { return; }  // there is one
+      if (open.partners() == 0) { return; }  // there is one
       for (int p = g.rank(); p < open.count; p += g.size()) {
         each_write(ctx, open, p, last_choice(ctx, open, p),
                    [&](int, int number, int w) { atomic_min(now + number, -1 - w); });
@@ -843,7 +909,7 @@ private:
       g.sync();
     }
     FT_HOST_DEVICE bool is_last(open_points const& open, int number, int write) const {
-      return open.partners == 0 || now[number] == -1 - write;
+      return open.partners() == 0 || now[number] == -1 - write;
     }
   };
 
@@ -898,23 +964,30 @@ private:
 
   template <typename Group>
   FT_HOST_DEVICE static void take_turns(Group g, scratch& s, context const& ctx) {
-    int const numbers = ctx.frame.numbers();
+    int const numbers = ctx.numbers();
     int const n = ctx.windows.count[ctx.b];
     std::ptrdiff_t const at = ctx.b;
-    open_points open{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity,
-                     ctx.frame.cameras, ctx.partner != nullptr ? 1 : 0, 0};
+    open_points open{n <= scratch_size ? s.open : ctx.work.open + at * ctx.work.capacity, 0,
+                     ctx.cameras(), ctx.partners() ? 1 : 0};
     int* const writer = owners(s, ctx);
     first_writes firsts(writer, seconds(s, ctx), numbers, n * open.writes());
     if (g.rank() == 0) { ctx.work.matches[ctx.b] = 0; }
-    list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
-      each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
-    });
+    bool const alone = Single && in_scratch(ctx.frame) && n <= scratch_size &&
+                       ctx.params.kind == search_kind::local_map;
+    if (alone) {
+      if (settle_single(g, s, ctx, n)) { return; }
+      list_open(g, s, ctx, n, open, false, [](int, choice const&) {});
+    } else {
+      list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
+        each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
+      });
+    }
     g.sync();
     if (s.guests == 0) {
       firsts.next_turn(g, ctx, open);
       settle(g, s, ctx, open, firsts);
     } else {
-      if (open.cameras == 2) {
+      if (open.cameras() == 2) {
         list_open(g, s, ctx, n, open, true, [](int, choice const&) {});
       }
       write_chains const chains{
@@ -928,6 +1001,148 @@ private:
       chains.next_turn(g, ctx, open);
       settle(g, s, ctx, open, chains);
     }
+  }
+
+  /// A point with candidates of a search with one camera, without partners, in a word.
+  struct packed_point {
+    static constexpr int some_unlisted = 1 << 17;
+    int word;  ///< index, 12 bits; 5: how many are listed; whether others are not; choice + 1
+
+    static_assert(scratch_size < 1 << 12 && search_workspace::list_size < 1 << 5, "bits");
+    FT_HOST_DEVICE static packed_point of(int i, int count, int k) {
+      int const listed = count & search_workspace::counted;
+      return {i | listed << 12 | ((count & search_workspace::unlisted) != 0 ? some_unlisted : 0) |
+              (k + 1) << 18};
+    }
+    FT_HOST_DEVICE int index() const { return word & 0xfff; }
+    FT_HOST_DEVICE int listed() const { return word >> 12 & 0x1f; }
+    FT_HOST_DEVICE bool unlisted() const { return (word & some_unlisted) != 0; }
+    FT_HOST_DEVICE int choice() const { return (word >> 18) - 1; }
+    FT_HOST_DEVICE packed_point with(int k) const { return {(word & 0x3ffff) | (k + 1) << 18}; }
+  };
+
+  /// The turns with first writes, where there is one camera and no partner: in a word each, points
+  /// come in any order, and a write has its point's index for a number. False, and nothing is
+  /// written, where somebody looks for a point without observations.
+  /// @param n points, at most scratch_size, as are the keypoints
+  template <typename Group>
+  FT_HOST_DEVICE static bool settle_single(Group g, scratch& s, context const& ctx, int n) {
+    // Not through owners(): it has to be known where they compile that this is block scratch.
+    first_writes writes(s.writer, s.before, ctx.numbers(), n);
+    constexpr int steps = 3;
+    auto const part = g.part();
+    for (int first = 0; first < n; first += steps * g.size()) {
+      int const begin = first + steps * part.size() * g.part_index() + part.rank();
+      int counts[steps], made[steps], before[steps];
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        int const i = begin + t * part.size();
+        counts[t] = i < n ? ctx.list_count(0, i) : 0;
+        made[t] = i < n ? ctx.match(0, i) : -1;
+      }
+      int mine = 0;
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        int here = 0;
+        before[t] = mine + part.exclusive_count(has_candidates(counts[t], false), here);
+        mine += here;
+      }
+      int place = 0;
+      if (part.rank() == 0) { place = atomic_add(&s.open_count, mine); }
+      place = part.shuffle(place, 0);
+      FT_UNROLL
+      for (int t = 0; t < steps; ++t) {
+        if (!has_candidates(counts[t], false)) { continue; }
+        int const i = begin + t * part.size();
+        if ((counts[t] & search_workspace::observed) == 0) { s.guests = 1; }
+        s.open[place + before[t]] = packed_point::of(i, counts[t], made[t]).word;
+        if (made[t] >= 0) { writes.add(made[t], i); }
+      }
+    }
+    g.sync();
+    int const count = s.open_count;
+    bool const guests = s.guests != 0;
+    g.sync();
+    if (guests) { return false; }
+    open_points const unused{};
+    writes.next_turn(g, ctx, unused);
+    // Points below `begin` do not change any more.
+    int begin = 0;
+    for (int turn = 0;; turn = (turn + 1) % 3) {
+      if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = nobody; }
+      for (int p = g.rank(); p < count; p += g.size()) {
+        packed_point const point{s.open[p]};
+        int const i = point.index();
+        int k = point.choice();
+        if (i >= begin) {
+          int const chosen = choose_nearest(ctx, point, writes);
+          if (chosen != k) {
+            k = chosen;
+            s.open[p] = point.with(k).word;
+            atomic_min(s.first_changed + turn, i);
+          }
+        }
+        if (k >= 0) { writes.add(k, i); }
+      }
+      g.sync();
+      int const changed = s.first_changed[turn];
+      if (changed == nobody) { break; }
+      begin = changed + 1;
+      writes.next_turn(g, ctx, unused);
+    }
+    int taken = 0;
+    for (int p = g.rank(); p < count; p += g.size()) {
+      packed_point const point{s.open[p]};
+      int const slot = ctx.slot(0, point.index());
+      int const k = point.choice();
+      ctx.match(0, point.index()) = k;
+      if (k < 0) { continue; }
+      ctx.holder[k] = slot;
+      ++taken;
+    }
+    for (int k = g.rank(); ctx.params.from_empty && k < ctx.numbers(); k += g.size()) {
+      if (!writes.written(k)) { ctx.holder[k] = -1; }
+    }
+    taken = part.reduce(taken, sum_op{});
+    if (part.rank() == 0) { atomic_add(ctx.work.matches + ctx.b, taken); }
+    return true;
+  }
+
+  /// As choose(). Most decide on the first four of their list: these are looked at together.
+  FT_HOST_DEVICE static int choose_nearest(context const& ctx, packed_point point,
+                                           first_writes const& writes) {
+    int const i = point.index();
+    int const listed = point.listed();
+    std::uint32_t best = ~0u;
+    std::uint32_t second = ~0u;
+    if (listed > 0) {
+      candidate_quad const quad = *ctx.list(0, i);
+      FT_UNROLL
+      for (int e = 3; e >= 0; --e) {
+        std::uint32_t const entry = quad.entry[e];
+        bool free = e < listed;
+        if (free) { free = writes.last[detail::entry_keypoint(entry)] >= writes.base + i; }
+        second = free ? best : second;
+        best = free ? entry : best;
+      }
+    }
+    // What is not there is farther than all that are.
+    bool const near = detail::entry_distance(best) <= ctx.params.max_distance;
+    bool const all = listed <= 4 && !point.unlisted();
+    if (second == ~0u && !all && (near || best == ~0u)) {
+      bool refused = false;
+      open_points const unused{};
+      return choose(
+          ctx, 0, i, window_list(ctx, 0, i, true, false), refused,
+          [&](int number, bool in_list) { return writes.taken(ctx, unused, number, i, in_list); });
+    }
+    if (!near || best == ~0u) { return -1; }
+    int const k = detail::entry_keypoint(best);
+    int const second_k = second == ~0u ? -1 : detail::entry_keypoint(second);
+    bool const refused =
+        detail::refuses(ctx.params, ctx.frame.camera(ctx.b, 0), detail::entry_distance(best), k,
+                        detail::entry_distance(second), second_k);
+    return refused ? -1 : k;
   }
 
   /// Turns until nobody chooses anew. Then writes what came of it.
@@ -962,7 +1177,7 @@ private:
         ++taken;
       });
     }
-    for (int k = g.rank(); ctx.params.from_empty && k < ctx.frame.numbers(); k += g.size()) {
+    for (int k = g.rank(); ctx.params.from_empty && k < ctx.numbers(); k += g.size()) {
       if (!writes.written(k)) { ctx.holder[k] = -1; }
     }
     taken = g.part().reduce(taken, sum_op{});
@@ -977,7 +1192,7 @@ private:
     choice made;
     FT_UNROLL
     for (int c = 0; c < 2; ++c) {
-      if (c < open.cameras && open.any(p, c)) { made.k[c] = ctx.match(c, open.index(p)); }
+      if (c < open.cameras() && open.any(p, c)) { made.k[c] = ctx.match(c, open.index(p)); }
     }
     return made;
   }
@@ -990,7 +1205,7 @@ private:
     for (int c = 0; c < 2; ++c) {
       if (made.k[c] < 0) { continue; }
       int const number = ctx.number(c, made.k[c]);
-      int const at = p * open.writes() + (c << open.partners);
+      int const at = p * open.writes() + (c << open.partners());
       visit(c, number, at);
       int const partner = ctx.partner_of(number);
       if (partner >= 0) { visit(c, partner, at + 1); }
@@ -1016,7 +1231,7 @@ private:
         int const i = begin + t * part.size();
         FT_UNROLL
         for (int c = 0; c < 2; ++c) {
-          bool const there = i < n && c < open.cameras;
+          bool const there = i < n && c < open.cameras();
           counts[t][c] = there ? ctx.list_count(c, i) : 0;
           made[t].k[c] = there ? ctx.match(c, i) : -1;
         }
@@ -1058,7 +1273,7 @@ private:
     int own = -1;  // the partner of what the left window takes
     FT_UNROLL
     for (int c = 0; c < 2; ++c) {
-      if (c >= open.cameras) { break; }
+      if (c >= open.cameras()) { break; }
       int const k = choose(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
         return number == own ? open.observed(p, 0) : writes.taken(ctx, open, number, end, listed);
       });
@@ -1167,13 +1382,12 @@ private:
         ctx.frame.right_x == nullptr || c != 0
             ? nullptr
             : ctx.frame.right_x + static_cast<std::ptrdiff_t>(ctx.b) * ctx.frame.capacity();
-    visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.frame.cameras * ctx.b + c),
-                [&](int k) {
-                  int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
-                  if (distance >= 0 && distance < found.second && !taken(ctx.number(c, k), false)) {
-                    found.add(k, distance);
-                  }
-                });
+    visit_cells(single_group{}, w, ctx.frame.grids.slice(ctx.cameras() * ctx.b + c), [&](int k) {
+      int const distance = detail::candidate_distance(w, kp, right_x, wanted, k, limit);
+      if (distance >= 0 && distance < found.second && !taken(ctx.number(c, k), false)) {
+        found.add(k, distance);
+      }
+    });
   }
 };
 
@@ -1476,14 +1690,15 @@ struct assign_last_points {
       // Before the assignment's first barrier.
       for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.orientation.histogram[i] = 0; }
       bool enough = false;
-      bool const written = assignment::assign(
-          g, s.assigned, b, frame, map, windows, params, work, prepared, [&](int const* owners) {
-            if constexpr (Turns) {
-              enough = write_owned(g, s, b, search, left_count, frame, windows, work, owners, least,
-                                   stamp);
-            }
-            return Turns;
-          });
+      bool const written = assignment::assign(g, s.assigned, b, frame, map, windows, params, work,
+                                              prepared, [&](auto single, int const* owners) {
+                                                if constexpr (Turns) {
+                                                  enough = write_owned<decltype(single)::value>(
+                                                      g, s, b, search, left_count, frame, windows,
+                                                      work, owners, least, stamp);
+                                                }
+                                                return Turns;
+                                              });
       if (!written) {
         g.sync();
         if (search.params.orientation_check) {
@@ -1510,7 +1725,7 @@ private:
   /// What is left of the matches after the orientation check; or, where these are fewer than
   /// `least`, nothing, and false. @param left_count as in rotations @param owners as in
   /// assign_keypoints
-  template <typename Group, typename Stamp>
+  template <bool Single, typename Group, typename Stamp>
   FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, int b, last_search<Rig> const& search,
                                          int left_count, frame_view const& frame,
                                          search_windows_view const& windows,
@@ -1524,7 +1739,7 @@ private:
       int slot;
       float before, now;  // angles
     };
-    auto const camera_of = [&](int number) { return number < frame.capacity() ? 0 : 1; };
+    auto const camera_of = [&](int number) { return Single || number < frame.capacity() ? 0 : 1; };
     // For keypoints that nobody owns what window 0 has is loaded, and not used: no branches.
     detail::load_ahead<2>(
         g, any ? numbers : 0,

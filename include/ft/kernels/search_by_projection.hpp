@@ -114,6 +114,10 @@ struct search_workspace {
   FT_HOST_DEVICE std::ptrdiff_t window(int camera, int b, int i) const {
     return (static_cast<std::ptrdiff_t>(camera) * batch + b) * capacity + i;
   }
+  std::size_t list_bytes() const {
+    return static_cast<std::size_t>(window(cameras, 0, 0)) * (list_size / 4) *
+           sizeof(candidate_quad);
+  }
 };
 
 inline void carve(carver& c, search_workspace& v, int windows, int keypoints, int batch,

@@ -398,6 +398,9 @@ public:
     // written has NaN for a position, and no camera sees it.
     fill_bytes(exec, array_of<field::position>(map_), 0xff, slots * sizeof(vec3<float>));
     fill_bytes(exec, stamps_, 0, slots * sizeof(int));
+    // Candidates are read beside how many there are.
+    fill_bytes(exec, work_.list, 0xff, work_.list_bytes());
+    fill_bytes(exec, local_work_.list, 0xff, local_work_.list_bytes());
     fill_bytes(exec, last_keypoints_.count, 0, 2 * b * sizeof(int));
     exec.wait();
     match_branch_.make();

@@ -355,6 +355,7 @@ struct describe_corner {
     if constexpr (Group::max_threads > 1) {
       detail::own_tests<Group> const tests(g, pattern);
       angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
+      g.sync();
       rotation const turn = rotation_by(angle);
       int const width = pyramid.geometry.width[0];
       bool const none = overlap.has_none(width);

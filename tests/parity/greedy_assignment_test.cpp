@@ -326,7 +326,7 @@ struct list_then_leave_out {
     int const b = item / windows.capacity;
     ft::list_candidates::leave_out(g, s, b, item % windows.capacity,
                                    ft::list_candidates::held(g, s, b, frame, map, params), frame,
-                                   map, params, work);
+                                   params, work);
   }
 };
 

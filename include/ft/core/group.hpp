@@ -382,14 +382,6 @@ FT_HOST_DEVICE inline int atomic_exchange(int* address, int value) {
 #endif
 }
 
-FT_HOST_DEVICE inline void atomic_or(unsigned* address, unsigned bits) {
-#if defined(__CUDA_ARCH__)
-  atomicOr(address, bits);
-#else
-  __atomic_fetch_or(address, bits, __ATOMIC_RELAXED);
-#endif
-}
-
 /// Returns the value before.
 template <typename T>
 FT_HOST_DEVICE T atomic_min(T* address, T value) {

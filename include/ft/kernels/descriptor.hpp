@@ -218,8 +218,7 @@ struct order_image {
       for (int k = 0; k < together; ++k) {
         int const slot = base + k * g.size() + g.rank();
         of[k] = slot_place(slot);
-        // Past the last slot that one again: no load is behind a branch. Without slots it is
-        // whatever comes after them.
+        // Past the last slot that one again: no load is behind a branch. There is always one.
         int const held = max_of(min_of(slot, layout.total - 1), 0);
         of[k].word = corner_word(kept.kept + image * layout.total + held);
         bool const ahead = Group::max_threads > 1 && slot < known;

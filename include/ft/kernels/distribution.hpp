@@ -100,7 +100,7 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
   std::size_t const total = detail::checked_mul(b, static_cast<std::size_t>(layout.total));
   v.layout = layout;
   v.batch = batch;
-  v.kept = c.take<corner>(total);
+  v.kept = c.take<corner>(max_of(total, std::size_t{1}));  // the first is read in any case
   v.kept_count = c.take<int>(b * levels);
   v.keys = c.take<unsigned long long>(
       detail::checked_mul(b, slots + levels * std::size_t{distribution_view::key_pad}));

@@ -214,16 +214,12 @@ struct list_local_point_early {
                             pyramid_geometry const& geometry, search_params params,
                             search_windows_view const& windows,
                             search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    int const i = item % windows.capacity;
-    if (i == 0 && g.rank() == 0) { windows.count[b] = search.slot_count[b]; }
-    if (i >= search.slot_count[b]) { return false; }
-    if (g.rank() == 0) { s.slot = search.slots[item]; }
     search.stamps = {};
     params.holders_later = true;
-    window_pair const pair =
-        frustum_point<Rig>::test(b, i, search, map, geometry, g.rank() == 0, windows);
-    list_candidates::list(g, s, b, i, pair, frame, map, params, work);
+    list_local_point<Rig>{}(g, s, item, search, frame, map, geometry, params, windows, work);
+    if (item % windows.capacity >= search.slot_count[item / windows.capacity]) { return false; }
+    if (g.rank() == 0) { s.slot = search.slots[item]; }
+    g.sync();
     return true;
   }
 
@@ -243,7 +239,7 @@ struct list_local_point_early {
       constexpr int cameras = Rig::rectified ? 1 : 2;
       for (int c = g.rank(); c < cameras; c += g.size()) { hide(c, b, i, search, windows, work); }
     } else {
-      list_candidates::leave_out(g, s, b, i, held, frame, map, params, work);
+      list_candidates::leave_out(g, s, b, i, held, frame, params, work);
     }
   }
 

@@ -242,15 +242,14 @@ public:
     }
   }
 
-  /// Takes out those of which taken(place, keypoint) is true. Returns how many these were.
-  template <typename Taken>
-  FT_HOST_DEVICE int take_out(Group g, Taken const& taken) {
+  /// Takes out those whose places have a bit. Returns how many these were.
+  FT_HOST_DEVICE int take_out(Group g, unsigned places) {
     int const listed = listed_now();
     int left = 0;
     for (int base = 0; base < listed; base += g.size()) {
       int const i = base + g.rank();
       std::uint32_t const that = entry(min_of(i, listed - 1));
-      bool const stays = i < listed && !taken(i, entry_keypoint(that));
+      bool const stays = i < listed && (places >> i & 1u) == 0;
       int stay = 0;
       int const place = left + g.exclusive_count(stays, stay);
       g.sync();
@@ -371,46 +370,36 @@ struct list_candidates {
     g.sync();
   }
 
-  /// Which of the candidates that list() listed are held, bit 16 * camera + place: all are looked
-  /// up at once. For leave_out(); groups of one thread look them up there.
+  /// Which of the candidates that list() listed are held, bit 16 * camera + place: a warp looks all
+  /// of them up at once. For leave_out().
   template <typename Group>
   FT_HOST_DEVICE static unsigned held(Group g, scratch const& s, int b, frame_view const& frame,
                                       map_points_view const& map, search_params params) {
     constexpr int size = search_workspace::list_size;
     static_assert(size == 16 && (Group::max_threads == 1 || Group::max_threads == 32), "bits");
-    if constexpr (Group::max_threads == 1) {
-      return 0;
-    } else {
-      params.holders_later = false;
-      int const* const holder = holders(b, frame, params);
-      int const c = g.rank() / size;
-      int const place = g.rank() % size;
+    params.holders_later = false;
+    int const* const holder = holders(b, frame, params);
+    unsigned bits = 0;
+    for (int base = 0; base < size * frame.cameras; base += g.size()) {
+      int const c = (base + g.rank()) / size;
+      int const place = (base + g.rank()) % size;
       bool const listed = c < frame.cameras && place < s.found[c];
       int const k = listed ? detail::entry_keypoint(s.list[c][place / 4].entry[place % 4]) : 0;
       int const slot = listed && holder != nullptr ? holder[c * frame.capacity() + k] : -1;
-      return g.ballot(keeps(map.slice(b), slot));
+      bits |= g.ballot(keeps(map.slice(b), slot)) << base;
     }
+    return bits;
   }
 
   /// What list() does at once where the holders are there. @param taken_bits what held() said
   template <typename Group>
   FT_HOST_DEVICE static void leave_out(Group g, scratch& s, int b, int i, unsigned taken_bits,
-                                       frame_view const& frame, map_points_view const& map,
-                                       search_params params, search_workspace const& work) {
-    params.holders_later = false;
-    map_points_view const points = map.slice(b);
-    int const* const holder = holders(b, frame, params);
+                                       frame_view const& frame, search_params const& params,
+                                       search_workspace const& work) {
     bool refused = false;
     for (int c = 0; c < frame.cameras; ++c) {
-      int const found = s.found[c];
-      detail::candidate_list<Group> list(s.list[c], found);
-      int const taken = list.take_out(g, [&](int place, int k) {
-        if constexpr (Group::max_threads == 1) {
-          return holder != nullptr && keeps(points, holder[c * frame.capacity() + k]);
-        } else {
-          return (taken_bits >> (search_workspace::list_size * c + place) & 1u) != 0;
-        }
-      });
+      detail::candidate_list<Group> list(s.list[c], s.found[c]);
+      int const taken = list.take_out(g, taken_bits >> (search_workspace::list_size * c));
       write(g, s, b, i, c, s.observed[c], list, taken > 0, refused, frame, params, work);
     }
   }

@@ -111,7 +111,7 @@ public:
     fill_bytes(exec, corners_.list, 0, slots * sizeof(corner));
     fill_bytes(exec, corners_.entries, 0, slots * sizeof(corner));
     fill_bytes(exec, distribution_.kept, 0,
-               static_cast<std::size_t>(quad.total) * b * sizeof(corner));
+               static_cast<std::size_t>(max_of(quad.total, 1)) * b * sizeof(corner));
     clear_arrivals(exec);
     forget_entries(exec);
     if (has_masks()) { fill_bytes(exec, masks_.data, 255, mask_bytes() * b); }

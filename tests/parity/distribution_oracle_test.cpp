@@ -75,8 +75,16 @@ node_list make_roots(corners_list const& points, int width, int height) {
   return nodes;
 }
 
+/// Whether this program's std::sort is the one that the rule std_sort follows.
+#if defined(__GLIBCXX__)
+constexpr bool has_std_sort = true;
+#else
+constexpr bool has_std_sort = false;
+#endif
+
 /// What a level keeps, in list order.
-corners_list distribute(corners_list const& points, int width, int height, int wanted) {
+corners_list distribute(corners_list const& points, int width, int height, int wanted,
+                        ft::tie_rule ties) {
   corners_list kept;
   if (points.empty()) { return kept; }
   auto const enough = static_cast<std::size_t>(wanted);
@@ -100,9 +108,14 @@ corners_list distribute(corners_list const& points, int width, int height, int w
     while (!done) {
       auto const before_batch = nodes.size();
       auto batch = std::exchange(multiple, {});
-      std::stable_sort(batch.begin(), batch.end(), [](auto const& a, auto const& b) {
+      auto const before_other = [](auto const& a, auto const& b) {
         return std::make_pair(a->points.size(), a->x0) < std::make_pair(b->points.size(), b->x0);
-      });
+      };
+      if (ties == ft::tie_rule::stable) {
+        std::stable_sort(batch.begin(), batch.end(), before_other);
+      } else {
+        std::sort(batch.begin(), batch.end(), before_other);
+      }
       for (auto it = batch.rbegin(); it != batch.rend() && nodes.size() < enough; ++it) {
         push_children(nodes, **it, multiple);
         nodes.erase(*it);
@@ -265,15 +278,25 @@ protected:
       }
     }
     ft::copy(exec, corners.entries, entries.data(), entries.size());
-    ft::copy(exec, corners.entry_count, counts.data(), counts.size());
-    for (bool const entered : {false, true}) {
-      SCOPED_TRACE(entered ? "entries" : "lists");
+    struct way {
+      bool entered;
+      ft::tie_rule ties;
+    };
+    for (way const w : {way{false, ft::tie_rule::stable}, way{false, ft::tie_rule::std_sort},
+                        way{true, ft::tie_rule::stable}, way{true, ft::tie_rule::std_sort}}) {
+      if (w.ties == ft::tie_rule::std_sort && !has_std_sort) { continue; }
+      SCOPED_TRACE(w.entered ? "entries" : "lists");
+      SCOPED_TRACE(w.ties == ft::tie_rule::stable ? "stable" : "std_sort");
+      if (w.entered) {  // which a call takes out
+        ft::copy(exec, corners.entry_count, counts.data(), counts.size());
+      }
       if (scratch_points == 0) {
-        ft::distribute_corners(exec, corners, out, entered);
+        ft::distribute_corners(exec, corners, out, w.entered, w.ties);
       } else {
         ft::distribute_level op;
         op.scratch_points = scratch_points;
-        op.entered = entered;
+        op.entered = w.entered;
+        op.ties = w.ties;
         if (op.has_more_bins()) {
           ft::distribute_level_alone const alone{op};
           ft::for_each_item<ft::per_block<512>>(exec, batch * levels, alone, corners, out);
@@ -282,8 +305,9 @@ protected:
         }
       }
       int compared = 0;
-      check(exec, points, layout, out, levels, batch, compared);
-      levels_compared_ += entered ? 0 : compared;
+      check(exec, points, layout, out, levels, batch, w.ties, compared);
+      bool const counted = !w.entered && w.ties == ft::tie_rule::stable;
+      levels_compared_ += counted ? compared : 0;
     }
     auto const left =
         test::from_exec(exec, static_cast<int const*>(corners.entry_count), counts.size());
@@ -293,7 +317,7 @@ protected:
   template <typename Exec>
   void check(Exec const& exec, std::vector<corners_list> const& points,
              ft::distribution_layout const& layout, ft::distribution_view const& out, int levels,
-             int batch, int& compared) {
+             int batch, ft::tie_rule ties, int& compared) {
     auto const kept =
         test::from_exec(exec, out.kept, static_cast<std::size_t>(batch * layout.total));
     auto const kept_count =
@@ -302,7 +326,7 @@ protected:
       for (int l = 0; l < levels; ++l) {
         auto const at = static_cast<std::size_t>(b * levels + l);
         auto const want =
-            distribute(points[at], layout.width[l], layout.height[l], layout.wanted[l]);
+            distribute(points[at], layout.width[l], layout.height[l], layout.wanted[l], ties);
         SCOPED_TRACE("image " + std::to_string(b) + " level " + std::to_string(l) + " with " +
                      std::to_string(layout.width[l]) + "x" + std::to_string(layout.height[l]) +
                      ", " + std::to_string(points[at].size()) + " points, wanted " +

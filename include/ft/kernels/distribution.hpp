@@ -18,9 +18,17 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners.hpp"
+#include "ft/kernels/detail/introsort.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// Which of two nodes is split first where both have as many points and the same left edge, in the
+/// rounds that go node by node. Source: specification section 3.
+enum class tie_rule {
+  stable,   ///< the one made last
+  std_sort  ///< as libstdc++'s std::sort orders them, whatever library the program uses
+};
 
 /// How many corners each level should keep and how much memory that takes.
 struct distribution_layout {
@@ -121,6 +129,7 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
 /// ascending order.
 struct distribute_level {
   bool entered = false;  ///< take the corners' entries, not their ordered list
+  tie_rule ties = tie_rule::stable;
   /// Levels of up to so many points are kept in the block scratch asked for at launch, others in
   /// the workspace.
   int scratch_points = 0;
@@ -146,6 +155,8 @@ struct distribute_level {
     struct packed_store {
       unsigned keys[scratch_nodes];
       int before[scratch_nodes];
+      std::uint16_t left[scratch_nodes];  ///< of introsort; then the place of each node's key
+      std::uint16_t right[scratch_nodes];
     };
     union {
       alignas(16) int bins[max_bins];
@@ -155,7 +166,10 @@ struct distribute_level {
     int totals[2 * max_rows];
     int made;
     int candidates;  ///< keys of split_together() so far, and `large_node` for each that has none
-    unsigned crowded;
+    union {
+      unsigned crowded;  ///< while points are sorted
+      int open[2];       ///< of introsort
+    };
   };
 
   /// Of block scratch, for a point: its key, then, in the same place, its part of the rows; and its
@@ -165,10 +179,11 @@ struct distribute_level {
   static constexpr int min_scratch_points = 2048;
 
   /// @param bytes of block scratch that there are besides `scratch`
-  static distribute_level with_scratch(std::size_t bytes, bool entered) {
+  static distribute_level with_scratch(std::size_t bytes, bool entered, tie_rule ties) {
     auto const points = min_of(bytes / bytes_per_point, std::size_t{0xffe0}) / 32 * 32;
     distribute_level op;
     op.entered = entered;
+    op.ties = ties;
     if (points >= std::size_t{min_scratch_points}) { op.scratch_points = static_cast<int>(points); }
     return op;
   }
@@ -407,6 +422,7 @@ private:
   struct tree {
     corner const* points;
     bool ranked;  ///< they are in any order, with a corner_rank
+    tie_rule ties;
     int n, words;
     corner* copy = nullptr;    ///< where points are put once, to be read again; or null
     unsigned long long* keys;  ///< code << 32 | index
@@ -509,6 +525,7 @@ private:
                                   corners_view const& corners) const {
     t.points = corners_of(image, l, corners);
     t.ranked = entered;
+    t.ties = ties;
   }
 
   /// All of a level. Returns the number of kept corners.
@@ -899,9 +916,87 @@ private:
     return end - t.rank(row, node.begin);
   }
 
+  /// The key of a node for the order in which nodes are split, ascending: 26 bits of points and 14
+  /// of its left edge, both inverted, 22 of `place`, which decides among equals, 2 of gain.
+  template <typename Index>
+  FT_HOST_DEVICE static unsigned long long split_key(scratch const& s, tree<Index> const& t,
+                                                     shape const& level, int depth,
+                                                     node_range<Index> node, int place) {
+    int const row = level.row_of(depth);
+    auto const count = static_cast<unsigned>(node.end - node.begin);
+    int const edge = level.left_edge(t.points[t.index_at(node.begin)].x, depth - 1);
+    return static_cast<unsigned long long>(0x3ffffffu - count) << 38 |
+           static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(edge)) << key_place_end |
+           static_cast<unsigned long long>(place) << 2 |
+           static_cast<unsigned long long>(children_of(t, node, row, s.totals[row]) - 1);
+  }
+  static constexpr int key_place_end = 24;
+
+  /// Fills the keys of the first `children` nodes of the list, each at its node's index, which is
+  /// its place: a node made later is nearer to the front. Nodes of one point come last.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void make_stable_keys(Group g, scratch const& s, tree<Index>& t,
+                                              shape const& level, int depth, int children) {
+    for (int i = g.rank(); i < children; i += g.size()) {
+      node_range<Index> const node = t.list[i];
+      t.node_keys[i] = node.end - node.begin > 1
+                           ? split_key(s, t, level, depth, node, i)
+                           : ~0ull << key_place_end | static_cast<unsigned long long>(i) << 2;
+      t.splits_before[i] = 0;
+      t.gain_before[i] = 0;
+    }
+  }
+
+  /// The same for nodes of more than one point alone, in the order in which introsort leaves them,
+  /// from the last; `next[k].begin` is the index of the node that has key k.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void make_std_sort_keys(Group g, scratch& s, tree<Index>& t,
+                                                shape const& level, int depth, int children) {
+    int n = 0;
+    for (int base = 0; base < children; base += g.size()) {
+      int const i = base + g.rank();
+      node_range<Index> node{0, 0};
+      if (i < children) { node = t.list[i]; }
+      int more = 0;
+      int const at = n + g.exclusive_count(node.end - node.begin > 1, more);
+      if (node.end - node.begin > 1) { t.node_keys[at] = split_key(s, t, level, depth, node, i); }
+      n += more;
+    }
+    detail::introsort_partitions(g, detail::reversed_array<unsigned long long>{t.node_keys, n}, n,
+                                 by_points_and_edge{key_place_end},
+                                 detail::introsort_workspace<node_range<Index>, int>{
+                                     t.next, t.splits_before, t.gain_before, s.open});
+    g.sync();
+    for (int i = g.rank(); i < children; i += g.size()) {
+      t.splits_before[i] = 0;
+      t.gain_before[i] = 0;
+    }
+    constexpr unsigned long long places = (1ull << key_place_end) - 4;
+    for (int k = g.rank(); k < n; k += g.size()) {
+      unsigned long long const key = t.node_keys[k];
+      t.next[k].begin = static_cast<Index>((key & places) >> 2);
+      t.node_keys[k] = (key & ~places) | static_cast<unsigned long long>(k) << 2;
+    }
+  }
+
+  /// Ascending by points, then by the left edge: what a key inverts is above `shift` bits.
+  struct by_points_and_edge {
+    int shift;
+    template <typename Key>
+    FT_HOST_DEVICE bool operator()(Key a, Key b) const {
+      return a >> shift > b >> shift;
+    }
+  };
+
+  /// Index of the node that has key k, where keys were sorted by their place k.
+  template <typename Index>
+  FT_HOST_DEVICE static int node_of_key(tree<Index> const& t, int k) {
+    return t.ties == tie_rule::stable ? k : static_cast<int>(t.next[k].begin);
+  }
+
   /// Node by node: of the nodes made last (the first `children` of the list) those with more than
-  /// one point, the fullest first, among equals the one furthest right, among these the one made
-  /// last; as many as it takes to reach `wanted` nodes. Returns the new size of the list;
+  /// one point, the fullest first, among equals the one furthest right, among these by the tie
+  /// rule; as many as it takes to reach `wanted` nodes. Returns the new size of the list;
   /// `children` gets the number of nodes made.
   template <typename Group, typename Index>
   FT_HOST_DEVICE static int split_one_by_one(Group g, scratch& s, tree<Index>& t,
@@ -910,29 +1005,19 @@ private:
     int const row = level.row_of(depth);
     int const heads = s.totals[row];
     int const multiple = size - s.totals[level.rows + level.row_of(depth - 1)];
-    for (int i = g.rank(); i < children; i += g.size()) {
-      node_range<Index> const node = t.list[i];
-      unsigned const count = static_cast<unsigned>(node.end - node.begin);
-      // 26 bits of count, 14 of column, 22 of place: a node made later is nearer to the front; 2 of
-      // gain. Nodes of one point come last.
-      unsigned long long key = ~0ull << 24 | static_cast<unsigned long long>(i) << 2;
-      if (count > 1) {
-        int const edge = level.left_edge(t.points[t.index_at(node.begin)].x, depth - 1);
-        key = static_cast<unsigned long long>(0x3ffffffu - count) << 38 |
-              static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(edge)) << 24 |
-              static_cast<unsigned long long>(i) << 2 |
-              static_cast<unsigned long long>(children_of(t, node, row, heads) - 1);
-      }
-      t.node_keys[i] = key;
-      t.splits_before[i] = 0;
-      t.gain_before[i] = 0;
+    int keys = children;
+    if (t.ties == tie_rule::stable) {
+      make_stable_keys(g, s, t, level, depth, children);
+    } else {
+      make_std_sort_keys(g, s, t, level, depth, children);
+      keys = multiple;
     }
     if (g.rank() == 0) { s.made = 0; }
     g.sync();
-    if (g.size() > 1 && children <= ranked_nodes) {
-      rank_splits(g, t, children);
+    if (g.size() > 1 && keys <= ranked_nodes) {
+      rank_splits(g, t, keys);
     } else {
-      sort_splits(g, t, children);
+      sort_splits(g, t, keys);
     }
     g.sync();
 
@@ -1016,18 +1101,28 @@ private:
     int first = 0;
     if (part.rank() == 0 && of_part > 0) { first = atomic_add(&s.candidates, of_part + large); }
     first = part.shuffle(first, 0) & (large_node - 1);
-    if (candidate) { keys[first + in_part] = key; }
+    int at = first + in_part;
+    if (t.ties == tie_rule::std_sort) {  // in their nodes' order
+      int all = 0;
+      at = g.exclusive_count(candidate, all);
+    }
+    if (candidate) { keys[at] = key; }
     if (i >= candidates && i < ceil_div(candidates, 4) * 4) { keys[i] = ~0u; }
     if (i < size) { before[i] = 0; }
     if (i == 0) { s.made = 0; }
     g.sync();
     if (s.candidates >= large_node) { return false; }
+    int place = i;
+    if (t.ties == tie_rule::std_sort) {
+      place_as_std_sort(g, s, t, candidates);
+      if (candidate) { place = s.b.packed.left[i]; }
+    }
     rank_packed(g, s, candidates);
     g.sync();
 
     // The last node to be split knows how many are made.
-    int const splits_before = i < size ? before[i] >> 16 : 0;
-    int const gain_before = i < size ? before[i] & 0xffff : 0;
+    int const splits_before = i < size ? before[place] >> 16 : 0;
+    int const gain_before = i < size ? before[place] & 0xffff : 0;
     bool const splits = candidate && size + gain_before < wanted;
     if (splits) {
       int const gained = gain_before + count - 1;
@@ -1048,6 +1143,25 @@ private:
     children = made;
     size = made + stayed;
     return true;
+  }
+
+  /// Puts the packed keys of nodes, which are in the nodes' order, in the order in which introsort
+  /// leaves them, from the last, with their indices as places; `left[i]` gets the place of node i.
+  template <typename Group, typename Index>
+  FT_HOST_DEVICE static void place_as_std_sort(Group g, scratch& s, tree<Index> const& t, int n) {
+    auto& packed = s.b.packed;
+    detail::introsort_partitions(g, detail::reversed_array<unsigned>{packed.keys, n}, n,
+                                 by_points_and_edge{gain_bits + place_bits},
+                                 detail::introsort_workspace<node_range<Index>, std::uint16_t>{
+                                     t.next, packed.left, packed.right, s.open});
+    g.sync();
+    constexpr unsigned places = ((1u << place_bits) - 1) << gain_bits;
+    for (int k = g.rank(); k < n; k += g.size()) {
+      unsigned const key = packed.keys[k];
+      packed.left[(key & places) >> gain_bits] = static_cast<std::uint16_t>(k);
+      packed.keys[k] = (key & ~places) | static_cast<unsigned>(k) << gain_bits;
+    }
+    g.sync();
   }
 
   /// What comes before each node: splits, and in the lower half gain. A warp takes 32 nodes and a
@@ -1130,8 +1244,9 @@ private:
             gain += static_cast<int>(other & 3);
           }
         }
-        atomic_add(t.splits_before + i, splits);
-        atomic_add(t.gain_before + i, gain);
+        int const node = node_of_key(t, i);
+        atomic_add(t.splits_before + node, splits);
+        atomic_add(t.gain_before + node, gain);
       }
     }
   }
@@ -1147,7 +1262,7 @@ private:
       int total = 0;
       int const before = g.exclusive_scan(static_cast<int>(key & 3), total);
       if (i < n) {
-        int const node = static_cast<int>(key >> 2 & 0x3fffff);
+        int const node = node_of_key(t, static_cast<int>(key >> 2 & 0x3fffff));
         t.splits_before[node] = i;
         t.gain_before[node] = gained + before;
       }
@@ -1210,11 +1325,11 @@ struct distribute_level_alone : distribute_level {
 /// lists: the same in the end
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners, distribution_view const& out,
-                        bool entered = false) {
+                        bool entered = false, tie_rule ties = tie_rule::stable) {
   constexpr int threads = 512;
   int const items = out.batch * out.layout.levels;
   auto const op = distribute_level::with_scratch(
-      extra_scratch<threads, distribute_level>(exec, items), entered);
+      extra_scratch<threads, distribute_level>(exec, items), entered, ties);
   if (op.has_more_bins()) {
     for_each_item<per_block<threads>>(exec, items, distribute_level_alone{op}, corners, out);
   } else {

@@ -44,6 +44,8 @@ struct orb_params {
   /// Pixels of a mask, any size up to 16384 a side: it is stretched over its image. 0 = no masks
   int mask_width = 0;
   int mask_height = 0;
+  tie_rule ties =
+      tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
 };
 
 /// Extracts ORB features of `batch` images at once. All memory is taken by the constructor;
@@ -273,7 +275,9 @@ private:
     }
     if (has_masks()) { mask_corners(exec, geometry_, masks_, corners_); }
   }
-  void distribute(Exec const& exec) { distribute_corners(exec, corners_, distribution_, enters()); }
+  void distribute(Exec const& exec) {
+    distribute_corners(exec, corners_, distribution_, enters(), params_.ties);
+  }
   /// Of a call that ended early.
   void forget_entries(Exec const& exec) {
     fill_bytes(exec, corners_.entry_count, 0,

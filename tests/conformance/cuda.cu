@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/conformance/backends.hpp"
-#include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_case.hpp"
 
 namespace conformance {
 
@@ -14,8 +14,7 @@ bool cuda_available() {
 table run_cuda(std::string const& folder) {
   cudaStream_t stream = nullptr;
   ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
-  test::conformance_table t;
-  test::golden_sequence<ft::cuda_exec>(ft::cuda_exec(stream), folder).run(t);
+  auto const t = test::run_golden(ft::cuda_exec(stream), folder);
   ft::detail::check(cudaStreamDestroy(stream), "cudaStreamDestroy");
   return plain(t);
 }

@@ -2,14 +2,12 @@
 #include <stdexcept>
 
 #include "tests/conformance/backends.hpp"
-#include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_case.hpp"
 
 namespace conformance {
 
 table run_host(std::string const& folder) {
-  test::conformance_table t;
-  test::golden_sequence<ft::host_exec>(ft::host_exec(), folder).run(t);
-  return plain(t);
+  return plain(test::run_golden(ft::host_exec(), folder));
 }
 
 #if !FT_APP_HAS_CUDA

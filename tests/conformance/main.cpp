@@ -15,28 +15,40 @@
 
 namespace {
 
+/// Whether a folder holds a golden sequence or a golden case.
+bool is_golden(std::filesystem::path const& folder) {
+  return std::filesystem::exists(folder / "params.json") ||
+         std::filesystem::exists(folder / "case.json");
+}
+
 std::vector<std::string> folders_of(std::string const& root) {
   namespace fs = std::filesystem;
   if (!fs::is_directory(root)) { throw std::runtime_error("no folder '" + root + "'"); }
-  if (fs::exists(root + "/params.json")) { return {root}; }
+  if (is_golden(root)) { return {root}; }
   std::vector<std::string> found;
   for (auto const& entry : fs::directory_iterator(root)) {
-    if (fs::exists(entry.path() / "params.json")) { found.push_back(entry.path().string()); }
+    if (is_golden(entry.path())) { found.push_back(entry.path().string()); }
   }
   std::sort(found.begin(), found.end());
   if (found.empty()) {
-    throw std::runtime_error("no params.json in '" + root + "' or in a folder below it");
+    throw std::runtime_error("no params.json or case.json in '" + root +
+                             "' or in a folder below it");
   }
   return found;
 }
 
 constexpr int skipped = 77;
 
-/// Where recorded answers are by default; empty where there are none.
-std::string default_golden() {
+/// Where recorded answers are by default: sequences, and cases of the tie rule std_sort; those of
+/// them that are there. None where there are no sequences.
+std::vector<std::string> default_roots() {
   char const* const data = std::getenv("FT_DATA");
-  std::string const root = std::string(data == nullptr ? "../shared" : data) + "/golden";
-  return std::filesystem::is_directory(root) ? root : std::string();
+  std::string const root = data == nullptr ? "../shared" : data;
+  if (!std::filesystem::is_directory(root + "/golden")) { return {}; }
+  std::string const cases = root + "/golden_std_sort";
+  if (std::filesystem::is_directory(cases)) { return {root + "/golden", cases}; }
+  std::cerr << "conformance: no folder '" << cases << "': the tie rule std_sort is skipped\n";
+  return {root + "/golden"};
 }
 
 char const* const all_stages[] = {"pyramid",
@@ -55,9 +67,10 @@ char const* const all_stages[] = {"pyramid",
                                   "pose_optimization",
                                   "end_to_end"};
 
-int run(std::string golden, std::string const& backend, std::string const& json, bool need_all) {
-  if (golden.empty()) { golden = default_golden(); }
-  if (golden.empty()) {
+int run(std::vector<std::string> roots, std::string const& backend, std::string const& json,
+        bool need_all) {
+  if (roots.empty()) { roots = default_roots(); }
+  if (roots.empty()) {
     std::cerr << "conformance: skipped: no recorded answers here; set FT_DATA to the folder that "
                  "holds golden/, or "
                  "give --golden\n";
@@ -70,7 +83,12 @@ int run(std::string golden, std::string const& backend, std::string const& json,
     return skipped;
   }
   conformance::table all;
-  for (auto const& folder : folders_of(golden)) {
+  std::vector<std::string> folders;
+  for (auto const& root : roots) {
+    auto const found = folders_of(root);
+    folders.insert(folders.end(), found.begin(), found.end());
+  }
+  for (auto const& folder : folders) {
     std::cerr << "compare " << folder << "\n";
     auto const table =
         backend == "cuda" ? conformance::run_cuda(folder) : conformance::run_host(folder);
@@ -85,12 +103,12 @@ int run(std::string golden, std::string const& backend, std::string const& json,
   out["backend"] = backend;
   long items = 0;
   long identical = 0;
-  std::printf("%-20s %12s %12s %10s %16s\n", "stage", "items", "identical", "share",
+  std::printf("%-22s %12s %12s %10s %16s\n", "stage", "items", "identical", "share",
               "worst difference");
   for (auto const& [name, f] : all) {
     if (f.items == 0) { continue; }  // the folder lacks it
     double const share = static_cast<double>(f.identical) / static_cast<double>(f.items);
-    std::printf("%-20s %12ld %12ld %9.4f%% %16.3g\n", name.c_str(), f.items, f.identical,
+    std::printf("%-22s %12ld %12ld %9.4f%% %16.3g\n", name.c_str(), f.items, f.identical,
                 100 * share, f.max_abs_diff);
     out["stages"][name] = {{"items", f.items},
                            {"identical", f.identical},
@@ -99,7 +117,7 @@ int run(std::string golden, std::string const& backend, std::string const& json,
     items += f.items;
     identical += f.identical;
   }
-  std::printf("%-20s %12ld %12ld\n", "total", items, identical);
+  std::printf("%-22s %12ld %12ld\n", "total", items, identical);
   out["items"] = items;
   out["identical"] = identical;
   if (!json.empty()) {
@@ -120,14 +138,15 @@ int run(std::string golden, std::string const& backend, std::string const& json,
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string golden;
+  std::vector<std::string> golden;
   std::string backend = "host";
   std::string json;
   bool need_all = false;
   CLI::App app(
       "Runs every stage of ft on recorded inputs and counts the answers that are identical.");
   app.add_option("--golden", golden,
-                 "a golden folder, or a folder of them; default: $FT_DATA/golden");
+                 "a golden folder, or a folder of them; several may be given; default: "
+                 "$FT_DATA/golden and $FT_DATA/golden_std_sort");
   app.add_option("--backend", backend, "host or cuda")
       ->check(CLI::IsMember({"host", "cuda"}))
       ->capture_default_str();

@@ -53,6 +53,7 @@ inline bool exists(std::string const& path) { return std::ifstream(path).good();
 template <typename T>
 npy<T> read_npy(std::string const& path) {
   std::ifstream file(path, std::ios::binary);
+  if (!file.is_open()) { throw std::runtime_error(path + ": missing"); }
   char magic[10] = {};
   if (!file.read(magic, 10) || std::memcmp(magic, "\x93NUMPY\x01", 7) != 0) {
     throw std::runtime_error(path + ": not an npy 1.0 file");

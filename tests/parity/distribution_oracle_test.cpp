@@ -296,13 +296,7 @@ protected:
         ft::distribute_level op;
         op.scratch_points = scratch_points;
         op.entered = w.entered;
-        op.ties = w.ties;
-        if (op.has_more_bins()) {
-          ft::distribute_level_alone const alone{op};
-          ft::for_each_item<ft::per_block<512>>(exec, batch * levels, alone, corners, out);
-        } else {
-          ft::for_each_item<ft::per_block<512>>(exec, batch * levels, op, corners, out);
-        }
+        ft::distribute_corners(exec, op, corners, out, w.ties);
       }
       int compared = 0;
       check(exec, points, layout, out, levels, batch, w.ties, compared);

@@ -129,10 +129,10 @@ inline void carve(carver& c, distribution_view& v, distribution_layout const& la
 /// ascending order.
 struct distribute_level {
   bool entered = false;  ///< take the corners' entries, not their ordered list
-  tie_rule ties = tie_rule::stable;
   /// Levels of up to so many points are kept in the block scratch asked for at launch, others in
   /// the workspace.
   int scratch_points = 0;
+  static constexpr int threads = 512;  ///< of a block
   /// Levels that keep more nodes are in the workspace, too.
   static constexpr int scratch_nodes = 512;
   static constexpr int max_bins = 2048;   ///< codes are sorted into so many bins first,
@@ -179,11 +179,10 @@ struct distribute_level {
   static constexpr int min_scratch_points = 2048;
 
   /// @param bytes of block scratch that there are besides `scratch`
-  static distribute_level with_scratch(std::size_t bytes, bool entered, tie_rule ties) {
+  static distribute_level with_scratch(std::size_t bytes, bool entered) {
     auto const points = min_of(bytes / bytes_per_point, std::size_t{0xffe0}) / 32 * 32;
     distribute_level op;
     op.entered = entered;
-    op.ties = ties;
     if (points >= std::size_t{min_scratch_points}) { op.scratch_points = static_cast<int>(points); }
     return op;
   }
@@ -214,12 +213,12 @@ struct distribute_level {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
-    distribute<0>(g, s, item, corners, v);
+    distribute<0, tie_rule::stable>(g, s, item, corners, v);
   }
 
 protected:
   /// @tparam Held points that a thread keeps in registers while they are sorted, where that is all
-  template <int Held, typename Group>
+  template <int Held, tie_rule Ties, typename Group>
   FT_HOST_DEVICE void distribute(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
@@ -266,9 +265,9 @@ protected:
       t.node_keys = s.b.splits.keys;
       t.splits_before = s.b.splits.splits_before;
       t.gain_before = s.b.splits.gain_before;
-      size = run<Held>(g, s, t, held, layout, l, v.kept + at);
+      size = run<Held, Ties>(g, s, t, held, layout, l, v.kept + at);
     } else {
-      size = run_in_workspace(g, s, image, l, points, at, corners, v);
+      size = run_in_workspace<Ties>(g, s, image, l, points, at, corners, v);
     }
     if (g.rank() == 0) {
       v.kept_count[item] = size;
@@ -288,7 +287,7 @@ private:
     return reinterpret_cast<unsigned*>(g.extra() + 8 * scratch_points);
   }
 
-  template <typename Group>
+  template <tie_rule Ties, typename Group>
   FT_HOST_DEVICE int run_in_workspace(Group g, scratch& s, int image, int l, int points, int at,
                                       corners_view const& corners,
                                       distribution_view const& v) const {
@@ -313,7 +312,7 @@ private:
     t.gain_before = v.gain_before + at;
     take_points(t, image, l, corners);
     corner_word held[1] = {};
-    return run<0>(g, s, t, held, layout, l, v.kept + at);
+    return run<0, Ties>(g, s, t, held, layout, l, v.kept + at);
   }
 
   static constexpr int index_bits = 26;  ///< of an entry of `order`; above it the depth
@@ -422,7 +421,6 @@ private:
   struct tree {
     corner const* points;
     bool ranked;  ///< they are in any order, with a corner_rank
-    tie_rule ties;
     int n, words;
     corner* copy = nullptr;    ///< where points are put once, to be read again; or null
     unsigned long long* keys;  ///< code << 32 | index
@@ -525,12 +523,11 @@ private:
                                   corners_view const& corners) const {
     t.points = corners_of(image, l, corners);
     t.ranked = entered;
-    t.ties = ties;
   }
 
   /// All of a level. Returns the number of kept corners.
   /// @param held the level's first points
-  template <int Held, typename Group, typename Index, int Size>
+  template <int Held, tie_rule Ties, typename Group, typename Index, int Size>
   FT_HOST_DEVICE static int run(Group g, scratch& s, tree<Index>& t, corner_word (&held)[Size],
                                 distribution_layout const& layout, int l, corner* kept) {
     int const wanted = layout.wanted[l];
@@ -547,8 +544,8 @@ private:
       int children = list_nodes(g, s, t, level, r.whole);
       int size = s.totals[level.row_of(r.whole)];
       for (int depth = r.whole + 1; depth <= r.last; ++depth) {
-        if (!split_together(g, s, t, level, depth, children, size, wanted)) {
-          size = split_one_by_one(g, s, t, level, depth, children, size, wanted);
+        if (!split_together<Ties>(g, s, t, level, depth, children, size, wanted)) {
+          size = split_one_by_one<Ties>(g, s, t, level, depth, children, size, wanted);
         }
       }
       keep_strongest(g, t, size, kept);
@@ -919,29 +916,28 @@ private:
   /// The key of a node for the order in which nodes are split, ascending: 26 bits of points and 14
   /// of its left edge, both inverted, 22 of `place`, which decides among equals, 2 of gain.
   template <typename Index>
-  FT_HOST_DEVICE static unsigned long long split_key(scratch const& s, tree<Index> const& t,
-                                                     shape const& level, int depth,
-                                                     node_range<Index> node, int place) {
-    int const row = level.row_of(depth);
+  FT_HOST_DEVICE static unsigned long long split_key(tree<Index> const& t, shape const& level,
+                                                     int depth, int heads, node_range<Index> node,
+                                                     int place) {
     auto const count = static_cast<unsigned>(node.end - node.begin);
     int const edge = level.left_edge(t.points[t.index_at(node.begin)].x, depth - 1);
     return static_cast<unsigned long long>(0x3ffffffu - count) << 38 |
            static_cast<unsigned long long>(0x3fffu - static_cast<unsigned>(edge)) << key_place_end |
            static_cast<unsigned long long>(place) << 2 |
-           static_cast<unsigned long long>(children_of(t, node, row, s.totals[row]) - 1);
+           static_cast<unsigned long long>(children_of(t, node, level.row_of(depth), heads) - 1);
   }
   static constexpr int key_place_end = 24;
 
   /// Fills the keys of the first `children` nodes of the list, each at its node's index, which is
   /// its place: a node made later is nearer to the front. Nodes of one point come last.
   template <typename Group, typename Index>
-  FT_HOST_DEVICE static void make_stable_keys(Group g, scratch const& s, tree<Index>& t,
-                                              shape const& level, int depth, int children) {
+  FT_HOST_DEVICE static void make_stable_keys(Group g, tree<Index>& t, shape const& level,
+                                              int depth, int heads, int children) {
     for (int i = g.rank(); i < children; i += g.size()) {
       node_range<Index> const node = t.list[i];
-      t.node_keys[i] = node.end - node.begin > 1
-                           ? split_key(s, t, level, depth, node, i)
-                           : ~0ull << key_place_end | static_cast<unsigned long long>(i) << 2;
+      unsigned long long key = ~0ull << key_place_end | static_cast<unsigned long long>(i) << 2;
+      if (node.end - node.begin > 1) { key = split_key(t, level, depth, heads, node, i); }
+      t.node_keys[i] = key;
       t.splits_before[i] = 0;
       t.gain_before[i] = 0;
     }
@@ -951,7 +947,8 @@ private:
   /// from the last; `next[k].begin` is the index of the node that has key k.
   template <typename Group, typename Index>
   FT_HOST_DEVICE static void make_std_sort_keys(Group g, scratch& s, tree<Index>& t,
-                                                shape const& level, int depth, int children) {
+                                                shape const& level, int depth, int heads,
+                                                int children) {
     int n = 0;
     for (int base = 0; base < children; base += g.size()) {
       int const i = base + g.rank();
@@ -959,7 +956,9 @@ private:
       if (i < children) { node = t.list[i]; }
       int more = 0;
       int const at = n + g.exclusive_count(node.end - node.begin > 1, more);
-      if (node.end - node.begin > 1) { t.node_keys[at] = split_key(s, t, level, depth, node, i); }
+      if (node.end - node.begin > 1) {
+        t.node_keys[at] = split_key(t, level, depth, heads, node, i);
+      }
       n += more;
     }
     detail::introsort_partitions(g, detail::reversed_array<unsigned long long>{t.node_keys, n}, n,
@@ -989,16 +988,16 @@ private:
   };
 
   /// Index of the node that has key k, where keys were sorted by their place k.
-  template <typename Index>
+  template <tie_rule Ties, typename Index>
   FT_HOST_DEVICE static int node_of_key(tree<Index> const& t, int k) {
-    return t.ties == tie_rule::stable ? k : static_cast<int>(t.next[k].begin);
+    return Ties == tie_rule::stable ? k : static_cast<int>(t.next[k].begin);
   }
 
   /// Node by node: of the nodes made last (the first `children` of the list) those with more than
   /// one point, the fullest first, among equals the one furthest right, among these by the tie
   /// rule; as many as it takes to reach `wanted` nodes. Returns the new size of the list;
   /// `children` gets the number of nodes made.
-  template <typename Group, typename Index>
+  template <tie_rule Ties, typename Group, typename Index>
   FT_HOST_DEVICE static int split_one_by_one(Group g, scratch& s, tree<Index>& t,
                                              shape const& level, int depth, int& children, int size,
                                              int wanted) {
@@ -1006,18 +1005,18 @@ private:
     int const heads = s.totals[row];
     int const multiple = size - s.totals[level.rows + level.row_of(depth - 1)];
     int keys = children;
-    if (t.ties == tie_rule::stable) {
-      make_stable_keys(g, s, t, level, depth, children);
+    if constexpr (Ties == tie_rule::stable) {
+      make_stable_keys(g, t, level, depth, heads, children);
     } else {
-      make_std_sort_keys(g, s, t, level, depth, children);
+      make_std_sort_keys(g, s, t, level, depth, heads, children);
       keys = multiple;
     }
     if (g.rank() == 0) { s.made = 0; }
     g.sync();
     if (g.size() > 1 && keys <= ranked_nodes) {
-      rank_splits(g, t, keys);
+      rank_splits<Ties>(g, t, keys);
     } else {
-      sort_splits(g, t, keys);
+      sort_splits<Ties>(g, t, keys);
     }
     g.sync();
 
@@ -1066,7 +1065,7 @@ private:
   /// The same for lists of up to a node a thread, which keeps it in registers; only nodes that can
   /// be split are compared. Returns false, and has changed nothing, where nodes are too many or a
   /// key has no place for the points of one.
-  template <typename Group, typename Index>
+  template <tie_rule Ties, typename Group, typename Index>
   FT_HOST_DEVICE static bool split_together(Group g, scratch& s, tree<Index>& t, shape const& level,
                                             int depth, int& children, int& size, int wanted) {
     if (g.size() == 1 || size > min_of(g.size(), scratch_nodes)) { return false; }
@@ -1102,7 +1101,7 @@ private:
     if (part.rank() == 0 && of_part > 0) { first = atomic_add(&s.candidates, of_part + large); }
     first = part.shuffle(first, 0) & (large_node - 1);
     int at = first + in_part;
-    if (t.ties == tie_rule::std_sort) {  // in their nodes' order
+    if constexpr (Ties == tie_rule::std_sort) {  // in their nodes' order
       int all = 0;
       at = g.exclusive_count(candidate, all);
     }
@@ -1113,7 +1112,7 @@ private:
     g.sync();
     if (s.candidates >= large_node) { return false; }
     int place = i;
-    if (t.ties == tie_rule::std_sort) {
+    if constexpr (Ties == tie_rule::std_sort) {
       place_as_std_sort(g, s, t, candidates);
       if (candidate) { place = s.b.packed.left[i]; }
     }
@@ -1221,7 +1220,7 @@ private:
 
   /// What comes before each node, by comparing all keys: a warp takes 32 nodes and 16 keys at a
   /// time.
-  template <typename Group, typename Index>
+  template <tie_rule Ties, typename Group, typename Index>
   FT_HOST_DEVICE static void rank_splits(Group g, tree<Index>& t, int n) {
     constexpr int keys = 16;
     auto const part = g.part();
@@ -1244,7 +1243,7 @@ private:
             gain += static_cast<int>(other & 3);
           }
         }
-        int const node = node_of_key(t, i);
+        int const node = node_of_key<Ties>(t, i);
         atomic_add(t.splits_before + node, splits);
         atomic_add(t.gain_before + node, gain);
       }
@@ -1252,7 +1251,7 @@ private:
   }
 
   /// The same by sorting.
-  template <typename Group, typename Index>
+  template <tie_rule Ties, typename Group, typename Index>
   FT_HOST_DEVICE static void sort_splits(Group g, tree<Index>& t, int n) {
     g.sort(t.node_keys, n);
     int gained = 0;
@@ -1262,7 +1261,7 @@ private:
       int total = 0;
       int const before = g.exclusive_scan(static_cast<int>(key & 3), total);
       if (i < n) {
-        int const node = node_of_key(t, static_cast<int>(key >> 2 & 0x3fffff));
+        int const node = node_of_key<Ties>(t, static_cast<int>(key >> 2 & 0x3fffff));
         t.splits_before[node] = i;
         t.gain_before[node] = gained + before;
       }
@@ -1315,9 +1314,46 @@ struct distribute_level_alone : distribute_level {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
                                  distribution_view const& v) const {
-    distribute<8>(g, s, item, corners, v);
+    distribute<8, tie_rule::stable>(g, s, item, corners, v);
   }
 };
+
+/// As distribute_level, by the tie rule std_sort.
+struct distribute_level_as_std_sort : distribute_level {
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
+                                 distribution_view const& v) const {
+    distribute<0, tie_rule::std_sort>(g, s, item, corners, v);
+  }
+};
+
+/// As distribute_level_alone, by the tie rule std_sort.
+struct distribute_level_alone_as_std_sort : distribute_level_alone {
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,
+                                 distribution_view const& v) const {
+    distribute<8, tie_rule::std_sort>(g, s, item, corners, v);
+  }
+};
+
+/// Distributes with as much block scratch as `op` asks for; see distribute_corners().
+template <typename Exec>
+void distribute_corners(Exec const& exec, distribute_level const& op, corners_view const& corners,
+                        distribution_view const& out, tie_rule ties) {
+  using shape = per_block<distribute_level::threads>;
+  int const items = out.batch * out.layout.levels;
+  bool const by_std_sort = ties == tie_rule::std_sort;
+  distribute_level_alone const alone{op};
+  if (op.has_more_bins() && by_std_sort) {
+    for_each_item<shape>(exec, items, distribute_level_alone_as_std_sort{alone}, corners, out);
+  } else if (op.has_more_bins()) {
+    for_each_item<shape>(exec, items, alone, corners, out);
+  } else if (by_std_sort) {
+    for_each_item<shape>(exec, items, distribute_level_as_std_sort{op}, corners, out);
+  } else {
+    for_each_item<shape>(exec, items, op, corners, out);
+  }
+}
 
 /// Thins the corners of every level of every image to about the wanted number. Asynchronous on
 /// `exec`; allocates nothing; one launch. @pre corners lie within their level's work area
@@ -1326,15 +1362,10 @@ struct distribute_level_alone : distribute_level {
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners, distribution_view const& out,
                         bool entered = false, tie_rule ties = tie_rule::stable) {
-  constexpr int threads = 512;
   int const items = out.batch * out.layout.levels;
   auto const op = distribute_level::with_scratch(
-      extra_scratch<threads, distribute_level>(exec, items), entered, ties);
-  if (op.has_more_bins()) {
-    for_each_item<per_block<threads>>(exec, items, distribute_level_alone{op}, corners, out);
-  } else {
-    for_each_item<per_block<threads>>(exec, items, op, corners, out);
-  }
+      extra_scratch<distribute_level::threads, distribute_level>(exec, items), entered);
+  distribute_corners(exec, op, corners, out, ties);
 }
 
 }  // namespace FT_ABI

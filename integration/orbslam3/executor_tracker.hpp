@@ -198,9 +198,13 @@ public:
     params.scale_factor = s.scale_factor;
     params.ini_threshold = s.ini_threshold;
     params.min_threshold = s.min_threshold;
+    params.ties = s.std_sort_ties ? tie_rule::std_sort : tie_rule::stable;
     std::vector<stereo_overlap> overlaps;
     for (int i = 0; pair() && !Rig::rectified && i < 2; ++i) {
       overlaps.push_back({s.overlap[i][0], s.overlap[i][1]});
+    }
+    if (!pair() && s.bf == 0) {
+      overlaps.push_back({s.monocular_overlap[0], s.monocular_overlap[1]});
     }
     extractor_ = orb_extractor<Exec>(exec_, params, s.images, overlaps);
     capacity_ = std::max(extractor_.capacity(), s.most_keypoints);

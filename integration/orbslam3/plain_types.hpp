@@ -41,6 +41,13 @@ struct settings {
   /// First and last column of the left and of the right image that see the same; pairs of
   /// kannala_brandt cameras only.
   float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};
+  /// Of a monocular image (one image and bf 0): keypoints from the first to the last column come
+  /// last, in reverse, and Frame::monoLeft counts the others. The default is what the original's
+  /// monocular constructor gives; RGB-D has none.
+  float monocular_overlap[2] = {0, 1000};
+  /// Keypoints in the order of a build with libstdc++ (tie_rule::std_sort); false:
+  /// tie_rule::stable.
+  bool std_sort_ties = true;
   /// Keypoints that a frame extracted elsewhere may have in an image; 0: as many as extract()
   /// yields. Monocular initialisation extracts five times as many.
   int most_keypoints = 0;

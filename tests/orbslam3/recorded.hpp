@@ -73,6 +73,7 @@ public:
     s.min_threshold = json_["minThFAST"];
     s.baseline = json_["mb"];
     s.bf = json_["bf"];
+    s.std_sort_ties = false;
     s.left = camera("camera1_params");
     if (fisheye()) {
       s.right = camera("camera2_params");

@@ -325,6 +325,34 @@ TYPED_TEST(extractor_unit, keypoints_of_an_overlap_come_from_the_end) {
   EXPECT_EQ(reversed, plain.x);
 }
 
+TYPED_TEST(extractor_unit, keypoints_of_a_wide_image_lie_on_both_sides_of_an_overlaps_end) {
+  // One image with ORB-SLAM3's monocular overlap, which ends within it.
+  auto params = size(1300, 200);
+  params.features = 1000;
+  image const pixels = test::random_image(1300, 200, 16);
+  auto const plain = this->extract_one(params, pixels);
+  typename TestFixture::extractor orb(this->backend.exec, params, 1, {{0, 1000}});
+  auto const split = this->extract(orb, {pixels})[0];
+  ASSERT_EQ(split.count(), plain.count());
+  std::vector<std::size_t> from;
+  for (std::size_t i = 0; i < plain.count(); ++i) {
+    if (plain.x[i] > 1000) { from.push_back(i); }
+  }
+  EXPECT_EQ(split.mono, static_cast<int>(from.size()));
+  EXPECT_GT(from.size(), 50u);
+  EXPECT_LT(from.size(), plain.count() - 50);
+  for (std::size_t i = plain.count(); i-- > 0;) {
+    if (plain.x[i] <= 1000) { from.push_back(i); }
+  }
+  for (std::size_t i = 0; i < plain.count(); ++i) {
+    EXPECT_EQ(split.x[i], plain.x[from[i]]);
+    EXPECT_EQ(split.y[i], plain.y[from[i]]);
+    EXPECT_EQ(split.angle[i], plain.angle[from[i]]);
+    EXPECT_EQ(split.octave[i], plain.octave[from[i]]);
+    EXPECT_EQ(ft::hamming(split.orb[i], plain.orb[from[i]]), 0);
+  }
+}
+
 TYPED_TEST(extractor_unit, stages_are_announced_in_order) {
   typename TestFixture::extractor orb(this->backend.exec, size(100, 100), 1);
   std::vector<std::string> marks;

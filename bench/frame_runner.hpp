@@ -229,6 +229,7 @@ private:
     p.orb.width = s.width;
     p.orb.height = s.height;
     p.orb.features = s.features;
+    p.orb.ties = how.std_sort_ties ? ft::tie_rule::std_sort : ft::tie_rule::stable;
     p.local_points = 4096;
     p.map_slots = 8192;
     p.updates = 4096;

@@ -41,8 +41,8 @@ int main(int argc, char** argv) {
   app.add_option("--only", only,
                  "sections, with commas between: cameras, frame, fisheye, stages, batch, streams, "
                  "graph (launches and bytes a frame), kernels (their registers and memory), "
-                 "ablation (one choice switched at a time), host_stages (one host thread, beside "
-                 "OpenCV). Default: all");
+                 "ablation (one choice switched at a time), tie_rules (of the quadtree), "
+                 "host_stages (one host thread, beside OpenCV). Default: all");
   app.add_option("--json", json_path, "write all figures to this file");
   app.add_option("--backend", backend,
                  "auto (a device where there is one, else the host), host, cuda or both")
@@ -140,6 +140,7 @@ int main(int argc, char** argv) {
       if (wanted("streams")) { bench::streams_section(context, b); }
       if (wanted("graph")) { bench::graph_section(context, b); }
       if (wanted("kernels")) { bench::kernels_section(context, b); }
+      if (wanted("tie_rules")) { bench::tie_rules_section(context, b); }
       if (wanted("ablation")) { bench::ablation_section(context, b, backend != "cuda"); }
     }
     if (wanted("host_stages") && (backend != "cuda" || !only.empty())) {

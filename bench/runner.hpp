@@ -32,6 +32,7 @@ struct frame_options {
   int batch = 1;         ///< camera pairs
   bool optimize_last = true;
   bool optimize_local = true;
+  bool std_sort_ties = false;  ///< of the quadtree
 };
 
 /// How a frame is queued.

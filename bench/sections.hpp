@@ -61,6 +61,8 @@ void graph_section(context const& c, backend_type b);
 void kernels_section(context const& c, backend_type b);
 /// @param with_host also measure the frame on the host, beside a device
 void ablation_section(context const& c, backend_type b, bool with_host);
+/// Frames by either tie rule of the quadtree, in turn: array "tie_rules".
+void tie_rules_section(context const& c, backend_type b);
 
 /// The host executor's stages on one thread beside OpenCV's: array "host_stages".
 void host_stages_section(context const& c);

@@ -31,7 +31,7 @@ fi
 compiler=(clang++)
 if command -v ccache >/dev/null; then compiler=(ccache clang++); fi
 
-readers_parts=(sequence/{reader,calibration,evaluation,image_io,rectify}.cpp)
+readers_parts=(sequence/{reader,calibration,evaluation,image_io,image_jpeg,image_png,rectify}.cpp)
 
 object_of() { echo "$folder/$(basename "$1" .cpp).o"; }
 

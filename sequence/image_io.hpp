@@ -10,10 +10,12 @@
 
 namespace seq {
 
-/// Reads a PNG or JPEG (told apart by content) as 8-bit grey: colour is converted with
-/// 0.299 R + 0.587 G + 0.114 B, 16-bit samples keep their high byte, alpha is ignored.
-/// @throws seq::error naming the file: missing, not an image, truncated, or larger than 16384 a
-/// side
+/// Reads a PNG or JPEG (recognised by content) as 8-bit grey: colour is decoded to RGB and
+/// converted as OpenCV does it (sequence/grey.hpp), 16-bit samples keep their high byte, alpha is
+/// ignored. Bytes behind the end of a JPEG, and bytes that it has between its segments, are
+/// skipped.
+/// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than
+/// 16384 a side
 image read_image(std::string const& path);
 
 /// Width and height without decoding the pixels. @throws seq::error

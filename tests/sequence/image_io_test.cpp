@@ -5,7 +5,9 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
+#include <cstddef>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -15,6 +17,8 @@
 #include <png.h>
 
 #include <jpeglib.h>
+
+#include "sequence/grey.hpp"
 
 namespace {
 
@@ -109,7 +113,13 @@ bytes interlaced_png(int width, int height, int colour_type, std::vector<bytes>&
   return out.data;
 }
 
-bytes colour_jpeg(int width, int height, std::array<std::uint8_t, 3> colour) {
+struct jpeg_options {
+  int restart_rows = 0;  ///< rows of blocks between restart markers, 0 = none
+  bool progressive = false;
+};
+
+/// Colour, three bytes a pixel, through libjpeg.
+bytes colour_jpeg(int width, int height, bytes const& rgb, jpeg_options const& options = {}) {
   jpeg_compress_struct info;
   jpeg_error_mgr errors;
   info.err = jpeg_std_error(&errors);
@@ -123,10 +133,11 @@ bytes colour_jpeg(int width, int height, std::array<std::uint8_t, 3> colour) {
   info.in_color_space = JCS_RGB;
   jpeg_set_defaults(&info);
   jpeg_set_quality(&info, 100, TRUE);
+  info.restart_in_rows = options.restart_rows;
+  if (options.progressive) { jpeg_simple_progression(&info); }
   jpeg_start_compress(&info, TRUE);
-  bytes row;
-  for (int x = 0; x < width; ++x) { row.insert(row.end(), colour.begin(), colour.end()); }
   for (int y = 0; y < height; ++y) {
+    bytes row(rgb.begin() + 3 * y * width, rgb.begin() + 3 * (y + 1) * width);
     JSAMPROW rows[1] = {row.data()};
     jpeg_write_scanlines(&info, rows, 1);
   }
@@ -136,6 +147,43 @@ bytes colour_jpeg(int width, int height, std::array<std::uint8_t, 3> colour) {
   std::free(data);
   return out;
 }
+
+/// The pixels as libjpeg decodes them, three bytes each.
+bytes decoded_rgb(bytes const& file) {
+  jpeg_decompress_struct info;
+  jpeg_error_mgr errors;
+  info.err = jpeg_std_error(&errors);
+  jpeg_create_decompress(&info);
+  jpeg_mem_src(&info, file.data(), static_cast<unsigned long>(file.size()));
+  jpeg_read_header(&info, TRUE);
+  info.out_color_space = JCS_RGB;
+  jpeg_start_decompress(&info);
+  std::size_t const stride = std::size_t{3} * info.output_width;
+  bytes out(stride * info.output_height);
+  while (info.output_scanline < info.output_height) {
+    JSAMPROW row = out.data() + stride * info.output_scanline;
+    jpeg_read_scanlines(&info, &row, 1);
+  }
+  jpeg_finish_decompress(&info);
+  jpeg_destroy_decompress(&info);
+  return out;
+}
+
+/// Where the marker 0xff `code` is for the first time.
+std::ptrdiff_t marker_at(bytes const& file, std::uint8_t code) {
+  std::array<std::uint8_t, 2> const marker = {0xff, code};
+  auto const at = std::search(file.begin(), file.end(), marker.begin(), marker.end());
+  EXPECT_NE(at, file.end());
+  return at - file.begin();
+}
+
+bytes with_bytes(bytes file, std::ptrdiff_t at, bytes const& extra) {
+  file.insert(file.begin() + at, extra.begin(), extra.end());
+  return file;
+}
+
+constexpr std::uint8_t start_of_frame = 0xc0, huffman_table = 0xc4, first_restart = 0xd0,
+                       end_of_image = 0xd9, start_of_scan = 0xda, quantization_table = 0xdb;
 
 // The message must name the file.
 template <typename Call>
@@ -208,10 +256,40 @@ TEST_F(image_io, colour_becomes_grey) {
                                                        indices.data(), palette.data(), 2)))
                 .pixels,
             (bytes{76, 29, 29, 76}));
+}
 
-  auto const jpeg = seq::read_image(store("e.jpg", colour_jpeg(16, 16, {200, 100, 50})));
-  ASSERT_EQ(jpeg.pixels.size(), 256u);
-  EXPECT_NEAR(jpeg.pixels[100], 0.299 * 200 + 0.587 * 100 + 0.114 * 50, 2);
+// Red, green, blue and the grey that OpenCV 4 makes of it. Weights of 14 bits (OpenCV 3) give
+// another value for the first five, weights in thousands for the last nine.
+TEST_F(image_io, grey_is_that_of_opencv) {
+  std::vector<std::array<std::uint8_t, 4>> const colours = {
+      {195, 110, 216, 147}, {0, 0, 250, 28},      {0, 1, 201, 23},     {0, 2, 152, 18},
+      {0, 4, 168, 21},      {0, 5, 119, 16},      {0, 8, 86, 14},      {119, 248, 3, 182},
+      {111, 130, 0, 110},   {127, 159, 221, 156}, {163, 99, 225, 132}, {35, 67, 129, 64},
+      {255, 255, 255, 255}, {0, 0, 0, 0}};
+  bytes rgb, grey;
+  for (auto const& c : colours) {
+    rgb.insert(rgb.end(), {c[0], c[1], c[2]});
+    grey.push_back(c[3]);
+    EXPECT_EQ(seq::grey_of(c[0], c[1], c[2]), c[3]);
+  }
+  auto const width = static_cast<int>(colours.size());
+  auto const file = store("a.png", foreign_png(PNG_FORMAT_RGB, width, 1, rgb.data()));
+  EXPECT_EQ(seq::read_image(file).pixels, grey);
+}
+
+// The luma that the file holds is another: it is rounded before the colours are, and not clipped.
+TEST_F(image_io, colour_jpeg_is_decoded_to_rgb_first) {
+  for (bool const progressive : {false, true}) {
+    bytes const file =
+        colour_jpeg(40, 30, noise(3 * 40, 30, 11).pixels, jpeg_options{0, progressive});
+    bytes const rgb = decoded_rgb(file);
+    auto const read = seq::read_image(store("a.jpg", file));
+    ASSERT_EQ(read.pixels.size(), 1200u);
+    for (std::size_t i = 0; i < read.pixels.size(); ++i) {
+      unsigned const r = rgb[3 * i], g = rgb[3 * i + 1], b = rgb[3 * i + 2];
+      ASSERT_EQ(read.pixels[i], (9798 * r + 19235 * g + 3735 * b + (1 << 14)) >> 15) << i;
+    }
+  }
 }
 
 TEST_F(image_io, interlaced_png) {
@@ -271,6 +349,75 @@ TEST_F(image_io, flipped_bits_in_a_jpeg_do_not_crash) {
     }
   }
   EXPECT_GT(errors, 0);
+}
+
+TEST_F(image_io, harmless_extra_bytes_in_a_jpeg_are_skipped) {
+  for (bool const progressive : {false, true}) {
+    bytes const good =
+        colour_jpeg(40, 30, noise(3 * 40, 30, 12).pixels, jpeg_options{0, progressive});
+    auto const expected = seq::read_image(store("good.jpg", good)).pixels;
+    auto const end = static_cast<std::ptrdiff_t>(good.size());
+    ASSERT_EQ(good[good.size() - 1], end_of_image);
+    bytes const odd = {0x00, 0x17, 0xd9, 0x2a, 0x00, 0x01};
+    for (bytes const& extra : {bytes{0}, odd, bytes(64, 0), bytes(3000, 0x55)}) {
+      for (std::ptrdiff_t const at :
+           {std::ptrdiff_t{2}, marker_at(good, quantization_table), marker_at(good, huffman_table),
+            marker_at(good, start_of_scan), end - 2, end}) {
+        auto const file = store("extra.jpg", with_bytes(good, at, extra));
+        EXPECT_EQ(seq::read_image(file).pixels, expected) << extra.size() << " bytes at " << at;
+        int width = 0, height = 0;
+        seq::read_image_size(file, width, height);
+        EXPECT_EQ(width, 40);
+        EXPECT_EQ(height, 30);
+      }
+    }
+    // a second picture behind the first, as some cameras write
+    EXPECT_EQ(seq::read_image(store("two.jpg", with_bytes(good, end, good))).pixels, expected);
+  }
+}
+
+TEST_F(image_io, damage_that_leaves_image_data_over_is_an_error) {
+  bytes const good = colour_jpeg(64, 64, noise(3 * 64, 64, 13).pixels);
+  auto const head = static_cast<std::size_t>(marker_at(good, start_of_frame));
+  ASSERT_EQ(good[head + 6], 64);
+  bytes lower = good;
+  lower[head + 6] = 32;  // half of the rows
+  bytes narrower = good;
+  narrower[head + 8] = 48;
+  for (bytes const& bad : {lower, narrower}) {
+    auto const file = store("bad.jpg", bad);
+    expect_error([&] { seq::read_image(file); }, file);
+  }
+}
+
+TEST_F(image_io, damage_between_restart_markers_is_an_error) {
+  bytes const good = colour_jpeg(64, 64, noise(3 * 64, 64, 14).pixels, jpeg_options{1, false});
+  EXPECT_EQ(seq::read_image(store("good.jpg", good)).width, 64);
+  auto const restart = marker_at(good, first_restart);
+  bytes missing = good;  // half of the data before the marker
+  missing.erase(missing.begin() + restart - 200, missing.begin() + restart - 100);
+  bytes no_marker = good;
+  no_marker.erase(no_marker.begin() + restart, no_marker.begin() + restart + 2);
+  for (bytes const& bad : {missing, no_marker, with_bytes(good, restart, bytes(16, 0x55))}) {
+    auto const file = store("bad.jpg", bad);
+    expect_error([&] { seq::read_image(file); }, file);
+  }
+}
+
+TEST_F(image_io, a_jpeg_without_its_end_is_an_error) {
+  for (bool const progressive : {false, true}) {
+    bytes const good =
+        colour_jpeg(40, 30, noise(3 * 40, 30, 15).pixels, jpeg_options{0, progressive});
+    for (std::size_t count = 0; count < good.size(); count += count + 2 < good.size() ? 7 : 1) {
+      auto const file = store("cut.jpg", good, count);
+      expect_error([&] { seq::read_image(file); }, file);
+    }
+    // the data stops, the end of the image is there
+    bytes short_of_data = good;
+    short_of_data.erase(short_of_data.end() - 200, short_of_data.end() - 2);
+    auto const file = store("short.jpg", short_of_data);
+    expect_error([&] { seq::read_image(file); }, file);
+  }
 }
 
 TEST_F(image_io, refuses_what_is_not_an_image) {

@@ -27,7 +27,7 @@ struct frame_record {
   bool keyframe = false;
   int keypoints = 0;  ///< left image
   int stereo_matches = 0;
-  int inliers = 0;
+  int inliers = 0;  ///< keypoints matched to the map as it was before this frame's new points
   int local_points = 0;
   std::vector<double> stage_ms;  ///< same order as run_report::stages
 };
@@ -40,7 +40,7 @@ struct sample_frame {
     float x = 0, y = 0, size = 0;
     int octave = 0;
     float depth = -1;      ///< metres, -1 = no stereo match
-    bool matched = false;  ///< holds an inlier map point
+    bool matched = false;  ///< one of frame_record::inliers
     float from_x = -1,
           from_y = -1;  ///< where the same map point was seen in the frame before, -1 = not
   };

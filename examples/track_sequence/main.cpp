@@ -188,9 +188,9 @@ seq::sample_frame sample_of(int index, seq::image picture,
     drawn.octave = k.octave;
     drawn.size = static_cast<float>(31.0 * std::pow(scale_factor, k.octave));
     drawn.depth = k.depth;
-    drawn.matched = k.point >= 0;
+    drawn.matched = k.matched;
     auto const at = seen_before.find(k.point);
-    if (k.point >= 0 && at != seen_before.end()) {
+    if (k.matched && at != seen_before.end()) {
       drawn.from_x = at->second->x;
       drawn.from_y = at->second->y;
     }

@@ -47,8 +47,9 @@ struct odometry_options {
 struct seen_keypoint {
   float x, y;
   int octave;
-  float depth;  ///< metres, -1 = no stereo match
-  int point;    ///< map point held, -1 = none
+  float depth;   ///< metres, -1 = no stereo match
+  int point;     ///< map point held, -1 = none
+  bool matched;  ///< to a map point that was there before this frame's new points
 };
 
 struct frame_outcome {
@@ -57,7 +58,7 @@ struct frame_outcome {
   rigid_pose T_cw;  ///< world to left camera
   int keypoints = 0;
   int stereo_matches = 0;
-  int inliers = 0;
+  int inliers = 0;  ///< points of the map that were matched, without this frame's new ones
   int local_points = 0;
   std::vector<double> stage_ms;  ///< one per stage_names()
 };

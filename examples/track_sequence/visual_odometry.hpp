@@ -18,11 +18,11 @@
 #include <utility>
 #include <vector>
 
+#include "examples/track_sequence/conversions.hpp"
 #include "examples/track_sequence/motion_model.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/sparse_map.hpp"
 #include "examples/track_sequence/stage_timer.hpp"
-#include "ft/cameras/kannala_brandt.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
 namespace app {
@@ -40,30 +40,6 @@ constexpr int new_near_points = 70;      ///< and is made where so many could be
 constexpr double keep_share = 0.75;      ///< of the last keyframe's tracked points
 
 }  // namespace vo
-
-inline ft::pose to_ft(rigid_pose const& T) {
-  ft::pose p;
-  for (std::size_t i = 0; i < 9; ++i) { p.R.m[i] = static_cast<float>(T.R[i]); }
-  p.t = {static_cast<float>(T.t[0]), static_cast<float>(T.t[1]), static_cast<float>(T.t[2])};
-  return p;
-}
-
-using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
-
-/// The options' rig as ft has it.
-template <typename Rig>
-Rig rig_of(odometry_options const& o) {
-  auto const f = [](double v) { return static_cast<float>(v); };
-  if constexpr (Rig::rectified) {
-    return ft::rectified_rig::make({f(o.fx), f(o.fy), f(o.cx), f(o.cy)}, f(o.baseline));
-  } else {
-    auto const camera = [&](std::array<double, 8> const& p) {
-      return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
-                                       f(p[4]), f(p[5]), f(p[6]), f(p[7])};
-    };
-    return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
-  }
-}
 
 template <typename Exec, typename Rig>
 class visual_odometry final : public odometry {
@@ -117,7 +93,8 @@ public:
     auto const& r = tracker_.result();
     std::vector<seen_keypoint> all;
     for (int i = 0; i < r.keypoints[0]; ++i) {
-      all.push_back({r.x[i], r.y[i], r.octave[i], r.depth[i], held_[static_cast<std::size_t>(i)]});
+      auto const k = static_cast<std::size_t>(i);
+      all.push_back({r.x[i], r.y[i], r.octave[i], r.depth[i], held_[k], matched_[k] != 0});
     }
     return all;
   }
@@ -127,29 +104,6 @@ public:
   std::string device() const override { return device_; }
 
 private:
-  static ft::tracker_params tracker_params_of(odometry_options const& o) {
-    ft::tracker_params p;
-    p.orb.width = o.width;
-    p.orb.height = o.height;
-    p.orb.features = o.features;
-    p.orb.levels = o.levels;
-    p.orb.scale_factor = static_cast<float>(o.scale_factor);
-    p.orb.ini_threshold = o.ini_threshold;
-    p.orb.min_threshold = o.min_threshold;
-    p.optimize_last = o.optimize != pose_optimization::off;
-    p.optimize_local = o.optimize == pose_optimization::both;
-    p.map_slots = std::max(1 << 17, 8 * o.features);
-    p.updates = std::max(1 << 13, 2 * o.features);
-    return p;
-  }
-  static rigid_pose from_ft(ft::pose const& p) {
-    rigid_pose T;
-    for (std::size_t i = 0; i < 9; ++i) { T.R[i] = static_cast<double>(p.R.m[i]); }
-    T.t = {static_cast<double>(p.t.x), static_cast<double>(p.t.y), static_cast<double>(p.t.z)};
-    T.orthonormalize();
-    return T;
-  }
-
   /// Queues a call of the tracker and waits for its result.
   template <typename Call>
   void run(Call const& call) {
@@ -268,6 +222,7 @@ private:
       });
     } else {
       held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
+      matched_.assign(held_.size(), 0);
       out.inliers = 0;
       int const depths = count([&](int i) { return r.depth[i] > 0; });
       bool const usable = depths >= vo::min_stereo_points;
@@ -288,7 +243,6 @@ private:
         ++maps_;
         out.keyframe = true;
         out.tracked = !has_map;  // a later map hangs on a guessed pose
-        out.inliers = count([&](int i) { return held_[static_cast<std::size_t>(i)] >= 0; });
       }
     }
     out.T_cw = T_cw_;
@@ -298,6 +252,9 @@ private:
     auto const& r = tracker_.result();
     held_.assign(static_cast<std::size_t>(cameras * tracker_.capacity()), -1);
     std::copy(r.holder, r.holder + cameras * r.capacity, held_.begin());
+    matched_.resize(held_.size());
+    std::transform(held_.begin(), held_.end(), matched_.begin(),
+                   [](int slot) { return static_cast<unsigned char>(slot >= 0); });
   }
 
   double near() const { return options_.near_depth * options_.baseline; }
@@ -410,8 +367,9 @@ private:
   stage_sums sums_;
   stage_timer<Exec> timer_;
   std::vector<ft::descriptor> descriptors_;
-  std::vector<int> held_;   ///< slot of each keypoint of the last frame
-  std::vector<int> local_;  ///< slots of the local map
+  std::vector<int> held_;  ///< slot of each keypoint of the last frame, new points among them
+  std::vector<unsigned char> matched_;  ///< whether it was matched to a point of the map before
+  std::vector<int> local_;              ///< slots of the local map
   rigid_pose T_cw_;
   motion_model motion_;
   std::int64_t time_ns_ = 0;      ///< of the last frame

@@ -71,7 +71,8 @@ void print_summary(std::ostream& out, run_report const& report);
 /// max_ms, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
-/// One self-contained file: no script, style or picture from elsewhere. @throws seq::error
+/// One self-contained file: no script, style or picture from elsewhere. @throws seq::error where it
+/// cannot be written, or where there are more stages than colours (report_palette.hpp)
 void write_html(std::string const& path, run_report const& report);
 
 /// A one-line progress display ("track  132/300  44 %  31.2 frames/s  ETA 5 s"); a plain line every

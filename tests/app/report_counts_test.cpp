@@ -5,6 +5,7 @@
 #include <map>
 #include <string>
 
+#include "sequence/report_palette.hpp"
 #include "tests/app/process.hpp"
 #include "tests/app/track_support.hpp"
 #include "tests/sequence/test_support.hpp"
@@ -67,6 +68,15 @@ TEST(ReportCounts, PointsOfAKeyframeAreNoInliers) {
   ASSERT_TRUE(
       succeeded(track(shared + "/data/kitti_0926_stereo", folder.path("out"), {"--frames", "6"})));
   EXPECT_EQ(expect_equal_counts(folder.path("out"), 6), 6);
+}
+
+// The last stage is the whole frame, which is drawn as a line.
+TEST(ReportCounts, EveryStageHasAColour) {
+  temp_folder const folder;
+  ASSERT_TRUE(succeeded(track(generated(few), folder.path("out"))));
+  results const r = read_results(folder.path("out"), few);
+  EXPECT_LE(r.summary.at("stages").size() - 1, seq::detail::stage_palette.size());
+  EXPECT_GE(r.summary.at("stages").size() - 1, 16u);
 }
 
 }  // namespace

@@ -433,7 +433,7 @@ void graph_section(context const& c, backend_type b) {
 void kernels_section(context const& c, backend_type b) {
   std::printf("\nKernels of a recorded frame\n");
   if (b == backend_type::host) {
-    std::printf("(needs a device; without one see scripts/kernel_resources.sh)\n");
+    std::printf("(needs a device; without one see bench/kernel_resources.py)\n");
     return;
   }
   std::printf("%-64s %-10s %5s %7s %7s %5s %7s %7s %8s\n", "kernel", "rig", "calls", "threads",

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Compiles a unit with all stages of a frame against another CUDA toolkit, with clang++ as the CUDA
 # compiler: device code for each architecture, assembled by the toolkit's ptxas, and the host half.
-# Nothing is run; no GPU is needed. What docs/supported.md says was found with it.
+# Nothing is run; no GPU is needed. What docs/support.md says was found with it.
 #   scripts/check_toolkit.sh VERSION|FOLDER [ARCHITECTURE...]
 # VERSION, as 12.6, takes headers, libdevice and ptxas from NVIDIA's Python packages (pip); FOLDER is a
 # toolkit. Architectures are sm_72 sm_87 if none is given. CLANG names the compiler (clang++-16).

@@ -6,7 +6,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out=${1:-build/docs}
-python3 scripts/check_links.py
+python3 scripts/check_docs.py
 if ! command -v doxygen >/dev/null; then
   echo "doxygen is not installed: documentation not made"
   exit 0

@@ -5,7 +5,7 @@
 #   scripts/test_consumers.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
 # prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
-# The example project of docs/new_camera_model.md is one of them; it needs GoogleTest. As many at a time as
+# The example project of docs/extending.md is one of them; it needs GoogleTest. As many at a time as
 # FT_JOBS says.
 set -euo pipefail
 ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)

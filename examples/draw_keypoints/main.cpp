@@ -18,12 +18,10 @@ int draw(Exec const& exec, demo::grey_image const& image, std::string const& pat
   params.features = 500;
   ft::orb_extractor<Exec> orb(exec, params, 1);
 
-  // On a GPU these calls are queued on the executor's stream. wait() is the only one that waits.
-  ft::keypoints<ft::staging_space<Exec>> const found(orb.capacity());
+  // On a GPU these calls are enqueued on the executor's stream; download() waits.
   orb.upload(exec, 0, demo::view(image));
   orb.extract(exec);
-  ft::copy(exec, found.view(), orb.keypoints());
-  exec.wait();
+  auto const found = ft::download(exec, orb.keypoints());
 
   demo::picture picture(image);
   auto const keypoints = found.view();

@@ -38,9 +38,7 @@ int extract(Exec const& exec, demo::grey_image const& image, std::string const& 
   orb.set_mask(exec, 0, demo::view(mask));  // until the next mask
   orb.upload(exec, 0, demo::view(image));
   orb.extract(exec);
-  ft::keypoints<ft::staging_space<Exec>> const found(orb.capacity());
-  ft::copy(exec, found.view(), orb.keypoints());
-  exec.wait();
+  auto const found = ft::download(exec, orb.keypoints());
 
   // The mask as large as the image, to draw and to check.
   std::vector<std::uint8_t> allowed;

@@ -83,9 +83,7 @@ double strongest_of_tiles(Exec const& exec, demo::grey_image const& image) {
   auto const last = thrust::unique(policy, first, first + count, same_tile{});
   int const kept = static_cast<int>(last - first);
 
-  tiled_keypoints<ft::staging_space<Exec>> const found(orb.capacity());
-  ft::copy(exec, found.view(), mine.view());
-  exec.wait();
+  auto const found = ft::download(exec, mine.view());
   double sum = 0;
   bool rising = true;
   for (int i = 0; i < kept; ++i) {

@@ -69,10 +69,8 @@ int main() {
     ft::detail::check(cudaGetLastError(), "match_kernel");
 
     std::vector<match> found(n);
-    ft::keypoints<ft::memory_space::pinned> const keypoints(orb.capacity(), 2);
     ft::copy(exec, found.data(), static_cast<match const*>(matches.data()), n);
-    ft::copy(exec, keypoints.view(), orb.keypoints());
-    exec.wait();
+    auto const keypoints = ft::download(exec, orb.keypoints());  // waits
 
     auto const host_left = keypoints.view().slice(0);
     auto const host_right = keypoints.view().slice(1);

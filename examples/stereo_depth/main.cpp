@@ -33,11 +33,8 @@ int match(Exec const& exec, demo::scene const& scene, std::string const& path) {
   orb.extract(exec);
   stereo.match(exec, orb);
 
-  ft::keypoints<ft::staging_space<Exec>> const keypoints(orb.capacity(), 2);
-  ft::stereo_matches<ft::staging_space<Exec>> const matches(orb.capacity());
-  ft::copy(exec, keypoints.view(), orb.keypoints());
-  ft::copy(exec, matches.view(), stereo.matches());
-  exec.wait();
+  auto const keypoints = ft::download(exec, orb.keypoints());
+  auto const matches = ft::download(exec, stereo.matches());
 
   demo::picture picture(images.left);
   std::vector<float> errors;

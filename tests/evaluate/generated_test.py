@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""scripts/evaluate.py with the programs, on short generated sequences: generated_test.py FOLDER_OF_PROGRAMS"""
+"""tools/evaluation/evaluate.py with the programs, on short generated sequences: generated_test.py FOLDER_OF_PROGRAMS"""
 import csv
 import pathlib
 import subprocess
@@ -9,7 +9,7 @@ import tempfile
 import unittest
 
 PROGRAMS = sys.argv[1]
-EVALUATE = pathlib.Path(__file__).resolve().parent.parent.parent / "scripts" / "evaluate.py"
+EVALUATE = pathlib.Path(__file__).resolve().parent.parent.parent / "tools" / "evaluation" / "evaluate.py"
 
 
 def evaluate(out, *options):

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Frustum and searches as loops over the stand-in types, read off sections 7 to 10 of
-/// docs/specification.md: what a system's own CPU code does. The oracle of the shim's tests, and
-/// the CPU's side where both are mixed or compared.
+/// docs/reference_behaviour.md: what a system's own CPU code does. The oracle of the shim's tests,
+/// and the CPU's side where both are mixed or compared.
 #pragma once
 
 #include <Eigen/Core>

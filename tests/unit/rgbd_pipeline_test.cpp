@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Distorted images end to end: a grey and a depth image of a camera with radial-tangential
 // distortion become keypoints, stereo matches of a virtual pair, map points and a pose; two
-// distorted cameras become a rectified pair in front of the extractor. What docs/
-// rgbd_and_rectification.md shows is taken from here.
+// distorted cameras become a rectified pair in front of the extractor. What
+// docs/guide.md shows is taken from here.
 #include <gtest/gtest.h>
 
 #include <algorithm>

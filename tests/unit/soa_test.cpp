@@ -101,6 +101,21 @@ TYPED_TEST(soa_unit, a_slice_is_one_batch_entry) {
   }
 }
 
+TYPED_TEST(soa_unit, a_download_is_a_copy_that_the_host_reads) {
+  auto const& exec = this->backend.exec;
+  labelled<TypeParam::exec_type::space> const owner(7, 3);
+  ft::fill(exec, owner.view(), 0);
+  ft::for_each_item<ft::per_thread>(exec, 7 * 3, write_positions{}, position_view(owner.view()));
+  auto const there = ft::download(exec, owner.view());
+  EXPECT_EQ(there.capacity(), 7);
+  EXPECT_EQ(there.batch(), 3);
+  for (int i = 0; i < 7 * 3; ++i) {
+    EXPECT_EQ(ft::get<ft::field::x>(there.view(), i), static_cast<float>(i));
+    EXPECT_EQ(ft::get<landmark_id>(there.view(), i), 0);
+  }
+  for (int b = 0; b < 3; ++b) { EXPECT_EQ(there.view().count[b], 7 * b); }
+}
+
 TYPED_TEST(soa_unit, copies_travel_between_spaces) {
   auto const& exec = this->backend.exec;
   constexpr auto staging = ft::staging_space<typename TypeParam::exec_type>;

@@ -144,5 +144,16 @@ void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> c
   copy(exec, to.count, static_cast<int const*>(from.count), static_cast<std::size_t>(from.batch));
 }
 
+/// A copy of a container in memory that the host reads: pinned next to a device, plain otherwise.
+/// Waits for the executor, and allocates: for results that are looked at now and then, not for
+/// every frame. @throws std::bad_alloc, cuda_error
+template <typename Exec, typename... Fields>
+soa<staging_space<Exec>, Fields...> download(Exec const& exec, soa_view<Fields...> const& from) {
+  soa<staging_space<Exec>, Fields...> to(from.capacity, from.batch);
+  copy(exec, to.view(), from);
+  exec.wait();
+  return to;
+}
+
 }  // namespace FT_ABI
 }  // namespace ft

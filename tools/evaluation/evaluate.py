@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Runs track_sequence over all sequences of a data set, several times, and makes the tables. docs/evaluation.md
+"""Runs track_sequence over all sequences of a data set, several times, and makes the tables. README.md beside this file
 
-scripts/evaluate.sh builds what this needs and calls it. Needs Python 3.8 or newer, and no packages."""
+tools/evaluation/evaluate.sh builds what this needs and calls it. Needs Python 3.8 or newer, and no packages."""
 import argparse
 import fcntl
 import os
@@ -13,13 +13,13 @@ import sys
 from evaluation import runs, self_test, sequences, tables
 from evaluation.sequences import UsageError
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 BIN = ROOT / "build" / "bin"
 
 
 def parse(arguments):
     parser = argparse.ArgumentParser(
-        prog="scripts/evaluate.sh",
+        prog="tools/evaluation/evaluate.sh",
         description="Tracks every sequence under DIR (EuRoC, TUM-VI, KITTI layout) several times, on the host and, where there is "
         "one, on the GPU, and prints time per component, accuracy and frame loss in real time; as text, CSV and HTML "
         "in the folder OUT as well. Without DIR it generates sequences. Called again it goes on where it was cut "
@@ -69,7 +69,7 @@ def choice_of(names):
 def program(args, name):
     path = args.bin / name
     if not path.is_file():
-        raise UsageError(f"no program '{path}': scripts/evaluate.sh without --bin builds it")
+        raise UsageError(f"no program '{path}': tools/evaluation/evaluate.sh without --bin builds it")
     if not os.access(path, os.X_OK):
         raise UsageError(f"'{path}' cannot be started: chmod +x, or another folder for --bin")
     return path.resolve()

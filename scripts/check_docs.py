@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that what the Markdown pages link to inside the repository exists, headings included."""
+"""Checks the Markdown pages: what they link to inside the repository exists, headings included, and every C++ snippet of
+README.md, CONTRIBUTING.md and docs/ stands, line by line, in a source file that is compiled."""
 
 import re
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+SNIPPET = re.compile(r"```cpp\n(.*?)```", re.DOTALL)
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 
 
@@ -31,8 +33,34 @@ def pages():
     return found or [p for p in ROOT.rglob("*.md") if "build" not in p.relative_to(ROOT).parts[0]]
 
 
+def squeezed(text):
+    return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
+
+
+def sources():
+    """The lines of every source file, without white space that does not matter."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.cpp", "*.hpp", "*.cu"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    ).stdout.split("\n")
+    return ["\n".join(squeezed((ROOT / name).read_text(encoding="utf-8"))) for name in listed if name and (ROOT / name).is_file()]
+
+
+def unknown_snippets(page, compiled):
+    for snippet in SNIPPET.findall(page.read_text(encoding="utf-8")):
+        lines = squeezed(snippet)
+        if lines and not any("\n".join(lines) in source for source in compiled):
+            yield lines[0]
+
+
 def main():
     problems = []
+    compiled = sources()
+    quoting = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+    if compiled:  # not in an archive without git
+        for page in quoting:
+            for first in unknown_snippets(page, compiled):
+                problems.append(f"{page.relative_to(ROOT)}: the snippet that begins with '{first}' is in no source file")
     checked = 0
     for page in pages():
         if not page.is_file():

@@ -1,17 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds track_sequence and what goes with it, then runs scripts/evaluate.py, which says what it does: --help.
+# Builds track_sequence and what goes with it, then runs tools/evaluation/evaluate.py, which says what it does: --help.
 # With --bin FOLDER it takes the programs there, and neither builds nor installs.
 set -euo pipefail
-ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 # shellcheck source=scripts/deps.sh
 source "$ft_root/scripts/deps.sh"
 
 if ! command -v python3 >/dev/null; then
-  echo "ft: scripts/evaluate.sh needs python3" >&2
+  echo "ft: tools/evaluation/evaluate.sh needs python3" >&2
   exit 1
 fi
-evaluate=("$ft_root/scripts/evaluate.py")
+evaluate=("$ft_root/tools/evaluation/evaluate.py")
 given=" $* "
 case $given in
   *" -h "* | *" --help "* | *" --self-test "* | *" --bin"*) exec python3 "${evaluate[@]}" "$@" ;;

@@ -8,7 +8,7 @@ cd "$ft_root"
 
 usage() {
   cat <<EOF
-usage: scripts/compile_times.sh [HEADER...]
+usage: bench/compile_times.sh [HEADER...]
 
 Seconds to compile a unit that includes one public header and nothing else, slowest first: with the C++
 compiler (CXX, g++; -O2) and, where there is one, nvcc (-O2, one architecture: FT_ARCH, sm_90). Without

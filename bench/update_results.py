@@ -252,11 +252,10 @@ def conformance():
 
 
 TABLES = {
-    "README.md": {"frames": frames},
     "docs/performance.md": {"frames": frames, "stages": stages, "recorded frames": recorded, "recorded stages": recorded_stages,
                             "host against OpenCV": host_stages},
-    "docs/conformance.md": {"conformance": conformance},
-    "docs/benchmark_results.md": {
+    "docs/reference_behaviour.md": {"conformance": conformance},
+    "bench/results/README.md": {
         "counts": counts,
         "stage chart": stage_chart,
         "fisheye": fisheye,

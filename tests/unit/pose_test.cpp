@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <limits>
 #include <random>
+#include <string>
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
@@ -137,6 +138,54 @@ inline int number_of_inliers(std::vector<unsigned char> const& outlier) {
   return static_cast<int>(std::count(outlier.begin(), outlier.end(), 0));
 }
 
+/// What an observation says of a pose, in double and by the cameras' models alone.
+struct seen_error {
+  double chi2;
+  bool stereo;
+};
+template <typename Rig>
+seen_error error_of(Rig const& rig, motion const& T_cw, ft::observation const& o) {
+  ft::vec3<double> const seen = T_cw * ft::vec3<double>{o.point.x, o.point.y, o.point.z};
+  auto const pixel = pixel_of(rig, seen, o.right_camera);
+  double const u = static_cast<double>(o.u) - pixel.x;
+  double const v = static_cast<double>(o.v) - pixel.y;
+  double sum = u * u + v * v;
+  bool stereo = false;
+  if constexpr (Rig::rectified) {
+    stereo = o.right_u >= 0;
+    double const right =
+        static_cast<double>(o.right_u) - (pixel.x - static_cast<double>(rig.bf) / seen.z);
+    if (stereo) { sum += right * right; }
+  }
+  return {sum * static_cast<double>(o.inv_sigma2), stereo};
+}
+/// The sum that a robust round makes least: Huber's, over all observations.
+template <typename Rig>
+double robust_cost(Rig const& rig, motion const& T_cw, std::vector<ft::observation> const& all) {
+  double sum = 0;
+  for (auto const& o : all) {
+    seen_error const e = error_of(rig, T_cw, o);
+    double const limit = e.stereo ? 7.815 : 5.991;
+    sum += e.chi2 <= limit ? e.chi2 : 2 * std::sqrt(limit * e.chi2) - limit;
+  }
+  return sum;
+}
+/// How much less the robust cost is 1e-3 rad or m away in any of the 6 directions; 0 = not at all.
+template <typename Rig>
+double robust_descent(Rig const& rig, motion const& T_cw, std::vector<ft::observation> const& all) {
+  double const here = robust_cost(rig, T_cw, all);
+  double least = here;
+  for (int k = 0; k < 12; ++k) {
+    double const side = k % 2 == 0 ? 1 : -1;
+    double const d[3] = {k / 2 % 3 == 0 ? side : 0, k / 2 % 3 == 1 ? side : 0,
+                         k / 2 % 3 == 2 ? side : 0};
+    motion const step = k < 6 ? turn(d[0], d[1], d[2], 1e-3, {0, 0, 0})
+                              : turn(1, 0, 0, 0, {1e-3 * d[0], 1e-3 * d[1], 1e-3 * d[2]});
+    least = std::min(least, robust_cost(rig, step * T_cw, all));
+  }
+  return here - least;
+}
+
 /// Analytic and numeric derivatives of one observation.
 struct derivatives {
   double analytic[3][6];
@@ -249,6 +298,34 @@ protected:
     }
   }
 
+  /// One of the observations is false. With nine the answer is that of the first, robust round;
+  /// with ten it is that of the others alone.
+  template <typename Rig>
+  void check_first_round_alone() {
+    auto const rig = make_rig<Rig>();
+    for (unsigned seed = 0; seed < 8; ++seed) {
+      for (int const n : {3, 8, 9, 10, 11}) {
+        SCOPED_TRACE(std::to_string(n) + " observations, seed " + std::to_string(seed));
+        auto s = make_scene(rig, n, 0, 40 + seed);
+        s.observations[1].u += 20;
+        auto const r = solve(rig, s.observations, s.start);
+        motion const found = r.pose.template cast<double>();
+        if (n >= 10) {
+          EXPECT_LT(distance(r.pose, s.truth), 1e-3);
+          EXPECT_GT(robust_descent(rig, found, s.observations), 1e-3);
+        } else if (n > 3) {
+          EXPECT_EQ(robust_descent(rig, found, s.observations), 0);
+        }
+        for (std::size_t i = 0; i < s.observations.size(); ++i) {
+          seen_error const e = error_of(rig, found, s.observations[i]);
+          double const limit = e.stereo ? 7.815 : 5.991;
+          if (std::abs(e.chi2 - limit) < 0.05) { continue; }
+          EXPECT_EQ(r.outlier[i], e.chi2 > limit ? 1 : 0) << i << ": " << e.chi2;
+        }
+      }
+    }
+  }
+
   /// Observations that no pose explains.
   template <typename Rig>
   void check_points_behind() {
@@ -340,13 +417,13 @@ protected:
     EXPECT_EQ(with_three > 20, stereo);
   }
 
-  /// Frames of a batch, from keypoints that hold map points.
+  /// Frames of a batch, from keypoints that hold map points; the last has nine, one of them false.
   template <typename Rig>
   void check_frames() {
     auto const& exec = backend.exec;
     auto const rig = make_rig<Rig>();
     auto const geometry = ft::pyramid_geometry::make(752, 480, 8, 1.2f);
-    constexpr int batch = 2;
+    constexpr int batch = 3;
     constexpr int capacity = 160;
     constexpr int points = 300;
     constexpr int cameras = Rig::rectified ? 1 : 2;
@@ -357,8 +434,11 @@ protected:
     std::vector<int> holder(batch * numbers, -1);
     std::vector<float> right_x(batch * capacity, -1.0f);
     for (int b = 0; b < batch; ++b) {
-      scenes.push_back(make_scene(rig, 200 + b, 0.1, static_cast<unsigned>(20 + b)));
-      auto const& all = scenes.back().observations;
+      bool const few = b == 2;
+      scenes.push_back(
+          make_scene(rig, few ? 9 : 200 + b, few ? 0 : 0.1, static_cast<unsigned>(20 + b)));
+      auto& all = scenes.back().observations;
+      if (few) { all[1].u += 20; }
       for (int c = 0; c < 2; ++c) { kp.view().count[2 * b + c] = 0; }
       map.view().count[b] = points;
       for (std::size_t i = 0; i < all.size(); ++i) {
@@ -369,6 +449,7 @@ protected:
           ft::get<ft::field::x>(view, k) = all[i].u;
           ft::get<ft::field::y>(view, k) = all[i].v;
           ft::get<ft::field::octave>(view, k) = static_cast<int>(i % 8);
+          all[i].inv_sigma2 = geometry.inv_sigma2[i % 8];
           int const slot = points - 1 - static_cast<int>(i);
           ft::get<ft::field::position>(map.view().slice(b), slot) = all[i].point;
           // Every tenth keypoint holds no point.
@@ -385,8 +466,8 @@ protected:
     exec.wait();
     auto const d_holder = test::to_exec(exec, holder);
     auto const d_right = test::to_exec(exec, right_x);
-    auto const d_start =
-        test::to_exec(exec, std::vector<ft::pose>{scenes[0].start, scenes[1].start});
+    auto const d_start = test::to_exec(
+        exec, std::vector<ft::pose>{scenes[0].start, scenes[1].start, scenes[2].start});
     auto const d_result = test::to_exec(exec, std::vector<ft::pose>(batch));
     ft::observations_view observations;
     ft::arena<space> const memory(
@@ -405,7 +486,14 @@ protected:
     auto const counts = test::from_exec(exec, static_cast<int const*>(observations.count), batch);
     auto const inliers =
         test::from_exec(exec, static_cast<int const*>(observations.inliers), batch);
-    for (int b = 0; b < batch; ++b) {
+    auto& nine = scenes[2].observations;
+    std::stable_partition(nine.begin(), nine.end(), [](auto const& o) { return !o.right_camera; });
+    auto const alone = solve(rig, nine, scenes[2].start);
+    EXPECT_TRUE(same_bits(got[2], alone.pose));
+    EXPECT_LT(robust_descent(rig, got[2].template cast<double>(), nine), 0.02);
+    EXPECT_EQ(counts[2], 9);
+    EXPECT_EQ(inliers[2], alone.inliers);
+    for (int b = 0; b < 2; ++b) {
       auto const at = static_cast<std::size_t>(b);
       EXPECT_LT(distance(got[at], scenes[at].truth), 1e-3);
       // A keypoint lets go of its point exactly where that is an outlier.
@@ -436,6 +524,12 @@ TYPED_TEST(pose_unit, recovers_a_fisheye_pose) { this->template check_recovery<f
 TYPED_TEST(pose_unit, fewer_than_three_observations_change_nothing) {
   this->template check_too_few<ft::rectified_rig>();
   this->template check_too_few<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, fewer_than_ten_rectified_observations_have_the_first_round_alone) {
+  this->template check_first_round_alone<ft::rectified_rig>();
+}
+TYPED_TEST(pose_unit, fewer_than_ten_fisheye_observations_have_the_first_round_alone) {
+  this->template check_first_round_alone<fisheye_rig>();
 }
 TYPED_TEST(pose_unit, points_behind_the_camera_give_a_pose_still) {
   this->template check_points_behind<ft::rectified_rig>();

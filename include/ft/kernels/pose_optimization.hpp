@@ -33,6 +33,8 @@ struct alignas(16) observation {
 
 struct pose_params {
   int rounds = 4;
+  /// With fewer observations, outliers included, the first round is the only one.
+  int enough_observations = 10;
   int steps = 10;   ///< per round
   int trials = 10;  ///< of the damping, per step
   /// A round ends with a step shorter than this in every component, rad and m; that one is taken
@@ -484,9 +486,10 @@ struct optimize_pose {
                                    pose_params const& params) {
     int const n = problem.count;
     bool const enough = n >= 3 && params.rounds > 0;
+    int const rounds = n < params.enough_observations ? 1 : params.rounds;
     bool changed = true;
     FT_NO_UNROLL
-    for (int round = 0; enough && round < params.rounds; ++round) {
+    for (int round = 0; enough && round < rounds; ++round) {
       bool const robust = round + 1 < params.rounds;
       // The same observations and the same kernel give the same pose again.
       if (!changed && robust) { continue; }

@@ -18,7 +18,7 @@ case $mode in
 esac
 command -v $tool >/dev/null || { echo "ft: $0 needs $tool" >&2; exit 2; }
 
-# Not by CMake: there new memory is filled with a byte (FT_NEW_MEMORY_BYTE), and memcheck takes that for a value.
+# Not by CMake: there new memory is filled with garbage (FT_NEW_MEMORY_SEED), and memcheck takes that for a value.
 build=$ft_root/build-$mode
 mkdir -p "$build"
 compile() {

@@ -759,6 +759,41 @@ TYPED_TEST(frame_tracker_test, leaves_out_slots_outside_the_map) {
   EXPECT_EQ(held(take(tracker, 0, true)), 0);
 }
 
+/// Its grid and what its keypoints hold are read, although nothing has written them.
+TYPED_TEST(frame_tracker_test, finds_nothing_in_the_local_map_before_any_frame) {
+  auto const& exec = this->exec();
+  auto const first_call = [&](auto& tracker) {
+    // A map in front of the camera, all of it in the search.
+    std::vector<ft::point_update> points;
+    for (int i = 0; i < 50; ++i) {
+      float const x = 0.05f * static_cast<float>(i - 25);
+      points.push_back({i, 1, {x, 0, 3}, {0, 0, 1}, 1, 10, {}});
+      tracker.local_slots()[i] = i;
+    }
+    tracker.update_map(exec, 0, points.data(), 50);
+    exec.wait();
+    tracker.local_count()[0] = 50;
+    tracker.stamp()[0] = 1;
+    tracker.predicted()[0] = ft::pose::identity();
+    ft::local_search_params search;
+    search.th = 20;
+    tracker.track_local(exec, search, true);
+    exec.wait();
+    auto const got = take(tracker, 0, true);
+    EXPECT_EQ(got.keypoints[0], 0);
+    EXPECT_EQ(got.matches, 0);
+    EXPECT_EQ(got.inliers, 0);
+    EXPECT_EQ(held(got), 0);
+    EXPECT_GT(std::count(got.in_view.begin(), got.in_view.end(), 1), 30);
+    ft::pose const start = ft::pose::identity();
+    EXPECT_EQ(std::memcmp(&got.T_cw, &start, sizeof start), 0);
+  };
+  typename TestFixture::tracker_type rectified(exec, rig(), params());
+  first_call(rectified);
+  ft::frame_tracker<typename TestFixture::exec_type, fisheye_rig> pair(exec, fisheye(), params());
+  first_call(pair);
+}
+
 TYPED_TEST(frame_tracker_test, goes_through_frames_without_a_corner) {
   auto const& exec = this->exec();
   stereo_frame const black{image(at(width) * at(height), 0), image(at(width) * at(height), 0),

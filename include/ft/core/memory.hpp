@@ -40,17 +40,51 @@ inline void check(cudaError_t status, char const* call) {
 }
 #endif
 
-/// With FT_NEW_MEMORY_BYTE defined (a debugging aid, for a whole program) new memory is filled with
-/// that byte: what is read before it is written is then wrong in the same way on every run.
+#if defined(FT_NEW_MEMORY_SEED)
+/// Pseudo-random words (splitmix64), others for every allocation of a thread and the same on every
+/// run.
+class garbage {
+public:
+  garbage() {
+    static thread_local std::uint64_t allocations = 0;
+    state_ = static_cast<std::uint64_t>(FT_NEW_MEMORY_SEED) + (++allocations << 32);
+  }
+  void write(void* to, std::size_t bytes) {
+    for (std::size_t at = 0; at < bytes; at += sizeof(std::uint64_t)) {
+      std::uint64_t z = state_ += 0x9e3779b97f4a7c15u;
+      z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+      z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+      z ^= z >> 31;
+      std::size_t const left = bytes - at;
+      std::memcpy(static_cast<unsigned char*>(to) + at, &z, left < sizeof z ? left : sizeof z);
+    }
+  }
+
+private:
+  std::uint64_t state_;
+};
+#endif
+
+/// With FT_NEW_MEMORY_SEED defined (a debugging aid, for a whole program) new memory is filled with
+/// pseudo-random bytes: what is read before it is written is then wrong, in the same way on every
+/// run. Not one byte throughout: then two reads of such memory would still agree with each other.
 template <memory_space Space>
 void* fill_new(void* p, std::size_t bytes) {
-#if defined(FT_NEW_MEMORY_BYTE)
+#if defined(FT_NEW_MEMORY_SEED)
+  garbage words;
   if constexpr (Space != memory_space::device) {
-    std::memset(p, FT_NEW_MEMORY_BYTE, bytes);
+    words.write(p, bytes);
   } else {
 #if defined(__CUDACC__)
     // On a stream of the thread's own: another thread may be recording a graph.
-    check(cudaMemsetAsync(p, FT_NEW_MEMORY_BYTE, bytes, cudaStreamPerThread), "cudaMemsetAsync");
+    unsigned char some[1 << 14];
+    for (std::size_t at = 0; at < bytes; at += sizeof some) {
+      std::size_t const size = bytes - at < sizeof some ? bytes - at : sizeof some;
+      words.write(some, size);
+      check(cudaMemcpyAsync(static_cast<unsigned char*>(p) + at, some, size, cudaMemcpyHostToDevice,
+                            cudaStreamPerThread),
+            "cudaMemcpyAsync");
+    }
     check(cudaStreamSynchronize(cudaStreamPerThread), "cudaStreamSynchronize");
 #endif
   }

@@ -398,6 +398,13 @@ public:
     // written has NaN for a position, and no camera sees it.
     fill_bytes(exec, array_of<field::position>(map_), 0xff, slots * sizeof(vec3<float>));
     fill_bytes(exec, stamps_, 0, slots * sizeof(int));
+    // Before any frame: empty grids, no motion.
+    fill_bytes(exec, frame_.grids.start, 0,
+               b * static_cast<std::size_t>(cameras * (cells.cells() + 1)) * sizeof(int));
+    fill_bytes(exec, frame_.holder, 0xff, b * static_cast<std::size_t>(numbers) * sizeof(int));
+    fill_bytes(exec, poses_, 0, b * sizeof(pose));
+    fill_bytes(exec, motion_.device_memory.data(), 0, motion_.device_memory.bytes());
+    fill_bytes(exec, local_.device_memory.data(), 0, local_.device_memory.bytes());
     // Candidates are read beside how many there are.
     fill_bytes(exec, work_.list, 0xff, work_.list_bytes());
     fill_bytes(exec, local_work_.list, 0xff, local_work_.list_bytes());

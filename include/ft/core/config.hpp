@@ -2,6 +2,24 @@
 /// @file Macros that the other headers share.
 #pragma once
 
+#if (defined(_MSVC_LANG) ? _MSVC_LANG : __cplusplus) < 201703L
+#error "ft needs C++17 or newer: compile with -std=c++17"
+#endif
+
+// Such arithmetic knows no NaN, which ft's tests rely on, and orders sums as it likes: every search
+// may find nothing without a word. nvcc defines no macro for its own --use_fast_math, which breaks
+// the same promises.
+#if !defined(FT_ALLOW_FAST_MATH) &&                                                       \
+    (defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || \
+     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__))
+#error \
+    "ft needs standard floating point: compile without -ffast-math, -Ofast and their parts, or define FT_ALLOW_FAST_MATH to take any answer"
+#endif
+
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 700
+#error "ft needs compute capability 7.0 or newer: its kernels load and add with acquire and release"
+#endif
+
 /// Marks a function that runs on both executors. Empty where the compiler is not a CUDA compiler.
 /// FT_ABI names the inline namespace: a host unit and a CUDA unit of one program keep separate
 /// instantiations, so neither breaks the other's one-definition rule.

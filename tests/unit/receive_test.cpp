@@ -19,6 +19,9 @@
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "tests/support/backends.hpp"
+#if defined(__CUDACC__) && CUDART_VERSION >= 12050
+#include <cuda.h>
+#endif
 
 namespace receive_test {
 
@@ -342,6 +345,58 @@ TEST_F(host_address_of_a_device, a_thread_that_is_new_to_the_device_is_told_the_
   EXPECT_EQ(of_plain, nullptr);
 }
 
+#if CUDART_VERSION >= 12050
+
+/// A function of the driver without linking to it, as it was in CUDA 11.3.
+template <typename Function>
+Function driver_function(char const* name) {
+  void* p = nullptr;
+  cudaDriverEntryPointQueryResult found{};
+  ft::detail::check(cudaGetDriverEntryPointByVersion(name, &p, 11030, cudaEnableDefault, &found),
+                    name);
+  if (found != cudaDriverEntryPointSuccess || p == nullptr) {
+    throw ft::cuda_error(std::string("no driver function ") + name);
+  }
+  return reinterpret_cast<Function>(p);
+}
+
+/// A context of the caller's own, current in this thread.
+class pushed_context {
+public:
+  pushed_context() {
+    int device = 0;
+    ft::detail::check(cudaGetDevice(&device), "cudaGetDevice");
+    auto const create =
+        driver_function<CUresult (*)(CUcontext*, unsigned, CUdevice)>("cuCtxCreate");
+    if (create(&context_, 0, device) != CUDA_SUCCESS) { throw ft::cuda_error("cuCtxCreate"); }
+  }
+  pushed_context(pushed_context const&) = delete;
+  pushed_context& operator=(pushed_context const&) = delete;
+  ~pushed_context() { driver_function<CUresult (*)(CUcontext)>("cuCtxDestroy")(context_); }
+
+  bool is_current() const {
+    CUcontext now = nullptr;
+    return driver_function<CUresult (*)(CUcontext*)>("cuCtxGetCurrent")(&now) == CUDA_SUCCESS &&
+           now == context_;
+  }
+
+private:
+  CUcontext context_ = nullptr;
+};
+
+TEST_F(host_address_of_a_device, a_context_that_the_caller_pushed_stays) {
+  ft::buffer<std::uint8_t, ft::memory_space::pinned> const pinned(100);
+  bytes const plain(100);
+  void const* const before = ft::cuda_exec::host_address(pinned.data());
+  pushed_context const own;
+  ASSERT_TRUE(own.is_current());
+  EXPECT_EQ(ft::cuda_exec::host_address(pinned.data()), before);
+  EXPECT_TRUE(own.is_current());
+  EXPECT_EQ(ft::cuda_exec::host_address(plain.data()), nullptr);
+  EXPECT_TRUE(own.is_current());
+}
+
+#endif
 #endif
 
 }  // namespace receive_test

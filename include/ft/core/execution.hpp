@@ -213,12 +213,15 @@ struct cuda_exec {
   /// Blocks until everything queued on the stream is done. @throws cuda_error
   void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
   /// Where threads read what the caller has at `p`, in pinned, registered, managed or device
-  /// memory; null where they cannot.
+  /// memory; null where they cannot. Leaves the calling thread's current context as it is.
   static void const* host_address(void const* p) {
-    // A thread that did not use the device yet is told nothing about memory.
-    int device = 0;
-    detail::check(cudaGetDevice(&device), "cudaGetDevice");
-    detail::check(cudaSetDevice(device), "cudaSetDevice");
+    // A thread without a context gets no answer about memory. This call gives it the current
+    // device's; a context that the caller has made current stays, which cudaSetDevice would
+    // replace.
+    int least = 0;
+    int greatest = 0;
+    detail::check(cudaDeviceGetStreamPriorityRange(&least, &greatest),
+                  "cudaDeviceGetStreamPriorityRange");
     cudaPointerAttributes facts{};
     detail::check(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
     return facts.type == cudaMemoryTypeUnregistered ? nullptr : facts.devicePointer;

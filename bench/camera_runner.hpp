@@ -214,30 +214,18 @@ private:
 template <>
 class interval<ft::cuda_exec> {
 public:
-  interval() {
-    ft::detail::check(cudaEventCreate(&begin_), "cudaEventCreate");
-    ft::detail::check(cudaEventCreate(&end_), "cudaEventCreate");
-  }
-  interval(interval const&) = delete;
-  interval& operator=(interval const&) = delete;
-  ~interval() {
-    static_cast<void>(cudaEventDestroy(begin_));
-    static_cast<void>(cudaEventDestroy(end_));
-  }
-  void begin(ft::cuda_exec const& exec) {
-    ft::detail::check(cudaEventRecord(begin_, exec.stream), "cudaEventRecord");
-  }
+  void begin(ft::cuda_exec const& exec) { begin_.record(exec.stream); }
   double end(ft::cuda_exec const& exec) {
     float ms = 0;
-    ft::detail::check(cudaEventRecord(end_, exec.stream), "cudaEventRecord");
-    ft::detail::check(cudaEventSynchronize(end_), "cudaEventSynchronize");
-    ft::detail::check(cudaEventElapsedTime(&ms, begin_, end_), "cudaEventElapsedTime");
+    end_.record(exec.stream);
+    ft::throw_on_error(cudaEventSynchronize(end_.get()), "cudaEventSynchronize");
+    ft::throw_on_error(cudaEventElapsedTime(&ms, begin_.get(), end_.get()), "cudaEventElapsedTime");
     return 1000.0 * static_cast<double>(ms);
   }
 
 private:
-  cudaEvent_t begin_ = nullptr;
-  cudaEvent_t end_ = nullptr;
+  ft::event begin_{cudaEventDefault};
+  ft::event end_{cudaEventDefault};
 };
 #endif
 

@@ -26,19 +26,16 @@ class captured {
 public:
   template <typename Queue>
   explicit captured(Queue const& queue) {
-    cudaStream_t stream = nullptr;
-    ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                      "cudaStreamCreateWithFlags");
-    ft::detail::check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal),
-                      "cudaStreamBeginCapture");
-    queue(ft::cuda_exec(stream));
-    ft::detail::check(cudaStreamEndCapture(stream, &graph_), "cudaStreamEndCapture");
-    static_cast<void>(cudaStreamDestroy(stream));
+    ft::stream const capturing;
+    ft::throw_on_error(cudaStreamBeginCapture(capturing.get(), cudaStreamCaptureModeThreadLocal),
+                       "cudaStreamBeginCapture");
+    queue(ft::cuda_exec(capturing.get()));
+    ft::throw_on_error(cudaStreamEndCapture(capturing.get(), &graph_), "cudaStreamEndCapture");
     std::size_t count = 0;
-    ft::detail::check(cudaGraphGetNodes(graph_, nullptr, &count), "cudaGraphGetNodes");
+    ft::throw_on_error(cudaGraphGetNodes(graph_, nullptr, &count), "cudaGraphGetNodes");
     nodes_.resize(count);
     if (count != 0) {
-      ft::detail::check(cudaGraphGetNodes(graph_, nodes_.data(), &count), "cudaGraphGetNodes");
+      ft::throw_on_error(cudaGraphGetNodes(graph_, nodes_.data(), &count), "cudaGraphGetNodes");
     }
   }
   captured(captured const&) = delete;
@@ -58,7 +55,8 @@ public:
         case cudaGraphNodeTypeMemcpy: {
           ++c.copies;
           cudaMemcpy3DParms p = {};
-          ft::detail::check(cudaGraphMemcpyNodeGetParams(node, &p), "cudaGraphMemcpyNodeGetParams");
+          ft::throw_on_error(cudaGraphMemcpyNodeGetParams(node, &p),
+                             "cudaGraphMemcpyNodeGetParams");
           std::size_t const bytes = p.extent.width * std::max<std::size_t>(p.extent.height, 1) *
                                     std::max<std::size_t>(p.extent.depth, 1);
           bool const from = on_device(p.srcPtr.ptr);
@@ -78,15 +76,15 @@ public:
   std::vector<kernel_facts> kernels() const {
     int device = 0;
     cudaDeviceProp properties;
-    ft::detail::check(cudaGetDevice(&device), "cudaGetDevice");
-    ft::detail::check(cudaGetDeviceProperties(&properties, device), "cudaGetDeviceProperties");
+    ft::throw_on_error(cudaGetDevice(&device), "cudaGetDevice");
+    ft::throw_on_error(cudaGetDeviceProperties(&properties, device), "cudaGetDeviceProperties");
     std::map<void*, kernel_facts> found;
     for (auto const& node : nodes_) {
       if (type_of(node) != cudaGraphNodeTypeKernel) { continue; }
       cudaKernelNodeParams p = {};
-      ft::detail::check(cudaGraphKernelNodeGetParams(node, &p), "cudaGraphKernelNodeGetParams");
+      ft::throw_on_error(cudaGraphKernelNodeGetParams(node, &p), "cudaGraphKernelNodeGetParams");
       cudaFuncAttributes a = {};
-      ft::detail::check(cudaFuncGetAttributes(&a, p.func), "cudaFuncGetAttributes");
+      ft::throw_on_error(cudaFuncGetAttributes(&a, p.func), "cudaFuncGetAttributes");
       kernel_facts& k = found[p.func];
       ++k.launches;
       k.threads = static_cast<int>(p.blockDim.x * p.blockDim.y * p.blockDim.z);
@@ -95,9 +93,9 @@ public:
       k.shared = a.sharedSizeBytes;
       k.local = a.localSizeBytes;
       int blocks = 0;
-      ft::detail::check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, p.func, k.threads,
-                                                                      p.sharedMemBytes),
-                        "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
+      ft::throw_on_error(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, p.func, k.threads,
+                                                                       p.sharedMemBytes),
+                         "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
       k.threads_per_sm = blocks * k.threads;
       k.most_threads_sm = properties.maxThreadsPerMultiProcessor;
       if (k.name.empty()) { k.name = name_of_function(p.func, found.size()); }
@@ -112,12 +110,12 @@ public:
 private:
   static cudaGraphNodeType type_of(cudaGraphNode_t node) {
     cudaGraphNodeType type = cudaGraphNodeTypeEmpty;
-    ft::detail::check(cudaGraphNodeGetType(node, &type), "cudaGraphNodeGetType");
+    ft::throw_on_error(cudaGraphNodeGetType(node, &type), "cudaGraphNodeGetType");
     return type;
   }
   static bool on_device(void const* p) {
     cudaPointerAttributes a = {};
-    ft::detail::check(cudaPointerGetAttributes(&a, p), "cudaPointerGetAttributes");
+    ft::throw_on_error(cudaPointerGetAttributes(&a, p), "cudaPointerGetAttributes");
     return a.type == cudaMemoryTypeDevice;
   }
   static std::string name_of_function(void const* function, std::size_t number) {

@@ -20,18 +20,13 @@ struct owned_executor<ft::host_exec> {
 #if defined(__CUDACC__)
 template <>
 struct owned_executor<ft::cuda_exec> {
-  ft::cuda_exec exec{nullptr};
-  explicit owned_executor(int) {
-    ft::detail::check(cudaStreamCreateWithFlags(&exec.stream, cudaStreamNonBlocking),
-                      "cudaStreamCreateWithFlags");
-  }
-  owned_executor(owned_executor const&) = delete;
-  owned_executor& operator=(owned_executor const&) = delete;
-  ~owned_executor() { static_cast<void>(cudaStreamDestroy(exec.stream)); }
+  ft::stream owned;
+  ft::cuda_exec exec{owned.get()};
+  explicit owned_executor(int) {}
   bool done() const {
     cudaError_t const status = cudaStreamQuery(exec.stream);
     if (status == cudaErrorNotReady) { return false; }
-    ft::detail::check(status, "cudaStreamQuery");
+    ft::throw_on_error(status, "cudaStreamQuery");
     return true;
   }
 };

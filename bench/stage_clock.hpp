@@ -47,13 +47,12 @@ template <>
 class stage_clock<ft::cuda_exec> {
 public:
   explicit stage_clock(ft::cuda_exec const& exec) : exec_(exec) {
-    for (auto& e : events_) { ft::detail::check(cudaEventCreate(&e), "cudaEventCreate"); }
+    for (std::size_t i = 0; i < most; ++i) { events_.emplace_back(cudaEventDefault); }
   }
   stage_clock(stage_clock const&) = delete;
   stage_clock& operator=(stage_clock const&) = delete;
   ~stage_clock() {
     if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
-    for (auto& e : events_) { static_cast<void>(cudaEventDestroy(e)); }
   }
 
   /// Runs `queue(exec, mark)` once; microseconds between events at the marks. Waits.
@@ -62,7 +61,7 @@ public:
   std::vector<double> run(Queue const& queue, bool recorded) {
     if (recorded && graph_ == nullptr) { record(queue); }
     if (recorded) {
-      ft::detail::check(cudaGraphLaunch(graph_, exec_.stream), "cudaGraphLaunch");
+      ft::throw_on_error(cudaGraphLaunch(graph_, exec_.stream), "cudaGraphLaunch");
     } else {
       queue_with_events(queue, exec_.stream, cudaEventRecordDefault);
     }
@@ -70,8 +69,8 @@ public:
     std::vector<double> us(names_.size());
     for (std::size_t i = 0; i < us.size(); ++i) {
       float ms = 0;
-      ft::detail::check(cudaEventElapsedTime(&ms, events_[i], events_[i + 1]),
-                        "cudaEventElapsedTime");
+      ft::throw_on_error(cudaEventElapsedTime(&ms, events_[i].get(), events_[i + 1].get()),
+                         "cudaEventElapsedTime");
       us[i] = 1000.0 * static_cast<double>(ms);
     }
     return us;
@@ -85,8 +84,8 @@ private:
   void queue_with_events(Queue const& queue, cudaStream_t stream, unsigned flags) {
     names_.clear();
     auto const event = [&](std::size_t i) {
-      ft::detail::check(cudaEventRecordWithFlags(events_[i], stream, flags),
-                        "cudaEventRecordWithFlags");
+      ft::throw_on_error(cudaEventRecordWithFlags(events_[i].get(), stream, flags),
+                         "cudaEventRecordWithFlags");
     };
     event(0);
     queue(ft::cuda_exec(stream), [&](char const* stage) {
@@ -97,21 +96,18 @@ private:
   }
   template <typename Queue>
   void record(Queue const& queue) {
-    cudaStream_t stream = nullptr;
+    ft::stream const capturing;
     cudaGraph_t graph = nullptr;
-    ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                      "cudaStreamCreateWithFlags");
-    ft::detail::check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal),
-                      "cudaStreamBeginCapture");
-    queue_with_events(queue, stream, cudaEventRecordExternal);
-    ft::detail::check(cudaStreamEndCapture(stream, &graph), "cudaStreamEndCapture");
-    ft::detail::check(cudaGraphInstantiateWithFlags(&graph_, graph, 0), "cudaGraphInstantiate");
+    ft::throw_on_error(cudaStreamBeginCapture(capturing.get(), cudaStreamCaptureModeThreadLocal),
+                       "cudaStreamBeginCapture");
+    queue_with_events(queue, capturing.get(), cudaEventRecordExternal);
+    ft::throw_on_error(cudaStreamEndCapture(capturing.get(), &graph), "cudaStreamEndCapture");
+    ft::throw_on_error(cudaGraphInstantiateWithFlags(&graph_, graph, 0), "cudaGraphInstantiate");
     static_cast<void>(cudaGraphDestroy(graph));
-    static_cast<void>(cudaStreamDestroy(stream));
   }
 
   ft::cuda_exec exec_;
-  cudaEvent_t events_[most] = {};
+  std::vector<ft::event> events_;
   cudaGraphExec_t graph_ = nullptr;
   std::vector<std::string> names_;
 };

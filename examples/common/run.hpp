@@ -32,22 +32,6 @@ inline ft::orb_params params_for(grey_image const& image) {
 
 #if defined(__CUDACC__)
 
-/// A stream with an owner, as a program of your own has them.
-class stream {
-public:
-  stream() {
-    ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
-                      "cudaStreamCreateWithFlags");
-  }
-  stream(stream const&) = delete;
-  stream& operator=(stream const&) = delete;
-  ~stream() { static_cast<void>(cudaStreamDestroy(stream_)); }
-  cudaStream_t get() const { return stream_; }
-
-private:
-  cudaStream_t stream_ = nullptr;
-};
-
 inline bool has_device() {
   int devices = 0;
   return cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
@@ -79,7 +63,7 @@ int run(Work const& work) {
   return guarded([&] {
 #if defined(__CUDACC__)
     if (!has_device()) { return no_device(); }
-    stream const mine;
+    ft::stream const mine;
     return work(ft::cuda_exec(mine.get()));
 #else
     return work(ft::host_exec());

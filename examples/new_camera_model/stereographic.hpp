@@ -21,11 +21,7 @@ struct stereographic {
   Scalar fx, fy, cx, cy;
 
   /// @throws ft::bad_argument for a focal length out of range, or a value that is not finite
-  void check() const {
-    ft::detail::check_pinhole(
-        static_cast<double>(ft::to_plain(fx)), static_cast<double>(ft::to_plain(fy)),
-        static_cast<double>(ft::to_plain(cx)), static_cast<double>(ft::to_plain(cy)));
-  }
+  void check() const { ft::check_intrinsics(fx, fy, cx, cy); }
 
   FT_HOST_DEVICE ft::projection<Scalar> project(ft::vec3<Scalar> p) const {
     Scalar const s = divisor(p);

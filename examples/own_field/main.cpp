@@ -104,7 +104,7 @@ int main() {
       std::puts("no CUDA device was found: run on the host alone");
       return demo::verdict(host > 0);
     }
-    demo::stream const mine;
+    ft::stream const mine;
     return demo::verdict(host > 0 && strongest_of_tiles(ft::cuda_exec(mine.get()), image) == host);
   });
 }

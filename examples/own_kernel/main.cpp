@@ -66,7 +66,7 @@ int main() {
     auto const right = orb.keypoints().slice(1);
     int const blocks = (orb.capacity() + 127) / 128;
     match_kernel<<<blocks, 128, 0, exec.stream>>>(camera, left, right, matches.data());
-    ft::detail::check(cudaGetLastError(), "match_kernel");
+    ft::throw_on_error(cudaGetLastError(), "match_kernel");
 
     std::vector<match> found(n);
     ft::copy(exec, found.data(), static_cast<match const*>(matches.data()), n);

@@ -26,21 +26,6 @@ __global__ void other_work(float* values, int steps) {
   values[i] = v;
 }
 
-class event {
-public:
-  event() {
-    ft::detail::check(cudaEventCreateWithFlags(&event_, cudaEventDisableTiming),
-                      "cudaEventCreateWithFlags");
-  }
-  event(event const&) = delete;
-  event& operator=(event const&) = delete;
-  ~event() { static_cast<void>(cudaEventDestroy(event_)); }
-  cudaEvent_t get() const { return event_; }
-
-private:
-  cudaEvent_t event_ = nullptr;
-};
-
 /// Keypoints of `images` images, each brighter than the one before.
 /// @param beside called after each image is queued
 template <typename Beside>
@@ -48,9 +33,9 @@ std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image con
                                  Beside const& beside) {
   int const pixels = image.width * image.height;
   auto const bytes = static_cast<std::size_t>(pixels);
-  demo::stream const source;
-  event ready;
-  event taken;
+  ft::stream const source;
+  ft::event const ready;
+  ft::event const taken;
   ft::buffer<std::uint8_t, ft::memory_space::device> const original(bytes);
   ft::buffer<std::uint8_t, ft::memory_space::device> const bright(bytes);
   ft::buffer<int, ft::memory_space::pinned> const counts(images);
@@ -59,17 +44,17 @@ std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image con
 
   for (int k = 0; k < images; ++k) {
     // The kernel must not write before ft has taken the image before.
-    ft::detail::check(cudaStreamWaitEvent(source.get(), taken.get(), 0), "cudaStreamWaitEvent");
+    taken.make_wait(source.get());
     brighten<<<(pixels + 255) / 256, 256, 0, source.get()>>>(original.data(), bright.data(), pixels,
                                                              4 * k);
-    ft::detail::check(cudaGetLastError(), "brighten");
-    ft::detail::check(cudaEventRecord(ready.get(), source.get()), "cudaEventRecord");
+    ft::throw_on_error(cudaGetLastError(), "brighten");
+    ready.record(source.get());
 
     // What is queued on ft's stream from here on comes after the kernel. An image may be in device
     // memory: the copy is then from device to device.
-    ft::detail::check(cudaStreamWaitEvent(exec.stream, ready.get(), 0), "cudaStreamWaitEvent");
+    ready.make_wait(exec.stream);
     orb.upload(exec, 0, {bright.data(), image.width, image.height, image.width});
-    ft::detail::check(cudaEventRecord(taken.get(), exec.stream), "cudaEventRecord");
+    taken.record(exec.stream);
     orb.extract(exec);
     ft::copy(exec, counts.data() + k, static_cast<int const*>(orb.keypoints().count), 1);
     beside();
@@ -83,13 +68,13 @@ int main() {
     auto const image = demo::scene(100).render(60).left;
     auto const alone = keypoint_counts(exec, image, [] {});
 
-    demo::stream const busy;
+    ft::stream const busy;
     constexpr int threads = 64 * 256;
     ft::buffer<float, ft::memory_space::device> const values(threads);
     ft::fill_bytes(ft::cuda_exec(busy.get()), values.data(), 0, values.bytes());
     auto const beside = keypoint_counts(exec, image, [&] {
       other_work<<<64, 256, 0, busy.get()>>>(values.data(), 10000000);
-      ft::detail::check(cudaGetLastError(), "other_work");
+      ft::throw_on_error(cudaGetLastError(), "other_work");
     });
     bool const still_busy = cudaStreamQuery(busy.get()) == cudaErrorNotReady;
     ft::cuda_exec(busy.get()).wait();

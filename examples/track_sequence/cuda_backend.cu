@@ -9,8 +9,8 @@ namespace {
 class owned_stream {
 public:
   owned_stream() {
-    ft::detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
-                      "cudaStreamCreate");
+    ft::throw_on_error(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
+                       "cudaStreamCreate");
   }
   owned_stream(owned_stream const&) = delete;
   owned_stream& operator=(owned_stream const&) = delete;

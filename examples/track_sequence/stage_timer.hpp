@@ -61,7 +61,7 @@ template <>
 class stage_timer<ft::cuda_exec> {
 public:
   explicit stage_timer(ft::cuda_exec const& exec) : stream_(exec.stream) {
-    for (auto& e : events_) { ft::detail::check(cudaEventCreate(&e), "cudaEventCreate"); }
+    for (auto& e : events_) { ft::throw_on_error(cudaEventCreate(&e), "cudaEventCreate"); }
   }
   stage_timer(stage_timer const&) = delete;
   stage_timer& operator=(stage_timer const&) = delete;
@@ -82,8 +82,8 @@ public:
   void collect(stage_sums& sums) {
     for (int i = 0; i + 1 < used_; ++i) {
       float ms = 0;
-      ft::detail::check(cudaEventElapsedTime(&ms, events_[i], events_[i + 1]),
-                        "cudaEventElapsedTime");
+      ft::throw_on_error(cudaEventElapsedTime(&ms, events_[i], events_[i + 1]),
+                         "cudaEventElapsedTime");
       sums.add(names_[i], static_cast<double>(ms));
     }
     used_ = 0;
@@ -92,7 +92,7 @@ public:
 private:
   static constexpr int most = 32;
   void record() {
-    ft::detail::check(cudaEventRecord(events_[used_++], stream_), "cudaEventRecord");
+    ft::throw_on_error(cudaEventRecord(events_[used_++], stream_), "cudaEventRecord");
   }
   cudaStream_t stream_;
   cudaEvent_t events_[most];

@@ -40,7 +40,7 @@ struct worker {
   void operator()(sequence const& seen) {
     try {
 #if defined(__CUDACC__)
-      demo::stream const mine;
+      ft::stream const mine;
       track(ft::cuda_exec(mine.get()), seen, poses);
 #else
       track(ft::host_exec(1), seen, poses);  // one thread each: they do not share a pool

@@ -13,9 +13,9 @@ bool cuda_available() {
 
 table run_cuda(std::string const& folder) {
   cudaStream_t stream = nullptr;
-  ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
+  ft::throw_on_error(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "cudaStreamCreate");
   auto const t = test::run_golden(ft::cuda_exec(stream), folder);
-  ft::detail::check(cudaStreamDestroy(stream), "cudaStreamDestroy");
+  ft::throw_on_error(cudaStreamDestroy(stream), "cudaStreamDestroy");
   return plain(t);
 }
 

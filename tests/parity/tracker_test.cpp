@@ -1157,8 +1157,8 @@ TEST(borrowed_images, lie_in_registered_memory_with_their_last_byte) {
   auto const borrow = [&](int camera, std::size_t from) {
     tracker.borrow_image(0, camera, {memory.data() + from, width, height, width});
   };
-  ft::detail::check(cudaHostRegister(memory.data(), 2 * bytes, cudaHostRegisterDefault),
-                    "cudaHostRegister");
+  ft::throw_on_error(cudaHostRegister(memory.data(), 2 * bytes, cudaHostRegisterDefault),
+                     "cudaHostRegister");
   borrow(0, 0);
   borrow(1, bytes);
   EXPECT_THROW(borrow(1, bytes + bytes / 2), ft::bad_argument);
@@ -1166,7 +1166,7 @@ TEST(borrowed_images, lie_in_registered_memory_with_their_last_byte) {
   tracker.extract(exec);
   exec.wait();
   expect_same(take(tracker, 0, false), track_alone(exec, 0)[0]);
-  ft::detail::check(cudaHostUnregister(memory.data()), "cudaHostUnregister");
+  ft::throw_on_error(cudaHostUnregister(memory.data()), "cudaHostUnregister");
   EXPECT_THROW(borrow(0, 0), ft::bad_argument);
 }
 
@@ -1241,7 +1241,7 @@ TEST(frame_tracker_memory, a_frame_takes_nothing_from_the_device) {
   auto const free_bytes = [] {
     std::size_t free = 0;
     std::size_t total = 0;
-    ft::detail::check(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
+    ft::throw_on_error(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
     return free;
   };
   std::size_t const before = free_bytes();

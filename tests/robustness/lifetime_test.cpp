@@ -235,11 +235,11 @@ public:
   explicit hog(std::size_t rest) {
     std::size_t free = 0;
     std::size_t total = 0;
-    ft::detail::check(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
+    ft::throw_on_error(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
     for (std::size_t piece = std::size_t{1} << 33; piece >= (1 << 20); piece /= 2) {
       for (void* p = nullptr; free > rest + piece && cudaMalloc(&p, piece) == cudaSuccess;) {
         pieces_.push_back(p);
-        ft::detail::check(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
+        ft::throw_on_error(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
       }
     }
     cudaGetLastError();

@@ -180,7 +180,7 @@ usage measure() {
 #if defined(__CUDACC__)
   std::size_t free = 0;
   std::size_t total = 0;
-  ft::detail::check(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
+  ft::throw_on_error(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
   u.device = static_cast<long long>(total - free);
 #endif
   return u;
@@ -588,8 +588,8 @@ int run_on_backend(options const& o) {
     return required != nullptr && std::string(required) == "1" ? EXIT_FAILURE : 77;
   }
   cudaStream_t stream = nullptr;
-  ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                    "cudaStreamCreateWithFlags");
+  ft::throw_on_error(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
+                     "cudaStreamCreateWithFlags");
   int const status = run_and_tell(ft::cuda_exec(stream), o, "cuda");
   static_cast<void>(cudaStreamDestroy(stream));
   return status;

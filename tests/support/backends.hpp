@@ -57,8 +57,8 @@ private:
   static ft::cuda_exec make() {
     cudaStream_t stream = nullptr;
     if (device_found()) {
-      ft::detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                        "cudaStreamCreate");
+      ft::throw_on_error(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
+                         "cudaStreamCreate");
     }
     return ft::cuda_exec(stream);
   }

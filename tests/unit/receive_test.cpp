@@ -308,16 +308,17 @@ TEST_F(host_address_of_a_device, threads_read_pinned_memory_also_from_its_middle
 TEST_F(host_address_of_a_device, threads_read_registered_managed_and_device_memory) {
   bytes const want = some();
   bytes registered = want;
-  ft::detail::check(cudaHostRegister(registered.data(), registered.size(), cudaHostRegisterDefault),
-                    "cudaHostRegister");
+  ft::throw_on_error(
+      cudaHostRegister(registered.data(), registered.size(), cudaHostRegisterDefault),
+      "cudaHostRegister");
   expect_readable(registered.data(), want);
-  ft::detail::check(cudaHostUnregister(registered.data()), "cudaHostUnregister");
+  ft::throw_on_error(cudaHostUnregister(registered.data()), "cudaHostUnregister");
 
   void* managed = nullptr;
-  ft::detail::check(cudaMallocManaged(&managed, want.size()), "cudaMallocManaged");
+  ft::throw_on_error(cudaMallocManaged(&managed, want.size()), "cudaMallocManaged");
   std::copy(want.begin(), want.end(), static_cast<std::uint8_t*>(managed));
   expect_readable(managed, want);
-  ft::detail::check(cudaFree(managed), "cudaFree");
+  ft::throw_on_error(cudaFree(managed), "cudaFree");
 
   test::cuda_backend const backend;
   auto const device = test::to_exec(backend.exec, want);
@@ -352,8 +353,8 @@ template <typename Function>
 Function driver_function(char const* name) {
   void* p = nullptr;
   cudaDriverEntryPointQueryResult found{};
-  ft::detail::check(cudaGetDriverEntryPointByVersion(name, &p, 11030, cudaEnableDefault, &found),
-                    name);
+  ft::throw_on_error(cudaGetDriverEntryPointByVersion(name, &p, 11030, cudaEnableDefault, &found),
+                     name);
   if (found != cudaDriverEntryPointSuccess || p == nullptr) {
     throw ft::cuda_error(std::string("no driver function ") + name);
   }
@@ -365,7 +366,7 @@ class pushed_context {
 public:
   pushed_context() {
     int device = 0;
-    ft::detail::check(cudaGetDevice(&device), "cudaGetDevice");
+    ft::throw_on_error(cudaGetDevice(&device), "cudaGetDevice");
     auto const create =
         driver_function<CUresult (*)(CUcontext*, unsigned, CUdevice)>("cuCtxCreate");
     if (create(&context_, 0, device) != CUDA_SUCCESS) { throw ft::cuda_error("cuCtxCreate"); }

@@ -144,18 +144,18 @@ struct assert_camera_model {
   static constexpr bool value = is_camera_model_v<C>;
 };
 
-namespace detail {
-
-/// @throws bad_argument where a focal length is not positive or a value is not finite
-inline void check_pinhole(double fx, double fy, double cx, double cy) {
-  require_finite("camera fx", fx);
-  require_finite("camera fy", fy);
-  require_finite("camera cx", cx);
-  require_finite("camera cy", cy);
-  require_range("camera fx", fx, 1e-3, 1e6);
-  require_range("camera fy", fy, 1e-3, 1e6);
+/// For check() of a model: intrinsics in pixels. Host only.
+/// @throws bad_argument where a value is not finite, or a focal length not in [1e-3, 1e6]
+template <typename Scalar>
+void check_intrinsics(Scalar fx, Scalar fy, Scalar cx, Scalar cy) {
+  auto const plain = [](Scalar value) { return static_cast<double>(to_plain(value)); };
+  detail::require_finite("camera fx", plain(fx));
+  detail::require_finite("camera fy", plain(fy));
+  detail::require_finite("camera cx", plain(cx));
+  detail::require_finite("camera cy", plain(cy));
+  detail::require_range("camera fx", plain(fx), 1e-3, 1e6);
+  detail::require_range("camera fy", plain(fy), 1e-3, 1e6);
 }
 
-}  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

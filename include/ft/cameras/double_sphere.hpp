@@ -36,8 +36,7 @@ struct double_sphere {
 
   /// @throws bad_argument for a value out of the ranges above
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     detail::require_range("camera xi", static_cast<double>(to_plain(xi)), -1.0, 1.0);
     detail::require(xi > Scalar(-1), "camera xi is -1, must be in (-1, 1]");
     detail::require_range("camera alpha", static_cast<double>(to_plain(alpha)), 0.0, 1.0);

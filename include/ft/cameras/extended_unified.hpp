@@ -33,8 +33,7 @@ struct extended_unified {
 
   /// @throws bad_argument for a value out of the ranges above
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     detail::require_range("camera alpha", static_cast<double>(to_plain(alpha)), 0.0, 1.0);
     detail::require_range("camera beta", static_cast<double>(to_plain(beta)), 1e-6, 1e6);
   }

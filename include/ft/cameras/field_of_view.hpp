@@ -34,8 +34,7 @@ struct field_of_view {
 
   /// @throws bad_argument for a value out of the ranges above
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     detail::require_range("camera omega", static_cast<double>(to_plain(omega)), 0.0, 3.14);
   }
 

@@ -25,8 +25,7 @@ struct kannala_brandt {
   /// @throws bad_argument for a focal length that is not positive, a NaN, or a coefficient beyond
   /// 1e6, with which the polynomial could have no number
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     for (Scalar k : {k1, k2, k3, k4}) {
       detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
       detail::require_range("camera distortion coefficient", static_cast<double>(to_plain(k)), -1e6,

@@ -18,10 +18,7 @@ struct pinhole {
   Scalar fx, fy, cx, cy;
 
   /// @throws bad_argument for a focal length that is not positive, or a NaN
-  void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
-  }
+  void check() const { check_intrinsics(fx, fy, cx, cy); }
 
   /// @param p point in the camera frame, metres. Behind the camera: the principal point, not valid.
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -241,8 +241,7 @@ struct radtan {
 
   /// @throws bad_argument for a focal length out of range, or a value that is not finite
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     for (Scalar k : distortion) {
       detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
     }

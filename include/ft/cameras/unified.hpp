@@ -38,8 +38,7 @@ struct unified {
 
   /// @throws bad_argument for a value out of the ranges above
   void check() const {
-    detail::check_pinhole(static_cast<double>(to_plain(fx)), static_cast<double>(to_plain(fy)),
-                          static_cast<double>(to_plain(cx)), static_cast<double>(to_plain(cy)));
+    check_intrinsics(fx, fy, cx, cy);
     detail::require_range("camera xi", static_cast<double>(to_plain(xi)), 0.0, 1000.0);
     for (Scalar k : distortion) {
       detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));

@@ -211,7 +211,7 @@ struct cuda_exec {
 
   explicit cuda_exec(cudaStream_t s, bool early = false) : stream(s), early_launches(early) {}
   /// Blocks until everything queued on the stream is done. @throws cuda_error
-  void wait() const { detail::check(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
+  void wait() const { throw_on_error(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
   /// Where threads read what the caller has at `p`, in pinned, registered, managed or device
   /// memory; null where they cannot. Leaves the calling thread's current context as it is.
   static void const* host_address(void const* p) {
@@ -220,10 +220,10 @@ struct cuda_exec {
     // replace.
     int least = 0;
     int greatest = 0;
-    detail::check(cudaDeviceGetStreamPriorityRange(&least, &greatest),
-                  "cudaDeviceGetStreamPriorityRange");
+    throw_on_error(cudaDeviceGetStreamPriorityRange(&least, &greatest),
+                   "cudaDeviceGetStreamPriorityRange");
     cudaPointerAttributes facts{};
-    detail::check(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
+    throw_on_error(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
     return facts.type == cudaMemoryTypeUnregistered ? nullptr : facts.devicePointer;
   }
 };
@@ -270,19 +270,19 @@ FT_HIDDEN std::size_t extra_scratch(cuda_exec const&, int items) {
 
 inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {
   if (bytes != 0) {
-    detail::check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream),
-                  "cudaMemcpyAsync");
+    throw_on_error(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream),
+                   "cudaMemcpyAsync");
   }
 }
 inline void copy_rows(cuda_exec const& exec, void* to, std::size_t to_pitch, void const* from,
                       std::size_t from_pitch, std::size_t row_bytes, int rows) {
-  detail::check(cudaMemcpy2DAsync(to, to_pitch, from, from_pitch, row_bytes,
-                                  static_cast<std::size_t>(rows), cudaMemcpyDefault, exec.stream),
-                "cudaMemcpy2DAsync");
+  throw_on_error(cudaMemcpy2DAsync(to, to_pitch, from, from_pitch, row_bytes,
+                                   static_cast<std::size_t>(rows), cudaMemcpyDefault, exec.stream),
+                 "cudaMemcpy2DAsync");
 }
 inline void fill_bytes(cuda_exec const& exec, void* to, int value, std::size_t bytes) {
   if (bytes != 0) {
-    detail::check(cudaMemsetAsync(to, value, bytes, exec.stream), "cudaMemsetAsync");
+    throw_on_error(cudaMemsetAsync(to, value, bytes, exec.stream), "cudaMemsetAsync");
   }
 }
 

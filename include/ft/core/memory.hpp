@@ -11,10 +11,8 @@
 #include <utility>
 
 #include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
-#if defined(__CUDACC__)
-#include <cuda_runtime.h>
-#endif
 
 namespace ft {
 inline namespace FT_ABI {
@@ -28,17 +26,6 @@ enum class memory_space {
 namespace detail {
 
 inline constexpr std::size_t alignment = 256;
-
-#if defined(__CUDACC__)
-/// @throws cuda_error naming the call; the runtime's sticky-free error state is cleared
-inline void check(cudaError_t status, char const* call) {
-  if (status != cudaSuccess) {
-    cudaGetLastError();
-    throw cuda_error(std::string("ft: ") + call + ": " + cudaGetErrorName(status) + ", " +
-                     cudaGetErrorString(status));
-  }
-}
-#endif
 
 #if defined(FT_NEW_MEMORY_SEED)
 /// Pseudo-random words (splitmix64), others for every allocation of a thread and the same on every
@@ -81,11 +68,11 @@ void* fill_new(void* p, std::size_t bytes) {
     for (std::size_t at = 0; at < bytes; at += sizeof some) {
       std::size_t const size = bytes - at < sizeof some ? bytes - at : sizeof some;
       words.write(some, size);
-      check(cudaMemcpyAsync(static_cast<unsigned char*>(p) + at, some, size, cudaMemcpyHostToDevice,
-                            cudaStreamPerThread),
-            "cudaMemcpyAsync");
+      throw_on_error(cudaMemcpyAsync(static_cast<unsigned char*>(p) + at, some, size,
+                                     cudaMemcpyHostToDevice, cudaStreamPerThread),
+                     "cudaMemcpyAsync");
     }
-    check(cudaStreamSynchronize(cudaStreamPerThread), "cudaStreamSynchronize");
+    throw_on_error(cudaStreamSynchronize(cudaStreamPerThread), "cudaStreamSynchronize");
 #endif
   }
 #endif
@@ -101,9 +88,9 @@ void* allocate(std::size_t bytes) {
 #if defined(__CUDACC__)
     void* p = nullptr;
     if constexpr (Space == memory_space::pinned) {
-      check(cudaMallocHost(&p, bytes), "cudaMallocHost");
+      throw_on_error(cudaMallocHost(&p, bytes), "cudaMallocHost");
     } else {
-      check(cudaMalloc(&p, bytes), "cudaMalloc");
+      throw_on_error(cudaMalloc(&p, bytes), "cudaMalloc");
     }
     return fill_new<Space>(p, bytes);
 #else

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 
 namespace ft {
@@ -47,31 +48,24 @@ public:
   /// @throws cuda_error
   template <typename Queue>
   void record(cuda_exec const&, Queue const& queue) {
-    cudaStream_t stream = nullptr;
+    stream const capturing;
     cudaGraph_t graph = nullptr;
-    detail::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                  "cudaStreamCreateWithFlags");
+    throw_on_error(cudaStreamBeginCapture(capturing.get(), cudaStreamCaptureModeThreadLocal),
+                   "cudaStreamBeginCapture");
     try {
-      detail::check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal),
-                    "cudaStreamBeginCapture");
-      try {
-        queue(cuda_exec(stream, true));
-      } catch (...) {
-        static_cast<void>(cudaStreamEndCapture(stream, &graph));
-        throw;
-      }
-      detail::check(cudaStreamEndCapture(stream, &graph), "cudaStreamEndCapture");
-      cudaGraphExec_t made = nullptr;
-      detail::check(cudaGraphInstantiateWithFlags(&made, graph, 0), "cudaGraphInstantiate");
-      if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
-      graph_ = made;
+      queue(cuda_exec(capturing.get(), true));
     } catch (...) {
+      static_cast<void>(cudaStreamEndCapture(capturing.get(), &graph));
       if (graph != nullptr) { static_cast<void>(cudaGraphDestroy(graph)); }
-      static_cast<void>(cudaStreamDestroy(stream));
       throw;
     }
+    throw_on_error(cudaStreamEndCapture(capturing.get(), &graph), "cudaStreamEndCapture");
+    cudaGraphExec_t made = nullptr;
+    cudaError_t const status = cudaGraphInstantiateWithFlags(&made, graph, 0);
     static_cast<void>(cudaGraphDestroy(graph));
-    static_cast<void>(cudaStreamDestroy(stream));
+    throw_on_error(status, "cudaGraphInstantiate");
+    if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
+    graph_ = made;
   }
   template <typename Queue>
   void replay(cuda_exec const& exec, Queue const& queue) const {
@@ -79,7 +73,7 @@ public:
       queue(exec);
       return;
     }
-    detail::check(cudaGraphLaunch(graph_, exec.stream), "cudaGraphLaunch");
+    throw_on_error(cudaGraphLaunch(graph_, exec.stream), "cudaGraphLaunch");
   }
 
 private:

@@ -3,9 +3,10 @@
 /// the host.
 #pragma once
 
-#include <utility>
+#include <optional>
 
 #include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 
 namespace ft {
@@ -27,48 +28,24 @@ public:
 template <>
 class side_branch<cuda_exec> {
 public:
-  side_branch() = default;
-  side_branch(side_branch&& other) noexcept
-      : stream_(std::exchange(other.stream_, nullptr)),
-        begin_(std::exchange(other.begin_, nullptr)),
-        end_(std::exchange(other.end_, nullptr)) {}
-  side_branch& operator=(side_branch&& other) noexcept {
-    std::swap(stream_, other.stream_);
-    std::swap(begin_, other.begin_);
-    std::swap(end_, other.end_);
-    return *this;
-  }
-  side_branch(side_branch const&) = delete;
-  side_branch& operator=(side_branch const&) = delete;
-  ~side_branch() {
-    if (begin_ != nullptr) { static_cast<void>(cudaEventDestroy(begin_)); }
-    if (end_ != nullptr) { static_cast<void>(cudaEventDestroy(end_)); }
-    if (stream_ != nullptr) { static_cast<void>(cudaStreamDestroy(stream_)); }
-  }
-
   /// Creates the stream and the events; once, before the first fork(). @throws cuda_error
-  void make() {
-    detail::check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking),
-                  "cudaStreamCreateWithFlags");
-    detail::check(cudaEventCreateWithFlags(&begin_, cudaEventDisableTiming),
-                  "cudaEventCreateWithFlags");
-    detail::check(cudaEventCreateWithFlags(&end_, cudaEventDisableTiming),
-                  "cudaEventCreateWithFlags");
-  }
+  void make() { handles_.emplace(); }
   cuda_exec fork(cuda_exec const& exec) {
-    detail::check(cudaEventRecord(begin_, exec.stream), "cudaEventRecord");
-    detail::check(cudaStreamWaitEvent(stream_, begin_, 0), "cudaStreamWaitEvent");
-    return cuda_exec(stream_, exec.early_launches);
+    handles_->begin.record(exec.stream);
+    handles_->begin.make_wait(handles_->branch.get());
+    return cuda_exec(handles_->branch.get(), exec.early_launches);
   }
   void join(cuda_exec const& exec) {
-    detail::check(cudaEventRecord(end_, stream_), "cudaEventRecord");
-    detail::check(cudaStreamWaitEvent(exec.stream, end_, 0), "cudaStreamWaitEvent");
+    handles_->end.record(handles_->branch.get());
+    handles_->end.make_wait(exec.stream);
   }
 
 private:
-  cudaStream_t stream_ = nullptr;
-  cudaEvent_t begin_ = nullptr;
-  cudaEvent_t end_ = nullptr;
+  struct handles {
+    stream branch;
+    event begin, end;
+  };
+  std::optional<handles> handles_;
 };
 #endif
 

@@ -27,7 +27,7 @@ inline int count_on_all(unsigned char const* pixels, int width, int height) {
   int devices = 0;
   if (cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0) {
     cudaStream_t stream = nullptr;
-    ft::detail::check(cudaStreamCreate(&stream), "cudaStreamCreate");
+    ft::throw_on_error(cudaStreamCreate(&stream), "cudaStreamCreate");
     int const device = count_keypoints(ft::cuda_exec(stream), pixels, width, height);
     cudaStreamDestroy(stream);
     return device == host ? host : -1;

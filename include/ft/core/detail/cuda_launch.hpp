@@ -61,11 +61,11 @@ struct block_scratch_facts {
 
   block_scratch_facts() {
     int device = 0;
-    check(cudaGetDevice(&device), "cudaGetDevice");
-    check(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
-          "cudaDeviceGetAttribute");
-    check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device),
-          "cudaDeviceGetAttribute");
+    throw_on_error(cudaGetDevice(&device), "cudaGetDevice");
+    throw_on_error(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
+                   "cudaDeviceGetAttribute");
+    throw_on_error(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device),
+                   "cudaDeviceGetAttribute");
   }
 };
 
@@ -74,10 +74,11 @@ struct block_scratch_facts {
 template <typename... Params>
 FT_HIDDEN void allow_all_block_scratch(void (*kernel)(Params...)) {
   cudaFuncAttributes facts{};
-  check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes");
-  check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                             block_scratch_facts{}.most - static_cast<int>(facts.sharedSizeBytes)),
-        "cudaFuncSetAttribute");
+  throw_on_error(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes");
+  throw_on_error(
+      cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                           block_scratch_facts{}.most - static_cast<int>(facts.sharedSizeBytes)),
+      "cudaFuncSetAttribute");
 }
 
 /// Functors whose launches overlap say `static constexpr bool shares_multiprocessors = true`: a
@@ -91,9 +92,9 @@ inline constexpr bool shares_multiprocessors<Op, std::enable_if_t<Op::shares_mul
 /// Has a multiprocessor give all that it can to block scratch.
 template <typename... Params>
 FT_HIDDEN void most_block_scratch(void (*kernel)(Params...)) {
-  check(cudaFuncSetAttribute(kernel, cudaFuncAttributePreferredSharedMemoryCarveout,
-                             cudaSharedmemCarveoutMaxShared),
-        "cudaFuncSetAttribute");
+  throw_on_error(cudaFuncSetAttribute(kernel, cudaFuncAttributePreferredSharedMemoryCarveout,
+                                      cudaSharedmemCarveoutMaxShared),
+                 "cudaFuncSetAttribute");
 }
 
 /// Where a launch goes, and when it begins; as cuda_exec has it.
@@ -111,7 +112,7 @@ FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigne
   if (extra_bytes > 0) { allow_all_block_scratch(kernel); }
 #if CUDART_VERSION >= 12030
   cudaFuncAttributes facts{};
-  if (how.early) { check(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
+  if (how.early) { throw_on_error(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
   cudaLaunchAttribute attribute{};
   attribute.id = cudaLaunchAttributeProgrammaticStreamSerialization;
   attribute.val.programmaticStreamSerializationAllowed = 1;
@@ -122,10 +123,10 @@ FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigne
   config.stream = how.stream;
   config.attrs = &attribute;
   config.numAttrs = how.early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
-  check(cudaLaunchKernelEx(&config, kernel, how.beside, args...), "kernel launch");
+  throw_on_error(cudaLaunchKernelEx(&config, kernel, how.beside, args...), "kernel launch");
 #else
   kernel<<<blocks, threads, extra_bytes, how.stream>>>(how.beside, args...);
-  check(cudaGetLastError(), "kernel launch");
+  throw_on_error(cudaGetLastError(), "kernel launch");
 #endif
 }
 

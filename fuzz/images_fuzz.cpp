@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Small images of any size, stride and content through extractor, stereo and tracker, with any
 // parameters: refused with bad_argument, or worked through with results that are sound.
+#include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 #include <vector>
 
 #include "ft/pipelines/frame_tracker.hpp"
@@ -70,10 +72,11 @@ void check_keypoints(extractor const& orb, int image) {
 }
 
 void stereo(fuzz::input& in, extractor& orb) {
-  auto const rig = ft::rectified_rig::make(
-      {in.number(1, 300), in.number(1, 300), in.number(0, 160), in.number(0, 120)},
-      in.number(0, 1));
+  ft::pinhole<float> const camera{in.number(1, 300), in.number(1, 300), in.number(0, 160),
+                                  in.number(0, 120)};
+  float const baseline = in.number(0, 1);
   fuzz::accepted<ft::bad_argument>([&] {
+    auto const rig = ft::rectified_rig::make(camera, baseline);
     ft::stereo_matcher<ft::host_exec> matcher(rig, orb);
     matcher.match(exec(), orb);
     auto const found = matcher.matches();
@@ -91,6 +94,12 @@ ft::pose any_pose(fuzz::input& in) {
   }
   T.t = {in.number(-1, 1), in.number(-1, 1), in.number(-1, 1)};
   return T;
+}
+
+bool is_finite(ft::pose const& T) {
+  return std::all_of(std::begin(T.R.m), std::end(T.R.m),
+                     [](float v) { return std::isfinite(v); }) &&
+         std::isfinite(T.t.x) && std::isfinite(T.t.y) && std::isfinite(T.t.z);
 }
 
 ft::point_update any_point(fuzz::input& in, int slot) {
@@ -125,7 +134,8 @@ void track(fuzz::input& in, ft::orb_params const& orb) {
       for (int slot = in.within(0, 3); slot < p.map_slots && slot < p.updates; slot += 2) {
         points.push_back(any_point(in, slot));
       }
-      t.update_map(exec(), 0, points.data(), static_cast<int>(points.size()));
+      fuzz::accepted<ft::bad_argument>(
+          [&] { t.update_map(exec(), 0, points.data(), static_cast<int>(points.size())); });
       t.predicted()[0] = any_pose(in);
       t.last_pose()[0] = any_pose(in);
       t.stamp()[0] = frame + 1;
@@ -134,8 +144,10 @@ void track(fuzz::input& in, ft::orb_params const& orb) {
       for (int i = 0; i < p.local_points; ++i) { t.local_slots()[i] = in.within(-2, 62); }
       bool const queued = fuzz::accepted<ft::bad_argument>([&] { t.track(exec()); });
       fuzz::require(
-          queued == (t.local_count()[0] >= 0 && t.local_count()[0] <= t.params().local_points),
-          "a local map is refused where it does not fit, and only there");
+          queued == (t.local_count()[0] >= 0 && t.local_count()[0] <= t.params().local_points &&
+                     is_finite(t.predicted()[0]) && is_finite(t.last_pose()[0])),
+          "a frame is refused where the local map does not fit or a pose is not finite, and only "
+          "there");
       if (!queued) { continue; }
       auto const& r = t.result();
       fuzz::require(r.keypoints[0] >= 0 && r.keypoints[0] <= t.capacity(), "counts fit");

@@ -36,6 +36,7 @@
 #include "ft/kernels/distribution.hpp"
 #include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/frustum.hpp"
+#include "ft/kernels/map_updates.hpp"
 #include "ft/kernels/orientation.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/pyramid.hpp"

@@ -499,6 +499,48 @@ TYPED_TEST(frame_tracker_test, finds_the_known_poses_of_a_fisheye_pair) {
   check_walk(tracker, seen, truth);
 }
 
+/// Points that one of two fisheye cameras has in its image, both, or none.
+TYPED_TEST(frame_tracker_test, a_point_in_view_of_either_camera_is_in_view) {
+  auto const& exec = this->exec();
+  auto const rig = fisheye();
+  std::vector<ft::point_update> points;
+  std::vector<unsigned char> want;
+  int right_alone = 0;
+  int left_alone = 0;
+  auto const inside = [](auto const& seen) {
+    return seen.valid && seen.pixel.x >= 0 && seen.pixel.x <= width && seen.pixel.y >= 0 &&
+           seen.pixel.y <= height;
+  };
+  for (float u = -80; u < width + 80; u += 7) {
+    auto const d = rig.left.unproject({u, 180}).direction;
+    float const length = std::sqrt(ft::dot(d, d));
+    ft::vec3<float> const normal{d.x / length, d.y / length, d.z / length};
+    ft::vec3<float> const p{0.5f * normal.x, 0.5f * normal.y, 0.5f * normal.z};
+    bool const left = inside(rig.left.project(p));
+    bool const right = inside(rig.right.project(rig.T_rl * p));
+    right_alone += static_cast<int>(right && !left);
+    left_alone += static_cast<int>(left && !right);
+    want.push_back(static_cast<unsigned char>(left || right));
+    points.push_back({static_cast<int>(points.size()), 1, p, normal, 0.1f, 10, {}});
+  }
+  ASSERT_GT(right_alone, 2);
+  ASSERT_GT(left_alone, 2);
+  ft::frame_tracker<typename TestFixture::exec_type, fisheye_rig> tracker(exec, rig, params());
+  tracker.update_map(exec, 0, points.data(), static_cast<int>(points.size()));
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    tracker.local_slots()[i] = static_cast<int>(i);
+  }
+  tracker.local_count()[0] = static_cast<int>(points.size());
+  tracker.predicted()[0] = ft::pose::identity();
+  tracker.stamp()[0] = 1;
+  exec.wait();
+  tracker.track_local(exec, {}, true);
+  exec.wait();
+  auto seen = take(tracker, 0, true).in_view;
+  seen.resize(want.size());
+  EXPECT_EQ(seen, want);
+}
+
 TYPED_TEST(frame_tracker_test, counts_the_extractors_keypoints) {
   typename TestFixture::tracker_type tracker(this->exec(), rig(), params());
   set_images(tracker, 0, walk(0)[0]);

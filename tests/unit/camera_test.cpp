@@ -94,8 +94,12 @@ TEST(rectified_rig_unit, checks_its_baseline) {
   EXPECT_NO_THROW(rig.check());
   for (float const bad : {0.0f, -0.1f, std::numeric_limits<float>::quiet_NaN(),
                           std::numeric_limits<float>::infinity()}) {
-    EXPECT_THROW(ft::rectified_rig::make(c, bad).check(), ft::bad_argument) << bad;
+    EXPECT_THROW(ft::rectified_rig::make(c, bad), ft::bad_argument) << bad;
+    EXPECT_THROW(ft::rectified_rig::make({bad, 400, 320, 240}, 0.1f), ft::bad_argument) << bad;
+    EXPECT_THROW(ft::rectified_rig::make({400, bad, 320, 240}, 0.1f), ft::bad_argument) << bad;
   }
+  float const nan = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THROW(ft::rectified_rig::make({400, 400, nan, 240}, 0.1f), ft::bad_argument);
   auto broken = rig;
   broken.bf = std::numeric_limits<float>::quiet_NaN();
   EXPECT_THROW(broken.check(), ft::bad_argument);

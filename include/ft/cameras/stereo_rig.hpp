@@ -58,8 +58,11 @@ struct rectified_rig {
   float bf = 0;        ///< baseline times fx, metres x pixels
 
   FT_HOST_DEVICE strict_float baseline_length() const { return baseline; }
+  /// @throws bad_argument as check()
   static rectified_rig make(pinhole<float> const& camera, float baseline) {
-    return {camera, baseline, baseline * camera.fx};
+    rectified_rig const rig{camera, baseline, baseline * camera.fx};
+    rig.check();
+    return rig;
   }
   /// @throws bad_argument for a camera or a baseline that cannot be
   void check() const {

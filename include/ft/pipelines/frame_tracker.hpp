@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <string>
 #include <type_traits>
 #include <vector>
 
@@ -18,6 +19,7 @@
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/frustum.hpp"
+#include "ft/kernels/map_updates.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/receive.hpp"
 #include "ft/kernels/search_by_projection.hpp"
@@ -40,16 +42,6 @@ struct tracker_params {
   /// that are not rectified only. The default is the whole image; where one of the two lies outside
   /// its image no keypoint has a stereo partner.
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
-};
-
-/// One map point as the host sends it.
-struct point_update {
-  int slot;
-  int observations;
-  vec3<float> position;  ///< world, metres
-  vec3<float> normal;
-  float min_distance, max_distance;  ///< metres
-  descriptor orb;
 };
 
 /// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed
@@ -205,23 +197,6 @@ private:
 
 }  // namespace detail
 
-/// Writes the points of an update into the map.
-struct apply_updates {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, point_update const* updates,
-                                 map_points_view const& map) const {
-    point_update const u = updates[item];
-    get<field::position>(map, u.slot) = u.position;
-    get<field::normal>(map, u.slot) = u.normal;
-    get<field::min_distance>(map, u.slot) = u.min_distance;
-    get<field::max_distance>(map, u.slot) = u.max_distance;
-    get<field::orb>(map, u.slot) = u.orb;
-    get<field::observations>(map, u.slot) = u.observations;
-  }
-};
-
 /// Writes what the search found, and the poses, where the host reads it.
 struct pack_matches {
   using scratch = no_scratch;
@@ -372,7 +347,8 @@ public:
     images_ = buffer<std::uint8_t, staging>(detail::checked_mul(2 * b, staged_bytes()));
     std::memset(images_.data(), 0, images_.bytes());
     sources_ = buffer<image_source, staging>(2 * b);
-    for (int i = 0; i < 2 * batch; ++i) { static_cast<void>(staged_image(i / 2, i % 2)); }
+    for (int i = 0; i < 2 * batch; ++i) { use_own_memory(i / 2, i % 2); }
+    given_.assign(2 * b, false);
     result_memory_ = arena<staging>([&](carver& c) {
       detail::carve(c, result_, capacity, batch, cameras, params.local_points);
     });
@@ -412,8 +388,8 @@ public:
     exec.wait();
     match_branch_.make();
     view_branch_.make();
-    extract_recording_.record(exec, [this](Exec const& e) { extract(e, no_mark{}); });
-    motion_recording_.record(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
+    extract_recording_.record(exec, [this](Exec const& e) { queue_extract(e, no_mark{}); });
+    motion_recording_.record(exec, [this](Exec const& e) { queue_track_motion(e, no_mark{}); });
     local_recording_.record(exec, [this](Exec const& e) { upload_local(e, {}, false, no_mark{}); });
     track_recording_.record(exec, [this](Exec const& e) { queue_track(e, no_mark{}); });
   }
@@ -446,6 +422,7 @@ public:
     detail::require(data != nullptr && Exec::host_address(last) != nullptr,
                     "the device cannot read a borrowed image: is its memory pinned?");
     source_of(b, camera) = {data, image.stride};
+    given_[source_number(b, camera)] = true;
   }
   /// Queues the copy of a camera's mask: keypoints come from where it is not 0, until the next
   /// mask. Not while a frame is queued on another stream. @throws bad_argument as
@@ -459,16 +436,14 @@ public:
   /// there is not
   std::uint8_t* staged_image(int b, int camera) {
     require_camera(b, camera);
-    std::uint8_t* const data =
-        images_.data() +
-        (2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera)) * staged_bytes();
-    source_of(b, camera) = {data, staged_stride()};
-    return data;
+    given_[source_number(b, camera)] = true;
+    return use_own_memory(b, camera);
   }
   int staged_stride() const { return geometry().stride[0]; }
-  /// [batch] T_cw expected for the next frame
+  /// [batch] T_cw expected for the next frame. Tracking refuses one that is not finite; whether it
+  /// is a rotation is not looked at.
   pose* predicted() { return motion_.host.predicted; }
-  /// [batch] T_cw of the last frame
+  /// [batch] T_cw of the last frame, likewise
   pose* last_pose() { return motion_.host.last; }
   /// [batch][cameras * capacity()] slots of the last frame's inliers
   int* last_holder() { return motion_.host.last_holder; }
@@ -481,12 +456,14 @@ public:
 
   /// Queues the writing of map points, each slot at most once. Must not follow another one before
   /// exec.wait().
-  /// @throws bad_argument for more than params().updates points or a slot outside the map
+  /// @param updates in host memory
+  /// @throws bad_argument for more than params().updates points, a slot outside the map, or a NaN
   void update_map(Exec const& exec, int b, point_update const* updates, int count) {
     detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("map updates", count, 0, params_.updates);
     for (int i = 0; i < count; ++i) {
       detail::require_range("map slot", updates[i].slot, 0, params_.map_slots - 1);
+      updates[i].check();
       staged_updates_.data()[i] = updates[i];
     }
     copy(exec, updates_, static_cast<point_update const*>(staged_updates_.data()),
@@ -501,46 +478,44 @@ public:
   // constructor; with more arguments stage after stage is queued, and mark(name) called after each.
 
   /// Queues: images up, features, grid, stereo; result down with nothing held.
+  /// @throws bad_argument where a camera was never given an image
   void extract(Exec const& exec) {
-    extract_recording_.replay(exec, [this](Exec const& e) { extract(e, no_mark{}); });
+    check_images();
+    extract_recording_.replay(exec, [this](Exec const& e) { queue_extract(e, no_mark{}); });
   }
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
-    features(exec, mark, false);
-    if constexpr (branches<Mark>) {
-      matcher_.match_prepared(exec, extractor_);
-      matcher_.finish(exec, extractor_);
-    }
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
-    fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
-    download(exec, motion_.device.predicted, work_.matches, nullptr);
-    mark("download");
+    check_images();
+    queue_extract(exec, mark);
   }
 
   /// Queues: images and motion up, features, grid, stereo, search from the last frame (repeated
   /// with twice the radius where it finds too little), pose; result down.
+  /// @throws bad_argument where a camera was never given an image, or predicted() or last_pose() is
+  /// not finite
   void track_motion(Exec const& exec) {
-    motion_recording_.replay(exec, [this](Exec const& e) { track_motion(e, no_mark{}); });
+    check_images();
+    check_motion();
+    motion_recording_.replay(exec, [this](Exec const& e) { queue_track_motion(e, no_mark{}); });
   }
   template <typename Mark>
   void track_motion(Exec const& exec, Mark&& mark) {
-    queue_motion(exec, mark, false);
-    download(exec, pose_of_motion(), work_.matches,
-             params_.optimize_last ? observations_.inliers : nullptr);
-    mark("download");
+    check_images();
+    check_motion();
+    queue_track_motion(exec, mark);
   }
 
   /// Both in one, with nothing for the host in between: for callers who choose the local map before
   /// the frame. Queues what track_motion() and then track_local() do, but for the result down in
   /// the middle.
-  /// @throws bad_argument for more local points than params().local_points
+  /// @throws bad_argument as track_motion(), and for more local points than params().local_points
   void track(Exec const& exec) {
-    check_local_counts();
+    check_frame();
     track_recording_.replay(exec, [this](Exec const& e) { queue_track(e, no_mark{}); });
   }
   template <typename Mark>
   void track(Exec const& exec, Mark&& mark) {
-    check_local_counts();
+    check_frame();
     queue_track(exec, mark);
   }
 
@@ -554,11 +529,13 @@ public:
   /// @param restart forget what the frame's keypoints hold and start from predicted(), uploaded
   /// anew: for a frame after extract(), or another try with another pose; needs a new stamp() where
   /// there was one
-  /// @throws bad_argument for more local points than params().local_points
+  /// @throws bad_argument for more local points than params().local_points, or to restart from a
+  /// pose that is not finite
   template <typename Mark = no_mark>
   void track_local(Exec const& exec, local_search_params const& search, bool restart = false,
                    Mark&& mark = {}) {
     check_local_counts();
+    if (restart) { check_motion(); }
     upload_local(exec, search, restart, mark);
   }
 
@@ -598,6 +575,51 @@ private:
     }
   }
 
+  void check_images() const {
+    batch_.require_made("tracker");
+    for (std::size_t i = 0; i < given_.size(); ++i) {
+      if (!given_[i]) {
+        throw bad_argument("ft: camera " + std::to_string(i % 2) + " of pair " +
+                           std::to_string(i / 2) + " was never given an image");
+      }
+    }
+  }
+  void check_motion() const {
+    batch_.require_made("tracker");
+    auto const check = [](char const* name, pose const& T) {
+      for (float const v : T.R.m) { detail::require_finite(name, v); }
+      for (float const v : {T.t.x, T.t.y, T.t.z}) { detail::require_finite(name, v); }
+    };
+    for (int b = 0; b < batch_; ++b) {
+      check("an entry of a predicted pose", motion_.host.predicted[b]);
+      check("an entry of a last pose", motion_.host.last[b]);
+    }
+  }
+  void check_frame() const {
+    check_local_counts();
+    check_images();
+    check_motion();
+  }
+
+  template <typename Mark>
+  void queue_extract(Exec const& exec, Mark&& mark) {
+    features(exec, mark, false);
+    if constexpr (branches<Mark>) {
+      matcher_.match_prepared(exec, extractor_);
+      matcher_.finish(exec, extractor_);
+    }
+    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
+    fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
+    download(exec, motion_.device.predicted, work_.matches, nullptr);
+    mark("download");
+  }
+  template <typename Mark>
+  void queue_track_motion(Exec const& exec, Mark&& mark) {
+    queue_motion(exec, mark, false);
+    download(exec, pose_of_motion(), work_.matches,
+             params_.optimize_last ? observations_.inliers : nullptr);
+    mark("download");
+  }
   /// @param with_local the local map goes up with the rest
   template <typename Mark>
   void queue_motion(Exec const& exec, Mark&& mark, bool with_local) {
@@ -721,7 +743,15 @@ private:
            static_cast<std::size_t>(params_.orb.height);
   }
 
-  image_source& source_of(int b, int camera) { return sources_.data()[2 * b + camera]; }
+  static std::size_t source_number(int b, int camera) {
+    return 2 * static_cast<std::size_t>(b) + static_cast<std::size_t>(camera);
+  }
+  image_source& source_of(int b, int camera) { return sources_.data()[source_number(b, camera)]; }
+  std::uint8_t* use_own_memory(int b, int camera) {
+    std::uint8_t* const data = images_.data() + source_number(b, camera) * staged_bytes();
+    source_of(b, camera) = {data, staged_stride()};
+    return data;
+  }
   void require_camera(int b, int camera) const {
     detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("camera", camera, 0, 1);
@@ -802,6 +832,7 @@ private:
   buffer<point_update, staging> staged_updates_;
   buffer<std::uint8_t, staging> images_;
   buffer<image_source, staging> sources_;  ///< [batch][2]
+  std::vector<bool> given_;                ///< [batch][2] whether a caller named an image
   tracked_frame_view result_;              ///< in staging memory, which a device writes to directly
   arena<staging> result_memory_;
   detail::twin<detail::motion_input, space, staging> motion_;

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: map points that the host sends, written into the map.
+#pragma once
+
+#include <cmath>
+#include <string>
+
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// One map point as the host sends it.
+struct point_update {
+  int slot;
+  int observations;
+  vec3<float> position;  ///< world, metres
+  vec3<float> normal;
+  float min_distance, max_distance;  ///< metres
+  descriptor orb;
+
+  /// @throws bad_argument for a NaN in any of the lengths
+  void check() const {
+    bool const number =
+        !(std::isnan(position.x) || std::isnan(position.y) || std::isnan(position.z) ||
+          std::isnan(normal.x) || std::isnan(normal.y) || std::isnan(normal.z) ||
+          std::isnan(min_distance) || std::isnan(max_distance));
+    if (!number) {
+      throw bad_argument("ft: the map point for slot " + std::to_string(slot) +
+                         " has a NaN in its position, normal or distances");
+    }
+  }
+};
+
+/// Writes the points of an update into the map.
+struct apply_updates {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, point_update const* updates,
+                                 map_points_view const& map) const {
+    point_update const u = updates[item];
+    get<field::position>(map, u.slot) = u.position;
+    get<field::normal>(map, u.slot) = u.normal;
+    get<field::min_distance>(map, u.slot) = u.min_distance;
+    get<field::max_distance>(map, u.slot) = u.max_distance;
+    get<field::orb>(map, u.slot) = u.orb;
+    get<field::observations>(map, u.slot) = u.observations;
+  }
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

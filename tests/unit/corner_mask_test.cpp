@@ -276,10 +276,41 @@ TYPED_TEST(corner_mask_unit, a_tracker_obeys_the_masks_of_its_cameras) {
   this->backend.exec.wait();
   EXPECT_EQ(keypoints_of(), 0);
   EXPECT_GT(this->keypoints(tracker.extractor(), 1), 100) << "the right camera's is another mask";
+  tracker.set_mask(this->backend.exec, 0, 0, plain_mask(10, 10, 1).view());
+  tracker.set_mask(this->backend.exec, 0, 1, plain_mask(10, 10, 0).view());
+  this->backend.exec.wait();
+  EXPECT_GT(keypoints_of(), 100);
+  EXPECT_EQ(this->keypoints(tracker.extractor(), 1), 0);
   EXPECT_THROW(tracker.set_mask(this->backend.exec, 1, 0, plain_mask(10, 10, 0).view()),
                ft::bad_argument);
   EXPECT_THROW(tracker.set_mask(this->backend.exec, 0, 2, plain_mask(10, 10, 0).view()),
                ft::bad_argument);
+}
+
+/// Each of a batch's cameras in turn sees nothing, and no other.
+TYPED_TEST(corner_mask_unit, a_batch_keeps_the_masks_of_its_cameras_apart) {
+  ft::tracker_params params;
+  params.orb = with_masks(10, 10);
+  params.map_slots = 100;
+  params.local_points = 10;
+  auto const rig = ft::rectified_rig::make({200.0f, 200.0f, 125.0f, 95.0f}, 0.1f);
+  ft::frame_tracker<typename TypeParam::exec_type> tracker(this->backend.exec, rig, params, 2);
+  bytes const image = test::random_image(image_width, image_height, 9);
+  for (int i = 0; i < 4; ++i) {
+    tracker.set_image(i / 2, i % 2, {image.data(), image_width, image_height, image_width});
+  }
+  auto const open = plain_mask(10, 10, 1);
+  auto const closed = plain_mask(10, 10, 0);
+  for (int dark = 0; dark < 4; ++dark) {
+    for (int i = 0; i < 4; ++i) {
+      tracker.set_mask(this->backend.exec, i / 2, i % 2, (i == dark ? closed : open).view());
+    }
+    tracker.extract(this->backend.exec);
+    this->backend.exec.wait();
+    for (int i = 0; i < 4; ++i) {
+      EXPECT_EQ(this->keypoints(tracker.extractor(), i) == 0, i == dark) << i << ", " << dark;
+    }
+  }
 }
 
 }  // namespace corner_mask_test

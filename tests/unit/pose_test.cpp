@@ -637,6 +637,36 @@ TYPED_TEST(pose_unit, fisheye_frames_let_go_of_outliers) {
   this->template check_frames<fisheye_rig>();
 }
 
+/// A little below and above each limit; in pairs that pull the pose in opposite directions.
+TYPED_TEST(pose_unit, outliers_are_beyond_95_percent_of_their_degrees_of_freedom) {
+  auto const rig = make_rig<ft::rectified_rig>();
+  auto s = make_scene(rig, 300, 0, 31);
+  s.start = s.truth.template cast<float>();
+  std::size_t const clean = s.observations.size();
+  auto const place =
+      static_cast<std::ptrdiff_t>(std::find_if(s.observations.begin(), s.observations.end(),
+                                               [](auto const& o) { return o.right_u >= 0; }) -
+                                  s.observations.begin());
+  std::vector<unsigned char> want(clean, 0);
+  auto const add_pair = [&](bool stereo, double chi2, bool outlier) {
+    for (double const side : {-1.0, 1.0}) {
+      auto o = s.observations[static_cast<std::size_t>(place)];
+      o.inv_sigma2 = 1;
+      if (!stereo) { o.right_u = -1; }
+      o.v += static_cast<float>(side * std::sqrt(chi2));
+      s.observations.push_back(o);
+      want.push_back(static_cast<unsigned char>(outlier));
+    }
+  };
+  add_pair(false, 5.97, false);
+  add_pair(false, 6.01, true);
+  add_pair(true, 7.79, false);
+  add_pair(true, 7.84, true);
+  auto const r = this->solve(rig, s.observations, s.start);
+  EXPECT_LT(distance(r.pose, s.truth), 1e-5);
+  EXPECT_EQ(r.outlier, want);
+}
+
 TYPED_TEST(pose_unit, a_perfect_start_stays) {
   auto const rig = make_rig<ft::rectified_rig>();
   auto const s = make_scene(rig, 50, 0, 8);

@@ -296,7 +296,7 @@ TYPED_TEST(bad_input_test, a_rectified_pair_without_a_baseline_is_refused_with_t
     SCOPED_TRACE(text);
     auto rig = a_rig<ft::rectified_rig>();
     rig.baseline = value;  // bf stays right
-    expect_says(refusal([&] { ft::rectified_rig::make(rig.camera, value); }),
+    expect_says(refusal([&] { ft::rectified_rig::make(rig.camera, rig.baseline); }),
                 {"baseline is " + text});
     expect_says(refusal([&] { ft::stereo_matcher<executor>(rig, extractor); }),
                 {"baseline is " + text});

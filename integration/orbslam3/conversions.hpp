@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Cameras and poses of ORB-SLAM3 as plain structures, and back.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include "ft/core/error.hpp"
+#include "integration/orbslam3/plain_types.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// Of a GeometricCamera: GetType() 0 is a pinhole, 1 Kannala-Brandt. @throws bad_argument for
+/// others
+template <typename Camera>
+camera_parameters parameters_of(Camera& camera) {
+  auto const type = camera.GetType();
+  detail::require(type == 0u || type == 1u, "the camera's type is neither 0 nor 1");
+  camera_parameters p;
+  p.kind = type == 0u ? lens::pinhole : lens::kannala_brandt;
+  for (int i = 0; i < (type == 0u ? 4 : 8); ++i) {
+    p.values[i] = static_cast<float>(camera.getParameter(i));
+  }
+  return p;
+}
+
+/// Of a Sophus::SE3f.
+template <typename Pose>
+transform transform_of(Pose const& pose) {
+  Eigen::Matrix3f const R = pose.rotationMatrix();
+  Eigen::Vector3f const t = pose.translation();
+  transform T;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) { T.R[3 * r + c] = R(r, c); }
+    T.t[r] = t(r);
+  }
+  return T;
+}
+/// To a Sophus::SE3f, through a unit quaternion.
+template <typename Pose>
+Pose pose_of(transform const& T) {
+  Eigen::Matrix3f R;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) { R(r, c) = T.R[3 * r + c]; }
+  }
+  return Pose(Eigen::Quaternionf(R).normalized(), Eigen::Vector3f(T.t[0], T.t[1], T.t[2]));
+}
+
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,0 +1,344 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Frames between ORB-SLAM3 and the device: which buffer has which, what is sent of them, and
+/// what an extraction and a stereo match leave in them.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include "ft/core/error.hpp"
+#include "ft/core/views.hpp"
+#include "ft/kernels/pyramid.hpp"
+#include "integration/orbslam3/device_tracker.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+inline constexpr int grey_type = 0;  ///< CV_8UC1
+
+/// Replaces a value. @param changed set where the value was another
+template <typename T>
+inline void replace(T& value, T const& now, bool& changed) {
+  if (std::memcmp(&value, &now, sizeof now) == 0) { return; }
+  value = now;
+  changed = true;
+}
+
+/// The device's buffers and the frames that they have.
+template <typename Frame>
+class frame_exchange {
+public:
+  frame_exchange(device_tracker& device, settings const& s) : device_(&device), settings_(s) {}
+
+  static bool two_cameras(Frame const& frame) { return frame.Nleft != -1; }
+  static bounds bounds_of(Frame const& frame) {
+    return {frame.mnMinX, frame.mnMinY, frame.mnMaxX, frame.mnMaxY};
+  }
+  /// Positions that are searched.
+  static auto const& keys(Frame const& frame, int camera) {
+    return camera == 1 ? frame.mvKeysRight : two_cameras(frame) ? frame.mvKeys : frame.mvKeysUn;
+  }
+  static int count(Frame const& frame, int camera) {
+    if (camera == 1) { return two_cameras(frame) ? frame.Nright : 0; }
+    return two_cameras(frame) ? frame.Nleft : frame.N;
+  }
+  /// Calls visit(index in the frame, number on the device) for all keypoints that may hold points.
+  template <typename Visit>
+  void for_each_number(Frame const& frame, Visit const& visit) const {
+    int const n = count(frame, 0);
+    for (int i = 0; i < n; ++i) { visit(static_cast<std::size_t>(i), i); }
+    int const right = count(frame, 1);
+    for (int i = 0; i < right; ++i) {
+      visit(static_cast<std::size_t>(n + i), device_->capacity() + i);
+    }
+  }
+
+  /// The buffer that the next extraction fills; nothing is in it until took().
+  int begin_extraction() {
+    int const b = 1 - newest_;
+    resident_[b] = {};
+    return b;
+  }
+  /// The device has extracted into buffer `b`: fills the frame.
+  void took(int b, Frame& frame) {
+    resident& r = resident_[b];
+    r.there = r.extracted = r.full = true;
+    r.id = frame.mnId;
+    r.stereo = settings_.images == 2 && settings_.stereo_with_extraction;
+    newest_ = b;
+    frame_arrays const& a = device_->frame(b);
+    fill_features(a, 0, frame.mvKeys, frame.mDescriptors);
+    frame.monoLeft = a.mono[0];
+    frame.N = a.count[0];
+    frame.Nleft = -1;
+    frame.Nright = -1;
+    if (settings_.images == 2) {
+      fill_features(a, 1, frame.mvKeysRight, frame.mDescriptorsRight);
+      frame.monoRight = a.mono[1];
+    }
+    if (device_->cameras() == 2) {
+      frame.Nleft = a.count[0];
+      frame.Nright = a.count[1];
+      frame.N = a.count[0] + a.count[1];
+    }
+    fill_scale_tables(frame);
+  }
+
+  /// The buffer that has a frame, -1 = none.
+  int find(Frame const& frame) const {
+    for (int const b : {newest_, 1 - newest_}) {
+      resident const& r = resident_[b];
+      if (r.there && r.id == frame.mnId && looks_like(b, frame)) { return b; }
+    }
+    return -1;
+  }
+  /// Numbers of frames begin anew with each reset, so that the number alone does not tell.
+  bool looks_like(int b, Frame const& frame) const {
+    frame_arrays const& a = device_->frame(b);
+    int const n = count(frame, 0);
+    if (a.count[0] != n || (two_cameras(frame) && a.count[1] != frame.Nright)) { return false; }
+    for (int const i : {0, n / 2, n - 1}) {
+      if (i >= 0 && i < n && a.angle[i] != frame.mvKeys[static_cast<std::size_t>(i)].angle) {
+        return false;
+      }
+    }
+    return true;
+  }
+  int extracted(Frame const& frame) const {
+    int const b = find(frame);
+    detail::require(b >= 0 && b == newest_ && resident_[b].extracted,
+                    "the frame is not the one that was extracted last: give the pyramids");
+    return b;
+  }
+
+  /// The buffer with all of a frame. @param keep a buffer that stays as it is, -1 = none
+  int bind(Frame const& frame, int keep) {
+    int b = find(frame);
+    if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(frame), keep); }
+    if (!resident_[b].checked) { check(b, frame); }
+    return b;
+  }
+  /// The buffer with what the search needs of a last frame.
+  int bind_last(Frame const& frame, int keep) {
+    int b = find(frame);
+    if (b >= 0 && b != keep) { return b; }
+    b = 1 - keep;
+    resident_[b] = {};
+    frame_arrays const& a = device_->frame(b);
+    for (int c = 0; c < 2; ++c) {
+      put_count(a, c, count(frame, c));
+      put_angles(a, c, count(frame, c), keys(frame, c));
+    }
+    device_->send(b, frame_part::octaves);
+    resident_[b].there = true;
+    resident_[b].id = frame.mnId;
+    return b;
+  }
+
+  /// Sends a frame that was not extracted here. @param left keypoints of the left image: as
+  /// extracted for stereo, undistorted for the searches @param right with those of the right one
+  template <typename Keypoints>
+  int load(Frame const& frame, Keypoints const& left, bool right, int keep) {
+    int const there = find(frame);
+    int const b = there >= 0 ? there : keep >= 0 ? 1 - keep : 1 - newest_;
+    resident_[b] = {};
+    frame_arrays const& a = device_->frame(b);
+    put_keypoints(a, 0, left, frame.mDescriptors, 0);
+    if (right) {
+      bool const joined = two_cameras(frame) && frame.mDescriptors.rows == frame.N;
+      put_keypoints(a, 1, frame.mvKeysRight, joined ? frame.mDescriptors : frame.mDescriptorsRight,
+                    joined ? frame.Nleft : 0);
+    } else {
+      put_count(a, 1, 0);
+    }
+    a.mono[0] = frame.monoLeft;
+    a.mono[1] = frame.monoRight;
+    device_->send(b, frame_part::keypoints);
+    resident_[b].there = true;
+    resident_[b].full = true;
+    resident_[b].id = frame.mnId;
+    newest_ = b;
+    return b;
+  }
+  bool has_stereo(int b) const { return resident_[b].stereo; }
+  void set_stereo(int b) { resident_[b].stereo = true; }
+  void clear() {
+    for (auto& r : resident_) { r = {}; }
+  }
+
+  void fill_stereo(int b, Frame& frame) const {
+    frame_arrays const& a = device_->frame(b);
+    frame.mvuRight.assign(a.right_x, a.right_x + a.count[0]);
+    frame.mvDepth.assign(a.depth, a.depth + a.count[0]);
+  }
+  void fill_fisheye_stereo(int b, Frame& frame) const {
+    frame_arrays const& a = device_->frame(b);
+    auto const left = static_cast<std::size_t>(a.count[0]);
+    frame.mvLeftToRightMatch.resize(left);
+    frame.mvStereo3Dpoints.resize(left);
+    frame.mvuRight.assign(left, -1.0f);
+    frame.mvDepth.assign(a.depth, a.depth + a.count[0]);
+    for (int i = 0; i < a.count[0]; ++i) {
+      auto const at = static_cast<std::size_t>(i);
+      frame.mvLeftToRightMatch[at] = a.partner[i] < 0 ? -1 : a.partner[i] - a.capacity;
+      float const* const p = a.point + 3 * i;
+      frame.mvStereo3Dpoints[at] =
+          typename std::decay_t<decltype(frame.mvStereo3Dpoints)>::value_type(p[0], p[1], p[2]);
+    }
+    frame.mvRightToLeftMatch.assign(a.partner + a.capacity, a.partner + a.capacity + a.count[1]);
+  }
+
+private:
+  struct resident {
+    bool there = false;
+    unsigned long id = 0;
+    bool extracted = false;  ///< by extract()
+    bool stereo = false;     ///< computed on the device
+    bool full = false;       ///< positions and descriptors, not only what a last frame needs
+    bool checked = false;    ///< positions and stereo are those of the frame
+  };
+
+  template <typename Keypoint, typename Matrix>
+  void fill_features(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints,
+                     Matrix& descriptors) const {
+    int const n = a.count[image];
+    int const first = image * a.capacity;
+    keypoints.resize(static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      Keypoint& k = keypoints[static_cast<std::size_t>(i)];
+      int const at = first + i;
+      k.pt.x = a.x[at];
+      k.pt.y = a.y[at];
+      k.octave = a.octave[at];
+      k.size = patch_size_[static_cast<std::size_t>(k.octave)];
+      k.angle = a.angle[at];
+      k.response = a.response[at];
+    }
+    descriptors.create(n, 32, grey_type);
+    for (int i = 0; i < n; ++i) {
+      std::memcpy(descriptors.data +
+                      static_cast<std::size_t>(i) * static_cast<std::size_t>(descriptors.step),
+                  a.descriptor + 8 * (first + i), 32);
+    }
+  }
+
+  void fill_scale_tables(Frame& frame) const {
+    frame.mnScaleLevels = settings_.levels;
+    frame.mfScaleFactor = settings_.scale_factor;
+    frame.mfLogScaleFactor = std::log(settings_.scale_factor);
+    frame.mvScaleFactors = tables_.scale;
+    frame.mvInvScaleFactors = tables_.inv_scale;
+    frame.mvLevelSigma2 = tables_.sigma2;
+    frame.mvInvLevelSigma2 = tables_.inv_sigma2;
+  }
+
+  void put_count(frame_arrays const& a, int image, int n) const {
+    if (n > a.capacity) {
+      throw bad_argument("ft: the frame has " + std::to_string(n) +
+                         " keypoints in an image, there is room for " + std::to_string(a.capacity) +
+                         ": see settings::most_keypoints");
+    }
+    a.count[image] = n;
+  }
+  template <typename Keypoints>
+  static void put_angles(frame_arrays const& a, int image, int n, Keypoints const& keypoints) {
+    for (int i = 0; i < n; ++i) {
+      auto const& k = keypoints[static_cast<std::size_t>(i)];
+      a.angle[image * a.capacity + i] = k.angle;
+      a.octave[image * a.capacity + i] = k.octave;
+    }
+  }
+  template <typename Keypoints, typename Matrix>
+  void put_keypoints(frame_arrays const& a, int image, Keypoints const& keypoints,
+                     Matrix const& descriptors, int first_row) const {
+    int const n = static_cast<int>(keypoints.size());
+    put_count(a, image, n);
+    put_angles(a, image, n, keypoints);
+    detail::require(n == 0 || descriptors.rows >= first_row + n,
+                    "there are fewer descriptors than keypoints");
+    for (int i = 0; i < n; ++i) {
+      int const at = image * a.capacity + i;
+      auto const& k = keypoints[static_cast<std::size_t>(i)];
+      a.x[at] = k.pt.x;
+      a.y[at] = k.pt.y;
+      std::memcpy(a.descriptor + 8 * at,
+                  descriptors.data + static_cast<std::size_t>(first_row + i) *
+                                         static_cast<std::size_t>(descriptors.step),
+                  32);
+    }
+  }
+
+  /// Sends what the CPU has computed differently: undistorted positions, stereo.
+  void check(int b, Frame const& frame) {
+    frame_arrays const& a = device_->frame(b);
+    bool moved = false;
+    for (int c = 0; c < (two_cameras(frame) ? 2 : 1); ++c) {
+      auto const& all = keys(frame, c);
+      for (int i = 0; i < a.count[c]; ++i) {
+        int const at = c * a.capacity + i;
+        auto const& pt = all[static_cast<std::size_t>(i)].pt;
+        replace(a.x[at], pt.x, moved);
+        replace(a.y[at], pt.y, moved);
+      }
+    }
+    if (moved) { device_->send(b, frame_part::positions); }
+    if (settings_.left.kind == lens::kannala_brandt) {
+      check_partners(b, frame);
+    } else if (settings_.bf != 0) {
+      bool changed = false;
+      for (int i = 0; i < a.count[0]; ++i) {
+        auto const at = static_cast<std::size_t>(i);
+        float const u = at < frame.mvuRight.size() ? frame.mvuRight[at] : -1.0f;
+        replace(a.right_x[i], u, changed);
+      }
+      if (changed) { device_->send(b, frame_part::right_x); }
+    }
+    resident_[b].checked = true;
+  }
+  void check_partners(int b, Frame const& frame) {
+    frame_arrays const& a = device_->frame(b);
+    bool changed = false;
+    auto const of = [](std::vector<int> const& partners, int i) {
+      auto const at = static_cast<std::size_t>(i);
+      return at < partners.size() ? partners[at] : -1;
+    };
+    for (int i = 0; i < a.capacity; ++i) {
+      int const j = i < a.count[0] ? of(frame.mvLeftToRightMatch, i) : -1;
+      int const back = i < a.count[1] ? of(frame.mvRightToLeftMatch, i) : -1;
+      replace(a.partner[i], j < 0 ? -1 : a.capacity + j, changed);
+      replace(a.partner[a.capacity + i], back, changed);
+    }
+    if (changed) { device_->send(b, frame_part::partner); }
+  }
+  struct scale_tables {
+    std::vector<float> scale, inv_scale, sigma2, inv_sigma2;
+
+    explicit scale_tables(settings const& s) {
+      auto const g = pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor);
+      scale.assign(g.scale, g.scale + s.levels);
+      inv_scale.assign(g.inv_scale, g.inv_scale + s.levels);
+      sigma2.assign(g.sigma2, g.sigma2 + s.levels);
+      inv_sigma2.assign(g.inv_sigma2, g.inv_sigma2 + s.levels);
+    }
+  };
+  static std::vector<float> patch_sizes(settings const& s) {
+    auto const g = pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor);
+    std::vector<float> sizes;
+    for (int l = 0; l < s.levels; ++l) { sizes.push_back(static_cast<float>(g.patch_size(l))); }
+    return sizes;
+  }
+
+  device_tracker* device_;
+  settings settings_;
+  scale_tables tables_{settings_};
+  std::vector<float> patch_size_ = patch_sizes(settings_);
+  resident resident_[device_tracker::buffers];
+  int newest_ = 0;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

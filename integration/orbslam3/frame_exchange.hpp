@@ -34,17 +34,19 @@ class frame_exchange {
 public:
   frame_exchange(device_tracker& device, settings const& s) : device_(&device), settings_(s) {}
 
-  static bool two_cameras(Frame const& frame) { return frame.Nleft != -1; }
   static bounds bounds_of(Frame const& frame) {
     return {frame.mnMinX, frame.mnMinY, frame.mnMaxX, frame.mnMaxY};
   }
+  /// Whether frames have keypoints of two cameras that are searched. By the settings: a frame's
+  /// constructor calls stereo before it sets Nleft.
+  bool two_cameras() const { return device_->cameras() == 2; }
   /// Positions that are searched.
-  static auto const& keys(Frame const& frame, int camera) {
-    return camera == 1 ? frame.mvKeysRight : two_cameras(frame) ? frame.mvKeys : frame.mvKeysUn;
+  auto const& keys(Frame const& frame, int camera) const {
+    return camera == 1 ? frame.mvKeysRight : two_cameras() ? frame.mvKeys : frame.mvKeysUn;
   }
-  static int count(Frame const& frame, int camera) {
-    if (camera == 1) { return two_cameras(frame) ? frame.Nright : 0; }
-    return two_cameras(frame) ? frame.Nleft : frame.N;
+  int count(Frame const& frame, int camera) const {
+    if (camera == 1 && !two_cameras()) { return 0; }
+    return static_cast<int>(camera == 1 ? frame.mvKeysRight.size() : frame.mvKeys.size());
   }
   /// Calls visit(index in the frame, number on the device) for all keypoints that may hold points.
   template <typename Visit>
@@ -100,7 +102,7 @@ public:
   bool looks_like(int b, Frame const& frame) const {
     frame_arrays const& a = device_->frame(b);
     int const n = count(frame, 0);
-    if (a.count[0] != n || (two_cameras(frame) && a.count[1] != frame.Nright)) { return false; }
+    if (a.count[0] != n || (two_cameras() && a.count[1] != count(frame, 1))) { return false; }
     for (int const i : {0, n / 2, n - 1}) {
       if (i >= 0 && i < n && a.angle[i] != frame.mvKeys[static_cast<std::size_t>(i)].angle) {
         return false;
@@ -118,7 +120,7 @@ public:
   /// The buffer with all of a frame. @param keep a buffer that stays as it is, -1 = none
   int bind(Frame const& frame, int keep) {
     int b = find(frame);
-    if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(frame), keep); }
+    if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(), keep); }
     if (!resident_[b].checked) { check(b, frame); }
     return b;
   }
@@ -149,14 +151,17 @@ public:
     frame_arrays const& a = device_->frame(b);
     put_keypoints(a, 0, left, frame.mDescriptors, 0);
     if (right) {
-      bool const joined = two_cameras(frame) && frame.mDescriptors.rows == frame.N;
+      // Frame's constructor puts both into one matrix after stereo.
+      int const n = static_cast<int>(left.size());
+      bool const joined = two_cameras() &&
+                          frame.mDescriptors.rows == n + static_cast<int>(frame.mvKeysRight.size());
       put_keypoints(a, 1, frame.mvKeysRight, joined ? frame.mDescriptors : frame.mDescriptorsRight,
-                    joined ? frame.Nleft : 0);
+                    joined ? n : 0);
     } else {
       put_count(a, 1, 0);
     }
-    a.mono[0] = frame.monoLeft;
-    a.mono[1] = frame.monoRight;
+    a.mono[0] = two_cameras() ? frame.monoLeft : 0;
+    a.mono[1] = two_cameras() ? frame.monoRight : 0;
     device_->send(b, frame_part::keypoints);
     resident_[b].there = true;
     resident_[b].full = true;
@@ -276,7 +281,7 @@ private:
   void check(int b, Frame const& frame) {
     frame_arrays const& a = device_->frame(b);
     bool moved = false;
-    for (int c = 0; c < (two_cameras(frame) ? 2 : 1); ++c) {
+    for (int c = 0; c < (two_cameras() ? 2 : 1); ++c) {
       auto const& all = keys(frame, c);
       for (int i = 0; i < a.count[c]; ++i) {
         int const at = c * a.capacity + i;

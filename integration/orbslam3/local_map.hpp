@@ -44,7 +44,7 @@ public:
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
       replace(slots_[i], tested ? slot : -1, changed);
       if (tested || bad || !quirks_) { continue; }
-      if (!far_points || point->mTrackDepth <= far_threshold) { record(frame, *point, i, slot); }
+      if (!far_points || point->mTrackDepth <= far_threshold) { record(*point, i, slot); }
     }
     request.slots_changed = changed;
     request.points = n;
@@ -60,7 +60,7 @@ public:
     drawn_.clear();
     sight const* const left = device_->sights();
     sight const* const right = left + points.size();
-    bool const two = exchange::two_cameras(frame);
+    bool const two = two_cameras();
     for (std::size_t i = 0; i < points.size(); ++i) {
       prefetch(points, static_cast<int>(i));
       if (slots_[i] < 0) { continue; }
@@ -89,10 +89,10 @@ public:
   }
 
 private:
-  using exchange = frame_exchange<frame_type>;
+  bool two_cameras() const { return device_->cameras() == 2; }
 
   /// A point that is not tested, but was seen by an earlier test and is searched there.
-  void record(frame_type const& frame, map_point const& p, int index, int slot) {
+  void record(map_point const& p, int index, int slot) {
     if (p.mbTrackInView) {
       recorded_.push_back({index,
                            0,
@@ -100,7 +100,7 @@ private:
                            {p.mTrackProjX, p.mTrackProjY, p.mTrackProjXR, p.mTrackViewCos,
                             p.mTrackDepth, p.mnTrackScaleLevel}});
     }
-    if (exchange::two_cameras(frame) && p.mbTrackInViewR) {
+    if (two_cameras() && p.mbTrackInViewR) {
       recorded_.push_back({index,
                            1,
                            slot,

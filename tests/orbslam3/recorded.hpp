@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "integration/orbslam3/plain_types.hpp"
+#include "tests/orbslam3/constructors.hpp"
 #include "tests/orbslam3/stand_in.hpp"
 #include "tests/support/effort.hpp"
 #include "tests/support/npy.hpp"
@@ -116,6 +117,7 @@ public:
     f.mDescriptors = image_of(bytes("frame", k, "descL"));
     f.mDescriptorsRight = image_of(bytes("frame", k, "descR"));
     f.N = static_cast<int>(f.mvKeys.size());
+    stand_in::set_no_pair(f);
     if (fisheye()) {
       f.Nleft = f.N;
       f.Nright = static_cast<int>(f.mvKeysRight.size());

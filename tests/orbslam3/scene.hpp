@@ -15,12 +15,13 @@
 #include <vector>
 
 #include "integration/orbslam3/plain_types.hpp"
+#include "tests/orbslam3/constructors.hpp"
 #include "tests/orbslam3/plain_search.hpp"
 #include "tests/orbslam3/stand_in.hpp"
 
 namespace orbslam3_test {
 
-enum class sensor { stereo, rgbd, monocular, fisheye_stereo, fisheye_monocular };
+using stand_in::sensor;
 
 inline char const* name_of(sensor s) {
   constexpr char const* names[] = {"stereo", "rgbd", "monocular", "fisheye_stereo",
@@ -209,6 +210,7 @@ private:
     f.mDescriptors = rows(left.descriptors);
     f.mDescriptorsRight = rows(right.descriptors);
     f.N = static_cast<int>(left.keypoints.size());
+    stand_in::set_no_pair(f);
     if (two_cameras()) {
       f.Nleft = f.N;
       f.Nright = static_cast<int>(right.keypoints.size());

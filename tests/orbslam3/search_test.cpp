@@ -206,6 +206,8 @@ TEST_P(shim_searches, find_nothing_in_nothing) {
     empty.mnId = 50;
     empty.mnMaxX = 640;
     empty.mnMaxY = 480;
+    empty.N = 0;
+    stand_in::set_no_pair(empty);
     if (s.current.Nleft != -1) { empty.Nleft = empty.Nright = 0; }
     EXPECT_EQ(gpu.search_by_projection(empty, s.last, 7, false), 0);
     EXPECT_EQ(gpu.search_by_projection(s.current, empty, 7, false), 0);

@@ -58,32 +58,40 @@ class extracted_frames : public on_executor {
 protected:
   /// What Frame's constructor does for a sensor, with the shim in it.
   static stand_in::frame construct(accelerator& gpu, sensor kind, unsigned long id, unsigned seed) {
-    stand_in::frame f;
-    f.mnId = id;
-    f.mnMaxX = 640;
-    f.mnMaxY = 480;
     bool const pair = kind == sensor::stereo || kind == sensor::fisheye_stereo;
-    if (pair) {
-      gpu.extract(grey(seed), grey(seed, 9), f);
-    } else {
-      gpu.extract(grey(seed), f);
+    stand_in::steps by;
+    by.features = [&](stand_in::frame& f) {
+      if (pair) {
+        gpu.extract(grey(seed), grey(seed, 9), f);
+      } else {
+        gpu.extract(grey(seed), f);
+      }
+    };
+    bool const distorted = kind == sensor::rgbd || kind == sensor::monocular;
+    if (distorted) {
+      by.undistort = [](stand_in::frame& f) {
+        for (auto& k : f.mvKeysUn) {
+          k.pt.x += 0.02f * (k.pt.x - 320);
+          k.pt.y += 0.02f * (k.pt.y - 240);
+        }
+      };
     }
-    f.mvKeysUn = f.mvKeys;
-    if (kind == sensor::rgbd || kind == sensor::monocular) {
+    if (kind == sensor::stereo) {
+      by.stereo = [&](stand_in::frame& f) { gpu.compute_stereo_matches(f); };
+    }
+    if (kind == sensor::fisheye_stereo) {
+      by.stereo = [&](stand_in::frame& f) { gpu.compute_stereo_fisheye_matches(f); };
+    }
+    if (kind == sensor::rgbd) {
+      by.stereo = [&](stand_in::frame& f) { gpu.compute_stereo_from_depth(f, depth_image()); };
+    }
+    stand_in::frame f = stand_in::construct(kind, id, by);
+    if (distorted) {
       f.mnMinX = -12;
       f.mnMinY = -9;
       f.mnMaxX = 652;
       f.mnMaxY = 489;
-      for (auto& k : f.mvKeysUn) {
-        k.pt.x += 0.02f * (k.pt.x - 320);
-        k.pt.y += 0.02f * (k.pt.y - 240);
-      }
     }
-    if (kind == sensor::stereo) { gpu.compute_stereo_matches(f); }
-    if (kind == sensor::fisheye_stereo) { gpu.compute_stereo_fisheye_matches(f); }
-    if (kind == sensor::rgbd) { gpu.compute_stereo_from_depth(f, depth_image()); }
-    f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);
-    f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
     return f;
   }
   /// Map points along the rays of a frame's left keypoints.
@@ -138,6 +146,55 @@ TEST_P(extracted_frames, are_searched_as_a_plain_loop_searches_them) {
       last = current;
     }
     EXPECT_GT(found, 100);
+  }
+}
+
+/// The CPU's part of a frame: here what another accelerator has extracted, in the members that the
+/// CPU's extractors fill.
+TEST_P(extracted_frames, by_the_cpu_get_the_same_stereo_while_their_constructor_runs) {
+  for (sensor const kind : {sensor::stereo, sensor::fisheye_stereo}) {
+    SCOPED_TRACE(name_of(kind));
+    auto const s = settings_for(kind);
+    accelerator cpu(make(s), s);
+    stand_in::frame const want = construct(cpu, kind, 5, 3);
+    int paired = 0;
+    for (float const depth : want.mvDepth) { paired += static_cast<int>(depth > 0); }
+    ASSERT_GT(paired, 20);
+    accelerator gpu(make(s), s);
+    stand_in::steps by;
+    by.features = [&](stand_in::frame& f) {
+      stand_in::frame extracted;
+      cpu.extract(grey(3), grey(3, 9), extracted);
+      f.mvKeys = extracted.mvKeys;
+      f.mvKeysRight = extracted.mvKeysRight;
+      f.mDescriptors = extracted.mDescriptors;
+      f.mDescriptorsRight = extracted.mDescriptorsRight;
+      f.monoLeft = extracted.monoLeft;
+      f.monoRight = extracted.monoRight;
+    };
+    by.stereo = [&](stand_in::frame& f) {
+      if (kind == sensor::fisheye_stereo) {
+        gpu.compute_stereo_fisheye_matches(f);
+      } else {
+        gpu.compute_stereo_matches(f, std::vector<stand_in::matrix>{grey(3)},
+                                   std::vector<stand_in::matrix>{grey(3, 9)});
+      }
+    };
+    stand_in::frame got = stand_in::construct(kind, 5, by);
+    EXPECT_EQ(got.mvuRight, want.mvuRight);
+    EXPECT_EQ(got.mvDepth, want.mvDepth);
+    EXPECT_EQ(got.mvLeftToRightMatch, want.mvLeftToRightMatch);
+    EXPECT_EQ(got.mvRightToLeftMatch, want.mvRightToLeftMatch);
+    // And it is searched.
+    auto const map = points_of(want, kind);
+    std::vector<stand_in::map_point*> local;
+    for (auto& p : map) { local.push_back(p.get()); }
+    got.SetPose({Eigen::Matrix3f::Identity(), Eigen::Vector3f(0.01f, 0, 0.005f)});
+    stand_in::frame plain = got;
+    int const n = plain_search(s).search_local(plain, local, 3);
+    EXPECT_EQ(gpu.search_local_points(got, local, 3), n);
+    EXPECT_EQ(got.mvpMapPoints, plain.mvpMapPoints);
+    EXPECT_GT(n, 50);
   }
 }
 

@@ -229,14 +229,19 @@ struct camera {
   float getParameter(int i) const { return parameters[static_cast<std::size_t>(i)]; }
 };
 
-/// Of ORB_SLAM3::Frame.
+/// What the original leaves uninitialised has these here, so that whoever reads it is seen.
+inline constexpr int garbage = 0x5a5a5a5a;
+inline constexpr float garbage_number = -3.4e20f;
+
+/// Of ORB_SLAM3::Frame. Its constructors give the members their values: see constructors.hpp.
 struct frame {
   unsigned long mnId = 0;
-  int N = 0;
-  int Nleft = -1;
-  int Nright = -1;
-  int monoLeft = 0;
-  int monoRight = 0;
+  int N = garbage;
+  int Nleft = garbage;
+  int Nright = garbage;
+  int monoLeft = garbage;
+  int monoRight = garbage;
+  int mnCloseMPs = garbage;
   std::vector<keypoint> mvKeys;
   std::vector<keypoint> mvKeysRight;
   std::vector<keypoint> mvKeysUn;
@@ -250,9 +255,9 @@ struct frame {
   std::vector<map_point*> mvpMapPoints;
   std::vector<bool> mvbOutlier;
   std::map<unsigned long, point2f> mmProjectPoints;
-  int mnScaleLevels = 0;
-  float mfScaleFactor = 0;
-  float mfLogScaleFactor = 0;
+  int mnScaleLevels = garbage;
+  float mfScaleFactor = garbage_number;
+  float mfLogScaleFactor = garbage_number;
   std::vector<float> mvScaleFactors;
   std::vector<float> mvInvScaleFactors;
   std::vector<float> mvLevelSigma2;

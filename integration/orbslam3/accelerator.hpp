@@ -190,7 +190,8 @@ public:
   /// The rest of Tracking::SearchLocalPoints after its loop over the frame's own points: frustum of
   /// all `points` that are neither bad nor seen in this frame, IncreaseVisible() and tracked values
   /// of those in view, then ORBmatcher(0.8).SearchByProjection(frame, points, th, far_points,
-  /// far_threshold). Returns the number of matches.
+  /// far_threshold). Returns the number of matches: 0, and nothing is searched, where no point
+  /// came into view.
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
     stage_timer timer(sums(stage::search_local_map), *device_);
@@ -198,14 +199,16 @@ public:
     local_map_request request;
     request.buffer = frames_.bind(frame, -1);
     gather_holders(request.buffer, frame, false);
-    local_.gather(request, frame, points, far_points, far_threshold);
+    int const tested = local_.gather(request, frame, points, far_points, far_threshold);
     mirror_.flush();
+    if (tested == 0) { return 0; }
     request.T_cw = transform_of(frame.GetPose());
     request.image = frames_.bounds_of(frame);
     request.th = th;
     request.far_distance = far_points ? far_threshold : 0.0f;
     int const matches = timer.on_device([&] { return device_->search_local_map(request); });
-    local_.write_sights(frame, points);
+    // The original searches nothing then, not even points that it was to leave alone.
+    if (local_.write_sights(frame, points) == 0) { return 0; }
     write_matches(request.buffer, frame);
     return matches;
   }

@@ -155,9 +155,12 @@ struct place_recorded_window {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, recorded_window const* recorded,
-                                 search_windows_view const& windows) const {
+                                 visibility const* seen, search_windows_view const& windows) const {
     recorded_window const r = recorded[item];
-    windows.windows[static_cast<std::ptrdiff_t>(r.camera) * windows.capacity + r.index] = r.window;
+    bool const right_alone = r.camera == recorded_sight::not_right_alone;
+    if (right_alone && seen[r.index].level >= 0) { return; }
+    int const camera = right_alone ? 1 : r.camera;
+    windows.windows[static_cast<std::ptrdiff_t>(camera) * windows.capacity + r.index] = r.window;
   }
 };
 
@@ -168,12 +171,9 @@ struct leave_out_far_point {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen,
                                  float far_distance, search_windows_view const& windows) const {
-    int const n = windows.capacity;
-    bool const left = seen[item].level >= 0;
-    float const distance = seen[left ? item : n + item].distance;
-    if (distance > far_distance) {
+    if (seen[item].level >= 0 && seen[item].distance > far_distance) {
       windows.windows[item] = search_window::none();
-      windows.windows[n + item] = search_window::none();
+      windows.windows[windows.capacity + item] = search_window::none();
     }
   }
 };
@@ -625,9 +625,12 @@ private:
       recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
       visibility const v{s.seen.x,      s.seen.y,        s.seen.right_x,
                          s.seen.cosine, s.seen.distance, s.seen.level};
-      staged_windows_[i] = {
-          s.index, s.camera,
-          window_of(v, s.slot, s.camera == 0 ? r.th : 1.0f, Rig::rectified, extractor_.geometry())};
+      search_window window = search_window::none();
+      if (s.camera != recorded_sight::not_right_alone) {
+        window = window_of(v, s.slot, s.camera == 0 ? r.th : 1.0f, Rig::rectified,
+                           extractor_.geometry());
+      }
+      staged_windows_[i] = {s.index, s.camera, window};
     }
     up_.add(exec_, windows_recorded_, staged_windows_, r.recorded);
   }
@@ -658,7 +661,8 @@ private:
                                 static_cast<visibility const*>(seen_), r.far_distance, windows_);
     }
     for_each_item<per_thread>(exec_, r.recorded, place_recorded_window{},
-                              static_cast<recorded_window const*>(windows_recorded_), windows_);
+                              static_cast<recorded_window const*>(windows_recorded_),
+                              static_cast<visibility const*>(seen_), windows_);
     search_by_projection(exec_, frame, map_, windows_, search_params{}, work_);
   }
 

@@ -194,6 +194,7 @@ public:
       frame.mvStereo3Dpoints[at] =
           typename std::decay_t<decltype(frame.mvStereo3Dpoints)>::value_type(p[0], p[1], p[2]);
     }
+    frame.mnCloseMPs = 0;  // as the original's, which counts none
     frame.mvRightToLeftMatch.assign(a.partner + a.capacity, a.partner + a.capacity + a.count[1]);
   }
 

@@ -28,13 +28,15 @@ public:
       : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), draws_(draws) {}
 
   /// The request of a search in `points`; their slots are with the device.
-  void gather(local_map_request& request, frame_type const& frame,
-              std::vector<map_point*> const& points, bool far_points, float far_threshold) {
+  /// @return points that are tested
+  int gather(local_map_request& request, frame_type const& frame,
+             std::vector<map_point*> const& points, bool far_points, float far_threshold) {
     int const n = static_cast<int>(points.size());
     slots_ = device_->local_slots(n);
     likely_.resize(points.size(), -1);
     recorded_.clear();
     bool changed = false;
+    int tested_points = 0;
     for (int i = 0; i < n; ++i) {
       prefetch(points, i);
       map_point* const point = points[static_cast<std::size_t>(i)];
@@ -43,8 +45,12 @@ public:
       bool const bad = mirror_->bad(slot);
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
       replace(slots_[i], tested ? slot : -1, changed);
-      if (tested || bad || !quirks_) { continue; }
-      if (!far_points || point->mTrackDepth <= far_threshold) { record(*point, i, slot); }
+      tested_points += static_cast<int>(tested);
+      bool const far = far_points && point->mTrackDepth > far_threshold;
+      if (tested && far && two_cameras()) {
+        recorded_.push_back({i, recorded_sight::not_right_alone, slot, {}});
+      }
+      if (!tested && !bad && !far && quirks_) { record(*point, i, slot); }
     }
     request.slots_changed = changed;
     request.points = n;
@@ -53,14 +59,16 @@ public:
       std::memcpy(device_->recorded_sights(request.recorded), recorded_.data(),
                   recorded_.size() * sizeof(recorded_sight));
     }
+    return tested_points;
   }
 
-  /// The tracked values of all points that were tested.
-  void write_sights(frame_type& frame, std::vector<map_point*> const& points) {
+  /// The tracked values of all points that were tested. @return points in view
+  int write_sights(frame_type& frame, std::vector<map_point*> const& points) {
     drawn_.clear();
     sight const* const left = device_->sights();
     sight const* const right = left + points.size();
     bool const two = two_cameras();
+    int in_view = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
       prefetch(points, static_cast<int>(i));
       if (slots_[i] < 0) { continue; }
@@ -83,9 +91,12 @@ public:
         p.mnTrackScaleLevelR = right[i].level;
         p.mTrackViewCosR = right[i].cosine;
       }
-      if (p.mbTrackInView || p.mbTrackInViewR) { p.IncreaseVisible(1); }
+      if (!p.mbTrackInView && !p.mbTrackInViewR) { continue; }
+      p.IncreaseVisible(1);
+      ++in_view;
     }
     draw(frame);
+    return in_view;
   }
 
 private:

@@ -112,9 +112,13 @@ struct sight {
 /// A point that is searched where an earlier test saw it.
 struct recorded_sight {
   int index;   ///< in the local map
-  int camera;  ///< 0 left, 1 right
+  int camera;  ///< 0 left, 1 right, or not_right_alone
   int slot;
   sight seen;
+
+  /// In place of a camera: the point is tested, and not searched where the right camera alone sees
+  /// it.
+  static constexpr int not_right_alone = 2;
 };
 
 struct last_frame_request {

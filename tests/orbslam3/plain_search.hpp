@@ -72,17 +72,20 @@ public:
     return p.mbTrackInView || p.mbTrackInViewR;
   }
 
-  /// Frustum of all points that were not seen, then section 9.
+  /// Frustum of all points that were not seen, then section 9 where one is in view.
   int search_local(stand_in::frame& f, std::vector<stand_in::map_point*> const& points, float th,
                    bool far_points = false, float far_threshold = 50) const {
+    int in_view = 0;
     for (auto* p : points) {
       if (p->mnLastFrameSeen == f.mnId || p->isBad()) { continue; }
       if (!in_frustum(f, *p)) { continue; }
+      ++in_view;
       p->IncreaseVisible(1);
       if (p->mbTrackInView) {
         f.mmProjectPoints[p->mnId] = stand_in::point2f(p->mTrackProjX, p->mTrackProjY);
       }
     }
+    if (in_view == 0) { return 0; }
     cells const left(f, keys(f, 0));
     cells const right(f, f.mvKeysRight);
     int matches = 0;

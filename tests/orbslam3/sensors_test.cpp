@@ -183,6 +183,7 @@ TEST_P(extracted_frames, by_the_cpu_get_the_same_stereo_while_their_constructor_
     stand_in::frame got = stand_in::construct(kind, 5, by);
     EXPECT_EQ(got.mvuRight, want.mvuRight);
     EXPECT_EQ(got.mvDepth, want.mvDepth);
+    if (kind == sensor::fisheye_stereo) { EXPECT_EQ(got.mnCloseMPs, 0); }
     EXPECT_EQ(got.mvLeftToRightMatch, want.mvLeftToRightMatch);
     EXPECT_EQ(got.mvRightToLeftMatch, want.mvRightToLeftMatch);
     // And it is searched.

@@ -43,6 +43,7 @@ public:
         options_(o),
         mirror_(*device_, o.detection, s.map_points) {
     device_->measure(o.statistics);
+    if (!reads_map(options_)) { mirror_.changes().close(); }
     held_before_.reserve(2 * static_cast<std::size_t>(device_->capacity()));
   }
 
@@ -175,7 +176,7 @@ public:
     last_frame_request request;
     request.current = frames_.bind(current, frames_.find(last));
     request.last = frames_.bind_last(last, request.current);
-    gather_holders(request.last, last, true);
+    send_holders(request.last, last, true);
     mirror_.flush();
     request.T_cw = transform_of(current.GetPose());
     request.T_lw = transform_of(last.GetPose());
@@ -198,7 +199,7 @@ public:
     mirror_.begin_call();
     local_map_request request;
     request.buffer = frames_.bind(frame, -1);
-    gather_holders(request.buffer, frame, false);
+    send_holders(request.buffer, frame, false);
     int const tested = local_.gather(request, frame, points, far_points, far_threshold);
     mirror_.flush();
     if (tested == 0) { return 0; }
@@ -225,14 +226,16 @@ public:
     }
     if (options_[which] == stage_mode::bypass) { return held; }
     if (held < 3) { return 0; }
-    int b = 0;
+    int const b = frames_.bind(frame, -1);
+    mirror_.make_room_for(held);
+    bool changed = false;
     {
-      // As the original: nobody moves points while they are read.
+      // As the original: points rest while they are read. The device is not waited for meanwhile.
       std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
       mirror_.begin_call();
-      b = frames_.bind(frame, -1);
-      gather_holders(b, frame, false);
+      changed = gather_holders(b, frame, false);
     }
+    if (changed) { device_->send(b, frame_part::holder); }
     mirror_.flush();
     frame_arrays const& a = device_->frame(b);
     held_before_.assign(a.holder, a.holder + 2 * a.capacity);
@@ -253,6 +256,10 @@ public:
   void map_point_changed(map_point* point) { mirror_.changes().push(point); }
   /// What to push to, for code that should not see the accelerator.
   change_queue<map_point>& changes() { return mirror_.changes(); }
+
+  /// Before a map point is deleted, such as the temporary ones of Tracking's localisation mode.
+  /// From the tracking thread.
+  void forget(map_point const* point) { mirror_.forget(point); }
 
   /// Forgets frames and map points. For Tracking::Reset and ResetActiveMap, which begin to number
   /// frames anew.
@@ -275,6 +282,14 @@ private:
     return {image.data, image.cols, image.rows,
             static_cast<int>(static_cast<std::size_t>(image.step))};
   }
+  static bool reads_map(options const& o) {
+    for (int i = 0; i < stage_count; ++i) {
+      auto const s = static_cast<stage>(i);
+      bool const of_images = s == stage::extract || s == stage::stereo;
+      if (!of_images && o[s] == stage_mode::device) { return true; }
+    }
+    return false;
+  }
   stage_statistics* sums(stage s) {
     return options_.statistics ? &statistics_[static_cast<std::size_t>(s)] : nullptr;
   }
@@ -286,8 +301,9 @@ private:
     frames_.took(b, frame);
   }
 
-  /// The slots of the points that a frame's keypoints hold; sent where they are others than before.
-  void gather_holders(int b, frame_type const& frame, bool inliers_only) {
+  /// The slots of the points that a frame's keypoints hold. @return whether they are others than
+  /// before
+  bool gather_holders(int b, frame_type const& frame, bool inliers_only) {
     frame_arrays const& a = device_->frame(b);
     bool changed = false;
     frames_.for_each_number(frame, [&](std::size_t i, int number) {
@@ -296,7 +312,10 @@ private:
       int const slot = held ? mirror_.visit(point, a.holder[number]) : -1;
       replace(a.holder[number], slot, changed);
     });
-    if (changed) { device_->send(b, frame_part::holder); }
+    return changed;
+  }
+  void send_holders(int b, frame_type const& frame, bool inliers_only) {
+    if (gather_holders(b, frame, inliers_only)) { device_->send(b, frame_part::holder); }
   }
   /// What the device gave to the frame's keypoints.
   void write_matches(int b, frame_type& frame) const {

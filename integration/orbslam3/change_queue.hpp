@@ -18,7 +18,7 @@ public:
   /// `point` has changed, and its lock shows the new values to whoever takes it after.
   void push(MapPoint* point) {
     std::lock_guard<std::mutex> const lock(mutex_);
-    changed_.push_back(point);
+    if (!closed_) { changed_.push_back(point); }
   }
   /// All that were pushed since the last call, in order, repeated ones too.
   void take(std::vector<MapPoint*>& into) {
@@ -26,10 +26,22 @@ public:
     std::lock_guard<std::mutex> const lock(mutex_);
     std::swap(changed_, into);
   }
+  /// From now on nothing is kept: for a tracker that takes no more.
+  void close() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    closed_ = true;
+    changed_ = {};
+  }
+  /// Points that wait to be taken.
+  std::size_t size() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return changed_.size();
+  }
 
 private:
   std::mutex mutex_;
   std::vector<MapPoint*> changed_;
+  bool closed_ = false;
 };
 
 }  // namespace orbslam3

@@ -98,8 +98,10 @@ public:
   bool bad(int slot) const { return entries_[index(slot)].bad; }
   MapPoint* owner(int slot) const { return entries_[index(slot)].owner; }
   bool holds(int slot, MapPoint const* point) const {
-    return slot >= 0 && slot < static_cast<int>(entries_.size()) &&
-           entries_[index(slot)].owner == point;
+    if (slot < 0 || slot >= capacity()) { return false; }
+    // By number as well: another point may live where one was deleted.
+    entry const& e = entries_[index(slot)];
+    return e.owner == point && e.id == point->mnId;
   }
 
   /// Queues what has changed for the device.
@@ -115,6 +117,19 @@ public:
       part->clear();
     }
     device_->change_map(change_, words_.data());
+  }
+
+  /// Takes what memory `points` new ones need now, rather than in visit(); may wait for the device.
+  void make_room_for(int points) {
+    auto const enough = static_cast<std::size_t>(points);
+    if (free_.size() < enough) { evict(); }
+    if (free_.size() < enough) { grow(capacity() + std::max(capacity(), points)); }
+  }
+
+  /// Forgets a point that is about to be deleted.
+  void forget(MapPoint const* point) {
+    auto const known = slot_by_address_.find(point);
+    if (known != slot_by_address_.end()) { release(known->second); }
   }
 
   /// Forgets all points, for a system that was reset.
@@ -133,12 +148,12 @@ private:
   /// What every call looks at: small, so that those of a local map stay in a cache.
   struct entry {
     MapPoint* owner = nullptr;
+    std::size_t id = 0;
     std::uint32_t used_in = 0;  ///< call
     bool bad = false;
   };
   /// What is looked at where a point is read.
   struct record {
-    std::size_t id = 0;
     std::uint32_t read_in = 0;  ///< call
     float shown[2] = {};        ///< the limits as the map point shows them
     point_fields sent{};
@@ -165,8 +180,8 @@ private:
     slot_of_[id] = slot;
     slot_by_address_[point] = slot;
     entries_[index(slot)].owner = point;
-    record& r = records_[index(slot)];
-    r.id = id;
+    entries_[index(slot)].id = id;
+    record const& r = records_[index(slot)];
     read(slot);
     send_position(slot, r.sent);
     send_view(slot, r.sent);
@@ -248,7 +263,7 @@ private:
 
   void release(int slot) {
     entry& e = entries_[index(slot)];
-    int& listed = slot_of_[records_[index(slot)].id];
+    int& listed = slot_of_[e.id];
     if (listed == slot) { listed = -1; }
     auto const known = slot_by_address_.find(e.owner);
     if (known != slot_by_address_.end() && known->second == slot) { slot_by_address_.erase(known); }
@@ -257,14 +272,19 @@ private:
     free_.push_back(slot);
   }
 
-  /// Slots of bad points and of those that no call has used for long; more slots where that is not
-  /// enough. Never one of this call.
-  void make_room() {
+  /// Frees the slots of bad points and of those that no call has used for long. Never one of this
+  /// call.
+  void evict() {
     for (int slot = 0; slot < capacity(); ++slot) {
       entry const& e = entries_[index(slot)];
       bool const idle = e.used_in != call_ && records_[index(slot)].read_in != call_;
-      if (idle && (e.bad || e.used_in + keep_unused < call_)) { release(slot); }
+      if (e.owner != nullptr && idle && (e.bad || e.used_in + keep_unused < call_)) {
+        release(slot);
+      }
     }
+  }
+  void make_room() {
+    evict();
     if (free_.size() < entries_.size() / 8 + 1) { grow(2 * capacity()); }
   }
 

@@ -3,9 +3,13 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdint>
 #include <memory>
+#include <new>
 #include <random>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
 #include "integration/orbslam3/accelerator.hpp"
@@ -214,6 +218,159 @@ TEST_P(shim_map, gives_slots_of_bad_points_to_new_ones) {
     }
     EXPECT_EQ(gpu.mirror().capacity(), 1000);
   }
+}
+
+/// Localisation without mapping: points that live for a frame, deleted by the tracker.
+TEST_P(shim_map, takes_temporary_points_that_are_deleted_without_growing) {
+  for (auto const detection : {change_detection::compare, change_detection::hooks}) {
+    scene s(sensor::stereo, 4);
+    s.settings = with_room(s.settings);
+    s.settings.map_points = 2000;
+    accelerator gpu(make(s.settings), s.settings, detecting(detection));
+    int const room = gpu.mirror().capacity();
+    std::vector<std::unique_ptr<stand_in::map_point>> temporary;
+    unsigned long next = 100000;
+    for (int k = 0; k < 40; ++k) {
+      stand_in::frame last = s.last;
+      for (auto*& p : last.mvpMapPoints) {
+        if (p == nullptr) { continue; }
+        auto own = std::make_unique<stand_in::map_point>();
+        own->mnId = next++;
+        own->SetWorldPos(p->GetWorldPos());
+        own->set_descriptor(p->GetDescriptor().data);
+        p = own.get();
+        temporary.push_back(std::move(own));
+      }
+      stand_in::frame want = s.current;
+      int const n = plain_search(s.settings).search_last(want, last, 15, false);
+      stand_in::frame got = s.current;
+      EXPECT_EQ(gpu.search_by_projection(got, last, 15, false), n);
+      EXPECT_EQ(got.mvpMapPoints, want.mvpMapPoints);
+      for (auto& p : temporary) { gpu.forget(p.get()); }
+      temporary.clear();
+    }
+    EXPECT_EQ(gpu.mirror().size(), 0);
+    EXPECT_EQ(gpu.mirror().capacity(), room);
+  }
+}
+
+TEST_P(shim_map, tells_a_new_point_from_a_deleted_one_at_the_same_address) {
+  for (auto const detection : {change_detection::compare, change_detection::hooks}) {
+    scene s(sensor::stereo, 4);
+    s.settings = with_room(s.settings);
+    accelerator gpu(make(s.settings), s.settings, detecting(detection));
+    auto const local = s.local_map();
+    stand_in::frame first = s.current;
+    ASSERT_GT(gpu.search_local_points(first, local, 2), 50);
+    scene other(sensor::stereo, 5);
+    for (std::size_t i = 0; i < s.map.size(); ++i) {
+      stand_in::map_point& like = *other.map[i];
+      auto* const place = s.map[i].get();
+      place->~map_point();
+      new (place) stand_in::map_point;
+      place->mnId = 50000 + i;
+      place->SetWorldPos(like.GetWorldPos());
+      place->set_view(like.GetNormal(), 0.2f, like.raw_max_distance());
+      place->set_descriptor(like.GetDescriptor().data);
+    }
+    other.current.mnId = 12;
+    stand_in::frame want = other.current;
+    int const n = plain_search(s.settings).search_local(want, local, 2);
+    EXPECT_GT(n, 50);
+    EXPECT_EQ(gpu.search_local_points(other.current, local, 2), n);
+    EXPECT_EQ(ids(other.current), ids(want));
+  }
+}
+
+/// Passes calls on, and looks whether the map can move meanwhile.
+class watched_device final : public ft::orbslam3::device_tracker {
+public:
+  explicit watched_device(std::unique_ptr<device_tracker> to) : to_(std::move(to)) {}
+
+  int capacity() const override { return to_->capacity(); }
+  int cameras() const override { return to_->cameras(); }
+  ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
+  void extract(int b, ft::orbslam3::grey_image const& left,
+               ft::orbslam3::grey_image const& right) override {
+    to_->extract(b, left, right);
+  }
+  void build_pyramids(ft::orbslam3::grey_image const& left,
+                      ft::orbslam3::grey_image const& right) override {
+    to_->build_pyramids(left, right);
+  }
+  void match_stereo(int b) override { to_->match_stereo(b); }
+  void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
+    to_->download_level(image, level, to, stride);
+  }
+  int level_width(int level) const override { return to_->level_width(level); }
+  int level_height(int level) const override { return to_->level_height(level); }
+  void send(int b, ft::orbslam3::frame_part part) override {
+    look();
+    to_->send(b, part);
+  }
+  void reserve_map(int slots) override {
+    look();
+    to_->reserve_map(slots);
+  }
+  void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
+    look();
+    to_->change_map(change, words);
+  }
+  int* local_slots(int points) override { return to_->local_slots(points); }
+  ft::orbslam3::recorded_sight* recorded_sights(int n) override { return to_->recorded_sights(n); }
+  int search_last_frame(ft::orbslam3::last_frame_request const& r) override {
+    return to_->search_last_frame(r);
+  }
+  int search_local_map(ft::orbslam3::local_map_request const& r) override {
+    return to_->search_local_map(r);
+  }
+  ft::orbslam3::sight const* sights() const override { return to_->sights(); }
+  ft::orbslam3::pose_result optimize_pose(int b, ft::orbslam3::transform const& T) override {
+    look();
+    return to_->optimize_pose(b, T);
+  }
+  ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
+  void reset_bytes() override { to_->reset_bytes(); }
+  void measure(bool on) override { to_->measure(on); }
+  ft::orbslam3::device_times times() const override { return to_->times(); }
+
+private:
+  static void look() {
+    std::thread([] {
+      bool const free = stand_in::map_point::mGlobalMutex.try_lock();
+      EXPECT_TRUE(free) << "a call of the device while the map is locked";
+      if (free) { stand_in::map_point::mGlobalMutex.unlock(); }
+    }).join();
+  }
+  std::unique_ptr<device_tracker> to_;
+};
+
+TEST_P(shim_map, is_not_locked_while_the_device_is_called) {
+  scene s(sensor::stereo, 4);
+  s.settings = with_room(s.settings);
+  s.settings.map_points = 16;  // grows
+  accelerator gpu(std::make_unique<watched_device>(make(s.settings)), s.settings);
+  plain_search(s.settings).search_last(s.current, s.last, 15, false);
+  EXPECT_GT(gpu.pose_optimization(s.current, stage::pose_last_frame), 10);
+  EXPECT_GT(gpu.mirror().capacity(), 16);
+}
+
+TEST_P(shim_map, keeps_no_changes_that_it_will_never_read) {
+  scene s(sensor::stereo, 4);
+  s.settings = with_room(s.settings);
+  auto o = detecting(change_detection::hooks);
+  ft::orbslam3::set_modes(o, "all", ft::orbslam3::stage_mode::host);
+  o[stage::extract] = ft::orbslam3::stage_mode::device;
+  accelerator gpu(make(s.settings), s.settings, o);
+  for (auto& p : s.map) { gpu.map_point_changed(p.get()); }
+  EXPECT_EQ(gpu.changes().size(), 0u);
+  o[stage::pose_local_map] = ft::orbslam3::stage_mode::device;
+  accelerator poses(make(s.settings), s.settings, o);
+  for (auto& p : s.map) { poses.map_point_changed(p.get()); }
+  EXPECT_EQ(poses.changes().size(), s.map.size());
+  plain_search(s.settings).search_last(s.current, s.last, 15, false);
+  poses.pose_optimization(s.current, stage::pose_local_map);
+  EXPECT_EQ(poses.changes().size(), 0u);
 }
 
 TEST_P(shim_map, is_forgotten_by_a_reset) {

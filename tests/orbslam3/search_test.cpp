@@ -3,6 +3,7 @@
 // CPU; calls alone and mixed with the CPU's own.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <memory>
 #include <string>
 #include <thread>
@@ -213,6 +214,46 @@ TEST_P(shim_searches, look_again_where_refused_points_were_seen_unless_told_not_
       }
     }
   }
+}
+
+/// The right camera alone sees points that are turned away from the left one by a little more than
+/// 60 degrees. The limit looks at what the left one measured in an earlier frame.
+TEST_P(shim_searches, leave_out_far_points_of_a_fisheye_pair_by_the_left_cameras_distance) {
+  scene s(sensor::fisheye_stereo, 4);
+  s.settings = roomy(s.settings);
+  Eigen::Matrix3f R_rl;
+  for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = s.settings.T_rl.R[i]; }
+  auto const& t = s.settings.T_rl.t;
+  auto const pose = s.current.GetPose();
+  Eigen::Matrix3f const R_wc = pose.rotationMatrix().transpose();
+  Eigen::Vector3f const left = -(R_wc * pose.translation());
+  Eigen::Vector3f const right =
+      left - R_wc * (R_rl.transpose() * Eigen::Vector3f(t[0], t[1], t[2]));
+  int number = 0;
+  for (auto& p : s.map) {
+    Eigen::Vector3f const from_left = (p->GetWorldPos() - left).normalized();
+    Eigen::Vector3f const from_right = (p->GetWorldPos() - right).normalized();
+    Eigen::Vector3f const aside = (from_right - from_left.dot(from_right) * from_left).normalized();
+    Eigen::Vector3f const normal = 0.499f * from_left + std::sqrt(1 - 0.499f * 0.499f) * aside;
+    float const distance = (p->GetWorldPos() - left).norm();
+    p->set_view(normal, 0.1f, distance * 2);
+    p->mTrackDepth = ++number % 2 == 0 ? 9.0f : 1.0f;
+  }
+  auto const local = s.local_map();
+  accelerator gpu(make(s.settings), s.settings);
+  stand_in::frame want = s.current;
+  plain_search const plain(s.settings);
+  int const n = plain.search_local(want, local, 1, true, 5.0f);
+  stand_in::frame without_limit = s.current;
+  EXPECT_GT(n, 20);
+  EXPECT_GT(plain.search_local(without_limit, local, 1), n + 20);
+  int right_alone = 0;
+  for (auto const* p : local) {
+    right_alone += static_cast<int>(p->mbTrackInViewR && !p->mbTrackInView);
+  }
+  EXPECT_GT(right_alone, 100);
+  EXPECT_EQ(gpu.search_local_points(s.current, local, 1, true, 5.0f), n);
+  EXPECT_EQ(s.current.mvpMapPoints, want.mvpMapPoints);
 }
 
 TEST_P(shim_searches, find_nothing_in_nothing) {

@@ -215,7 +215,8 @@ public:
   }
 
   /// Optimizer::PoseOptimization(&frame): pose, mvbOutlier; returns the number of inliers.
-  /// @param which pose_last_frame or pose_local_map: where options may say bypass
+  /// @param which the stage that it is: pose_last_frame, pose_local_map (which options may bypass),
+  /// pose_reference_keyframe or pose_relocalization
   int pose_optimization(frame_type& frame, stage which) {
     stage_timer timer(sums(which), *device_);
     int held = 0;

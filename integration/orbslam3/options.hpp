@@ -21,13 +21,15 @@ enum class stage {
   pose_last_frame,
   search_local_map,
   pose_local_map,
+  pose_reference_keyframe,
+  pose_relocalization,
 };
-inline constexpr int stage_count = 6;
+inline constexpr int stage_count = 8;
 
 inline char const* name_of(stage s) {
-  constexpr char const* names[stage_count] = {"extract",           "stereo",
-                                              "search_last_frame", "pose_last_frame",
-                                              "search_local_map",  "pose_local_map"};
+  constexpr char const* names[stage_count] = {
+      "extract",          "stereo",         "search_last_frame",       "pose_last_frame",
+      "search_local_map", "pose_local_map", "pose_reference_keyframe", "pose_relocalization"};
   return names[static_cast<int>(s)];
 }
 
@@ -49,7 +51,8 @@ struct options {
   stage_mode operator[](stage s) const { return modes[static_cast<std::size_t>(s)]; }
 };
 
-/// Whether a stage may be left out.
+/// Whether a stage may be left out: a pose optimisation after which another one follows or tracking
+/// goes on with the pose that it has.
 inline bool may_bypass(stage s) {
   return s == stage::pose_last_frame || s == stage::pose_local_map;
 }
@@ -65,15 +68,17 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
       auto const s = static_cast<stage>(i);
       bool const possible = mode != stage_mode::bypass || may_bypass(s);
       if (name == name_of(s)) {
-        detail::require(possible, "only pose optimisations can be bypassed");
+        detail::require(possible, "only pose_last_frame and pose_local_map can be bypassed");
         known = true;
       }
       if (possible && (name == "all" || name == name_of(s))) { o[s] = mode; }
     }
     if (!known) {
-      throw bad_argument("ft: '" + name +
-                         "' is no stage; there are: extract, stereo, search_last_frame, "
-                         "pose_last_frame, search_local_map, pose_local_map, all");
+      std::string names;
+      for (int i = 0; i < stage_count; ++i) {
+        names += name_of(static_cast<stage>(i)) + std::string(", ");
+      }
+      throw bad_argument("ft: '" + name + "' is no stage; there are: " + names + "all");
     }
     begin = end + 1;
   }

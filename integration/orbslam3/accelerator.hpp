@@ -81,6 +81,9 @@ public:
     }
   }
 
+  /// Whether the frame is the one that extract() has filled last.
+  bool extracted(frame_type const& frame) const { return frames_.is_extracted(frame); }
+
   // ---- stereo
 
   /// Frame::ComputeStereoMatches: mvuRight and mvDepth of a frame that extract() has filled.

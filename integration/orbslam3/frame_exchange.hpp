@@ -110,9 +110,13 @@ public:
     }
     return true;
   }
+  bool is_extracted(Frame const& frame) const {
+    int const b = find(frame);
+    return b >= 0 && b == newest_ && resident_[b].extracted;
+  }
   int extracted(Frame const& frame) const {
     int const b = find(frame);
-    detail::require(b >= 0 && b == newest_ && resident_[b].extracted,
+    detail::require(is_extracted(frame),
                     "the frame is not the one that was extracted last: give the pyramids");
     return b;
   }

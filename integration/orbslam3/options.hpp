@@ -85,7 +85,8 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
 }
 
 /// `o` as the environment changes it: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of stages,
-/// FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1. @throws bad_argument as set_modes()
+/// FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds changes of
+/// map points by comparing. @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
   auto const text = [](char const* name) {
     char const* const value = std::getenv(name);
@@ -98,6 +99,9 @@ inline options from_environment(options o = {}) {
   set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
   flag("FT_ORBSLAM3_STATISTICS", o.statistics);
   flag("FT_ORBSLAM3_VERIFY", o.verify);
+  bool compare = false;
+  flag("FT_ORBSLAM3_COMPARE", compare);
+  if (compare) { o.detection = change_detection::compare; }
   return o;
 }
 

@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What ORB-SLAM3's files call: each stage by the accelerator where it is in use, by
+/// ORB-SLAM3's own code where it is not, by both where they are to be compared.
+#pragma once
+
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <ostream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "integration/orbslam3/accelerator.hpp"
+#include "integration/orbslam3/change_queue.hpp"
+#include "integration/orbslam3/options.hpp"
+#include "integration/orbslam3/settings_of.hpp"
+#include "integration/orbslam3/verify.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// Defined by the unit that includes make_tracker.hpp.
+std::unique_ptr<device_tracker> make_tracker(settings const& s);
+
+/// Every call takes the CPU's own code as a callable, `cpu`, which leaves the same answer behind.
+/// Nothing is thrown on: what fails is said once on stderr, and from then on all stages are the
+/// CPU's. Made late, at the first image, where all that settings_of() takes is known.
+/// @tparam Types with frame, map_point and, for settings_of(), fisheye_camera
+template <typename Types>
+class front_end {
+public:
+  using frame_type = typename Types::frame;
+  using map_point = typename Types::map_point;
+
+  /// @param make_settings called for the settings @param detection hooks where they are in,
+  /// unless FT_ORBSLAM3_COMPARE=1; the other options come from the environment
+  template <typename MakeSettings>
+  front_end(MakeSettings const& make_settings, change_detection detection) {
+    attempt([&] {
+      options o;
+      o.detection = detection;
+      o = from_environment(o);
+      settings const s = make_settings();
+      start(make_tracker(s), s, o);
+    });
+  }
+  /// With a tracker and options of the caller's.
+  front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
+    attempt([&] { start(std::move(device), s, o); });
+  }
+  front_end(front_end const&) = delete;
+  front_end& operator=(front_end const&) = delete;
+
+  /// Whether a stage is the accelerator's.
+  bool uses(stage s) const { return works_ && gpu_->uses(s); }
+  /// For the hooks; nullptr where nothing is to be pushed. Stays valid as long as this.
+  change_queue<map_point>* changes() { return works_ ? &gpu_->changes() : nullptr; }
+
+  // ---- in the constructors of Frame
+
+  /// Features of one or two images. @param cpu ExtractORB of all of them
+  template <typename Cpu, typename... Images>
+  void extract(frame_type& frame, Cpu const& cpu, Images const&... images) {
+    bool done = false;
+    if (uses(stage::extract)) {
+      done = attempt([&] {
+        if (both_) {
+          both_->extract(frame, cpu, images...);
+        } else {
+          gpu_->extract(images..., frame);
+        }
+      });
+    }
+    if (!done) { cpu(); }
+  }
+
+  /// Frame::ComputeStereoMatches. @param left,right the extractors' mvImagePyramid
+  template <typename Cpu, typename Image>
+  void stereo(frame_type& frame, Cpu const& cpu, std::vector<Image>& left,
+              std::vector<Image>& right) {
+    // The CPU's pyramids are those of this frame where the CPU has extracted it as well.
+    bool const here = works_ && gpu_->extracted(frame);
+    bool const pyramids = !here || both_ != nullptr;
+    auto const on_gpu = [&] {
+      if (here) {
+        gpu_->compute_stereo_matches(frame);
+      } else {
+        gpu_->compute_stereo_matches(frame, left, right);
+      }
+    };
+    if (uses(stage::stereo) && attempt([&] { run_stereo(frame, cpu, on_gpu); })) { return; }
+    bool const there = pyramids || (works_ && attempt([&] {
+                                      gpu_->download_pyramid(0, left);
+                                      gpu_->download_pyramid(1, right);
+                                    }));
+    if (there) {
+      cpu();
+      return;
+    }
+    // The accelerator has failed between the two: one frame without stereo.
+    frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
+    frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
+  }
+
+  /// Frame::ComputeStereoFishEyeMatches.
+  template <typename Cpu>
+  void stereo_fisheye(frame_type& frame, Cpu const& cpu) {
+    auto const on_gpu = [&] { gpu_->compute_stereo_fisheye_matches(frame); };
+    if (uses(stage::stereo) && attempt([&] { run_stereo(frame, cpu, on_gpu); })) { return; }
+    cpu();
+  }
+
+  // ---- in Tracking; each returns what `cpu` does
+
+  /// @param cpu ORBmatcher::SearchByProjection of these arguments
+  template <typename Cpu>
+  int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
+                           Cpu const& cpu) {
+    return either(
+        stage::search_last_frame, cpu,
+        [&] { return gpu_->search_by_projection(current, last, th, mono); },
+        [&] { return both_->search_by_projection(current, last, th, mono, cpu); });
+  }
+
+  /// @param cpu the frustum test of all points and ORBmatcher::SearchByProjection of those in view
+  template <typename Cpu>
+  int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
+                          bool far_points, float far_threshold, Cpu const& cpu) {
+    return either(
+        stage::search_local_map, cpu,
+        [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); },
+        [&] {
+          return both_->search_local_points(frame, points, th, far_points, far_threshold, cpu);
+        });
+  }
+
+  /// @param cpu Optimizer::PoseOptimization
+  template <typename Cpu>
+  int pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
+    return either(
+        which, cpu, [&] { return gpu_->pose_optimization(frame, which); },
+        [&] { return both_->pose_optimization(frame, which, cpu); });
+  }
+
+  /// Before a map point is deleted.
+  void forget(map_point const* point) {
+    if (works_) { gpu_->forget(point); }
+  }
+  /// In Tracking::Reset and ResetActiveMap.
+  void reset() {
+    if (works_) { gpu_->reset(); }
+  }
+
+  /// Statistics and the summary of verify, where they were chosen: at the end.
+  void print(std::ostream& out) {
+    if (gpu_ != nullptr && gpu_->chosen().statistics) { orbslam3::print(out, gpu_->times()); }
+    if (both_ != nullptr) { both_->summary(out); }
+  }
+
+private:
+  void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
+    gpu_ = std::make_unique<accelerator<Types>>(std::move(device), s, o);
+    if (o.verify) {
+      both_ = std::make_unique<verifier<Types>>(*gpu_, nullptr);
+      both_->print_frames(std::cerr);
+    }
+    works_ = true;
+  }
+  /// @return whether it went well
+  template <typename Call>
+  bool attempt(Call const& call) {
+    try {
+      call();
+      return true;
+    } catch (std::exception const& e) {
+      std::cerr << "ft: " << e.what() << "; ORB-SLAM3's own code tracks from here on\n";
+    }
+    works_ = false;
+    if (gpu_ != nullptr) { gpu_->changes().close(); }
+    return false;
+  }
+  template <typename Cpu, typename Gpu>
+  void run_stereo(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu) {
+    if (both_ != nullptr) {
+      both_->stereo(frame, cpu, on_gpu);
+    } else {
+      on_gpu();
+    }
+  }
+  template <typename Cpu, typename Gpu, typename Both>
+  int either(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
+    int answer = 0;
+    bool const verified = both_ != nullptr && gpu_->chosen()[s] == stage_mode::device;
+    bool const done = uses(s) && attempt([&] { answer = verified ? on_both() : on_gpu(); });
+    return done ? answer : cpu();
+  }
+
+  std::unique_ptr<accelerator<Types>> gpu_;  ///< stays after a failure: the hooks have its queue
+  std::unique_ptr<verifier<Types>> both_;
+  bool works_ = false;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The shim's settings from what ORB-SLAM3's Tracking has, in one call.
+#pragma once
+
+#include "ft/core/error.hpp"
+#include "integration/orbslam3/conversions.hpp"
+#include "integration/orbslam3/plain_types.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// What Tracking has where it makes an ORBextractor, in the order of that constructor.
+struct extractor_parameters {
+  int features = 0;
+  float scale_factor = 0;
+  int levels = 0;
+  int ini_threshold = 0;
+  int min_threshold = 0;
+};
+
+/// Of System::eSensor, which Tracking has as mSensor.
+enum class sensor_kind { monocular, stereo, rgbd };
+
+/// @throws bad_argument for a number that is none of the six
+inline sensor_kind sensor_of(int number) {
+  detail::require_range("sensor", number, 0, 5);  // the inertial ones follow in the same order
+  return static_cast<sensor_kind>(number % 3);
+}
+
+/// @param image the first one, for its size @param sensor System::eSensor as a number @param bf
+/// Tracking's mbf, unused for monocular @param camera2 Tracking's mpCamera2 and
+/// @param T_lr its mTlr: right camera to left, used for two fisheye cameras alone
+/// @tparam Types with fisheye_camera: ORB_SLAM3::KannalaBrandt8
+/// @throws bad_argument
+template <typename Types, typename Image, typename Camera, typename Pose>
+settings settings_of(extractor_parameters const& features, int sensor, Image const& image, float bf,
+                     Camera* camera, Camera* camera2, Pose const& T_lr) {
+  detail::require(camera != nullptr, "there is no camera yet");
+  settings s;
+  s.width = image.cols;
+  s.height = image.rows;
+  s.features = features.features;
+  s.scale_factor = features.scale_factor;
+  s.levels = features.levels;
+  s.ini_threshold = features.ini_threshold;
+  s.min_threshold = features.min_threshold;
+  s.left = parameters_of(*camera);
+  sensor_kind const kind = sensor_of(sensor);
+  s.images = kind == sensor_kind::stereo ? 2 : 1;
+  // The columns that the constructors of Frame give to ExtractORB.
+  float const last_column = kind == sensor_kind::monocular ? 1000.0f : 0.0f;
+  for (auto& columns : s.overlap) {
+    columns[0] = 0;
+    columns[1] = last_column;
+  }
+  if (kind == sensor_kind::monocular) {
+    s.most_keypoints =
+        6 * features.features;  // initial frames, of the CPU, have five times as many
+    return s;
+  }
+  s.bf = bf;
+  s.baseline = bf / s.left.values[0];
+  if (kind == sensor_kind::rgbd || s.left.kind == lens::pinhole) { return s; }
+  detail::require(camera2 != nullptr, "a fisheye pair needs its second camera");
+  s.right = parameters_of(*camera2);
+  s.T_rl = transform_of(T_lr.inverse());
+  for (int i = 0; i < 2; ++i) {
+    auto const& fisheye =
+        static_cast<typename Types::fisheye_camera const&>(i == 0 ? *camera : *camera2);
+    for (unsigned end = 0; end < 2; ++end) {
+      s.overlap[i][end] = static_cast<float>(fisheye.mvLappingArea.at(end));
+    }
+  }
+  return s;
+}
+
+}  // namespace orbslam3
+}  // namespace ft

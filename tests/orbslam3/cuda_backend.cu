@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <memory>
 
-#include "integration/orbslam3/cuda_tracker.hpp"
+#include "integration/orbslam3/make_tracker.hpp"
 #include "tests/orbslam3/backends.hpp"
 
 namespace orbslam3_test {

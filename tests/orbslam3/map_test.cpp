@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdint>
 #include <memory>
 #include <new>
 #include <random>
@@ -17,6 +16,7 @@
 #include "tests/orbslam3/plain_search.hpp"
 #include "tests/orbslam3/scene.hpp"
 #include "tests/orbslam3/stand_in.hpp"
+#include "tests/orbslam3/watched_device.hpp"
 
 namespace orbslam3_test {
 
@@ -282,74 +282,19 @@ TEST_P(shim_map, tells_a_new_point_from_a_deleted_one_at_the_same_address) {
   }
 }
 
-/// Passes calls on, and looks whether the map can move meanwhile.
-class watched_device final : public ft::orbslam3::device_tracker {
-public:
-  explicit watched_device(std::unique_ptr<device_tracker> to) : to_(std::move(to)) {}
-
-  int capacity() const override { return to_->capacity(); }
-  int cameras() const override { return to_->cameras(); }
-  ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
-  void extract(int b, ft::orbslam3::grey_image const& left,
-               ft::orbslam3::grey_image const& right) override {
-    to_->extract(b, left, right);
-  }
-  void build_pyramids(ft::orbslam3::grey_image const& left,
-                      ft::orbslam3::grey_image const& right) override {
-    to_->build_pyramids(left, right);
-  }
-  void match_stereo(int b) override { to_->match_stereo(b); }
-  void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
-    to_->download_level(image, level, to, stride);
-  }
-  int level_width(int level) const override { return to_->level_width(level); }
-  int level_height(int level) const override { return to_->level_height(level); }
-  void send(int b, ft::orbslam3::frame_part part) override {
-    look();
-    to_->send(b, part);
-  }
-  void reserve_map(int slots) override {
-    look();
-    to_->reserve_map(slots);
-  }
-  void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
-    look();
-    to_->change_map(change, words);
-  }
-  int* local_slots(int points) override { return to_->local_slots(points); }
-  ft::orbslam3::recorded_sight* recorded_sights(int n) override { return to_->recorded_sights(n); }
-  int search_last_frame(ft::orbslam3::last_frame_request const& r) override {
-    return to_->search_last_frame(r);
-  }
-  int search_local_map(ft::orbslam3::local_map_request const& r) override {
-    return to_->search_local_map(r);
-  }
-  ft::orbslam3::sight const* sights() const override { return to_->sights(); }
-  ft::orbslam3::pose_result optimize_pose(int b, ft::orbslam3::transform const& T) override {
-    look();
-    return to_->optimize_pose(b, T);
-  }
-  ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
-  void reset_bytes() override { to_->reset_bytes(); }
-  void measure(bool on) override { to_->measure(on); }
-  ft::orbslam3::device_times times() const override { return to_->times(); }
-
-private:
-  static void look() {
-    std::thread([] {
-      bool const free = stand_in::map_point::mGlobalMutex.try_lock();
-      EXPECT_TRUE(free) << "a call of the device while the map is locked";
-      if (free) { stand_in::map_point::mGlobalMutex.unlock(); }
-    }).join();
-  }
-  std::unique_ptr<device_tracker> to_;
-};
-
 TEST_P(shim_map, is_not_locked_while_the_device_is_called) {
   scene s(sensor::stereo, 4);
   s.settings = with_room(s.settings);
   s.settings.map_points = 16;  // grows
-  accelerator gpu(std::make_unique<watched_device>(make(s.settings)), s.settings);
+  auto device = std::make_unique<watched_device>(make(s.settings));
+  device->on_call = [](std::string const& call) {
+    std::thread([&] {
+      bool const free = stand_in::map_point::mGlobalMutex.try_lock();
+      EXPECT_TRUE(free) << call << " while the map is locked";
+      if (free) { stand_in::map_point::mGlobalMutex.unlock(); }
+    }).join();
+  };
+  accelerator gpu(std::move(device), s.settings);
   plain_search(s.settings).search_last(s.current, s.last, 15, false);
   EXPECT_GT(gpu.pose_optimization(s.current, stage::pose_last_frame), 10);
   EXPECT_GT(gpu.mirror().capacity(), 16);

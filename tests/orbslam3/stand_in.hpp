@@ -76,6 +76,10 @@ public:
   se3(Eigen::Matrix3f const& R, Eigen::Vector3f const& t) : R_(R), t_(t) {}
   Eigen::Matrix3f rotationMatrix() const { return R_; }
   Eigen::Vector3f translation() const { return t_; }
+  se3 inverse() const {
+    Eigen::Matrix3f const R = R_.transpose();
+    return {R, Eigen::Vector3f(-(R * t_))};
+  }
 
 private:
   Eigen::Matrix3f R_ = Eigen::Matrix3f::Identity();
@@ -229,6 +233,11 @@ struct camera {
   float getParameter(int i) const { return parameters[static_cast<std::size_t>(i)]; }
 };
 
+/// Of ORB_SLAM3::KannalaBrandt8.
+struct fisheye_camera : camera {
+  std::vector<int> mvLappingArea = {0, 0};
+};
+
 /// What the original leaves uninitialised has these here, so that whoever reads it is seen.
 inline constexpr int garbage = 0x5a5a5a5a;
 inline constexpr float garbage_number = -3.4e20f;
@@ -274,6 +283,7 @@ struct frame {
 struct types {
   using frame = stand_in::frame;
   using map_point = stand_in::map_point;
+  using fisheye_camera = stand_in::fisheye_camera;
 };
 
 }  // namespace stand_in

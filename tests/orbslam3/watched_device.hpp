@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file A device whose calls a test sees, and may fail.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "integration/orbslam3/device_tracker.hpp"
+
+namespace orbslam3_test {
+
+/// Passes calls on; on_call is called with the name of each that queues work or waits.
+class watched_device final : public ft::orbslam3::device_tracker {
+public:
+  std::function<void(std::string const&)> on_call = [](std::string const&) {};
+
+  explicit watched_device(std::unique_ptr<device_tracker> to) : to_(std::move(to)) {}
+
+  int capacity() const override { return to_->capacity(); }
+  int cameras() const override { return to_->cameras(); }
+  ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
+  void extract(int b, ft::orbslam3::grey_image const& left,
+               ft::orbslam3::grey_image const& right) override {
+    on_call("extract");
+    to_->extract(b, left, right);
+  }
+  void build_pyramids(ft::orbslam3::grey_image const& left,
+                      ft::orbslam3::grey_image const& right) override {
+    on_call("build_pyramids");
+    to_->build_pyramids(left, right);
+  }
+  void match_stereo(int b) override {
+    on_call("match_stereo");
+    to_->match_stereo(b);
+  }
+  void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
+    on_call("download_level");
+    to_->download_level(image, level, to, stride);
+  }
+  int level_width(int level) const override { return to_->level_width(level); }
+  int level_height(int level) const override { return to_->level_height(level); }
+  void send(int b, ft::orbslam3::frame_part part) override {
+    on_call("send");
+    to_->send(b, part);
+  }
+  void reserve_map(int slots) override {
+    on_call("reserve_map");
+    to_->reserve_map(slots);
+  }
+  void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
+    on_call("change_map");
+    to_->change_map(change, words);
+  }
+  int* local_slots(int points) override {
+    on_call("local_slots");
+    return to_->local_slots(points);
+  }
+  ft::orbslam3::recorded_sight* recorded_sights(int n) override { return to_->recorded_sights(n); }
+  int search_last_frame(ft::orbslam3::last_frame_request const& r) override {
+    on_call("search_last_frame");
+    return to_->search_last_frame(r);
+  }
+  int search_local_map(ft::orbslam3::local_map_request const& r) override {
+    on_call("search_local_map");
+    return to_->search_local_map(r);
+  }
+  ft::orbslam3::sight const* sights() const override { return to_->sights(); }
+  ft::orbslam3::pose_result optimize_pose(int b, ft::orbslam3::transform const& T) override {
+    on_call("optimize_pose");
+    return to_->optimize_pose(b, T);
+  }
+  ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
+  void reset_bytes() override { to_->reset_bytes(); }
+  void measure(bool on) override { to_->measure(on); }
+  ft::orbslam3::device_times times() const override { return to_->times(); }
+
+private:
+  std::unique_ptr<device_tracker> to_;
+};
+
+}  // namespace orbslam3_test

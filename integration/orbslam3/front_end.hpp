@@ -201,5 +201,26 @@ private:
   bool works_ = false;
 };
 
+// The calls in the constructors of Frame, which have a pointer: nullptr leaves all to the CPU, as
+// for the frames that monocular systems begin with.
+
+template <typename Types, typename Cpu, typename... Images>
+void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
+             Images const&... images) {
+  if (gpu == nullptr) { return cpu(); }
+  gpu->extract(frame, cpu, images...);
+}
+template <typename Types, typename Cpu, typename Image>
+void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
+            std::vector<Image>& left, std::vector<Image>& right) {
+  if (gpu == nullptr) { return cpu(); }
+  gpu->stereo(frame, cpu, left, right);
+}
+template <typename Types, typename Cpu>
+void stereo_fisheye(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  if (gpu == nullptr) { return cpu(); }
+  gpu->stereo_fisheye(frame, cpu);
+}
+
 }  // namespace orbslam3
 }  // namespace ft

@@ -47,12 +47,6 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   s.left = parameters_of(*camera);
   sensor_kind const kind = sensor_of(sensor);
   s.images = kind == sensor_kind::stereo ? 2 : 1;
-  // The columns that the constructors of Frame give to ExtractORB.
-  float const last_column = kind == sensor_kind::monocular ? 1000.0f : 0.0f;
-  for (auto& columns : s.overlap) {
-    columns[0] = 0;
-    columns[1] = last_column;
-  }
   if (kind == sensor_kind::monocular) {
     s.most_keypoints =
         6 * features.features;  // initial frames, of the CPU, have five times as many

@@ -134,6 +134,7 @@ for mode in "${modes[@]}"; do
   consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
   consume cmake_consumer fetch_content "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
 done
+consume cmake_consumer orbslam3 "$cuda" 17 -DCMAKE_PREFIX_PATH="$prefix"
 consume plain_include
 if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
 if command -v pkg-config >/dev/null; then consume by_pkg_config; fi

@@ -140,7 +140,7 @@ public:
     for (map_point* const p : points) {
       tested.push_back(p->mnLastFrameSeen != frame.mnId && !p->isBad());
     }
-    local_state const before{{0, frame.mvpMapPoints}, tracked_of(points), frame.mmProjectPoints};
+    local_state const before(0, frame, points);
     auto const count_visible = [&](local_state const& state, int n) {
       for (std::size_t i = 0; i < points.size(); ++i) {
         tracked const& t = state.seen[i];
@@ -154,7 +154,7 @@ public:
     };
     auto const run = [&](auto const& call) {
       int const matches = call();
-      local_state state{{matches, frame.mvpMapPoints}, tracked_of(points), frame.mmProjectPoints};
+      local_state state(matches, frame, points);
       count_visible(state, -1);
       put(before);
       return state;
@@ -258,6 +258,11 @@ private:
     matched held;
     std::vector<tracked> seen;
     decltype(frame_type::mmProjectPoints) drawn;
+
+    local_state(int matches, frame_type const& frame, std::vector<map_point*> const& points)
+        : held{matches, frame.mvpMapPoints},
+          seen(tracked_of(points)),
+          drawn(frame.mmProjectPoints) {}
   };
   template <typename Pose>
   struct posed {

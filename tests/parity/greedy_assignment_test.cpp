@@ -17,11 +17,15 @@
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/feature_grid.hpp"
+#include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/kernels/feature_grid.hpp"
-#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/last_frame.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 
 namespace greedy_assignment {
@@ -300,7 +304,7 @@ outcome search_in_order(scene const& s, tally& seen) {
 /// Lists candidates without knowing who holds what, which it is told afterwards.
 struct list_then_leave_out {
   static constexpr bool begins_beside = true;
-  using scratch = ft::list_candidates::scratch;
+  using scratch = ft::detail::list_candidates::scratch;
 
   template <typename Group>
   FT_HOST_DEVICE bool begin(Group g, scratch& s, int item, ft::frame_view frame,
@@ -314,7 +318,7 @@ struct list_then_leave_out {
     ft::window_pair pair;
     pair.of[0] = windows.at(0, b, i);
     if (frame.cameras == 2) { pair.of[1] = windows.at(1, b, i); }
-    ft::list_candidates::list(g, s, b, i, pair, frame, map, params, work);
+    ft::detail::list_candidates::list(g, s, b, i, pair, frame, map, params, work);
     return true;
   }
   template <typename Group>
@@ -324,9 +328,9 @@ struct list_then_leave_out {
                                  ft::search_params const& params,
                                  ft::search_workspace const& work) const {
     int const b = item / windows.capacity;
-    ft::list_candidates::leave_out(g, s, b, item % windows.capacity,
-                                   ft::list_candidates::held(g, s, b, frame, map, params), frame,
-                                   params, work);
+    ft::detail::list_candidates::leave_out(
+        g, s, b, item % windows.capacity,
+        ft::detail::list_candidates::held(g, s, b, frame, map, params), frame, params, work);
   }
 };
 
@@ -403,23 +407,27 @@ outcome search(Exec const& exec, scene const& s) {
     ft::last_search<ft::rectified_rig> search{};  // of it the last frame alone is looked at
     search.last.keypoints = last;
     search.last.cameras = s.cameras;
-    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
-                                    frame, map, windows, s.params, work);
-    ft::for_each_item<ft::per_block<ft::assign_threads>>(
-        exec, windows.batch, ft::assign_last_points<ft::rectified_rig, Rounds>{}, search, frame,
-        map, ft::pyramid_geometry{}, s.params, ft::point_stamps{}, windows, work);
+    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity,
+                                    ft::detail::list_candidates{}, frame, map, windows, s.params,
+                                    work);
+    ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
+        exec, windows.batch, ft::detail::assign_last_points<ft::rectified_rig, Rounds>{}, search,
+        frame, map, ft::pyramid_geometry{}, s.params, ft::point_stamps{}, windows, work);
   } else if (Way::early && s.params.kind == ft::search_kind::local_map && !s.params.from_empty) {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, list_then_leave_out{},
                                     frame, map, windows, s.params, work);
-    ft::for_each_item<ft::per_block<ft::assign_threads>>(
-        exec, windows.batch, ft::assign_keypoints<Rounds>{}, frame, map, windows, s.params, work);
+    ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
+        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, windows, s.params,
+        work);
   } else if constexpr (Rounds == Exec::asynchronous) {
     ft::search_by_projection(exec, frame, map, windows, s.params, work);
   } else {
-    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, ft::list_candidates{},
-                                    frame, map, windows, s.params, work);
-    ft::for_each_item<ft::per_block<ft::assign_threads>>(
-        exec, windows.batch, ft::assign_keypoints<Rounds>{}, frame, map, windows, s.params, work);
+    ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity,
+                                    ft::detail::list_candidates{}, frame, map, windows, s.params,
+                                    work);
+    ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
+        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, windows, s.params,
+        work);
   }
   outcome out;
   out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());
@@ -890,7 +898,7 @@ TYPED_TEST(greedy_assignment_test, what_is_held_stays_so_in_a_search_from_the_la
 
 TYPED_TEST(greedy_assignment_test,
            what_is_held_returns_in_frames_that_block_scratch_does_not_hold) {
-  constexpr int scratch_size = ft::assign_keypoints<true>::scratch_size;
+  constexpr int scratch_size = ft::detail::assign_keypoints<true>::scratch_size;
   scene_limits large;
   large.batch = 1;
   large.keypoints = 4000;
@@ -989,7 +997,7 @@ TYPED_TEST(greedy_assignment_test, chains_of_displacement) {
 }
 
 TYPED_TEST(greedy_assignment_test, rotations_of_more_points_than_block_scratch_keeps) {
-  constexpr int scratch_size = ft::assign_keypoints<true>::scratch_size;
+  constexpr int scratch_size = ft::detail::assign_keypoints<true>::scratch_size;
   scene_limits large;
   large.batch = 1;
   large.keypoints = 1200;

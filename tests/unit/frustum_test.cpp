@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Visibility of map points: every reason of section 8 of the specification to reject one, the
 // predicted level, and the search windows that follow.
-#include "ft/kernels/frustum.hpp"
+#include "ft/kernels/search/frustum.hpp"
 
 #include <gtest/gtest.h>
 
@@ -16,6 +16,7 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/search/windows.hpp"
 #include "tests/support/backends.hpp"
 
 namespace frustum_test {

@@ -211,9 +211,7 @@ public:
     exec_.wait();
     return test::from_exec(exec_, static_cast<int const*>(work_.matches), 1)[0];
   }
-  void forget() {
-    ft::for_each_item<ft::per_thread>(exec_, frame_.numbers(), ft::clear_holders{}, frame_);
-  }
+  void forget() { ft::clear_holders(exec_, frame_); }
 
   ft::pose pose() const {
     return test::from_exec(exec_, static_cast<ft::pose const*>(poses_), 1)[0];

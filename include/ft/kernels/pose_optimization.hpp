@@ -12,12 +12,12 @@
 #include <limits>
 
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/search_by_projection.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -18,11 +19,16 @@
 #include "ft/core/recording.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/feature_grid.hpp"
-#include "ft/kernels/frustum.hpp"
 #include "ft/kernels/map_updates.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/receive.hpp"
-#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/clear_holders.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/last_frame.hpp"
+#include "ft/kernels/search/local_map.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 
@@ -608,7 +614,7 @@ private:
       matcher_.match_prepared(exec, extractor_);
       matcher_.finish(exec, extractor_);
     }
-    for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
+    clear_holders(exec, frame_);
     fill_bytes(exec, work_.matches, 0, static_cast<std::size_t>(batch_) * sizeof(int));
     download(exec, motion_.device.predicted, work_.matches, nullptr);
     mark("download");
@@ -729,7 +735,7 @@ private:
                     Mark&& mark) {
     receive(exec, local_.source(), restart ? motion_.source() : block_source{});
     if (restart) {
-      for_each_item<per_thread>(exec, batch_ * frame_.numbers(), clear_holders{}, frame_);
+      clear_holders(exec, frame_);
       if (params_.optimize_last) {
         copy(exec, poses_, static_cast<pose const*>(motion_.device.predicted),
              static_cast<std::size_t>(batch_));

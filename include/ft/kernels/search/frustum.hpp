@@ -7,12 +7,12 @@
 #include <cstddef>
 
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search_by_projection.hpp"
-#include "ft/kernels/search_window.hpp"
+#include "ft/kernels/search/windows.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -114,6 +114,8 @@ struct local_search {
   visibility* seen = nullptr;  ///< [cameras][batch][windows' capacity], or null
 };
 
+namespace detail {
+
 /// One entry of the local map: its visibility and windows.
 template <typename Rig>
 struct frustum_point {
@@ -177,85 +179,7 @@ private:
   }
 };
 
-/// One entry of the local map: visibility, windows, and the candidates in them.
-template <typename Rig>
-struct list_local_point {
-  using scratch = list_candidates::scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, local_search<Rig> const& search,
-                                 frame_view const& frame, map_points_view const& map,
-                                 pyramid_geometry const& geometry, search_params const& params,
-                                 search_windows_view const& windows,
-                                 search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    int const i = item % windows.capacity;
-    bool const keep = g.rank() == 0;
-    if (i == 0 && keep) { windows.count[b] = search.slot_count[b]; }
-    if (i >= search.slot_count[b]) { return; }
-    // All threads compute the same windows: quicker than waiting for one of them.
-    window_pair const pair = frustum_point<Rig>::test(b, i, search, map, geometry, keep, windows);
-    list_candidates::list(g, s, b, i, pair, frame, map, params, work);
-  }
-};
-
-/// The same while a search of the last frame still chooses: what it takes and which points it
-/// stamps is left out in the end.
-template <typename Rig>
-struct list_local_point_early {
-  static constexpr bool begins_beside = true;
-  struct scratch : list_candidates::scratch {
-    int slot;
-  };
-
-  template <typename Group>
-  FT_HOST_DEVICE bool begin(Group g, scratch& s, int item, local_search<Rig> search,
-                            frame_view const& frame, map_points_view const& map,
-                            pyramid_geometry const& geometry, search_params params,
-                            search_windows_view const& windows,
-                            search_workspace const& work) const {
-    search.stamps = {};
-    params.holders_later = true;
-    list_local_point<Rig>{}(g, s, item, search, frame, map, geometry, params, windows, work);
-    if (item % windows.capacity >= search.slot_count[item / windows.capacity]) { return false; }
-    if (g.rank() == 0) { s.slot = search.slots[item]; }
-    g.sync();
-    return true;
-  }
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, local_search<Rig> const& search,
-                                 frame_view const& frame, map_points_view const& map,
-                                 pyramid_geometry const&, search_params const& params,
-                                 search_windows_view const& windows,
-                                 search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    int const i = item % windows.capacity;
-    bool const known = s.slot >= 0 && s.slot < map.capacity;
-    // The stamp and the holders of all candidates are asked for together.
-    bool const stamped = known && search.stamps.stamped(b, map.capacity, s.slot);
-    unsigned const held = list_candidates::held(g, s, b, frame, map, params);
-    if (stamped) {
-      constexpr int cameras = Rig::rectified ? 1 : 2;
-      for (int c = g.rank(); c < cameras; c += g.size()) { hide(c, b, i, search, windows, work); }
-    } else {
-      list_candidates::leave_out(g, s, b, i, held, frame, params, work);
-    }
-  }
-
-private:
-  FT_HOST_DEVICE static void hide(int c, int b, int i, local_search<Rig> const& search,
-                                  search_windows_view const& windows,
-                                  search_workspace const& work) {
-    windows.at(c, b, i) = search_window::none();
-    work.list_count[work.window(c, b, i)] = 0;
-    work.match[work.window(c, b, i)] = -1;
-    if (search.seen == nullptr) { return; }
-    std::ptrdiff_t const at =
-        (static_cast<std::ptrdiff_t>(c) * windows.batch + b) * windows.capacity + i;
-    search.seen[at] = visibility{0, 0, 0, 0, 0, -1};
-  }
-};
+}  // namespace detail
 
 /// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates
 /// nothing; one launch.
@@ -263,32 +187,8 @@ template <typename Exec, typename Rig>
 void find_visible_points(Exec const& exec, local_search<Rig> const& search,
                          map_points_view const& map, pyramid_geometry const& geometry,
                          search_windows_view const& out) {
-  for_each_item<per_thread>(exec, out.batch * out.capacity, frustum_point<Rig>{}, search, map,
-                            geometry, out);
-}
-
-/// Search in the local map: find_visible_points() and search_by_projection(), in two launches.
-/// Asynchronous on `exec`; allocates nothing. @param listed called with the executor after the
-/// first
-/// @param early a search from the last frame, with another `work`, was queued just before: what
-/// needs none of its results is done beside it
-template <typename Exec, typename Rig, typename Listed>
-void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
-                      map_points_view const& map, pyramid_geometry const& geometry,
-                      search_params const& params, search_windows_view const& windows,
-                      search_workspace const& work, Listed const& listed, bool early = false) {
-  int const items = windows.batch * windows.capacity;
-  if (early) {
-    for_each_item<per_warp>(beside(exec), items, list_local_point_early<Rig>{}, search, frame, map,
-                            geometry, params, windows, work);
-  } else {
-    for_each_item<per_warp>(exec, items, list_local_point<Rig>{}, search, frame, map, geometry,
-                            params, windows, work);
-  }
-  listed(exec);
-  for_each_item<per_block<assign_threads>>(exec, windows.batch,
-                                           assign_keypoints<Exec::asynchronous>{}, frame, map,
-                                           windows, params, work);
+  for_each_item<per_thread>(exec, out.batch * out.capacity, detail::frustum_point<Rig>{}, search,
+                            map, geometry, out);
 }
 
 }  // namespace FT_ABI

@@ -2,6 +2,7 @@
 /// @file Search windows: where a map point is looked for in the current frame.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 
 #include "ft/containers/feature_grid.hpp"

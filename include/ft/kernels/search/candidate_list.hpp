@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Candidates of a window: which keypoints they are, and the sorted list of the nearest.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// Largest descriptor distance that can matter: to be taken, or to be second best.
+FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
+  if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_distance; }
+  float const second = min_of(static_cast<float>(p.max_distance) / p.ratio, 256.0f);
+  return max_of(p.max_distance, min_of(256, static_cast<int>(second) + 1));
+}
+
+/// Whether a keypoint with column r in the right image, -1 = none, is elsewhere than in the window.
+FT_HOST_DEVICE inline bool misses_right(search_window const& w, float r) {
+  return w.check_right && r > 0 && ::fabsf(w.right_x - r) > w.radius;
+}
+
+/// Distance of keypoint k where it can be a candidate at all, else -1; whatever holds it.
+FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_view const& kp,
+                                             float const* right_x, descriptor const& wanted, int k,
+                                             int limit) {
+  if (!inside(w, kp, k)) { return -1; }
+  if (right_x != nullptr && misses_right(w, right_x[k])) { return -1; }
+  int const distance = hamming(wanted, get<field::orb>(kp, k));
+  return distance <= limit ? distance : -1;
+}
+
+/// Whether a window's best candidate is not better enough than its second best, -1 = none.
+FT_HOST_DEVICE inline bool refuses(search_params const& p, keypoints_view const& kp, int best,
+                                   int best_k, int second, int second_k) {
+  return p.kind == search_kind::local_map && second_k >= 0 &&
+         static_cast<float>(best) > mul(p.ratio, static_cast<float>(second)) &&
+         get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k);
+}
+
+FT_HOST_DEVICE inline int entry_distance(std::uint32_t entry) {
+  return static_cast<int>(entry >> 23);
+}
+FT_HOST_DEVICE inline int entry_keypoint(std::uint32_t entry) {
+  return static_cast<int>(entry & 0x7fffffu);
+}
+
+/// Keeps the best candidates of a window in order: nearest first, of equals the one that came
+/// first.
+/// @tparam Group one thread or a warp
+template <typename Group>
+class candidate_list {
+public:
+  static constexpr int size = search_workspace::list_size;
+
+  /// @param found so many are there already
+  FT_HOST_DEVICE explicit candidate_list(candidate_quad* to, int found = 0)
+      : to_(to), found_(found) {}
+
+  /// Candidates in the order of ranks; a negative distance is none.
+  FT_HOST_DEVICE void add(Group g, int distance, int k) {
+    unsigned const there = g.ballot(distance >= 0);
+    if (there == 0) { return; }
+    if constexpr (Group::max_threads == 1) {
+      int place = min_of(found_, size);
+      for (; place > 0 && entry_distance(entry(place - 1)) > distance; --place) {
+        if (place < size) { entry(place) = entry(place - 1); }
+      }
+      if (place < size) { entry(place) = packed(distance, k); }
+      ++found_;
+    } else {
+      // Everybody's place is the number of those that come before.
+      int const listed = min_of(found_, size);
+      std::uint32_t const old = g.rank() < listed ? entry(g.rank()) : ~0u;
+      int place = 0;
+      int old_place = g.rank();
+      for (unsigned rest = there; rest != 0; rest &= rest - 1) {
+        int const from = trailing_zeros(rest);
+        int const other = g.shuffle(distance, from);
+        place += static_cast<int>(other < distance || (other == distance && from < g.rank()));
+        old_place += static_cast<int>(other < entry_distance(old));
+      }
+      for (int i = 0; i < listed; ++i) {
+        place += static_cast<int>(entry_distance(g.shuffle(old, i)) <= distance);
+      }
+      g.sync();
+      if (g.rank() < listed && old_place < size) { entry(old_place) = old; }
+      if (distance >= 0 && place < size) { entry(place) = packed(distance, k); }
+      found_ += popcount(there);
+      g.sync();
+    }
+  }
+
+  /// Takes out those whose places have a bit. Returns how many these were.
+  FT_HOST_DEVICE int take_out(Group g, unsigned places) {
+    int const listed = listed_now();
+    int left = 0;
+    for (int base = 0; base < listed; base += g.size()) {
+      int const i = base + g.rank();
+      std::uint32_t const that = entry(min_of(i, listed - 1));
+      bool const stays = i < listed && (places >> i & 1u) == 0;
+      int stay = 0;
+      int const place = left + g.exclusive_count(stays, stay);
+      g.sync();
+      if (stays) { entry(place) = that; }
+      left += stay;
+    }
+    g.sync();
+    taken_out_ = listed - left;
+    return taken_out_;
+  }
+
+  /// Fills up the last quad. Returns how many are listed, 0 where the best is farther than `limit`,
+  /// plus search_workspace::unlisted.
+  FT_HOST_DEVICE int finish(Group g, int limit) {
+    int const listed = listed_now();
+    if (listed > 0 && entry_distance(entry(0)) > limit) { return 0; }
+    for (int i = listed + g.rank(); i < (listed + 3) / 4 * 4; i += g.size()) { entry(i) = ~0u; }
+    return listed + (unlisted() ? search_workspace::unlisted : 0);
+  }
+
+  /// Whether a window that is alone, and listed so many, refuses the nearest.
+  FT_HOST_DEVICE bool refused(search_params const& p, keypoints_view const& kp, int listed) const {
+    return listed > 1 && refuses(p, kp, entry_distance(entry(0)), nearest(),
+                                 entry_distance(entry(1)), entry_keypoint(entry(1)));
+  }
+  FT_HOST_DEVICE int nearest() const { return entry_keypoint(entry(0)); }
+  /// How many there were, may exceed what is listed.
+  FT_HOST_DEVICE int found() const { return found_; }
+
+private:
+  FT_HOST_DEVICE static std::uint32_t packed(int distance, int k) {
+    return static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(k);
+  }
+  FT_HOST_DEVICE std::uint32_t& entry(int i) const { return to_[i / 4].entry[i % 4]; }
+
+  FT_HOST_DEVICE int listed_now() const { return min_of(found_, size) - taken_out_; }
+  FT_HOST_DEVICE bool unlisted() const { return found_ > size; }
+
+  candidate_quad* to_;
+  int found_ = 0;
+  int taken_out_ = 0;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The assignment by proposals.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/search/assignment_context.hpp"
+#include "ft/kernels/search/candidate_list.hpp"
+#include "ft/kernels/search/choose.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// What a window looks at to propose, loaded together.
+struct proposal {
+  int count;            ///< as in search_workspace
+  std::uint32_t entry;  ///< of its list
+  bool check_right;     ///< as in search_window
+  float right_x, radius;
+
+  template <bool Single>
+  FT_HOST_DEVICE static proposal from(assignment_context<Single> const& ctx, int c, int i,
+                                      int place) {
+    proposal p{};
+    p.count = ctx.list_count(c, i);
+    p.entry = ctx.list(c, i)[place / 4].entry[place % 4];
+    if (ctx.right_x != nullptr && c == 0) {
+      search_window const& w = ctx.windows.at(0, ctx.b, i);
+      p.check_right = w.check_right;
+      p.right_x = w.right_x;
+      p.radius = w.radius;
+    }
+    return p;
+  }
+  template <bool Single>
+  FT_HOST_DEVICE bool misses_right(assignment_context<Single> const& ctx, int k) const {
+    if (!check_right) { return false; }
+    float const r = ctx.right_x[k];
+    return r > 0 && ::fabsf(right_x - r) > radius;
+  }
+};
+
+/// Window i proposes; when it drives another one out, goes on for that one.
+template <bool Single>
+FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const& ctx, int c, int i,
+                            proposal now, int* owner) {
+  int place = 0;
+  for (;;) {
+    if (place >= (now.count & search_workspace::counted)) {
+      if ((now.count & search_workspace::unlisted) != 0) { s.list_ended = 1; }
+      return;
+    }
+    if (entry_distance(now.entry) > ctx.params.max_distance) { return; }
+    int const k = entry_keypoint(now.entry);
+    int const mine = i * search_workspace::list_size + place;
+    int before = -1;
+    if (!now.misses_right(ctx, k)) { before = atomic_min(owner + ctx.number(c, k), mine); }
+    if (before == nobody) { return; }
+    if (before > mine) {
+      i = before / search_workspace::list_size;
+      place = before % search_workspace::list_size;
+    }
+    ++place;
+    now = proposal::from(ctx, c, i, min_of(place, search_workspace::list_size - 1));
+  }
+}
+
+/// use(i, load(i)) for all i < n; each thread has `Ahead` loads under way at a time.
+template <int Ahead, typename Group, typename Load, typename Use>
+FT_HOST_DEVICE void load_ahead(Group g, int n, Load const& load, Use const& use) {
+  for (int first = g.rank(); first < n; first += Ahead * g.size()) {
+    decltype(load(0)) loaded[Ahead];
+    FT_UNROLL
+    for (int t = 0; t < Ahead; ++t) { loaded[t] = load(min_of(first + t * g.size(), n - 1)); }
+    FT_UNROLL
+    for (int t = 0; t < Ahead; ++t) {
+      int const i = first + t * g.size();
+      if (i < n) { use(i, loaded[t]); }
+    }
+  }
+}
+
+template <typename Group, bool Single>
+FT_HOST_DEVICE void let_propose(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
+                                int* owner) {
+  int const n = ctx.windows.count[ctx.b];
+  auto const camera = [n](int w) { return Single || w < n ? 0 : 1; };
+  load_ahead<2>(
+      g, ctx.cameras() * n,
+      [&](int w) { return proposal::from(ctx, camera(w), w - camera(w) * n, 0); },
+      [&](int w, proposal const& first) {
+        if ((first.count & search_workspace::observed) != 0) {
+          propose(s, ctx, camera(w), w - camera(w) * n, first, owner);
+        } else if (has_candidates(first.count, false)) {
+          s.guests = 1;
+        }
+      });
+}
+
+/// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
+/// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
+/// assignment of the sequential loop (Gale and Shapley, "College admissions and the stability of
+/// marriage", 1962). False where a list was at its end.
+template <typename Group, bool Single>
+FT_HOST_DEVICE bool let_propose(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
+  // One call for both would hide from compilers what is in block scratch.
+  if (in_scratch(ctx.frame)) {
+    let_propose(g, s, ctx, s.writer);
+  } else {
+    let_propose(g, s, ctx, owners(s, ctx));
+  }
+  g.sync();
+  if (s.list_ended == 0) { return true; }
+  g.sync();
+  return false;
+}
+
+/// What the proposals have led to. Those that look for points without observations choose now:
+/// they keep nobody away.
+template <typename Group, bool Single>
+FT_HOST_DEVICE void write_proposed(Group g, assign_scratch& s,
+                                   assignment_context<Single> const& ctx) {
+  int const numbers = ctx.numbers();
+  int const n = ctx.windows.count[ctx.b];
+  int const* const owner = owners(s, ctx);
+  // The last of them that took a keypoint.
+  int* const guest = seconds(s, ctx);
+  int taken = 0;
+  bool const guests = s.guests != 0;
+  if (guests) {
+    for (int k = g.rank(); k < numbers; k += g.size()) { guest[k] = -1; }
+    g.sync();
+    for (int c = 0; c < ctx.cameras(); ++c) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        // Nothing that was left out comes back here: there are no partners.
+        int const count = ctx.list_count(c, i);
+        if (!has_candidates(count, false) || (count & search_workspace::observed) != 0) {
+          continue;
+        }
+        bool refused = false;
+        int const k = choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,
+                             [&](int number, bool listed) {
+                               return owner[number] / search_workspace::list_size < i ||
+                                      (!listed && ctx.held(number));
+                             });
+        ctx.match(c, i) = k;
+        if (k < 0) { continue; }
+        atomic_max(guest + ctx.number(c, k), i);
+        ++taken;
+      }
+    }
+    g.sync();
+  }
+  for (int number = g.rank(); number < numbers; number += g.size()) {
+    int const c = ctx.camera_of(number);
+    if (owner[number] != nobody) {
+      int const i = owner[number] / search_workspace::list_size;
+      ctx.match(c, i) = number - c * ctx.frame.capacity();
+      ctx.holder[number] = ctx.slot(c, i);
+      ++taken;
+    } else if (guests && guest[number] >= 0) {
+      ctx.holder[number] = ctx.slot(c, guest[number]);
+    } else if (ctx.params.from_empty) {
+      ctx.holder[number] = -1;
+    }
+  }
+  taken = g.reduce(taken, sum_op{});
+  if (g.rank() == 0) { ctx.work.matches[ctx.b] = taken; }
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The assignment by turns.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/search/assignment_context.hpp"
+#include "ft/kernels/search/choose.hpp"
+#include "ft/kernels/search/open_points.hpp"
+#include "ft/kernels/search/turns_single.hpp"
+#include "ft/kernels/search/writes.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// Point p's choice after the writes of the turn before. True if it is not what it was.
+template <bool Single, typename Writes>
+FT_HOST_DEVICE bool choose_anew(assignment_context<Single> const& ctx,
+                                open_points<Single> const& open, Writes const& writes, int p,
+                                choice& made) {
+  int const i = open.index(p);
+  int const end = p * open.writes();
+  window_list const lists[2] = {window_list(ctx, 0, i, open.any(p, 0), !Writes::kept_at_once),
+                                window_list(ctx, 1, i, open.any(p, 1), !Writes::kept_at_once)};
+  bool changed = false;
+  bool refused = false;
+  int own = -1;  // the partner of what the left window takes
+  FT_UNROLL
+  for (int c = 0; c < 2; ++c) {
+    if (c >= open.cameras()) { break; }
+    int const k = choose(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
+      return number == own ? open.observed(p, 0) : writes.taken(ctx, open, number, end, listed);
+    });
+    if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
+    if (k == made.k[c]) { continue; }
+    changed = true;
+    made.k[c] = k;
+    ctx.match(c, i) = k;
+  }
+  return changed;
+}
+
+/// Turns until nobody chooses anew. Then writes what came of it.
+template <typename Group, bool Single, typename Writes>
+FT_HOST_DEVICE void settle(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
+                           open_points<Single> const& open, Writes writes) {
+  // Below `begin` nothing changes any more.
+  int begin = 0;
+  for (int turn = 0;; turn = (turn + 1) % 3) {
+    if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = nobody; }
+    for (int p = g.rank(); p < open.count; p += g.size()) {
+      choice made = last_choice(ctx, open, p);
+      if (p >= begin && choose_anew(ctx, open, writes, p, made)) {
+        atomic_min(s.first_changed + turn, p);
+      }
+      if constexpr (Writes::kept_at_once) {
+        each_write(ctx, open, p, made, [&](int, int number, int w) { writes.add(number, w); });
+      }
+    }
+    g.sync();
+    int const changed = s.first_changed[turn];
+    if (changed == nobody) { break; }
+    begin = changed + 1;
+    writes.next_turn(g, ctx, open);
+  }
+  writes.find_last(g, ctx, open);
+  int taken = 0;
+  for (int p = g.rank(); p < open.count; p += g.size()) {
+    int const i = open.index(p);
+    each_write(ctx, open, p, last_choice(ctx, open, p), [&](int c, int number, int w) {
+      if (writes.is_last(open, number, w)) { ctx.holder[number] = ctx.slot(c, i); }
+      ++taken;
+    });
+  }
+  for (int k = g.rank(); ctx.params.from_empty && k < ctx.numbers(); k += g.size()) {
+    if (!writes.written(k)) { ctx.holder[k] = -1; }
+  }
+  taken = g.part().reduce(taken, sum_op{});
+  if (g.part().rank() == 0) { atomic_add(ctx.work.matches + ctx.b, taken); }
+}
+
+template <typename Group, bool Single>
+FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
+  int const numbers = ctx.numbers();
+  int const n = ctx.windows.count[ctx.b];
+  std::ptrdiff_t const at = ctx.b;
+  open_points<Single> open{
+      n <= assign_scratch::size ? s.open : ctx.work.open + at * ctx.work.capacity, 0, ctx.cameras(),
+      ctx.partners() ? 1 : 0};
+  int* const writer = owners(s, ctx);
+  first_writes firsts(writer, seconds(s, ctx), numbers, n * open.writes());
+  if (g.rank() == 0) { ctx.work.matches[ctx.b] = 0; }
+  bool const alone = Single && in_scratch(ctx.frame) && n <= assign_scratch::size &&
+                     ctx.params.kind == search_kind::local_map;
+  if (alone) {
+    if constexpr (Single) {
+      if (settle_single(g, s, ctx, n)) { return; }
+    }
+    list_open(g, s, ctx, n, open, false, [](int, choice const&) {});
+  } else {
+    list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
+      each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
+    });
+  }
+  g.sync();
+  if (s.guests == 0) {
+    firsts.next_turn(g, ctx, open);
+    settle(g, s, ctx, open, firsts);
+  } else {
+    if (open.cameras() == 2) {
+      list_open(g, s, ctx, n, open, true, [](int, choice const&) {});
+    }
+    write_chains const chains{
+        writer,
+        open.count * open.writes() <= assign_scratch::size ? s.before
+                                                           : ctx.work.before + at * ctx.work.links,
+        in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers, numbers};
+    for (int k = g.rank(); k < numbers; k += g.size()) {
+      chains.held[k] = static_cast<std::uint8_t>(ctx.held(k));
+    }
+    chains.next_turn(g, ctx, open);
+    settle(g, s, ctx, open, chains);
+  }
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -7,7 +7,10 @@
 
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
-#include "ft/kernels/rectify.hpp"
+#include "ft/containers/image_batch.hpp"
+#include "ft/containers/remap_table.hpp"
+#include "ft/kernels/images/build_remap.hpp"
+#include "ft/kernels/images/rectify.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 

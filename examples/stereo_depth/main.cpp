@@ -12,7 +12,7 @@
 #include "examples/common/run.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/keypoints.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 

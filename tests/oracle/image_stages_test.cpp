@@ -14,12 +14,14 @@
 #include <utility>
 #include <vector>
 
+#include "ft/containers/corners.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/corners.hpp"
-#include "ft/kernels/orientation.hpp"
-#include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/corners/detect_corners.hpp"
+#include "ft/kernels/keypoints/orientation.hpp"
+#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
 #include "tests/support/backends.hpp"
 
 namespace {

@@ -18,10 +18,12 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
+#include "ft/containers/remap_table.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/depth_association.hpp"
-#include "ft/kernels/rectify.hpp"
-#include "ft/kernels/undistort.hpp"
+#include "ft/kernels/images/build_remap.hpp"
+#include "ft/kernels/images/depth_association.hpp"
+#include "ft/kernels/images/rectify.hpp"
+#include "ft/kernels/images/undistort.hpp"
 #include "tests/support/backends.hpp"
 
 namespace rectify_oracle_test {

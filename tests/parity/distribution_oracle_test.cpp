@@ -15,8 +15,8 @@
 #include <utility>
 #include <vector>
 
+#include "ft/containers/corners.hpp"
 #include "ft/containers/soa.hpp"
-#include "ft/kernels/corners.hpp"
 #include "ft/kernels/distribution.hpp"
 #include "tests/support/backends.hpp"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Masks: what is left of the corners, against a plain filter of those found without a mask; sizes,
 // batches, arguments.
-#include "ft/kernels/corner_mask.hpp"
+#include "ft/kernels/corners/mask.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corner detection: layout of the cells, room for every corner, and the stage against a plain
 // reading of section 2 of the specification.
-#include "ft/kernels/corners.hpp"
+#include "ft/containers/corners.hpp"
+#include "ft/kernels/corners/detect_corners.hpp"
 
 #include <gtest/gtest.h>
 

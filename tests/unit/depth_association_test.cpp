@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Depth of keypoints from depth images against a plain reading of the rule, on every executor.
-#include "ft/kernels/depth_association.hpp"
+#include "ft/kernels/images/depth_association.hpp"
 
 #include <gtest/gtest.h>
 

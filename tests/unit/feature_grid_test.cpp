@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The feature grid and its area queries against plain readings of section 7 of the specification.
-#include "ft/kernels/feature_grid.hpp"
+#include "ft/kernels/grid.hpp"
 
 #include <gtest/gtest.h>
 

@@ -18,9 +18,10 @@
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/pyramid.hpp"
-#include "ft/kernels/pyramid_tiles.hpp"
-#include "ft/kernels/receive.hpp"
+#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
+#include "ft/kernels/upload.hpp"
 #include "tests/support/backends.hpp"
 
 namespace image_pyramid_test {

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Arithmetic that must be the same on every executor: products kept apart, roundings, poses, small
 // solvers.
-#include "ft/core/math.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
+#include "ft/core/geometry.hpp"
 
 #include <gtest/gtest.h>
 
@@ -32,6 +34,25 @@ struct arc_tangents {
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* y, float const* x,
                                  float* out) const {
     out[i] = ft::scalar::quick_atan2(ft::strict_float(y[i]), ft::strict_float(x[i])).value;
+  }
+};
+
+constexpr int scalar_functions = 6;
+
+/// The functions for camera models, each of scalar S, at one value.
+template <typename S>
+struct all_scalar_functions {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float const* values, float* out) const {
+    S const v = S(values[i]);
+    float* const to = out + scalar_functions * i;
+    to[0] = ft::to_plain(ft::scalar::sin(v));
+    to[1] = ft::to_plain(ft::scalar::cos(v));
+    to[2] = ft::to_plain(ft::scalar::tan(v));
+    to[3] = ft::to_plain(ft::scalar::exp(v));
+    to[4] = ft::to_plain(ft::scalar::log(v));
+    to[5] = ft::to_plain(ft::scalar::atan2(v, S(0.75f)));
   }
 };
 
@@ -263,6 +284,73 @@ TYPED_TEST(math_unit, roundings_are_those_of_the_standard_library) {
   for (std::size_t i = 0; i < values.size(); ++i) {
     EXPECT_EQ(even[i], static_cast<int>(std::lrint(values[i]))) << values[i];
     EXPECT_EQ(away[i], static_cast<int>(std::lround(values[i]))) << values[i];
+  }
+}
+
+TYPED_TEST(math_unit, functions_of_floats_are_rounded_once) {
+  float const infinity = std::numeric_limits<float>::infinity();
+  std::vector<float> values{0.0f,
+                            -0.0f,
+                            1.0f,
+                            -1.0f,
+                            1e-40f,
+                            -1e-40f,
+                            1e30f,
+                            -1e30f,
+                            88.72284f,
+                            88.72283f,
+                            -103.97f,
+                            -103.98f,
+                            -87.33f,
+                            infinity,
+                            -infinity,
+                            1.5707964f,
+                            std::numeric_limits<float>::quiet_NaN()};
+  std::mt19937 random(21);
+  std::uniform_real_distribution<float> angle(-7, 7);
+  std::uniform_real_distribution<float> exponent(-30, 30);
+  for (int i = 0; i < 20000; ++i) {
+    values.push_back(angle(random));
+    values.push_back(std::exp(exponent(random)));
+  }
+  auto const d_values = test::to_exec(this->backend.exec, values);
+  auto const count = scalar_functions * values.size();
+  auto const d_plain = test::to_exec(this->backend.exec, std::vector<float>(count, -7.0f));
+  auto const d_strict = test::to_exec(this->backend.exec, std::vector<float>(count, -7.0f));
+  auto const items = static_cast<int>(values.size());
+  auto const* const in = static_cast<float const*>(d_values.data());
+  ft::for_each_item<ft::per_thread>(this->backend.exec, items, all_scalar_functions<float>{}, in,
+                                    d_plain.data());
+  ft::for_each_item<ft::per_thread>(this->backend.exec, items,
+                                    all_scalar_functions<ft::strict_float>{}, in, d_strict.data());
+  auto const plain =
+      test::from_exec(this->backend.exec, static_cast<float const*>(d_plain.data()), count);
+  auto const strict =
+      test::from_exec(this->backend.exec, static_cast<float const*>(d_strict.data()), count);
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    long double const v = static_cast<long double>(values[i]);
+    long double const exact[scalar_functions] = {std::sin(v), std::cos(v), std::tan(v),
+                                                 std::exp(v), std::log(v), std::atan2(v, 0.75L)};
+    for (std::size_t k = 0; k < scalar_functions; ++k) {
+      auto const want = static_cast<float>(exact[k]);
+      float const got = plain[scalar_functions * i + k];
+      float const got_strict = strict[scalar_functions * i + k];
+      if (std::isnan(want)) {
+        EXPECT_TRUE(std::isnan(got) && std::isnan(got_strict)) << k << " of " << values[i];
+      } else {
+        EXPECT_EQ(got, want) << k << " of " << values[i];
+        EXPECT_EQ(got_strict, want) << k << " of " << values[i];
+      }
+    }
+  }
+}
+
+TEST(scalar_unit, functions_of_doubles_are_those_of_the_standard_library) {
+  for (double const v : {0.0, -0.3, 0.7, 1.5, 6.2}) {
+    EXPECT_EQ(ft::scalar::sin(v), std::sin(v));
+    EXPECT_EQ(ft::scalar::cos(v), std::cos(v));
+    EXPECT_EQ(ft::scalar::exp(ft::strict_double(v)).value, std::exp(v));
+    EXPECT_EQ(ft::scalar::log(ft::strict_double(v + 1)).value, std::log(v + 1));
   }
 }
 

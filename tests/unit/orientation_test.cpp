@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The arc tangent of the orientation stage, and the intensity centroid against plain sums.
-#include "ft/kernels/orientation.hpp"
+#include "ft/kernels/keypoints/orientation.hpp"
 
 #include <gtest/gtest.h>
 

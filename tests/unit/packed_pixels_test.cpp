@@ -14,7 +14,8 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/corners.hpp"
+#include "ft/kernels/corners/detect_corners.hpp"
+#include "ft/kernels/corners/fast_score.hpp"
 #include "tests/support/backends.hpp"
 
 namespace packed_pixels_test {
@@ -298,7 +299,7 @@ struct score_all {
   using scratch = ft::no_scratch;
   /// Whether of both opposite pairs on the axes one differs enough: a bit per pixel of the word.
   FT_HOST_DEVICE static unsigned corner_flags(std::uint8_t const* p, int threshold) {
-    constexpr int three_rows = 3 * ft::detect_cell::pitch;
+    constexpr int three_rows = 3 * ft::detail::cell_pitch;
     word const rest = ft::detail::threshold_rest(threshold);
     word const middle = ft::detail::load_word(p);
     auto const exceeding = [&](word other) {
@@ -314,7 +315,7 @@ struct score_all {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, std::uint8_t const* pixels, int width,
                                  int threshold, int* scores, int* flags) const {
-    constexpr int pitch = ft::detect_cell::pitch;
+    constexpr int pitch = ft::detail::cell_pitch;
     int const y = 3 + item / (width / 4 - 2);
     int const x = 4 + item % (width / 4 - 2) * 4;
     std::uint8_t const* const p = pixels + y * pitch + x;
@@ -328,7 +329,7 @@ struct score_all {
 };
 
 TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_single_pixels) {
-  constexpr int pitch = ft::detect_cell::pitch;
+  constexpr int pitch = ft::detail::cell_pitch;
   constexpr int height = 60;
   constexpr ft::detail::fast_circle circle(pitch);
   int corners = 0;
@@ -459,12 +460,12 @@ struct blur_by_strips {
     auto const in = from.level(0, 0);
     int const columns = ft::ceil_div(in.width, 4);
     int const x = 4 * (item % columns);
-    int const y = item / columns * ft::blur_tile::strip_rows;
-    if (x < 4 || x + 8 > in.width || y < 3 || y + ft::blur_tile::strip_rows + 3 > in.height ||
-        item % 2 == 0) {
-      ft::blur_tile::blur_strip<true>(in, to.level(0, 0), x, y);
+    int const y = item / columns * ft::detail::blur_tile::strip_rows;
+    if (x < 4 || x + 8 > in.width || y < 3 ||
+        y + ft::detail::blur_tile::strip_rows + 3 > in.height || item % 2 == 0) {
+      ft::detail::blur_tile::blur_strip<true>(in, to.level(0, 0), x, y);
     } else {
-      ft::blur_tile::blur_strip<false>(in, to.level(0, 0), x, y);
+      ft::detail::blur_tile::blur_strip<false>(in, to.level(0, 0), x, y);
     }
   }
 };
@@ -472,8 +473,12 @@ struct blur_by_strips {
 TYPED_TEST(packed_pixels_unit, blur_by_strips_is_the_blur_by_rows) {
   ft::host_exec const host(1);
   std::vector<std::pair<int, int>> sizes;
-  for (int w = ft::blur_tile::least_width; w <= 26; ++w) { sizes.emplace_back(w, 4 + w % 20); }
-  for (int h = ft::blur_tile::least_height; h <= 40; ++h) { sizes.emplace_back(8 + h * 7 % 70, h); }
+  for (int w = ft::detail::blur_tile::least_width; w <= 26; ++w) {
+    sizes.emplace_back(w, 4 + w % 20);
+  }
+  for (int h = ft::detail::blur_tile::least_height; h <= 40; ++h) {
+    sizes.emplace_back(8 + h * 7 % 70, h);
+  }
   for (auto const& [w, h] : sizes) {
     auto const g = ft::pyramid_geometry::make(w, h, 1, 1.2f);
     image const pixels = noise(static_cast<int>(g.bytes), static_cast<unsigned>(100 * w + h));
@@ -488,8 +493,8 @@ TYPED_TEST(packed_pixels_unit, blur_by_strips_is_the_blur_by_rows) {
     ft::copy(exec, from.view().data, pixels.data(), pixels.size());
     ft::fill_bytes(exec, to.view().data, 0x3c, pixels.size());
     ft::for_each_item<ft::per_thread>(
-        exec, ft::ceil_div(w, 4) * ft::ceil_div(h, ft::blur_tile::strip_rows), blur_by_strips{},
-        from.view(), to.view());
+        exec, ft::ceil_div(w, 4) * ft::ceil_div(h, ft::detail::blur_tile::strip_rows),
+        blur_by_strips{}, from.view(), to.view());
     auto const got =
         test::from_exec(exec, static_cast<std::uint8_t const*>(to.view().data), pixels.size());
     for (int y = 0; y < h; ++y) {

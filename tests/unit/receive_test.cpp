@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Images and blocks that an executor's threads fetch from host memory: every byte that is asked
 // for, and none beside it; and which host memory they can read.
-#include "ft/kernels/receive.hpp"
+#include "ft/kernels/upload.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Remap tables and the rectification stage against a plain reading of the rule, on every executor.
-#include "ft/kernels/rectify.hpp"
+#include "ft/kernels/images/rectify.hpp"
+#include "ft/containers/image_batch.hpp"
+#include "ft/containers/remap_table.hpp"
+#include "ft/kernels/images/build_remap.hpp"
 
 #include <gtest/gtest.h>
 

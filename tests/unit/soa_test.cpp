@@ -14,7 +14,7 @@
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
 

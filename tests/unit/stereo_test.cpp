@@ -2,7 +2,10 @@
 // Rectified stereo: known shifts, a plain reading of section 5 of the specification, pairs without
 // keypoints, keypoints at the rim, and the cut of outliers against a sort. Two cameras: the two
 // ways to triangulate, the nearest two of many descriptors.
-#include "ft/kernels/stereo_rectified.hpp"
+#include "ft/containers/stereo_matches.hpp"
+#include "ft/kernels/stereo/outlier_cut.hpp"
+#include "ft/kernels/stereo/rectified.hpp"
+#include "ft/kernels/stereo/triangulation.hpp"
 
 #include <gtest/gtest.h>
 
@@ -17,9 +20,7 @@
 #include <vector>
 
 #include "ft/containers/keypoints.hpp"
-#include "ft/containers/matches.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
 
@@ -451,7 +452,8 @@ TYPED_TEST(stereo_unit, outliers_are_cut_at_the_median) {
     ft::stereo_matches<TestFixture::space> const matches(capacity, batch);
     ft::copy(exec, matches.view(), staging.view());
     exec.wait();
-    ft::for_each_item<decltype(shape)>(exec, batch, ft::cut_stereo_outliers{}, matches.view());
+    ft::for_each_item<decltype(shape)>(exec, batch, ft::detail::cut_stereo_outliers{},
+                                       matches.view());
     auto const score = test::column<ft::field::score>(exec, matches.view());
     auto const x = test::column<ft::field::right_x>(exec, matches.view());
     auto const depth = test::column<ft::field::depth>(exec, matches.view());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Undistortion of keypoints against the fisheye equation read forwards, and bounds of images.
-#include "ft/kernels/undistort.hpp"
+#include "ft/kernels/images/undistort.hpp"
 
 #include <gtest/gtest.h>
 

@@ -9,7 +9,9 @@
 #include <random>
 #include <vector>
 
-#include "ft/kernels/rectify.hpp"
+#include "ft/containers/image_batch.hpp"
+#include "ft/containers/remap_table.hpp"
+#include "ft/kernels/images/rectify.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
 
@@ -73,19 +75,20 @@ protected:
     std::vector<ft::stereo_overlap> const overlaps(b);
 
     for (int l = 1; l < g.levels; ++l) {
-      run(v, pyramid.batch * ft::resize_band::bands(g, l), ft::resize_band{}, pyramid,
-          static_cast<ft::resize_tap const*>(taps.data()), l);
+      run(v, pyramid.batch * ft::detail::resize_band::bands(g, l), ft::detail::resize_band{},
+          pyramid, static_cast<ft::resize_tap const*>(taps.data()), l);
     }
-    run(v, pyramid.batch * blur.first[blur.levels], ft::blur_tile{}, pyramid, blurred, blur);
-    run(v, corners.batch * corners.layout.cells, ft::detect_cell{}, pyramid, corners,
+    run(v, pyramid.batch * blur.first[blur.levels], ft::detail::blur_tile{}, pyramid, blurred,
+        blur);
+    run(v, corners.batch * corners.layout.cells, ft::detail::detect_cell{}, pyramid, corners,
         ft::corner_params{});
-    ft::for_each_item<ft::per_warp>(exec, corners.batch * corners.layout.cells, ft::gather_cell{},
-                                    corners);
+    ft::for_each_item<ft::per_warp>(exec, corners.batch * corners.layout.cells,
+                                    ft::detail::gather_cell{}, corners);
     ft::distribute_corners(exec, corners, kept);
-    run(version::plain, pyramid.batch, ft::order_image<>{}, g, kept,
+    run(version::plain, pyramid.batch, ft::detail::order_image<>{}, g, kept,
         static_cast<ft::stereo_overlap const*>(overlaps.data()), place.data(), keypoints,
         mono.data(), ft::frame_arrivals{});
-    run(v, pyramid.batch * kept.layout.total, ft::describe_corner{}, pyramid, blurred, kept,
+    run(v, pyramid.batch * kept.layout.total, ft::detail::describe_corner{}, pyramid, blurred, kept,
         static_cast<ft::pattern_pair const*>(ft::detail::orb_pattern),
         static_cast<int const*>(place.data()), keypoints, ft::frame_arrivals{});
 
@@ -153,7 +156,7 @@ TEST_F(wide_stages, of_rectification_give_the_same_bytes_in_both_versions) {
   for (version const v : {version::plain, version::wide}) {
     bytes& to = results[v == version::wide];
     to.assign(w * h, 0);
-    run(v, h, ft::rectify_row{},
+    run(v, h, ft::detail::rectify_row{},
         ft::image_batch_view<std::uint8_t const>{from.data(), w, h, w, 0, 1}, table.view(),
         ft::image_batch_view<std::uint8_t>{to.data(), w, h, w, 0, 1}, std::uint8_t{17});
   }

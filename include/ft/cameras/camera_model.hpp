@@ -25,7 +25,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/math.hpp"
+#include "ft/core/geometry.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -3,9 +3,10 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/math.hpp"
+#include "ft/core/geometry.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

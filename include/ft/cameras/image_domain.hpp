@@ -7,9 +7,9 @@
 #include <string>
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/math.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

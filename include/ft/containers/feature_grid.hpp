@@ -5,9 +5,9 @@
 #include <cstddef>
 #include <utility>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
 
 namespace ft {

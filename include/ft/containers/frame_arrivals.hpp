@@ -12,9 +12,9 @@
 #include <type_traits>
 
 #include "ft/containers/image_pyramid.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
 
 namespace ft {

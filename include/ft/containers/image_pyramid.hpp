@@ -8,9 +8,9 @@
 #include <type_traits>
 #include <utility>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/views.hpp"
 

@@ -6,8 +6,8 @@
 #include <cstring>
 
 #include "ft/containers/soa.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/math.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,7 +6,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/math.hpp"
+#include "ft/core/geometry.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -16,6 +16,7 @@
 #include <memory>
 #include <type_traits>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/group.hpp"

@@ -2,6 +2,7 @@
 /// @file Sums whose order of additions is fixed: the same bits for any executor and on every run.
 #pragma once
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 

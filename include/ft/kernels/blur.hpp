@@ -47,6 +47,8 @@ FT_HOST_DEVICE inline int reflect_101(int i, int n) {
 
 }  // namespace detail
 
+namespace detail {
+
 /// One tile of one level of one image. A single thread goes row by row through scratch; the threads
 /// of a device's group each take strips of 4 columns and keep all they need in registers.
 struct blur_tile {
@@ -101,8 +103,8 @@ struct blur_tile {
   }
 
   FT_HOST_DEVICE static bool can_use_strips(gray_view in, gray_view out) {
-    return in.width >= least_width && in.height >= least_height && detail::has_word_rows(in) &&
-           detail::has_word_rows(out);
+    return in.width >= least_width && in.height >= least_height && has_word_rows(in) &&
+           has_word_rows(out);
   }
 
   /// Pixels [x, x + 4) x [y, y + strip_rows) as far as they lie in the image; x a multiple of 4. A
@@ -136,9 +138,9 @@ struct blur_tile {
     FT_UNROLL
     for (int r = 0; r < rows; ++r) {
       std::uint8_t const* const row = row_at(r);
-      left[r] = detail::load_word(row + left_x);
-      middle[r] = detail::load_word(row + x);
-      right[r] = detail::load_word(row + right_x);
+      left[r] = load_word(row + left_x);
+      middle[r] = load_word(row + x);
+      right[r] = load_word(row + right_x);
     }
     // Sums of rows 2 k and 2 k + 1 in the low and the high half.
     std::uint32_t pairs[4][rows / 2];
@@ -148,19 +150,17 @@ struct blur_tile {
       std::uint32_t b = middle[r];
       std::uint32_t c = right[r];
       if (Border) {
-        a = x == 0 ? detail::permute_bytes(b, c, 0x1234) : a;
+        a = x == 0 ? permute_bytes(b, c, 0x1234) : a;
         std::uint32_t const from = rest > 4 ? b : a;
-        c = detail::permute_bytes(from, rest > 4 ? c : b, beyond);
-        b = detail::permute_bytes(a, b, own);
+        c = permute_bytes(from, rest > 4 ? c : b, beyond);
+        b = permute_bytes(a, b, own);
       }
       // 18 34 48 56 48 34 18, the first weight in the lowest byte
       std::uint32_t const sum[4] = {
-          detail::dot_of_4(b, 0x12223038u, detail::dot_of_4(a, 0x30221200u, 0)),
-          detail::dot_of_4(c, 0x00000012u,
-                           detail::dot_of_4(b, 0x22303830u, detail::dot_of_4(a, 0x22120000u, 0))),
-          detail::dot_of_4(c, 0x00001222u,
-                           detail::dot_of_4(b, 0x30383022u, detail::dot_of_4(a, 0x12000000u, 0))),
-          detail::dot_of_4(c, 0x00122230u, detail::dot_of_4(b, 0x38302212u, 0))};
+          dot_of_4(b, 0x12223038u, dot_of_4(a, 0x30221200u, 0)),
+          dot_of_4(c, 0x00000012u, dot_of_4(b, 0x22303830u, dot_of_4(a, 0x22120000u, 0))),
+          dot_of_4(c, 0x00001222u, dot_of_4(b, 0x30383022u, dot_of_4(a, 0x12000000u, 0))),
+          dot_of_4(c, 0x00122230u, dot_of_4(b, 0x38302212u, 0))};
       FT_UNROLL
       for (int k = 0; k < 4; ++k) {
         if (r % 2 == 0) {
@@ -178,25 +178,24 @@ struct blur_tile {
         std::uint32_t const* const p = pairs[k] + r / 2;
         std::uint32_t v = 1u << 15;
         if (r % 2 == 0) {
-          v = detail::dot_of_2(p[0], 0x2212u, v);
-          v = detail::dot_of_2(p[1], 0x3830u, v);
-          v = detail::dot_of_2(p[2], 0x2230u, v);
-          v = detail::dot_of_2(p[3], 0x0012u, v);
+          v = dot_of_2(p[0], 0x2212u, v);
+          v = dot_of_2(p[1], 0x3830u, v);
+          v = dot_of_2(p[2], 0x2230u, v);
+          v = dot_of_2(p[3], 0x0012u, v);
         } else {
-          v = detail::dot_of_2(p[0], 0x1200u, v);
-          v = detail::dot_of_2(p[1], 0x3022u, v);
-          v = detail::dot_of_2(p[2], 0x3038u, v);
-          v = detail::dot_of_2(p[3], 0x1222u, v);
+          v = dot_of_2(p[0], 0x1200u, v);
+          v = dot_of_2(p[1], 0x3022u, v);
+          v = dot_of_2(p[2], 0x3038u, v);
+          v = dot_of_2(p[3], 0x1222u, v);
         }
         pixel[k] = v;
       }
-      std::uint32_t const word =
-          detail::permute_bytes(detail::permute_bytes(pixel[0], pixel[1], 0x0062),
-                                detail::permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
+      std::uint32_t const word = permute_bytes(permute_bytes(pixel[0], pixel[1], 0x0062),
+                                               permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
       if (Border && y + r >= out.height) { return; }
       std::uint8_t* const to = out.row(y + r) + x;
       if (!Border || rest >= 4) {
-        detail::store_word(to, word);
+        store_word(to, word);
       } else {
         FT_UNROLL
         for (int k = 0; k < 3; ++k) {
@@ -232,9 +231,9 @@ private:
     bool const inner = first >= 0 && w == tw && x0 + tw + radius <= in.width;
     std::uint8_t mirrored[tw + 2 * radius] = {};
     for (int r = 0; r < h + 2 * radius; ++r) {
-      std::uint8_t const* const row = in.row(detail::reflect_101(y0 + r - radius, in.height));
+      std::uint8_t const* const row = in.row(reflect_101(y0 + r - radius, in.height));
       for (int x = first; !inner && x < x0 + w + radius; ++x) {
-        mirrored[x - first] = row[detail::reflect_101(x, in.width)];
+        mirrored[x - first] = row[reflect_101(x, in.width)];
       }
       std::uint8_t const* const pixels = inner ? row + first : mirrored;
       std::uint16_t* const sums = s.sums + r * tw;
@@ -277,7 +276,7 @@ private:
     bool const inner = x0 >= radius && x0 + w + radius <= in.width;
 
     for (int r = 0; r < h + 2 * radius; ++r) {
-      std::uint8_t const* const row = in.row(detail::reflect_101(y0 + r - radius, in.height));
+      std::uint8_t const* const row = in.row(reflect_101(y0 + r - radius, in.height));
       std::uint16_t* const sum = s.sums + r * tw;
       if (inner) {
         for (int x = g.rank(); x < w; x += g.size()) {
@@ -290,7 +289,7 @@ private:
           constexpr int weights[7] = {18, 34, 48, 56, 48, 34, 18};
           int v = 0;
           for (int k = 0; k < 7; ++k) {
-            v += weights[k] * row[detail::reflect_101(x0 + x + k - radius, in.width)];
+            v += weights[k] * row[reflect_101(x0 + x + k - radius, in.width)];
           }
           sum[x] = static_cast<std::uint16_t>(v);
         }
@@ -310,6 +309,8 @@ private:
   }
 };
 
+}  // namespace detail
+
 /// Every level of every image of `from`, blurred, into `to`. Asynchronous on `exec`; allocates
 /// nothing; one launch. @param also see with_small_items
 template <typename Exec, typename Also = no_items>
@@ -317,7 +318,8 @@ void blur_pyramid(Exec const& exec, image_pyramid_view const& from, image_pyrami
                   blur_layout const& layout, Also const& also = {}) {
   int const tiles = from.batch * layout.first[layout.levels];
   for_each_item<per_block<64>>(
-      exec, tiles, with_small_items<blur_tile, Also>{blur_tile{}, also, tiles}, from, to, layout);
+      exec, tiles, with_small_items<detail::blur_tile, Also>{detail::blur_tile{}, also, tiles},
+      from, to, layout);
 }
 
 }  // namespace FT_ABI

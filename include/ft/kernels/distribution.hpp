@@ -15,6 +15,9 @@
 #include <cstdint>
 #include <cstring>
 
+#include "ft/containers/corners.hpp"
+#include "ft/core/atomics.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners.hpp"

@@ -17,6 +17,7 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 
 namespace ft {

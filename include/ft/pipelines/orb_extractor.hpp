@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "ft/containers/corners.hpp"
 #include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
@@ -16,14 +17,17 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/corner_mask.hpp"
-#include "ft/kernels/corners.hpp"
-#include "ft/kernels/describe_keypoints.hpp"
-#include "ft/kernels/descriptor.hpp"
+#include "ft/kernels/corners/detect_corners.hpp"
+#include "ft/kernels/corners/gather.hpp"
+#include "ft/kernels/corners/mask.hpp"
 #include "ft/kernels/distribution.hpp"
-#include "ft/kernels/pyramid.hpp"
-#include "ft/kernels/pyramid_tiles.hpp"
-#include "ft/kernels/receive.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
+#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/order.hpp"
+#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
+#include "ft/kernels/upload.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -158,7 +162,7 @@ public:
         [this](Exec const& e) {
           if (enters()) { gather_corners(e, corners_); }
         },
-        no_items{}, only_order{});
+        no_items{}, detail::only_order{});
   }
   /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
   /// pyramid's tiles are made of rows that are there while the next ones are fetched.
@@ -193,7 +197,7 @@ public:
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
-    order(exec, {}, only_order{});
+    order(exec, {}, detail::only_order{});
     describe(exec, {});
     mark("descriptors");
   }

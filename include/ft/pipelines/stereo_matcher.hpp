@@ -7,11 +7,13 @@
 
 #include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/stereo_fisheye.hpp"
-#include "ft/kernels/stereo_rectified.hpp"
+#include "ft/kernels/stereo/fisheye.hpp"
+#include "ft/kernels/stereo/outlier_cut.hpp"
+#include "ft/kernels/stereo/rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
 namespace ft {
@@ -78,7 +80,7 @@ public:
     if constexpr (Rig::rectified) {
       return no_items{};
     } else {
-      return clear_partners{fisheye_};
+      return detail::clear_partners{fisheye_};
     }
   }
   /// Of a rectified rig the grid of the right images' rows, which match_prepared() needs.

@@ -8,8 +8,9 @@
 #include <type_traits>
 #include <utility>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/group.hpp"
+#include "ft/core/detail/cuda_groups.hpp"
 #include "ft/core/memory.hpp"
 
 namespace ft {

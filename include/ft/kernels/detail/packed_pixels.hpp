@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <cstring>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/views.hpp"
 
 namespace ft {
@@ -242,36 +242,6 @@ FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, in
   for (int i = g.rank(); i < w * h; i += g.size()) {
     int const r = row_of(i);
     bytes[r * 4 * pitch + (i - r * w)] = image.row(y0 + r)[x0 + i - r * w];
-  }
-}
-
-/// Appends to `list` place(k) for every bit k that a thread has in `flags`, in any order; what no
-/// longer fits is counted only. Every thread of the group calls it, as often as every other of its
-/// warp. @param place of an unsigned bit number @param count in scratch
-template <typename Group, typename Place>
-FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, std::uint16_t* list,
-                                   int capacity, int* count) {
-  int const own = popcount(flags);
-  int at = 0;
-#if defined(__CUDA_ARCH__)
-  if constexpr (Group::max_threads >= 32) {
-    if (__ballot_sync(0xffffffffu, flags != 0) == 0) { return; }
-    unsigned const upto = 0xffffffffu >> (31u - (threadIdx.x & 31u));
-    int sum = 0;  // of this lane and those below
-    FT_UNROLL
-    for (int bit = 0; bit < 6; ++bit) {
-      sum += __popc(__ballot_sync(0xffffffffu, (own >> bit & 1) != 0) & upto) << bit;
-    }
-    if ((threadIdx.x & 31u) == 31u) { at = atomicAdd(count, sum); }
-    at = __shfl_sync(0xffffffffu, at, 31) + sum - own;
-  } else
-#endif
-  {
-    at = own != 0 ? atomic_add(count, own) : 0;
-  }
-  if (at + own > capacity) { return; }
-  for (; flags != 0; flags &= flags - 1) {
-    list[at++] = static_cast<std::uint16_t>(place(static_cast<unsigned>(trailing_zeros(flags))));
   }
 }
 

@@ -12,7 +12,10 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
 #include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/search_window.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

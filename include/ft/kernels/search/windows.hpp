@@ -9,7 +9,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/feature_grid.hpp"
+#include "ft/kernels/grid.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -1,18 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Corner scores of runs of neighbouring pixels, for a thread that works alone: no branch
-/// depends on a pixel, so that a compiler makes vectors of the run.
+/// @file Corners of a cell by a single thread: scores of all pixels, in runs of neighbours. No
+/// branch depends on a pixel, so that the compiler makes vectors of a run.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
 
+#include "ft/containers/corners.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/core/math.hpp"
+#include "ft/core/views.hpp"
+#include "ft/kernels/corners/cell.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
 namespace detail {
 
 inline constexpr int run_pixels = 32;
@@ -93,6 +97,75 @@ FT_HOST_DEVICE FT_INLINE void for_each_above(std::uint8_t const* p, std::uint8_t
   }
 }
 
+/// The same by a single thread: every pixel gets a score, straight from the image, and only then
+/// the threshold is chosen.
+FT_HOST_DEVICE FT_INLINE int detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
+                                          corner_params const& params, corner* list) {
+  constexpr int run = run_pixels;
+  constexpr int margin = 4;  // columns before a row's first score
+  static_assert(margin + max_cell_side < cell_pitch && margin + run < cell_pitch,
+                "rows have a rim");
+  int const inner_w = in.patch_w - 6;
+  int const inner_h = in.patch_h - 6;
+  int const runs = ceil_div(inner_w, run);
+  // The last run of a row ends with it: it begins in the one before where there is one.
+  int const last_start = max_of(inner_w - run, 0);
+  auto const start = [&](int r) { return min_of(r * run, last_start); };
+  auto const filled = static_cast<std::size_t>(max_of(inner_w, run));
+  auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
+  auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
+  auto const width = static_cast<std::size_t>(inner_w);
+
+  int const low = clamp(min_of(params.min_threshold, params.ini_threshold), 0, 255);
+  std::memset(scores, 0, cell_pitch);
+  for (int y = 0; y < inner_h; ++y) {
+    std::uint8_t const* const from = level.row(in.y0 + 3 + y) + in.x0 + 3;
+    std::uint8_t* const row = scores + (y + 1) * cell_pitch;
+    for (int r = 0; r < runs; ++r) {
+      score_run(from + start(r), level.stride, static_cast<std::uint8_t>(low),
+                row + margin + start(r));
+    }
+    std::memset(row, 0, margin);
+    std::memset(row + margin + inner_w, 0, cell_pitch - margin - width);
+  }
+  std::memset(scores + (inner_h + 1) * cell_pitch, 0, cell_pitch);
+
+  std::uint8_t highest[run] = {};
+  for (int y = 0; y < inner_h; ++y) {
+    std::uint8_t const* const row = scores + (y + 1) * cell_pitch + margin;
+    std::uint8_t* const to = kept + y * cell_pitch;
+    for (int r = 0; r < runs; ++r) { suppress_run(row + start(r), cell_pitch, to + start(r)); }
+    std::memset(to + inner_w, 0, filled - width);
+    for (int r = 0; r < runs; ++r) {
+      for (int k = 0; k < run; ++k) { highest[k] = max_of(highest[k], to[start(r) + k]); }
+    }
+  }
+  int strongest = 0;
+  for (int k = 0; k < run; ++k) { strongest = max_of(strongest, int{highest[k]}); }
+
+  // Scores do not depend on the threshold: what survives suppression at the lenient one and
+  // passes the strict one is what the strict one alone gives.
+  int const strict_threshold = max_of(params.ini_threshold, 1);
+  int const threshold =
+      strongest >= strict_threshold ? strict_threshold : max_of(params.min_threshold, 1);
+  if (strongest < threshold) { return 0; }
+  int found = 0;
+  for (int y = 0; y < inner_h; ++y) {
+    std::uint8_t const* const row = kept + y * cell_pitch;
+    for (int r = 0; r < runs; ++r) {
+      int const seen = r * run - start(r);  // by the run before
+      for_each_above(row + start(r), static_cast<std::uint8_t>(threshold), [&](int k) {
+        if (k < seen) { return; }
+        int const x = start(r) + k;
+        list[found++] = {static_cast<std::uint16_t>(in.x_rel + 3 + x),
+                         static_cast<std::uint16_t>(in.y_rel + 3 + y), row[x]};
+      });
+    }
+  }
+  return found;
+}
+
 }  // namespace detail
+
 }  // namespace FT_ABI
 }  // namespace ft

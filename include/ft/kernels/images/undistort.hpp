@@ -12,11 +12,12 @@
 #include "ft/cameras/camera_model.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/math.hpp"
-#include "ft/kernels/detail/transfer_pixel.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/images/transfer_pixel.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -52,6 +53,8 @@ void require_same_shape(char const* names, A const& a, B const& b) {
 
 }  // namespace detail
 
+namespace detail {
+
 /// One keypoint of one image, by camera models of strict_double.
 template <typename Source, typename Target>
 struct undistort_keypoint {
@@ -69,8 +72,8 @@ struct undistort_keypoint {
     if (i >= count) { return; }
     float const x = get<field::x>(raw, item);
     float const y = get<field::y>(raw, item);
-    auto const p = detail::transfer_pixel(camera, R_target_source, target,
-                                          {static_cast<double>(x), static_cast<double>(y)});
+    auto const p = transfer_pixel(camera, R_target_source, target,
+                                  {static_cast<double>(x), static_cast<double>(y)});
     auto const u = static_cast<float>(p.pixel.x.value);
     auto const v = static_cast<float>(p.pixel.y.value);
     bool const good = p.valid && scalar::is_finite(u) && scalar::is_finite(v);
@@ -79,6 +82,8 @@ struct undistort_keypoint {
     if (valid != nullptr) { valid[item] = static_cast<std::uint8_t>(good); }
   }
 };
+
+}  // namespace detail
 
 /// Where the keypoints would be in an image of the camera `target`, turned by `R_target_source`:
 /// each one's ray, turned and projected. Computed in double and rounded to float once, so that host
@@ -105,7 +110,8 @@ void undistort_keypoints(Exec const& exec, Source const& camera, Target const& t
   detail::require_same_shape("raw and undistorted keypoints", raw, out);
   auto const from = camera.template cast<strict_double>();
   auto const to = target.template cast<strict_double>();
-  using stage = undistort_keypoint<std::decay_t<decltype(from)>, std::decay_t<decltype(to)>>;
+  using stage =
+      detail::undistort_keypoint<std::decay_t<decltype(from)>, std::decay_t<decltype(to)>>;
   for_each_item<per_thread>(exec, raw.batch * raw.capacity, stage{}, from,
                             detail::strict_rotation(R_target_source), to, raw, out, valid);
 }

@@ -6,9 +6,9 @@
 #include <cmath>
 #include <cstdint>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
 

@@ -10,14 +10,16 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/descriptor.hpp"
-#include "ft/kernels/orientation.hpp"
+#include "ft/kernels/keypoints/descriptor.hpp"
+#include "ft/kernels/keypoints/orientation.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 /// What is read (x, y, octave) and written (angle, orb) of keypoints from elsewhere.
 using described_view = soa_view<field::x, field::y, field::octave, field::angle, field::orb>;
+
+namespace detail {
 
 /// One keypoint: the pixel of its level that is nearest to it is described.
 struct describe_keypoint {
@@ -43,11 +45,10 @@ struct describe_keypoint {
     gray_view const level = blurred.level(image, l);
     if (g.size() > 1) {
       auto const sample = [&](int dx, int dy) { return level(at.x + dx, at.y + dy); };
-      detail::describe_together(g, sample, turn, detail::own_tests<Group>(g, pattern), orb);
+      describe_together(g, sample, turn, own_tests<Group>(g, pattern), orb);
     } else {
       for (int i = 0; i < 8; ++i) {
-        orb.words[i] =
-            detail::descriptor_word(level.row(at.y) + at.x, level.stride, turn, pattern, i);
+        orb.words[i] = descriptor_word(level.row(at.y) + at.x, level.stride, turn, pattern, i);
       }
     }
     if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
@@ -61,8 +62,8 @@ private:
   /// Not valid where the octave is none, the position not finite, or the pattern leaves the level.
   FT_HOST_DEVICE static pixel nearest_pixel(pyramid_geometry const& g, float x, float y, int l) {
     if (l < 0 || l >= g.levels) { return {0, 0, false}; }
-    float const lx = detail::div(x, g.scale[l]);
-    float const ly = detail::div(y, g.scale[l]);
+    float const lx = div(x, g.scale[l]);
+    float const ly = div(y, g.scale[l]);
     float const border = static_cast<float>(pattern_radius);
     if (!(lx >= border && lx <= static_cast<float>(g.width[l]) - 1 - border && ly >= border &&
           ly <= static_cast<float>(g.height[l]) - 1 - border)) {
@@ -71,6 +72,8 @@ private:
     return {round_to_even(lx), round_to_even(ly), true};
   }
 };
+
+}  // namespace detail
 
 /// Angle (degrees, [0, 360]) and descriptor of keypoints given by x, y (pixels of the input image)
 /// and octave. A keypoint less than 18 pixels of its level from the border, one that is not finite
@@ -82,8 +85,8 @@ template <typename Exec>
 void describe_keypoints(Exec const& exec, image_pyramid_view const& pyramid,
                         image_pyramid_view const& blurred, pattern_pair const* pattern,
                         described_view const& keypoints) {
-  for_each_item<per_warp>(exec, keypoints.batch * keypoints.capacity, describe_keypoint{}, pyramid,
-                          blurred, pattern, keypoints);
+  for_each_item<per_warp>(exec, keypoints.batch * keypoints.capacity, detail::describe_keypoint{},
+                          pyramid, blurred, pattern, keypoints);
 }
 
 }  // namespace FT_ABI

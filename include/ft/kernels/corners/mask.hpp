@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/corners.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/corners.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -44,6 +44,8 @@ inline void carve(carver& c, corner_masks_view& v, int width, int height, int ba
   v.data = c.take<std::uint8_t>(detail::checked_mul(pixels, static_cast<std::size_t>(batch)));
 }
 
+namespace detail {
+
 /// The list of one level of one image: what the mask allows moves up, in its order.
 struct mask_level {
   using scratch = no_scratch;
@@ -73,14 +75,16 @@ struct mask_level {
   }
 };
 
+}  // namespace detail
+
 /// Drops the corners that the masks exclude from `corners.list`. The mask does not change which
 /// corners are found, nor the choice of a cell's threshold: what is left is what would be found
 /// without it. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void mask_corners(Exec const& exec, pyramid_geometry const& geometry,
                   corner_masks_view const& masks, corners_view const& corners) {
-  for_each_item<per_block<256>>(exec, corners.batch * corners.layout.levels, mask_level{}, geometry,
-                                masks, corners);
+  for_each_item<per_block<256>>(exec, corners.batch * corners.layout.levels, detail::mask_level{},
+                                geometry, masks, corners);
 }
 
 }  // namespace FT_ABI

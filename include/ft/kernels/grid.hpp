@@ -8,6 +8,7 @@
 
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 
@@ -35,6 +36,8 @@ struct row_cell {
     return y >= 0 && y < static_cast<float>(g.rows) ? static_cast<int>(y) : -1;
   }
 };
+
+namespace detail {
 
 /// Block scratch of fill_grid: for grids of less than so many cells, and images of up to so many
 /// keypoints.
@@ -235,13 +238,16 @@ private:
   }
 };
 
+}  // namespace detail
+
 /// Grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on `exec`;
 /// allocates nothing; one launch. @tparam Cell nearest_cell (search windows) or row_cell (rectified
 /// stereo)
 template <typename Cell, typename Exec>
 void build_grid(Exec const& exec, keypoints_view const& keypoints, int first, int step, int images,
                 feature_grid_view const& grids) {
-  for_each_item<per_block<1024>>(exec, images, fill_grid<Cell>{}, keypoints, first, step, grids);
+  for_each_item<per_block<1024>>(exec, images, detail::fill_grid<Cell>{}, keypoints, first, step,
+                                 grids);
 }
 
 /// The cells that a search window touches: [x0, x1] x [y0, y1], empty where x0 > x1 or y0 > y1.

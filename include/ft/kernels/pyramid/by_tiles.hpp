@@ -1,148 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: scale pyramid, several levels in one launch. A block owns the same part of every
-/// level; what it needs of its neighbours' parts it computes again, in block scratch, so that no
-/// level waits for the whole of the one before. The pixels are those of pyramid.hpp.
+/// @file Resizing by tiles, several levels in one launch, as a device does it.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
-#include <vector>
 
 #include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
-#include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// Columns or rows of a level that belong to a tile, and those that it has to compute.
-struct tile_span {
-  std::int16_t own_begin, own_end;
-  std::int16_t need_begin, need_end;
-};
-
-/// Levels first..last, made from level first - 1 in one launch.
-struct tile_group {
-  int first = 0;
-  int last = 0;
-  int columns = 0;  ///< tiles
-  int rows = 0;
-  int spans = 0;  ///< of level first - 1: its columns, then its rows; then the next level's
-};
-
-/// How a pyramid is made in groups of levels. Its spans lie in the executor's memory.
-struct pyramid_tiles {
-  static constexpr int scratch_pixels = 12 * 1024;  ///< of a level, in a tile
-  static constexpr int scratch_taps = 1024;         ///< of all levels, in a tile
-  static constexpr int word_rest = 6;  ///< most columns more that a tile's whole words have
-  int groups = 0;
-  tile_group group[max_levels];
-  tile_span const* spans = nullptr;
-};
-
 namespace detail {
-
-/// What tiles need along one axis.
-struct axis_tiles {
-  std::vector<tile_span> spans;  ///< [level from the source on][tile]
-  int longest = 0;               ///< stretch that a tile needs of a level
-  int computed = 0;  ///< columns or rows of a tile, over all levels but the source, at most
-};
-
-/// Of levels first - 1 to last.
-inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int first, int last,
-                            int tiles) {
-  int const levels = last - first + 2;  // with the source
-  axis_tiles all;
-  all.spans.resize(static_cast<std::size_t>(levels * tiles));
-  for (int t = 0; t < tiles; ++t) {
-    int begin = 0;
-    int end = 0;
-    int computed = 0;
-    for (int l = last; l >= first - 1; --l) {
-      int const own_begin = l < first ? 0 : static_cast<int>(std::int64_t{t} * size[l] / tiles);
-      int const own_end = l < first ? 0 : static_cast<int>(std::int64_t{t + 1} * size[l] / tiles);
-      if (l < last) {  // what the level above reads
-        if (begin < end) {
-          resize_tap const& a = taps[l + 1][begin];
-          resize_tap const& b = taps[l + 1][end - 1];
-          begin = a.first;
-          end = b.first + b.offset + 1;
-        }
-        if (l >= first && own_begin < own_end) {
-          begin = begin < end ? min_of(begin, own_begin) : own_begin;
-          end = max_of(end, own_end);
-        }
-      } else {
-        begin = own_begin;
-        end = own_end;
-      }
-      all.longest = max_of(all.longest, end - begin);
-      if (l >= first) { computed += end - begin; }
-      all.spans[static_cast<std::size_t>((l - first + 1) * tiles + t)] = {
-          static_cast<std::int16_t>(own_begin), static_cast<std::int16_t>(own_end),
-          static_cast<std::int16_t>(begin), static_cast<std::int16_t>(end)};
-    }
-    all.computed = max_of(all.computed, computed);
-  }
-  return all;
-}
-
-}  // namespace detail
-
-/// Chooses groups and tiles for a geometry, on the host. @param taps from make_resize_taps, on the
-/// host
-/// @param spans gets the table; the caller copies it to the executor and sets `spans` of the result
-/// @param side of a tile in the group's source, about, pixels
-inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap const* taps,
-                                        std::vector<tile_span>& spans, int side = 56) {
-  resize_tap const* columns[max_levels] = {};
-  resize_tap const* rows[max_levels] = {};
-  for (int l = 1; l < g.levels; ++l) {
-    columns[l] = taps + g.tap_offset[l];
-    rows[l] = columns[l] + g.width[l];
-  }
-  pyramid_tiles result;
-  spans.clear();
-  int first = 1;
-  while (first < g.levels) {
-    tile_group made;
-    detail::axis_tiles across;
-    detail::axis_tiles down;
-    // As many levels as a tile of about that size can carry; of a single one, smaller tiles.
-    for (int last = g.levels - 1; made.columns == 0; --last) {
-      int const least = last > first ? side : 1;
-      for (int s = side; s >= least && made.columns == 0; s /= 2) {
-        int const nx = ceil_div(g.width[first - 1], s);
-        int const ny = ceil_div(g.height[first - 1], s);
-        across = detail::tile_axis(columns, g.width, first, last, nx);
-        down = detail::tile_axis(rows, g.height, first, last, ny);
-        constexpr int rest = pyramid_tiles::word_rest;
-        int const all_taps = across.computed + down.computed + (last - first + 1) * (rest + 3);
-        if ((across.longest + rest) * down.longest <= pyramid_tiles::scratch_pixels &&
-            all_taps <= pyramid_tiles::scratch_taps) {
-          made = {first, last, nx, ny, 0};
-        }
-      }
-    }
-    made.spans = static_cast<int>(spans.size());
-    for (int l = 0; l < made.last - made.first + 2; ++l) {
-      auto const append = [&](std::vector<tile_span> const& from, int tiles) {
-        auto const begin = from.begin() + static_cast<std::ptrdiff_t>(l) * tiles;
-        spans.insert(spans.end(), begin, begin + tiles);
-      };
-      append(across.spans, made.columns);
-      append(down.spans, made.rows);
-    }
-    result.group[result.groups++] = made;
-    first = made.last + 1;
-  }
-  return result;
-}
 
 /// One tile of one image: its part of every level of a group. Levels lie in scratch in words, as in
 /// memory: a row of a tile starts with the word that its first needed column is in.
@@ -166,16 +38,16 @@ struct resize_tile {
   /// A tile's part of the source or of a level, worked out once for all threads.
   struct alignas(16) level_plan {
     tile_span x, y;
-    std::uint8_t* pixels;          ///< of the whole level
-    int stride;                    ///< of the whole level
-    int first_word;                ///< of the level's rows, that a row in scratch starts with
-    int words;                     ///< of a row in scratch
-    int height;                    ///< rows in scratch
-    int first_column;              ///< of the level's taps, in words
-    int first_row;                 ///< of the level's row taps
-    detail::small_divider row_of;  ///< divides by `words`
-    int whole_words;               ///< 1 = the level's rows may be written by words
-    int spread;                    ///< 1 = some word's neighbours do not fit into eight bytes
+    std::uint8_t* pixels;  ///< of the whole level
+    int stride;            ///< of the whole level
+    int first_word;        ///< of the level's rows, that a row in scratch starts with
+    int words;             ///< of a row in scratch
+    int height;            ///< rows in scratch
+    int first_column;      ///< of the level's taps, in words
+    int first_row;         ///< of the level's row taps
+    small_divider row_of;  ///< divides by `words`
+    int whole_words;       ///< 1 = the level's rows may be written by words
+    int spread;            ///< 1 = some word's neighbours do not fit into eight bytes
   };
   static constexpr int threads = 256;
   frame_arrivals arrivals{};
@@ -208,9 +80,9 @@ struct resize_tile {
     if (arrivals.overlapping()) {
       arrivals.await_rows(g, image, source.y.need_begin, source.y.need_end);
     }
-    detail::stage_rectangle(g, pyramid.level(image, group.first - 1), source.x.need_begin,
-                            source.y.need_begin, source.x.need_end - source.x.need_begin,
-                            source.height, s.pixels[0], source.words);
+    stage_rectangle(g, pyramid.level(image, group.first - 1), source.x.need_begin,
+                    source.y.need_begin, source.x.need_end - source.x.need_begin, source.height,
+                    s.pixels[0], source.words);
     g.sync();
     for (int i = 1; i <= levels; ++i) {
       level_plan const plan = s.level[i];
@@ -242,13 +114,13 @@ private:
         auto const level = pyramid.level(image, group.first - 1 + i);
         plan.pixels = level.data;
         plan.stride = level.stride;
-        plan.whole_words = static_cast<int>(detail::has_word_rows(level));
+        plan.whole_words = static_cast<int>(has_word_rows(level));
         plan.first_word = plan.x.need_begin / 4;
         plan.height = plan.y.need_end - plan.y.need_begin;
         plan.words = plan.x.need_begin < plan.x.need_end && plan.height > 0
                          ? (plan.x.need_end + 3) / 4 - plan.first_word
                          : 0;
-        plan.row_of = detail::small_divider(max_of(plan.words, 1));
+        plan.row_of = small_divider(max_of(plan.words, 1));
       }
       // The source has no taps.
       int total = 0;
@@ -319,13 +191,13 @@ private:
   FT_HOST_DEVICE static row_sums sums_of_row(std::uint32_t const* row, word_taps const& taps) {
     std::uint32_t const* const from = row + taps.place;
     std::uint32_t const middle = from[1];
-    std::uint32_t const low = detail::select_bytes(from[0], middle, taps.align);
-    std::uint32_t const high = detail::select_bytes(middle, from[2], taps.align);
+    std::uint32_t const low = select_bytes(from[0], middle, taps.align);
+    std::uint32_t const high = select_bytes(middle, from[2], taps.align);
     row_sums sums;
     FT_UNROLL
     for (int k = 0; k < 4; ++k) {
-      std::uint32_t const pair = detail::select_bytes(low, high, taps.pairs >> (8 * k));
-      sums.of[k] = detail::dot_of_2(taps.weights[k], pair, 0) >> 4;
+      std::uint32_t const pair = select_bytes(low, high, taps.pairs >> (8 * k));
+      sums.of[k] = dot_of_2(taps.weights[k], pair, 0) >> 4;
     }
     return sums;
   }
@@ -351,13 +223,13 @@ private:
     std::uint32_t pair[2];
     FT_UNROLL
     for (int k = 0; k < 2; ++k) {
-      std::uint32_t const a = detail::permute_bytes(above.of[k] * v.w_above(),
-                                                    above.of[k + 2] * v.w_above(), high_halves);
-      std::uint32_t const b = detail::permute_bytes(below.of[k] * v.w_below(),
-                                                    below.of[k + 2] * v.w_below(), high_halves);
+      std::uint32_t const a =
+          permute_bytes(above.of[k] * v.w_above(), above.of[k + 2] * v.w_above(), high_halves);
+      std::uint32_t const b =
+          permute_bytes(below.of[k] * v.w_below(), below.of[k + 2] * v.w_below(), high_halves);
       pair[k] = (a + b + 0x00020002u) >> 2;
     }
-    return detail::permute_bytes(pair[0], pair[1], 0x6240);
+    return permute_bytes(pair[0], pair[1], 0x6240);
   }
 
   /// Level i from the one before, a word of two rows at a time. @tparam Spread the taps in scratch
@@ -409,7 +281,7 @@ private:
         plan.pixels + (static_cast<unsigned>(at_y) * static_cast<unsigned>(plan.stride) +
                        static_cast<unsigned>(at_x));
     if (plan.whole_words != 0 && at_x >= plan.x.own_begin && at_x + 4 <= plan.x.own_end) {
-      detail::store_word(to, pixels);
+      store_word(to, pixels);
       return;
     }
     for (int k = 0; k < 4; ++k) {
@@ -420,28 +292,7 @@ private:
   }
 };
 
-/// Levels 1.. of every image from its level 0, one launch per group of levels, whatever the batch.
-/// Asynchronous on `exec`; allocates nothing. @param taps and `tiles.spans`: executor memory
-template <typename Exec>
-void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
-                   pyramid_tiles const& tiles) {
-  for (int i = 0; i < tiles.groups; ++i) {
-    tile_group const& group = tiles.group[i];
-    for_each_item<per_block<resize_tile::threads>>(evenly(exec),
-                                                   pyramid.batch * group.columns * group.rows,
-                                                   resize_tile{}, pyramid, taps, tiles, i);
-  }
-}
-
-/// The same while images are still being fetched, each tile from when its rows are there. Follows
-/// receive_images() with the same arrivals. @param tiles of a single group
-template <typename Exec>
-void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
-                   pyramid_tiles const& tiles, frame_arrivals const& arrivals) {
-  for_each_item<per_block<resize_tile::threads>>(
-      beside(exec), pyramid.batch * tiles.group[0].columns * tiles.group[0].rows,
-      resize_tile{arrivals}, pyramid, taps, tiles, 0);
-}
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

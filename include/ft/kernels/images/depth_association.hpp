@@ -11,12 +11,12 @@
 #include <type_traits>
 
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/math.hpp"
-#include "ft/kernels/undistort.hpp"
+#include "ft/kernels/images/undistort.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -57,6 +57,8 @@ struct depth_params {
   }
 };
 
+namespace detail {
+
 /// One keypoint of one image.
 template <typename T>
 struct associate_keypoint_depth {
@@ -96,6 +98,8 @@ struct associate_keypoint_depth {
   }
 };
 
+}  // namespace detail
+
 /// Depth and virtual right column of every keypoint. The depth is the pixel at the raw position,
 /// coordinates truncated towards zero, times the scale; where it is positive, finite and within
 /// [min_depth, max_depth], right_x is the undistorted column minus bf / depth and the score is 0.
@@ -133,8 +137,8 @@ void associate_depth(Exec const& exec, pixels_view const& raw, pixels_view const
   detail::require(images.pitch % pixel == 0 && images.step % pixel == 0 && images.step >= 0 &&
                       reinterpret_cast<std::uintptr_t>(images.data) % sizeof(T) == 0,
                   "the depth images' address, pitch and step must be multiples of a pixel");
-  for_each_item<per_thread>(exec, raw.batch * raw.capacity, associate_keypoint_depth<T>{}, raw,
-                            undistorted, images, params, out);
+  for_each_item<per_thread>(exec, raw.batch * raw.capacity, detail::associate_keypoint_depth<T>{},
+                            raw, undistorted, images, params, out);
 }
 
 }  // namespace FT_ABI

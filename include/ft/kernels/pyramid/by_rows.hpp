@@ -1,60 +1,99 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: scale pyramid. Each level is the bilinear resize of the one before it,
-/// bit-identical to cv::resize(INTER_LINEAR) on 8-bit images. Source: specification section 1.
+/// @file Resizing by bands of rows, as the host does it.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__CUDA_ARCH__)
+#include <immintrin.h>
+#define FT_HAS_SHUFFLE 1
+#else
+#define FT_HAS_SHUFFLE 0
+#endif
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/detail/column_taps.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
 
-inline void fill_taps(resize_tap* taps, int from, int to) {
-  double const ratio = static_cast<double>(from) / to;
-  for (int d = 0; d < to; ++d) {
-    float f = static_cast<float>((d + 0.5) * ratio - 0.5);
-    int i = static_cast<int>(std::floor(f));
-    f -= static_cast<float>(i);
-    if (i < 0) {
-      i = 0;
-      f = 0;
-    }
-    if (i >= from - 1) {
-      i = from - 1;
-      f = 0;
-    }
-    taps[d] = {i, static_cast<std::int16_t>(i + 1 < from ? 1 : 0),
-               static_cast<std::int16_t>(std::lrint((1.0f - f) * 2048.0f)),
-               static_cast<std::int16_t>(std::lrint(f * 2048.0f)), 0};
+/// Eight neighbouring columns that lie within 16 pixels of the source row.
+struct eight_taps {
+  alignas(32) std::uint8_t pick[32];     ///< per column the first pixel, none, the second, none
+  alignas(32) std::int16_t weights[16];  ///< per column of the first and the second
+  std::int32_t first;                    ///< of the 16 pixels
+};
+
+#if FT_HAS_SHUFFLE
+/// (first pixel * weight + second pixel * weight) >> 4 of 8 * count columns.
+__attribute__((target("avx2"))) inline void interpolate_eights(std::uint8_t const* row,
+                                                               eight_taps const* taps, int count,
+                                                               std::int16_t* out) {
+  for (int i = 0; i < count; ++i) {
+    eight_taps const& t = taps[i];
+    __m128i const sixteen = _mm_loadu_si128(reinterpret_cast<__m128i const*>(row + t.first));
+    __m256i const pairs =
+        _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(sixteen),
+                            _mm256_load_si256(reinterpret_cast<__m256i const*>(t.pick)));
+    __m256i const sums = _mm256_srai_epi32(
+        _mm256_madd_epi16(pairs, _mm256_load_si256(reinterpret_cast<__m256i const*>(t.weights))),
+        4);
+    __m256i const packed = _mm256_permute4x64_epi64(_mm256_packs_epi32(sums, sums), 0x08);
+    _mm_storeu_si128(reinterpret_cast<__m128i*>(out + 8 * i), _mm256_castsi256_si128(packed));
   }
 }
+#endif
 
-/// A pixel between two rows and two columns. @param row0,row1 at the left column
-FT_HOST_DEVICE inline std::uint8_t resized_pixel(std::uint8_t const* row0, std::uint8_t const* row1,
-                                                 resize_tap const& h, resize_tap const& v) {
-  int const h0 = row0[0] * h.w0 + row0[h.offset] * h.w1;
-  int const h1 = row1[0] * h.w0 + row1[h.offset] * h.w1;
-  return static_cast<std::uint8_t>((((v.w0 * (h0 >> 4)) >> 16) + ((v.w1 * (h1 >> 4)) >> 16) + 2) >>
-                                   2);
-}
-
-}  // namespace detail
-
-/// Fills the tables that build_pyramid reads, on the host. @param taps [geometry.taps]
-inline void make_resize_taps(pyramid_geometry const& geometry, resize_tap* taps) {
-  for (int l = 1; l < geometry.levels; ++l) {
-    resize_tap* const columns = taps + geometry.tap_offset[l];
-    detail::fill_taps(columns, geometry.width[l - 1], geometry.width[l]);
-    detail::fill_taps(columns + geometry.width[l], geometry.height[l - 1], geometry.height[l]);
+/// Sums along rows for up to N columns.
+template <int N>
+class column_taps {
+public:
+  /// @param taps of n columns @param width of the rows
+  FT_HOST_DEVICE column_taps(resize_tap const* taps, int n, int width) : taps_(taps), n_(n) {
+#if FT_HAS_SHUFFLE
+    if (!has_wide_vectors() || width < 16) { return; }
+    for (; 8 * (count_ + 1) <= n; ++count_) {
+      resize_tap const* const t = taps + 8 * count_;
+      eight_taps& e = eights_[count_];
+      e.first = min_of(t[0].first, width - 16);
+      if (t[7].first + t[7].offset - e.first > 15) { return; }  // a large step: all go one by one
+      for (int k = 0; k < 8; ++k) {
+        auto const place = static_cast<std::uint8_t>(t[k].first - e.first);
+        e.pick[4 * k] = place;
+        e.pick[4 * k + 1] = none;
+        e.pick[4 * k + 2] = static_cast<std::uint8_t>(place + t[k].offset);
+        e.pick[4 * k + 3] = none;
+        e.weights[2 * k] = t[k].w0;
+        e.weights[2 * k + 1] = t[k].w1;
+      }
+    }
+#else
+    static_cast<void>(width);
+#endif
   }
-}
+
+  /// out[x] = (pixel * weight + next pixel * weight) >> 4. @param out [N]
+  FT_HOST_DEVICE void interpolate(std::uint8_t const* row, std::int16_t* out) const {
+#if FT_HAS_SHUFFLE
+    if (count_ > 0) { interpolate_eights(row, eights_, count_, out); }
+#endif
+    for (int x = 8 * count_; x < n_; ++x) {
+      resize_tap const& t = taps_[x];
+      std::uint8_t const* const p = row + t.first;
+      out[x] = static_cast<std::int16_t>((p[0] * t.w0 + p[t.offset] * t.w1) >> 4);
+    }
+  }
+
+private:
+  resize_tap const* taps_;
+  int n_;
+  static constexpr std::uint8_t none = 0x80;  ///< picks a zero
+  int count_ = 0;                             ///< of eights that one shuffle does
+  eight_taps eights_[N / 8];
+};
 
 /// A band of rows of one level of one image.
 struct resize_band {
@@ -88,7 +127,7 @@ struct resize_band {
         std::uint8_t* const out = to.row(y);
         for (int x = g.rank(); x < to.width; x += g.size()) {
           resize_tap const h = taps[x];
-          out[x] = detail::resized_pixel(row0 + h.first, row1 + h.first, h, v);
+          out[x] = resized_pixel(row0 + h.first, row1 + h.first, h, v);
         }
       }
     }
@@ -103,7 +142,7 @@ private:
   FT_HOST_DEVICE FT_INLINE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
                                                     resize_tap const* taps, int x, int n, int first,
                                                     int end) {
-    detail::column_taps<strip> columns(taps + x, n, from.width);
+    column_taps<strip> columns(taps + x, n, from.width);
     std::int16_t sums[2][strip] = {};
     int row_of[2] = {-1, -1};
     auto const sums_of = [&](int row, int other) {
@@ -142,16 +181,7 @@ private:
   }
 };
 
-/// Levels 1.. of every image from its level 0. Asynchronous on `exec`; allocates nothing; one
-/// launch per level, whatever the batch. @param taps from make_resize_taps, in the executor's
-/// memory
-template <typename Exec>
-void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps) {
-  for (int l = 1; l < pyramid.geometry.levels; ++l) {
-    for_each_item<per_block<128>>(exec, pyramid.batch * resize_band::bands(pyramid.geometry, l),
-                                  resize_band{}, pyramid, taps, l);
-  }
-}
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

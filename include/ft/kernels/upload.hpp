@@ -30,6 +30,8 @@ struct block_source {
   int quads = 0;               ///< of 16 bytes, as both addresses are multiples of
 };
 
+namespace detail {
+
 /// Every so many-th part of a frame's input, in order: parts of images, and of what comes besides.
 struct receive_parts {
   static constexpr int quads = frame_arrivals::quads_of_part;
@@ -107,9 +109,7 @@ struct receive_parts {
           way const w = way_of(part, i);
           if (w.from != nullptr) { *w.to = *w.from; }
         }
-        if (arrivals.overlapping() && part < of_images) {
-          detail::arrive(g, arrivals.received + part);
-        }
+        if (arrivals.overlapping() && part < of_images) { arrive(g, arrivals.received + part); }
       }
     } else {
       static_assert(Group::max_threads == threads, "a thread a quad");
@@ -134,13 +134,15 @@ struct receive_parts {
           if (place[k] != nullptr) { *place[k] = on_way[k]; }
           ask(k, part + in_flight * fetchers);
           if (arrivals.overlapping() && part < of_images) {
-            detail::arrive(g, arrivals.received + part, quads);
+            arrive(g, arrivals.received + part, quads);
           }
         }
       }
     }
   }
 };
+
+}  // namespace detail
 
 /// Fetches level 0 of all images of a batch, and two blocks. Asynchronous on `exec`: what is read
 /// must stay as it is until it is done; allocates nothing; one launch.
@@ -152,11 +154,11 @@ template <typename Exec>
 void receive_images(Exec const& exec, image_source const* sources, image_pyramid_view const& to,
                     block_source const& first = {}, block_source const& second = {},
                     frame_arrivals const& arrivals = {}) {
-  int const parts =
-      to.batch * frame_arrivals::parts_of(to.geometry) + receive_parts::parts_of(first, second);
-  for_each_item<per_block<receive_parts::threads>>(exec, min_of(parts, receive_parts::fetchers),
-                                                   receive_parts{}, to, sources, first, second,
-                                                   arrivals);
+  int const parts = to.batch * frame_arrivals::parts_of(to.geometry) +
+                    detail::receive_parts::parts_of(first, second);
+  for_each_item<per_block<detail::receive_parts::threads>>(
+      exec, min_of(parts, detail::receive_parts::fetchers), detail::receive_parts{}, to, sources,
+      first, second, arrivals);
 }
 
 }  // namespace FT_ABI

@@ -3,21 +3,19 @@
 /// outliers. Source: specification section 5.
 #pragma once
 
-#include <cmath>
-#include <cstddef>
 #include <cstdint>
 
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/group.hpp"
-#include "ft/core/math.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
-#include "ft/kernels/feature_grid.hpp"
+#include "ft/kernels/grid.hpp"
+#include "ft/kernels/stereo/outlier_cut.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -27,6 +25,8 @@ struct stereo_params {
   float max_disparity = 0;  ///< bf / baseline, pixels
   int max_distance = 75;    ///< descriptors must differ in fewer bits than this
 };
+
+namespace detail {
 
 /// One left keypoint: its best right one on the row band, then the refined column.
 struct match_left_keypoint {
@@ -65,8 +65,8 @@ struct match_left_keypoint {
     auto const level_l = pyramid.level(2 * pair, octave);
     auto const level_r = pyramid.level(2 * pair + 1, octave);
     float const inv = pyramid.geometry.inv_scale[octave];
-    int const ul = round_away(detail::mul(u, inv));
-    int const vl = round_away(detail::mul(mine.y, inv));
+    int const ul = round_away(mul(u, inv));
+    int const vl = round_away(mul(mine.y, inv));
     // Cannot happen for extracted keypoints, which stay 19 px inside; a caller's own may be
     // anywhere.
     if (ul < half || ul + half >= level_l.width || vl < half || vl + half >= level_l.height) {
@@ -81,7 +81,7 @@ struct match_left_keypoint {
     span<int const> const listed{rows.indices + begin, end - begin};
     int const j = nearest(g, pyramid.geometry, mine, row, right, listed, params);
     if (j < 0) { return; }
-    int const ur = round_away(detail::mul(get<field::x>(right, j), inv));
+    int const ur = round_away(mul(get<field::x>(right, j), inv));
     if (ur < 2 * half || ur + side >= level_r.width) { return; }  // below 0: as above
 
     int sums[side];
@@ -159,9 +159,9 @@ private:
         std::uint8_t const* const at = left.row(row(g, v)) + u - half + column(g);
         skew_ = static_cast<int>(reinterpret_cast<std::uintptr_t>(at) & 3u);
         std::uint8_t const* const from = at - skew_;
-        words_[0] = detail::load_word(from);
-        words_[1] = detail::load_word(from + 4);
-        words_[2] = detail::load_word(from + ((skew_ + pixels(g) - 1) & ~3));
+        words_[0] = load_word(from);
+        words_[1] = load_word(from + 4);
+        words_[2] = load_word(from + ((skew_ + pixels(g) - 1) & ~3));
       }
     }
 
@@ -170,17 +170,16 @@ private:
     FT_HOST_DEVICE void sum_differences(Group g, gray_view right, int u, int v,
                                         int (&sums)[side]) const {
       std::uint32_t theirs[4];
-      detail::load_bytes(right.row(row(g, v)) + u - 2 * half + column(g), pixels(g) + 2 * half,
-                         theirs);
+      load_bytes(right.row(row(g, v)) + u - 2 * half + column(g), pixels(g) + 2 * half, theirs);
       bool const compares = g.rank() < 2 * side;
-      std::uint32_t const mine[2] = {detail::bytes_from(words_[0], words_[1], skew_),
-                                     detail::bytes_from(words_[1], words_[2], skew_) & rest(g)};
+      std::uint32_t const mine[2] = {bytes_from(words_[0], words_[1], skew_),
+                                     bytes_from(words_[1], words_[2], skew_) & rest(g)};
       auto const difference = [&](int shift) {
         auto const from = [&](int byte) {
-          return detail::bytes_from(theirs[byte / 4], theirs[min_of(byte / 4 + 1, 3)], byte % 4);
+          return bytes_from(theirs[byte / 4], theirs[min_of(byte / 4 + 1, 3)], byte % 4);
         };
-        return detail::difference_of_4(
-            mine[0], from(shift), detail::difference_of_4(mine[1], from(shift + 4) & rest(g), 0));
+        return difference_of_4(mine[0], from(shift),
+                               difference_of_4(mine[1], from(shift + 4) & rest(g), 0));
       };
       // Two sums a word: 11 x 11 x 255 has 15 bits.
       FT_UNROLL
@@ -289,109 +288,7 @@ private:
   }
 };
 
-/// One pair: drops the matches whose score is too far above the median.
-struct cut_stereo_outliers {
-  static constexpr bool prepares = true;
-  static constexpr int fine_bits = 6;
-  static constexpr int fine_bins = 1 << fine_bits;
-  static constexpr int coarse_bins = 1 << (16 - fine_bits);  ///< scores are below 2^16
-  static constexpr int kept = 3;                             ///< scores that a thread reads once
-  struct scratch {
-    int coarse[coarse_bins];
-    int fine[fine_bins];
-    int bin;   ///< of the median
-    int rank;  ///< of the median inside its bin
-  };
-
-  /// Clears the bins.
-  template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int /*pair*/,
-                              stereo_matches_view const& /*matches*/) const {
-    FT_NO_UNROLL
-    for (int b = g.rank(); b < coarse_bins; b += g.size()) { s.coarse[b] = 0; }
-    FT_NO_UNROLL
-    for (int b = g.rank(); b < fine_bins; b += g.size()) { s.fine[b] = 0; }
-    g.sync();
-  }
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair,
-                                 stereo_matches_view const& matches) const {
-    stereo_matches_view const m = matches.slice(pair);
-    int first[kept];  // loaded beside the count, which says how many of them there are
-    FT_UNROLL
-    for (int k = 0; k < kept; ++k) {
-      int const i = g.rank() + k * g.size();
-      first[k] = i < m.capacity ? get<field::score>(m, i) : -1;
-    }
-    int const n = *m.count;
-    FT_UNROLL
-    for (int k = 0; k < kept; ++k) {
-      if (g.rank() + k * g.size() >= n) { first[k] = -1; }
-    }
-    auto const each_score = [&](auto const& visit) {
-      FT_UNROLL
-      for (int k = 0; k < kept; ++k) {
-        if (first[k] >= 0) { visit(g.rank() + k * g.size(), first[k]); }
-      }
-      FT_NO_UNROLL
-      for (int i = g.rank() + kept * g.size(); i < n; i += g.size()) {
-        int const score = get<field::score>(m, i);
-        if (score >= 0) { visit(i, score); }
-      }
-    };
-    each_score([&](int, int score) { atomic_add(s.coarse + (score >> fine_bits), 1); });
-    g.sync();
-
-    // The score of rank found / 2: first its bin, then its place in that.
-    static_assert(coarse_bins % Group::max_threads == 0, "the same number for every thread");
-    int const chunk = coarse_bins / g.size();
-    int const begin = g.rank() * chunk;
-    int mine = 0;
-    for (int b = begin; b < begin + chunk; ++b) { mine += s.coarse[b]; }
-    int found = 0;
-    int before = g.exclusive_scan(mine, found);
-    if (found == 0) { return; }
-    if (before <= found / 2 && found / 2 < before + mine) {
-      int b = begin;
-      for (; before + s.coarse[b] <= found / 2; ++b) { before += s.coarse[b]; }
-      s.bin = b;
-      s.rank = found / 2 - before;
-    }
-    g.sync();
-    int const bin = s.bin;
-    each_score([&](int, int score) {
-      if (score >> fine_bits == bin) { atomic_add(s.fine + (score & (fine_bins - 1)), 1); }
-    });
-    g.sync();
-    int const median = bin << fine_bits | place_of(g.part(), s.fine, s.rank);
-
-    float const limit = detail::mul(detail::mul(1.5f, 1.4f), static_cast<float>(median));
-    each_score([&](int i, int score) {
-      if (static_cast<float>(score) >= limit) {
-        get<field::right_x>(m, i) = -1;
-        get<field::depth>(m, i) = -1;
-        get<field::score>(m, i) = -1;
-      }
-    });
-  }
-
-private:
-  /// The bin that holds a rank, by each warp for itself.
-  template <typename Part>
-  FT_HOST_DEVICE static int place_of(Part part, int const* bins, int rank) {
-    int const chunk = ceil_div(fine_bins, part.size());
-    int const begin = part.rank() * chunk;
-    int mine = 0;
-    for (int b = begin; b < begin + chunk; ++b) { mine += bins[b]; }
-    int total = 0;
-    int before = part.exclusive_scan(mine, total);
-    bool const here = before <= rank && rank < before + mine;
-    int b = begin;
-    for (; here && before + bins[b] <= rank; ++b) { before += bins[b]; }
-    return part.shuffle(b, trailing_zeros(part.ballot(here)));
-  }
-};
+}  // namespace detail
 
 /// Right keypoints by rows, which matching needs. Asynchronous on `exec`; allocates nothing; one
 /// launch. @param rows a grid of one column and a row per row of the image
@@ -407,15 +304,8 @@ void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
                        keypoints_view const& keypoints, stereo_params const& params,
                        stereo_matches_view const& out, feature_grid_view const& right_rows) {
   int const pairs = keypoints.batch / 2;
-  for_each_item<per_warp>(exec, pairs * keypoints.capacity, match_left_keypoint{}, pyramid,
+  for_each_item<per_warp>(exec, pairs * keypoints.capacity, detail::match_left_keypoint{}, pyramid,
                           keypoints, right_rows, params, out);
-}
-
-/// The last part.
-template <typename Exec>
-void cut_outliers(Exec const& exec, keypoints_view const& keypoints,
-                  stereo_matches_view const& out) {
-  for_each_item<per_block<512>>(exec, keypoints.batch / 2, cut_stereo_outliers{}, out);
 }
 
 /// Right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are pair b.

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stereo partners and points of two cameras without rectification.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Stereo partners and points of a batch of pairs. Keypoint k of the left camera has number k, of
+/// the right one capacity + k.
+struct fisheye_matches_view {
+  int* partner = nullptr;        ///< [batch][2 * capacity] number of the partner, -1 = none
+  float* depth = nullptr;        ///< [batch][capacity] of left keypoints, metres, -1 = none
+  vec3<float>* point = nullptr;  ///< [batch][capacity] in the left camera's frame, 0 = none
+  int capacity = 0;
+  int batch = 0;
+};
+
+inline void carve(carver& c, fisheye_matches_view& v, int capacity, int batch) {
+  std::size_t const n =
+      detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(capacity));
+  v.capacity = capacity;
+  v.batch = batch;
+  v.partner = c.take<int>(2 * n);
+  v.depth = c.take<float>(n);
+  v.point = c.take<vec3<float>>(n);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Bit counts of 32-bit words.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+FT_HOST_DEVICE inline int popcount(std::uint32_t v) {
+#if defined(__CUDA_ARCH__)
+  return __popc(v);
+#else
+  return __builtin_popcount(v);
+#endif
+}
+
+/// Index of the lowest set bit. @pre v is not 0
+FT_HOST_DEVICE inline int trailing_zeros(std::uint32_t v) {
+#if defined(__CUDA_ARCH__)
+  return __ffs(static_cast<int>(v)) - 1;
+#else
+  return __builtin_ctz(v);
+#endif
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: orientation and descriptor of each kept corner. Source: specification section 4.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/containers/corners.hpp"
+#include "ft/containers/frame_arrivals.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/detail/packed_pixels.hpp"
+#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/keypoints/descriptor.hpp"
+#include "ft/kernels/keypoints/order.hpp"
+#include "ft/kernels/keypoints/orientation.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// One kept corner: the angle and descriptor of its keypoint.
+struct describe_corner {
+  /// [batch] as order_image has them; needed where this is done beside that
+  stereo_overlap const* overlaps = nullptr;
+  static constexpr bool wide_on_host = true;
+  static constexpr int window = 2 * pattern_radius + 1;
+  static constexpr int window_words = (window + 3 + 3) / 4;
+  struct scratch {  ///< where threads work together: the window around the keypoint
+    std::uint32_t pixels[window * window_words];
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
+                                 image_pyramid_view const& blurred, distribution_view const& kept,
+                                 pattern_pair const* pattern, int const* place,
+                                 keypoints_view const& out, frame_arrivals const& arrivals) const {
+    distribution_layout const& layout = kept.layout;
+    int const image = item / layout.total;
+    int const slot = item % layout.total;
+    // All loads are under way together: a slot without a corner holds something, too.
+    corner const c = kept.kept[item];
+    int const* const counts = kept.kept_count + image * layout.levels;
+    [[maybe_unused]] level_count const own(g, counts, layout.levels);
+    [[maybe_unused]] stereo_overlap const overlap =
+        Group::max_threads > 1 && overlaps != nullptr ? overlaps[image] : unknown_overlap();
+    int const l = level_of(layout, slot);
+    int const count = Group::max_threads > 1 ? g.shuffle(own.count, l) : counts[l];
+    g.sync();
+    if (slot - layout.first[l] >= count) { return; }
+
+    int const x = c.x + corner_border;
+    int const y = c.y + corner_border;
+    gray_view const sharp = pyramid.level(image, l);
+    gray_view const level = blurred.level(image, l);
+    int to = image * out.capacity;
+    float angle = 0;
+    if constexpr (Group::max_threads > 1) {
+      own_tests<Group> const tests(g, pattern);
+      angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
+      g.sync();
+      rotation const turn = rotation_by(angle);
+      int const width = pyramid.geometry.width[0];
+      bool const none = overlap.has_none(width);
+      if (none || overlap.has_all(width)) {
+        int const rank = own.below(g, l) + slot - layout.first[l];
+        to += none ? rank : own.all(g) - 1 - rank;
+      } else {
+        arrivals.await_placed(g, image);
+        to += place[item];
+      }
+      auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
+                                 pattern_radius * (4 * window_words + 1) +
+                                 ((x - pattern_radius) & 3);
+      auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
+      describe_together(g, at, turn, tests, get<field::orb>(out, to));
+    } else {
+      fetch_window(level, x, y);
+      angle = orientation(g, sharp, x, y);
+      rotation const turn = rotation_by(angle);
+      to += place[item];
+      descriptor& orb = get<field::orb>(out, to);
+      for (int i = 0; i < 8; ++i) {
+        orb.words[i] = descriptor_word(level.row(y) + x, level.stride, turn, pattern, i);
+      }
+    }
+    if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
+  }
+
+private:
+  /// The kept corners of an image's levels, of which each thread has one.
+  struct level_count {
+    int level, count;
+
+    template <typename Group>
+    FT_HOST_DEVICE level_count(Group g, int const* counts, int levels) : level(g.rank()), count(0) {
+      static_assert(Group::max_threads == 1 || Group::max_threads >= max_levels, "one a thread");
+      if (Group::max_threads > 1 && level < levels) { count = counts[level]; }
+    }
+    template <typename Group>
+    FT_HOST_DEVICE int below(Group g, int l) const {
+      return g.reduce(level < l ? count : 0, sum_op{});
+    }
+    template <typename Group>
+    FT_HOST_DEVICE int all(Group g) const {
+      return g.reduce(count, sum_op{});
+    }
+  };
+
+  /// In which some keypoints are and some are not.
+  FT_HOST_DEVICE static stereo_overlap unknown_overlap() { return {1e-30f, 1e-30f}; }
+  /// As layout.level_of(): no comparison waits for the one before.
+  FT_HOST_DEVICE static int level_of(distribution_layout const& layout, int slot) {
+    int l = 0;
+    FT_UNROLL
+    for (int k = 1; k < max_levels; ++k) {
+      l += static_cast<int>((k < layout.levels) & (slot >= layout.first[k]));
+    }
+    return l;
+  }
+  /// Copies the window into scratch and returns the angle; the pixels of both are fetched together.
+  template <typename Group>
+  FT_HOST_DEVICE static float stage_and_turn(Group g, gray_view sharp, gray_view level, int x,
+                                             int y, std::uint32_t* pixels) {
+    bool const words = Group::max_threads >= 32 && has_word_rows(sharp);
+    disc_words<Group> disc;
+    if (words) { disc = disc_words<Group>(g, sharp, x, y); }
+    stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window, pixels,
+                        window_words);
+    if (!words) { return orientation(g, sharp, x, y); }
+    moments const m = disc.sums(g);
+    return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
+  }
+  /// Has a window that is needed soon brought into the caches, on the host.
+  FT_HOST_DEVICE static void fetch_window(gray_view level, int x, int y) {
+#if defined(__GNUC__) && !defined(__CUDA_ARCH__)
+    for (int r = -pattern_radius; r <= pattern_radius; ++r) {
+      std::uint8_t const* const row = level.row(y + r) + x;
+      __builtin_prefetch(row - pattern_radius);
+      __builtin_prefetch(row + pattern_radius);
+    }
+#else
+    static_cast<void>(level);
+    static_cast<void>(x);
+    static_cast<void>(y);
+#endif
+  }
+};
+
+}  // namespace detail
+
+/// Angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing; one
+/// launch.
+/// @param pattern [256], points within `pattern_radius` @param place from order_corners
+/// @param arrivals where this launch is beside order_corners(): the same
+/// @param overlaps likewise; without them the places are read
+/// @throws bad_argument for arrivals without overlaps
+template <typename Exec>
+void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
+                      image_pyramid_view const& blurred, distribution_view const& kept,
+                      pattern_pair const* pattern, int const* place, keypoints_view const& out,
+                      frame_arrivals const& arrivals = {},
+                      stereo_overlap const* overlaps = nullptr) {
+  detail::require(!arrivals.overlapping() || overlaps != nullptr,
+                  "descriptors beside the order need its overlaps");
+  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total,
+                          detail::describe_corner{overlaps}, pyramid, blurred, kept, pattern, place,
+                          out, arrivals);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

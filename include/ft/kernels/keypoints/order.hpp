@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: the place of each kept corner in the output. Source: specification section 4.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "ft/containers/corners.hpp"
+#include "ft/containers/frame_arrivals.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/distribution.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Pixel columns seen by both cameras of a fisheye pair; keypoints inside go to the end of the
+/// list. The default meets no keypoint.
+struct stereo_overlap {
+  float left = 0;
+  float right = 0;
+
+  /// No keypoint, or every keypoint, of images this wide is inside: all are above 0 and below it.
+  FT_HOST_DEVICE bool has_none(int width) const {
+    return right <= 0 || left >= static_cast<float>(width);
+  }
+  FT_HOST_DEVICE bool has_all(int width) const {
+    return left <= 0 && right >= static_cast<float>(width);
+  }
+};
+
+namespace detail {
+
+/// One image: nothing is done with its keypoints once they have their places.
+struct only_order {
+  using scratch = no_scratch;
+
+  /// Before the launches ahead have ended; ends with a sync().
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group, scratch&, int, keypoints_view const&) const {}
+  /// For each keypoint before it has its place, @returns what keep() gets once it has.
+  template <typename Group>
+  FT_HOST_DEVICE std::uint32_t count(Group, scratch&, int, keypoints_view const&, float,
+                                     float) const {
+    return 0;
+  }
+  FT_HOST_DEVICE void keep(scratch&, int, std::uint32_t) const {}
+  /// After a sync().
+  template <typename Group>
+  FT_HOST_DEVICE void sort(Group, scratch&, int, keypoints_view const&, int) const {}
+};
+
+/// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
+/// list order; inside the overlap from the end of the array backwards.
+/// @tparam Then what the same group does with the keypoints on the way, and at last; see only_order
+template <typename Then = only_order>
+struct order_image {
+  Then then;
+  std::size_t extra = 0;              ///< block scratch that nobody uses
+  static constexpr int known = 2048;  ///< slots whose levels are found out ahead
+  struct scratch {
+    typename Then::scratch then;
+    int before[max_levels + 1];  ///< corners of the levels below each
+    std::uint8_t level[known];   ///< of a slot; each is read by the thread that wrote it
+  };
+  /// More would be of no use, and cost registers.
+  static constexpr int side_by_side = 1;
+
+  std::size_t extra_bytes() const { return extra; }
+
+  static constexpr bool prepares = true;
+  template <typename Group>
+  FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, pyramid_geometry const&,
+                              distribution_view const& kept, stereo_overlap const*, int*,
+                              keypoints_view const& out, int*, frame_arrivals const&) const {
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < known; i += g.size()) {
+      s.level[i] = static_cast<std::uint8_t>(kept.layout.level_of(i));
+    }
+    then.prepare(g, s.then, image, out);
+  }
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int image, pyramid_geometry const& geometry,
+                                 distribution_view const& kept, stereo_overlap const* overlaps,
+                                 int* place, keypoints_view const& out, int* mono_count,
+                                 frame_arrivals const& arrivals) const {
+    constexpr int together = 2;  // slots of a thread, of which loads are under way at a time
+    distribution_layout const& layout = kept.layout;
+    int const* const counts = kept.kept_count + image * layout.levels;
+    stereo_overlap const overlap = overlaps[image];
+    // Corners are under way while it is found out how many there are.
+    slot_place of[together];
+    auto const fetch = [&](int base) {
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const slot = base + k * g.size() + g.rank();
+        of[k] = slot_place(slot);
+        // Past the last slot that one again: no load is behind a branch. There is always one.
+        int const held = max_of(min_of(slot, layout.total - 1), 0);
+        of[k].word = corner_word(kept.kept + image * layout.total + held);
+        bool const ahead = Group::max_threads > 1 && slot < known;
+        of[k].level = ahead ? static_cast<int>(s.level[slot]) : layout.level_of(slot);
+      }
+    };
+    fetch(0);
+    for (int l = g.rank(); l <= max_levels; l += g.size()) {
+      int sum = 0;
+      FT_UNROLL
+      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, layout.levels) ? counts[k] : 0; }
+      s.before[l] = sum;
+    }
+    g.sync();
+    int const all = s.before[layout.levels];
+    int stereo = 0;  // corners in lower slots inside the overlap
+    for (int base = 0; base < layout.total; base += together * g.size()) {
+      std::uint32_t entry[together] = {};
+      unsigned inside = 0;  // 16 bits each
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        of[k].locate(layout, s.before, geometry, overlap);
+        inside |= static_cast<unsigned>(of[k].inside) << (16 * k);
+        if (of[k].valid) { entry[k] = then.count(g, s.then, image, out, of[k].x, of[k].y); }
+      }
+      int total = 0;
+      int const lower = g.exclusive_scan(static_cast<int>(inside), total);
+      FT_UNROLL
+      for (int k = 0; k < together; ++k) {
+        int const stereo_rank = stereo + (lower >> (16 * k) & 0xffff);
+        stereo += total >> (16 * k) & 0xffff;
+        if (!of[k].valid) { continue; }
+        int const at = of[k].inside ? all - 1 - stereo_rank : of[k].rank - stereo_rank;
+        place[image * layout.total + of[k].slot] = at;
+        int const to = image * out.capacity + at;
+        get<field::x>(out, to) = of[k].x;
+        get<field::y>(out, to) = of[k].y;
+        get<field::response>(out, to) = static_cast<float>(of[k].c.response);
+        get<field::octave>(out, to) = of[k].level;
+        then.keep(s.then, at, entry[k]);
+      }
+      if (base + together * g.size() < layout.total) { fetch(base + together * g.size()); }
+    }
+    if (g.rank() == 0) {
+      out.count[image] = all;
+      mono_count[image] = all - stereo;
+    }
+    // The others work out their places themselves: those who tell have to wait for their stores.
+    int const width = geometry.width[0];
+    if (!overlap.has_none(width) && !overlap.has_all(width)) { arrivals.tell_placed(g, image); }
+    then.sort(g, s.then, image, out, all);
+  }
+
+private:
+  FT_HOST_DEVICE static std::uint64_t corner_word(corner const* at) {
+    static_assert(sizeof(corner) == 8 && alignof(corner) == 8, "a corner is a word");
+#if defined(__CUDA_ARCH__)
+    return *reinterpret_cast<unsigned long long const*>(at);
+#else
+    std::uint64_t word;
+    std::memcpy(&word, at, sizeof word);
+    return word;
+#endif
+  }
+
+  /// The kept corner of a slot.
+  struct slot_place {
+    int slot;
+    int level = 0;
+    int rank = 0;  ///< among all of the image
+    bool valid = false;
+    bool inside = false;  ///< the overlap
+    /// The corner as it was loaded: to look at its parts is to wait for it.
+    std::uint64_t word = 0;
+    corner c{};
+    float x = 0;
+    float y = 0;
+
+    slot_place() = default;
+    FT_HOST_DEVICE explicit slot_place(int at) : slot(at) {}
+    FT_HOST_DEVICE void locate(distribution_layout const& layout, int const* before,
+                               pyramid_geometry const& geometry, stereo_overlap const& overlap) {
+      std::memcpy(&c, &word, sizeof c);
+      rank = before[level] + slot - layout.first[level];
+      valid = slot < layout.total && rank < before[level + 1];
+      x = static_cast<float>(c.x + corner_border);
+      y = static_cast<float>(c.y + corner_border);
+      if (level > 0) {
+        x = mul(x, geometry.scale[level]);
+        y = mul(y, geometry.scale[level]);
+      }
+      inside = valid && x >= overlap.left && x <= overlap.right;
+    }
+  };
+};
+
+}  // namespace detail
+
+/// Keypoints of a batch of images from their kept corners, in the contract's order; all but their
+/// angles and descriptors. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param overlaps [batch] @param mono_count [batch] gets the keypoints outside the overlap
+/// @param place [batch][layout.total] gets the place of a kept corner's keypoint; all in executor
+/// memory
+/// @param arrivals tells describe_corners() beside this launch which images have their places, of
+/// those that have keypoints inside their overlap and outside
+/// @param then see order_image
+template <typename Exec, typename Then = detail::only_order>
+void order_corners(Exec const& exec, pyramid_geometry const& geometry,
+                   distribution_view const& kept, stereo_overlap const* overlaps,
+                   keypoints_view const& out, int* mono_count, int* place,
+                   frame_arrivals const& arrivals = {}, Then const& then = {}) {
+  constexpr int threads = 1024;
+  // All the block scratch that there is: then nothing else is on its multiprocessor.
+  std::size_t const extra = extra_scratch<threads, detail::order_image<Then>>(exec, out.batch);
+  for_each_item<per_block<threads>>(exec, out.batch, detail::order_image<Then>{then, extra},
+                                    geometry, kept, overlaps, place, out, mono_count, arrivals);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

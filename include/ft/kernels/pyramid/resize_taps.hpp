@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Where each column and row of a level reads from in the level below, and the weights.
+/// Source: specification section 1.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/config.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Where one destination column (or row) reads from: two neighbours and their weights of 2048.
+struct resize_tap {
+  std::int32_t first;
+  std::int16_t offset;  ///< of the second neighbour: 1, or 0 at the far edge
+  std::int16_t w0, w1;
+  std::int16_t unused;
+};
+
+namespace detail {
+
+inline void fill_taps(resize_tap* taps, int from, int to) {
+  double const ratio = static_cast<double>(from) / to;
+  for (int d = 0; d < to; ++d) {
+    float f = static_cast<float>((d + 0.5) * ratio - 0.5);
+    int i = static_cast<int>(std::floor(f));
+    f -= static_cast<float>(i);
+    if (i < 0) {
+      i = 0;
+      f = 0;
+    }
+    if (i >= from - 1) {
+      i = from - 1;
+      f = 0;
+    }
+    taps[d] = {i, static_cast<std::int16_t>(i + 1 < from ? 1 : 0),
+               static_cast<std::int16_t>(std::lrint((1.0f - f) * 2048.0f)),
+               static_cast<std::int16_t>(std::lrint(f * 2048.0f)), 0};
+  }
+}
+
+/// A pixel between two rows and two columns. @param row0,row1 at the left column
+FT_HOST_DEVICE inline std::uint8_t resized_pixel(std::uint8_t const* row0, std::uint8_t const* row1,
+                                                 resize_tap const& h, resize_tap const& v) {
+  int const h0 = row0[0] * h.w0 + row0[h.offset] * h.w1;
+  int const h1 = row1[0] * h.w0 + row1[h.offset] * h.w1;
+  return static_cast<std::uint8_t>((((v.w0 * (h0 >> 4)) >> 16) + ((v.w1 * (h1 >> 4)) >> 16) + 2) >>
+                                   2);
+}
+
+}  // namespace detail
+
+/// Fills the tables that build_pyramid reads, on the host. @param taps [geometry.taps]
+inline void make_resize_taps(pyramid_geometry const& geometry, resize_tap* taps) {
+  for (int l = 1; l < geometry.levels; ++l) {
+    resize_tap* const columns = taps + geometry.tap_offset[l];
+    detail::fill_taps(columns, geometry.width[l - 1], geometry.width[l]);
+    detail::fill_taps(columns + geometry.width[l], geometry.height[l - 1], geometry.height[l]);
+  }
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

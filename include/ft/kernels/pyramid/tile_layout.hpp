@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file How a pyramid is cut into tiles and groups of levels. A block owns the same part of every
+/// level of a group. What it needs of its neighbours' parts it computes again, so that no level
+/// waits for the whole of the one before.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Columns or rows of a level that belong to a tile, and those that it has to compute.
+struct tile_span {
+  std::int16_t own_begin, own_end;
+  std::int16_t need_begin, need_end;
+};
+
+/// Levels first..last, made from level first - 1 in one launch.
+struct tile_group {
+  int first = 0;
+  int last = 0;
+  int columns = 0;  ///< tiles
+  int rows = 0;
+  int spans = 0;  ///< of level first - 1: its columns, then its rows; then the next level's
+};
+
+/// How a pyramid is made in groups of levels. Its spans lie in the executor's memory.
+struct pyramid_tiles {
+  static constexpr int scratch_pixels = 12 * 1024;  ///< of a level, in a tile
+  static constexpr int scratch_taps = 1024;         ///< of all levels, in a tile
+  static constexpr int word_rest = 6;  ///< most columns more that a tile's whole words have
+  int groups = 0;
+  tile_group group[max_levels];
+  tile_span const* spans = nullptr;
+};
+
+namespace detail {
+
+/// What tiles need along one axis.
+struct axis_tiles {
+  std::vector<tile_span> spans;  ///< [level from the source on][tile]
+  int longest = 0;               ///< stretch that a tile needs of a level
+  int computed = 0;  ///< columns or rows of a tile, over all levels but the source, at most
+};
+
+/// Of levels first - 1 to last.
+inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int first, int last,
+                            int tiles) {
+  int const levels = last - first + 2;  // with the source
+  axis_tiles all;
+  all.spans.resize(static_cast<std::size_t>(levels * tiles));
+  for (int t = 0; t < tiles; ++t) {
+    int begin = 0;
+    int end = 0;
+    int computed = 0;
+    for (int l = last; l >= first - 1; --l) {
+      int const own_begin = l < first ? 0 : static_cast<int>(std::int64_t{t} * size[l] / tiles);
+      int const own_end = l < first ? 0 : static_cast<int>(std::int64_t{t + 1} * size[l] / tiles);
+      if (l < last) {  // what the level above reads
+        if (begin < end) {
+          resize_tap const& a = taps[l + 1][begin];
+          resize_tap const& b = taps[l + 1][end - 1];
+          begin = a.first;
+          end = b.first + b.offset + 1;
+        }
+        if (l >= first && own_begin < own_end) {
+          begin = begin < end ? min_of(begin, own_begin) : own_begin;
+          end = max_of(end, own_end);
+        }
+      } else {
+        begin = own_begin;
+        end = own_end;
+      }
+      all.longest = max_of(all.longest, end - begin);
+      if (l >= first) { computed += end - begin; }
+      all.spans[static_cast<std::size_t>((l - first + 1) * tiles + t)] = {
+          static_cast<std::int16_t>(own_begin), static_cast<std::int16_t>(own_end),
+          static_cast<std::int16_t>(begin), static_cast<std::int16_t>(end)};
+    }
+    all.computed = max_of(all.computed, computed);
+  }
+  return all;
+}
+
+}  // namespace detail
+
+/// Chooses groups and tiles for a geometry, on the host. @param taps from make_resize_taps, on the
+/// host
+/// @param spans gets the table; the caller copies it to the executor and sets `spans` of the result
+/// @param side of a tile in the group's source, about, pixels
+inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap const* taps,
+                                        std::vector<tile_span>& spans, int side = 56) {
+  resize_tap const* columns[max_levels] = {};
+  resize_tap const* rows[max_levels] = {};
+  for (int l = 1; l < g.levels; ++l) {
+    columns[l] = taps + g.tap_offset[l];
+    rows[l] = columns[l] + g.width[l];
+  }
+  pyramid_tiles result;
+  spans.clear();
+  int first = 1;
+  while (first < g.levels) {
+    tile_group made;
+    detail::axis_tiles across;
+    detail::axis_tiles down;
+    // As many levels as a tile of about that size can carry; of a single one, smaller tiles.
+    for (int last = g.levels - 1; made.columns == 0; --last) {
+      int const least = last > first ? side : 1;
+      for (int s = side; s >= least && made.columns == 0; s /= 2) {
+        int const nx = ceil_div(g.width[first - 1], s);
+        int const ny = ceil_div(g.height[first - 1], s);
+        across = detail::tile_axis(columns, g.width, first, last, nx);
+        down = detail::tile_axis(rows, g.height, first, last, ny);
+        constexpr int rest = pyramid_tiles::word_rest;
+        int const all_taps = across.computed + down.computed + (last - first + 1) * (rest + 3);
+        if ((across.longest + rest) * down.longest <= pyramid_tiles::scratch_pixels &&
+            all_taps <= pyramid_tiles::scratch_taps) {
+          made = {first, last, nx, ny, 0};
+        }
+      }
+    }
+    made.spans = static_cast<int>(spans.size());
+    for (int l = 0; l < made.last - made.first + 2; ++l) {
+      auto const append = [&](std::vector<tile_span> const& from, int tiles) {
+        auto const begin = from.begin() + static_cast<std::ptrdiff_t>(l) * tiles;
+        spans.insert(spans.end(), begin, begin + tiles);
+      };
+      append(across.spans, made.columns);
+      append(down.spans, made.rows);
+    }
+    result.group[result.groups++] = made;
+    first = made.last + 1;
+  }
+  return result;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: stereo matching of two cameras without rectification: brute force with a ratio
+/// test, then triangulation and its checks. Source: specification section 6.
+#pragma once
+
+#include <cstddef>
+#include <type_traits>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/atomics.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/stereo/hamming.hpp"
+#include "ft/kernels/stereo/triangulation.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct fisheye_stereo_params {
+  int ratio_num = 7;  ///< best distance below ratio_num / ratio_den of the second best
+  int ratio_den = 10;
+  float max_cosine = 0.9998f;  ///< between the two rays; above, the parallax is too small
+  float chi2 = 5.991f;         ///< reprojection error, in units of the octave's variance
+  float min_depth = 1e-4f;     ///< metres
+};
+
+namespace detail {
+
+/// Forgets the partners of a frame before; also for with_small_items.
+struct clear_partners {
+  using scratch = no_scratch;
+  fisheye_matches_view out;
+
+  FT_HOST_DEVICE int count() const { return 2 * out.batch * out.capacity; }
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item) const {
+    (*this)(item);
+  }
+  FT_HOST_DEVICE void operator()(int item) const {
+    out.partner[item] = -1;
+    int const k = item % (2 * out.capacity);
+    if (k < out.capacity) {
+      std::ptrdiff_t const at =
+          static_cast<std::ptrdiff_t>(item / (2 * out.capacity)) * out.capacity + k;
+      out.depth[at] = -1;
+      out.point[at] = {0, 0, 0};
+    }
+  }
+};
+
+/// One left keypoint of the overlap: its partner and the point.
+template <typename Rig>
+struct match_fisheye_keypoint {
+  static constexpr bool wide_on_host = true;
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, Rig const& rig,
+                                 keypoints_view const& keypoints, int const* mono_count,
+                                 pyramid_geometry const& geometry,
+                                 fisheye_stereo_params const& params,
+                                 fisheye_matches_view const& out) const {
+    int const pair = item / out.capacity;
+    int const i = item % out.capacity;
+    keypoints_view const left = keypoints.slice(2 * pair);
+    keypoints_view const right = keypoints.slice(2 * pair + 1);
+    // All of them under way together, also for an entry that turns out to have no keypoint.
+    int const count = *left.count;
+    int const first = mono_count[2 * pair];
+    int const right_first = mono_count[2 * pair + 1];
+    int const right_count = *right.count;
+    descriptor const mine = get<field::orb>(left, i);
+    if (i >= count || i < first) { return; }
+
+    two_nearest const best = nearest(g, mine, right, right_first, right_count);
+    if (best.second == best.none) { return; }
+    if (params.ratio_den * best.first >= params.ratio_num * best.second) { return; }
+    int const j = best.index;
+
+    vec3<float> point;
+    if (!accept(g, rig, left, i, right, j, geometry, params, point) || g.rank() != 0) { return; }
+    int* const partner = out.partner + static_cast<std::ptrdiff_t>(pair) * 2 * out.capacity;
+    partner[i] = out.capacity + j;
+    atomic_max(partner + out.capacity + j, i);  // of several left keypoints the last one is kept
+    out.depth[item] = point.z;
+    out.point[item] = point;
+  }
+
+private:
+  /// Of the right keypoints [begin, end).
+  template <typename Group>
+  FT_HOST_DEVICE static two_nearest nearest(Group g, descriptor const& mine,
+                                            keypoints_view const& right, int begin, int end) {
+    // Of so many a thread's loads are under way together.
+    constexpr int together = Group::max_threads == 1 ? 1 : 8;
+    two_nearest best;
+    FT_NO_UNROLL
+    for (int base = begin + g.rank(); base - g.rank() < end; base += together * g.size()) {
+      descriptor theirs[together];
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        theirs[n] = get<field::orb>(right, min_of(base + n * g.size(), end - 1));
+      }
+      FT_UNROLL
+      for (int n = 0; n < together; ++n) {
+        int const j = base + n * g.size();
+        int const distance = hamming_by_adders(mine, theirs[n]);
+        best.add(j < end ? distance : best.none, j);
+      }
+    }
+    return best.merged(g);
+  }
+
+  /// The point, where the two keypoints can be images of one. Every thread of a group does the
+  /// same, but that of two cameras of one model those of even rank look into the left one and the
+  /// others into the right one.
+  template <typename Group>
+  FT_HOST_DEVICE static bool accept(Group g, Rig const& rig, keypoints_view const& left, int i,
+                                    keypoints_view const& right, int j,
+                                    pyramid_geometry const& geometry,
+                                    fisheye_stereo_params const& params, vec3<float>& point) {
+    constexpr bool by_halves =
+        Group::max_threads == 32 && std::is_same<decltype(rig.left), decltype(rig.right)>::value;
+    vec2<strict_float> const pl{get<field::x>(left, i), get<field::y>(left, i)};
+    vec2<strict_float> const pr{get<field::x>(right, j), get<field::y>(right, j)};
+    float const sigma2_l = geometry.sigma2[get<field::octave>(left, i)];
+    float const sigma2_r = geometry.sigma2[get<field::octave>(right, j)];
+    auto const cam_l = rig.left.template cast<strict_float>();
+    auto const cam_r = rig.right.template cast<strict_float>();
+    bool const is_right = g.rank() % 2 != 0;
+    auto const own = [is_right](auto of_left, auto of_right) {
+      return is_right ? of_right : of_left;
+    };
+    vec3<strict_float> l;
+    vec3<strict_float> r;
+    if constexpr (by_halves) {
+      vec3<strict_float> const ray = own(cam_l, cam_r).unproject(own(pl, pr)).direction;
+      l = shuffled(g, ray, 0);
+      r = shuffled(g, ray, 1);
+    } else {
+      l = cam_l.unproject(pl).direction;
+      r = cam_r.unproject(pr).direction;
+    }
+    auto const T_rl = rig.T_rl.template cast<strict_float>();
+    vec3<strict_float> const r_in_l = T_rl.R.transposed() * r;
+    strict_float const cosine =
+        dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
+    if (!(cosine <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
+    // Rays come in any length; of some models they have z = 1 already, and nothing changes.
+    point = triangulate({(l.x / l.z).value, (l.y / l.z).value, 1.0f},
+                        {(r.x / r.z).value, (r.y / r.z).value, 1.0f}, rig.T_rl);
+    vec3<strict_float> const in_l{point.x, point.y, point.z};
+    vec3<strict_float> const in_r = T_rl * in_l;
+    if (!(in_l.z > 0.0f && in_r.z > 0.0f && point.z > params.min_depth)) { return false; }
+    if constexpr (by_halves) {
+      bool const near = near_enough(own(cam_l, cam_r).project(own(in_l, in_r)).pixel, own(pl, pr),
+                                    own(sigma2_l, sigma2_r), params);
+      return (g.ballot(near) & 3u) == 3u;
+    } else {
+      return near_enough(cam_l.project(in_l).pixel, pl, sigma2_l, params) &&
+             near_enough(cam_r.project(in_r).pixel, pr, sigma2_r, params);
+    }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE static vec3<strict_float> shuffled(Group g, vec3<strict_float> v, int from) {
+    return {g.shuffle(v.x.value, from), g.shuffle(v.y.value, from), g.shuffle(v.z.value, from)};
+  }
+  FT_HOST_DEVICE static bool near_enough(vec2<strict_float> a, vec2<strict_float> b, float sigma2,
+                                         fisheye_stereo_params const& params) {
+    strict_float const dx = a.x - b.x;
+    strict_float const dy = a.y - b.y;
+    return dx * dx + dy * dy <= strict_float(params.chi2) * sigma2;
+  }
+};
+
+}  // namespace detail
+
+/// The part of match_stereo_fisheye() that needs no keypoints; one launch.
+template <typename Exec>
+void clear_fisheye_matches(Exec const& exec, fisheye_matches_view const& out) {
+  detail::clear_partners const clear{out};
+  for_each_item<per_thread>(exec, clear.count(), clear);
+}
+
+/// The rest of it; one launch.
+template <typename Exec, typename Rig>
+void match_cleared_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
+                           int const* mono_count, pyramid_geometry const& geometry,
+                           fisheye_stereo_params const& params, fisheye_matches_view const& out) {
+  for_each_item<per_warp>(exec, out.batch * out.capacity, detail::match_fisheye_keypoint<Rig>{},
+                          rig, keypoints, mono_count, geometry, params, out);
+}
+
+/// Partners, depths and points of the keypoints in the overlap of every pair; images 2 b and 2 b +
+/// 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
+/// @param mono_count [images] keypoints before the overlap's, from describe_corners
+template <typename Exec, typename Rig>
+void match_stereo_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
+                          int const* mono_count, pyramid_geometry const& geometry,
+                          fisheye_stereo_params const& params, fisheye_matches_view const& out) {
+  clear_fisheye_matches(exec, out);
+  match_cleared_fisheye(exec, rig, keypoints, mono_count, geometry, params, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -14,15 +14,15 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A corner before it becomes a keypoint; position relative to the work area's corner (16, 16).
+/// A corner before it becomes a keypoint.
 struct alignas(8) corner {
-  std::uint16_t x, y;
-  std::int32_t response;
+  std::uint16_t x, y;     ///< relative to the work area's origin (16, 16), pixels of the level
+  std::int32_t response;  ///< score; in `corners_view::entries` a corner_rank
 };
 
-/// In a list of any order a corner has its rank in place of its response: 8 bits of response, and
-/// below them what is higher for a lower place in the level's `cell_corners`. So of equals the
-/// first in the ordered list is above the others.
+/// Key of a corner in a list of any order: 8 bits of response, and below them 24 bits that decrease
+/// with the place in the level's ordered array. So among equal responses the corner that comes
+/// first in the ordered list has the highest rank.
 struct corner_rank {
   static constexpr int place_bits = 24;
   static constexpr std::uint32_t last_place = (1u << place_bits) - 1;
@@ -35,9 +35,9 @@ struct corner_rank {
   }
 };
 
-inline constexpr int corner_border = 16;  ///< the work area starts here
-inline constexpr int corner_cell_size = 35;
-inline constexpr int max_cell_side = 69;  ///< of a level with a single cell
+inline constexpr int corner_border = 16;     ///< width of the margin around the work area
+inline constexpr int corner_cell_size = 35;  ///< nominal side of a cell
+inline constexpr int max_cell_side = 69;     ///< in a level with a single cell
 inline constexpr int max_patch_side = max_cell_side + 6;
 
 /// Cells of all levels of one image, numbered level by level.
@@ -49,10 +49,10 @@ struct corner_layout {
   int cell_height[max_levels] = {};
   int first_cell[max_levels] = {};  ///< of a level
   int cells = 0;                    ///< of an image
-  int slots[max_levels] = {};       ///< corners that a cell of this level can hold at most
-  std::ptrdiff_t first_slot[max_levels] = {};
-  std::ptrdiff_t total_slots =
-      0;  ///< of an image: suppression bounds the number, nothing can overflow
+  /// Capacity of a cell: the most corners that suppression can leave, so nothing overflows.
+  int slots[max_levels] = {};
+  std::ptrdiff_t first_slot[max_levels] = {};  ///< of a level
+  std::ptrdiff_t total_slots = 0;              ///< of an image
 
   static corner_layout make(pyramid_geometry const& g) {
     corner_layout c;
@@ -83,24 +83,25 @@ struct corner_layout {
     return l;
   }
   FT_HOST_DEVICE int cells_of(int l) const { return cols[l] * rows[l]; }
-  /// How many corners a level's list can hold.
+  /// Capacity of a level's list.
   FT_HOST_DEVICE std::ptrdiff_t level_slots(int l) const {
     return static_cast<std::ptrdiff_t>(cells_of(l)) * slots[l];
   }
 };
 
-/// Corners of a batch of images: per cell as found, then gathered per level in order.
+/// Corners of a batch of images: per cell, gathered per level in cell order, and per level in any
+/// order.
 struct corners_view {
   corner_layout layout;
   int batch = 0;
-  corner* cell_corners = nullptr;  ///< [batch][total_slots], per cell
+  corner* cell_corners = nullptr;  ///< [batch][total_slots] per cell
   int* cell_count = nullptr;       ///< [batch][cells]
-  corner* list = nullptr;          ///< [batch][total_slots], per level, cells in order
+  corner* list = nullptr;          ///< [batch][total_slots] per level, in cell order
   int* list_count = nullptr;       ///< [batch][levels]
-  corner* entries = nullptr;       ///< [batch][total_slots], per level in any order: corner_rank
+  corner* entries = nullptr;       ///< [batch][total_slots] per level in any order, with ranks
   int* entry_count = nullptr;      ///< [batch][levels]
 
-  /// Whether places in the largest level are few enough for corner_rank.
+  /// Whether every place of the largest level fits into a corner_rank.
   bool can_enter() const {
     std::ptrdiff_t most = 0;
     for (int l = 0; l < layout.levels; ++l) { most = max_of(most, layout.level_slots(l)); }
@@ -112,6 +113,7 @@ struct corners_view {
   FT_HOST_DEVICE corner* level_list(int image, int l) const { return list + level_slot(image, l); }
 };
 
+/// Places the arrays into an arena.
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
   auto const b = static_cast<std::size_t>(batch);
   std::size_t const slots = detail::checked_mul(b, static_cast<std::size_t>(layout.total_slots));

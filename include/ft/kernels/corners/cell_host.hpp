@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Corners of a cell by a single thread: scores of all pixels, in runs of neighbours. No
-/// branch depends on a pixel, so that the compiler makes vectors of a run.
+/// @file Corners of a cell on the host: one thread scores all pixels, in runs of neighbours.
+/// No branch depends on a pixel, so the compiler vectorises a run.
 #pragma once
 
 #include <cstddef>
@@ -21,13 +21,13 @@ namespace detail {
 
 inline constexpr int run_pixels = 32;
 
-/// Over the 16 arcs of 9 pixels of a circle: the best, by `Across`, of what `Along` leaves of an
-/// arc. With min_op and max_op the grey level that some arc exceeds or equals all along.
+/// Reduces each of the 16 arcs of 9 pixels by `along`, and the results by `across`. With min_op and
+/// max_op: the highest grey level that all pixels of some arc reach.
 template <typename Along, typename Across>
 FT_HOST_DEVICE FT_INLINE std::uint8_t best_arc(std::uint8_t const (&p)[16], Along along,
                                                Across across) {
-  // Runs of 2, 4 and 8 from every second pixel; each is in two arcs of 9, one pixel longer at
-  // either end, of which the better one counts.
+  // Reduce runs of 2, 4 and 8 pixels from every second pixel on. A run of 8 is part of two arcs,
+  // one pixel longer at either end; the better of these two pixels counts.
   std::uint8_t const two[8] = {along(p[0], p[1]),   along(p[2], p[3]),  along(p[4], p[5]),
                                along(p[6], p[7]),   along(p[8], p[9]),  along(p[10], p[11]),
                                along(p[12], p[13]), along(p[14], p[15])};
@@ -42,9 +42,9 @@ FT_HOST_DEVICE FT_INLINE std::uint8_t best_arc(std::uint8_t const (&p)[16], Alon
                 across(across(arcs(4), arcs(5)), across(arcs(6), arcs(7))));
 }
 
-/// Corner scores of the pixels c[0, run_pixels): the largest threshold below which each is a
-/// corner, 0 where it is none above `threshold`. @param stride of the image
-/// @pre the 3 pixels around the run can be read, in its row and in the 3 rows above and below
+/// Corner scores of the pixels c[0, run_pixels), as fast_score_of_pairs() gives them.
+/// @param stride of the image
+/// @pre 3 pixels around the run can be read, in its row and in the 3 rows above and below
 FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t stride,
                                         std::uint8_t threshold, std::uint8_t* out) {
   std::uint8_t scores[run_pixels];
@@ -66,8 +66,8 @@ FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t st
   std::memcpy(out, scores, sizeof scores);
 }
 
-/// Scores that exceed those of all eight neighbours, else 0. @param p run_pixels scores, in an
-/// array of rows at a distance of `pitch`
+/// Scores that exceed the scores of all eight neighbours, else 0. @param p run_pixels scores
+/// @param pitch distance of two rows of scores
 FT_HOST_DEVICE FT_INLINE void suppress_run(std::uint8_t const* p, int pitch, std::uint8_t* out) {
   std::uint8_t kept[run_pixels];
   for (int k = 0; k < run_pixels; ++k) {
@@ -80,8 +80,7 @@ FT_HOST_DEVICE FT_INLINE void suppress_run(std::uint8_t const* p, int pitch, std
   std::memcpy(out, kept, sizeof kept);
 }
 
-/// Calls visit(k) for every k, rising, where p[k] is `threshold` or more. @param p run_pixels
-/// numbers
+/// Calls visit(k) for every k with p[k] >= threshold, in ascending order. @param p [run_pixels]
 template <typename Visit>
 FT_HOST_DEVICE FT_INLINE void for_each_above(std::uint8_t const* p, std::uint8_t threshold,
                                              Visit const& visit) {
@@ -97,66 +96,89 @@ FT_HOST_DEVICE FT_INLINE void for_each_above(std::uint8_t const* p, std::uint8_t
   }
 }
 
-/// The same by a single thread: every pixel gets a score, straight from the image, and only then
-/// the threshold is chosen.
-FT_HOST_DEVICE FT_INLINE int detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
-                                          corner_params const& params, corner* list) {
-  constexpr int run = run_pixels;
-  constexpr int margin = 4;  // columns before a row's first score
-  static_assert(margin + max_cell_side < cell_pitch && margin + run < cell_pitch,
-                "rows have a rim");
-  int const inner_w = in.patch_w - 6;
-  int const inner_h = in.patch_h - 6;
-  int const runs = ceil_div(inner_w, run);
-  // The last run of a row ends with it: it begins in the one before where there is one.
-  int const last_start = max_of(inner_w - run, 0);
-  auto const start = [&](int r) { return min_of(r * run, last_start); };
-  auto const filled = static_cast<std::size_t>(max_of(inner_w, run));
-  auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
-  auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
-  auto const width = static_cast<std::size_t>(inner_w);
+/// Runs of `run_pixels` that cover a row of `width` scores. The last run ends with the row and may
+/// overlap the one before it.
+struct row_runs {
+  int width;
+  FT_HOST_DEVICE int count() const { return ceil_div(width, run_pixels); }
+  FT_HOST_DEVICE int start(int r) const {
+    return min_of(r * run_pixels, max_of(width - run_pixels, 0));
+  }
+};
 
-  int const low = clamp(min_of(params.min_threshold, params.ini_threshold), 0, 255);
+/// Columns of zeros before a row's first score.
+inline constexpr int score_margin = 4;
+static_assert(score_margin + max_cell_side < cell_pitch && score_margin + run_pixels < cell_pitch,
+              "rows have a rim");
+
+/// Scores of all pixels of a cell straight from the image, with a rim of zeros.
+FT_HOST_DEVICE FT_INLINE void score_cell(gray_view level, cell_place const& in,
+                                         cell_inner const& inner, std::uint8_t threshold,
+                                         std::uint8_t* scores) {
+  row_runs const runs{inner.w};
+  auto const width = static_cast<std::size_t>(inner.w);
   std::memset(scores, 0, cell_pitch);
-  for (int y = 0; y < inner_h; ++y) {
+  for (int y = 0; y < inner.h; ++y) {
     std::uint8_t const* const from = level.row(in.y0 + 3 + y) + in.x0 + 3;
     std::uint8_t* const row = scores + (y + 1) * cell_pitch;
-    for (int r = 0; r < runs; ++r) {
-      score_run(from + start(r), level.stride, static_cast<std::uint8_t>(low),
-                row + margin + start(r));
+    for (int r = 0; r < runs.count(); ++r) {
+      score_run(from + runs.start(r), level.stride, threshold, row + score_margin + runs.start(r));
     }
-    std::memset(row, 0, margin);
-    std::memset(row + margin + inner_w, 0, cell_pitch - margin - width);
+    std::memset(row, 0, score_margin);
+    std::memset(row + score_margin + inner.w, 0, cell_pitch - score_margin - width);
   }
-  std::memset(scores + (inner_h + 1) * cell_pitch, 0, cell_pitch);
+  std::memset(scores + (inner.h + 1) * cell_pitch, 0, cell_pitch);
+}
 
-  std::uint8_t highest[run] = {};
-  for (int y = 0; y < inner_h; ++y) {
-    std::uint8_t const* const row = scores + (y + 1) * cell_pitch + margin;
+/// Suppresses the scores of a cell into `kept`. Returns the strongest score.
+FT_HOST_DEVICE FT_INLINE int suppress_cell(cell_inner const& inner, std::uint8_t const* scores,
+                                           std::uint8_t* kept) {
+  row_runs const runs{inner.w};
+  auto const rest = static_cast<std::size_t>(max_of(inner.w, run_pixels) - inner.w);
+  std::uint8_t highest[run_pixels] = {};
+  for (int y = 0; y < inner.h; ++y) {
+    std::uint8_t const* const row = scores + (y + 1) * cell_pitch + score_margin;
     std::uint8_t* const to = kept + y * cell_pitch;
-    for (int r = 0; r < runs; ++r) { suppress_run(row + start(r), cell_pitch, to + start(r)); }
-    std::memset(to + inner_w, 0, filled - width);
-    for (int r = 0; r < runs; ++r) {
-      for (int k = 0; k < run; ++k) { highest[k] = max_of(highest[k], to[start(r) + k]); }
+    for (int r = 0; r < runs.count(); ++r) {
+      suppress_run(row + runs.start(r), cell_pitch, to + runs.start(r));
+    }
+    std::memset(to + inner.w, 0, rest);
+    for (int r = 0; r < runs.count(); ++r) {
+      std::uint8_t const* const from = to + runs.start(r);
+      for (int k = 0; k < run_pixels; ++k) { highest[k] = max_of(highest[k], from[k]); }
     }
   }
   int strongest = 0;
-  for (int k = 0; k < run; ++k) { strongest = max_of(strongest, int{highest[k]}); }
+  for (int k = 0; k < run_pixels; ++k) { strongest = max_of(strongest, int{highest[k]}); }
+  return strongest;
+}
 
-  // Scores do not depend on the threshold: what survives suppression at the lenient one and
-  // passes the strict one is what the strict one alone gives.
-  int const strict_threshold = max_of(params.ini_threshold, 1);
-  int const threshold =
-      strongest >= strict_threshold ? strict_threshold : max_of(params.min_threshold, 1);
+/// Corners of a cell by a single thread, in raster order. Returns their number.
+///
+/// Scores do not depend on the threshold. What survives suppression at the lenient threshold and
+/// passes the strict one is what the strict one alone gives, so the threshold is chosen last.
+FT_HOST_DEVICE FT_INLINE int detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
+                                          corner_params const& params, corner* list) {
+  cell_inner const inner{0, in.patch_w - 6, in.patch_h - 6};
+  auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
+  auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
+  int const low = clamp(min_of(params.min_threshold, params.ini_threshold), 0, 255);
+  score_cell(level, in, inner, static_cast<std::uint8_t>(low), scores);
+  int const strongest = suppress_cell(inner, scores, kept);
+
+  int const strict = max_of(params.ini_threshold, 1);
+  int const threshold = strongest >= strict ? strict : max_of(params.min_threshold, 1);
   if (strongest < threshold) { return 0; }
+  row_runs const runs{inner.w};
   int found = 0;
-  for (int y = 0; y < inner_h; ++y) {
+  for (int y = 0; y < inner.h; ++y) {
     std::uint8_t const* const row = kept + y * cell_pitch;
-    for (int r = 0; r < runs; ++r) {
-      int const seen = r * run - start(r);  // by the run before
-      for_each_above(row + start(r), static_cast<std::uint8_t>(threshold), [&](int k) {
+    for (int r = 0; r < runs.count(); ++r) {
+      int const start = runs.start(r);
+      int const seen = r * run_pixels - start;  // by the run before
+      for_each_above(row + start, static_cast<std::uint8_t>(threshold), [&](int k) {
         if (k < seen) { return; }
-        int const x = start(r) + k;
+        int const x = start + k;
         list[found++] = {static_cast<std::uint16_t>(in.x_rel + 3 + x),
                          static_cast<std::uint16_t>(in.y_rel + 3 + y), row[x]};
       });

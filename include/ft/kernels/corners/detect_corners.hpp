@@ -25,12 +25,11 @@ namespace detail {
 /// One cell: scores, suppression, choice of the threshold, corners in raster order.
 struct detect_cell {
   static constexpr bool wide_on_host = true;
+  /// Blocks per multiprocessor: with 12, all cells of an image pair are resident on a large device.
+  static constexpr int side_by_side = 12;
   using scratch = cell_scratch;
 
-  /// Whether corners are also entered into the list of any order.
-  bool enters = false;
-  /// Of its blocks on a multiprocessor: all of an image pair's at once on a large device.
-  static constexpr int side_by_side = 12;
+  bool enters = false;  ///< also append to the unordered list
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
@@ -74,9 +73,10 @@ struct detect_cell {
 
 }  // namespace detail
 
-/// Corners of all cells of all images: `out.cell_corners` and `out.cell_count`; and `out.entries`,
-/// for who need not wait for gather_corners(). Asynchronous on `exec`; allocates nothing; one
-/// launch. @pre `out.can_enter()`, and `out.entry_count` is 0
+/// Detects the corners of all images: per cell (`out.cell_corners`, `out.cell_count`) and per level
+/// in any order (`out.entries`, `out.entry_count`). A consumer of the entries need not wait for
+/// gather_corners(). Asynchronous on `exec`; allocates nothing; one launch.
+/// @pre `out.can_enter()`, and `out.entry_count` is 0
 template <typename Exec>
 void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_params const& params,
                    corners_view const& out) {
@@ -84,8 +84,8 @@ void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_p
                                 detail::detect_cell{true}, pyramid, out, params);
 }
 
-/// Corners of all levels of all images: `out.list`, per level in cell order, and `out.list_count`.
-/// Asynchronous on `exec`; allocates nothing; two launches.
+/// Detects the corners of all images and gathers them: `out.list`, per level in cell order, and
+/// `out.list_count`. Asynchronous on `exec`; allocates nothing; two launches.
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                     corner_params const& params, corners_view const& out) {

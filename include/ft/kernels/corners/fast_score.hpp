@@ -14,7 +14,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Circle of 16 pixels around a pixel, starting below it. Values are offsets for one row stride.
+/// Offsets of the circle of 16 pixels, starting below the centre, for one row stride.
 struct fast_circle {
   int offset[16];
   FT_HOST_DEVICE explicit constexpr fast_circle(int stride)
@@ -24,9 +24,10 @@ struct fast_circle {
                -3,          stride - 3,      2 * stride - 2,  3 * stride - 1} {}
 };
 
-/// The largest threshold below which the pixel is a corner, 0 where it is none above `threshold`:
-/// over the 16 arcs of 9, the largest of the smallest difference, less one. From pairs of 16 bits,
-/// which a device has instructions for. @param threshold 0 or more
+/// The largest threshold at which the pixel is a corner; 0 if that is below `threshold`.
+///
+/// It is the smallest difference of the best of the 16 arcs of 9 pixels, less one. Computed with
+/// packed 16-bit minima and maxima, for which a device has instructions. @param threshold >= 0
 FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_circle const& circle,
                                               int threshold) {
   std::uint32_t p[8];  // opposite pixels of the circle: k, and k + 8 in the high half
@@ -35,8 +36,8 @@ FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_c
     p[k] = center[circle.offset[k]] | static_cast<std::uint32_t>(center[circle.offset[k + 8]])
                                           << 16;
   }
-  // Runs of 2, 4 and 8 from every second pixel; each is in two arcs of 9, one pixel longer at
-  // either end, of which the better one counts.
+  // Reduce runs of 2, 4 and 8 pixels from every second pixel on. A run of 8 is part of two arcs,
+  // one pixel longer at either end; the better of these two pixels counts.
   std::uint32_t low[4];
   std::uint32_t high[4];
   FT_UNROLL

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: corners from the cells into one list per level, cells in order.
+/// @file Stage: gathers the corners of all cells into one list per level, in cell order.
 #pragma once
 
 #include <cstddef>
@@ -13,8 +13,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Moves a cell's corners to their place in the level's list; the first of an image clears the
-/// counts of levels without a cell.
+/// Copies a cell's corners to their place in the level's list. The first cell of an image clears
+/// the counts of levels without cells.
 struct gather_cell {
   using scratch = no_scratch;
 
@@ -47,7 +47,7 @@ struct gather_cell {
 
 }  // namespace detail
 
-/// From the cells to `out.list`, per level in cell order, and `out.list_count`. Asynchronous on
+/// Fills `out.list` and `out.list_count` from the cells, per level in cell order. Asynchronous on
 /// `exec`; allocates nothing; one launch.
 template <typename Exec>
 void gather_corners(Exec const& exec, corners_view const& out) {

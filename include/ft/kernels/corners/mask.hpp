@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: corners where an image may have none are dropped, before the others are
-/// distributed.
+/// @file Stage: drops the corners that a mask excludes, before the others are distributed.
 #pragma once
 
 #include <cstddef>
@@ -14,8 +13,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// One mask per image of a batch, all of one size, which need not be the images': a mask is
-/// stretched over its image. 0 = no corner here, anything else = as without a mask.
+/// One mask per image of a batch. All masks have one size, which may differ from the images': a
+/// mask is stretched over its image. 0 excludes corners; any other value allows them.
 struct corner_masks_view {
   std::uint8_t* data = nullptr;  ///< [batch][height][width]; null = no masks
   int width = 0;
@@ -25,8 +24,8 @@ struct corner_masks_view {
   FT_HOST_DEVICE image_view<std::uint8_t> mask(int image) const {
     return {data + static_cast<std::ptrdiff_t>(image) * width * height, width, height, width};
   }
-  /// What the mask says at the centre of pixel (x, y) of a level of w x h pixels: the nearest mask
-  /// pixel counts. Every level is compared with the mask itself, so that levels agree.
+  /// The mask pixel nearest to the centre of pixel (x, y) of a level of w x h pixels. Every level
+  /// reads the mask itself, so levels agree.
   FT_HOST_DEVICE bool allows(int image, int x, int y, int w, int h) const {
     return mask(image)((2 * x + 1) * width / (2 * w), (2 * y + 1) * height / (2 * h)) != 0;
   }
@@ -46,7 +45,7 @@ inline void carve(carver& c, corner_masks_view& v, int width, int height, int ba
 
 namespace detail {
 
-/// The list of one level of one image: what the mask allows moves up, in its order.
+/// Compacts the list of one level of one image, in order.
 struct mask_level {
   using scratch = no_scratch;
 
@@ -66,7 +65,7 @@ struct mask_level {
                                               geometry.width[l], geometry.height[l]);
       int total = 0;
       int const rank = g.exclusive_scan(static_cast<int>(keep), total);
-      g.sync();  // all have read before one writes
+      g.sync();  // all reads before the first write
       if (keep) { list[kept + rank] = c; }
       kept += total;
     }
@@ -77,9 +76,9 @@ struct mask_level {
 
 }  // namespace detail
 
-/// Drops the corners that the masks exclude from `corners.list`. The mask does not change which
-/// corners are found, nor the choice of a cell's threshold: what is left is what would be found
-/// without it. Asynchronous on `exec`; allocates nothing; one launch.
+/// Drops the corners that the masks exclude from `corners.list`. A mask changes neither detection
+/// nor a cell's choice of threshold: the result is a subset of what is found without it.
+/// Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void mask_corners(Exec const& exec, pyramid_geometry const& geometry,
                   corner_masks_view const& masks, corners_view const& corners) {

@@ -24,12 +24,12 @@ namespace detail {
 
 /// One kept corner: the angle and descriptor of its keypoint.
 struct describe_corner {
-  /// [batch] as order_image has them; needed where this is done beside that
+  /// [batch] the overlaps of order_image; required if the launches are concurrent
   stereo_overlap const* overlaps = nullptr;
   static constexpr bool wide_on_host = true;
   static constexpr int window = 2 * pattern_radius + 1;
   static constexpr int window_words = (window + 3 + 3) / 4;
-  struct scratch {  ///< where threads work together: the window around the keypoint
+  struct scratch {  ///< device: the window around the keypoint
     std::uint32_t pixels[window * window_words];
   };
 
@@ -41,7 +41,7 @@ struct describe_corner {
     distribution_layout const& layout = kept.layout;
     int const image = item / layout.total;
     int const slot = item % layout.total;
-    // All loads are under way together: a slot without a corner holds something, too.
+    // All loads are in flight together; a slot without a corner holds stale but readable data.
     corner const c = kept.kept[item];
     int const* const counts = kept.kept_count + image * layout.levels;
     [[maybe_unused]] level_count const own(g, counts, layout.levels);
@@ -59,7 +59,7 @@ struct describe_corner {
     int to = image * out.capacity;
     float angle = 0;
     if constexpr (Group::max_threads > 1) {
-      own_tests<Group> const tests(g, pattern);
+      lane_tests<Group> const tests(g, pattern);
       angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
       g.sync();
       rotation const turn = rotation_by(angle);
@@ -76,22 +76,19 @@ struct describe_corner {
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
       auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-      describe_together(g, at, turn, tests, get<field::orb>(out, to));
+      describe_by_warp(g, at, turn, tests, get<field::orb>(out, to));
     } else {
       fetch_window(level, x, y);
       angle = orientation(g, sharp, x, y);
       rotation const turn = rotation_by(angle);
       to += place[item];
-      descriptor& orb = get<field::orb>(out, to);
-      for (int i = 0; i < 8; ++i) {
-        orb.words[i] = descriptor_word(level.row(y) + x, level.stride, turn, pattern, i);
-      }
+      describe_alone(level, x, y, turn, pattern, get<field::orb>(out, to));
     }
     if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
   }
 
 private:
-  /// The kept corners of an image's levels, of which each thread has one.
+  /// Numbers of kept corners of an image's levels, one level per thread.
   struct level_count {
     int level, count;
 
@@ -101,7 +98,7 @@ private:
       if (Group::max_threads > 1 && level < levels) { count = counts[level]; }
     }
     template <typename Group>
-    FT_HOST_DEVICE int below(Group g, int l) const {
+    FT_HOST_DEVICE int below(Group g, int l) const {  ///< on levels below l
       return g.reduce(level < l ? count : 0, sum_op{});
     }
     template <typename Group>
@@ -110,9 +107,9 @@ private:
     }
   };
 
-  /// In which some keypoints are and some are not.
+  /// An overlap that is neither empty nor the whole image.
   FT_HOST_DEVICE static stereo_overlap unknown_overlap() { return {1e-30f, 1e-30f}; }
-  /// As layout.level_of(): no comparison waits for the one before.
+  /// layout.level_of() with independent comparisons.
   FT_HOST_DEVICE static int level_of(distribution_layout const& layout, int slot) {
     int l = 0;
     FT_UNROLL
@@ -121,7 +118,8 @@ private:
     }
     return l;
   }
-  /// Copies the window into scratch and returns the angle; the pixels of both are fetched together.
+  /// Copies the window into scratch and returns the angle. The loads for both are in flight
+  /// together.
   template <typename Group>
   FT_HOST_DEVICE static float stage_and_turn(Group g, gray_view sharp, gray_view level, int x,
                                              int y, std::uint32_t* pixels) {
@@ -134,7 +132,7 @@ private:
     moments const m = disc.sums(g);
     return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
   }
-  /// Has a window that is needed soon brought into the caches, on the host.
+  /// Prefetches the window into the caches, on the host.
   FT_HOST_DEVICE static void fetch_window(gray_view level, int x, int y) {
 #if defined(__GNUC__) && !defined(__CUDA_ARCH__)
     for (int r = -pattern_radius; r <= pattern_radius; ++r) {
@@ -152,11 +150,13 @@ private:
 
 }  // namespace detail
 
-/// Angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing; one
-/// launch.
-/// @param pattern [256], points within `pattern_radius` @param place from order_corners
-/// @param arrivals where this launch is beside order_corners(): the same
-/// @param overlaps likewise; without them the places are read
+/// Computes angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing;
+/// one launch.
+/// @param pattern [256] points within `pattern_radius` @param place from order_corners()
+/// @param arrivals those of order_corners(), if this launch is concurrent with it
+/// @param overlaps those of order_corners(). Where a whole image is inside or outside of its
+/// overlap
+///   places are computed rather than awaited; without overlaps they are read
 /// @throws bad_argument for arrivals without overlaps
 template <typename Exec>
 void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,

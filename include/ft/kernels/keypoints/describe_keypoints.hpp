@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: orientation and descriptor of keypoints that another detector has found. Source:
+/// @file Stage: orientation and descriptor of keypoints from another detector. Source:
 /// specification section 4.
 #pragma once
 
@@ -16,12 +16,12 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What is read (x, y, octave) and written (angle, orb) of keypoints from elsewhere.
+/// The columns of a caller's keypoints that are read (x, y, octave) and written (angle, orb).
 using described_view = soa_view<field::x, field::y, field::octave, field::angle, field::orb>;
 
 namespace detail {
 
-/// One keypoint: the pixel of its level that is nearest to it is described.
+/// One keypoint: describes the nearest pixel of its level.
 struct describe_keypoint {
   using scratch = no_scratch;
 
@@ -43,13 +43,11 @@ struct describe_keypoint {
     float const angle = orientation(g, pyramid.level(image, l), at.x, at.y);
     rotation const turn = rotation_by(angle);
     gray_view const level = blurred.level(image, l);
-    if (g.size() > 1) {
+    if constexpr (Group::max_threads > 1) {
       auto const sample = [&](int dx, int dy) { return level(at.x + dx, at.y + dy); };
-      describe_together(g, sample, turn, own_tests<Group>(g, pattern), orb);
+      describe_by_warp(g, sample, turn, lane_tests<Group>(g, pattern), orb);
     } else {
-      for (int i = 0; i < 8; ++i) {
-        orb.words[i] = descriptor_word(level.row(at.y) + at.x, level.stride, turn, pattern, i);
-      }
+      describe_alone(level, at.x, at.y, turn, pattern, orb);
     }
     if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
   }
@@ -59,7 +57,8 @@ private:
     int x, y;
     bool valid;
   };
-  /// Not valid where the octave is none, the position not finite, or the pattern leaves the level.
+  /// Invalid if there is no such octave, the position is not finite, or the pattern leaves the
+  /// level.
   FT_HOST_DEVICE static pixel nearest_pixel(pyramid_geometry const& g, float x, float y, int l) {
     if (l < 0 || l >= g.levels) { return {0, 0, false}; }
     float const lx = div(x, g.scale[l]);
@@ -75,9 +74,9 @@ private:
 
 }  // namespace detail
 
-/// Angle (degrees, [0, 360]) and descriptor of keypoints given by x, y (pixels of the input image)
-/// and octave. A keypoint less than 18 pixels of its level from the border, one that is not finite
-/// or whose octave the pyramid has not gets the angle -1 and a descriptor of zeros.
+/// Computes angle (degrees, [0, 360]) and descriptor of keypoints given by x, y (pixels of the
+/// input image) and octave. A keypoint gets the angle -1 and a descriptor of zeros if it is less
+/// than 18 pixels of its level from the border, is not finite, or has no octave of the pyramid.
 /// Asynchronous on `exec`; allocates nothing; one launch.
 /// @param keypoints one batch entry per image of the pyramid; all in executor memory
 /// @param pattern [256], points within `pattern_radius`

@@ -15,12 +15,12 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Points of a descriptor's pattern lie so far from the keypoint at most, rotated and rounded.
+/// Largest distance of a pattern point from the keypoint along an axis, rotated and rounded.
 inline constexpr int pattern_radius = 18;
 
 namespace detail {
 
-/// Bit of a descriptor's test, rotated. @param at the pixel at an offset from the keypoint
+/// Result of one rotated test. @param at(dx, dy) the pixel at an offset from the keypoint
 template <typename Pixel>
 FT_HOST_DEVICE bool is_darker(pattern_pair p, rotation turn, Pixel const& at) {
   strict_float const ca = turn.cosine;
@@ -35,7 +35,7 @@ FT_HOST_DEVICE bool is_darker(pattern_pair p, rotation turn, Pixel const& at) {
   return sample(p.x0, p.y0) < sample(p.x1, p.y1);
 }
 
-/// Keeps the products in an array apart from the sums that follow, as keep_apart() does.
+/// keep_apart() for all products in an array.
 template <int N>
 FT_HOST_DEVICE FT_INLINE void keep_all_apart(float (&values)[N]) {
 #if !defined(__CUDA_ARCH__) && ((defined(__FMA__) && defined(__x86_64__)) || defined(__aarch64__))
@@ -45,15 +45,15 @@ FT_HOST_DEVICE FT_INLINE void keep_all_apart(float (&values)[N]) {
 #endif
 }
 
-/// Word `index` of the steered BRIEF descriptor at `centre`, by a single thread: the 64 points of
-/// its tests are turned in loops that become vectors. @param stride of the level, below 2^15
+/// Word `index` of the descriptor at `centre`, by a single thread. The 64 points of its tests are
+/// rotated in loops that vectorise. @param stride of the level, below 2^15
 FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centre, int stride,
                                                        rotation turn, pattern_pair const* pattern,
                                                        int index) {
   float const a = turn.cosine;
   float const b = turn.sine;
   constexpr int points = 64;
-  static_assert(sizeof(pattern_pair) == 4, "nothing but the points");
+  static_assert(sizeof(pattern_pair) == 4, "a pair is four coordinates");
   auto const* const tests = reinterpret_cast<std::int8_t const*>(pattern + 32 * index);
   float xa[points], xb[points], ya[points], yb[points];
   for (int i = 0; i < points; ++i) {
@@ -68,14 +68,14 @@ FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centr
   keep_all_apart(xb);
   keep_all_apart(ya);
   keep_all_apart(yb);
-  // Adding this leaves no bits below 1: the nearest integer, halves to even, as round_to_even().
+  // Adding 1.5 * 2^23 leaves no fraction bits: the nearest integer, halves to even.
   constexpr float whole = 12582912.0f;
   auto const pitch = static_cast<float>(stride);
   std::int32_t at[points];
   for (int i = 0; i < points; ++i) {
     float const dx = (xa[i] - yb[i] + whole) - whole;
     float const dy = (xb[i] + ya[i] + whole) - whole;
-    at[i] = static_cast<std::int32_t>(dy * pitch + dx);  // whole numbers below 2^24
+    at[i] = static_cast<std::int32_t>(dy * pitch + dx);  // integers below 2^24
   }
   std::uint32_t word = 0;
   for (int k = 31; k >= 0; --k) {
@@ -84,49 +84,40 @@ FT_HOST_DEVICE FT_INLINE std::uint32_t descriptor_word(std::uint8_t const* centr
   return word;
 }
 
-/// The tests of a descriptor that a thread does where several work together: of each word one,
-/// where they are 32, so that neighbouring bits are of neighbouring threads; else bytes.
+/// The tests of one lane of a warp: one of each word, so that lane i yields bit i of all words.
 template <typename Group>
-struct own_tests {
-  pattern_pair const* all;
-  FT_HOST_DEVICE own_tests(Group, pattern_pair const* pattern) : all(pattern) {}
-};
+struct lane_tests;
 #if defined(__CUDACC__)
 template <>
-struct own_tests<warp_group> {
+struct lane_tests<warp_group> {
   static constexpr int words = 8;
   pattern_pair of_word[words];
-  __device__ own_tests(warp_group g, pattern_pair const* pattern) {
+  __device__ lane_tests(warp_group g, pattern_pair const* pattern) {
     FT_UNROLL
     for (int k = 0; k < words; ++k) { of_word[k] = pattern[32 * k + g.rank()]; }
   }
 };
 #endif
 
-/// Steered BRIEF descriptor by several threads. @param at(dx, dy) a pixel beside the keypoint
+/// Descriptor by a warp. @param at(dx, dy) the pixel at an offset from the keypoint
 template <typename Group, typename Sample>
-FT_HOST_DEVICE void describe_together(Group g, Sample const& at, rotation turn,
-                                      own_tests<Group> const& tests, descriptor& orb) {
-  if constexpr (Group::max_threads == 32) {
-#if defined(__CUDA_ARCH__)
-    constexpr int words = own_tests<Group>::words;
-    std::uint32_t mine = 0;  // thread k keeps word k
-    FT_UNROLL
-    for (int k = 0; k < words; ++k) {
-      std::uint32_t const word = g.ballot(is_darker(tests.of_word[k], turn, at));
-      mine = g.rank() == k ? word : mine;
-    }
-    if (g.rank() < words) { orb.words[g.rank()] = mine; }
-#endif
-  } else {
-    auto* const bytes = reinterpret_cast<unsigned char*>(&orb);
-    for (int i = g.rank(); i < 32; i += g.size()) {
-      unsigned byte = 0;
-      for (int bit = 0; bit < 8; ++bit) {
-        byte |= static_cast<unsigned>(is_darker(tests.all[8 * i + bit], turn, at)) << bit;
-      }
-      bytes[i] = static_cast<unsigned char>(byte);
-    }
+FT_HOST_DEVICE void describe_by_warp(Group g, Sample const& at, rotation turn,
+                                     lane_tests<Group> const& tests, descriptor& orb) {
+  constexpr int words = lane_tests<Group>::words;
+  std::uint32_t mine = 0;  // lane k keeps word k
+  FT_UNROLL
+  for (int k = 0; k < words; ++k) {
+    std::uint32_t const word = g.ballot(is_darker(tests.of_word[k], turn, at));
+    mine = g.rank() == k ? word : mine;
+  }
+  if (g.rank() < words) { orb.words[g.rank()] = mine; }
+}
+
+/// Descriptor by a single thread.
+FT_HOST_DEVICE FT_INLINE void describe_alone(gray_view level, int x, int y, rotation turn,
+                                             pattern_pair const* pattern, descriptor& orb) {
+  for (int i = 0; i < 8; ++i) {
+    orb.words[i] = descriptor_word(level.row(y) + x, level.stride, turn, pattern, i);
   }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: the place of each kept corner in the output. Source: specification section 4.
+/// @file Stage: the order of keypoints. Each kept corner gets its place in the output. Source:
+/// specification section 4.
 #pragma once
 
 #include <cstddef>
@@ -18,16 +19,18 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Pixel columns seen by both cameras of a fisheye pair; keypoints inside go to the end of the
-/// list. The default meets no keypoint.
+/// Pixel columns that both cameras of a fisheye pair see. Keypoints inside go to the end of the
+/// list. The default contains no keypoint.
 struct stereo_overlap {
   float left = 0;
   float right = 0;
 
-  /// No keypoint, or every keypoint, of images this wide is inside: all are above 0 and below it.
+  /// Whether no keypoint of an image this wide is inside. Their columns lie strictly between 0 and
+  /// the width.
   FT_HOST_DEVICE bool has_none(int width) const {
     return right <= 0 || left >= static_cast<float>(width);
   }
+  /// Whether every keypoint of an image this wide is inside.
   FT_HOST_DEVICE bool has_all(int width) const {
     return left <= 0 && right >= static_cast<float>(width);
   }
@@ -35,39 +38,40 @@ struct stereo_overlap {
 
 namespace detail {
 
-/// One image: nothing is done with its keypoints once they have their places.
+/// Hooks of order_image that do nothing: the group only orders keypoints.
 struct only_order {
   using scratch = no_scratch;
 
-  /// Before the launches ahead have ended; ends with a sync().
+  /// Runs before the preceding grids have ended. Must end with a sync().
   template <typename Group>
   FT_HOST_DEVICE void prepare(Group, scratch&, int, keypoints_view const&) const {}
-  /// For each keypoint before it has its place, @returns what keep() gets once it has.
+  /// Called for each keypoint before its place is known. The result is passed to keep().
   template <typename Group>
   FT_HOST_DEVICE std::uint32_t count(Group, scratch&, int, keypoints_view const&, float,
                                      float) const {
     return 0;
   }
+  /// Called for each keypoint with its place.
   FT_HOST_DEVICE void keep(scratch&, int, std::uint32_t) const {}
-  /// After a sync().
+  /// Called at the end, after a sync().
   template <typename Group>
   FT_HOST_DEVICE void sort(Group, scratch&, int, keypoints_view const&, int) const {}
 };
 
-/// One image: where each kept corner goes, and what is known of its keypoint. Level by level in
-/// list order; inside the overlap from the end of the array backwards.
-/// @tparam Then what the same group does with the keypoints on the way, and at last; see only_order
+/// One image: writes its keypoints, except angles and descriptors. Keypoints outside the overlap
+/// come first, level by level in list order. Those inside fill the array from its end backwards.
+/// @tparam Then hooks for further work of the same group on the keypoints; see only_order
 template <typename Then = only_order>
 struct order_image {
   Then then;
-  std::size_t extra = 0;              ///< block scratch that nobody uses
-  static constexpr int known = 2048;  ///< slots whose levels are found out ahead
+  std::size_t extra = 0;              ///< unused shared memory that keeps other blocks away
+  static constexpr int known = 2048;  ///< slots whose levels are computed in the prologue
   struct scratch {
     typename Then::scratch then;
-    int before[max_levels + 1];  ///< corners of the levels below each
-    std::uint8_t level[known];   ///< of a slot; each is read by the thread that wrote it
+    int before[max_levels + 1];  ///< corners on lower levels
+    std::uint8_t level[known];   ///< of a slot; read by the thread that wrote it
   };
-  /// More would be of no use, and cost registers.
+  /// Blocks per multiprocessor. There is one block an image; more would only cost registers.
   static constexpr int side_by_side = 1;
 
   std::size_t extra_bytes() const { return extra; }
@@ -89,18 +93,18 @@ struct order_image {
                                  distribution_view const& kept, stereo_overlap const* overlaps,
                                  int* place, keypoints_view const& out, int* mono_count,
                                  frame_arrivals const& arrivals) const {
-    constexpr int together = 2;  // slots of a thread, of which loads are under way at a time
+    constexpr int together = 2;  // slots per thread whose loads are in flight together
     distribution_layout const& layout = kept.layout;
     int const* const counts = kept.kept_count + image * layout.levels;
     stereo_overlap const overlap = overlaps[image];
-    // Corners are under way while it is found out how many there are.
+    // Prefetches corners before their count is known.
     slot_place of[together];
     auto const fetch = [&](int base) {
       FT_UNROLL
       for (int k = 0; k < together; ++k) {
         int const slot = base + k * g.size() + g.rank();
         of[k] = slot_place(slot);
-        // Past the last slot that one again: no load is behind a branch. There is always one.
+        // Past the end the last slot is loaded again, so no load depends on a branch.
         int const held = max_of(min_of(slot, layout.total - 1), 0);
         of[k].word = corner_word(kept.kept + image * layout.total + held);
         bool const ahead = Group::max_threads > 1 && slot < known;
@@ -116,10 +120,10 @@ struct order_image {
     }
     g.sync();
     int const all = s.before[layout.levels];
-    int stereo = 0;  // corners in lower slots inside the overlap
+    int stereo = 0;  // corners inside the overlap in lower slots
     for (int base = 0; base < layout.total; base += together * g.size()) {
       std::uint32_t entry[together] = {};
-      unsigned inside = 0;  // 16 bits each
+      unsigned inside = 0;  // 16 bits per slot
       FT_UNROLL
       for (int k = 0; k < together; ++k) {
         of[k].locate(layout, s.before, geometry, overlap);
@@ -148,7 +152,8 @@ struct order_image {
       out.count[image] = all;
       mono_count[image] = all - stereo;
     }
-    // The others work out their places themselves: those who tell have to wait for their stores.
+    // In all other images describe_corner computes the places itself: a signal has to wait for this
+    // group's stores.
     int const width = geometry.width[0];
     if (!overlap.has_none(width) && !overlap.has_all(width)) { arrivals.tell_placed(g, image); }
     then.sort(g, s.then, image, out, all);
@@ -166,14 +171,14 @@ private:
 #endif
   }
 
-  /// The kept corner of a slot.
+  /// The kept corner of a slot, and its place.
   struct slot_place {
     int slot;
     int level = 0;
-    int rank = 0;  ///< among all of the image
+    int rank = 0;  ///< among all corners of the image
     bool valid = false;
     bool inside = false;  ///< the overlap
-    /// The corner as it was loaded: to look at its parts is to wait for it.
+    /// The corner as loaded. It is unpacked as late as possible, because that waits for the load.
     std::uint64_t word = 0;
     corner c{};
     float x = 0;
@@ -199,21 +204,22 @@ private:
 
 }  // namespace detail
 
-/// Keypoints of a batch of images from their kept corners, in the contract's order; all but their
-/// angles and descriptors. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param overlaps [batch] @param mono_count [batch] gets the keypoints outside the overlap
-/// @param place [batch][layout.total] gets the place of a kept corner's keypoint; all in executor
-/// memory
-/// @param arrivals tells describe_corners() beside this launch which images have their places, of
-/// those that have keypoints inside their overlap and outside
-/// @param then see order_image
+/// Writes the keypoints of a batch of images in the contract's order, except angles and
+/// descriptors. Asynchronous on `exec`; allocates nothing; one launch. All arrays are in executor
+/// memory.
+/// @param overlaps [batch] @param mono_count [batch] gets the number of keypoints outside the
+/// overlap
+/// @param place [batch][layout.total] gets the place of each kept corner's keypoint
+/// @param arrivals signals a concurrent describe_corners() which images have their places. Only
+///   images with an overlap that is neither empty nor the whole image are signalled
+/// @param then hooks, see detail::only_order
 template <typename Exec, typename Then = detail::only_order>
 void order_corners(Exec const& exec, pyramid_geometry const& geometry,
                    distribution_view const& kept, stereo_overlap const* overlaps,
                    keypoints_view const& out, int* mono_count, int* place,
                    frame_arrivals const& arrivals = {}, Then const& then = {}) {
   constexpr int threads = 1024;
-  // All the block scratch that there is: then nothing else is on its multiprocessor.
+  // All shared memory of a multiprocessor, so that no other block is resident on it.
   std::size_t const extra = extra_scratch<threads, detail::order_image<Then>>(exec, out.batch);
   for_each_item<per_block<threads>>(exec, out.batch, detail::order_image<Then>{then, extra},
                                     geometry, kept, overlaps, place, out, mono_count, arrivals);

@@ -17,8 +17,8 @@ inline namespace FT_ABI {
 
 inline constexpr int orientation_radius = 15;
 
-/// Angle of (x, y) in degrees, [0, 360]; a polynomial in float with an error of about 0.01 degrees,
-/// bit-identical to cv::fastAtan2. (0, 0) gives 0.
+/// Angle of (x, y) in degrees, [0, 360]; (0, 0) gives 0. A polynomial in float with an error of
+/// about 0.01 degrees, bit-identical to cv::fastAtan2.
 FT_HOST_DEVICE inline float fast_atan2_degrees(float y, float x) {
   constexpr float k = static_cast<float>(180.0 / 3.14159265358979323846);
   constexpr float p1 = 0.9997878412794807f * k;
@@ -47,6 +47,7 @@ FT_HOST_DEVICE inline int disc_half_width(int v) {
   return static_cast<int>(widths >> (4 * v) & 15u);
 }
 
+/// First moments of grey levels: sums of u * pixel and v * pixel.
 struct moments {
   int m10, m01;
   friend FT_HOST_DEVICE moments operator+(moments a, moments b) {
@@ -54,9 +55,9 @@ struct moments {
   }
 };
 
-/// The disc around (x, y) by words, for groups of whole warps: eight threads for a row, so that
-/// threads side by side read pixels side by side. All loads of a thread are under way together, and
-/// beside those that the caller does before it asks for sums. @pre has_word_rows(level)
+/// The disc around (x, y) by words, for groups of whole warps. Eight threads read a row, so loads
+/// coalesce. The constructor loads and sums() computes: loads that the caller makes in between are
+/// in flight together with these. @pre has_word_rows(level)
 template <typename Group>
 class disc_words {
 public:
@@ -69,13 +70,13 @@ public:
     for (int k = 0; k < each; ++k) {
       word[k] = load_word(column + min_of(row(g, k), radius) * level.stride);
     }
-    // A ninth word has pixels of the longest rows only.
+    // Only the longest rows reach into a ninth word.
     last_u = first + 32;
     last_v = g.rank() - radius;
     bool const reaches = last_v <= radius && half_width(last_v) >= last_u;
     last = reaches ? load_word(level.row(y + last_v) + x + last_u) : 0;
   }
-  /// Of all words of the group; the same in every thread.
+  /// Moments of the whole disc, in every thread.
   FT_HOST_DEVICE moments sums(Group g) const {
     moments m = of_word(last, last_u, last_v);
     FT_UNROLL
@@ -85,10 +86,11 @@ public:
 
 private:
   static constexpr int radius = orientation_radius;
-  static constexpr int rows = max_of(Group::max_threads / 8, 1);  ///< at a time
-  static constexpr int each = (2 * radius + rows) / rows;         ///< words of a thread
+  static constexpr int rows =
+      max_of(Group::max_threads / 8, 1);                   ///< rows that a group loads at once
+  static constexpr int each = (2 * radius + rows) / rows;  ///< words per thread
   std::uint32_t word[each], last;
-  int u, last_u, last_v;  ///< of a word's first pixel, from (x, y)
+  int u, last_u, last_v;  ///< offsets of a word's first pixel from (x, y)
 
   FT_HOST_DEVICE static int row(Group g, int k) { return g.rank() / 8 + k * rows - radius; }
   FT_HOST_DEVICE static int half_width(int v) { return disc_half_width(v < 0 ? -v : v); }
@@ -104,17 +106,17 @@ private:
   }
 };
 
-/// The moments of the disc around (x, y), by a single thread: first sums of columns, over the
-/// disc's rows, in loops that become vectors. @pre column x + 16 is in the level, too
+/// The moments of the disc around (x, y), by a single thread. Sums up columns over the rows of the
+/// disc, in loops that vectorise. @pre column x + 16 is in the level, too
 FT_HOST_DEVICE FT_INLINE moments moments_by_columns(gray_view level, int x, int y) {
   constexpr int radius = orientation_radius;
   constexpr int columns = 2 * radius + 2;
   std::int16_t sums[columns] = {};
-  std::int16_t firsts[columns] = {};  // of row times pixel: below 2^15, as 255 * (1 + ... + 15) is
+  std::int16_t firsts[columns] = {};  // sums of row * pixel: 255 * (1 + ... + 15) is below 2^15
   for (int v = 0; v <= radius; ++v) {
     auto const half = static_cast<std::int16_t>(disc_half_width(v));
     auto const row = static_cast<std::int16_t>(v);
-    auto const once = static_cast<std::int16_t>(v == 0 ? 0 : -1);  // of the centre's row
+    auto const once = static_cast<std::int16_t>(v == 0 ? 0 : -1);  // count the centre's row once
     std::uint8_t const* const above = level.row(y - v) + (x - radius);
     std::uint8_t const* const below = level.row(y + v) + (x - radius);
     for (int i = 0; i < columns; ++i) {
@@ -134,8 +136,8 @@ FT_HOST_DEVICE FT_INLINE moments moments_by_columns(gray_view level, int x, int 
 
 }  // namespace detail
 
-/// Orientation of the disc of radius 15 around (x, y) of an unblurred level; degrees, the same in
-/// every thread of the group. The disc must lie inside the level.
+/// Orientation of the disc of radius 15 around (x, y) of an unblurred level: degrees, in every
+/// thread of the group. @pre the disc lies inside the level
 template <typename Group>
 FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int y) {
   detail::moments m{0, 0};
@@ -165,16 +167,16 @@ FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int 
   return fast_atan2_degrees(static_cast<float>(m.m01), static_cast<float>(m.m10));
 }
 
-/// How a descriptor's pattern is turned.
+/// Rotation of a descriptor's pattern.
 struct rotation {
   float cosine, sine;
 };
 
 namespace detail {
 
-/// Cosine and sine in double, rounded to float, by one reduction and without a table in memory: the
-/// polynomials of fdlibm's k_cos.c and k_sin.c. Every float of [0, 2 pi] gives what ::cos and ::sin
-/// give. For processors with fused products.
+/// Cosine and sine in double, rounded to float. One argument reduction and no table, with the
+/// polynomials of fdlibm's k_cos.c and k_sin.c. Equal to ::cos and ::sin for every float of
+/// [0, 2 pi]. Needs fused multiply-add.
 FT_HOST_DEVICE inline rotation rotation_by_fma(float radians) {
   int const quarter = round_to_even(radians * 0.636619772f);
   double const q = quarter;
@@ -202,7 +204,7 @@ FT_HOST_DEVICE inline rotation rotation_by_fma(float radians) {
 
 }  // namespace detail
 
-/// @param angle as orientation() gives it
+/// @param angle degrees, from orientation()
 FT_HOST_DEVICE inline rotation rotation_by(float angle) {
   float const radians = detail::mul(angle, static_cast<float>(3.14159265358979323846 / 180.0));
 #if defined(__CUDA_ARCH__)

@@ -15,20 +15,19 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Levels 1.. of every image from its level 0. Asynchronous on `exec`; allocates nothing; one
-/// launch per level, whatever the batch. @param taps from make_resize_taps, in the executor's
-/// memory
+/// Computes levels 1.. of every image from its level 0, by bands of rows. For the host: a band is
+/// the work of one thread. Devices use tiles. Asynchronous on `exec`; allocates nothing; one launch
+/// per level, for the whole batch. @param taps from make_resize_taps, executor memory
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps) {
   for (int l = 1; l < pyramid.geometry.levels; ++l) {
-    for_each_item<per_block<128>>(exec,
-                                  pyramid.batch * detail::resize_band::bands(pyramid.geometry, l),
-                                  detail::resize_band{}, pyramid, taps, l);
+    for_each_item<per_thread>(exec, pyramid.batch * detail::resize_band::bands(pyramid.geometry, l),
+                              detail::resize_band{}, pyramid, taps, l);
   }
 }
 
-/// Levels 1.. of every image from its level 0, one launch per group of levels, whatever the batch.
-/// Asynchronous on `exec`; allocates nothing. @param taps and `tiles.spans`: executor memory
+/// Computes the same by tiles: one launch per group of levels, for the whole batch. Asynchronous on
+/// `exec`; allocates nothing. @param taps,tiles `taps` and `tiles.spans` in executor memory
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
                    pyramid_tiles const& tiles) {
@@ -40,8 +39,8 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
   }
 }
 
-/// The same while images are still being fetched, each tile from when its rows are there. Follows
-/// receive_images() with the same arrivals. @param tiles of a single group
+/// Computes the same concurrently with receive_images(), which must precede it with the same
+/// `arrivals`: each tile waits for its own rows. @param tiles of a single group
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
                    pyramid_tiles const& tiles, frame_arrivals const& arrivals) {

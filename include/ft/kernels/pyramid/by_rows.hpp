@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Resizing by bands of rows, as the host does it.
+/// @file Resizing by bands of rows, one thread a band: the form of the host.
 #pragma once
 
 #include <cstdint>
@@ -20,15 +20,15 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Eight neighbouring columns that lie within 16 pixels of the source row.
+/// Taps of eight consecutive columns whose sources lie within 16 pixels.
 struct eight_taps {
-  alignas(32) std::uint8_t pick[32];     ///< per column the first pixel, none, the second, none
-  alignas(32) std::int16_t weights[16];  ///< per column of the first and the second
-  std::int32_t first;                    ///< of the 16 pixels
+  alignas(32) std::uint8_t pick[32];     ///< shuffle: per column first pixel, 0, second pixel, 0
+  alignas(32) std::int16_t weights[16];  ///< per column of the first and the second pixel
+  std::int32_t first;                    ///< column of the 16 pixels
 };
 
 #if FT_HAS_SHUFFLE
-/// (first pixel * weight + second pixel * weight) >> 4 of 8 * count columns.
+/// Interpolates 8 * count columns, as column_taps::interpolate() does.
 __attribute__((target("avx2"))) inline void interpolate_eights(std::uint8_t const* row,
                                                                eight_taps const* taps, int count,
                                                                std::int16_t* out) {
@@ -47,7 +47,7 @@ __attribute__((target("avx2"))) inline void interpolate_eights(std::uint8_t cons
 }
 #endif
 
-/// Sums along rows for up to N columns.
+/// Interpolation along rows for up to N columns. Uses AVX2 if the processor has it.
 template <int N>
 class column_taps {
 public:
@@ -59,7 +59,7 @@ public:
       resize_tap const* const t = taps + 8 * count_;
       eight_taps& e = eights_[count_];
       e.first = min_of(t[0].first, width - 16);
-      if (t[7].first + t[7].offset - e.first > 15) { return; }  // a large step: all go one by one
+      if (t[7].first + t[7].offset - e.first > 15) { return; }  // a large step: no shuffle
       for (int k = 0; k < 8; ++k) {
         auto const place = static_cast<std::uint8_t>(t[k].first - e.first);
         e.pick[4 * k] = place;
@@ -90,12 +90,12 @@ public:
 private:
   resize_tap const* taps_;
   int n_;
-  static constexpr std::uint8_t none = 0x80;  ///< picks a zero
-  int count_ = 0;                             ///< of eights that one shuffle does
+  static constexpr std::uint8_t none = 0x80;  ///< selects a zero
+  int count_ = 0;                             ///< eights that use the shuffle
   eight_taps eights_[N / 8];
 };
 
-/// A band of rows of one level of one image.
+/// One band of rows of one level of one image, by a single thread.
 struct resize_band {
   static constexpr bool wide_on_host = true;
   static constexpr int rows = 32;
@@ -106,7 +106,7 @@ struct resize_band {
   }
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, image_pyramid_view const& pyramid,
                                  resize_tap const* all_taps, int l) const {
     int const in_image = bands(pyramid.geometry, l);
     int const image = item / in_image;
@@ -115,30 +115,18 @@ struct resize_band {
     auto const to = pyramid.level(image, l);
     int const end = min_of(first + rows, to.height);
     resize_tap const* const taps = all_taps + pyramid.geometry.tap_offset[l];
-    if constexpr (Group::max_threads == 1) {
-      for (int x = 0; x < to.width; x += strip) {
-        resize_strip(from, to, taps, x, min_of(strip, to.width - x), first, end);
-      }
-    } else {
-      for (int y = first; y < end; ++y) {
-        resize_tap const v = taps[to.width + y];
-        std::uint8_t const* const row0 = from.row(v.first);
-        std::uint8_t const* const row1 = from.row(v.first + v.offset);
-        std::uint8_t* const out = to.row(y);
-        for (int x = g.rank(); x < to.width; x += g.size()) {
-          resize_tap const h = taps[x];
-          out[x] = resized_pixel(row0 + h.first, row1 + h.first, h, v);
-        }
-      }
+    static_assert(Group::max_threads == 1, "a band is computed by one thread");
+    for (int x = 0; x < to.width; x += strip) {
+      resize_strip(from, to, taps, x, min_of(strip, to.width - x), first, end);
     }
   }
 
 private:
-  static constexpr int strip = 256;  ///< columns that a thread alone takes at a time
-  static constexpr int run = 32;     ///< columns of a loop that becomes vectors
+  static constexpr int strip = 256;  ///< columns whose taps are kept at a time
+  static constexpr int run = 32;     ///< columns per vectorised loop
 
-  /// n columns from x on, rows [first, end), by a single thread. Sums along a row are computed once
-  /// for the rows of the level that read it.
+  /// Columns [x, x + n), rows [first, end). A source row is interpolated once, although two rows of
+  /// the level may read it.
   FT_HOST_DEVICE FT_INLINE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
                                                     resize_tap const* taps, int x, int n, int first,
                                                     int end) {
@@ -167,6 +155,7 @@ private:
     }
   }
 
+  /// Interpolates between two rows. A full run has a constant length, which vectorises.
   template <int Run>
   FT_HOST_DEVICE FT_INLINE static void mix_rows(std::int16_t const* s0, std::int16_t const* s1,
                                                 resize_tap const& v, std::uint8_t* out, int n) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Resizing by tiles, several levels in one launch, as a device does it.
+/// @file Resizing by tiles, several levels in one launch: the form of a device.
 #pragma once
 
 #include <cstdint>
@@ -16,49 +16,52 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One tile of one image: its part of every level of a group. Levels lie in scratch in words, as in
-/// memory: a row of a tile starts with the word that its first needed column is in.
+/// One tile of one image: its part of every level of a group. Scratch holds whole words, as the
+/// image does: a row of a tile starts with the word of its first column.
 struct resize_tile {
-  /// The columns of a word. Their left neighbours lie within eight bytes, and these in three words.
+  /// Taps of the four columns of a word. Their sources lie within eight bytes, and these within
+  /// three words.
   struct alignas(16) word_taps {
-    std::uint32_t place;  ///< of the first of the three words, from the start of a row
-    std::uint32_t align;  ///< selects the eight bytes, four of two words at a time
-    std::uint32_t pairs;  ///< a byte for each column: which of the eight its neighbours are
+    std::uint32_t place;  ///< of the first word, from the start of a row
+    std::uint32_t align;  ///< selects four of the eight bytes from two words
+    std::uint32_t pairs;  ///< one byte per column: indices of its two sources among the eight
     std::uint32_t unused;
-    std::uint32_t weights[4];  ///< of the left neighbour; of the right one in the high half
+    std::uint32_t weights[4];  ///< low half: of the left source; high half: of the right one
   };
+  /// Tap of a row.
   struct row_tap {
-    std::uint32_t place;    ///< of the row above, in words; how far that below is in the high half
-    std::uint32_t weights;  ///< of that above; of that below in the high half
+    std::uint32_t
+        place;  ///< low half: of the upper row, in words; high half: distance to the lower
+    std::uint32_t weights;  ///< low half: of the upper row; high half: of the lower one
     FT_HOST_DEVICE int above() const { return static_cast<int>(place & 0xffffu); }
     FT_HOST_DEVICE int below() const { return above() + static_cast<int>(place >> 16); }
     FT_HOST_DEVICE std::uint32_t w_above() const { return weights & 0xffffu; }
     FT_HOST_DEVICE std::uint32_t w_below() const { return weights >> 16; }
   };
-  /// A tile's part of the source or of a level, worked out once for all threads.
+  /// A tile's part of the source or of a level, computed once for all threads.
   struct alignas(16) level_plan {
     tile_span x, y;
     std::uint8_t* pixels;  ///< of the whole level
     int stride;            ///< of the whole level
-    int first_word;        ///< of the level's rows, that a row in scratch starts with
+    int first_word;        ///< column of the level, in words, at which scratch rows start
     int words;             ///< of a row in scratch
     int height;            ///< rows in scratch
-    int first_column;      ///< of the level's taps, in words
-    int first_row;         ///< of the level's row taps
+    int first_column;      ///< index of the first word_taps
+    int first_row;         ///< index of the first row_tap
     small_divider row_of;  ///< divides by `words`
     int whole_words;       ///< 1 = the level's rows may be written by words
-    int spread;            ///< 1 = some word's neighbours do not fit into eight bytes
+    int spread;            ///< 1 = the sources of some word span more than eight bytes
   };
   static constexpr int threads = 256;
   frame_arrivals arrivals{};
   static constexpr bool shares_multiprocessors = true;
 
   struct scratch {
-    /// With the two words that the last pixels' loads may look at beyond them.
+    /// Two levels in turn, with two more words, which the loads of the last pixels may touch.
     std::uint32_t pixels[2][pyramid_tiles::scratch_pixels / 4 + 2];
-    word_taps columns[pyramid_tiles::scratch_taps / 4];  ///< level after level
+    word_taps columns[pyramid_tiles::scratch_taps / 4];  ///< of all levels in order
     row_tap rows[pyramid_tiles::scratch_taps];
-    level_plan level[max_levels + 1];  ///< of the source and the levels
+    level_plan level[max_levels + 1];  ///< source first
   };
 
   template <typename Group>
@@ -97,6 +100,7 @@ struct resize_tile {
   }
 
 private:
+  /// Computes the plans of all levels, by one warp.
   template <typename Part>
   FT_HOST_DEVICE static void plan_levels(Part part, scratch& s, image_pyramid_view const& pyramid,
                                          int image, tile_span const* spans, tile_group const& group,
@@ -132,8 +136,8 @@ private:
     }
   }
 
-  /// The taps of all levels at once, so that none waits for them. Columns of a word that are not
-  /// needed get the tap of one that is.
+  /// Loads the taps of all levels at once, so no level waits for its own. Columns of a word outside
+  /// the span get the tap of the nearest column inside.
   template <typename Group>
   FT_HOST_DEVICE static void stage_taps(Group g, scratch& s, pyramid_geometry const& geometry,
                                         resize_tap const* all_taps, int first, int levels) {
@@ -166,6 +170,7 @@ private:
   FT_HOST_DEVICE static resize_tap tap_of(resize_tap const* columns, tile_span const& x, int c) {
     return columns[clamp(c, int{x.need_begin}, x.need_end - 1)];
   }
+  /// @param fits becomes false if the sources span more than eight bytes
   FT_HOST_DEVICE static word_taps taps_of_word(resize_tap const* taps, tile_span const& x, int c,
                                                int from_x, bool& fits) {
     word_taps to{};
@@ -184,7 +189,7 @@ private:
     return to;
   }
 
-  /// Between neighbours in a row, for the columns of a word; without the lowest four bits.
+  /// Interpolated values of the four columns of a word, without their lowest four bits.
   struct row_sums {
     std::uint32_t of[4];
   };
@@ -201,7 +206,7 @@ private:
     }
     return sums;
   }
-  /// The same for neighbours that lie anywhere. @param taps of the whole level's columns
+  /// sums_of_row() for sources at any distance. @param taps of the whole level's columns
   FT_HOST_DEVICE static row_sums sums_of_spread_row(std::uint32_t const* row,
                                                     resize_tap const* taps, tile_span const& x,
                                                     int column, int from_x) {
@@ -215,8 +220,8 @@ private:
     return sums;
   }
 
-  /// Four pixels between two rows. Both products are cut to their high halves, which are handled
-  /// in pairs.
+  /// Interpolates four pixels between two rows. Only the high halves of the products count, two of
+  /// them a word.
   FT_HOST_DEVICE static std::uint32_t mix_rows(row_sums const& above, row_sums const& below,
                                                row_tap const& v) {
     constexpr std::uint32_t high_halves = 0x7632;
@@ -232,8 +237,9 @@ private:
     return permute_bytes(pair[0], pair[1], 0x6240);
   }
 
-  /// Level i from the one before, a word of two rows at a time. @tparam Spread the taps in scratch
-  /// do not do @param spread then those of the whole level's columns
+  /// Computes level i from the one below, two rows of a word at a time.
+  /// @tparam Spread whether sources span more than eight bytes
+  /// @param spread then the taps of the whole level's columns
   template <bool Spread, typename Group>
   FT_HOST_DEVICE static void make_level(Group g, scratch& s, int i, level_plan const& plan,
                                         resize_tap const* spread) {
@@ -269,14 +275,14 @@ private:
     }
   }
 
-  /// To scratch, and to the level where the pixels are the tile's own.
+  /// Writes a word to scratch, and to the level the pixels that the tile owns.
   FT_HOST_DEVICE static void write_word(std::uint32_t* scratch_words, level_plan const& plan,
                                         int row, int word, std::uint32_t pixels) {
     scratch_words[row * plan.words + word] = pixels;
     int const at_y = plan.y.need_begin + row;
     if (at_y < plan.y.own_begin || at_y >= plan.y.own_end) { return; }
     int const at_x = 4 * (plan.first_word + word);
-    // An image's level has less than 2^32 pixels.
+    // 32 bits are enough: a level has less than 2^32 pixels.
     std::uint8_t* const to =
         plan.pixels + (static_cast<unsigned>(at_y) * static_cast<unsigned>(plan.stride) +
                        static_cast<unsigned>(at_x));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Where each column and row of a level reads from in the level below, and the weights.
-/// Source: specification section 1.
+/// @file Tables of bilinear resizing: which pixels each column and row of a level reads, and their
+/// weights. Source: specification section 1.
 #pragma once
 
 #include <cmath>
@@ -12,16 +12,18 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Where one destination column (or row) reads from: two neighbours and their weights of 2048.
+/// The two source columns (or rows) of a destination column (or row), and their weights, which sum
+/// to 2048.
 struct resize_tap {
   std::int32_t first;
-  std::int16_t offset;  ///< of the second neighbour: 1, or 0 at the far edge
+  std::int16_t offset;  ///< from the first to the second: 1, or 0 at the far edge
   std::int16_t w0, w1;
   std::int16_t unused;
 };
 
 namespace detail {
 
+/// Taps along one axis, for a resize from `from` to `to` pixels. @param taps [to]
 inline void fill_taps(resize_tap* taps, int from, int to) {
   double const ratio = static_cast<double>(from) / to;
   for (int d = 0; d < to; ++d) {
@@ -42,18 +44,9 @@ inline void fill_taps(resize_tap* taps, int from, int to) {
   }
 }
 
-/// A pixel between two rows and two columns. @param row0,row1 at the left column
-FT_HOST_DEVICE inline std::uint8_t resized_pixel(std::uint8_t const* row0, std::uint8_t const* row1,
-                                                 resize_tap const& h, resize_tap const& v) {
-  int const h0 = row0[0] * h.w0 + row0[h.offset] * h.w1;
-  int const h1 = row1[0] * h.w0 + row1[h.offset] * h.w1;
-  return static_cast<std::uint8_t>((((v.w0 * (h0 >> 4)) >> 16) + ((v.w1 * (h1 >> 4)) >> 16) + 2) >>
-                                   2);
-}
-
 }  // namespace detail
 
-/// Fills the tables that build_pyramid reads, on the host. @param taps [geometry.taps]
+/// Computes the tables of build_pyramid(), on the host. @param taps [geometry.taps]
 inline void make_resize_taps(pyramid_geometry const& geometry, resize_tap* taps) {
   for (int l = 1; l < geometry.levels; ++l) {
     resize_tap* const columns = taps + geometry.tap_offset[l];

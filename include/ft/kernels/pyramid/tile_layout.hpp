@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file How a pyramid is cut into tiles and groups of levels. A block owns the same part of every
-/// level of a group. What it needs of its neighbours' parts it computes again, so that no level
-/// waits for the whole of the one before.
+/// @file Tiles and groups of levels of a pyramid.
+///
+/// A block owns the same part of every level of a group. It recomputes what it needs of its
+/// neighbours' parts, so no level waits for the whole level below.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +17,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Columns or rows of a level that belong to a tile, and those that it has to compute.
+/// Columns or rows of a level that a tile owns, and the larger range that it computes.
 struct tile_span {
   std::int16_t own_begin, own_end;
   std::int16_t need_begin, need_end;
@@ -26,31 +27,32 @@ struct tile_span {
 struct tile_group {
   int first = 0;
   int last = 0;
-  int columns = 0;  ///< tiles
-  int rows = 0;
-  int spans = 0;  ///< of level first - 1: its columns, then its rows; then the next level's
+  int columns = 0;  ///< of tiles
+  int rows = 0;     ///< of tiles
+  int spans = 0;    ///< index of the first span: columns, then rows, from level first - 1 on
 };
 
-/// How a pyramid is made in groups of levels. Its spans lie in the executor's memory.
+/// Plan of a whole pyramid.
 struct pyramid_tiles {
   static constexpr int scratch_pixels = 12 * 1024;  ///< of a level, in a tile
   static constexpr int scratch_taps = 1024;         ///< of all levels, in a tile
-  static constexpr int word_rest = 6;  ///< most columns more that a tile's whole words have
+  static constexpr int word_rest = 6;  ///< most columns added by rounding a tile to whole words
   int groups = 0;
   tile_group group[max_levels];
-  tile_span const* spans = nullptr;
+  tile_span const* spans = nullptr;  ///< executor memory
 };
 
 namespace detail {
 
-/// What tiles need along one axis.
+/// Spans of all tiles along one axis.
 struct axis_tiles {
   std::vector<tile_span> spans;  ///< [level from the source on][tile]
-  int longest = 0;               ///< stretch that a tile needs of a level
-  int computed = 0;  ///< columns or rows of a tile, over all levels but the source, at most
+  int longest = 0;               ///< longest span that a tile computes
+  int computed = 0;              ///< most columns or rows of a tile, over all levels but the source
 };
 
-/// Of levels first - 1 to last.
+/// Spans of levels first - 1 to last, from the last one down: each level needs its own part and
+/// what the level above reads.
 inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int first, int last,
                             int tiles) {
   int const levels = last - first + 2;  // with the source
@@ -91,10 +93,10 @@ inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int 
 
 }  // namespace detail
 
-/// Chooses groups and tiles for a geometry, on the host. @param taps from make_resize_taps, on the
-/// host
+/// Chooses groups and tiles for a geometry, on the host.
+/// @param taps from make_resize_taps, host memory
 /// @param spans gets the table; the caller copies it to the executor and sets `spans` of the result
-/// @param side of a tile in the group's source, about, pixels
+/// @param side approximate side of a tile in the group's source, pixels
 inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap const* taps,
                                         std::vector<tile_span>& spans, int side = 56) {
   resize_tap const* columns[max_levels] = {};
@@ -110,7 +112,7 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
     tile_group made;
     detail::axis_tiles across;
     detail::axis_tiles down;
-    // As many levels as a tile of about that size can carry; of a single one, smaller tiles.
+    // As many levels as fit with tiles of about that size. If not even one fits, smaller tiles.
     for (int last = g.levels - 1; made.columns == 0; --last) {
       int const least = last > first ? side : 1;
       for (int s = side; s >= least && made.columns == 0; s /= 2) {

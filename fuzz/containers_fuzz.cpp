@@ -10,13 +10,10 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/containers/soa.hpp"
-#include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/search_by_projection.hpp"
-#include "ft/kernels/search_window.hpp"
 #include "fuzz/input.hpp"
 
 namespace {

@@ -39,17 +39,13 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/feature_grid.hpp"
-#include "ft/kernels/frustum.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/pose_optimization.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/search_by_projection.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
-#include "ft/kernels/stereo_fisheye.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
 namespace camera_contract {

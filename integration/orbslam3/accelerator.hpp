@@ -13,7 +13,6 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/depth_association.hpp"
 #include "ft/kernels/images/depth_association.hpp"
 #include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"

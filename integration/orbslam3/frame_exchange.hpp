@@ -12,7 +12,7 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/pyramid.hpp"
+#include "ft/kernels/pyramid/build_pyramid.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 
 namespace ft {

@@ -21,13 +21,11 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/kernels/feature_grid.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/search_by_projection.hpp"
 #include "tests/support/backends.hpp"
 
 namespace greedy_assignment {

@@ -13,9 +13,13 @@
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/kernels/feature_grid.hpp"
-#include "ft/kernels/frustum.hpp"
-#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/grid.hpp"
+#include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/last_frame.hpp"
+#include "ft/kernels/search/local_map.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 
 namespace search_rules_test {

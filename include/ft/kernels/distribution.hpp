@@ -20,7 +20,6 @@
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/corners.hpp"
 #include "ft/kernels/detail/introsort.hpp"
 
 namespace ft {

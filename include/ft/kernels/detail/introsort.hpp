@@ -15,9 +15,11 @@
 /// with the same number of partitions before them are independent of each other: a warp takes one.
 #pragma once
 
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/core/math.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

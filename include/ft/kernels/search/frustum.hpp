@@ -14,8 +14,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/search/windows.hpp"
-#include "ft/kernels/search_by_projection.hpp"
-#include "ft/kernels/search_window.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -38,22 +38,39 @@ export CTEST_OUTPUT_ON_FAILURE=1
 
 summaries=()
 timings=()
+cpu_file=$(mktemp)
 current=start
+
+# Seconds of processor time that ended children have used, into the variable `cpu`.
+cpu=0
+read_cpu() {
+  local children
+  times >"$cpu_file"
+  children=$(tail -1 "$cpu_file")
+  cpu=$(awk -F'[ms ]+' '{ printf "%d", 60 * $1 + $2 + 60 * $3 + $4 }' <<<"$children")
+}
 
 # step NAME COMMAND...: a heading, the command, the time it took. The first failure ends the run.
 step() {
   current=$1
   shift
-  local begin=$SECONDS
+  local begin=$SECONDS cpu_begin
+  read_cpu
+  cpu_begin=$cpu
   printf '\n== %s\n' "$current"
   "$@"
-  timings+=("$(printf '%5d s  %s' $((SECONDS - begin)) "$current")")
+  read_cpu
+  timings+=("$(printf '%5d s  %5d s  %s' $((SECONDS - begin)) $((cpu - cpu_begin)) "$current")")
 }
 
 finish() {
   local status=$?
+  rm -f "$cpu_file"
   printf '\n== Summary\n'
-  if ((${#timings[@]} > 0)); then printf '%s\n' "${timings[@]}"; fi
+  if ((${#timings[@]} > 0)); then
+    printf '   time  processors\n'
+    printf '%s\n' "${timings[@]}" "$(printf '%5d s  %5d s  %s' "$SECONDS" "$cpu" "all")"
+  fi
   if ((${#summaries[@]} > 0)); then printf '%s\n' "${summaries[@]}"; fi
   if ((status != 0)); then
     printf 'FAILED: %s\n' "$current" >&2
@@ -93,18 +110,32 @@ build_all() {
   cmake --build "$1" --parallel "$jobs"
 }
 
+# What tests are compiled for: the GPU that they will run on, or without one the newest architecture alone.
+# A GPU that nvcc does not know translates PTX, which is the default.
+test_architecture() {
+  local capability
+  capability=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | head -1 || true)
+  if [[ ! $capability =~ ^[0-9]+\.[0-9]+$ ]]; then
+    echo newest
+  elif nvcc --list-gpu-arch | grep -qx "compute_${capability/./}"; then
+    echo "${capability/./}"
+  fi
+}
+
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=5
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=6 \
+    -DFT_TEST_CUDA_ARCHITECTURES="$(test_architecture)"
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests
 }
 
+# Twice, so that a missing include guard shows as well.
 clang_compiles_alone() {
   clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
-    -Iinclude -include "$1" -x c++ /dev/null
+    -Iinclude -include "$1" -include "$1" -x c++ /dev/null
 }
 check_headers_with_clang() {
   local headers header
@@ -133,7 +164,7 @@ step "Host: tests" run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$'
 if command -v clang++ >/dev/null; then
   step "Host: headers with clang++" check_headers_with_clang
 else
-  echo "clang++ is not installed: headers not compiled with it"
+  step "Host: headers" cmake --build "$build" --parallel "$jobs" --target header_check_host
 fi
 if ((have_cuda)); then
   step "CUDA, examples, benches: build" build_all "$build"

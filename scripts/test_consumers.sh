@@ -128,13 +128,15 @@ fi
 consume example host -DCMAKE_PREFIX_PATH="$prefix"
 consume several_units -DCMAKE_PREFIX_PATH="$prefix"
 for mode in "${modes[@]}"; do
-  for standard in 17 20; do
-    consume cmake_consumer find_package "$mode" "$standard" -DCMAKE_PREFIX_PATH="$prefix"
-  done
+  consume cmake_consumer find_package "$mode" 17 -DCMAKE_PREFIX_PATH="$prefix"
   consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
-  consume cmake_consumer fetch_content "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
+  # LINKED compiles what OFF does
+  if [[ $mode != LINKED ]]; then
+    consume cmake_consumer find_package "$mode" 20 -DCMAKE_PREFIX_PATH="$prefix"
+  fi
 done
 consume cmake_consumer orbslam3 "$cuda" 17 -DCMAKE_PREFIX_PATH="$prefix"
+consume cmake_consumer fetch_content "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"  # then a subdirectory as well
 consume plain_include
 if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
 if command -v pkg-config >/dev/null; then consume by_pkg_config; fi

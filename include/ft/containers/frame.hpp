@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The current frame as searches and pose optimisation see it.
+/// @file The current frame, as searches and pose optimisation use it.
 #pragma once
 
 #include <cstddef>
@@ -11,20 +11,24 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The current frame as the searches see it. One camera, or two of a fisheye pair: keypoints of
-/// camera c of batch entry b are batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of
-/// camera c has number c * capacity + k in the arrays below, which have `cameras * capacity`
-/// entries per batch entry.
+/// The current frame: its keypoints, their stereo matches and the map points matched to them.
+///
+/// It has one camera, or the two of a fisheye pair. Keypoints of camera c of batch entry b are
+/// batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of camera c has the number `c *
+/// capacity + k`, which indexes `partner` and `holder`.
 struct frame_view {
   keypoints_view keypoints;
   int keypoint_step = 2;
   int cameras = 1;
   int batch = 1;
-  feature_grid_view grids;  ///< batch entry cameras * b + c
-  float const* right_x =
-      nullptr;  ///< [batch][capacity] column in the right image, -1 = none; or null
-  int const* partner = nullptr;  ///< number of the stereo partner, -1 = none; or null
-  int* holder = nullptr;         ///< slot of the map point that a keypoint holds, -1 = none
+  /// Batch entry `cameras * b + c`.
+  feature_grid_view grids;
+  /// [batch][capacity] column of the match in the right image, pixels; -1 = none. May be null.
+  float const* right_x = nullptr;
+  /// [batch][cameras * capacity] number of the stereo partner, -1 = none. May be null.
+  int const* partner = nullptr;
+  /// [batch][cameras * capacity] slot of the map point matched to a keypoint, -1 = none.
+  int* holder = nullptr;
 
   FT_HOST_DEVICE int capacity() const { return keypoints.capacity; }
   FT_HOST_DEVICE int numbers() const { return cameras * keypoints.capacity; }
@@ -33,13 +37,16 @@ struct frame_view {
   }
 };
 
-/// Which map points were seen in which frame: written after a search, so that the next leaves them
-/// out.
+/// The frame in which each map point was matched last. The search from the last frame writes it,
+/// and the search in the local map skips the points of the current frame.
 struct point_stamps {
-  int const* frame = nullptr;  ///< [batch] number of this frame
-  int* seen = nullptr;  ///< [batch][map slots] number of the frame that held a point last, or null
+  /// [batch] number of the current frame.
+  int const* frame = nullptr;
+  /// [batch][map slots] number of the frame that matched a point last. May be null.
+  int* seen = nullptr;
 
-  /// Whether a slot of batch entry b was seen in this frame. @param slots of a map
+  /// Whether a slot of batch entry b was matched in the current frame.
+  /// @param slots capacity of the map
   FT_HOST_DEVICE bool stamped(int b, int slots, int slot) const {
     return seen != nullptr && seen[static_cast<std::ptrdiff_t>(b) * slots + slot] == frame[b];
   }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: who takes which keypoint.
+/// @file Stage: greedy assignment of keypoints to map points, and the search in given windows.
+/// Source: specification sections 9 and 10.
 #pragma once
 
 #include <cstddef>
@@ -22,26 +23,24 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Threads of a block that assigns the keypoints of a frame.
+/// Threads of the block that assigns the keypoints of a frame.
 inline constexpr int assign_threads = 1024;
 
-/// All windows of one frame: who takes which keypoint.
-/// @tparam Turns true: all points choose at once, until nothing changes; false: the plain loop, for
-///   groups of one thread
+/// Item: a frame. Assigns its keypoints; assignment_context.hpp has the contract.
+/// @tparam Turns true: the parallel forms; false: the loop, for groups of one thread
+/// @tparam Single one camera and no stereo partners; selected by assign()
 template <bool Turns, bool Single = false>
 struct assign_keypoints {
-  /// Frames of up to so many keypoints, and searches of so many points with candidates, keep their
-  /// state in block scratch, others in the workspace.
   static constexpr int scratch_size = assign_scratch::size;
   using scratch = std::conditional_t<Turns, assign_scratch, no_scratch>;
 
   static constexpr bool prepares = true;
-  /// Empties the tables.
+  /// Clears the tables in block scratch.
   template <typename Group, typename... Args>
   FT_HOST_DEVICE static void prepare(Group g, scratch& s, int, frame_view const& frame,
                                      Args const&...) {
     if constexpr (Turns) {
-      if (in_scratch(frame)) { empty(g, s, s.writer, s.before, frame.numbers()); }
+      if (in_scratch(frame)) { clear_tables(g, s, s.writer, s.before, frame.numbers()); }
     }
   }
 
@@ -53,16 +52,20 @@ struct assign_keypoints {
            [](auto, int const*) { return false; });
   }
 
-  /// The same. Where every window has one keypoint at most, and every keypoint one owner or nobody,
-  /// calls write(single, owners) first, with a constant `Single` and, for each keypoint, list_size
-  /// times a window and more, or nobody. Returns true, and writes nothing, if that did. `s` but for
-  /// what `owners` points to is free then.
-  /// @param prepared prepare() was called, and nothing else since
+  /// Assigns the keypoints of frame b.
+  ///
+  /// After proposals from empty holders, if all points are observed, write(single, owners) may
+  /// write the result in place of this function. `single` is the constant `Single`. `owners` is the
+  /// owner table, in block scratch. The rest of `s` may be overwritten.
+  /// @param prepared the tables are cleared
+  /// @param write returns whether it wrote the result
+  /// @return whether `write` did
   template <typename Group, typename Write>
   FT_HOST_DEVICE static bool assign(Group g, scratch& s, int b, frame_view const& frame,
                                     map_points_view const& map, search_windows_view const& windows,
                                     search_params const& params, search_workspace const& work,
                                     bool prepared, Write const& write) {
+    static_assert(Turns || Group::max_threads == 1, "the loop is for one thread");
     bool const partners = frame.partner != nullptr && params.kind == search_kind::local_map;
     if constexpr (Turns && !Single) {
       if (frame.cameras == 1 && !partners) {
@@ -84,24 +87,26 @@ struct assign_keypoints {
             ? nullptr
             : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
     if constexpr (Turns) {
-      auto const empty_all = [&] { empty(g, s, owners(s, ctx), seconds(s, ctx), frame.numbers()); };
-      if (!prepared || !in_scratch(frame)) { empty_all(); }
+      auto const clear_all = [&] {
+        clear_tables(g, s, owner_table(s, ctx), second_table(s, ctx), frame.numbers());
+      };
+      if (!prepared || !in_scratch(frame)) { clear_all(); }
       g.sync();
       bool const proposes = params.kind == search_kind::last_frame;
-      if (proposes && let_propose(g, s, ctx)) {
-        bool const simple = in_scratch(frame) && s.guests == 0 && params.from_empty;
+      if (proposes && propose_all(g, s, ctx)) {
+        bool const simple = in_scratch(frame) && s.any_unobserved == 0 && params.from_empty;
         using single = std::integral_constant<bool, Single>;
         if (simple && write(single{}, static_cast<int const*>(s.writer))) { return true; }
         write_proposed(g, s, ctx);
       } else {
         if (proposes) {
-          empty_all();
+          clear_all();
           g.sync();
         }
         take_turns(g, s, ctx);
       }
     } else {
-      one_after_another(ctx);
+      assign_sequentially(ctx);
     }
     return false;
   }
@@ -109,9 +114,9 @@ struct assign_keypoints {
 
 }  // namespace detail
 
-/// Candidates and greedy assignment of a search, equal to the sequential loop for any input: fills
-/// `frame.holder`, `work.match` and `work.matches`. Asynchronous on `exec`; allocates nothing; two
-/// launches.
+/// Search in given windows: lists candidates and assigns keypoints. The result equals that of a
+/// loop over the points, for any input. Writes `frame.holder`, `work.match` and `work.matches`.
+/// Asynchronous on `exec`; allocates nothing; two launches.
 template <typename Exec>
 void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
                           search_windows_view const& windows, search_params const& params,

@@ -1,5 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What all forms of the assignment work on.
+/// @file The contract of the greedy assignment: what each of its forms reads and writes.
+///
+/// Map points are processed in order. Each takes the best keypoint of its window that no earlier
+/// point has taken. Three forms compute exactly that result:
+/// - sequential.hpp: the loop itself, by one thread;
+/// - proposals.hpp: stable matching, for searches without a ratio test;
+/// - turns.hpp: all points choose again until nothing changes, for any search, with a compact form
+///   for one camera in turns_single.hpp.
+///
+/// All read the lists that list_candidates wrote. They write the match of every window that has
+/// candidates, the holders of the frame and the number of matched keypoints.
 #pragma once
 
 #include <cstddef>
@@ -17,32 +27,36 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// State of an assignment in block scratch.
+/// State of the assignment of one frame in block scratch.
 struct assign_scratch {
+  /// Keypoints, and points with candidates, whose state fits. Larger searches use the workspace.
   static constexpr int size = 3072;
-  int open[size];
-  int writer[size];
-  int before[size];
-  std::uint8_t held[size];
-  int first_changed[3];  ///< of this turn, the one before and the next, which is cleared
-  int open_count;        ///< points in `open`, where they come in any order
-  int list_ended;        ///< 1 = somebody may want what the lists do not hold
-  int guests;            ///< 1 = somebody looks for a point without observations
+  int open[size];           ///< open points, as in open_points or packed_point
+  int writer[size];         ///< owner_table()
+  int before[size];         ///< second_table(), or links of write_chains
+  std::uint8_t held[size];  ///< as in write_chains
+  int first_changed[3];  ///< first point that changed in this turn, the previous and the next one
+  int open_count;        ///< points in `open`, for the form that lists them in any order
+  int list_exhausted;    ///< 1 = a window may need a candidate that is not listed
+  int any_unobserved;    ///< 1 = a window with candidates has a point that is not observed
 };
 
-inline constexpr int nobody = 0x7fffffff;
+/// An unset table entry. It loses every minimum.
+inline constexpr int unset = 0x7fffffff;
 
+/// One frame of a search.
+/// @tparam Single one camera and no stereo partners, which is known at compile time
 template <bool Single>
 struct assignment_context {
-  int b;
+  int b;  ///< batch entry
   frame_view const& frame;
   map_points_view points;
   search_windows_view const& windows;
   search_params const& params;
   search_workspace const& work;
-  int* holder;
-  int const* partner;    ///< null where partners do not count
-  float const* right_x;  ///< null where the lists have looked at it
+  int* holder;           ///< of this frame
+  int const* partner;    ///< of this frame; null if partners are not matched
+  float const* right_x;  ///< of this frame; null if listing has checked it
 
   FT_HOST_DEVICE int cameras() const { return Single ? 1 : frame.cameras; }
   FT_HOST_DEVICE int numbers() const { return cameras() * frame.capacity(); }
@@ -57,12 +71,12 @@ struct assignment_context {
   FT_HOST_DEVICE bool observed(int slot) const {
     return slot >= 0 && get<field::observations>(points, slot) > 0;
   }
-  /// Whether an observed point holds a keypoint since before the search: nothing of that is
+  /// Whether an observed point has held a keypoint since before the search. Such keypoints are not
   /// listed.
   FT_HOST_DEVICE bool held(int number) const {
     return !params.from_empty && observed(holder[number]);
   }
-  /// As in search_workspace.
+  /// Number and bits, as in search_workspace.
   FT_HOST_DEVICE int list_count(int camera, int i) const {
     return work.list_count[work.window(camera, b, i)];
   }
@@ -72,49 +86,52 @@ struct assignment_context {
   FT_HOST_DEVICE int& match(int camera, int i) const {
     return work.match[work.window(camera, b, i)];
   }
-  /// Whether keypoint k, which is in window i's list, does not fit for its column on the right.
+  /// Whether the column in the right image excludes keypoint k from window i.
   FT_HOST_DEVICE bool misses_right(int camera, int i, int k) const {
     return right_x != nullptr && camera == 0 &&
            detail::misses_right(windows.at(0, b, i), right_x[k]);
   }
-  /// -1 = none
+  /// Number of a keypoint's stereo partner, -1 = none.
   FT_HOST_DEVICE int partner_of(int number) const { return partners() ? partner[number] : -1; }
 };
 
-/// Of a window's count. @param all candidates that were left out of the list are some
-FT_HOST_DEVICE inline bool has_candidates(int count, bool all) {
+/// Whether a window has candidates.
+/// @param count as in search_workspace::list_count
+/// @param held candidates omitted because they are held count, too
+FT_HOST_DEVICE inline bool has_candidates(int count, bool held) {
   constexpr int some = search_workspace::counted | search_workspace::unlisted;
-  return (count & (some | (all ? search_workspace::left_out : 0))) != 0;
+  return (count & (some | (held ? search_workspace::left_out : 0))) != 0;
 }
 
-/// Whether block scratch has place for a table of keypoints.
+/// Whether a table of keypoints fits in block scratch.
 FT_HOST_DEVICE inline bool in_scratch(frame_view const& frame) {
   return frame.numbers() <= assign_scratch::size;
 }
-/// Of a keypoint: search_workspace::list_size times the window that has it, plus its place in the
+/// Table of owners, per keypoint: list_size times the window that owns it, plus its place in the
 /// window's list.
 template <bool Single>
-FT_HOST_DEVICE int* owners(assign_scratch& s, assignment_context<Single> const& ctx) {
+FT_HOST_DEVICE int* owner_table(assign_scratch& s, assignment_context<Single> const& ctx) {
   return in_scratch(ctx.frame)
              ? s.writer
              : ctx.work.writer + static_cast<std::ptrdiff_t>(ctx.b) * ctx.numbers();
 }
-/// The other table of keypoints.
+/// Another table of keypoints.
 template <bool Single>
-FT_HOST_DEVICE int* seconds(assign_scratch& s, assignment_context<Single> const& ctx) {
+FT_HOST_DEVICE int* second_table(assign_scratch& s, assignment_context<Single> const& ctx) {
   return in_scratch(ctx.frame)
              ? s.before
              : ctx.work.before + static_cast<std::ptrdiff_t>(ctx.b) * ctx.work.links;
 }
-/// Nobody has or writes a keypoint yet.
+/// Clears both tables and the counters.
 template <typename Group>
-FT_HOST_DEVICE void empty(Group g, assign_scratch& s, int* writer, int* before, int numbers) {
-  for (int k = g.rank(); k < numbers; k += g.size()) { writer[k] = before[k] = nobody; }
+FT_HOST_DEVICE void clear_tables(Group g, assign_scratch& s, int* writer, int* before,
+                                 int numbers) {
+  for (int k = g.rank(); k < numbers; k += g.size()) { writer[k] = before[k] = unset; }
   if (g.rank() == 0) {
     s.open_count = 0;
-    s.list_ended = 0;
-    s.guests = 0;
-    s.first_changed[0] = nobody;
+    s.list_exhausted = 0;
+    s.any_unobserved = 0;
+    s.first_changed[0] = unset;
   }
 }
 

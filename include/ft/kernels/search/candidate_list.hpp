@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Candidates of a window: which keypoints they are, and the sorted list of the nearest.
+/// @file Which keypoints are candidates of a window, and the sorted list of the nearest.
 #pragma once
 
 #include <cmath>
@@ -15,19 +15,19 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Largest descriptor distance that can matter: to be taken, or to be second best.
+/// Largest descriptor distance that can matter, as the best or the second best candidate.
 FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
   if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_distance; }
   float const second = min_of(static_cast<float>(p.max_distance) / p.ratio, 256.0f);
   return max_of(p.max_distance, min_of(256, static_cast<int>(second) + 1));
 }
 
-/// Whether a keypoint with column r in the right image, -1 = none, is elsewhere than in the window.
+/// Whether a keypoint's column r in the right image, -1 = none, lies outside the window.
 FT_HOST_DEVICE inline bool misses_right(search_window const& w, float r) {
   return w.check_right && r > 0 && ::fabsf(w.right_x - r) > w.radius;
 }
 
-/// Distance of keypoint k where it can be a candidate at all, else -1; whatever holds it.
+/// Descriptor distance of keypoint k, -1 if it is no candidate. Ignores its holder.
 FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_view const& kp,
                                              float const* right_x, descriptor const& wanted, int k,
                                              int limit) {
@@ -37,7 +37,8 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
   return distance <= limit ? distance : -1;
 }
 
-/// Whether a window's best candidate is not better enough than its second best, -1 = none.
+/// Ratio test: whether the best candidate is too similar to the second best.
+/// @param second_k second best keypoint, -1 = none
 FT_HOST_DEVICE inline bool refuses(search_params const& p, keypoints_view const& kp, int best,
                                    int best_k, int second, int second_k) {
   return p.kind == search_kind::local_map && second_k >= 0 &&
@@ -52,7 +53,7 @@ FT_HOST_DEVICE inline int entry_keypoint(std::uint32_t entry) {
   return static_cast<int>(entry & 0x7fffffu);
 }
 
-/// Keeps the best candidates of a window in order: nearest first, of equals the one that came
+/// The nearest candidates of a window, sorted by distance. Of equal distances the first added comes
 /// first.
 /// @tparam Group one thread or a warp
 template <typename Group>
@@ -60,11 +61,12 @@ class candidate_list {
 public:
   static constexpr int size = search_workspace::list_size;
 
-  /// @param found so many are there already
+  /// @param to scratch for `size` candidates
+  /// @param found number of candidates already added to it
   FT_HOST_DEVICE explicit candidate_list(candidate_quad* to, int found = 0)
       : to_(to), found_(found) {}
 
-  /// Candidates in the order of ranks; a negative distance is none.
+  /// Adds one candidate per thread, in the order of ranks. A negative distance adds nothing.
   FT_HOST_DEVICE void add(Group g, int distance, int k) {
     unsigned const there = g.ballot(distance >= 0);
     if (there == 0) { return; }
@@ -76,7 +78,7 @@ public:
       if (place < size) { entry(place) = packed(distance, k); }
       ++found_;
     } else {
-      // Everybody's place is the number of those that come before.
+      // Few enough to rank by counting: the place of each is the number that precede it.
       int const listed = min_of(found_, size);
       std::uint32_t const old = g.rank() < listed ? entry(g.rank()) : ~0u;
       int place = 0;
@@ -98,7 +100,7 @@ public:
     }
   }
 
-  /// Takes out those whose places have a bit. Returns how many these were.
+  /// Removes the entries whose bits are set. @return how many were removed
   FT_HOST_DEVICE int take_out(Group g, unsigned places) {
     int const listed = listed_now();
     int left = 0;
@@ -117,8 +119,8 @@ public:
     return taken_out_;
   }
 
-  /// Fills up the last quad. Returns how many are listed, 0 where the best is farther than `limit`,
-  /// plus search_workspace::unlisted.
+  /// Pads the last quad. @return number of listed candidates and search_workspace::unlisted; 0 if
+  /// even the nearest is farther than `limit`
   FT_HOST_DEVICE int finish(Group g, int limit) {
     int const listed = listed_now();
     if (listed > 0 && entry_distance(entry(0)) > limit) { return 0; }
@@ -126,13 +128,13 @@ public:
     return listed + (unlisted() ? search_workspace::unlisted : 0);
   }
 
-  /// Whether a window that is alone, and listed so many, refuses the nearest.
+  /// Whether the nearest of `listed` candidates fails the ratio test.
   FT_HOST_DEVICE bool refused(search_params const& p, keypoints_view const& kp, int listed) const {
     return listed > 1 && refuses(p, kp, entry_distance(entry(0)), nearest(),
                                  entry_distance(entry(1)), entry_keypoint(entry(1)));
   }
   FT_HOST_DEVICE int nearest() const { return entry_keypoint(entry(0)); }
-  /// How many there were, may exceed what is listed.
+  /// Number of candidates added, which may exceed `size`.
   FT_HOST_DEVICE int found() const { return found_; }
 
 private:

@@ -16,15 +16,14 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One point: the candidates in its windows.
+/// Item: a window. Lists the nearest keypoints in the windows of a map point.
 struct list_candidates {
   static constexpr int quads = search_workspace::list_size / 4;
-  /// Of a warp: lists while they are made.
   struct scratch {
     candidate_quad list[2][quads];
-    // Where holders come later:
+    // Kept for leave_out():
     int found[2];
-    bool observed[2];  ///< the point that is looked for
+    bool observed[2];  ///< of the map point
   };
 
   template <typename Group>
@@ -40,7 +39,7 @@ struct list_candidates {
     list(g, s, b, i, pair, frame, map, params, work);
   }
 
-  /// Point i of batch entry b.
+  /// Lists the candidates of point i of batch entry b.
   template <typename Group>
   FT_HOST_DEVICE static void list(Group g, scratch& s, int b, int i, window_pair const& windows,
                                   frame_view const& frame, map_points_view const& map,
@@ -90,8 +89,8 @@ struct list_candidates {
     g.sync();
   }
 
-  /// Which of the candidates that list() listed are held, bit 16 * camera + place: a warp looks all
-  /// of them up at once. For leave_out().
+  /// Which listed candidates are held by observed points: bit 16 * camera + place. The warp looks
+  /// all of them up at once.
   template <typename Group>
   FT_HOST_DEVICE static unsigned held(Group g, scratch const& s, int b, frame_view const& frame,
                                       map_points_view const& map, search_params params) {
@@ -111,7 +110,8 @@ struct list_candidates {
     return bits;
   }
 
-  /// What list() does at once where the holders are there. @param taken_bits what held() said
+  /// Completes list() once the holders are valid: removes held candidates and writes the lists.
+  /// @param taken_bits result of held()
   template <typename Group>
   FT_HOST_DEVICE static void leave_out(Group g, scratch& s, int b, int i, unsigned taken_bits,
                                        frame_view const& frame, search_params const& params,
@@ -125,21 +125,22 @@ struct list_candidates {
   }
 
 private:
-  /// Null where nobody holds anything yet.
+  /// Null if no keypoint counts as held.
   FT_HOST_DEVICE static int const* holders(int b, frame_view const& frame,
                                            search_params const& params) {
     bool const none = params.from_empty || params.holders_later;
     return none ? nullptr : frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
   }
-  /// Whether the point in a slot, -1 = none, keeps a keypoint that it holds: what is taken stays
-  /// taken, but where a point without observations takes it over as a partner.
+  /// Whether the point in a slot, -1 = none, is observed and so keeps its keypoints. The exception
+  /// is a keypoint that an unobserved point takes over as a stereo partner.
   FT_HOST_DEVICE static bool keeps(map_points_view const& points, int slot) {
     return slot >= 0 && get<field::observations>(points, slot) > 0;
   }
 
-  /// The list of window i of camera c. @param observed the point looked for is that
-  /// @param left_out of any thread: something taken is not in it
-  /// @param refused see assign_keypoints::choose
+  /// Writes the list of window i of camera c.
+  /// @param observed whether the map point is
+  /// @param left_out whether this thread omitted a held candidate
+  /// @param refused as in choose_keypoint()
   template <typename Group>
   FT_HOST_DEVICE static void write(Group g, scratch& s, int b, int i, int c, bool observed,
                                    candidate_list<Group>& list, bool left_out, bool& refused,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Which keypoint a window takes.
+/// @file The choice of one window: the best keypoint that is not taken.
 #pragma once
 
 #include <cstddef>
@@ -17,23 +17,24 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// A window's candidates: how many, and the nearest, loaded together.
+/// Candidates of a window: their number and the nearest four, loaded together.
 struct window_list {
   int n = 0;
-  bool complete = true;   ///< what was left out is of no use
-  bool unlisted = false;  ///< there are farther ones
+  bool complete = true;   ///< no omitted candidate can be chosen
+  bool unlisted = false;  ///< more candidates exist than the list holds
   candidate_quad nearest{};
 
-  /// @param guests what was taken may not be any more: those left out count
+  /// @param any whether the window has candidates
+  /// @param held_may_be_free a keypoint held before the search may have become free
   template <bool Single>
   FT_HOST_DEVICE window_list(assignment_context<Single> const& ctx, int c, int i, bool any,
-                             bool guests) {
+                             bool held_may_be_free) {
     if (!any) { return; }
     int const count = ctx.list_count(c, i);
     n = count & search_workspace::counted;
     unlisted = (count & search_workspace::unlisted) != 0;
-    complete = !guests || (count & search_workspace::left_out) == 0;
-    if (!guests || n > 0) { nearest = *ctx.list(c, i); }
+    complete = !held_may_be_free || (count & search_workspace::left_out) == 0;
+    if (!held_may_be_free || n > 0) { nearest = *ctx.list(c, i); }
   }
 };
 
@@ -57,33 +58,12 @@ struct nearest_two {
   }
 };
 
-/// The keypoint that window i of camera c takes, -1 = none. @param refused set by a window whose
-/// best is not better enough than its second best; then the point's next window takes nothing
-/// @param taken of a keypoint's number, and whether that is in the list
-template <bool Single, typename Taken>
-FT_HOST_DEVICE int choose(assignment_context<Single> const& ctx, int c, int i,
-                          window_list const& list, bool& refused, Taken const& taken) {
-  if (refused) { return -1; }
-  bool const with_ratio = ctx.params.kind == search_kind::local_map;
-  nearest_two found;
-  if (!choose_from_list(ctx, c, i, list, with_ratio, taken, found)) {
-    found = {};
-    choose_from_grid(ctx, c, i, taken, found);
-  }
-  if (found.best_k < 0 || found.best > ctx.params.max_distance) { return -1; }
-  if (refuses(ctx.params, ctx.frame.camera(ctx.b, c), found.best, found.best_k, found.second,
-              found.second_k)) {
-    refused = c == 0;
-    return -1;
-  }
-  return found.best_k;
-}
-
-/// False where the list is at its end, and candidates are left that it does not hold.
+/// Chooses from the listed candidates. @return false if the list is exhausted and incomplete
 template <bool Single, typename Taken>
 FT_HOST_DEVICE bool choose_from_list(assignment_context<Single> const& ctx, int c, int i,
-                                     window_list const& list, bool with_ratio, Taken const& taken,
+                                     window_list const& list, Taken const& taken,
                                      nearest_two& found) {
+  bool const with_ratio = ctx.params.kind == search_kind::local_map;
   int const n = list.n;
   if (!list.complete) { return false; }
   candidate_quad quad = list.nearest;
@@ -104,6 +84,7 @@ FT_HOST_DEVICE bool choose_from_list(assignment_context<Single> const& ctx, int 
   return !list.unlisted;
 }
 
+/// Chooses from all keypoints of the window.
 template <bool Single, typename Taken>
 FT_HOST_DEVICE void choose_from_grid(assignment_context<Single> const& ctx, int c, int i,
                                      Taken const& taken, nearest_two& found) {
@@ -121,6 +102,27 @@ FT_HOST_DEVICE void choose_from_grid(assignment_context<Single> const& ctx, int 
       found.add(k, distance);
     }
   });
+}
+
+/// The keypoint that window i of camera c takes, -1 = none.
+/// @param refused set if the left window fails the ratio test; the point then takes nothing at all
+/// @param taken taken(number, listed): whether an earlier point has the keypoint
+template <bool Single, typename Taken>
+FT_HOST_DEVICE int choose_keypoint(assignment_context<Single> const& ctx, int c, int i,
+                                   window_list const& list, bool& refused, Taken const& taken) {
+  if (refused) { return -1; }
+  nearest_two found;
+  if (!choose_from_list(ctx, c, i, list, taken, found)) {
+    found = {};
+    choose_from_grid(ctx, c, i, taken, found);
+  }
+  if (found.best_k < 0 || found.best > ctx.params.max_distance) { return -1; }
+  if (refuses(ctx.params, ctx.frame.camera(ctx.b, c), found.best, found.best_k, found.second,
+              found.second_k)) {
+    refused = c == 0;
+    return -1;
+  }
+  return found.best_k;
 }
 
 }  // namespace detail

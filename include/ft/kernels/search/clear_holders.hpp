@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: empties the holders of keypoints.
+/// @file Stage: clears the holders of keypoints.
 #pragma once
 
 #include "ft/containers/frame.hpp"
@@ -11,8 +11,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One keypoint: nothing holds it.
-struct empty_holder {
+/// Item: a keypoint. Clears its holder.
+struct clear_holder {
   using scratch = no_scratch;
 
   template <typename Group>
@@ -23,10 +23,10 @@ struct empty_holder {
 
 }  // namespace detail
 
-/// Empties the holders of all frames. Asynchronous on `exec`; allocates nothing; one launch.
+/// Clears the holders of all frames. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void clear_holders(Exec const& exec, frame_view const& frame) {
-  for_each_item<per_thread>(exec, frame.batch * frame.numbers(), detail::empty_holder{}, frame);
+  for_each_item<per_thread>(exec, frame.batch * frame.numbers(), detail::clear_holder{}, frame);
 }
 
 }  // namespace FT_ABI

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: visibility of map points, and the search windows of those in view.
+/// @file Stage: visibility of map points, and the search windows of the visible ones.
 /// Source: specification sections 8 and 9.
 #pragma once
 
@@ -18,13 +18,13 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What the frustum test found for one point and one camera.
+/// Result of the frustum test of one map point and one camera.
 struct visibility {
   float x, y;      ///< projection, pixels
   float right_x;   ///< in the right image of a rectified pair
-  float cosine;    ///< between viewing direction and the point's normal
+  float cosine;    ///< of the angle between viewing direction and the point's normal
   float distance;  ///< from the camera's centre, metres
-  int level;       ///< predicted octave; -1 = not in view
+  int level;       ///< predicted octave; -1 = not visible
 };
 
 struct frustum_params {
@@ -34,13 +34,14 @@ struct frustum_params {
   int levels = 0;
 };
 
-/// Natural logarithm, computed in double and rounded once, so that host and device agree.
+/// Natural logarithm. Computed in double and rounded once, so that host and device agree.
 FT_HOST_DEVICE inline float log_rounded(float v) {
   return static_cast<float>(::log(static_cast<double>(v)));
 }
 
-/// Tests one point against one camera. @param T_cw world to this camera @param bf 0 where there is
-/// no right coordinate
+/// Tests one map point against one camera.
+/// @param T_cw world to this camera
+/// @param bf baseline times focal length; 0 if there is no column in a right image
 template <typename Camera>
 FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw,
                                           map_points_view const& map, int slot, float bf,
@@ -80,11 +81,13 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
 }
 
 struct local_search_params {
-  float th = 1;            ///< factor on the search radius
-  float far_distance = 0;  ///< points further away are left out; 0 = no limit, metres
+  float th = 1;            ///< factor of the search radius
+  float far_distance = 0;  ///< points farther away are skipped, metres; 0 = no limit
 };
 
-/// Search window of a visible point. @param th 1 for the right camera of a fisheye pair
+/// Search window of a visible map point.
+/// @param th factor of the radius; 1 for the right camera of a fisheye pair
+/// @param right_column whether to compare columns in the right image
 FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th,
                                               bool right_column, pyramid_geometry const& geometry) {
   strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
@@ -101,14 +104,14 @@ FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, flo
   return w;
 }
 
-/// What the windows of a search in the local map are made from.
+/// Inputs of the windows of a search in the local map.
 template <typename Rig>
 struct local_search {
   Rig rig;
   pose const* poses = nullptr;      ///< [batch] T_cw
   int const* slots = nullptr;       ///< [batch][windows' capacity], -1 = none
   int const* slot_count = nullptr;  ///< [batch]
-  /// Points with the stamp of this frame are left out; null: none are.
+  /// Points matched in the current frame are skipped.
   point_stamps stamps;
   frustum_params frustum;
   local_search_params params;
@@ -117,7 +120,7 @@ struct local_search {
 
 namespace detail {
 
-/// One entry of the local map: its visibility and windows.
+/// Item: an entry of the local map. Computes its visibility and windows.
 template <typename Rig>
 struct frustum_point {
   using scratch = no_scratch;
@@ -132,8 +135,8 @@ struct frustum_point {
     if (i < search.slot_count[b]) { test(b, i, search, map, geometry, true, out); }
   }
 
-  /// The windows of entry i of batch entry b. @param keep whether this thread writes them to `out`,
-  /// and what it sees to `search.seen`
+  /// The windows of entry i of batch entry b.
+  /// @param keep whether this thread writes the windows to `out`, and visibilities to `search.seen`
   FT_HOST_DEVICE static window_pair test(int b, int i, local_search<Rig> const& search,
                                          map_points_view const& map,
                                          pyramid_geometry const& geometry, bool keep,
@@ -182,7 +185,7 @@ private:
 
 }  // namespace detail
 
-/// Visibility and search windows of the local map's points. Asynchronous on `exec`; allocates
+/// Visibility and search windows of the points of the local map. Asynchronous on `exec`; allocates
 /// nothing; one launch.
 template <typename Exec, typename Rig>
 void find_visible_points(Exec const& exec, local_search<Rig> const& search,

@@ -25,15 +25,16 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One frame: assignment, orientation check, the same again with twice the radius where there are
-/// too few, stamps.
+/// Item: a frame. Assigns its keypoints and checks orientations. With too few matches it lists
+/// candidates in windows of twice the radius and starts again. Finally it stamps the matched
+/// points.
 template <typename Rig, bool Turns>
 struct assign_last_points {
   using assignment = assign_keypoints<Turns>;
   struct scratch {
     union {
       typename assignment::scratch assigned;
-      list_candidates::scratch lists[assign_threads / 32];  ///< of the warps, for the second try
+      list_candidates::scratch lists[assign_threads / 32];  ///< per warp, for the second try
     };
     check_orientation::scratch orientation;
   };
@@ -51,7 +52,7 @@ struct assign_last_points {
                                  pyramid_geometry const& geometry, search_params const& params,
                                  point_stamps const& stamps, search_windows_view const& windows,
                                  search_workspace const& work) const {
-    // Asked for early: what depends on it comes after the proposals.
+    // Prefetched; used after the proposals.
     int const left_count = search.last.keypoints.count[search.last.keypoint_step * b];
     int const now = stamps.seen != nullptr ? stamps.frame[b] : 0;
     auto const stamp = [&](int slot) {
@@ -61,18 +62,18 @@ struct assign_last_points {
     };
     bool prepared = true;
     for (int least = search.params.retry_below;; least = 0) {
-      // Before the assignment's first barrier.
+      // Visible after the first barrier of the assignment.
       for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.orientation.histogram[i] = 0; }
       bool enough = false;
-      bool const written = assignment::assign(g, s.assigned, b, frame, map, windows, params, work,
-                                              prepared, [&](auto single, int const* owners) {
-                                                if constexpr (Turns) {
-                                                  enough = write_owned<decltype(single)::value>(
-                                                      g, s, b, search, left_count, frame, windows,
-                                                      work, owners, least, stamp);
-                                                }
-                                                return Turns;
-                                              });
+      auto const write = [&](auto single, int const* owners) {
+        if constexpr (Turns) {
+          enough = write_owned<decltype(single)::value>(g, s, b, search, left_count, frame, windows,
+                                                        work, owners, least, stamp);
+        }
+        return Turns;
+      };
+      bool const written =
+          assignment::assign(g, s.assigned, b, frame, map, windows, params, work, prepared, write);
       if (!written) {
         g.sync();
         if (search.params.orientation_check) {
@@ -96,9 +97,10 @@ struct assign_last_points {
   }
 
 private:
-  /// What is left of the matches after the orientation check; or, where these are fewer than
-  /// `least`, nothing, and false. @param left_count as in rotations @param owners as in
-  /// assign_keypoints
+  /// Writes the matches that pass the orientation check.
+  /// @param left_count as in rotations::last_angle()
+  /// @param owners as in assign_keypoints::assign()
+  /// @return false, with nothing written, if they are fewer than `least`
   template <bool Single, typename Group, typename Stamp>
   FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, int b, last_search<Rig> const& search,
                                          int left_count, frame_view const& frame,
@@ -107,19 +109,19 @@ private:
                                          Stamp const& stamp) {
     int const numbers = frame.numbers();
     bool const any = windows.count[b] > 0;
-    int* const slots = s.assigned.before;  // of the owners
+    int* const slots = s.assigned.before;  // of the owners' map points
     int* const histogram = s.orientation.histogram;
     struct owner {
       int slot;
       float before, now;  // angles
     };
     auto const camera_of = [&](int number) { return Single || number < frame.capacity() ? 0 : 1; };
-    // For keypoints that nobody owns what window 0 has is loaded, and not used: no branches.
+    // Keypoints without an owner load from window 0, so that the loads need no branch.
     load_ahead<2>(
         g, any ? numbers : 0,
         [&](int number) {
           int const c = camera_of(number);
-          bool const owned = owners[number] != nobody;
+          bool const owned = owners[number] != unset;
           int const i = owned ? owners[number] / search_workspace::list_size : 0;
           owner o;
           o.slot = windows.at(c, b, i).slot;
@@ -128,8 +130,8 @@ private:
           return o;
         },
         [&](int number, owner const& o) {
-          if (owners[number] == nobody) { return; }
-          // Without the check all are in one bin.
+          if (owners[number] == unset) { return; }
+          // Without the check all matches share one bin.
           int const r = search.params.orientation_check ? rotations::bin(o.before, o.now) : 0;
           s.orientation.bin[number] = static_cast<std::uint8_t>(r);
           atomic_add(histogram + r, 1);
@@ -139,7 +141,7 @@ private:
     auto const most = rotations::of(g.part(), histogram);
     if (most.matches < least) { return false; }
     for (int number = g.rank(); number < numbers; number += g.size()) {
-      bool const stays = owners[number] != nobody && most.has(s.orientation.bin[number]);
+      bool const stays = owners[number] != unset && most.has(s.orientation.bin[number]);
       int const slot = stays ? slots[number] : -1;
       frame.holder[static_cast<std::ptrdiff_t>(b) * numbers + number] = slot;
       if (!stays) { continue; }
@@ -169,12 +171,11 @@ private:
 
 }  // namespace detail
 
-/// Search from the last frame: windows, candidates, assignment, orientation check; from empty
-/// holders. Asynchronous on `exec`; allocates nothing; two launches.
-/// @param poses,last_poses [batch] T_cw predicted for this frame, and of the last one
-/// @param exec may be beside() another launch: the second of these two is in turn
-/// @param listed called with the executor between the two launches; what it queues there may be
-/// what fills frame.right_x
+/// Search from the last frame: windows, candidates, assignment, orientation check. Starts from
+/// empty holders. Asynchronous on `exec`; allocates nothing; two launches.
+/// @param exec may be beside() another launch, for the first of the two only
+/// @param poses,last_poses [batch] T_cw predicted for the current frame, and of the last frame
+/// @param listed called as listed(exec) between the two launches; may enqueue what fills right_x
 template <typename Exec, typename Rig, typename Listed>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,
@@ -195,7 +196,7 @@ void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose
       frame, map, geometry, search, stamps, windows, work);
 }
 
-/// The same with frame.right_x there from the start.
+/// The same for a frame whose right_x is valid before the call.
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,

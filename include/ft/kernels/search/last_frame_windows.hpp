@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Windows and candidates of a search from the last frame.
+/// @file Windows and candidates of the search from the last frame.
 #pragma once
 
 #include <cstddef>
@@ -17,33 +17,38 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The frame before, as far as the search needs it: keypoints of both cameras of a fisheye pair,
-/// left then right; of a rectified pair the left ones.
+/// The last frame, as far as the search needs it: keypoints of the left camera and, in a fisheye
+/// pair, of the right one. Laid out as in frame_view.
 struct last_frame_view {
   soa_view<field::angle, field::octave> keypoints;
   int keypoint_step = 2;
   int cameras = 1;
-  int const* holder =
-      nullptr;  ///< [batch][cameras * capacity] slot of an inlier map point, -1 = none
+  /// [batch][cameras * capacity] slot of an inlier map point, -1 = none.
+  int const* holder = nullptr;
 };
 
 struct last_search_params {
-  float th = 7;         ///< window half side at scale 1, pixels
-  bool mono = false;    ///< no direction of motion
-  int retry_below = 0;  ///< with fewer matches the search is repeated with twice the radius
-  bool orientation_check = true;  ///< drop matches whose rotation few others have
-  bool reference_quirks =
-      false;  ///< project into the right fisheye camera with the left one's model
+  /// Half side of a window at scale 1, pixels.
+  float th = 7;
+  /// Ignores the direction of motion when choosing octaves.
+  bool mono = false;
+  /// With fewer matches the search is repeated with twice the radius.
+  int retry_below = 0;
+  /// Drops matches whose rotation differs from that of most others.
+  bool orientation_check = true;
+  /// Projects into the right fisheye camera with the left camera's model, as the reference does.
+  bool reference_quirks = false;
   float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
 };
 
-/// Keypoints of the last frame, left ones then right ones without a gap: the order of the search.
+/// Number of keypoints of the last frame. The search takes the left ones first, then the right
+/// ones.
 FT_HOST_DEVICE inline int last_point_count(last_frame_view const& last, int b) {
   return last.keypoints.count[last.keypoint_step * b] +
          (last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0);
 }
 
-/// What all windows of a search from the last frame are made from.
+/// Inputs of the windows of a search from the last frame.
 template <typename Rig>
 struct last_search {
   Rig rig;
@@ -55,7 +60,7 @@ struct last_search {
 
 namespace detail {
 
-/// One keypoint of the last frame: the windows of its map point, and their candidates.
+/// Item: a keypoint of the last frame. Lists the candidates in the windows of its map point.
 template <typename Rig>
 struct list_last_point {
   using scratch = list_candidates::scratch;
@@ -74,14 +79,15 @@ struct list_last_point {
     list(g, s, b, i, search, search.params.th, frame, map, geometry, params, windows, work);
   }
 
-  /// Window i of batch entry b. @param th half side of a window at scale 1, pixels
+  /// Lists the candidates of keypoint i of batch entry b.
+  /// @param th half side of a window at scale 1, pixels
   template <typename Group>
   FT_HOST_DEVICE static void list(Group g, scratch& s, int b, int i, last_search<Rig> const& search,
                                   float th, frame_view const& frame, map_points_view const& map,
                                   pyramid_geometry const& geometry, search_params const& params,
                                   search_windows_view const& windows,
                                   search_workspace const& work) {
-    // All threads compute the same windows: quicker than waiting for one of them.
+    // All threads compute the same windows, which is faster than a broadcast.
     window_pair const pair = project(b, i, search, th, map, geometry);
     if (g.rank() == 0) {
       windows.at(0, b, i) = pair.of[0];

@@ -21,7 +21,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One entry of the local map: visibility, windows, and the candidates in them.
+/// Item: an entry of the local map. Computes its visibility and windows, and lists the candidates.
 template <typename Rig>
 struct list_local_point {
   using scratch = list_candidates::scratch;
@@ -37,14 +37,14 @@ struct list_local_point {
     bool const keep = g.rank() == 0;
     if (i == 0 && keep) { windows.count[b] = search.slot_count[b]; }
     if (i >= search.slot_count[b]) { return; }
-    // All threads compute the same windows: quicker than waiting for one of them.
+    // All threads compute the same windows, which is faster than a broadcast.
     window_pair const pair = frustum_point<Rig>::test(b, i, search, map, geometry, keep, windows);
     list_candidates::list(g, s, b, i, pair, frame, map, params, work);
   }
 };
 
-/// The same while a search of the last frame still chooses: what it takes and which points it
-/// stamps is left out in the end.
+/// The same, concurrently with the assignment of a search from the last frame. Lists without
+/// holders and stamps, waits for that search, then removes what it matched.
 template <typename Rig>
 struct list_local_point_early {
   static constexpr bool begins_beside = true;
@@ -76,7 +76,7 @@ struct list_local_point_early {
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
     bool const known = s.slot >= 0 && s.slot < map.capacity;
-    // The stamp and the holders of all candidates are asked for together.
+    // The stamp and the holders of all candidates are loaded together.
     bool const stamped = known && search.stamps.stamped(b, map.capacity, s.slot);
     unsigned const held = list_candidates::held(g, s, b, frame, map, params);
     if (stamped) {
@@ -103,11 +103,11 @@ private:
 
 }  // namespace detail
 
-/// Search in the local map: find_visible_points() and search_by_projection(), in two launches.
-/// Asynchronous on `exec`; allocates nothing. @param listed called with the executor after the
-/// first
-/// @param early a search from the last frame, with another `work`, was queued just before: what
-/// needs none of its results is done beside it
+/// Search in the local map: find_visible_points() and search_by_projection() in two launches.
+/// Asynchronous on `exec`; allocates nothing.
+/// @param listed called as listed(exec) between the two launches
+/// @param early the preceding launch is the assignment of a search from the last frame with another
+///   workspace. Candidates are listed concurrently with it.
 template <typename Exec, typename Rig, typename Listed>
 void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
                       map_points_view const& map, pyramid_geometry const& geometry,

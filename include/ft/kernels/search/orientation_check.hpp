@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Drops matches whose rotation few others have.
+/// @file Orientation check: drops matches whose rotation differs from that of most others.
 #pragma once
 
 #include <cstddef>
@@ -18,12 +18,14 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// How far keypoints turned from the last frame to this one, in bins of 30 degrees.
+/// Histogram of the rotations of matched keypoints between the last frame and the current one.
+///
+/// A bin is 30 degrees wide, as in the reference, so only the first 13 of the 30 bins fill.
 struct rotations {
   static constexpr int bins = 30;
 
-  /// Angle of the keypoint of the last frame that window i is for. @param left_count of its
-  /// keypoints are in the left image
+  /// Angle of the keypoint of the last frame that window i belongs to.
+  /// @param left_count number of its keypoints in the left image
   FT_HOST_DEVICE static float last_angle(last_frame_view const& last, int left_count, int b,
                                          int i) {
     bool const left = i < left_count;
@@ -37,15 +39,15 @@ struct rotations {
     return r == bins ? 0 : clamp(r, 0, bins - 1);
   }
 
-  /// The three fullest bins, the lowest index winning a tie; those that are much emptier than the
-  /// first do not count.
+  /// The three fullest bins. Of equals the lower index comes first. Bins with less than a tenth of
+  /// the first do not count.
   struct most_frequent {
     int bin[3];   ///< -1 = none
     int matches;  ///< in all of them
 
     FT_HOST_DEVICE bool has(int r) const { return r == bin[0] || r == bin[1] || r == bin[2]; }
   };
-  /// By all threads of each group that the block is made of: quicker than to wait for one of them.
+  /// Every warp computes the result, which is faster than a broadcast.
   template <typename Part>
   FT_HOST_DEVICE static most_frequent of(Part w, int const* histogram) {
     most_frequent top{{-1, -1, -1}, 0};
@@ -69,9 +71,9 @@ struct rotations {
   }
 };
 
-/// One frame: drops the matches whose rotation is not among the three most frequent.
+/// Item: a frame. Drops the matches whose rotation is not among the three most frequent.
 struct check_orientation {
-  static constexpr int scratch_size = 4096;  ///< windows whose bins are kept
+  static constexpr int scratch_size = 4096;  ///< windows whose bins are kept in scratch
   struct scratch {
     int histogram[rotations::bins];
     std::uint8_t bin[scratch_size];

@@ -1,5 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The assignment by proposals.
+/// @file The greedy assignment by proposals, for searches without a ratio test.
+///
+/// Every window wants the nearest keypoint that it can have, and every keypoint prefers the lowest
+/// window. That is a stable matching with one solution, so windows may propose in any order and
+/// concurrently (Gale and Shapley, "College admissions and the stability of marriage", 1962).
 #pragma once
 
 #include <cmath>
@@ -16,10 +20,10 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// What a window looks at to propose, loaded together.
+/// What a window needs to propose to one candidate, loaded together.
 struct proposal {
   int count;            ///< as in search_workspace
-  std::uint32_t entry;  ///< of its list
+  std::uint32_t entry;  ///< packed candidate
   bool check_right;     ///< as in search_window
   float right_x, radius;
 
@@ -45,14 +49,14 @@ struct proposal {
   }
 };
 
-/// Window i proposes; when it drives another one out, goes on for that one.
+/// Proposes for window i until it has a keypoint. A displaced window is continued in its place.
 template <bool Single>
 FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const& ctx, int c, int i,
                             proposal now, int* owner) {
   int place = 0;
   for (;;) {
     if (place >= (now.count & search_workspace::counted)) {
-      if ((now.count & search_workspace::unlisted) != 0) { s.list_ended = 1; }
+      if ((now.count & search_workspace::unlisted) != 0) { s.list_exhausted = 1; }
       return;
     }
     if (entry_distance(now.entry) > ctx.params.max_distance) { return; }
@@ -60,7 +64,7 @@ FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const&
     int const mine = i * search_workspace::list_size + place;
     int before = -1;
     if (!now.misses_right(ctx, k)) { before = atomic_min(owner + ctx.number(c, k), mine); }
-    if (before == nobody) { return; }
+    if (before == unset) { return; }
     if (before > mine) {
       i = before / search_workspace::list_size;
       place = before % search_workspace::list_size;
@@ -70,7 +74,7 @@ FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const&
   }
 }
 
-/// use(i, load(i)) for all i < n; each thread has `Ahead` loads under way at a time.
+/// Calls use(i, load(i)) for all i < n. Each thread has `Ahead` loads in flight.
 template <int Ahead, typename Group, typename Load, typename Use>
 FT_HOST_DEVICE void load_ahead(Group g, int n, Load const& load, Use const& use) {
   for (int first = g.rank(); first < n; first += Ahead * g.size()) {
@@ -85,8 +89,9 @@ FT_HOST_DEVICE void load_ahead(Group g, int n, Load const& load, Use const& use)
   }
 }
 
+/// Lets all windows of observed points propose.
 template <typename Group, bool Single>
-FT_HOST_DEVICE void let_propose(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
+FT_HOST_DEVICE void propose_all(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
                                 int* owner) {
   int const n = ctx.windows.count[ctx.b];
   auto const camera = [n](int w) { return Single || w < n ? 0 : 1; };
@@ -97,60 +102,57 @@ FT_HOST_DEVICE void let_propose(Group g, assign_scratch& s, assignment_context<S
         if ((first.count & search_workspace::observed) != 0) {
           propose(s, ctx, camera(w), w - camera(w) * n, first, owner);
         } else if (has_candidates(first.count, false)) {
-          s.guests = 1;
+          s.any_unobserved = 1;
         }
       });
 }
 
-/// Without a ratio test every window wants the nearest keypoint that it can have, and a keypoint
-/// belongs to the lowest that wants it: proposals, in any order and all at once, end in the
-/// assignment of the sequential loop (Gale and Shapley, "College admissions and the stability of
-/// marriage", 1962). False where a list was at its end.
+/// Fills the owner table. @return false if a list was exhausted, and the table is of no use
 template <typename Group, bool Single>
-FT_HOST_DEVICE bool let_propose(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
-  // One call for both would hide from compilers what is in block scratch.
+FT_HOST_DEVICE bool propose_all(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
+  // Two calls, so that the compiler knows in one of them that the table is in shared memory.
   if (in_scratch(ctx.frame)) {
-    let_propose(g, s, ctx, s.writer);
+    propose_all(g, s, ctx, s.writer);
   } else {
-    let_propose(g, s, ctx, owners(s, ctx));
+    propose_all(g, s, ctx, owner_table(s, ctx));
   }
   g.sync();
-  if (s.list_ended == 0) { return true; }
+  if (s.list_exhausted == 0) { return true; }
   g.sync();
   return false;
 }
 
-/// What the proposals have led to. Those that look for points without observations choose now:
-/// they keep nobody away.
+/// Writes the result of the proposals. Windows of unobserved points choose here, since they keep no
+/// keypoint from others.
 template <typename Group, bool Single>
 FT_HOST_DEVICE void write_proposed(Group g, assign_scratch& s,
                                    assignment_context<Single> const& ctx) {
   int const numbers = ctx.numbers();
   int const n = ctx.windows.count[ctx.b];
-  int const* const owner = owners(s, ctx);
-  // The last of them that took a keypoint.
-  int* const guest = seconds(s, ctx);
+  int const* const owner = owner_table(s, ctx);
+  // The last unobserved window that took a keypoint.
+  int* const last_unobserved = second_table(s, ctx);
   int taken = 0;
-  bool const guests = s.guests != 0;
-  if (guests) {
-    for (int k = g.rank(); k < numbers; k += g.size()) { guest[k] = -1; }
+  bool const unobserved = s.any_unobserved != 0;
+  if (unobserved) {
+    for (int k = g.rank(); k < numbers; k += g.size()) { last_unobserved[k] = -1; }
     g.sync();
     for (int c = 0; c < ctx.cameras(); ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {
-        // Nothing that was left out comes back here: there are no partners.
+        // Without partners no held keypoint becomes free, so omitted candidates do not matter.
         int const count = ctx.list_count(c, i);
         if (!has_candidates(count, false) || (count & search_workspace::observed) != 0) {
           continue;
         }
         bool refused = false;
-        int const k = choose(ctx, c, i, window_list(ctx, c, i, true, false), refused,
-                             [&](int number, bool listed) {
-                               return owner[number] / search_workspace::list_size < i ||
-                                      (!listed && ctx.held(number));
-                             });
+        int const k = choose_keypoint(ctx, c, i, window_list(ctx, c, i, true, false), refused,
+                                      [&](int number, bool listed) {
+                                        return owner[number] / search_workspace::list_size < i ||
+                                               (!listed && ctx.held(number));
+                                      });
         ctx.match(c, i) = k;
         if (k < 0) { continue; }
-        atomic_max(guest + ctx.number(c, k), i);
+        atomic_max(last_unobserved + ctx.number(c, k), i);
         ++taken;
       }
     }
@@ -158,13 +160,13 @@ FT_HOST_DEVICE void write_proposed(Group g, assign_scratch& s,
   }
   for (int number = g.rank(); number < numbers; number += g.size()) {
     int const c = ctx.camera_of(number);
-    if (owner[number] != nobody) {
+    if (owner[number] != unset) {
       int const i = owner[number] / search_workspace::list_size;
       ctx.match(c, i) = number - c * ctx.frame.capacity();
       ctx.holder[number] = ctx.slot(c, i);
       ++taken;
-    } else if (guests && guest[number] >= 0) {
-      ctx.holder[number] = ctx.slot(c, guest[number]);
+    } else if (unobserved && last_unobserved[number] >= 0) {
+      ctx.holder[number] = ctx.slot(c, last_unobserved[number]);
     } else if (ctx.params.from_empty) {
       ctx.holder[number] = -1;
     }

@@ -1,5 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The assignment by turns.
+/// @file The greedy assignment by turns, for any search.
+///
+/// In each turn every point chooses as if all lower points had made their last choice for good,
+/// until nothing changes. Point 0 is right at once. If all points below i are right and do not
+/// change, i is right after the next turn. So the turns end, and they can end only in the result of
+/// the loop. Four turns were typical on recorded frames; the worst case takes a turn per point.
 #pragma once
 
 #include <cstddef>
@@ -18,23 +23,23 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Point p's choice after the writes of the turn before. True if it is not what it was.
+/// Lets open point p choose after the writes of the previous turn. @return whether it changed
 template <bool Single, typename Writes>
 FT_HOST_DEVICE bool choose_anew(assignment_context<Single> const& ctx,
                                 open_points<Single> const& open, Writes const& writes, int p,
-                                choice& made) {
+                                point_choice& made) {
   int const i = open.index(p);
   int const end = p * open.writes();
   window_list const lists[2] = {window_list(ctx, 0, i, open.any(p, 0), !Writes::kept_at_once),
                                 window_list(ctx, 1, i, open.any(p, 1), !Writes::kept_at_once)};
   bool changed = false;
   bool refused = false;
-  int own = -1;  // the partner of what the left window takes
+  int own = -1;  // stereo partner of the keypoint that the left window takes
   FT_UNROLL
   for (int c = 0; c < 2; ++c) {
     if (c >= open.cameras()) { break; }
-    int const k = choose(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
-      return number == own ? open.observed(p, 0) : writes.taken(ctx, open, number, end, listed);
+    int const k = choose_keypoint(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
+      return number == own ? open.observed(p, 0) : writes.taken(ctx, number, end, listed);
     });
     if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
     if (k == made.k[c]) { continue; }
@@ -45,16 +50,16 @@ FT_HOST_DEVICE bool choose_anew(assignment_context<Single> const& ctx,
   return changed;
 }
 
-/// Turns until nobody chooses anew. Then writes what came of it.
+/// Takes turns until no choice changes, then writes the result.
 template <typename Group, bool Single, typename Writes>
-FT_HOST_DEVICE void settle(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
-                           open_points<Single> const& open, Writes writes) {
-  // Below `begin` nothing changes any more.
+FT_HOST_DEVICE void run_turns(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
+                              open_points<Single> const& open, Writes writes) {
+  // Points below `begin` are final.
   int begin = 0;
   for (int turn = 0;; turn = (turn + 1) % 3) {
-    if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = nobody; }
+    if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = unset; }
     for (int p = g.rank(); p < open.count; p += g.size()) {
-      choice made = last_choice(ctx, open, p);
+      point_choice made = last_choice(ctx, open, p);
       if (p >= begin && choose_anew(ctx, open, writes, p, made)) {
         atomic_min(s.first_changed + turn, p);
       }
@@ -64,9 +69,9 @@ FT_HOST_DEVICE void settle(Group g, assign_scratch& s, assignment_context<Single
     }
     g.sync();
     int const changed = s.first_changed[turn];
-    if (changed == nobody) { break; }
+    if (changed == unset) { break; }
     begin = changed + 1;
-    writes.next_turn(g, ctx, open);
+    writes.next_turn(g);
   }
   writes.find_last(g, ctx, open);
   int taken = 0;
@@ -84,6 +89,7 @@ FT_HOST_DEVICE void settle(Group g, assign_scratch& s, assignment_context<Single
   if (g.part().rank() == 0) { atomic_add(ctx.work.matches + ctx.b, taken); }
 }
 
+/// Lists the open points, chooses how to record writes, and takes turns.
 template <typename Group, bool Single>
 FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
   int const numbers = ctx.numbers();
@@ -92,39 +98,42 @@ FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Si
   open_points<Single> open{
       n <= assign_scratch::size ? s.open : ctx.work.open + at * ctx.work.capacity, 0, ctx.cameras(),
       ctx.partners() ? 1 : 0};
-  int* const writer = owners(s, ctx);
-  first_writes firsts(writer, seconds(s, ctx), numbers, n * open.writes());
+  int* const writer = owner_table(s, ctx);
+  first_writes firsts(writer, second_table(s, ctx), numbers, n * open.writes());
   if (g.rank() == 0) { ctx.work.matches[ctx.b] = 0; }
-  bool const alone = Single && in_scratch(ctx.frame) && n <= assign_scratch::size &&
-                     ctx.params.kind == search_kind::local_map;
-  if (alone) {
+  bool const packed = Single && in_scratch(ctx.frame) && n <= assign_scratch::size &&
+                      ctx.params.kind == search_kind::local_map;
+  if (packed) {
     if constexpr (Single) {
-      if (settle_single(g, s, ctx, n)) { return; }
+      if (take_packed_turns(g, s, ctx, n)) { return; }
     }
-    list_open(g, s, ctx, n, open, false, [](int, choice const&) {});
+    list_open(g, s, ctx, n, open, false, [](int, point_choice const&) {});
   } else {
-    list_open(g, s, ctx, n, open, false, [&](int p, choice const& first) {
+    list_open(g, s, ctx, n, open, false, [&](int p, point_choice const& first) {
       each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
     });
   }
   g.sync();
-  if (s.guests == 0) {
-    firsts.next_turn(g, ctx, open);
-    settle(g, s, ctx, open, firsts);
+  if (s.any_unobserved == 0) {
+    firsts.next_turn(g);
+    run_turns(g, s, ctx, open, firsts);
   } else {
     if (open.cameras() == 2) {
-      list_open(g, s, ctx, n, open, true, [](int, choice const&) {});
+      list_open(g, s, ctx, n, open, true, [](int, point_choice const&) {});
     }
-    write_chains const chains{
-        writer,
-        open.count * open.writes() <= assign_scratch::size ? s.before
-                                                           : ctx.work.before + at * ctx.work.links,
-        in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers, numbers};
+    write_chains<Single> const chains{ctx,
+                                      open,
+                                      writer,
+                                      open.count * open.writes() <= assign_scratch::size
+                                          ? s.before
+                                          : ctx.work.before + at * ctx.work.links,
+                                      in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers,
+                                      numbers};
     for (int k = g.rank(); k < numbers; k += g.size()) {
       chains.held[k] = static_cast<std::uint8_t>(ctx.held(k));
     }
-    chains.next_turn(g, ctx, open);
-    settle(g, s, ctx, open, chains);
+    chains.next_turn(g);
+    run_turns(g, s, ctx, open, chains);
   }
 }
 

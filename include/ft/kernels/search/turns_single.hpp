@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The assignment by turns, with one camera and a word for each point.
+/// @file The assignment by turns for one camera without stereo partners, and observed points only.
+///
+/// The same as turns.hpp with fewer instructions, which matters because later stages wait for this
+/// single block.
 #pragma once
 
 #include <cstdint>
@@ -17,10 +20,11 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// A point with candidates of a search with one camera, without partners, in a word.
+/// An open point in one word: index (12 bits), number of listed candidates (5 bits), whether more
+/// exist (1 bit), choice + 1.
 struct packed_point {
   static constexpr int some_unlisted = 1 << 17;
-  int word;  ///< index, 12 bits; 5: how many are listed; whether others are not; choice + 1
+  int word;
 
   static_assert(assign_scratch::size < 1 << 12 && search_workspace::list_size < 1 << 5, "bits");
   FT_HOST_DEVICE static packed_point of(int i, int count, int k) {
@@ -35,9 +39,10 @@ struct packed_point {
   FT_HOST_DEVICE packed_point with(int k) const { return {(word & 0x3ffff) | (k + 1) << 18}; }
 };
 
-/// As choose(). Most decide on the first four of their list: these are looked at together.
-FT_HOST_DEVICE inline int choose_nearest(assignment_context<true> const& ctx, packed_point point,
-                                         first_writes const& writes) {
+/// As choose_keypoint(). Most points decide on the nearest four candidates, which are examined
+/// together.
+FT_HOST_DEVICE inline int choose_packed(assignment_context<true> const& ctx, packed_point point,
+                                        first_writes const& writes) {
   int const i = point.index();
   int const listed = point.listed();
   std::uint32_t best = ~0u;
@@ -53,15 +58,14 @@ FT_HOST_DEVICE inline int choose_nearest(assignment_context<true> const& ctx, pa
       best = free ? entry : best;
     }
   }
-  // What is not there is farther than all that are.
+  // Empty places compare as farther than any candidate.
   bool const near = entry_distance(best) <= ctx.params.max_distance;
   bool const all = listed <= 4 && !point.unlisted();
   if (second == ~0u && !all && (near || best == ~0u)) {
     bool refused = false;
-    open_points<true> const unused{};
-    return choose(
+    return choose_keypoint(
         ctx, 0, i, window_list(ctx, 0, i, true, false), refused,
-        [&](int number, bool in_list) { return writes.taken(ctx, unused, number, i, in_list); });
+        [&](int number, bool in_list) { return writes.taken(ctx, number, i, in_list); });
   }
   if (!near || best == ~0u) { return -1; }
   int const k = entry_keypoint(best);
@@ -71,15 +75,11 @@ FT_HOST_DEVICE inline int choose_nearest(assignment_context<true> const& ctx, pa
   return refused ? -1 : k;
 }
 
-/// The turns with first writes, where there is one camera and no partner: in a word each, points
-/// come in any order, and a write has its point's index for a number. False, and nothing is
-/// written, where somebody looks for a point without observations.
-/// @param n points, at most assign_scratch::size, as are the keypoints
+/// Packs the points with candidates, in any order, and records their first choices.
+/// @param n points, at most assign_scratch::size
 template <typename Group>
-FT_HOST_DEVICE bool settle_single(Group g, assign_scratch& s, assignment_context<true> const& ctx,
-                                  int n) {
-  // Not through owners(): it has to be known where they compile that this is block scratch.
-  first_writes writes(s.writer, s.before, ctx.numbers(), n);
+FT_HOST_DEVICE void list_packed(Group g, assign_scratch& s, assignment_context<true> const& ctx,
+                                int n, first_writes const& writes) {
   constexpr int steps = 3;
   auto const part = g.part();
   for (int first = 0; first < n; first += steps * g.size()) {
@@ -105,28 +105,28 @@ FT_HOST_DEVICE bool settle_single(Group g, assign_scratch& s, assignment_context
     for (int t = 0; t < steps; ++t) {
       if (!has_candidates(counts[t], false)) { continue; }
       int const i = begin + t * part.size();
-      if ((counts[t] & search_workspace::observed) == 0) { s.guests = 1; }
+      if ((counts[t] & search_workspace::observed) == 0) { s.any_unobserved = 1; }
       s.open[place + before[t]] = packed_point::of(i, counts[t], made[t]).word;
       if (made[t] >= 0) { writes.add(made[t], i); }
     }
   }
-  g.sync();
-  int const count = s.open_count;
-  bool const guests = s.guests != 0;
-  g.sync();
-  if (guests) { return false; }
-  open_points<true> const unused{};
-  writes.next_turn(g, ctx, unused);
-  // Points below `begin` do not change any more.
+}
+
+/// Takes turns until no choice changes.
+template <typename Group>
+FT_HOST_DEVICE void run_packed_turns(Group g, assign_scratch& s,
+                                     assignment_context<true> const& ctx, int count,
+                                     first_writes& writes) {
+  // Points below `begin` are final.
   int begin = 0;
   for (int turn = 0;; turn = (turn + 1) % 3) {
-    if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = nobody; }
+    if (g.rank() == 0) { s.first_changed[(turn + 1) % 3] = unset; }
     for (int p = g.rank(); p < count; p += g.size()) {
       packed_point const point{s.open[p]};
       int const i = point.index();
       int k = point.choice();
       if (i >= begin) {
-        int const chosen = choose_nearest(ctx, point, writes);
+        int const chosen = choose_packed(ctx, point, writes);
         if (chosen != k) {
           k = chosen;
           s.open[p] = point.with(k).word;
@@ -137,10 +137,16 @@ FT_HOST_DEVICE bool settle_single(Group g, assign_scratch& s, assignment_context
     }
     g.sync();
     int const changed = s.first_changed[turn];
-    if (changed == nobody) { break; }
+    if (changed == unset) { break; }
     begin = changed + 1;
-    writes.next_turn(g, ctx, unused);
+    writes.next_turn(g);
   }
+}
+
+/// Writes matches and holders.
+template <typename Group>
+FT_HOST_DEVICE void write_packed(Group g, assign_scratch& s, assignment_context<true> const& ctx,
+                                 int count, first_writes const& writes) {
   int taken = 0;
   for (int p = g.rank(); p < count; p += g.size()) {
     packed_point const point{s.open[p]};
@@ -154,8 +160,29 @@ FT_HOST_DEVICE bool settle_single(Group g, assign_scratch& s, assignment_context
   for (int k = g.rank(); ctx.params.from_empty && k < ctx.numbers(); k += g.size()) {
     if (!writes.written(k)) { ctx.holder[k] = -1; }
   }
+  auto const part = g.part();
   taken = part.reduce(taken, sum_op{});
   if (part.rank() == 0) { atomic_add(ctx.work.matches + ctx.b, taken); }
+}
+
+/// The turns if all points are observed. The number of a write is the index of its point, so the
+/// points need no order.
+/// @param n points, at most assign_scratch::size, as are the keypoints
+/// @return false, with nothing written, if a point is not observed
+template <typename Group>
+FT_HOST_DEVICE bool take_packed_turns(Group g, assign_scratch& s,
+                                      assignment_context<true> const& ctx, int n) {
+  // Not owner_table(): the compiler must know that these tables are in shared memory.
+  first_writes writes(s.writer, s.before, ctx.numbers(), n);
+  list_packed(g, s, ctx, n, writes);
+  g.sync();
+  int const count = s.open_count;
+  bool const unobserved = s.any_unobserved != 0;
+  g.sync();
+  if (unobserved) { return false; }
+  writes.next_turn(g);
+  run_packed_turns(g, s, ctx, count, writes);
+  write_packed(g, s, ctx, count, writes);
   return true;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Search windows: where a map point is looked for in the current frame.
+/// @file Search windows: the part of an image in which a map point is searched.
 #pragma once
 
 #include <cmath>
@@ -14,31 +14,31 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A square of keypoint positions and a range of octaves.
+/// A square in the image and a range of octaves.
 struct search_window {
   float x, y;        ///< centre, pixels
-  float radius;      ///< half side, and tolerance of the right column; pixels
+  float radius;      ///< half side, and tolerance of the right column, pixels
   float right_x;     ///< predicted column in the right image
   int min_level;     ///< 0 or below: no lower limit
   int max_level;     ///< below 0: no upper limit
-  int slot;          ///< map point looked for; -1 = this window is not searched
-  bool check_right;  ///< compare right columns where the keypoint has one
+  int slot;          ///< map point; -1 = the window is not searched
+  bool check_right;  ///< compare columns in the right image where a keypoint has one
 
   FT_HOST_DEVICE static search_window none() { return {0, 0, 0, 0, 0, 0, -1, false}; }
 };
 
-/// The windows of a point in both cameras.
+/// The windows of a map point in both cameras.
 struct window_pair {
   search_window of[2] = {search_window::none(), search_window::none()};
 
-  /// By value: an index known at run time would put both into memory.
+  /// Returned by value: a run-time index into `of` would move both windows to local memory.
   FT_HOST_DEVICE search_window camera(int c) const { return c == 0 ? of[0] : of[1]; }
 };
 
-/// Windows of one search, in search order: [cameras][batch][capacity].
+/// The windows of a search, in search order.
 struct search_windows_view {
-  search_window* windows = nullptr;
-  int* count = nullptr;  ///< [batch]
+  search_window* windows = nullptr;  ///< [cameras][batch][capacity]
+  int* count = nullptr;              ///< [batch]
   int capacity = 0;
   int batch = 0;
   int cameras = 1;
@@ -58,9 +58,9 @@ inline void carve(carver& c, search_windows_view& v, int capacity, int batch, in
   v.count = c.take<int>(static_cast<std::size_t>(batch));
 }
 
-/// Calls visit(k) in the grid's order for every keypoint of the window's cells, k = -1 for threads
-/// of the group that have none in a step; every thread takes part in every call. @tparam Group one
-/// thread or a warp
+/// Calls visit(k) for every keypoint k in the grid cells of a window, in grid order. All threads of
+/// the group make every call. A thread without a keypoint in a step passes -1.
+/// @tparam Group one thread or a warp
 template <typename Group, typename Visit>
 FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_view const& grid,
                                 Visit const& visit) {
@@ -68,8 +68,8 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
   if (cells.y0 > cells.y1) { return; }
   int const columns = cells.x1 - cells.x0 + 1;
   for (int first = 0; first < columns; first += g.size()) {
-    // Cells of a column follow each other, so the column's part of the window is one run. A thread
-    // looks up a column; then all threads walk through all runs together.
+    // The cells of a grid column are contiguous, so a column contributes one run of indices. Each
+    // thread looks up one column, then all threads walk the concatenated runs.
     int const here = min_of(columns - first, g.size());
     int const column = (cells.x0 + first + min_of(g.rank(), here - 1)) * grid.geometry.rows;
     int const begin = grid.start[column + cells.y0];
@@ -78,7 +78,7 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
     int const before = g.exclusive_scan(length, total);
     for (int base = 0; base < total; base += g.size()) {
       int const at = base + g.rank();
-      int run = 0;  // the last one that begins at or before `at`
+      int run = 0;  // the last run that begins at or before `at`
       int run_before = 0;
       for (int c = 0; c < here; ++c) {
         int const that = g.shuffle(before, c);
@@ -93,7 +93,7 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
   }
 }
 
-/// True for a keypoint of the window's octaves strictly inside the square.
+/// Whether a keypoint lies strictly inside the square and has one of the window's octaves.
 FT_HOST_DEVICE inline bool inside(search_window const& w, keypoints_view const& kp, int k) {
   int const octave = get<field::octave>(kp, k);
   return octave >= w.min_level && (w.max_level < 0 || octave <= w.max_level) &&

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What a search is asked for, and its working memory.
+/// @file Parameters and working memory of a search.
 #pragma once
 
 #include <cstddef>
@@ -12,52 +12,69 @@ namespace ft {
 inline namespace FT_ABI {
 
 enum class search_kind {
-  last_frame,  ///< no ratio test; the right camera only where the left window held a keypoint
-  local_map,   ///< ratio test; a refusal on the left ends the point; stereo partners are taken too
+  /// No ratio test. The right camera is searched only if the left window contains a keypoint.
+  last_frame,
+  /// With the ratio test. A point that fails it in the left camera is not searched in the right
+  /// one.
+  /// The stereo partner of a matched keypoint is matched, too.
+  local_map,
 };
 
 struct search_params {
   search_kind kind = search_kind::local_map;
-  int max_distance = 100;   ///< descriptors differ in at most this many bits
-  float ratio = 0.8f;       ///< best over second best, same octave; local map only
-  bool from_empty = false;  ///< nobody holds a keypoint: holders are cleared first
-  /// The candidates are listed while frame.right_x is not there yet: it is looked at when they are
-  /// chosen from. Last frame only.
+  /// Largest Hamming distance of a match, bits.
+  int max_distance = 100;
+  /// Ratio test: largest distance of the best candidate over that of the second best, applied if
+  /// both have the same octave. Local map only.
+  float ratio = 0.8f;
+  /// Ignores and overwrites the holders from before the search.
+  bool from_empty = false;
+  /// frame.right_x is not yet valid when candidates are listed, so the assignment checks it.
+  /// Last frame only.
   bool right_later = false;
-  /// The candidates are listed while frame.holder and the points' stamps are not there yet:
-  /// leave_out() follows. Local map only.
+  /// frame.holder and the stamps are not yet valid when candidates are listed, so
+  /// list_candidates::leave_out() removes held candidates afterwards. Local map only.
   bool holders_later = false;
 };
 
-/// Four candidates of a window, each distance << 23 | keypoint.
+/// Four candidates of a window, each packed as distance << 23 | keypoint. Loaded at once.
 struct alignas(16) candidate_quad {
   std::uint32_t entry[4];
 };
 
-/// Candidates of one search and the state of the assignment.
+/// Candidate lists of a search and the state of its assignment.
+///
+/// A map point is *observed* if its number of observations is positive. Only observed points keep
+/// their keypoints. A keypoint of an unobserved point may be taken over by a later point.
 struct search_workspace {
-  /// The best candidates of a window are listed; who needs more walks the grid again.
+  /// Candidates listed per window. A window that exhausts its list rescans the grid.
   static constexpr int list_size = 16;
-  /// [cameras][batch][capacity][list_size / 4], the nearest first, of equals the first in the grid;
-  /// filled up with ~0 to whole quads
+  /// [cameras][batch][capacity][list_size / 4] candidates by distance, ties in grid order. The last
+  /// quad is padded with ~0.
   candidate_quad* list = nullptr;
-  static constexpr int observed = 1 << 30;
-  static constexpr int left_out = 1 << 29;
-  static constexpr int unlisted = 1 << 28;
-  static constexpr int counted = unlisted - 1;
-  /// [cameras][batch][capacity] how many are listed, 0 where a window can take none of them; plus
-  /// `unlisted` where there are farther ones, `observed` where the point looked for is that, and
-  /// `left_out` where candidates are not listed since they are taken
+
+  // Bits of list_count.
+  static constexpr int observed = 1 << 30;      ///< the window's point is observed
+  static constexpr int left_out = 1 << 29;      ///< candidates held by observed points were omitted
+  static constexpr int unlisted = 1 << 28;      ///< more candidates exist than the list holds
+  static constexpr int counted = unlisted - 1;  ///< mask: number of listed candidates
+  /// [cameras][batch][capacity] number of listed candidates and the bits above. The number is 0 if
+  /// even the nearest candidate is too far.
   int* list_count = nullptr;
-  /// [cameras][batch][capacity] keypoint taken by each window, -1 = none. Who lists the candidates
-  /// begins with what a window of the local map would take if it were alone.
+  /// [cameras][batch][capacity] keypoint matched to each window, -1 = none. In a search of the
+  /// local map, listing stores the choice that the window would make alone.
   int* match = nullptr;
-  int* open = nullptr;    ///< [batch][capacity] points that have candidates
-  int* writer = nullptr;  ///< [batch][numbers] who owns or writes a keypoint
-  int* before = nullptr;  ///< [batch][links] a second such table, or links of chains of writers
-  std::uint8_t* held = nullptr;  ///< [batch][numbers] 1 = taken before the search
-  int* matches = nullptr;        ///< [batch] keypoints that were given a point
-  int capacity = 0;              ///< windows
+  /// [batch][capacity] points that have candidates.
+  int* open = nullptr;
+  /// [batch][numbers] owner of a keypoint, or its writers.
+  int* writer = nullptr;
+  /// [batch][links] a second such table, or the links of chains of writers.
+  int* before = nullptr;
+  /// [batch][numbers] 1 = held by an observed point since before the search.
+  std::uint8_t* held = nullptr;
+  /// [batch] number of keypoints that were given a map point.
+  int* matches = nullptr;
+  int capacity = 0;  ///< windows per camera and batch entry
   int links = 0;
   int batch = 0;
   int cameras = 1;
@@ -86,7 +103,7 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.match = c.take<int>(n);
   v.open = c.take<int>(per_camera);
   v.writer = c.take<int>(numbers);
-  // As many as there are writes in a search, and at least one a keypoint.
+  // One link per possible write of a search, and at least one entry per keypoint.
   v.links = max_of(2 * cameras * windows, cameras * keypoints);
   v.before = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(v.links)));
   v.held = c.take<std::uint8_t>(numbers);

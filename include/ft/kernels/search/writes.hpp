@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the points of a search wrote in a turn.
+/// @file Records of which points wrote which keypoints in a turn.
 #pragma once
 
 #include <cstdint>
@@ -14,33 +14,34 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// What the points wrote in a turn, where all that is looked for is observed: a keypoint is taken
-/// from its first write on, and that is all that is kept of the writes to it.
+/// What the points wrote in the previous turn, if all open points are observed. A keypoint is taken
+/// from its first write on, so only the first write is kept.
 ///
-/// One table has those of the turn before, the other gets those of this turn. Every turn adds a
-/// lower base to its writes' numbers than the turns before: nothing need be cleared in between.
+/// `last` holds the writes of the previous turn and `now` collects those of the current one. Each
+/// turn's keys are smaller than all earlier ones, so stale entries lose every minimum and no
+/// clearing is needed.
 struct first_writes {
+  /// add() is called while points choose, not afterwards.
   static constexpr bool kept_at_once = true;
-  int* last;  ///< of a keypoint: base + its first write; more, where it has none
-  int* now;   ///< the same of this turn
+  int* last;  ///< per keypoint: base + first write of the previous turn; larger = none
+  int* now;   ///< per keypoint: base_now + first write of the current turn
   int numbers;
-  int writes;  ///< in a turn, at most
+  int writes;  ///< upper limit of write numbers
   int base;
   int base_now;
 
-  /// @param a,b emptied
+  /// @param a,b cleared tables
   FT_HOST_DEVICE first_writes(int* a, int* b, int keypoints, int most)
       : last(a),
         now(b),
         numbers(keypoints),
         writes(most),
-        base(nobody - most),
-        base_now(nobody - most) {}
+        base(unset - most),
+        base_now(unset - most) {}
 
-  /// The turn before is the one that just ended, for all threads.
-  template <typename Group, bool Single>
-  FT_HOST_DEVICE void next_turn(Group g, assignment_context<Single> const&,
-                                open_points<Single> const&) {
+  /// Makes the current turn the previous one. Called by all threads.
+  template <typename Group>
+  FT_HOST_DEVICE void next_turn(Group g) {
     int* const other = last;
     int const other_base = base;
     last = now;
@@ -48,25 +49,26 @@ struct first_writes {
     now = other;
     base_now = other_base - writes;
     if (base_now >= 0) { return; }
-    for (int k = g.rank(); k < numbers; k += g.size()) { now[k] = nobody; }
-    base_now = nobody - writes;
+    for (int k = g.rank(); k < numbers; k += g.size()) { now[k] = unset; }
+    base_now = unset - writes;
     g.sync();
   }
   FT_HOST_DEVICE void add(int number, int write) const {
     atomic_min(now + number, base_now + write);
   }
   FT_HOST_DEVICE bool written(int number) const { return last[number] < base + writes; }
-  /// Whether a keypoint is taken before the write `end`. @param listed it is in a list
+  /// Whether a keypoint is taken before the write `end`.
+  /// @param listed whether it is in a candidate list, so that its holder was checked
   template <bool Single>
-  FT_HOST_DEVICE bool taken(assignment_context<Single> const& ctx, open_points<Single> const&,
-                            int number, int end, bool listed) const {
+  FT_HOST_DEVICE bool taken(assignment_context<Single> const& ctx, int number, int end,
+                            bool listed) const {
     return last[number] < base + end || (!listed && ctx.held(number));
   }
-  /// When the turns are over: finds the last write to each keypoint.
+  /// After the last turn: finds the last write to each keypoint.
   template <typename Group, bool Single>
   FT_HOST_DEVICE void find_last(Group g, assignment_context<Single> const& ctx,
                                 open_points<Single> const& open) const {
-    if (open.partners() == 0) { return; }  // there is one
+    if (open.partners() == 0) { return; }  // the first write is the only one
     for (int p = g.rank(); p < open.count; p += g.size()) {
       each_write(ctx, open, p, last_choice(ctx, open, p),
                  [&](int, int number, int w) { atomic_min(now + number, -1 - w); });
@@ -79,22 +81,23 @@ struct first_writes {
   }
 };
 
-/// The same where some of what is looked for is not observed: all writes to a keypoint, in a
-/// chain.
+/// The same if some open points are not observed: all writes to each keypoint, as linked lists.
+template <bool Single>
 struct write_chains {
   static constexpr bool kept_at_once = false;
-  int* first;          ///< of a keypoint: first in the chain, -1 = nothing writes it
-  int* next;           ///< of a write: next in the chain, -1 = none
-  std::uint8_t* held;  ///< of a keypoint: 1 = taken before the search
+  assignment_context<Single> const& ctx;
+  open_points<Single> const& open;
+  int* first;          ///< per keypoint: first write of its chain, -1 = none
+  int* next;           ///< per write: next one of the chain, -1 = none
+  std::uint8_t* held;  ///< per keypoint: 1 = held by an observed point since before the search
   int numbers;
 
   template <typename Group>
   FT_HOST_DEVICE void clear(Group g) const {
     for (int k = g.rank(); k < numbers; k += g.size()) { first[k] = -1; }
   }
-  template <typename Group, bool Single>
-  FT_HOST_DEVICE void next_turn(Group g, assignment_context<Single> const& ctx,
-                                open_points<Single> const& open) const {
+  template <typename Group>
+  FT_HOST_DEVICE void next_turn(Group g) const {
     clear(g);
     g.sync();
     for (int p = g.rank(); p < open.count; p += g.size()) {
@@ -107,18 +110,15 @@ struct write_chains {
     next[write] = atomic_exchange(first + number, write);
   }
   FT_HOST_DEVICE bool written(int number) const { return first[number] >= 0; }
-  template <bool Single>
-  FT_HOST_DEVICE bool taken(assignment_context<Single> const&, open_points<Single> const& open,
-                            int number, int end, bool) const {
+  FT_HOST_DEVICE bool taken(assignment_context<Single> const&, int number, int end, bool) const {
     int const write = last_write(number, end);
     return write < 0 ? held[number] != 0 : open.observed(write);
   }
-  template <typename Group, bool Single>
+  template <typename Group>
   FT_HOST_DEVICE void find_last(Group, assignment_context<Single> const&,
                                 open_points<Single> const&) const {}
-  template <bool Single>
   FT_HOST_DEVICE bool is_last(open_points<Single> const&, int number, int write) const {
-    return last_write(number, nobody) == write;
+    return last_write(number, unset) == write;
   }
 
 private:

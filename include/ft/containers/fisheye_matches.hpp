@@ -11,8 +11,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Stereo partners and points of a batch of pairs. Keypoint k of the left camera has number k, of
-/// the right one capacity + k.
+/// Stereo partners and points of a batch of pairs. Left keypoint k has the number k, right keypoint
+/// k the number capacity + k.
 struct fisheye_matches_view {
   int* partner = nullptr;        ///< [batch][2 * capacity] number of the partner, -1 = none
   float* depth = nullptr;        ///< [batch][capacity] of left keypoints, metres, -1 = none
@@ -21,6 +21,7 @@ struct fisheye_matches_view {
   int batch = 0;
 };
 
+/// Places the arrays into an arena.
 inline void carve(carver& c, fisheye_matches_view& v, int capacity, int batch) {
   std::size_t const n =
       detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(capacity));

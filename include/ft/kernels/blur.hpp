@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: blur. 7 x 7 binomial-like kernel in integers, reflected borders, bit-identical to
+/// @file Stage: blur. A separable 7 x 7 kernel in integers with reflected borders, bit-identical to
 /// cv::GaussianBlur(7x7, sigma 2, BORDER_REFLECT_101) on 8-bit images. Source: specification
 /// section 4.
 #pragma once
@@ -37,8 +37,7 @@ struct blur_layout {
 
 namespace detail {
 
-/// Index inside [0, n) of a position outside by reflection that does not repeat the edge; any
-/// distance.
+/// Reflects a position at any distance into [0, n), without repeating the edge.
 FT_HOST_DEVICE inline int reflect_101(int i, int n) {
   if (n == 1) { return 0; }
   while (i < 0 || i >= n) { i = i < 0 ? -i : 2 * n - 2 - i; }
@@ -49,13 +48,15 @@ FT_HOST_DEVICE inline int reflect_101(int i, int n) {
 
 namespace detail {
 
-/// One tile of one level of one image. A single thread goes row by row through scratch; the threads
-/// of a device's group each take strips of 4 columns and keep all they need in registers.
+/// One tile of one level of one image.
+///
+/// On the host a single thread goes through the rows in scratch. On a device each thread blurs
+/// strips of 4 columns in registers; blur_rows() is for images that strips cannot handle.
 struct blur_tile {
   static constexpr bool wide_on_host = true;
   static constexpr int radius = 3;
   static constexpr int strip_rows = 8;
-  /// Below this the strips' borders would meet.
+  /// In smaller images both borders could fall into one strip.
   static constexpr int least_width = 8;
   static constexpr int least_height = 4;
   struct scratch {
@@ -85,7 +86,7 @@ struct blur_tile {
       for (int i = g.rank(); i < columns * (th / strip_rows); i += g.size()) {
         int const x = x0 + 4 * (i % columns);
         int const y = y0 + i / columns * strip_rows;
-        int const warp_y = y0 + i / 32 * warp_rows;  // all of a warp take the same way
+        int const warp_y = y0 + i / 32 * warp_rows;  // uniform in a warp
         bool const border = x0 == 0 || x0 + tw + 4 > in.width || warp_y < radius ||
                             warp_y + warp_rows + radius > in.height;
         if (x >= in.width || y >= in.height) { continue; }
@@ -107,18 +108,19 @@ struct blur_tile {
            has_word_rows(out);
   }
 
-  /// Pixels [x, x + 4) x [y, y + strip_rows) as far as they lie in the image; x a multiple of 4. A
-  /// pixel's sum along a row is over three words, its own and those beside it. @tparam Border true
-  /// where words or rows read may lie outside
+  /// Blurs the pixels [x, x + 4) x [y, y + strip_rows) that lie in the image. The sum along a row
+  /// needs three words: that of the pixel and its two neighbours.
+  /// @tparam Border whether words or rows may lie outside the image @param x a multiple of 4
   template <bool Border>
   FT_HOST_DEVICE static void blur_strip(gray_view in, image_view<std::uint8_t> out, int x, int y) {
     constexpr int rows = strip_rows + 2 * radius;
-    // What lies beside the image is mirrored: bytes of the words inside.
+    // Pixels outside the image are mirrored: bytes of the words inside are permuted.
     int left_x = x - 4;
     int right_x = x + 4;
     int const rest = in.width - x;  // columns from x on
-    std::uint32_t own = 0x7654;     // of left and middle
-    std::uint32_t beyond = 0x7654;  // of middle and right, in the last strip of left and middle
+    std::uint32_t own = 0x7654;     // selects the middle word from left and middle
+    std::uint32_t beyond = 0x7654;  // selects the right word from middle and right; in the last
+                                    // strip from left and middle
     if (Border) {
       left_x = max_of(left_x, 0);
       right_x = rest > 4 ? right_x : x;
@@ -142,7 +144,7 @@ struct blur_tile {
       middle[r] = load_word(row + x);
       right[r] = load_word(row + right_x);
     }
-    // Sums of rows 2 k and 2 k + 1 in the low and the high half.
+    // Low half: sum of row 2 k; high half: sum of row 2 k + 1.
     std::uint32_t pairs[4][rows / 2];
     FT_UNROLL
     for (int r = 0; r < rows; ++r) {
@@ -155,12 +157,8 @@ struct blur_tile {
         c = permute_bytes(from, rest > 4 ? c : b, beyond);
         b = permute_bytes(a, b, own);
       }
-      // 18 34 48 56 48 34 18, the first weight in the lowest byte
-      std::uint32_t const sum[4] = {
-          dot_of_4(b, 0x12223038u, dot_of_4(a, 0x30221200u, 0)),
-          dot_of_4(c, 0x00000012u, dot_of_4(b, 0x22303830u, dot_of_4(a, 0x22120000u, 0))),
-          dot_of_4(c, 0x00001222u, dot_of_4(b, 0x30383022u, dot_of_4(a, 0x12000000u, 0))),
-          dot_of_4(c, 0x00122230u, dot_of_4(b, 0x38302212u, 0))};
+      std::uint32_t sum[4];
+      sum_along_row(a, b, c, sum);
       FT_UNROLL
       for (int k = 0; k < 4; ++k) {
         if (r % 2 == 0) {
@@ -172,26 +170,7 @@ struct blur_tile {
     }
     FT_UNROLL
     for (int r = 0; r < strip_rows; ++r) {
-      std::uint32_t pixel[4];
-      FT_UNROLL
-      for (int k = 0; k < 4; ++k) {
-        std::uint32_t const* const p = pairs[k] + r / 2;
-        std::uint32_t v = 1u << 15;
-        if (r % 2 == 0) {
-          v = dot_of_2(p[0], 0x2212u, v);
-          v = dot_of_2(p[1], 0x3830u, v);
-          v = dot_of_2(p[2], 0x2230u, v);
-          v = dot_of_2(p[3], 0x0012u, v);
-        } else {
-          v = dot_of_2(p[0], 0x1200u, v);
-          v = dot_of_2(p[1], 0x3022u, v);
-          v = dot_of_2(p[2], 0x3038u, v);
-          v = dot_of_2(p[3], 0x1222u, v);
-        }
-        pixel[k] = v;
-      }
-      std::uint32_t const word = permute_bytes(permute_bytes(pixel[0], pixel[1], 0x0062),
-                                               permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
+      std::uint32_t const word = blurred_word(pairs, r);
       if (Border && y + r >= out.height) { return; }
       std::uint8_t* const to = out.row(y + r) + x;
       if (!Border || rest >= 4) {
@@ -206,11 +185,47 @@ struct blur_tile {
   }
 
 private:
-  /// Selectors for a strip with `rest` columns of the image from its first on, below 8. The mirror
-  /// of column rest - 1 + k is rest - 1 - k. @param own of the strip's columns @param beyond of the
-  /// 4 after them
+  /// Sums of the four pixels of word b along a row, with the words before and after it. The weights
+  /// are 18 34 48 56 48 34 18, the first one in the lowest byte.
+  FT_HOST_DEVICE static void sum_along_row(std::uint32_t a, std::uint32_t b, std::uint32_t c,
+                                           std::uint32_t (&sum)[4]) {
+    sum[0] = dot_of_4(b, 0x12223038u, dot_of_4(a, 0x30221200u, 0));
+    sum[1] = dot_of_4(c, 0x00000012u, dot_of_4(b, 0x22303830u, dot_of_4(a, 0x22120000u, 0)));
+    sum[2] = dot_of_4(c, 0x00001222u, dot_of_4(b, 0x30383022u, dot_of_4(a, 0x12000000u, 0)));
+    sum[3] = dot_of_4(c, 0x00122230u, dot_of_4(b, 0x38302212u, 0));
+  }
+
+  /// The four pixels of row r of a strip. @param pairs sums along rows, two rows a word
+  template <int Pairs>
+  FT_HOST_DEVICE static std::uint32_t blurred_word(std::uint32_t const (&pairs)[4][Pairs], int r) {
+    std::uint32_t pixel[4];
+    FT_UNROLL
+    for (int k = 0; k < 4; ++k) {
+      std::uint32_t const* const p = pairs[k] + r / 2;
+      std::uint32_t v = 1u << 15;
+      if (r % 2 == 0) {
+        v = dot_of_2(p[0], 0x2212u, v);
+        v = dot_of_2(p[1], 0x3830u, v);
+        v = dot_of_2(p[2], 0x2230u, v);
+        v = dot_of_2(p[3], 0x0012u, v);
+      } else {
+        v = dot_of_2(p[0], 0x1200u, v);
+        v = dot_of_2(p[1], 0x3022u, v);
+        v = dot_of_2(p[2], 0x3038u, v);
+        v = dot_of_2(p[3], 0x1222u, v);
+      }
+      pixel[k] = v;
+    }
+    return permute_bytes(permute_bytes(pixel[0], pixel[1], 0x0062),
+                         permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
+  }
+
+  /// Selectors of a strip with less than 8 columns of the image left. The mirror image of column
+  /// rest - 1 + k is rest - 1 - k.
+  /// @param own selects the strip's columns @param beyond selects the 4 columns after them
   FT_HOST_DEVICE static void mirror(int rest, std::uint32_t& own, std::uint32_t& beyond) {
-    int const origin = rest > 4 ? 0 : 4;  // of column 0 in the two words that `beyond` selects from
+    int const origin =
+        rest > 4 ? 0 : 4;  // byte of column 0 in the words that `beyond` selects from
     own = 0;
     beyond = 0;
     for (int i = 0; i < 4; ++i) {
@@ -221,8 +236,7 @@ private:
     }
   }
 
-  /// By a single thread, over whole rows of the tile's width: loops of a constant length, which
-  /// become vectors.
+  /// By a single thread. Loops run over the whole width of a tile: a constant length vectorises.
   FT_HOST_DEVICE FT_INLINE static void blur_alone(scratch& s, gray_view in,
                                                   image_view<std::uint8_t> out, int x0, int y0,
                                                   int w, int h) {
@@ -254,9 +268,9 @@ private:
     }
   }
 
-  /// Weighted sum of 7 sums along rows, rounded to a pixel, in numbers of 16 bits. With a sum as
-  /// 256 high + low, low = 0 where high = 255, no step exceeds them, and nothing is lost: the low
-  /// parts' sum counts in units of 256.
+  /// Weighted sum of 7 sums along rows, rounded to a pixel, in 16-bit arithmetic. Each sum is split
+  /// into 256 * high + low, where low = 0 if high = 255. Then no step overflows. Nothing is lost,
+  /// because only multiples of 256 of the sum of the low parts count.
   FT_HOST_DEVICE FT_INLINE static std::uint8_t blurred_pixel(std::uint16_t const* p) {
     constexpr int tw = blur_layout::tile_width;
     auto const weighted = [&](auto const& part) {
@@ -269,6 +283,7 @@ private:
     return static_cast<std::uint8_t>(static_cast<std::uint16_t>(high + (low >> 8) + 128) >> 8);
   }
 
+  /// By several threads, row by row in scratch: for images that are small or not aligned to words.
   template <typename Group>
   FT_HOST_DEVICE static void blur_rows(Group g, scratch& s, gray_view in,
                                        image_view<std::uint8_t> out, int x0, int y0, int w, int h) {
@@ -311,8 +326,8 @@ private:
 
 }  // namespace detail
 
-/// Every level of every image of `from`, blurred, into `to`. Asynchronous on `exec`; allocates
-/// nothing; one launch. @param also see with_small_items
+/// Blurs every level of every image of `from` into `to`. Asynchronous on `exec`; allocates nothing;
+/// one launch. @param also elementwise work of another stage, see with_small_items
 template <typename Exec, typename Also = no_items>
 void blur_pyramid(Exec const& exec, image_pyramid_view const& from, image_pyramid_view const& to,
                   blur_layout const& layout, Also const& also = {}) {

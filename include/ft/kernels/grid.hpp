@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: feature grid. Keypoints into cells, in index order, without a limit per cell.
+/// @file Stage: feature grid. Sorts keypoints into cells, in index order, without a limit per cell.
 /// Source: specification section 7.
 #pragma once
 
@@ -15,7 +15,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Cell of the search grid: nearest cell corner, half away from zero; -1 outside the grid.
+/// Cells of search windows: the nearest cell corner, halves away from zero; -1 outside the grid.
 struct nearest_cell {
   FT_HOST_DEVICE static int of(grid_geometry const& g, float x, float y) {
     float const fx = detail::mul(x - g.min_x, g.inv_width);
@@ -30,7 +30,7 @@ struct nearest_cell {
   }
 };
 
-/// Cell of a grid of image rows (one column, cells one pixel high): int(y).
+/// Cells of a grid of image rows, which has one column and cells one pixel high: int(y).
 struct row_cell {
   FT_HOST_DEVICE static int of(grid_geometry const& g, float, float y) {
     return y >= 0 && y < static_cast<float>(g.rows) ? static_cast<int>(y) : -1;
@@ -39,25 +39,25 @@ struct row_cell {
 
 namespace detail {
 
-/// Block scratch of fill_grid: for grids of less than so many cells, and images of up to so many
-/// keypoints.
+/// Scratch of fill_grid, for grids of less than `size` cells and images of up to `size` keypoints.
 struct grid_scratch {
   static constexpr int size = 4096;
   static constexpr std::uint32_t nowhere = 0xffffffffu;
-  int start[size];            ///< of cells; their counts at first
-  std::uint32_t entry[size];  ///< of a keypoint: its cell, and how many of it were counted before
-  std::uint16_t list[size];   ///< cell by cell, in any order within one
+  int start[size];            ///< counts of the cells, then their starts
+  std::uint32_t entry[size];  ///< per keypoint: its cell, and its number in the cell, in any order
+  std::uint16_t list[size];   ///< keypoints cell by cell, in any order within a cell
 
-  /// Whether a group works in scratch: threads keep their part of it in registers.
+  /// Whether a group works in scratch. Its threads keep their cells in registers.
   template <typename Group>
   FT_HOST_DEVICE static bool serves(grid_geometry const& g, int keypoints) {
     return Group::max_threads >= 256 && g.cells() < size && keypoints <= size;
   }
 };
 
-/// The grid of one image: counts, their prefix sum, then every keypoint into its cell's part of the
-/// list. A group of several threads fills a part in any order; each keypoint then counts the lower
-/// ones of its cell, which is its place. No sort, and the same lists on every executor.
+/// The grid of one image: counts per cell, their prefix sum, then the keypoints of each cell.
+///
+/// Several threads fill a cell in any order. The number of lower keypoints in the same cell is then
+/// a keypoint's place. So nothing is sorted, and all executors give the same lists.
 /// @tparam Cell nearest_cell or row_cell
 template <typename Cell>
 struct fill_grid {
@@ -82,23 +82,35 @@ struct fill_grid {
     sort(g, s, n, grid);
   }
 
-  /// In scratch, by several threads: first of all.
+  /// First step in scratch, by several threads.
   template <typename Group>
   FT_HOST_DEVICE static void clear(Group g, scratch& s, grid_geometry const& geometry) {
     for (int c = g.rank(); c < geometry.cells(); c += g.size()) { s.start[c] = 0; }
     g.sync();
   }
-  /// Then for each keypoint, in any order. Returns its entry.
+  /// Second step: counts a keypoint, in any order. Returns its entry.
   FT_HOST_DEVICE static std::uint32_t count(scratch& s, grid_geometry const& geometry, float x,
                                             float y) {
     int const c = Cell::of(geometry, x, y);
     if (c < 0) { return scratch::nowhere; }
     return static_cast<std::uint32_t>(atomic_add(s.start + c, 1) << 16 | c);
   }
-  /// At last. @pre all are counted, and a sync() since
+  /// Last step: writes the grid. @pre all keypoints are counted, followed by a sync()
   template <typename Group>
   FT_HOST_DEVICE static void sort(Group g, scratch& s, int n, feature_grid_view const& grid) {
-    // Prefix sum, each thread over cells that follow each other.
+    scan_cells(g, s, grid);
+    g.sync();
+    list_by_cell(g, s, n);
+    g.sync();
+    write_in_order(g, s, n, grid);
+  }
+
+private:
+  static constexpr int together = 2;  ///< keypoints per thread whose loads are in flight together
+
+  /// From counts to starts, in scratch and in the grid. Each thread scans consecutive cells.
+  template <typename Group>
+  FT_HOST_DEVICE static void scan_cells(Group g, scratch& s, feature_grid_view const& grid) {
     constexpr int most =
         Group::max_threads >= 256 ? ceil_div(scratch::size, Group::max_threads) : 1;
     int const cells = grid.geometry.cells();
@@ -125,8 +137,10 @@ struct fill_grid {
       s.start[cells] = total;
       grid.start[cells] = total;
     }
-    g.sync();
-    constexpr int together = 2;  // keypoints of a thread at a time
+  }
+  /// Fills `s.list`, in any order within a cell.
+  template <typename Group>
+  FT_HOST_DEVICE static void list_by_cell(Group g, scratch& s, int n) {
     FT_NO_UNROLL
     for (int base = g.rank(); base < n; base += together * g.size()) {
       std::uint32_t e[together];
@@ -142,7 +156,11 @@ struct fill_grid {
             static_cast<std::uint16_t>(base + k * g.size());
       }
     }
-    g.sync();
+  }
+  /// Ranks the keypoints of each cell by counting lower ones, and writes them in order.
+  template <typename Group>
+  FT_HOST_DEVICE static void write_in_order(Group g, scratch& s, int n,
+                                            feature_grid_view const& grid) {
     FT_NO_UNROLL
     for (int base = g.rank(); base < n; base += together * g.size()) {
       int from[together];
@@ -162,7 +180,7 @@ struct fill_grid {
         FT_NO_UNROLL
         for (int at = from[k]; at < to[k]; at += 4) {
           FT_UNROLL
-          for (int m = 0; m < 4; ++m) {  // where fewer are left, the last one again
+          for (int m = 0; m < 4; ++m) {  // past the end, the last one again
             int const other = s.list[min_of(at + m, to[k] - 1)];
             lower += static_cast<int>((at + m < to[k]) & (other < i));
           }
@@ -172,8 +190,7 @@ struct fill_grid {
     }
   }
 
-private:
-  /// Without scratch. Not unrolled: few need it, and all would fetch it.
+  /// The grid without scratch. Loops are not unrolled, which keeps this rare path's code small.
   template <typename Group>
   FT_HOST_DEVICE static void in_memory(Group g, keypoints_view const& kp, int n,
                                        feature_grid_view const& grid) {
@@ -207,7 +224,7 @@ private:
       before += here;
     }
     g.sync();
-    // start[c] moves forward while its cell fills and ends as the start of the next.
+    // start[c] advances while cell c fills, and ends as the start of the next cell.
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
       int const c = cell(i);
@@ -226,7 +243,11 @@ private:
       grid.indices[from + lower] = i;
     }
     g.sync();
-    // From the last cell down, so that a thread writes what no later step reads.
+    shift_starts(g, start, cells);
+  }
+  /// Moves the starts up by one cell, from the last cell down: no later step reads what is written.
+  template <typename Group>
+  FT_HOST_DEVICE static void shift_starts(Group g, int* start, int cells) {
     FT_NO_UNROLL
     for (int base = (cells / g.size()) * g.size(); base >= 0; base -= g.size()) {
       int const c = base + g.rank();
@@ -240,9 +261,9 @@ private:
 
 }  // namespace detail
 
-/// Grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on `exec`;
-/// allocates nothing; one launch. @tparam Cell nearest_cell (search windows) or row_cell (rectified
-/// stereo)
+/// Builds the grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on
+/// `exec`; allocates nothing; one launch.
+/// @tparam Cell nearest_cell (search windows) or row_cell (rectified stereo)
 template <typename Cell, typename Exec>
 void build_grid(Exec const& exec, keypoints_view const& keypoints, int first, int step, int images,
                 feature_grid_view const& grids) {
@@ -250,7 +271,7 @@ void build_grid(Exec const& exec, keypoints_view const& keypoints, int first, in
                                  grids);
 }
 
-/// The cells that a search window touches: [x0, x1] x [y0, y1], empty where x0 > x1 or y0 > y1.
+/// The cells that a search window touches: [x0, x1] x [y0, y1]; empty if x0 > x1 or y0 > y1.
 struct cell_window {
   int x0, x1, y0, y1;
 
@@ -260,12 +281,12 @@ struct cell_window {
     w.x1 = min_of(g.cols - 1, to_cell(::ceilf(detail::mul(x - g.min_x + r, g.inv_width)), g.cols));
     w.y0 = max_of(0, to_cell(::floorf(detail::mul(y - g.min_y - r, g.inv_height)), g.rows));
     w.y1 = min_of(g.rows - 1, to_cell(::ceilf(detail::mul(y - g.min_y + r, g.inv_height)), g.rows));
-    if (!(r >= 0 && x - x == 0 && y - y == 0)) { w.x1 = -1; }  // no numbers, no cells
+    if (!(r >= 0 && x - x == 0 && y - y == 0)) { w.x1 = -1; }  // NaN or infinity: empty
     return w;
   }
 
 private:
-  /// Keeps the conversion defined for values far outside.
+  /// A conversion that is defined for all values, far outside and NaN included.
   FT_HOST_DEVICE static int to_cell(float v, int n) {
     return v >= -1.0f ? static_cast<int>(min_of(v, static_cast<float>(n))) : -1;  // NaN, too
   }

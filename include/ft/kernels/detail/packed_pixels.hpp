@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Several 8-bit pixels at a time: words of four, pairs of 16-bit numbers, and rectangles
-/// that a group copies into its scratch by words. In a word the leftmost pixel is the lowest byte.
+/// @file Arithmetic on packed pixels: words of four bytes and pairs of 16-bit numbers, and copies
+/// of rectangles into scratch by words. The leftmost pixel of a word is the lowest byte.
 #pragma once
 
 #include <cstddef>
@@ -16,9 +16,9 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-// ---- on the device one or two instructions each; elsewhere the same numbers ---------------------
+// ---- packed arithmetic: one or two instructions on a device; the host gets the same values ------
 
-/// Smaller of the low and of the high halves, unsigned.
+/// Minima of the low and of the high halves, unsigned.
 FT_HOST_DEVICE inline std::uint32_t min_pairs(std::uint32_t a, std::uint32_t b) {
 #if defined(__CUDA_ARCH__)
   return __vminu2(a, b);
@@ -26,6 +26,7 @@ FT_HOST_DEVICE inline std::uint32_t min_pairs(std::uint32_t a, std::uint32_t b) 
   return min_of(a & 0xffffu, b & 0xffffu) | min_of(a >> 16, b >> 16) << 16;
 #endif
 }
+/// Maxima of the low and of the high halves, unsigned.
 FT_HOST_DEVICE inline std::uint32_t max_pairs(std::uint32_t a, std::uint32_t b) {
 #if defined(__CUDA_ARCH__)
   return __vmaxu2(a, b);
@@ -51,8 +52,8 @@ FT_HOST_DEVICE inline std::uint32_t permute_bytes(std::uint32_t a, std::uint32_t
 #endif
 }
 
-/// The same for a selector known at run time only, whose digits are below 8: a device need not cut
-/// them.
+/// permute_bytes() for a selector known at run time whose digits are below 8, so a device need not
+/// mask them.
 FT_HOST_DEVICE inline std::uint32_t select_bytes(std::uint32_t a, std::uint32_t b,
                                                  std::uint32_t selector) {
 #if defined(__CUDA_ARCH__)
@@ -64,7 +65,7 @@ FT_HOST_DEVICE inline std::uint32_t select_bytes(std::uint32_t a, std::uint32_t 
 #endif
 }
 
-/// `sum` and the products of the four bytes of a and b.
+/// `sum` plus the dot product of the four bytes of a and b.
 FT_HOST_DEVICE inline std::uint32_t dot_of_4(std::uint32_t a, std::uint32_t b, std::uint32_t sum) {
 #if defined(__CUDA_ARCH__)
   return __dp4a(a, b, sum);
@@ -73,7 +74,7 @@ FT_HOST_DEVICE inline std::uint32_t dot_of_4(std::uint32_t a, std::uint32_t b, s
   return sum;
 #endif
 }
-/// `sum` and the products of the halves of a with the two lowest bytes of b.
+/// `sum` plus the dot product of the halves of a and the two lowest bytes of b.
 FT_HOST_DEVICE inline std::uint32_t dot_of_2(std::uint32_t a, std::uint32_t b, std::uint32_t sum) {
 #if defined(__CUDA_ARCH__)
   return __dp2a_lo(a, b, sum);
@@ -81,7 +82,7 @@ FT_HOST_DEVICE inline std::uint32_t dot_of_2(std::uint32_t a, std::uint32_t b, s
   return sum + (a & 0xffffu) * (b & 0xffu) + (a >> 16) * (b >> 8 & 0xffu);
 #endif
 }
-/// `sum` and the absolute differences of the four bytes of a and b.
+/// `sum` plus the absolute differences of the four bytes of a and b.
 FT_HOST_DEVICE inline std::uint32_t difference_of_4(std::uint32_t a, std::uint32_t b,
                                                     std::uint32_t sum) {
 #if defined(__CUDA_ARCH__)
@@ -109,7 +110,7 @@ FT_HOST_DEVICE inline std::uint32_t differences_of_4(std::uint32_t a, std::uint3
   return result;
 #endif
 }
-/// Bytes `first` to `first` + 3 of the eight of a and b. @param first 0 to 3
+/// Bytes `first` to `first` + 3 of the eight bytes of a and b. @param first 0 to 3
 FT_HOST_DEVICE inline std::uint32_t bytes_from(std::uint32_t a, std::uint32_t b, int first) {
 #if defined(__CUDA_ARCH__)
   return __funnelshift_r(a, b, static_cast<unsigned>(8 * first));
@@ -121,7 +122,7 @@ FT_HOST_DEVICE inline std::uint32_t bytes_from(std::uint32_t a, std::uint32_t b,
 
 // ---- words of an image --------------------------------------------------------------------------
 
-/// @param p at a multiple of 4 bytes
+/// @param p aligned to 4 bytes
 FT_HOST_DEVICE inline std::uint32_t load_word(std::uint8_t const* p) {
 #if defined(__CUDA_ARCH__)
   return *reinterpret_cast<std::uint32_t const*>(p);
@@ -139,8 +140,8 @@ FT_HOST_DEVICE inline void store_word(std::uint8_t* p, std::uint32_t word) {
 #endif
 }
 
-/// Words of the `bytes` bytes from p on, at any address. Read by whole words that have some of
-/// them; what fills up the last one may be anything. @param bytes more than N - 1 words, at most N
+/// Loads `bytes` bytes at any address into words. Only aligned words that contain some of them are
+/// read. The rest of the last word is undefined. @param bytes more than N - 1 words, at most N
 template <int N>
 FT_HOST_DEVICE void load_bytes(std::uint8_t const* p, int bytes, std::uint32_t (&words)[N]) {
   int const skew = static_cast<int>(reinterpret_cast<std::uintptr_t>(p) & 3u);
@@ -154,16 +155,15 @@ FT_HOST_DEVICE void load_bytes(std::uint8_t const* p, int bytes, std::uint32_t (
   }
 }
 
-/// True where every row starts at a multiple of 4 bytes and has room for whole words: then the
-/// words that a row's pixels lie in can be read, the padding after the last pixel with them.
+/// Whether every row is aligned to 4 bytes and padded to whole words, so that rows can be read by
+/// words, including the padding.
 template <typename T>
 FT_HOST_DEVICE bool has_word_rows(image_view<T> const& image) {
   return ((reinterpret_cast<std::uintptr_t>(image.data) | static_cast<unsigned>(image.stride)) &
           3u) == 0;
 }
 
-/// Quotients by a number that is known at run time only, by a product. Exact where i * n is below
-/// 2^31.
+/// Division by a number known at run time, as a multiplication. Exact while i * n is below 2^31.
 struct small_divider {
   std::uint32_t factor;
   small_divider() = default;
@@ -174,11 +174,11 @@ struct small_divider {
   }
 };
 
-/// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch; call sync()
+/// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch. Call sync()
 /// afterwards. Pixel (x0 + i, y0 + r) becomes byte (x0 & 3) + i of the row that starts at word
-/// r * pitch; other bytes of the words that are touched may get anything.
+/// r * pitch. Other bytes of the touched words are undefined.
 /// @tparam InFlight loads of a thread before its first store
-/// @param pitch words from row to row, at least as many as (x0 & 3) + w bytes fill
+/// @param pitch words from row to row, enough for (x0 & 3) + w bytes
 template <int InFlight = 4, typename Group>
 FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, int w, int h,
                                     std::uint32_t* words, int pitch) {
@@ -188,7 +188,7 @@ FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, in
     int const n = (skew + w + 3) / 4;
     std::uint8_t const* const from = image.row(y0) + (x0 - skew);
     if (g.size() >= 128 && n <= 32) {
-      // As many threads for a row as a power of two says; some have nothing to do.
+      // A power of two of threads per row; some of them are idle.
       int const lanes = n <= 16 ? 4 : 5;
       int const c = g.rank() & ((1 << lanes) - 1);
       int const rows = g.size() >> lanes;

@@ -20,17 +20,18 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// Parameters of stereo matching without rectification.
 struct fisheye_stereo_params {
-  int ratio_num = 7;  ///< best distance below ratio_num / ratio_den of the second best
+  int ratio_num = 7;  ///< the best distance must be below ratio_num / ratio_den of the second best
   int ratio_den = 10;
-  float max_cosine = 0.9998f;  ///< between the two rays; above, the parallax is too small
+  float max_cosine = 0.9998f;  ///< of the angle between the rays; above, the parallax is too small
   float chi2 = 5.991f;         ///< reprojection error, in units of the octave's variance
   float min_depth = 1e-4f;     ///< metres
 };
 
 namespace detail {
 
-/// Forgets the partners of a frame before; also for with_small_items.
+/// Resets one entry of the matches. Also usable with with_small_items.
 struct clear_partners {
   using scratch = no_scratch;
   fisheye_matches_view out;
@@ -52,7 +53,7 @@ struct clear_partners {
   }
 };
 
-/// One left keypoint of the overlap: its partner and the point.
+/// One left keypoint in the overlap: finds its partner and the point.
 template <typename Rig>
 struct match_fisheye_keypoint {
   static constexpr bool wide_on_host = true;
@@ -68,7 +69,7 @@ struct match_fisheye_keypoint {
     int const i = item % out.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
-    // All of them under way together, also for an entry that turns out to have no keypoint.
+    // Loads in flight together, although the entry may turn out to be past the count.
     int const count = *left.count;
     int const first = mono_count[2 * pair];
     int const right_first = mono_count[2 * pair + 1];
@@ -85,17 +86,17 @@ struct match_fisheye_keypoint {
     if (!accept(g, rig, left, i, right, j, geometry, params, point) || g.rank() != 0) { return; }
     int* const partner = out.partner + static_cast<std::ptrdiff_t>(pair) * 2 * out.capacity;
     partner[i] = out.capacity + j;
-    atomic_max(partner + out.capacity + j, i);  // of several left keypoints the last one is kept
+    atomic_max(partner + out.capacity + j, i);  // of several left keypoints the last one stays
     out.depth[item] = point.z;
     out.point[item] = point;
   }
 
 private:
-  /// Of the right keypoints [begin, end).
+  /// The two nearest of the right keypoints [begin, end).
   template <typename Group>
   FT_HOST_DEVICE static two_nearest nearest(Group g, descriptor const& mine,
                                             keypoints_view const& right, int begin, int end) {
-    // Of so many a thread's loads are under way together.
+    // Keypoints per thread whose loads are in flight together.
     constexpr int together = Group::max_threads == 1 ? 1 : 8;
     two_nearest best;
     FT_NO_UNROLL
@@ -115,9 +116,9 @@ private:
     return best.merged(g);
   }
 
-  /// The point, where the two keypoints can be images of one. Every thread of a group does the
-  /// same, but that of two cameras of one model those of even rank look into the left one and the
-  /// others into the right one.
+  /// Triangulates; false if the two keypoints cannot be images of one point. All threads of a group
+  /// do the same work, with one exception: if both cameras have the same model, lanes of even rank
+  /// evaluate the left camera and the others the right one.
   template <typename Group>
   FT_HOST_DEVICE static bool accept(Group g, Rig const& rig, keypoints_view const& left, int i,
                                     keypoints_view const& right, int j,
@@ -150,7 +151,7 @@ private:
     strict_float const cosine =
         dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
     if (!(cosine <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
-    // Rays come in any length; of some models they have z = 1 already, and nothing changes.
+    // Scaled to z = 1. Rays of some models have that already, and do not change.
     point = triangulate({(l.x / l.z).value, (l.y / l.z).value, 1.0f},
                         {(r.x / r.z).value, (r.y / r.z).value, 1.0f}, rig.T_rl);
     vec3<strict_float> const in_l{point.x, point.y, point.z};
@@ -179,14 +180,15 @@ private:
 
 }  // namespace detail
 
-/// The part of match_stereo_fisheye() that needs no keypoints; one launch.
+/// Resets all matches: the first step of match_stereo_fisheye(), which needs no keypoints. One
+/// launch.
 template <typename Exec>
 void clear_fisheye_matches(Exec const& exec, fisheye_matches_view const& out) {
   detail::clear_partners const clear{out};
   for_each_item<per_thread>(exec, clear.count(), clear);
 }
 
-/// The rest of it; one launch.
+/// The second step: matches, into cleared arrays. One launch.
 template <typename Exec, typename Rig>
 void match_cleared_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
                            int const* mono_count, pyramid_geometry const& geometry,
@@ -195,9 +197,9 @@ void match_cleared_fisheye(Exec const& exec, Rig const& rig, keypoints_view cons
                           rig, keypoints, mono_count, geometry, params, out);
 }
 
-/// Partners, depths and points of the keypoints in the overlap of every pair; images 2 b and 2 b +
-/// 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
-/// @param mono_count [images] keypoints before the overlap's, from describe_corners
+/// Finds partners, depths and points of the keypoints in the overlap of every pair; images 2 b and
+/// 2 b + 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
+/// @param mono_count [images] keypoints outside the overlap, from order_corners()
 template <typename Exec, typename Rig>
 void match_stereo_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
                           int const* mono_count, pyramid_geometry const& geometry,

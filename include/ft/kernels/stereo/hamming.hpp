@@ -15,20 +15,20 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Nearest of the candidates seen so far, the lowest of equals, and the distance of the second.
+/// The nearest candidate so far, the lowest of equals, and the distance of the second nearest.
 struct two_nearest {
   static constexpr int none = 1 << 16;  ///< above any distance
   int first = none;
   int index = 0x7fffffff;
   int second = none;
 
-  /// @param at above those of the candidates before
+  /// @param at must exceed those of earlier calls
   FT_HOST_DEVICE void add(int distance, int at) {
     second = min_of(second, max_of(first, distance));
     index = distance < first ? at : index;
     first = min_of(first, distance);
   }
-  /// Of what all threads have seen; the same in every thread.
+  /// Merges all threads' candidates; the result is in every thread.
   template <typename Group>
   FT_HOST_DEVICE two_nearest merged(Group g) const {
     two_nearest all;
@@ -39,8 +39,8 @@ struct two_nearest {
   }
 };
 
-/// hamming() for loops that do nothing else on a device, where counting bits is four times as dear
-/// as logic: words are added bit by bit first, four counts in place of eight.
+/// hamming() for loops that do little else. On a device a population count costs four logic
+/// operations: full adders combine the words first, which leaves four counts instead of eight.
 FT_HOST_DEVICE inline int hamming_by_adders(descriptor const& a, descriptor const& b) {
 #if defined(__CUDA_ARCH__)
   std::uint32_t d[8];

@@ -16,17 +16,20 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// One pair: drops the matches whose score is too far above the median.
+///
+/// The median is selected with two histograms, not a sort: scores are below 2^16 and their number
+/// is known at run time only.
 struct cut_stereo_outliers {
   static constexpr bool prepares = true;
   static constexpr int fine_bits = 6;
   static constexpr int fine_bins = 1 << fine_bits;
   static constexpr int coarse_bins = 1 << (16 - fine_bits);  ///< scores are below 2^16
-  static constexpr int kept = 3;                             ///< scores that a thread reads once
+  static constexpr int kept = 3;                             ///< scores per thread in registers
   struct scratch {
     int coarse[coarse_bins];
     int fine[fine_bins];
-    int bin;   ///< of the median
-    int rank;  ///< of the median inside its bin
+    int bin;   ///< coarse bin of the median
+    int rank;  ///< of the median within its bin
   };
 
   /// Clears the bins.
@@ -44,7 +47,7 @@ struct cut_stereo_outliers {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair,
                                  stereo_matches_view const& matches) const {
     stereo_matches_view const m = matches.slice(pair);
-    int first[kept];  // loaded beside the count, which says how many of them there are
+    int first[kept];  // in flight together with the count
     FT_UNROLL
     for (int k = 0; k < kept; ++k) {
       int const i = g.rank() + k * g.size();
@@ -69,8 +72,8 @@ struct cut_stereo_outliers {
     each_score([&](int, int score) { atomic_add(s.coarse + (score >> fine_bits), 1); });
     g.sync();
 
-    // The score of rank found / 2: first its bin, then its place in that.
-    static_assert(coarse_bins % Group::max_threads == 0, "the same number for every thread");
+    // The score of rank found / 2: first its coarse bin, then the fine one.
+    static_assert(coarse_bins % Group::max_threads == 0, "equal shares");
     int const chunk = coarse_bins / g.size();
     int const begin = g.rank() * chunk;
     int mine = 0;
@@ -103,7 +106,7 @@ struct cut_stereo_outliers {
   }
 
 private:
-  /// The bin that holds a rank, by each warp for itself.
+  /// The bin that holds a rank; computed by each warp on its own.
   template <typename Part>
   FT_HOST_DEVICE static int place_of(Part part, int const* bins, int rank) {
     int const chunk = ceil_div(fine_bins, part.size());
@@ -121,7 +124,8 @@ private:
 
 }  // namespace detail
 
-/// The last part.
+/// Drops the outliers of every pair: the last step of match_stereo_rectified(). Asynchronous on
+/// `exec`; allocates nothing; one launch.
 template <typename Exec>
 void cut_outliers(Exec const& exec, keypoints_view const& keypoints,
                   stereo_matches_view const& out) {

@@ -12,8 +12,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One Jacobi rotation: makes a[P][Q] of a symmetric matrix 0, and turns the columns of e with it.
-/// False where the angle is below what a double can tell.
+/// One Jacobi rotation: zeroes a[P][Q] of a symmetric matrix and rotates the columns of e. False if
+/// the angle is below the precision of a double.
 template <int P, int Q>
 FT_HOST_DEVICE bool rotate_4(strict_double (&a)[4][4], strict_double (&e)[4][4]) {
   strict_double const off = a[P][Q];
@@ -54,18 +54,17 @@ struct symmetric_4 {
   FT_HOST_DEVICE strict_double& at(int i, int j) { return i <= j ? m[i][j] : m[j][i]; }
   FT_HOST_DEVICE strict_double const& at(int i, int j) const { return i <= j ? m[i][j] : m[j][i]; }
   FT_HOST_DEVICE strict_double trace() const { return (m[0][0] + m[1][1]) + (m[2][2] + m[3][3]); }
-  /// What the inverse is, times the determinant. Without divisions, and with one a matrix without
-  /// an inverse has, too.
+  /// The inverse times the determinant. Needs no division, and exists for singular matrices, too.
   FT_HOST_DEVICE symmetric_4 adjugate() const {
     strict_double const a = m[0][0], b = m[0][1], c = m[0][2], d = m[0][3];
     strict_double const e = m[1][1], f = m[1][2], g = m[1][3];
     strict_double const h = m[2][2], i = m[2][3], j = m[3][3];
-    strict_double const lower02 = c * i - h * d;  // determinants of rows 2 and 3
+    strict_double const lower02 = c * i - h * d;  // minors of rows 2 and 3
     strict_double const lower03 = c * j - i * d;
     strict_double const lower12 = f * i - h * g;
     strict_double const lower13 = f * j - i * g;
     strict_double const lower23 = h * j - i * i;
-    strict_double const upper01 = a * e - b * b;  // and of rows 0 and 1
+    strict_double const upper01 = a * e - b * b;  // minors of rows 0 and 1
     strict_double const upper02 = a * f - c * b;
     strict_double const upper03 = a * g - d * b;
     strict_double const upper12 = b * f - c * e;
@@ -107,16 +106,16 @@ struct symmetric_4 {
   }
 };
 
-/// Eigenvector of the smallest eigenvalue of a matrix without negative ones: of the adjugate it is
-/// the largest, and powers of that, each the square of the one before, leave nothing else. False
-/// where rounding could be seen in a float.
+/// Eigenvector of the smallest eigenvalue of a positive semi-definite matrix. It belongs to the
+/// largest eigenvalue of the adjugate, which repeated squaring isolates. False if rounding errors
+/// could be visible in a float.
 FT_HOST_DEVICE inline bool smallest_eigenvector_by_squares(symmetric_4 const& a,
                                                            strict_double (&v)[4]) {
-  constexpr double converged = 1.0 - 1.0 / (1 << 24);  // the next square has what is left squared
+  constexpr double converged = 1.0 - 1.0 / (1 << 24);  // the next square also squares the rest
   constexpr int most = 20;
   symmetric_4 power = a.adjugate();
   strict_double trace = power.trace();
-  // An entry of the adjugate is a sum of products of three entries, none of them above this.
+  // Bound on the products of three entries that make up an entry of the adjugate.
   strict_double const products = a.m[0][0] * a.m[1][1] * (a.m[2][2] + a.m[3][3]) +
                                  a.m[2][2] * a.m[3][3] * (a.m[0][0] + a.m[1][1]);
   constexpr double most_lost = 1.0 / (1 << 20);
@@ -124,7 +123,7 @@ FT_HOST_DEVICE inline bool smallest_eigenvector_by_squares(symmetric_4 const& a,
   bool done = false;
   FT_NO_UNROLL
   for (int k = 0; k < most && !done; ++k) {
-    // About 1 / trace: a float will do.
+    // Any factor near 1 / trace does: computed in float.
     strict_double const factor = static_cast<double>(reciprocal(static_cast<float>(trace.value)));
     power = power.scaled(factor);
     strict_double const before = trace * factor;
@@ -171,8 +170,8 @@ FT_HOST_DEVICE inline void smallest_eigenvector_4(strict_double (&a)[4][4], stri
   }
 }
 
-/// Point in the left frame whose images are the z = 1 rays `left` and `right`. @param T_rl left to
-/// right
+/// The point, in the left frame, that is seen along the rays `left` and `right`, both with z = 1.
+/// @param T_rl left to right
 FT_HOST_DEVICE inline vec3<float> triangulate(vec3<float> left, vec3<float> right,
                                               pose const& T_rl) {
   strict_double P[2][3][4];

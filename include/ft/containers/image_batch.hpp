@@ -14,7 +14,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Equally sized images at equal distances. `stride` and `step` in elements.
+/// Equally sized images at equal distances, which are counted in elements.
 template <typename T>
 struct image_batch_view {
   T* data = nullptr;
@@ -27,7 +27,7 @@ struct image_batch_view {
   FT_HOST_DEVICE image_view<T> operator[](int image) const {
     return {data + image * step, width, height, stride};
   }
-  /// To a view that only reads.
+  /// Conversion to a read-only view.
   template <typename U, typename = std::enable_if_t<std::is_same<U, T const>::value &&
                                                     !std::is_const<T>::value>>
   FT_HOST_DEVICE operator image_batch_view<U>() const {  // NOLINT(google-explicit-constructor)
@@ -37,8 +37,8 @@ struct image_batch_view {
 static_assert(std::is_trivially_copyable<image_batch_view<std::uint8_t>>::value,
               "passed to kernels");
 
-/// One level of every image of a pyramid; level 0 is where rectified images go for extraction. A
-/// pyramid of one level is an owner of a batch of images.
+/// One level of every image of a pyramid. Rectified images are written to level 0 for extraction. A
+/// pyramid of one level serves as owner of a batch of images.
 inline image_batch_view<std::uint8_t> level_images(image_pyramid_view const& pyramid, int level) {
   detail::require_range("pyramid level", level, 0, pyramid.geometry.levels - 1);
   auto const first = pyramid.level(0, level);

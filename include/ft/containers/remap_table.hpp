@@ -22,19 +22,19 @@ struct remap_position {
   std::int16_t x, y;
 };
 
-/// Source position in steps of 1/32 of a pixel. `fraction` is 32 * (y part) + (x part), 0 to 1023.
+/// Source position in units of 1/32 of a pixel. `fraction` is 32 * (y part) + (x part), 0 to 1023.
 struct remap_entry {
   remap_position position;
   std::uint16_t fraction;
 
-  /// A target pixel without a source: far outside every image, so that it gets the border value.
+  /// A target pixel without a source. It lies outside every image, so it gets the border value.
   FT_HOST_DEVICE static constexpr remap_entry none() { return {{-32768, -32768}, 0}; }
 };
 
 namespace detail {
 
-/// Nearest multiple of 1/32, halves to even, counted in 1/32; the lowest int for NaN and what no
-/// int can hold (as OpenCV's cvRound does on x86). Does not depend on the rounding mode.
+/// Rounds to 1/32, halves to even, and returns the number of 32nds. NaN and out of range give the
+/// lowest int, as OpenCV's cvRound does on x86. Independent of the rounding mode.
 FT_HOST_DEVICE inline int to_32nds(double v) {
   double const scaled = v * 32.0;  // exact
   if (!(scaled >= -2147483648.0 && scaled < 2147483647.5)) { return -2147483647 - 1; }
@@ -50,23 +50,22 @@ FT_HOST_DEVICE inline std::int16_t to_int16(int v) {
 
 }  // namespace detail
 
-/// Fixed point of a source position in pixels, (0, 0) = centre of the first pixel: what
-/// cv::convertMaps(CV_16SC2) makes of a float map. NaN and numbers beyond an int, infinity
-/// included, become the coordinate -32768.
+/// Converts a source position in pixels to fixed point, as cv::convertMaps(CV_16SC2) does. (0, 0)
+/// is the centre of the first pixel. NaN, infinity and other values out of range become -32768.
 FT_HOST_DEVICE inline remap_entry make_remap_entry(double x, double y) {
   int const ix = detail::to_32nds(x);
   int const iy = detail::to_32nds(y);
-  // Division that rounds down, without shifting negative numbers.
+  // A division that rounds down, without shifts of negative numbers.
   int const fx = ix & 31;
   int const fy = iy & 31;
   return {{detail::to_int16((ix - fx) / 32), detail::to_int16((iy - fy) / 32)},
           static_cast<std::uint16_t>(32 * fy + fx)};
 }
 
-/// What a table maps between, pixels; each 1 to 16384.
+/// Sizes of the images that a table maps between, pixels; each 1 to 16384.
 struct remap_sizes {
-  int width = 0;  ///< of the target
-  int height = 0;
+  int width = 0;   ///< of the target
+  int height = 0;  ///< of the target
   int source_width = 0;
   int source_height = 0;
 
@@ -80,17 +79,17 @@ struct remap_sizes {
 };
 
 /// Source position of every target pixel, row-major, one map per batch entry. Image i of a batch
-/// goes through map `i % batch`: two maps serve any number of left and right images in turn.
+/// uses map `i % batch`, so two maps serve any number of alternating left and right images.
 struct remap_table_view {
   remap_sizes sizes;
   int batch = 0;
   remap_position* position = nullptr;  ///< [batch][height][width]
-  std::uint16_t* fraction = nullptr;   ///< likewise
+  std::uint16_t* fraction = nullptr;   ///< [batch][height][width]
 
   FT_HOST_DEVICE std::ptrdiff_t pixels() const {
     return static_cast<std::ptrdiff_t>(sizes.width) * sizes.height;
   }
-  /// Batch entry b alone.
+  /// Batch entry b.
   FT_HOST_DEVICE remap_table_view slice(int b) const {
     return {sizes, 1, position + b * pixels(), fraction + b * pixels()};
   }

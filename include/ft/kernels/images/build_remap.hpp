@@ -24,7 +24,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One row of a map from camera models of strict_double.
+/// One row of a map, from camera models of strict_double.
 template <typename Source, typename Target>
 struct fill_remap_row {
   using scratch = no_scratch;
@@ -47,17 +47,20 @@ struct fill_remap_row {
 
 }  // namespace detail
 
-/// Map `entry` of a table from camera models: each target pixel's ray, turned into the source
-/// camera and projected there, rounded to 1/32 of a pixel (halves to even). Target pixels without a
-/// ray or without a place in the source camera get remap_entry::none(). Computed in double: the
-/// same on every executor, but for models with an arc tangent or tangent, where an entry that is
-/// within about 1e-13 pixels of a rounding limit may differ by 1/32. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// Computes map `entry` of a table from camera models: rotates each target pixel's ray into the
+/// source camera, projects it there and rounds to 1/32 of a pixel (halves to even).
+///
+/// Target pixels without a ray, or without a projection in the source camera, get
+/// remap_entry::none(). Computed in double. All executors agree, with one exception: for models
+/// with an arc tangent or tangent an entry within about 1e-13 pixels of a rounding limit may differ
+/// by 1/32. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param source the camera that took the images @param target the camera wanted, any model
-/// @param R_source_target turns rays of the target camera into the source camera (the transpose of
-///   what OpenCV's initUndistortRectifyMap calls R)
-/// @throws bad_argument for a null table, an entry outside it, a camera that cannot be, or a matrix
-///   that is not a rotation
+/// @param R_source_target rotates rays of the target camera into the source camera (the transpose
+/// of R
+///   of OpenCV's initUndistortRectifyMap)
+/// @throws bad_argument for a null table, an entry outside it, an invalid camera, or a matrix that
+/// is
+///   not a rotation
 template <typename Exec, typename Source, typename Target>
 void build_remap(Exec const& exec, Source const& source, mat3<double> const& R_source_target,
                  Target const& target, remap_table_view const& table, int entry = 0) {
@@ -88,7 +91,7 @@ void require_map(image_view<T> const& map, remap_sizes const& sizes) {
   require(map.stride >= map.width, "the given map's stride is below its width");
 }
 
-/// Map `entry` from `at(x, y)`, a remap_entry for every target pixel.
+/// Fills map `entry` with at(x, y), a remap_entry for every target pixel.
 template <typename Exec, typename At>
 void load_entries(Exec const& exec, remap_table_view const& table, int entry, At const& at) {
   auto const n = static_cast<std::size_t>(table.pixels());
@@ -110,9 +113,9 @@ void load_entries(Exec const& exec, remap_table_view const& table, int entry, At
 
 }  // namespace detail
 
-/// Map `entry` of a table from source columns and rows in float, pixels, in host memory: what
-/// cv::convertMaps(CV_16SC2) makes of them (see make_remap_entry for NaN and large numbers).
-/// For set-up: allocates staging memory and waits until the table is filled.
+/// Fills map `entry` of a table from source columns and rows in float, pixels, in host memory.
+/// Rounds as cv::convertMaps(CV_16SC2) does; see make_remap_entry() for NaN and large numbers. For
+/// set-up: allocates host memory and waits until the table is filled.
 /// @throws bad_argument for null or differently sized maps, or an entry outside the table
 template <typename Exec>
 void load_remap(Exec const& exec, image_view<float const> const& map_x,
@@ -127,8 +130,8 @@ void load_remap(Exec const& exec, image_view<float const> const& map_x,
   });
 }
 
-/// Likewise from a map that is in fixed point already: OpenCV's CV_16SC2 and CV_16UC1, in host
-/// memory, strides in elements. Of a fraction the lower 10 bits count, as in cv::remap.
+/// The same from a map in fixed point: OpenCV's CV_16SC2 and CV_16UC1, in host memory, strides in
+/// elements. Only the lower 10 bits of a fraction count, as in cv::remap.
 template <typename Exec>
 void load_remap(Exec const& exec, image_view<remap_position const> const& position,
                 image_view<std::uint16_t const> const& fraction, remap_table_view const& table,

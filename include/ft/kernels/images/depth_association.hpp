@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: depth of keypoints from a registered depth image (RGB-D), as stereo matches with a
+/// @file Stage: depths of keypoints from a registered depth image (RGB-D), as stereo matches with a
 /// virtual right camera. Source: Mur-Artal and Tardos, "ORB-SLAM2: an open-source SLAM system for
 /// monocular, stereo and RGB-D cameras", T-RO 2017, section III.
 #pragma once
@@ -33,7 +33,7 @@ struct depth_images_view {
   std::ptrdiff_t step = 0;   ///< bytes from image to image
   int batch = 0;
 
-  /// Pixel of image b; inside the image.
+  /// A pixel of image b. @pre inside the image
   FT_HOST_DEVICE T at(int b, int x, int y) const {
     char const* const row = reinterpret_cast<char const*>(data) + b * step + y * pitch;
     return reinterpret_cast<T const*>(row)[x];
@@ -41,11 +41,13 @@ struct depth_images_view {
 };
 static_assert(std::is_trivially_copyable<depth_images_view<float>>::value, "passed to kernels");
 
+/// Parameters of associate_depth().
 struct depth_params {
-  float bf = 0;         ///< virtual baseline times fx of the undistorted camera, metres x pixels
-  float scale = 1;      ///< metres of one unit of the depth image: 1 / 5000 for TUM's 16-bit images
-  float min_depth = 0;  ///< metres; depths below give no match
-  float max_depth = std::numeric_limits<float>::infinity();  ///< metres; nor do depths above
+  float bf = 0;         ///< virtual baseline times fx of the undistorted camera, metres * pixels
+  float scale = 1;      ///< metres per unit of the depth image: 1 / 5000 for 16-bit images of TUM
+  float min_depth = 0;  ///< metres; smaller depths give no match
+  float max_depth =
+      std::numeric_limits<float>::infinity();  ///< metres; larger depths give no match
 
   /// @throws bad_argument naming the value and the limit
   void check() const {
@@ -78,7 +80,7 @@ struct associate_keypoint_depth {
     if (i < count) {
       float const u = get<field::x>(raw, item);
       float const v = get<field::y>(raw, item);
-      // What truncation puts inside; NaN is outside.
+      // Inside after truncation. NaN is outside.
       if (u > -1.0f && u < static_cast<float>(images.width) && v > -1.0f &&
           v < static_cast<float>(images.height)) {
         T const value = images.at(image, static_cast<int>(u), static_cast<int>(v));
@@ -100,17 +102,19 @@ struct associate_keypoint_depth {
 
 }  // namespace detail
 
-/// Depth and virtual right column of every keypoint. The depth is the pixel at the raw position,
-/// coordinates truncated towards zero, times the scale; where it is positive, finite and within
-/// [min_depth, max_depth], right_x is the undistorted column minus bf / depth and the score is 0.
-/// right_x is below 0 where the virtual camera does not see the point: it has a depth then, and
-/// counts as monocular in what follows. All others, keypoints outside the depth image or not
-/// numbers included, and entries past a count: -1, -1, -1. In strict float. Asynchronous on `exec`;
-/// allocates nothing; one launch.
-/// @param raw positions as extracted @param undistorted the same keypoints by undistort_keypoints,
-///   or `raw` again for a camera without distortion @param out same shape
+/// Computes depth and virtual right column of every keypoint, in strict float.
+///
+/// The depth is the pixel at the raw position, coordinates truncated towards zero, times the scale.
+/// If it is positive, finite and within [min_depth, max_depth], right_x is the undistorted column
+/// minus bf / depth and the score is 0. A right_x below 0 means that the virtual camera does not
+/// see the point: it has a depth, but counts as monocular in later stages. All other entries get
+/// -1, -1, -1: keypoints outside the depth image, NaN positions, and entries past a count.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param raw extracted positions @param undistorted the same keypoints from undistort_keypoints(),
+/// or
+///   `raw` again for a camera without distortion @param out same shape
 /// @throws bad_argument for null views, different shapes, sizes or parameters out of range, rows
-///   that overlap, or a pitch that is no multiple of a pixel
+///   that overlap, or a pitch that is not a multiple of a pixel
 template <typename Exec, typename T>
 void associate_depth(Exec const& exec, pixels_view const& raw, pixels_view const& undistorted,
                      depth_images_view<T> const& images, depth_params const& params,

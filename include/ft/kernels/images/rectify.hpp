@@ -74,7 +74,7 @@ struct rectify_row {
   }
 
 private:
-  static constexpr int run = 32;  ///< pixels that a thread alone takes together
+  static constexpr int run = 32;  ///< pixels per vectorised loop on the host
 
   FT_HOST_DEVICE static std::uint8_t pixel(gray_view from, remap_position p, int fraction,
                                            std::uint8_t border) {
@@ -99,8 +99,8 @@ private:
     return mixed(p00, p10, p01, p11, fx, fy);
   }
 
-  /// Weights of 1024 in place of OpenCV's 32768: those are these times 32 (one of them less by 1 at
-  /// whole pixels, which never changes the rounded sum), so the quotient is the same.
+  /// Bilinear interpolation with weights that sum to 1024. OpenCV's are these times 32, one of them
+  /// less by 1 at whole pixels, which never changes the rounded result.
   FT_HOST_DEVICE FT_INLINE static std::uint8_t mixed(int p00, int p10, int p01, int p11, int fx,
                                                      int fy) {
     int const upper = p00 * (32 - fx) + p10 * fx;
@@ -108,25 +108,25 @@ private:
     return static_cast<std::uint8_t>((upper * (32 - fy) + lower * fy + 512) >> 10);
   }
 
-  /// Whether all four neighbours of all pixels of a run are in the image.
+  /// Whether all four neighbours of all pixels of a run lie in the image.
   FT_HOST_DEVICE FT_INLINE static bool is_inner_run(remap_position const* positions,
                                                     gray_view from) {
     int outside = 0;
     for (int k = 0; k < run; ++k) {
       int const x = positions[k].x;
       int const y = positions[k].y;
-      outside |= x | y | (from.width - 2 - x) | (from.height - 2 - y);  // the sign of any
+      outside |= x | y | (from.width - 2 - x) | (from.height - 2 - y);  // negative if any is
     }
     return outside >= 0 && from.stride <= 1 << 16;  // offsets fit into an int
   }
 
-  /// The pixels of such a run: only the loads go one by one.
+  /// The pixels of an inner run. All but the loads vectorises.
   FT_HOST_DEVICE FT_INLINE static void inner_run(gray_view from, remap_position const* positions,
                                                  std::uint16_t const* fractions,
                                                  std::uint8_t* out) {
     std::int32_t at[run];
     for (int k = 0; k < run; ++k) { at[k] = positions[k].y * from.stride + positions[k].x; }
-    std::uint16_t upper[run];  // two neighbours in each
+    std::uint16_t upper[run];  // two neighbours each
     std::uint16_t lower[run];
     for (int k = 0; k < run; ++k) {
       std::memcpy(upper + k, from.data + at[k], 2);
@@ -141,15 +141,14 @@ private:
 
 }  // namespace detail
 
-/// Every image of `source` through its map into `target`, bilinear: the pixels of cv::remap with
-/// INTER_LINEAR and BORDER_CONSTANT. A neighbour outside the source counts as `border`, so image
-/// edges blend into it. Bytes beside the target's rows stay. Asynchronous on `exec`; allocates
-/// nothing; one launch for the batch.
-/// @param source,target images in the executor's memory, as many of the one as of the other; they
-///   must not overlap
+/// Rectifies every image of `source` into `target` through its map, bilinear: the pixels of
+/// cv::remap with INTER_LINEAR and BORDER_CONSTANT. A neighbour outside the source counts as
+/// `border`, so image edges blend into it. Padding between the target's rows is not written.
+/// Asynchronous on `exec`; allocates nothing; one launch for the batch.
+/// @param source,target equally many images in executor memory, which must not overlap
 /// @param table image i goes through map i % table.batch
 /// @throws bad_argument for null views, sizes that are not the table's, strides below the width,
-///   batches that differ or are no multiple of the table's
+///   batches that differ or are not a multiple of the table's
 template <typename Exec>
 void rectify(Exec const& exec, image_batch_view<std::uint8_t const> const& source,
              remap_table_view const& table, image_batch_view<std::uint8_t> const& target,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Where a pixel of one camera lies in another that stands at the same place, turned.
+/// @file Maps pixels between two cameras that differ by a rotation only.
 #pragma once
 
 #include <cmath>
@@ -14,9 +14,9 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Ray of the pixel in `from`, turned by `R_to_from`, projected by `to`. Valid where both models
-/// hold and the result is finite. Cameras of strict_double give the same bits on every executor,
-/// apart from the last bit of an arc tangent or tangent, where a model has one.
+/// The ray of a pixel of `from`, rotated by `R_to_from` and projected by `to`. Valid where both
+/// models are defined and the result is finite. With cameras of strict_double all executors give
+/// the same bits, except for the last bit of an arc tangent or tangent in a camera model.
 template <typename From, typename To>
 FT_HOST_DEVICE projection<strict_double> transfer_pixel(From const& from,
                                                         mat3<strict_double> const& R_to_from,
@@ -33,7 +33,8 @@ inline mat3<strict_double> strict_rotation(mat3<double> const& R) {
   return strict;
 }
 
-/// @throws bad_argument for a matrix that is not a rotation to 1e-3 in every product of rows
+/// @throws bad_argument unless all products of rows are those of a rotation to 1e-3, and for
+///   reflections
 inline void require_rotation(mat3<double> const& R) {
   for (double v : R.m) { require_finite("rotation", v); }
   mat3<double> const RRt = R * R.transposed();

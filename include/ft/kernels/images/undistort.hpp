@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: keypoints without lens distortion, and the bounds of an image without it.
+/// @file Stage: undistorts keypoints, and the bounds of an image.
 #pragma once
 
 #include <cmath>
@@ -22,14 +22,15 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Positions alone; any container with field::x and field::y converts to it, keypoints too.
+/// Positions alone. Any container with field::x and field::y converts to it, keypoints included.
 using pixels_view = soa_view<field::x, field::y>;
 template <memory_space Space>
 using pixels = soa<Space, field::x, field::y>;
 
 namespace detail {
 
-/// @throws bad_argument for a view without memory, without entries, or with more than an int counts
+/// @throws bad_argument for a view without memory or entries, or with more entries than an int
+/// holds
 inline void require_pixels(char const* name, pixels_view const& v) {
   if (array_of<field::x>(v) == nullptr || array_of<field::y>(v) == nullptr || v.count == nullptr) {
     throw bad_argument(std::string("ft: the ") + name + " are null");
@@ -55,7 +56,7 @@ void require_same_shape(char const* names, A const& a, B const& b) {
 
 namespace detail {
 
-/// One keypoint of one image, by camera models of strict_double.
+/// One keypoint of one image, with camera models of strict_double.
 template <typename Source, typename Target>
 struct undistort_keypoint {
   using scratch = no_scratch;
@@ -85,17 +86,18 @@ struct undistort_keypoint {
 
 }  // namespace detail
 
-/// Where the keypoints would be in an image of the camera `target`, turned by `R_target_source`:
-/// each one's ray, turned and projected. Computed in double and rounded to float once, so that host
-/// and device agree: models with an arc tangent or tangent rely on the rounding to hide its last
-/// bit. A keypoint without a ray in `camera` or without a place in `target` keeps its raw position
-/// and is marked as not valid. Entries past a count are not written. Asynchronous on `exec`;
-/// allocates nothing; one launch.
-/// @param raw positions as extracted, pixels @param out same shape; gets the counts too; may be the
-///   same memory as `raw`
+/// Computes where keypoints would be in an image of the camera `target`: rotates each one's ray by
+/// `R_target_source` and projects it.
+///
+/// Computed in double and rounded to float once, so that host and device agree; the rounding also
+/// hides the last bit of an arc tangent or tangent in a model. A keypoint that has no ray in
+/// `camera` or no projection in `target` keeps its raw position and is marked invalid. Entries past
+/// a count are not written. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param raw extracted positions, pixels @param out same shape; also gets the counts; may be `raw`
 /// @param valid [batch][capacity] 1 or 0, or null
-/// @throws bad_argument for null views or different shapes, a camera that cannot be, or a matrix
-///   that is not a rotation
+/// @throws bad_argument for null views, different shapes, an invalid camera, or a matrix that is
+/// not a
+///   rotation
 template <typename Exec, typename Source, typename Target>
 void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
                          mat3<double> const& R_target_source, pixels_view const& raw,
@@ -116,7 +118,7 @@ void undistort_keypoints(Exec const& exec, Source const& camera, Target const& t
                             detail::strict_rotation(R_target_source), to, raw, out, valid);
 }
 
-/// The same without turning.
+/// The same without rotation.
 template <typename Exec, typename Source, typename Target>
 void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
                          pixels_view const& raw, pixels_view const& out, std::uint8_t* valid) {
@@ -128,12 +130,13 @@ struct image_bounds {
   float min_x, min_y, max_x, max_y;
 };
 
-/// Bounds of the undistorted image, from the four corners (0, 0), (width, 0), (0, height) and
-/// (width, height): the smaller x of the left ones to the larger of the right ones, the same for y.
-/// Without distortion, which is every corner within 1e-6 pixels of itself, exactly the image. On
-/// the host; allocates nothing. @param R_target_source as in undistort_keypoints
-/// @throws bad_argument for sizes out of range, a camera that cannot be, a corner without a ray
-///   (lenses that see far to the side: such images are used as they are), or bounds without area
+/// Bounds of the undistorted image, from its four corners (0, 0), (width, 0), (0, height) and
+/// (width, height): from the smaller x of the left ones to the larger x of the right ones, and
+/// likewise for y. If every corner stays within 1e-6 pixels, the bounds are exactly the image's.
+/// Runs on the host; allocates nothing.
+/// @param R_target_source as in undistort_keypoints()
+/// @throws bad_argument for sizes out of range, an invalid camera, a corner without a ray (as with
+///   very wide lenses, whose images are used undistorted), or bounds without area
 template <typename Source, typename Target>
 image_bounds undistorted_bounds(Source const& camera, Target const& target, int width, int height,
                                 mat3<double> const& R_target_source = mat3<double>::identity()) {

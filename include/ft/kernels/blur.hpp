@@ -172,19 +172,24 @@ struct blur_tile {
     for (int r = 0; r < strip_rows; ++r) {
       std::uint32_t const word = blurred_word(pairs, r);
       if (Border && y + r >= out.height) { return; }
-      std::uint8_t* const to = out.row(y + r) + x;
-      if (!Border || rest >= 4) {
-        store_word(to, word);
-      } else {
-        FT_UNROLL
-        for (int k = 0; k < 3; ++k) {
-          if (k < rest) { to[k] = static_cast<std::uint8_t>(word >> (8 * k)); }
-        }
-      }
+      store_pixels<Border>(out.row(y + r) + x, word, rest);
     }
   }
 
 private:
+  /// Stores the first `rest` pixels of a word, at most four.
+  template <bool Border>
+  FT_HOST_DEVICE static void store_pixels(std::uint8_t* to, std::uint32_t word, int rest) {
+    if (!Border || rest >= 4) {
+      store_word(to, word);
+    } else {
+      FT_UNROLL
+      for (int k = 0; k < 3; ++k) {
+        if (k < rest) { to[k] = static_cast<std::uint8_t>(word >> (8 * k)); }
+      }
+    }
+  }
+
   /// Sums of the four pixels of word b along a row, with the words before and after it. The weights
   /// are 18 34 48 56 48 34 18, the first one in the lowest byte.
   FT_HOST_DEVICE static void sum_along_row(std::uint32_t a, std::uint32_t b, std::uint32_t c,

@@ -95,7 +95,6 @@ struct order_image {
                                  frame_arrivals const& arrivals) const {
     constexpr int together = 2;  // slots per thread whose loads are in flight together
     distribution_layout const& layout = kept.layout;
-    int const* const counts = kept.kept_count + image * layout.levels;
     stereo_overlap const overlap = overlaps[image];
     // Prefetches corners before their count is known.
     slot_place of[together];
@@ -112,12 +111,7 @@ struct order_image {
       }
     };
     fetch(0);
-    for (int l = g.rank(); l <= max_levels; l += g.size()) {
-      int sum = 0;
-      FT_UNROLL
-      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, layout.levels) ? counts[k] : 0; }
-      s.before[l] = sum;
-    }
+    sum_lower_levels(g, s, kept.kept_count + image * layout.levels, layout.levels);
     g.sync();
     int const all = s.before[layout.levels];
     int stereo = 0;  // corners inside the overlap in lower slots
@@ -140,10 +134,7 @@ struct order_image {
         int const at = of[k].inside ? all - 1 - stereo_rank : of[k].rank - stereo_rank;
         place[image * layout.total + of[k].slot] = at;
         int const to = image * out.capacity + at;
-        get<field::x>(out, to) = of[k].x;
-        get<field::y>(out, to) = of[k].y;
-        get<field::response>(out, to) = static_cast<float>(of[k].c.response);
-        get<field::octave>(out, to) = of[k].level;
+        of[k].write(out, to);
         then.keep(s.then, at, entry[k]);
       }
       if (base + together * g.size() < layout.total) { fetch(base + together * g.size()); }
@@ -160,6 +151,17 @@ struct order_image {
   }
 
 private:
+  /// Fills `s.before`.
+  template <typename Group>
+  FT_HOST_DEVICE static void sum_lower_levels(Group g, scratch& s, int const* counts, int levels) {
+    for (int l = g.rank(); l <= max_levels; l += g.size()) {
+      int sum = 0;
+      FT_UNROLL
+      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, levels) ? counts[k] : 0; }
+      s.before[l] = sum;
+    }
+  }
+
   FT_HOST_DEVICE static std::uint64_t corner_word(corner const* at) {
     static_assert(sizeof(corner) == 8 && alignof(corner) == 8, "a corner is a word");
 #if defined(__CUDA_ARCH__)
@@ -198,6 +200,12 @@ private:
         y = mul(y, geometry.scale[level]);
       }
       inside = valid && x >= overlap.left && x <= overlap.right;
+    }
+    FT_HOST_DEVICE void write(keypoints_view const& out, int to) const {
+      get<field::x>(out, to) = x;
+      get<field::y>(out, to) = y;
+      get<field::response>(out, to) = static_cast<float>(c.response);
+      get<field::octave>(out, to) = level;
     }
   };
 };

@@ -3,8 +3,8 @@
 #pragma once
 
 #include <ft/cameras/camera_model.hpp>
-#include <ft/core/config.hpp>
 #include <ft/core/arithmetic.hpp>
+#include <ft/core/config.hpp>
 #include <ft/core/geometry.hpp>
 
 /// r = 2 tan(theta / 2), theta the angle off the axis: the unit sphere seen from its rear pole.

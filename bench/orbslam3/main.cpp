@@ -18,7 +18,9 @@
 #include <string>
 #include <vector>
 
+#include "bench/orbslam3/live_run.hpp"
 #include "bench/orbslam3/replaying_device.hpp"
+#include "bench/orbslam3/world.hpp"
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/host_tracker.hpp"
 #include "tests/orbslam3/plain_search.hpp"
@@ -34,8 +36,6 @@ using accelerator = ft::orbslam3::accelerator<stand_in::types>;
 using ft::orbslam3::change_detection;
 using ft::orbslam3::stage;
 
-constexpr int width = 752;
-constexpr int height = 480;
 constexpr int warm_up = 20;  ///< frames
 
 double now_us() {
@@ -43,76 +43,6 @@ double now_us() {
              std::chrono::steady_clock::now().time_since_epoch())
       .count();
 }
-
-ft::orbslam3::settings euroc() {
-  ft::orbslam3::settings s;
-  s.width = width;
-  s.height = height;
-  s.features = 1200;
-  s.left = {ft::orbslam3::lens::pinhole, {435.2f, 435.2f, 367.2f, 252.2f}};
-  s.baseline = 0.11f;
-  s.bf = s.baseline * 435.2f;
-  return s;
-}
-
-stand_in::matrix picture(int shift) {
-  std::mt19937 random(1);
-  stand_in::matrix m;
-  m.create(height, width, 0);
-  std::fill_n(m.data, width * height, static_cast<unsigned char>(90));
-  for (int box = 0; box < 900; ++box) {
-    int const w = 4 + static_cast<int>(random() % 60);
-    int const h = 4 + static_cast<int>(random() % 60);
-    int const x0 = static_cast<int>(random() % width) - shift;
-    int const y0 = static_cast<int>(random() % height);
-    auto const value = static_cast<unsigned char>(random());
-    for (int y = y0; y < std::min(y0 + h, height); ++y) {
-      for (int x = std::max(x0, 0); x < std::min(x0 + w, width); ++x) {
-        m.data[y * width + x] = value;
-      }
-    }
-  }
-  return m;
-}
-
-/// Points that the first frame's keypoints see, and others around, allocated among other things.
-class scattered_map {
-public:
-  scattered_map(stand_in::frame const& f, ft::orbslam3::settings const& s, int count) {
-    std::mt19937 random(2);
-    std::uniform_real_distribution<float> depth(2, 10);
-    std::uniform_real_distribution<float> wide(-2, 2);
-    for (int i = 0; i < count; ++i) {
-      filler_.push_back(std::make_unique<unsigned char[]>(200 + random() % 1500));
-      auto p = std::make_unique<stand_in::map_point>();
-      p->mnId = static_cast<unsigned long>(i);
-      float const z = depth(random);
-      auto const k = static_cast<std::size_t>(i);
-      bool const seen = k < f.mvKeys.size();
-      Eigen::Vector3f const P =
-          seen ? Eigen::Vector3f((f.mvKeys[k].pt.x - s.left.values[2]) / s.left.values[0] * z,
-                                 (f.mvKeys[k].pt.y - s.left.values[3]) / s.left.values[1] * z, z)
-               : Eigen::Vector3f(wide(random) * z, wide(random) * z, z);
-      p->SetWorldPos(P);
-      p->set_view(P.normalized(), P.norm() * 0.3f, P.norm() * 2);
-      std::vector<unsigned char> bits(32);
-      for (auto& b : bits) { b = static_cast<unsigned char>(random()); }
-      p->set_descriptor(seen ? f.mDescriptors.data + 32 * k : bits.data());
-      p->set_observations(3);
-      local.push_back(p.get());
-      points_.push_back(std::move(p));
-    }
-    std::shuffle(local.begin(), local.end(), random);
-  }
-  stand_in::map_point* operator[](std::size_t i) const { return points_[i].get(); }
-  std::size_t size() const { return points_.size(); }
-
-  std::vector<stand_in::map_point*> local;
-
-private:
-  std::vector<std::unique_ptr<unsigned char[]>> filler_;
-  std::vector<std::unique_ptr<stand_in::map_point>> points_;
-};
 
 /// Microseconds per frame, by name.
 using samples = std::map<std::string, std::vector<double>>;
@@ -143,7 +73,7 @@ struct run_options {
 };
 
 nlohmann::json run(run_options const& o, change_detection detection, bool projections) {
-  auto const s = euroc();
+  auto const s = bench::euroc();
   ft::orbslam3::options choices;
   choices.detection = detection;
   choices.fill_projections = projections;
@@ -156,15 +86,15 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
   auto owned = std::make_unique<bench::replaying_device>(std::move(device), 2);
   bench::replaying_device& replaying = *owned;
   accelerator gpu(std::move(owned), s, choices);
-  stand_in::matrix const left[2] = {picture(0), picture(2)};
-  stand_in::matrix const right[2] = {picture(10), picture(12)};
+  stand_in::matrix const left[2] = {bench::picture(s, 0), bench::picture(s, 2)};
+  stand_in::matrix const right[2] = {bench::picture(s, 10), bench::picture(s, 12)};
 
   unsigned long id = 0;
   auto const construct = [&] {
     stand_in::frame f;
     f.mnId = id;
-    f.mnMaxX = width;
-    f.mnMaxY = height;
+    f.mnMaxX = static_cast<float>(s.width);
+    f.mnMaxY = static_cast<float>(s.height);
     gpu.extract(left[id % 2], right[id % 2], f);
     gpu.compute_stereo_matches(f);
     f.mvKeysUn = f.mvKeys;
@@ -174,7 +104,7 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
     return f;
   };
   stand_in::frame last = construct();
-  scattered_map map(last, s, o.points);
+  bench::scattered_map map(last, s, o.points);
   std::size_t const held = std::min<std::size_t>(400, last.mvpMapPoints.size());
   for (std::size_t i = 0; i < held; ++i) { last.mvpMapPoints[i] = map[i]; }
 
@@ -262,6 +192,14 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
   return out;
 }
 
+/// Nothing for an empty name.
+void write(std::string const& name, nlohmann::json const& out) {
+  if (name.empty()) { return; }
+  std::ofstream file(name);
+  file << out.dump(2) << "\n";
+  if (!file) { throw std::runtime_error("cannot write '" + name + "'"); }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -273,6 +211,25 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--points", o.points, "points of the local map")->check(CLI::Range(1, 100000));
   app.add_option("--frames", o.frames, "measured frames")->check(CLI::Range(1, 100000));
+  bool live = false;
+  bench::live_options live_options;
+  app.add_flag("--live", live,
+               "KITTI's size, every call computed, new points in bursts: total and parts of each "
+               "call");
+  app.add_option("--keyframes", live_options.keyframe_every, "--live: frames to a keyframe")
+      ->check(CLI::Range(2, 1000))
+      ->capture_default_str();
+  app.add_option("--new-points", live_options.new_points, "--live: of a keyframe")
+      ->check(CLI::Range(0, 2000))
+      ->capture_default_str();
+  app.add_option("--moved-points", live_options.moved_points,
+                 "--live: by the mapper, of a keyframe")
+      ->check(CLI::Range(0, 100000))
+      ->capture_default_str();
+  app.add_option("--pause-us", live_options.pause_us, "--live: between frames")
+      ->check(CLI::Range(0, 1000000))
+      ->capture_default_str();
+  app.add_flag("!--no-projections", live_options.projections, "--live: leave mmProjectPoints out");
   app.add_option("--json", json, "also write the results to this file");
   app.add_flag("!--no-replay", o.replay,
                "compute every frame; on the host backend kernels then empty the caches");
@@ -285,6 +242,19 @@ int main(int argc, char** argv) {
 #endif
   try {
     nlohmann::json out;
+    if (live) {
+      live_options.frames = o.frames;
+      if (app.count("--points") > 0) { live_options.points = o.points; }
+      out = bench::run_live(live_options, [&](ft::orbslam3::settings const& s) {
+#if FT_BENCH_HAS_CUDA
+        if (o.backend == "cuda") { return make_cuda(s); }
+#endif
+        return ft::orbslam3::make_host_tracker(s);
+      });
+      out["backend"] = o.backend;
+      write(json, out);
+      return 0;
+    }
     out["backend"] = o.backend;
     out["points"] = o.points;
     out["frames"] = o.frames;
@@ -304,11 +274,7 @@ int main(int argc, char** argv) {
         out["runs"].push_back(r);
       }
     }
-    if (!json.empty()) {
-      std::ofstream file(json);
-      file << out.dump(2) << "\n";
-      if (!file) { throw std::runtime_error("cannot write '" + json + "'"); }
-    }
+    write(json, out);
   } catch (std::exception const& e) {
     std::cerr << "orbslam3_bench: " << e.what() << "\n";
     return 1;

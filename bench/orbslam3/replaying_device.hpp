@@ -33,14 +33,16 @@ public:
     at_ = (at_ + 1) % frames_.size();
     next_ = 0;
     if (replaying_) { return; }  // frames take turns like buffers: the arrays are still there
-    frames_[at_].clear();
+    frames_[at_] = {};
     device_->extract(buffer, left, right);
   }
   void build_pyramids(ft::orbslam3::grey_image const& left,
                       ft::orbslam3::grey_image const& right) override {
     device_->build_pyramids(left, right);
   }
-  void match_stereo(int buffer) override { device_->match_stereo(buffer); }
+  void match_stereo(int buffer) override {
+    if (!replaying_) { device_->match_stereo(buffer); }
+  }
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
     device_->download_level(image, level, to, stride);
   }
@@ -50,6 +52,8 @@ public:
   void send(int buffer, ft::orbslam3::frame_part part) override {
     if (!replaying_) { device_->send(buffer, part); }
   }
+  void settle() override { device_->settle(); }
+  void prepare_map(int slots) override { device_->prepare_map(slots); }
   void reserve_map(int slots) override { device_->reserve_map(slots); }
   void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
     if (!replaying_) { device_->change_map(change, words); }
@@ -62,16 +66,23 @@ public:
   int search_last_frame(ft::orbslam3::last_frame_request const& r) override {
     return answer(r.current, [&] { return counted(device_->search_last_frame(r)); }).inliers;
   }
-  int search_local_map(ft::orbslam3::local_map_request const& r) override {
-    int const matches =
-        answer(r.buffer, [&] { return counted(device_->search_local_map(r)); }).inliers;
-    auto& sights = frames_[at_][next_ - 1].sights;
-    auto const count = static_cast<std::size_t>(r.points * cameras());
-    if (!replaying_) { sights.assign(device_->sights(), device_->sights() + count); }
-    sights_ = sights;
-    return matches;
+  ft::orbslam3::points_in_view search_local_map(ft::orbslam3::local_map_request const& r) override {
+    local_buffer_ = r.buffer;
+    auto& in_view = frames_[at_].in_view;
+    if (!replaying_) {
+      auto const seen = device_->search_local_map(r);
+      in_view.index.assign(seen.index, seen.index + seen.count);
+      for (int c = 0; c < cameras(); ++c) {
+        in_view.by[c].assign(seen.by[c], seen.by[c] + seen.count);
+      }
+    }
+    return {static_cast<int>(in_view.index.size()),
+            in_view.index.data(),
+            {in_view.by[0].data(), in_view.by[1].data()}};
   }
-  ft::orbslam3::sight const* sights() const override { return sights_.data(); }
+  int local_matches() override {
+    return answer(local_buffer_, [&] { return counted(device_->local_matches()); }).inliers;
+  }
   ft::orbslam3::pose_result optimize_pose(int buffer,
                                           ft::orbslam3::transform const& T_cw) override {
     return answer(buffer, [&] { return device_->optimize_pose(buffer, T_cw); });
@@ -88,7 +99,14 @@ private:
   struct noted {
     ft::orbslam3::pose_result result;
     std::vector<int> holder;
-    std::vector<ft::orbslam3::sight> sights;
+  };
+  struct noted_view {
+    std::vector<int> index;
+    std::vector<ft::orbslam3::sight> by[2];
+  };
+  struct noted_frame {
+    std::vector<noted> answers;
+    noted_view in_view;
   };
 
   static ft::orbslam3::pose_result counted(int n) { return {{}, n}; }
@@ -98,7 +116,7 @@ private:
   ft::orbslam3::pose_result answer(int buffer, Compute const& compute) {
     ft::orbslam3::frame_arrays const& a = device_->frame(buffer);
     auto const numbers = static_cast<std::size_t>(2 * a.capacity);
-    auto& all = frames_[at_];
+    auto& all = frames_[at_].answers;
     if (!replaying_) {
       noted n;
       n.result = compute();
@@ -111,8 +129,8 @@ private:
   }
 
   std::unique_ptr<ft::orbslam3::device_tracker> device_;
-  std::vector<std::vector<noted>> frames_;
-  std::vector<ft::orbslam3::sight> sights_;
+  std::vector<noted_frame> frames_;
+  int local_buffer_ = 0;
   std::size_t at_ = 0;
   std::size_t next_ = 0;
   bool replaying_ = false;

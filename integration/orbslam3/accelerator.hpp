@@ -210,9 +210,11 @@ public:
     request.image = frames_.bounds_of(frame);
     request.th = th;
     request.far_distance = far_points ? far_threshold : 0.0f;
-    int const matches = timer.on_device([&] { return device_->search_local_map(request); });
+    auto const seen = timer.on_device([&] { return device_->search_local_map(request); });
+    local_.write_sights(frame, points, seen);
+    int const matches = timer.on_device([&] { return device_->local_matches(); });
     // The original searches nothing then, not even points that it was to leave alone.
-    if (local_.write_sights(frame, points) == 0) { return 0; }
+    if (seen.count == 0) { return 0; }
     write_matches(request.buffer, frame);
     return matches;
   }

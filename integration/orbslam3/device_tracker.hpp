@@ -15,8 +15,8 @@ namespace orbslam3 {
 ///
 /// Calls that return results wait for them; send() and change_map() queue. Arrays from frame(),
 /// local_slots() and recorded_sights() may be written whenever no call is queued, which is between
-/// a call that waits and the next send(). One thread at a time. All throw ft::error (bad_argument,
-/// cuda_error) where it goes wrong.
+/// a call that waits and the next send(). One thread at a time, but for prepare_map(). All throw
+/// ft::error (bad_argument, cuda_error) where it goes wrong.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -32,12 +32,17 @@ public:
   virtual int cameras() const = 0;
   virtual frame_arrays const& frame(int buffer) = 0;
 
-  /// Images up; keypoints and, where the settings ask for it, stereo down into frame(buffer).
+  /// Images up, keypoints down into frame(buffer). Where the settings ask for it stereo is queued
+  /// as well: frame(buffer).right_x, depth, partner and point belong to the device until
+  /// match_stereo() or settle().
   virtual void extract(int buffer, grey_image const& left, grey_image const& right) = 0;
   /// The pyramids of two images, for match_stereo() of keypoints that were extracted elsewhere.
   virtual void build_pyramids(grey_image const& left, grey_image const& right) = 0;
-  /// Stereo of the keypoints in a buffer by the pyramids at hand, down into frame(buffer).
+  /// Stereo of the keypoints in a buffer by the pyramids at hand, down into frame(buffer). Waits
+  /// for it where extract() has queued it.
   virtual void match_stereo(int buffer) = 0;
+  /// Waits for what an earlier call has left in flight.
+  virtual void settle() = 0;
   /// A level of an image's pyramid down. @param to rows of `stride` bytes
   virtual void download_level(int image, int level, unsigned char* to, std::size_t stride) = 0;
   virtual int level_width(int level) const = 0;
@@ -46,7 +51,9 @@ public:
   /// Queues a part of frame(buffer) for the device.
   virtual void send(int buffer, frame_part part) = 0;
 
-  /// Makes room for `slots` map points; those there stay. Waits where it takes memory.
+  /// Takes the memory that reserve_map(slots) will use. From any thread.
+  virtual void prepare_map(int slots) = 0;
+  /// Makes room for `slots` map points; those there stay. Takes memory where it was not prepared.
   virtual void reserve_map(int slots) = 0;
   /// Queues changes of map points. @param words as map_change says; free on return
   virtual void change_map(map_change const& change, std::uint32_t const* words) = 0;
@@ -58,10 +65,11 @@ public:
 
   /// From empty holders; fills frame(current).holder. Returns the number of matches.
   virtual int search_last_frame(last_frame_request const& request) = 0;
-  /// From the holders in the buffer; fills them. Returns the number of matches.
-  virtual int search_local_map(local_map_request const& request) = 0;
-  /// Of the last search in the local map: [cameras()][points].
-  virtual sight const* sights() const = 0;
+  /// From the holders in the buffer. Returns the points in view while the search goes on:
+  /// local_matches() follows.
+  virtual points_in_view search_local_map(local_map_request const& request) = 0;
+  /// Waits for the search, which fills the holders. Returns the number of matches.
+  virtual int local_matches() = 0;
   /// From the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
 

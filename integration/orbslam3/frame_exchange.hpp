@@ -70,7 +70,6 @@ public:
     resident& r = resident_[b];
     r.there = r.extracted = r.full = true;
     r.id = frame.mnId;
-    r.stereo = settings_.images == 2 && settings_.stereo_with_extraction;
     newest_ = b;
     frame_arrays const& a = device_->frame(b);
     fill_features(a, 0, frame.mvKeys, frame.mDescriptors);
@@ -284,6 +283,7 @@ private:
 
   /// Sends what the CPU has computed differently: undistorted positions, stereo.
   void check(int b, Frame const& frame) {
+    if (!resident_[b].stereo) { device_->settle(); }
     frame_arrays const& a = device_->frame(b);
     bool moved = false;
     for (int c = 0; c < (two_cameras() ? 2 : 1); ++c) {

@@ -4,8 +4,11 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
+#include <numeric>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -44,6 +47,10 @@ public:
       slot = mirror_->visit(point, slot);
       bool const bad = mirror_->bad(slot);
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
+      if (tested) {  // until the device says otherwise
+        point->mbTrackInView = false;
+        point->mbTrackInViewR = false;
+      }
       replace(slots_[i], tested ? slot : -1, changed);
       tested_points += static_cast<int>(tested);
       bool const far = far_points && point->mTrackDepth > far_threshold;
@@ -62,41 +69,35 @@ public:
     return tested_points;
   }
 
-  /// The tracked values of all points that were tested. @return points in view
-  int write_sights(frame_type& frame, std::vector<map_point*> const& points) {
-    drawn_.clear();
-    sight const* const left = device_->sights();
-    sight const* const right = left + points.size();
+  /// The tracked values of the points in view, and what counts them.
+  void write_sights(frame_type& frame, std::vector<map_point*> const& points,
+                    points_in_view const& seen) {
     bool const two = two_cameras();
-    int in_view = 0;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      prefetch(points, static_cast<int>(i));
-      if (slots_[i] < 0) { continue; }
-      map_point& p = *points[i];
-      p.mbTrackInView = left[i].level >= 0;
-      p.mbTrackInViewR = two && right[i].level >= 0;
-      if (p.mbTrackInView) {
-        p.mTrackProjX = left[i].x;
-        p.mTrackProjY = left[i].y;
-        p.mTrackDepth = left[i].distance;
-        p.mnTrackScaleLevel = left[i].level;
-        p.mTrackViewCos = left[i].cosine;
-        if (!two) { p.mTrackProjXR = left[i].right_x; }
-        if (draws_) { drawn_.push_back({p.mnId, i}); }
+    for (int k = 0; k < seen.count; ++k) {
+      prefetch_seen(points, seen, k);
+      map_point& p = *points[static_cast<std::size_t>(seen.index[k])];
+      sight const& left = seen.by[0][k];
+      if (left.level >= 0) {
+        p.mbTrackInView = true;
+        p.mTrackProjX = left.x;
+        p.mTrackProjY = left.y;
+        p.mTrackDepth = left.distance;
+        p.mnTrackScaleLevel = left.level;
+        p.mTrackViewCos = left.cosine;
+        if (!two) { p.mTrackProjXR = left.right_x; }
       }
-      if (p.mbTrackInViewR) {
-        p.mTrackProjXR = right[i].x;
-        p.mTrackProjYR = right[i].y;
-        p.mTrackDepthR = right[i].distance;
-        p.mnTrackScaleLevelR = right[i].level;
-        p.mTrackViewCosR = right[i].cosine;
+      if (two && seen.by[1][k].level >= 0) {
+        sight const& right = seen.by[1][k];
+        p.mbTrackInViewR = true;
+        p.mTrackProjXR = right.x;
+        p.mTrackProjYR = right.y;
+        p.mTrackDepthR = right.distance;
+        p.mnTrackScaleLevelR = right.level;
+        p.mTrackViewCosR = right.cosine;
       }
-      if (!p.mbTrackInView && !p.mbTrackInViewR) { continue; }
       p.IncreaseVisible(1);
-      ++in_view;
     }
-    draw(frame);
-    return in_view;
+    if (draws_) { draw(frame, points, seen); }
   }
 
 private:
@@ -120,13 +121,32 @@ private:
     }
   }
   /// In the order of the map, where a node goes in next to the one before.
-  void draw(frame_type& frame) {
+  void draw(frame_type& frame, std::vector<map_point*> const& points, points_in_view const& seen) {
     using place = typename std::decay_t<decltype(frame.mmProjectPoints)>::mapped_type;
-    sight const* const left = device_->sights();
-    std::sort(drawn_.begin(), drawn_.end());
-    for (auto const& [id, i] : drawn_) {
-      frame.mmProjectPoints.insert_or_assign(frame.mmProjectPoints.end(), id,
-                                             place(left[i].x, left[i].y));
+    drawn_.clear();
+    for (int k = 0; k < seen.count; ++k) {
+      if (seen.by[0][k].level < 0) { continue; }
+      drawn_.push_back({points[static_cast<std::size_t>(seen.index[k])]->mnId, k});
+    }
+    sort_by_id();
+    auto& map = frame.mmProjectPoints;
+    for (auto const& [id, k] : drawn_) {
+      map.insert_or_assign(map.end(), id, place(seen.by[0][k].x, seen.by[0][k].y));
+    }
+  }
+  /// By 11 bits at a time from the lowest: a few passes over what fits into a cache.
+  void sort_by_id() {
+    unsigned long highest = 0;
+    for (auto const& d : drawn_) { highest = std::max(highest, d.first); }
+    constexpr unsigned bits = 11;
+    other_.resize(drawn_.size());
+    for (unsigned shift = 0; shift < 64 && (highest >> shift) != 0; shift += bits) {
+      auto const digit = [shift](unsigned long id) { return (id >> shift) & ((1u << bits) - 1); };
+      std::array<std::uint32_t, (1u << bits) + 1> start{};
+      for (auto const& d : drawn_) { ++start[digit(d.first) + 1]; }
+      std::partial_sum(start.begin(), start.end(), start.begin());
+      for (auto const& d : drawn_) { other_[start[digit(d.first)]++] = d; }
+      std::swap(drawn_, other_);
     }
   }
   /// Map points lie all over the heap: the one that comes soon is fetched while this one is read.
@@ -142,6 +162,22 @@ private:
     static_cast<void>(i);
 #endif
   }
+  /// Likewise of those in view: also the object's end, where the original has its locks.
+  static void prefetch_seen(std::vector<map_point*> const& points, points_in_view const& seen,
+                            int k) {
+#if defined(__GNUC__)
+    if (k + 8 < seen.count) {
+      map_point* const p = points[static_cast<std::size_t>(seen.index[k + 8])];
+      __builtin_prefetch(&p->mTrackProjX, 1);
+      __builtin_prefetch(&p->mnTrackScaleLevel, 1);
+      __builtin_prefetch(reinterpret_cast<char const*>(p + 1) - 64, 1);
+    }
+#else
+    static_cast<void>(points);
+    static_cast<void>(seen);
+    static_cast<void>(k);
+#endif
+  }
 
   device_tracker* device_;
   map_mirror<map_point>* mirror_;
@@ -150,7 +186,9 @@ private:
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map: most are in the same place again
   std::vector<recorded_sight> recorded_;
-  std::vector<std::pair<unsigned long, std::size_t>> drawn_;  ///< map point, place in the local map
+  /// Map point, place among those in view.
+  std::vector<std::pair<unsigned long, int>> drawn_;
+  std::vector<std::pair<unsigned long, int>> other_;
 };
 
 }  // namespace orbslam3

@@ -51,8 +51,10 @@ struct settings {
   /// Keypoints that a frame extracted elsewhere may have in an image; 0: as many as extract()
   /// yields. Monocular initialisation extracts five times as many.
   int most_keypoints = 0;
-  int map_points = 1 << 14;    ///< at the start; grows, which takes memory and waits
-  int local_points = 1 << 12;  ///< likewise
+  /// Map points at a time: of the local maps of the last frames and of what mapping has made since.
+  /// More make the memory grow.
+  int map_points = 1 << 15;
+  int local_points = 1 << 14;  ///< of a local map; more make the memory grow, which waits
   /// Search as the original does where it slips: the right fisheye camera by the left one's model,
   /// points that were refused in this frame where an earlier frame saw them.
   bool reference_quirks = true;
@@ -109,6 +111,14 @@ struct sight {
   int level;       ///< octave expected; -1 = not in view
 };
 
+/// The points of a local map that a camera has in view, in its order.
+struct points_in_view {
+  int count = 0;
+  int const* index = nullptr;  ///< [count] in the local map
+  /// [count] by the left and the right camera; the latter for kannala_brandt pairs only.
+  sight const* by[2] = {};
+};
+
 /// A point that is searched where an earlier test saw it.
 struct recorded_sight {
   int index;   ///< in the local map
@@ -159,6 +169,8 @@ struct map_change {
   static constexpr int view_words = 6;
   static constexpr int descriptor_words = 9;
   static constexpr int observation_words = 2;
+  static constexpr int point_words =
+      position_words + view_words + descriptor_words + observation_words;
 
   int records() const { return positions + views + descriptors + observations; }
   std::size_t words() const {

@@ -19,8 +19,9 @@ inline namespace FT_ABI {
 
 /// An image in host memory that the executor's threads can read.
 struct alignas(16) image_source {
-  std::uint8_t const* data = nullptr;  ///< a multiple of 16, rows of `stride` readable bytes
-  int stride = 0;                      ///< a multiple of 16, at least the width
+  /// A multiple of 16, rows of `stride` readable bytes; null where the image was fetched before.
+  std::uint8_t const* data = nullptr;
+  int stride = 0;  ///< a multiple of 16, at least the width
 };
 
 /// A block of host memory and its destination.

@@ -1,0 +1,284 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Images up, keypoints and stereo down: the extraction of a frame on an executor.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/recording.hpp"
+#include "ft/kernels/receive.hpp"
+#include "ft/kernels/stereo_fisheye.hpp"
+#include "ft/kernels/stereo_rectified.hpp"
+#include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+#include "integration/orbslam3/call_clock.hpp"
+#include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/stream_mark.hpp"
+#include "integration/orbslam3/word_mover.hpp"
+
+namespace ft {
+namespace orbslam3 {
+inline namespace FT_ABI {
+
+/// Copies what was extracted into a frame, and to where the host reads it.
+struct store_keypoint {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, keypoints_view const& from,
+                                 int const* mono_from, keypoints_view const& to, int* mono_to,
+                                 frame_arrays const& host) const {
+    int const image = item / from.capacity;
+    int const i = item % from.capacity;
+    int const count = from.count[image];
+    if (i == 0) {
+      host.count[image] = to.count[image] = count;
+      host.mono[image] = mono_to[image] = mono_from[image];
+    }
+    if (i >= count) { return; }
+    int const at = image * to.capacity + i;
+    host.x[at] = get<field::x>(to, at) = get<field::x>(from, item);
+    host.y[at] = get<field::y>(to, at) = get<field::y>(from, item);
+    host.angle[at] = get<field::angle>(to, at) = get<field::angle>(from, item);
+    host.response[at] = get<field::response>(to, at) = get<field::response>(from, item);
+    host.octave[at] = get<field::octave>(to, at) = get<field::octave>(from, item);
+    descriptor const d = get<field::orb>(from, item);
+    get<field::orb>(to, at) = d;
+    reinterpret_cast<descriptor*>(host.descriptor)[at] = d;
+  }
+};
+
+/// @tparam Rig rectified_rig or fisheye_rig
+template <typename Exec, typename Rig>
+class device_extraction {
+public:
+  static constexpr memory_space space = Exec::space;
+  static constexpr memory_space staging = staging_space<Exec>;
+  static constexpr int buffers = device_tracker::buffers;
+
+  /// Takes all memory; waits. @throws bad_argument
+  device_extraction(Exec const& exec, Rig const& rig, settings const& s) : settings_(s), rig_(rig) {
+    orb_params params;
+    params.width = s.width;
+    params.height = s.height;
+    params.features = s.features;
+    params.levels = s.levels;
+    params.scale_factor = s.scale_factor;
+    params.ini_threshold = s.ini_threshold;
+    params.min_threshold = s.min_threshold;
+    params.ties = s.std_sort_ties ? tie_rule::std_sort : tie_rule::stable;
+    std::vector<stereo_overlap> overlaps;
+    for (int i = 0; pair() && !Rig::rectified && i < 2; ++i) {
+      overlaps.push_back({s.overlap[i][0], s.overlap[i][1]});
+    }
+    if (!pair() && s.bf == 0) {
+      overlaps.push_back({s.monocular_overlap[0], s.monocular_overlap[1]});
+    }
+    extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
+    stereo_.bf = s.bf;
+    stereo_.max_disparity = s.baseline > 0 ? s.bf / s.baseline : 0;
+    grid_geometry rows;
+    rows.cols = 1;
+    rows.rows = s.height;
+    memory_ = arena<space>([&](carver& c) { carve(c, right_rows_, rows, capacity(), 1); });
+    host_memory_ = arena<staging>([&](carver& c) {
+      images_ = c.take<std::uint8_t>(2 * image_bytes());
+      sources_ = c.take<image_source>(2);
+      all_sources_ = c.take<image_source>(2);
+      no_sources_ = c.take<image_source>(2);
+    });
+    std::memset(host_memory_.data(), 0, host_memory_.bytes());
+    int const stride = extractor_.geometry().stride[0];
+    for (int i = 0; i < 2; ++i) {
+      all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
+      // The first image of a pair is fetched while the host copies the second.
+      sources_[i] = pair() && i == 0 ? image_source{nullptr, stride} : all_sources_[i];
+      no_sources_[i] = {nullptr, stride};
+    }
+    fill_bytes(exec, memory_.data(), 0, memory_.bytes());
+    exec.wait();
+  }
+
+  /// Keypoints of an image that a frame has room for.
+  int capacity() const { return std::max(extractor_.capacity(), settings_.most_keypoints); }
+  orb_extractor<Exec>& extractor() { return extractor_; }
+  pyramid_geometry const& geometry() const { return extractor_.geometry(); }
+  std::size_t images_bytes() const {
+    return static_cast<std::size_t>(settings_.images) * image_bytes();
+  }
+  /// Of the results of extract().
+  std::size_t result_bytes() const {
+    auto const n = static_cast<std::size_t>(extractor_.capacity());
+    std::size_t const features =
+        static_cast<std::size_t>(settings_.images) * (n * (5 * 4 + 32) + 2 * sizeof(int));
+    return features + (stereo_at_once() ? stereo_bytes() : 0);
+  }
+  std::size_t stereo_bytes() const {
+    auto const n = static_cast<std::size_t>(capacity());
+    return Rig::rectified ? n * 8 : n * (8 + 4 + 12);
+  }
+  /// Whether extract() queues the stereo matches as well.
+  bool stereo_at_once() const { return pair() && settings_.stereo_with_extraction; }
+
+  /// Records what extract() queues for each of `frames`, which stay where they are.
+  void record(Exec const& exec, device_frames<Exec, Rig>& frames) {
+    for (int b = 0; b < buffers; ++b) {
+      feature_recordings_[b].record(exec,
+                                    [&](Exec const& e) { queue_features(e, frames, b, sources_); });
+      if (!stereo_at_once()) { continue; }
+      stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
+    }
+    features_there_.make();
+  }
+
+  /// Queues everything, and waits for the keypoints; stereo matches may still be in flight.
+  void extract(Exec const& exec, device_frames<Exec, Rig>& frames, int b, grey_image const& left,
+               grey_image const& right) {
+    stage_image(0, left);
+    if (pair()) {
+      image_pyramid_view one = extractor_.pyramid();
+      one.batch = 1;
+      receive_images(exec, all_sources_, one);
+      stage_image(1, right);
+    }
+    feature_recordings_[b].replay(exec,
+                                  [&](Exec const& e) { queue_features(e, frames, b, sources_); });
+    features_there_.set(exec);
+    if (stereo_at_once()) {
+      stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
+    }
+    took_grid(frames, b);
+    features_there_.wait();
+  }
+  /// Queues the same launch by launch, with marks of the clock.
+  void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
+                        grey_image const& left, grey_image const& right, call_clock<Exec>& clock) {
+    stage_image(0, left);
+    if (pair()) { stage_image(1, right); }
+    clock.mark(exec, 0);
+    receive_images(exec, all_sources_, extractor_.pyramid());
+    clock.mark(exec, 1);
+    queue_features(exec, frames, b, no_sources_);
+    if (stereo_at_once()) { queue_stereo(exec, frames, b, true); }
+    clock.mark(exec, 2);
+    took_grid(frames, b);
+  }
+
+  /// Queues the pyramids of two images.
+  void build_pyramids(Exec const& exec, grey_image const& left, grey_image const& right) {
+    stage_image(0, left);
+    stage_image(1, right);
+    copy_rows(exec, extractor_.pyramid().data,
+              static_cast<std::size_t>(extractor_.geometry().bytes), images_, image_bytes(),
+              image_bytes(), settings_.images);
+    extractor_.build_pyramids(exec);
+  }
+  /// Queues the stereo matches of a frame's keypoints by the pyramids, and their way to the host.
+  /// @param sorted right rows and partners are as the extraction has left them
+  void queue_stereo(Exec const& exec, device_frames<Exec, Rig>& frames, int b, bool sorted) {
+    device_frame& f = frames[b];
+    frame_arrays const& a = frames.arrays(b);
+    word_mover<Exec> down;
+    if constexpr (Rig::rectified) {
+      if (!sorted) { sort_right_rows(exec, f.keypoints, right_rows_); }
+      match_sorted_rows(exec, extractor_.pyramid(), f.keypoints, stereo_, f.matches, right_rows_);
+      cut_outliers(exec, f.keypoints, f.matches);
+      down.add(exec, a.right_x, array_of<field::right_x>(f.matches), capacity());
+      down.add(exec, a.depth, array_of<field::depth>(f.matches), capacity());
+    } else {
+      if (!sorted) { clear_fisheye_matches(exec, f.fisheye); }
+      match_cleared_fisheye(exec, rig_, f.keypoints, f.mono, extractor_.geometry(),
+                            fisheye_stereo_params{}, f.fisheye);
+      down.add(exec, a.partner, f.fisheye.partner, 2 * capacity());
+      down.add(exec, a.depth, f.fisheye.depth, capacity());
+      down.add(exec, reinterpret_cast<vec3<float>*>(a.point), f.fisheye.point, capacity());
+    }
+    down.flush(exec);
+  }
+
+private:
+  bool pair() const { return settings_.images == 2; }
+  bounds image_bounds() const {
+    return {0, 0, static_cast<float>(settings_.width), static_cast<float>(settings_.height)};
+  }
+  std::size_t image_bytes() const {
+    return static_cast<std::size_t>(extractor_.geometry().stride[0]) *
+           static_cast<std::size_t>(settings_.height);
+  }
+
+  void stage_image(int i, grey_image const& image) {
+    detail::require(image.data != nullptr, "the image is null");
+    if (image.width != settings_.width || image.height != settings_.height) {
+      throw bad_argument("ft: the image is " + std::to_string(image.width) + "x" +
+                         std::to_string(image.height) + ", the settings say " +
+                         std::to_string(settings_.width) + "x" + std::to_string(settings_.height));
+    }
+    detail::require(image.stride >= image.width, "the image's stride is below its width");
+    auto const stride = static_cast<std::size_t>(extractor_.geometry().stride[0]);
+    std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
+    if (static_cast<std::size_t>(image.stride) == stride && image.stride == image.width) {
+      std::memcpy(to, image.data, image_bytes());
+      return;
+    }
+    for (int y = 0; y < image.height; ++y) {
+      std::memcpy(to + static_cast<std::size_t>(y) * stride,
+                  image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
+                  static_cast<std::size_t>(image.width));
+    }
+  }
+
+  /// Keypoints into the frame and to the host. Of a pair, whose keypoints are searched where they
+  /// were found, the grid as well.
+  void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
+                      image_source const* sources) {
+    device_frame& f = frames[b];
+    if (pair()) {
+      feature_grid_view grids = f.grids;
+      grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
+      detail::sort_keypoints<Rig::rectified> const sort{grids, right_rows_};
+      if constexpr (Rig::rectified) {
+        extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, sort);
+      } else {
+        extractor_.receive_and_extract(exec, sources, {}, {}, clear_partners{f.fisheye}, sort);
+      }
+    } else {
+      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, only_order{});
+    }
+    for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
+                              extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,
+                              frames.arrays(b));
+  }
+  void took_grid(device_frames<Exec, Rig>& frames, int b) {
+    if (pair()) {
+      frames.has_grid(b, image_bounds());
+    } else {
+      frames[b].grid_made = false;
+    }
+  }
+
+  settings settings_;
+  Rig rig_;
+  orb_extractor<Exec> extractor_;
+  stereo_params stereo_;
+  feature_grid_view right_rows_;
+  std::uint8_t* images_ = nullptr;
+  image_source* sources_ = nullptr;  ///< [2] of the recordings
+  image_source* all_sources_ = nullptr;
+  image_source* no_sources_ = nullptr;
+  arena<space> memory_;
+  arena<staging> host_memory_;
+  stream_mark<Exec> features_there_;
+  recording<Exec> feature_recordings_[buffers];
+  recording<Exec> stereo_recordings_[buffers];
+};
+
+}  // namespace FT_ABI
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,0 +1,322 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Searches and pose optimisation over an executor's frames and map: their memory, and what
+/// they queue.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <vector>
+
+#include "ft/containers/map_points.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/frustum.hpp"
+#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/search_by_projection.hpp"
+#include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/rigs.hpp"
+#include "integration/orbslam3/word_mover.hpp"
+
+namespace ft {
+namespace orbslam3 {
+inline namespace FT_ABI {
+
+/// A window that the host made.
+struct recorded_window {
+  int index;
+  int camera;
+  search_window window;
+};
+
+/// Puts recorded windows in their places.
+struct place_recorded_window {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, recorded_window const* recorded,
+                                 visibility const* seen, search_windows_view const& windows) const {
+    recorded_window const r = recorded[item];
+    bool const right_alone = r.camera == recorded_sight::not_right_alone;
+    if (right_alone && seen[r.index].level >= 0) { return; }
+    int const camera = right_alone ? 1 : r.camera;
+    windows.windows[static_cast<std::ptrdiff_t>(camera) * windows.capacity + r.index] = r.window;
+  }
+};
+
+/// A point that the left camera sees beyond the limit is searched in neither camera.
+struct leave_out_far_point {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen,
+                                 float far_distance, search_windows_view const& windows) const {
+    if (seen[item].level >= 0 && seen[item].distance > far_distance) {
+      windows.windows[item] = search_window::none();
+      windows.windows[windows.capacity + item] = search_window::none();
+    }
+  }
+};
+
+/// The points in view, in the order of the local map, where the host reads them.
+struct list_points_in_view {
+  using scratch = no_scratch;
+
+  /// @param seen [cameras][capacity] @param to [cameras][listed]
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int, visibility const* seen, int cameras,
+                                 int capacity, int const* points, int* count, int* index,
+                                 visibility* to, int listed) const {
+    int const n = *points;
+    int so_far = 0;
+    for (int base = 0; base < n; base += g.size()) {
+      int const i = base + g.rank();
+      bool in_view = false;
+      for (int c = 0; c < cameras && i < n; ++c) {
+        in_view = in_view || seen[c * capacity + i].level >= 0;
+      }
+      int total = 0;
+      int const at = so_far + g.exclusive_scan(static_cast<int>(in_view), total);
+      if (in_view) {
+        index[at] = i;
+        for (int c = 0; c < cameras; ++c) { to[c * listed + at] = seen[c * capacity + i]; }
+      }
+      so_far += total;
+    }
+    if (g.rank() == 0) { *count = so_far; }
+  }
+};
+
+/// @tparam Rig rectified_rig or fisheye_rig
+template <typename Exec, typename Rig>
+class device_searches {
+  static constexpr memory_space space = Exec::space;
+  static constexpr memory_space staging = staging_space<Exec>;
+  static constexpr int searched = Rig::rectified ? 1 : 2;
+  static constexpr int no_slot_yet = -2;  ///< differs from what any caller writes
+
+public:
+  /// What a call needs besides.
+  struct context {
+    frame_view frame;
+    map_points_view map;
+    pyramid_geometry geometry;
+  };
+
+  /// Takes memory; queues its first values. @param keypoints of an image
+  device_searches(Exec const& exec, Rig const& rig, settings const& s, int keypoints)
+      : settings_(s), rig_(rig), keypoints_(keypoints) {
+    int const numbers = 2 * keypoints;
+    memory_ = arena<space>([&](carver& c) {
+      carve(c, observations_, numbers, 1);
+      poses_ = c.take<pose>(3);
+      slot_count_ = c.take<int>(1);
+    });
+    host_memory_ = arena<staging>([&](carver& c) {
+      staged_poses_ = c.take<pose>(3);
+      staged_count_ = c.take<int>(1);
+      found_ = c.take<int>(2);
+      in_view_ = c.take<int>(1);
+    });
+    fill_bytes(exec, memory_.data(), 0, memory_.bytes());
+    reserve_local(exec, s.local_points);
+  }
+
+  /// Room for a local map; waits where it takes memory. Returns whether it did.
+  bool reserve_local(Exec const& exec, int points) {
+    if (points <= local_capacity_) { return false; }
+    int const n = size_of(std::max(points, local_capacity_ + 1));
+    exec.wait();
+    auto const all = static_cast<std::size_t>(n);
+    int const room = std::max(n, searched * keypoints_);
+    local_memory_ = arena<space>([&](carver& c) {
+      slots_ = c.take<int>(all);
+      seen_ = c.take<visibility>(searched * all);
+      windows_recorded_ = c.take<recorded_window>(searched * all);
+      carve(c, windows_, room, 1, searched);
+      carve(c, work_, room, keypoints_, 1, searched);
+    });
+    local_host_memory_ = arena<staging>([&](carver& c) {
+      staged_slots_ = c.take<int>(all);
+      staged_index_ = c.take<int>(all);
+      staged_sights_ = c.take<visibility>(searched * all);
+      staged_windows_ = c.take<recorded_window>(searched * all);
+    });
+    std::fill_n(staged_slots_, n, no_slot_yet);
+    // Candidates are read beside how many there are.
+    fill_bytes(exec, work_.list, 0xff, work_.list_bytes());
+    local_capacity_ = n;
+    return true;
+  }
+  int* local_slots() const { return staged_slots_; }
+  recorded_sight* recorded_sights(int count) {
+    recorded_.resize(static_cast<std::size_t>(count));
+    return recorded_.data();
+  }
+  /// Launches for a local map of `points` are for so many: a power of two, so that a recording
+  /// serves frame after frame.
+  static int size_of(int points) {
+    int n = 1024;
+    while (n < points) { n *= 2; }
+    return n;
+  }
+
+  // ---- inputs: staged here, uploaded by the first launch of what is queued
+
+  void set_poses(transform const& T_cw, transform const& T_lw) {
+    staged_poses_[0] = to_pose(T_cw);
+    staged_poses_[1] = to_pose(T_lw);
+  }
+  /// Slots and recorded windows; into the upload ahead of the search where there are any.
+  void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
+                     pyramid_geometry const& geometry) {
+    *staged_count_ = r.points;
+    if (r.slots_changed) { up.add(exec, slots_, staged_slots_, r.points); }
+    for (int i = 0; i < r.recorded; ++i) {
+      recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
+      visibility const v{s.seen.x,      s.seen.y,        s.seen.right_x,
+                         s.seen.cosine, s.seen.distance, s.seen.level};
+      search_window window = search_window::none();
+      if (s.camera != recorded_sight::not_right_alone) {
+        window = window_of(v, s.slot, s.camera == 0 ? r.th : 1.0f, Rig::rectified, geometry);
+      }
+      staged_windows_[i] = {s.index, s.camera, window};
+    }
+    up.add(exec, windows_recorded_, staged_windows_, r.recorded);
+  }
+  void upload(Exec const& exec, int poses, bool slot_count) {
+    word_mover<Exec> up;
+    up.add(exec, poses_, staged_poses_, poses);
+    if (slot_count) { up.add(exec, slot_count_, staged_count_, 1); }
+    up.flush(exec);
+  }
+
+  // ---- what is queued, after upload()
+
+  void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
+                        device_frame const& last) {
+    last_search_params params;
+    params.th = r.th;
+    params.mono = r.mono;
+    params.orientation_check = settings_.orientation_check;
+    params.reference_quirks = settings_.reference_quirks;
+    params.min_x = r.image.min_x;
+    params.min_y = r.image.min_y;
+    params.max_x = r.image.max_x;
+    params.max_y = r.image.max_y;
+    windows_.capacity = searched * keypoints_;
+    ft::search_last_frame(exec, rig_, poses_, poses_ + 1, c.frame,
+                          last_frame_view{last.keypoints, 2, searched, last.holder}, c.map, params,
+                          c.geometry, windows_, work_);
+  }
+
+  /// The frustum test, candidates, and the points in view down.
+  void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
+    windows_.capacity = size_of(r.points);
+    if (r.recorded == 0 && !by_both(r)) {
+      for_each_item<per_warp>(exec, windows_.capacity, list_local_point<Rig>{}, search_of(r),
+                              c.frame, c.map, c.geometry, search_params{}, windows_, work_);
+    } else {
+      find_visible_points(exec, search_of(r), c.map, c.geometry, windows_);
+    }
+    for_each_item<per_block<1024>>(exec, 1, list_points_in_view{},
+                                   static_cast<visibility const*>(seen_), searched,
+                                   windows_.capacity, static_cast<int const*>(slot_count_),
+                                   in_view_, staged_index_, staged_sights_, local_capacity_);
+  }
+  /// The rest of the search.
+  void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
+    windows_.capacity = size_of(r.points);
+    if (r.recorded == 0 && !by_both(r)) {
+      for_each_item<per_block<assign_threads>>(exec, 1, assign_keypoints<Exec::asynchronous>{},
+                                               c.frame, c.map, windows_, search_params{}, work_);
+      return;
+    }
+    if (by_both(r)) {
+      for_each_item<per_thread>(exec, r.points, leave_out_far_point{},
+                                static_cast<visibility const*>(seen_), r.far_distance, windows_);
+    }
+    for_each_item<per_thread>(exec, r.recorded, place_recorded_window{},
+                              static_cast<recorded_window const*>(windows_recorded_),
+                              static_cast<visibility const*>(seen_), windows_);
+    search_by_projection(exec, c.frame, c.map, windows_, search_params{}, work_);
+  }
+
+  void queue_pose(Exec const& exec, context const& c) {
+    optimize_poses(exec, rig_, c.frame, c.map, c.geometry, pose_params{}, poses_, poses_ + 2,
+                   observations_);
+  }
+
+  // ---- results: queued down by the last launch, valid after exec.wait()
+
+  void download_matches(Exec const& exec, int* holder, frame_view const& frame) {
+    word_mover<Exec> down;
+    down.add(exec, found_, work_.matches, 1);
+    down.add(exec, holder, frame.holder, frame.numbers());
+    down.flush(exec);
+  }
+  void download_pose(Exec const& exec, int* holder, frame_view const& frame) {
+    word_mover<Exec> down;
+    down.add(exec, staged_poses_ + 2, poses_ + 2, 1);
+    down.add(exec, found_ + 1, observations_.inliers, 1);
+    down.add(exec, holder, frame.holder, frame.numbers());
+    down.flush(exec);
+  }
+  int matches() const { return found_[0]; }
+  pose_result optimized() const { return {to_transform(staged_poses_[2]), found_[1]}; }
+  points_in_view in_view() const {
+    static_assert(sizeof(sight) == sizeof(visibility), "the same fields in the same order");
+    auto const* const sights = reinterpret_cast<sight const*>(staged_sights_);
+    return {*in_view_, staged_index_, {sights, sights + local_capacity_}};
+  }
+
+private:
+  static bool by_both(local_map_request const& r) { return !Rig::rectified && r.far_distance > 0; }
+
+  local_search<Rig> search_of(local_map_request const& r) const {
+    local_search<Rig> search;
+    search.rig = rig_;
+    search.poses = poses_;
+    search.slots = slots_;
+    search.slot_count = slot_count_;
+    search.frustum.min_x = r.image.min_x;
+    search.frustum.min_y = r.image.min_y;
+    search.frustum.max_x = r.image.max_x;
+    search.frustum.max_y = r.image.max_y;
+    search.frustum.log_scale_factor = log_rounded(settings_.scale_factor);
+    search.frustum.levels = settings_.levels;
+    search.params.th = r.th;
+    search.params.far_distance = Rig::rectified ? r.far_distance : 0;
+    search.seen = seen_;
+    return search;
+  }
+
+  settings settings_;
+  Rig rig_;
+  int keypoints_ = 0;
+  int local_capacity_ = 0;
+  observations_view observations_;
+  search_windows_view windows_;
+  search_workspace work_;
+  pose* poses_ = nullptr;  ///< expected, last frame's, optimised
+  int* slot_count_ = nullptr;
+  int* slots_ = nullptr;
+  visibility* seen_ = nullptr;
+  recorded_window* windows_recorded_ = nullptr;
+  pose* staged_poses_ = nullptr;
+  int* staged_count_ = nullptr;
+  int* found_ = nullptr;  ///< matches, inliers
+  int* in_view_ = nullptr;
+  int* staged_slots_ = nullptr;
+  int* staged_index_ = nullptr;
+  visibility* staged_sights_ = nullptr;
+  recorded_window* staged_windows_ = nullptr;
+  std::vector<recorded_sight> recorded_;
+  arena<space> memory_;
+  arena<space> local_memory_;
+  arena<staging> host_memory_;
+  arena<staging> local_host_memory_;
+};
+
+}  // namespace FT_ABI
+}  // namespace orbslam3
+}  // namespace ft

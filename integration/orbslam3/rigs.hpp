@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Rigs and poses of ft from the plain types of the shim.
+#pragma once
+
+#include <cstring>
+
+#include "ft/cameras/image_domain.hpp"
+#include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/core/error.hpp"
+#include "integration/orbslam3/plain_types.hpp"
+
+namespace ft {
+namespace orbslam3 {
+inline namespace FT_ABI {
+
+using fisheye_rig = stereo_rig<kannala_brandt<float>, kannala_brandt<float>>;
+
+inline pose to_pose(transform const& T) {
+  static_assert(sizeof(pose) == sizeof(transform), "both are R by rows, then t");
+  pose p;
+  std::memcpy(&p, &T, sizeof p);
+  return p;
+}
+inline transform to_transform(pose const& p) {
+  transform T;
+  std::memcpy(static_cast<void*>(&T), &p, sizeof T);
+  return T;
+}
+
+/// The settings' cameras. A single kannala_brandt camera is a pair without baseline whose right one
+/// has no keypoints. @throws bad_argument
+template <typename Rig>
+Rig rig_of(settings const& s) {
+  float const* const l = s.left.values;
+  if constexpr (Rig::rectified) {
+    rectified_rig const rig{{l[0], l[1], l[2], l[3]}, s.baseline, s.bf};
+    rig.camera.check();
+    if (s.images == 2 || s.bf != 0) { rig.check(); }
+    return rig;
+  } else {
+    float const* const r = s.images == 2 ? s.right.values : l;
+    fisheye_rig rig{{l[0], l[1], l[2], l[3], l[4], l[5], l[6], l[7]},
+                    {r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7]},
+                    to_pose(s.T_rl)};
+    if (s.images == 1) { rig.T_rl = {mat3<float>::identity(), {-1e-6f, 0.0f, 0.0f}}; }
+    rig.check();
+    require_invertible(rig.left, s.width, s.height, 0.25);
+    require_invertible(rig.right, s.width, s.height, 0.25);
+    return rig;
+  }
+}
+
+/// @throws bad_argument naming the setting
+template <typename Rig>
+settings const& checked(settings const& s) {
+  detail::require_range("images", s.images, 1, 2);
+  detail::require_range("most_keypoints", s.most_keypoints, 0, 1 << 20);
+  detail::require_range("map_points", s.map_points, 1, 1 << 26);
+  detail::require_range("local_points", s.local_points, 1, 1 << 24);
+  detail::require(s.left.kind == s.right.kind || s.images == 1 || Rig::rectified,
+                  "both cameras of a pair are of one kind");
+  return s;
+}
+
+}  // namespace FT_ABI
+}  // namespace orbslam3
+}  // namespace ft

@@ -175,6 +175,7 @@ public:
     for (map_point const* const held : current.mvpMapPoints) {
       detail::require(held == nullptr, "the current frame holds map points before the search");
     }
+    map_call_end const end(mirror_);
     mirror_.begin_call();
     last_frame_request request;
     request.current = frames_.bind(current, frames_.find(last));
@@ -199,6 +200,7 @@ public:
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
     stage_timer timer(sums(stage::search_local_map), *device_);
+    map_call_end const end(mirror_);
     mirror_.begin_call();
     local_map_request request;
     request.buffer = frames_.bind(frame, -1);
@@ -233,8 +235,8 @@ public:
     if (options_[which] == stage_mode::bypass) { return held; }
     if (held < 3) { return 0; }
     int const b = frames_.bind(frame, -1);
-    mirror_.make_room_for(held);
     bool changed = false;
+    map_call_end const end(mirror_);
     {
       // As the original: points rest while they are read. The device is not waited for meanwhile.
       std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
@@ -263,8 +265,8 @@ public:
   /// What to push to, for code that should not see the accelerator.
   change_queue<map_point>& changes() { return mirror_.changes(); }
 
-  /// Before a map point is deleted, such as the temporary ones of Tracking's localisation mode.
-  /// From the tracking thread.
+  /// Before a map point is deleted, such as the temporary ones of Tracking's localisation mode; not
+  /// under its locks. From any thread.
   void forget(map_point const* point) { mirror_.forget(point); }
 
   /// Forgets frames and map points. For Tracking::Reset and ResetActiveMap, which begin to number
@@ -283,6 +285,8 @@ public:
   map_mirror<map_point> const& mirror() const { return mirror_; }
 
 private:
+  using map_call_end = typename map_mirror<map_point>::call_end;
+
   template <typename Image>
   static grey_image view_of(Image const& image) {
     return {image.data, image.cols, image.rows,

@@ -1,46 +1,83 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Map points that other threads have changed, for the tracking thread to look at.
+/// @file Map points that other threads have changed.
 #pragma once
 
+#include <algorithm>
+#include <condition_variable>
 #include <cstddef>
 #include <mutex>
-#include <utility>
 #include <vector>
 
 namespace ft {
 namespace orbslam3 {
 
 /// push() from any thread, also under the locks of a map point: it takes one more, and calls
-/// nothing. take() from the tracking thread. Map points are not looked at here.
+/// nothing. Map points are not looked at here.
 template <typename MapPoint>
 class change_queue {
 public:
   /// `point` has changed, and its lock shows the new values to whoever takes it after.
   void push(MapPoint* point) {
     std::lock_guard<std::mutex> const lock(mutex_);
-    if (!closed_) { changed_.push_back(point); }
+    if (closed_) { return; }
+    changed_.push_back(point);
+    if (awaited_) {
+      awaited_ = false;
+      pushed_.notify_one();
+    }
   }
-  /// All that were pushed since the last call, in order, repeated ones too.
-  void take(std::vector<MapPoint*>& into) {
+  /// The first `most` of those that were pushed and not taken yet, in order, repeated ones too.
+  void take(std::vector<MapPoint*>& into, std::size_t most) {
     into.clear();
     std::lock_guard<std::mutex> const lock(mutex_);
-    std::swap(changed_, into);
+    std::size_t const n = std::min(most, changed_.size() - first_);
+    auto const from = changed_.begin() + static_cast<std::ptrdiff_t>(first_);
+    into.assign(from, from + static_cast<std::ptrdiff_t>(n));
+    first_ += n;
+    if (first_ < changed_.size()) { return; }
+    changed_.clear();
+    first_ = 0;
+  }
+  /// Takes `point` out, which is about to be deleted.
+  void forget(MapPoint const* point) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    auto const from = changed_.begin() + static_cast<std::ptrdiff_t>(first_);
+    changed_.erase(std::remove(from, changed_.end(), point), changed_.end());
+  }
+  /// Blocks until there is something to take. False after stop().
+  bool await() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (first_ == changed_.size() && !stopped_) {
+      awaited_ = true;
+      pushed_.wait(lock);
+    }
+    return !stopped_;
+  }
+  void stop() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    stopped_ = true;
+    pushed_.notify_all();
   }
   /// From now on nothing is kept: for a tracker that takes no more.
   void close() {
     std::lock_guard<std::mutex> const lock(mutex_);
     closed_ = true;
     changed_ = {};
+    first_ = 0;
   }
   /// Points that wait to be taken.
   std::size_t size() {
     std::lock_guard<std::mutex> const lock(mutex_);
-    return changed_.size();
+    return changed_.size() - first_;
   }
 
 private:
   std::mutex mutex_;
+  std::condition_variable pushed_;
   std::vector<MapPoint*> changed_;
+  std::size_t first_ = 0;  ///< not taken yet
+  bool awaited_ = false;
+  bool stopped_ = false;
   bool closed_ = false;
 };
 

@@ -4,17 +4,22 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
-#include <iterator>
+#include <exception>
 #include <limits>
+#include <memory>
+#include <mutex>
+#include <thread>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
+#include "ft/core/error.hpp"
 #include "integration/orbslam3/change_queue.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/point_fields.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -25,60 +30,77 @@ enum class change_detection {
   hooks,    ///< points pushed into the change_queue are read, others not
 };
 
-/// The float that gives `scaled` when multiplied by `factor`, where there is one near
-/// scaled / factor; that quotient otherwise.
-///
-/// MapPoint shows its limits of distance times 0.8 and 1.2. Range tests multiply again and get
-/// exactly what it shows. Two limits next to each other may be shown as one number (for 1.2 where
-/// the product passes a power of two; there, the lower is taken), so what is recovered is the
-/// stored one or its neighbour: 2^-23 off at most.
-inline float unscaled(float scaled, float factor) {
-  float const quotient = scaled / factor;
-  if (!std::isfinite(quotient)) { return quotient; }
-  float candidate = quotient;
-  for (int step = 0; step < 2; ++step) {
-    candidate = std::nextafter(candidate, -std::numeric_limits<float>::infinity());
+/// An array that grows by blocks: what it has stays where it is.
+template <typename T>
+class block_array {
+public:
+  block_array() { blocks_.reserve(most / per_block); }
+  /// At least `size` elements from now on. @param initial of new ones
+  void reserve(std::size_t size, T const& initial) {
+    detail::require(size <= most, "more map points than the shim can number");
+    while (this->size() < size) {
+      blocks_.push_back(std::make_unique<T[]>(per_block));
+      std::fill_n(blocks_.back().get(), per_block, initial);
+    }
   }
-  for (int step = 0; step < 5; ++step) {
-    float const product = candidate * factor;
-    if (product == scaled) { return candidate; }
-    candidate = std::nextafter(candidate, std::numeric_limits<float>::infinity());
-  }
-  return quotient;
-}
+  std::size_t size() const { return blocks_.size() * per_block; }
+  T& operator[](std::size_t i) { return blocks_[i / per_block][i % per_block]; }
+  T const& operator[](std::size_t i) const { return blocks_[i / per_block][i % per_block]; }
 
-/// A map point's fields as they were sent.
-struct point_fields {
-  float position[3];
-  float normal[3];
-  float limits[2];  ///< lowest and highest distance, raw, metres
-  std::uint32_t descriptor[8];
-  bool observed;
+private:
+  static constexpr std::size_t per_block = 1 << 12;
+  static constexpr std::size_t most = std::size_t{1} << 28;
+  std::vector<std::unique_ptr<T[]>> blocks_;
 };
 
-/// For one tracking thread; reads map points through their own locked functions. Map points live
-/// until clear(): ORB-SLAM3 takes bad ones off its lists and keeps them in memory.
+/// Reads map points through their own locked functions. With hooks a thread of the mirror does so
+/// while tracking is elsewhere, also for points that tracking has not met yet; it makes room
+/// for more as well. A call of tracking, begin_call() to flush(), reads what is left.
+///
+/// Map points live until forget() or clear(). Calls of tracking are for one thread; changes() and
+/// forget() for any.
 template <typename MapPoint>
 class map_mirror {
 public:
   map_mirror(device_tracker& device, change_detection detection, int capacity)
       : device_(&device), detection_(detection) {
-    grow(capacity);
+    detail::require_range("map_points", capacity, 1, 1 << 26);
+    add_slots(capacity);
+    ids_.reserve(1, -1);
+    on_device_ = capacity_;
+    device_->reserve_map(capacity_);
+    if (detection != change_detection::hooks) { changes_.close(); }
+  }
+  map_mirror(map_mirror const&) = delete;
+  map_mirror& operator=(map_mirror const&) = delete;
+  ~map_mirror() {
+    changes_.stop();
+    if (reader_.joinable()) { reader_.join(); }
   }
 
   change_queue<MapPoint>& changes() { return changes_; }
 
+  /// Ends a call that flush() has not ended.
+  class call_end {
+  public:
+    explicit call_end(map_mirror& mirror) : mirror_(&mirror) {}
+    call_end(call_end const&) = delete;
+    call_end& operator=(call_end const&) = delete;
+    ~call_end() { mirror_->end_call(); }
+
+  private:
+    map_mirror* mirror_;
+  };
+
   /// Before the points of a call are visited. With hooks: reads those that have changed.
   void begin_call() {
+    in_call_ = lock_first();
     ++call_;
+    ++round_;
     if (detection_ != change_detection::hooks) { return; }
-    changes_.take(taken_);
-    for (MapPoint* const point : taken_) {
-      // By address: what is not known yet may still be under construction, and is left alone.
-      auto const known = slot_by_address_.find(point);
-      if (known == slot_by_address_.end()) { continue; }
-      // Pushed twice: read once.
-      if (records_[index(known->second)].read_in != call_) { refresh(known->second); }
+    look_at_changes(std::numeric_limits<std::size_t>::max());
+    if (!reader_.joinable()) {
+      reader_ = std::thread([this] { read_changes(); });
     }
   }
 
@@ -88,7 +110,8 @@ public:
     int slot = holds(likely, point) ? likely : find(point);
     if (slot < 0) {
       slot = add(point);
-    } else if (detection_ == change_detection::compare && records_[index(slot)].read_in != call_) {
+      name(slot, point->mnId);
+    } else if (detection_ == change_detection::compare && records_[index(slot)].read_in != round_) {
       refresh(slot);
     }
     entries_[index(slot)].used_in = call_;
@@ -96,224 +119,252 @@ public:
   }
   /// After visit(): whether the point was bad when it was read.
   bool bad(int slot) const { return entries_[index(slot)].bad; }
+  /// Of a slot that the last call has visited.
   MapPoint* owner(int slot) const { return entries_[index(slot)].owner; }
-  bool holds(int slot, MapPoint const* point) const {
-    if (slot < 0 || slot >= capacity()) { return false; }
-    // By number as well: another point may live where one was deleted.
-    entry const& e = entries_[index(slot)];
-    return e.owner == point && e.id == point->mnId;
-  }
 
-  /// Queues what has changed for the device.
+  /// Queues what has changed for the device, and ends the call.
   void flush() {
-    change_.positions = count(positions_, map_change::position_words);
-    change_.views = count(views_, map_change::view_words);
-    change_.descriptors = count(descriptors_, map_change::descriptor_words);
-    change_.observations = count(observations_, map_change::observation_words);
-    if (change_.records() == 0) { return; }
-    words_.clear();
-    for (auto* part : {&positions_, &views_, &descriptors_, &observations_}) {
-      words_.insert(words_.end(), part->begin(), part->end());
-      part->clear();
+    if (on_device_ < capacity_) {
+      device_->reserve_map(capacity_);
+      on_device_ = capacity_;
     }
-    device_->change_map(change_, words_.data());
+    noted_.flush(*device_);
+    end_call();
   }
 
-  /// Takes what memory `points` new ones need now, rather than in visit(); may wait for the device.
-  void make_room_for(int points) {
-    auto const enough = static_cast<std::size_t>(points);
-    if (free_.size() < enough) { evict(); }
-    if (free_.size() < enough) { grow(capacity() + std::max(capacity(), points)); }
-  }
-
-  /// Forgets a point that is about to be deleted.
+  /// Forgets a point that is about to be deleted; not under its locks. It is not read any more when
+  /// this returns.
   void forget(MapPoint const* point) {
+    auto const lock = lock_first();
+    changes_.forget(point);
+    pushed_once_.erase(point);
     auto const known = slot_by_address_.find(point);
     if (known != slot_by_address_.end()) { release(known->second); }
   }
 
   /// Forgets all points, for a system that was reset.
   void clear() {
-    changes_.take(taken_);
-    for (int slot = capacity() - 1; slot >= 0; --slot) {
+    auto const lock = lock_first();
+    changes_.take(taken_, std::numeric_limits<std::size_t>::max());
+    pushed_once_.clear();
+    for (int slot = capacity_ - 1; slot >= 0; --slot) {
       if (owner(slot) != nullptr) { release(slot); }
     }
-    for (auto* part : {&positions_, &views_, &descriptors_, &observations_}) { part->clear(); }
+    noted_.clear();
   }
 
-  int capacity() const { return static_cast<int>(entries_.size()); }
-  int size() const { return capacity() - static_cast<int>(free_.size()); }
+  int capacity() const {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return capacity_;
+  }
+  int size() const {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return capacity_ - static_cast<int>(free_.size());
+  }
 
 private:
+  static constexpr std::size_t no_id = std::numeric_limits<std::size_t>::max();
+
   /// What every call looks at: small, so that those of a local map stay in a cache.
   struct entry {
     MapPoint* owner = nullptr;
-    std::size_t id = 0;
+    std::size_t id = no_id;     ///< mnId; no_id until tracking meets the point
     std::uint32_t used_in = 0;  ///< call
     bool bad = false;
   };
   /// What is looked at where a point is read.
   struct record {
-    std::uint32_t read_in = 0;  ///< call
-    float shown[2] = {};        ///< the limits as the map point shows them
+    std::uint32_t read_in = 0;  ///< round
     point_fields sent{};
   };
-  static constexpr std::uint32_t keep_unused = 1000;  ///< calls
+  /// Of calls that a point was in none of, before its slot is given away: the first one that yields
+  /// enough slots.
+  static constexpr std::uint32_t keep_unused[] = {1000, 100, 12};
+  /// Points that the reader reads while tracking waits for it at most.
+  static constexpr std::size_t at_a_time = 16;
+  static constexpr int evicted_at_a_time = 2048;  ///< slots looked at
 
   static std::size_t index(int slot) { return static_cast<std::size_t>(slot); }
-  static int count(std::vector<std::uint32_t> const& words, int each) {
-    return static_cast<int>(words.size()) / each;
+
+  void end_call() {
+    if (in_call_.owns_lock()) { in_call_.unlock(); }
+  }
+  /// Before the reader, which else might take the lock again and again.
+  std::unique_lock<std::mutex> lock_first() {
+    ++wanted_;
+    std::unique_lock<std::mutex> lock(mutex_);
+    --wanted_;
+    return lock;
   }
 
-  int find(MapPoint const* point) const {
+  bool holds(int slot, MapPoint const* point) const {
+    if (slot < 0 || slot >= capacity_) { return false; }
+    // By number as well: another point may live where one was deleted.
+    entry const& e = entries_[index(slot)];
+    return e.owner == point && e.id == point->mnId;
+  }
+  int find(MapPoint const* point) {
     std::size_t const id = point->mnId;
-    int const slot = id < slot_of_.size() ? slot_of_[id] : -1;
-    return holds(slot, point) ? slot : -1;
+    int const slot = id < ids_.size() ? ids_[id] : -1;
+    if (holds(slot, point)) { return slot; }
+    // The reader knows it by its address.
+    auto const known = slot_by_address_.find(point);
+    if (known == slot_by_address_.end()) { return -1; }
+    if (entries_[index(known->second)].id != no_id) {  // that one was deleted
+      release(known->second);
+      return -1;
+    }
+    name(known->second, id);
+    return known->second;
+  }
+  void name(int slot, std::size_t id) {
+    ids_.reserve(id + 1, -1);
+    ids_[id] = slot;
+    entries_[index(slot)].id = id;
   }
 
   int add(MapPoint* point) {
     if (free_.empty()) { make_room(); }
     int const slot = free_.back();
     free_.pop_back();
-    std::size_t const id = point->mnId;
-    if (id >= slot_of_.size()) { slot_of_.resize(id + id / 2 + 1024, -1); }
-    slot_of_[id] = slot;
     slot_by_address_[point] = slot;
-    entries_[index(slot)].owner = point;
-    entries_[index(slot)].id = id;
-    record const& r = records_[index(slot)];
-    read(slot);
-    send_position(slot, r.sent);
-    send_view(slot, r.sent);
-    send_descriptor(slot, r.sent);
-    send_observed(slot, r.sent);
+    entry& e = entries_[index(slot)];
+    e.owner = point;
+    e.used_in = call_;
+    record& r = records_[index(slot)];
+    r = {};
+    r.read_in = round_;
+    e.bad = read_fields(*point, r.sent);
+    noted_.note_all(slot, r.sent);
     return slot;
   }
-
   void refresh(int slot) {
-    point_fields const before = records_[index(slot)].sent;
-    read(slot);
-    point_fields const& now = records_[index(slot)].sent;
-    if (differ(before.position, now.position)) { send_position(slot, now); }
-    if (differ(before.normal, now.normal) || differ(before.limits, now.limits)) {
-      send_view(slot, now);
-    }
-    if (differ(before.descriptor, now.descriptor)) { send_descriptor(slot, now); }
-    if (before.observed != now.observed) { send_observed(slot, now); }
-  }
-
-  /// By the functions that the system's own code calls, each with its lock.
-  void read(int slot) {
-    MapPoint& p = *owner(slot);
     record& r = records_[index(slot)];
-    point_fields& f = r.sent;
-    auto const position = p.GetWorldPos();
-    auto const normal = p.GetNormal();
-    for (int i = 0; i < 3; ++i) {
-      f.position[i] = position(i);
-      f.normal[i] = normal(i);
+    point_fields const before = r.sent;
+    entries_[index(slot)].bad = read_fields(*owner(slot), r.sent);
+    r.read_in = round_;
+    point_fields const& now = r.sent;
+    if (differ(before.position, now.position)) { noted_.note_position(slot, now); }
+    if (differ(before.normal, now.normal) || differ(before.limits, now.limits)) {
+      noted_.note_view(slot, now);
     }
-    float const lowest = p.GetMinDistanceInvariance();
-    float const highest = p.GetMaxDistanceInvariance();
-    // Divided again only where it has changed.
-    float const shown[2] = {lowest, highest};
-    if (differ(r.shown, shown)) {
-      r.shown[0] = lowest;
-      r.shown[1] = highest;
-      f.limits[0] = unscaled(lowest, 0.8f);
-      f.limits[1] = unscaled(highest, 1.2f);
-    }
-    auto const descriptor = p.GetDescriptor();
-    if (descriptor.rows * descriptor.cols == 32) {
-      std::memcpy(f.descriptor, descriptor.data, sizeof f.descriptor);
-    }
-    f.observed = p.Observations() > 0;
-    entries_[index(slot)].bad = p.isBad();
-    r.read_in = call_;
+    if (differ(before.descriptor, now.descriptor)) { noted_.note_descriptor(slot, now); }
+    if (before.observed != now.observed) { noted_.note_observed(slot, now); }
   }
-
-  void send_position(int slot, point_fields const& f) {
-    positions_.push_back(static_cast<std::uint32_t>(slot));
-    push_bits(positions_, f.position);
-  }
-  void send_view(int slot, point_fields const& f) {
-    views_.push_back(static_cast<std::uint32_t>(slot));
-    push_bits(views_, f.normal);
-    push_bits(views_, f.limits);
-  }
-  void send_descriptor(int slot, point_fields const& f) {
-    descriptors_.push_back(static_cast<std::uint32_t>(slot));
-    descriptors_.insert(descriptors_.end(), std::begin(f.descriptor), std::end(f.descriptor));
-  }
-  void send_observed(int slot, point_fields const& f) {
-    observations_.push_back(static_cast<std::uint32_t>(slot));
-    observations_.push_back(f.observed ? 1u : 0u);
-  }
-  template <std::size_t N>
-  static void push_bits(std::vector<std::uint32_t>& words, float const (&values)[N]) {
-    std::uint32_t bits[N];
-    std::memcpy(bits, values, sizeof bits);
-    words.insert(words.end(), bits, bits + N);
-  }
-  /// In any bit: a NaN that stays is no change.
-  template <typename T, std::size_t N>
-  static bool differ(T const (&a)[N], T const (&b)[N]) {
-    return std::memcmp(a, b, sizeof a) != 0;
-  }
-
   void release(int slot) {
     entry& e = entries_[index(slot)];
-    int& listed = slot_of_[e.id];
-    if (listed == slot) { listed = -1; }
+    if (e.id != no_id && ids_[e.id] == slot) { ids_[e.id] = -1; }
     auto const known = slot_by_address_.find(e.owner);
     if (known != slot_by_address_.end() && known->second == slot) { slot_by_address_.erase(known); }
-    e.owner = nullptr;
-    e.bad = false;
+    e = {};
     free_.push_back(slot);
   }
 
-  /// Frees the slots of bad points and of those that no call has used for long. Never one of this
-  /// call.
-  void evict() {
-    for (int slot = 0; slot < capacity(); ++slot) {
-      entry const& e = entries_[index(slot)];
-      bool const idle = e.used_in != call_ && records_[index(slot)].read_in != call_;
-      if (e.owner != nullptr && idle && (e.bad || e.used_in + keep_unused < call_)) {
-        release(slot);
+  // ---- changes
+
+  /// Reads the first `most` points that were pushed.
+  void look_at_changes(std::size_t most) {
+    changes_.take(taken_, most);
+    for (MapPoint* const point : taken_) {
+      auto const known = slot_by_address_.find(point);
+      if (known != slot_by_address_.end()) {
+        // Pushed twice: read once.
+        if (records_[index(known->second)].read_in != round_) { refresh(known->second); }
+      } else if (!pushed_once_.insert(point).second) {
+        // The first push may come from the constructor, which is still at work then. One after it
+        // comes from the same thread once it is done, or from one that was given the point.
+        pushed_once_.erase(point);
+        add(point);
       }
     }
   }
-  void make_room() {
-    evict();
-    if (free_.size() < entries_.size() / 8 + 1) { grow(2 * capacity()); }
+  /// The reader thread.
+  void read_changes() {
+    while (changes_.await()) {
+      {
+        std::lock_guard<std::mutex> const lock(mutex_);
+        ++round_;
+        look_at_changes(at_a_time);
+      }
+      keep_room();
+      while (wanted_ > 0) { std::this_thread::yield(); }
+    }
   }
 
-  void grow(int capacity) {
-    // What is noted goes to the slots there are.
-    flush();
-    device_->reserve_map(capacity);
-    int const first = this->capacity();
-    entries_.resize(index(capacity));
-    records_.resize(index(capacity));
-    for (int slot = capacity - 1; slot >= first; --slot) { free_.push_back(slot); }
+  // ---- room
+
+  void add_slots(int count) {
+    int const first = capacity_;
+    capacity_ += count;
+    entries_.reserve(index(capacity_), {});
+    records_.reserve(index(capacity_), {});
+    noted_.reserve(capacity_);
+    free_.reserve(index(capacity_));
+    slot_by_address_.reserve(index(capacity_));
+    for (int slot = capacity_ - 1; slot >= first; --slot) { free_.push_back(slot); }
+  }
+  /// Gives slots in [first, last) away: of bad points and of those that no call had for long. Never
+  /// one of this call.
+  void evict(int first, int last, std::uint32_t keep) {
+    for (int slot = first; slot < last; ++slot) {
+      entry const& e = entries_[index(slot)];
+      if (e.owner == nullptr || e.used_in == call_) { continue; }
+      if (e.bad || e.used_in + keep < call_) { release(slot); }
+    }
+  }
+  bool has_room(int share) const { return free_.size() > entries() / index(share); }
+  std::size_t entries() const { return index(capacity_); }
+  /// Within a call. The device's memory grows with flush().
+  void make_room() {
+    for (std::uint32_t const keep : keep_unused) {
+      evict(0, capacity_, keep);
+      if (has_room(8)) { return; }
+    }
+    add_slots(capacity_);
+  }
+  /// By the reader: a quarter of all slots is free, or will be. Little at a time under the lock.
+  void keep_room() {
+    for (std::uint32_t const keep : keep_unused) {
+      for (int first = 0;; first += evicted_at_a_time) {
+        while (wanted_ > 0) { std::this_thread::yield(); }
+        std::lock_guard<std::mutex> const lock(mutex_);
+        if (has_room(4)) { return; }
+        if (first >= capacity_) { break; }
+        evict(first, std::min(first + evicted_at_a_time, capacity_), keep);
+      }
+    }
+    int wanted = 0;
+    {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      wanted = 2 * capacity_;
+    }
+    try {
+      device_->prepare_map(wanted);
+      std::lock_guard<std::mutex> const lock(mutex_);
+      if (capacity_ < wanted) { add_slots(wanted - capacity_); }
+    } catch (std::exception const&) {  // the call that needs the memory tries again, and says so
+    }
   }
 
   device_tracker* device_;
   change_detection detection_;
   change_queue<MapPoint> changes_;
+  mutable std::mutex mutex_;  ///< of all that follows; taken before map points' own
+  std::unique_lock<std::mutex> in_call_;
+  std::atomic<int> wanted_{0};
   std::vector<MapPoint*> taken_;
-  std::vector<entry> entries_;   ///< by slot
-  std::vector<record> records_;  ///< likewise
+  block_array<entry> entries_;   ///< by slot
+  block_array<record> records_;  ///< likewise
+  block_array<int> ids_;         ///< slot by MapPoint::mnId; -1 = none
   std::vector<int> free_;
-  std::vector<int> slot_of_;  ///< by MapPoint::mnId; -1 = none
   std::unordered_map<MapPoint const*, int> slot_by_address_;
+  std::unordered_set<MapPoint const*> pushed_once_;
+  noted_changes noted_;
+  int capacity_ = 0;
+  int on_device_ = 0;  ///< slots
   std::uint32_t call_ = 0;
-  map_change change_;
-  std::vector<std::uint32_t> positions_;
-  std::vector<std::uint32_t> views_;
-  std::vector<std::uint32_t> descriptors_;
-  std::vector<std::uint32_t> observations_;
-  std::vector<std::uint32_t> words_;
+  std::uint32_t round_ = 0;
+  std::thread reader_;
 };
 
 }  // namespace orbslam3

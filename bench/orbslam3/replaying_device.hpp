@@ -24,6 +24,7 @@ public:
 
   void replay() { replaying_ = true; }
 
+  ft::orbslam3::helper_threads& helpers() override { return device_->helpers(); }
   int capacity() const override { return device_->capacity(); }
   int cameras() const override { return device_->cameras(); }
   ft::orbslam3::frame_arrays const& frame(int buffer) override { return device_->frame(buffer); }

@@ -20,6 +20,7 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "integration/orbslam3/call_clock.hpp"
 #include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/stream_mark.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 
@@ -64,7 +65,8 @@ public:
   static constexpr int buffers = device_tracker::buffers;
 
   /// Takes all memory; waits. @throws bad_argument
-  device_extraction(Exec const& exec, Rig const& rig, settings const& s) : settings_(s), rig_(rig) {
+  device_extraction(Exec const& exec, Rig const& rig, settings const& s, helper_threads& helpers)
+      : settings_(s), helpers_(helpers), rig_(rig) {
     orb_params params;
     params.width = s.width;
     params.height = s.height;
@@ -204,6 +206,8 @@ public:
   }
 
 private:
+  static constexpr int rows_at_a_time = 32;
+
   bool pair() const { return settings_.images == 2; }
   bounds image_bounds() const {
     return {0, 0, static_cast<float>(settings_.width), static_cast<float>(settings_.height)};
@@ -213,6 +217,7 @@ private:
            static_cast<std::size_t>(settings_.height);
   }
 
+  /// Copies an image to where the executor fetches it, in parts that the helpers share.
   void stage_image(int i, grey_image const& image) {
     detail::require(image.data != nullptr, "the image is null");
     if (image.width != settings_.width || image.height != settings_.height) {
@@ -223,15 +228,14 @@ private:
     detail::require(image.stride >= image.width, "the image's stride is below its width");
     auto const stride = static_cast<std::size_t>(extractor_.geometry().stride[0]);
     std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
-    if (static_cast<std::size_t>(image.stride) == stride && image.stride == image.width) {
-      std::memcpy(to, image.data, image_bytes());
-      return;
-    }
-    for (int y = 0; y < image.height; ++y) {
-      std::memcpy(to + static_cast<std::size_t>(y) * stride,
-                  image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
-                  static_cast<std::size_t>(image.width));
-    }
+    helpers_.share(ceil_div(image.height, rows_at_a_time), [&](int part) {
+      int const end = std::min((part + 1) * rows_at_a_time, image.height);
+      for (int y = part * rows_at_a_time; y < end; ++y) {
+        std::memcpy(to + static_cast<std::size_t>(y) * stride,
+                    image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
+                    static_cast<std::size_t>(image.width));
+      }
+    });
   }
 
   /// Keypoints into the frame and to the host. Of a pair, whose keypoints are searched where they
@@ -264,6 +268,7 @@ private:
   }
 
   settings settings_;
+  helper_threads& helpers_;
   Rig rig_;
   orb_extractor<Exec> extractor_;
   stereo_params stereo_;

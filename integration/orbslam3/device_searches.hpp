@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "ft/containers/map_points.hpp"
@@ -61,11 +62,13 @@ struct leave_out_far_point {
 struct list_points_in_view {
   using scratch = no_scratch;
 
-  /// @param seen [cameras][capacity] @param to [cameras][listed]
+  /// @param seen [cameras][capacity] @param listed [capacity] executor memory
+  /// @param to [cameras][stride] host memory, as `count` and `index` are: written word after word,
+  /// since what threads write in pieces goes over the bus in pieces
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int, visibility const* seen, int cameras,
-                                 int capacity, int const* points, int* count, int* index,
-                                 visibility* to, int listed) const {
+                                 int capacity, int const* points, int* listed, int* count,
+                                 int* index, visibility* to, int stride) const {
     int const n = *points;
     int so_far = 0;
     for (int base = 0; base < n; base += g.size()) {
@@ -76,13 +79,24 @@ struct list_points_in_view {
       }
       int total = 0;
       int const at = so_far + g.exclusive_scan(static_cast<int>(in_view), total);
-      if (in_view) {
-        index[at] = i;
-        for (int c = 0; c < cameras; ++c) { to[c * listed + at] = seen[c * capacity + i]; }
-      }
+      if (in_view) { listed[at] = i; }
       so_far += total;
     }
+    g.sync();
     if (g.rank() == 0) { *count = so_far; }
+    for (int k = g.rank(); k < so_far; k += g.size()) { index[k] = listed[k]; }
+    for (int c = 0; c < cameras; ++c) {
+      visibility const* const from = seen + c * capacity;
+      if constexpr (Group::max_threads == 1) {
+        for (int k = 0; k < so_far; ++k) { to[c * stride + k] = from[listed[k]]; }
+      } else {
+        constexpr int words = sizeof(visibility) / 4;
+        auto* const out = reinterpret_cast<std::uint32_t*>(to + c * stride);
+        for (int w = g.rank(); w < so_far * words; w += g.size()) {
+          out[w] = reinterpret_cast<std::uint32_t const*>(from + listed[w / words])[w % words];
+        }
+      }
+    }
   }
 };
 
@@ -131,6 +145,7 @@ public:
     local_memory_ = arena<space>([&](carver& c) {
       slots_ = c.take<int>(all);
       seen_ = c.take<visibility>(searched * all);
+      listed_ = c.take<int>(all);
       windows_recorded_ = c.take<recorded_window>(searched * all);
       carve(c, windows_, room, 1, searched);
       carve(c, work_, room, keypoints_, 1, searched);
@@ -220,7 +235,7 @@ public:
     }
     for_each_item<per_block<1024>>(exec, 1, list_points_in_view{},
                                    static_cast<visibility const*>(seen_), searched,
-                                   windows_.capacity, static_cast<int const*>(slot_count_),
+                                   windows_.capacity, static_cast<int const*>(slot_count_), listed_,
                                    in_view_, staged_index_, staged_sights_, local_capacity_);
   }
   /// The rest of the search.
@@ -301,6 +316,7 @@ private:
   int* slot_count_ = nullptr;
   int* slots_ = nullptr;
   visibility* seen_ = nullptr;
+  int* listed_ = nullptr;  ///< points in view
   recorded_window* windows_recorded_ = nullptr;
   pose* staged_poses_ = nullptr;
   int* staged_count_ = nullptr;

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
@@ -26,6 +27,8 @@ public:
   device_tracker& operator=(device_tracker const&) = delete;
   virtual ~device_tracker() = default;
 
+  /// Threads that share the host's work in a call; they belong to the thread that makes calls.
+  virtual helper_threads& helpers() = 0;
   /// Keypoints that an image of a frame may have.
   virtual int capacity() const = 0;
   /// Cameras whose keypoints are searched: 2 for a kannala_brandt pair.

@@ -17,6 +17,7 @@
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/stream_mark.hpp"
 #include "integration/orbslam3/word_mover.hpp"
@@ -37,7 +38,8 @@ public:
   executor_tracker(Exec exec, settings const& s)
       : exec_(std::move(exec)),
         settings_(checked<Rig>(s)),
-        extraction_(exec_, rig_of<Rig>(s), s),
+        helpers_(helper_threads::chosen(s.helpers)),
+        extraction_(exec_, rig_of<Rig>(s), s, helpers_),
         frames_(exec_, s, extraction_.capacity()),
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
     map_.reserve(exec_, s.map_points);
@@ -53,12 +55,13 @@ public:
     }
   }
 
+  helper_threads& helpers() override { return helpers_; }
   int capacity() const override { return frames_.capacity(); }
   int cameras() const override { return settings_.images == 2 ? searched : 1; }
   frame_arrays const& frame(int buffer) override { return frames_.arrays(buffer); }
 
   void extract(int buffer, grey_image const& left, grey_image const& right) override {
-    wait();
+    settle();
     if (clock_.measuring()) {
       extraction_.extract_measured(exec_, frames_, buffer, left, right, clock_);
       clock_.mark(exec_, 3);
@@ -281,6 +284,7 @@ private:
   Exec exec_;
   thread_device<Exec> device_;
   settings settings_;
+  helper_threads helpers_;
   device_extraction<Exec, Rig> extraction_;
   device_frames<Exec, Rig> frames_;
   device_map<Exec> map_;

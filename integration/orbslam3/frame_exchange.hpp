@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <string>
 #include <type_traits>
@@ -72,15 +73,23 @@ public:
     r.id = frame.mnId;
     newest_ = b;
     frame_arrays const& a = device_->frame(b);
-    fill_features(a, 0, frame.mvKeys, frame.mDescriptors);
+    device_->helpers().share(2 * settings_.images, [&](int part) {
+      switch (part) {
+        case 0:
+          return fill_keypoints(a, 0, frame.mvKeys);
+        case 1:
+          return fill_descriptors(a, 0, frame.mDescriptors);
+        case 2:
+          return fill_keypoints(a, 1, frame.mvKeysRight);
+        default:
+          return fill_descriptors(a, 1, frame.mDescriptorsRight);
+      }
+    });
     frame.monoLeft = a.mono[0];
     frame.N = a.count[0];
     frame.Nleft = -1;
     frame.Nright = -1;
-    if (settings_.images == 2) {
-      fill_features(a, 1, frame.mvKeysRight, frame.mDescriptorsRight);
-      frame.monoRight = a.mono[1];
-    }
+    if (settings_.images == 2) { frame.monoRight = a.mono[1]; }
     if (device_->cameras() == 2) {
       frame.Nleft = a.count[0];
       frame.Nright = a.count[1];
@@ -211,9 +220,8 @@ private:
     bool checked = false;    ///< positions and stereo are those of the frame
   };
 
-  template <typename Keypoint, typename Matrix>
-  void fill_features(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints,
-                     Matrix& descriptors) const {
+  template <typename Keypoint>
+  void fill_keypoints(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints) const {
     int const n = a.count[image];
     int const first = image * a.capacity;
     keypoints.resize(static_cast<std::size_t>(n));
@@ -227,11 +235,19 @@ private:
       k.angle = a.angle[at];
       k.response = a.response[at];
     }
+  }
+  template <typename Matrix>
+  void fill_descriptors(frame_arrays const& a, int image, Matrix& descriptors) const {
+    int const n = a.count[image];
+    std::uint32_t const* const from = a.descriptor + 8 * (image * a.capacity);
     descriptors.create(n, 32, grey_type);
+    auto const step = static_cast<std::size_t>(descriptors.step);
+    if (n > 0 && step == 32) {
+      std::memcpy(descriptors.data, from, 32 * static_cast<std::size_t>(n));
+      return;
+    }
     for (int i = 0; i < n; ++i) {
-      std::memcpy(descriptors.data +
-                      static_cast<std::size_t>(i) * static_cast<std::size_t>(descriptors.step),
-                  a.descriptor + 8 * (first + i), 32);
+      std::memcpy(descriptors.data + static_cast<std::size_t>(i) * step, from + 8 * i, 32);
     }
   }
 

@@ -72,8 +72,26 @@ public:
   /// The tracked values of the points in view, and what counts them.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
+    constexpr int at_a_time = 256;
+    int const drawn = draws_ ? 1 : 0;  // the longest part, which comes first
+    int const parts = (seen.count + at_a_time - 1) / at_a_time;
+    device_->helpers().share(drawn + parts, [&](int part) {
+      if (part < drawn) {
+        draw(frame, points, seen);
+      } else {
+        int const first = (part - drawn) * at_a_time;
+        write_sights(points, seen, first, std::min(first + at_a_time, seen.count));
+      }
+    });
+  }
+
+private:
+  bool two_cameras() const { return device_->cameras() == 2; }
+
+  void write_sights(std::vector<map_point*> const& points, points_in_view const& seen, int first,
+                    int last) const {
     bool const two = two_cameras();
-    for (int k = 0; k < seen.count; ++k) {
+    for (int k = first; k < last; ++k) {
       prefetch_seen(points, seen, k);
       map_point& p = *points[static_cast<std::size_t>(seen.index[k])];
       sight const& left = seen.by[0][k];
@@ -97,12 +115,7 @@ public:
       }
       p.IncreaseVisible(1);
     }
-    if (draws_) { draw(frame, points, seen); }
   }
-
-private:
-  bool two_cameras() const { return device_->cameras() == 2; }
-
   /// A point that is not tested, but was seen by an earlier test and is searched there.
   void record(map_point const& p, int index, int slot) {
     if (p.mbTrackInView) {

@@ -55,6 +55,9 @@ struct settings {
   /// More make the memory grow.
   int map_points = 1 << 15;
   int local_points = 1 << 14;  ///< of a local map; more make the memory grow, which waits
+  /// Threads that share the host's part of a call: copies of images, filling a frame, counting
+  /// points in view. They sleep in between. -1: a quarter of the machine's, 3 at most.
+  int helpers = -1;
   /// Search as the original does where it slips: the right fisheye camera by the left one's model,
   /// points that were refused in this frame where an earlier frame saw them.
   bool reference_quirks = true;

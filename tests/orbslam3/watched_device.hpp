@@ -20,6 +20,7 @@ public:
 
   explicit watched_device(std::unique_ptr<device_tracker> to) : to_(std::move(to)) {}
 
+  ft::orbslam3::helper_threads& helpers() override { return to_->helpers(); }
   int capacity() const override { return to_->capacity(); }
   int cameras() const override { return to_->cameras(); }
   ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
@@ -47,6 +48,11 @@ public:
     on_call("send");
     to_->send(b, part);
   }
+  void settle() override {
+    on_call("settle");
+    to_->settle();
+  }
+  void prepare_map(int slots) override { to_->prepare_map(slots); }  // from any thread
   void reserve_map(int slots) override {
     on_call("reserve_map");
     to_->reserve_map(slots);
@@ -64,11 +70,14 @@ public:
     on_call("search_last_frame");
     return to_->search_last_frame(r);
   }
-  int search_local_map(ft::orbslam3::local_map_request const& r) override {
+  ft::orbslam3::points_in_view search_local_map(ft::orbslam3::local_map_request const& r) override {
     on_call("search_local_map");
     return to_->search_local_map(r);
   }
-  ft::orbslam3::sight const* sights() const override { return to_->sights(); }
+  int local_matches() override {
+    on_call("local_matches");
+    return to_->local_matches();
+  }
   ft::orbslam3::pose_result optimize_pose(int b, ft::orbslam3::transform const& T) override {
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);

@@ -13,9 +13,9 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
-#include "ft/kernels/receive.hpp"
-#include "ft/kernels/stereo_fisheye.hpp"
-#include "ft/kernels/stereo_rectified.hpp"
+#include "ft/kernels/stereo/fisheye.hpp"
+#include "ft/kernels/stereo/rectified.hpp"
+#include "ft/kernels/upload.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "integration/orbslam3/call_clock.hpp"
@@ -250,10 +250,11 @@ private:
       if constexpr (Rig::rectified) {
         extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, sort);
       } else {
-        extractor_.receive_and_extract(exec, sources, {}, {}, clear_partners{f.fisheye}, sort);
+        extractor_.receive_and_extract(exec, sources, {}, {}, detail::clear_partners{f.fisheye},
+                                       sort);
       }
     } else {
-      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, only_order{});
+      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, detail::only_order{});
     }
     for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
                               extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,

@@ -7,12 +7,13 @@
 #include <cstring>
 
 #include "ft/containers/feature_grid.hpp"
+#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/frame.hpp"
 #include "ft/containers/keypoints.hpp"
-#include "ft/containers/matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/feature_grid.hpp"
-#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/grid.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 

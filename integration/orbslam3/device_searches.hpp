@@ -8,12 +8,17 @@
 #include <cstdint>
 #include <vector>
 
+#include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/frustum.hpp"
 #include "ft/kernels/pose_optimization.hpp"
-#include "ft/kernels/search_by_projection.hpp"
+#include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/last_frame.hpp"
+#include "ft/kernels/search/local_map.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/word_mover.hpp"
@@ -228,8 +233,8 @@ public:
   void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
     windows_.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      for_each_item<per_warp>(exec, windows_.capacity, list_local_point<Rig>{}, search_of(r),
-                              c.frame, c.map, c.geometry, search_params{}, windows_, work_);
+      list_local_map(exec, search_of(r), c.frame, c.map, c.geometry, search_params{}, windows_,
+                     work_);
     } else {
       find_visible_points(exec, search_of(r), c.map, c.geometry, windows_);
     }
@@ -242,8 +247,7 @@ public:
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
     windows_.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      for_each_item<per_block<assign_threads>>(exec, 1, assign_keypoints<Exec::asynchronous>{},
-                                               c.frame, c.map, windows_, search_params{}, work_);
+      assign_candidates(exec, c.frame, c.map, windows_, search_params{}, work_);
       return;
     }
     if (by_both(r)) {

@@ -110,9 +110,9 @@ private:
       int const of_row = ceil_div(level.width, 16);
       int const at = (part - image * of_image) * quads + i;
       int const y = at / of_row;
-      if (y >= level.height) { return {nullptr, nullptr}; }
-      auto const x = static_cast<std::ptrdiff_t>(16 * (at - y * of_row));
       image_source const& from = s.sources[image % sources_held];
+      if (y >= level.height || from.data == nullptr) { return {nullptr, nullptr}; }
+      auto const x = static_cast<std::ptrdiff_t>(16 * (at - y * of_row));
       return {
           reinterpret_cast<quad const*>(from.data + static_cast<std::ptrdiff_t>(y) * from.stride +
                                         x),

@@ -114,6 +114,18 @@ struct assign_keypoints {
 
 }  // namespace detail
 
+/// Assigns keypoints from candidates that are listed in `work`. The result equals that of a loop
+/// over the points, for any input. Writes `frame.holder`, `work.match` and `work.matches`.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void assign_candidates(Exec const& exec, frame_view const& frame, map_points_view const& map,
+                       search_windows_view const& windows, search_params const& params,
+                       search_workspace const& work) {
+  for_each_item<per_block<detail::assign_threads>>(exec, windows.batch,
+                                                   detail::assign_keypoints<Exec::asynchronous>{},
+                                                   frame, map, windows, params, work);
+}
+
 /// Search in given windows: lists candidates and assigns keypoints. The result equals that of a
 /// loop over the points, for any input. Writes `frame.holder`, `work.match` and `work.matches`.
 /// Asynchronous on `exec`; allocates nothing; two launches.
@@ -123,9 +135,7 @@ void search_by_projection(Exec const& exec, frame_view const& frame, map_points_
                           search_workspace const& work) {
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_candidates{}, frame,
                           map, windows, params, work);
-  for_each_item<per_block<detail::assign_threads>>(exec, windows.batch,
-                                                   detail::assign_keypoints<Exec::asynchronous>{},
-                                                   frame, map, windows, params, work);
+  assign_candidates(exec, frame, map, windows, params, work);
 }
 
 }  // namespace FT_ABI

@@ -103,6 +103,17 @@ private:
 
 }  // namespace detail
 
+/// The first half of search_local_map(): which points are in view, their windows and candidates.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec, typename Rig>
+void list_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
+                    map_points_view const& map, pyramid_geometry const& geometry,
+                    search_params const& params, search_windows_view const& windows,
+                    search_workspace const& work) {
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_local_point<Rig>{},
+                          search, frame, map, geometry, params, windows, work);
+}
+
 /// Search in the local map: find_visible_points() and search_by_projection() in two launches.
 /// Asynchronous on `exec`; allocates nothing.
 /// @param listed called as listed(exec) between the two launches
@@ -113,18 +124,15 @@ void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_v
                       map_points_view const& map, pyramid_geometry const& geometry,
                       search_params const& params, search_windows_view const& windows,
                       search_workspace const& work, Listed const& listed, bool early = false) {
-  int const items = windows.batch * windows.capacity;
   if (early) {
+    int const items = windows.batch * windows.capacity;
     for_each_item<per_warp>(beside(exec), items, detail::list_local_point_early<Rig>{}, search,
                             frame, map, geometry, params, windows, work);
   } else {
-    for_each_item<per_warp>(exec, items, detail::list_local_point<Rig>{}, search, frame, map,
-                            geometry, params, windows, work);
+    list_local_map(exec, search, frame, map, geometry, params, windows, work);
   }
   listed(exec);
-  for_each_item<per_block<detail::assign_threads>>(exec, windows.batch,
-                                                   detail::assign_keypoints<Exec::asynchronous>{},
-                                                   frame, map, windows, params, work);
+  assign_candidates(exec, frame, map, windows, params, work);
 }
 
 }  // namespace FT_ABI

@@ -7,17 +7,17 @@
 ///       using scalar_type = Scalar;
 ///       static constexpr int num_params = ...;
 ///       static constexpr char const* name = "...";
-///       Scalar ...;                                                    // the parameters, in order
-///       projection<Scalar> project(vec3<Scalar> p) const;              // point (camera frame) ->
-///       pixel ray<Scalar> unproject(vec2<Scalar> pixel) const;               // pixel -> direction
-///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;          // d pixel / d point
+///       Scalar ...;  // the parameters, in order
+///
+///       projection<Scalar> project(vec3<Scalar> p) const;      // camera frame -> pixel
+///       ray<Scalar> unproject(vec2<Scalar> pixel) const;       // pixel -> direction
+///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;  // d pixel / d point
 ///       template <typename U> my_camera<U> cast() const;
-///       void check() const;                                            // host: throws
-///       bad_argument
+///       void check() const;  // host; throws bad_argument
 ///     };
 ///
-/// all members but check() FT_HOST_DEVICE, no virtual functions, trivially copyable. The camera
-/// frame has x right, y down, z forward.
+/// All members except check() are FT_HOST_DEVICE. There are no virtual functions, and the struct is
+/// trivially copyable. The camera frame has x right, y down, z forward.
 #pragma once
 
 #include <type_traits>
@@ -30,14 +30,14 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A pixel, and whether the point is where the model holds.
+/// A pixel, and whether the point lies in the domain of the model.
 template <typename Scalar>
 struct projection {
   vec2<Scalar> pixel;
   bool valid;
 };
 
-/// A direction in the camera frame (any length), and whether the pixel is where the model holds.
+/// A direction in the camera frame, of any length, and whether the pixel lies in the domain.
 template <typename Scalar>
 struct ray {
   vec3<Scalar> direction;
@@ -105,9 +105,10 @@ struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : s
 
 }  // namespace detail
 
-/// A projection and its derivative. Models in which the two share much may have a member
-/// `projection<Scalar> project_with_jacobian(vec3<Scalar> p, mat23<Scalar>& jacobian) const`, with
-/// the same values up to rounding: it is for solvers, which do not ask for more.
+/// A projection and its derivative. A model whose project() and project_jacobian() share much work
+/// may have a member
+/// `projection<Scalar> project_with_jacobian(vec3<Scalar> p, mat23<Scalar>& jacobian) const`.
+/// Its values need to agree up to rounding only: it is for solvers.
 template <typename C, typename Scalar>
 FT_HOST_DEVICE projection<Scalar> project_and_differentiate(C const& camera, vec3<Scalar> p,
                                                             mat23<Scalar>& jacobian) {
@@ -119,14 +120,14 @@ FT_HOST_DEVICE projection<Scalar> project_and_differentiate(C const& camera, vec
   }
 }
 
-/// True for a type that keeps the contract above.
+/// True for a type that satisfies the contract above.
 template <typename C>
 inline constexpr bool is_camera_model_v =
     std::is_trivially_copyable<C>::value&& detail::has_project<C>::value&&
         detail::has_unproject<C>::value&& detail::has_jacobian<C>::value&&
             detail::has_names<C>::value&& detail::has_cast<C>::value&& detail::has_check<C>::value;
 
-/// Instantiate to learn which part of the contract a type does not keep.
+/// Instantiate it to see which part of the contract a type violates.
 template <typename C>
 struct assert_camera_model {
   static_assert(std::is_trivially_copyable<C>::value,

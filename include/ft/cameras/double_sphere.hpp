@@ -13,16 +13,16 @@ inline namespace FT_ABI {
 
 /// A point is projected on a unit sphere, from there on a second one whose centre is shifted by
 /// xi, from there by a pinhole shifted by alpha / (1 - alpha). With d1 = |(x, y, z)|,
-/// q = xi d1 + z and d2 = |(x, y, q)|:
+/// q = xi d1 + z, d2 = |(x, y, q)| and s = alpha d2 + (1 - alpha) q:
 ///
-///     u = fx x / (alpha d2 + (1 - alpha) q) + cx,   v likewise
+///     u = fx x / s + cx,   v = fy y / s + cy
 ///
-/// On the axis the image is enlarged by fx / (1 + xi), not fx.
+/// The scale on the axis is fx / (1 + xi), not fx.
 ///
 /// Domain of project: q > -w d2, with w = alpha / (1 - alpha) for alpha <= 0.5, else
 /// (1 - alpha) / alpha; there the mapping is one-to-one. It reaches behind the camera (z < 0).
-/// The paper writes it as a bound on z; asking at the second sphere, where the limit is, is exact.
-/// Outside: the principal point, not valid.
+/// The paper gives a bound on z; testing q at the second sphere, where the limit arises, is exact.
+/// Outside: the principal point, invalid.
 /// Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every pixel for alpha <= 0.5, else
 /// (2 alpha - 1) |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
@@ -57,7 +57,7 @@ struct double_sphere {
     if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
     return {{u, v}, true};
   }
-  /// Ray of length 1; not valid: the axis.
+  /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
     ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};
@@ -68,8 +68,8 @@ struct double_sphere {
     if (!(rest > Scalar(0))) { return none; }
     // On the second sphere: the direction (x, y, z) from its centre.
     Scalar const z = (one - alpha * alpha * r2) / (alpha * scalar::sqrt(rest) + (one - alpha));
-    // Along it to the first sphere, whose centre is at (0, 0, xi); of the two forms of the
-    // solution the one that adds.
+    // Intersect it with the first sphere, whose centre is at (0, 0, xi). Of the two forms of the
+    // solution this one has no cancellation.
     Scalar const inner = (one - xi) * (one + xi);
     Scalar const root = scalar::sqrt(z * z + inner * r2);
     Scalar const along = z * xi;

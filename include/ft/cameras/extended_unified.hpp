@@ -12,13 +12,13 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// A point is projected on an ellipsoid round the axis, from there by a shifted pinhole. With
-/// d = sqrt(beta (x^2 + y^2) + z^2):
+/// d = sqrt(beta (x^2 + y^2) + z^2) and s = alpha d + (1 - alpha) z:
 ///
-///     u = fx x / (alpha d + (1 - alpha) z) + cx,   v likewise
+///     u = fx x / s + cx,   v = fy y / s + cy
 ///
 /// Domain of project: z > -w d, with w = alpha / (1 - alpha) for alpha <= 0.5, else
 /// (1 - alpha) / alpha; there the mapping is one-to-one. It reaches behind the camera (z < 0).
-/// Outside: the principal point, not valid.
+/// Outside: the principal point, invalid.
 /// Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every pixel for alpha <= 0.5, else
 /// (2 alpha - 1) beta |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
@@ -51,7 +51,7 @@ struct extended_unified {
     if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
     return {{u, v}, true};
   }
-  /// Ray of length 1; not valid: the axis.
+  /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
     ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};

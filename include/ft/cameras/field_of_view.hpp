@@ -15,12 +15,13 @@ inline namespace FT_ABI {
 ///
 ///     u = fx r_d x / r + cx,   v = fy r_d y / r + cy
 ///
-/// On the axis the image is enlarged by fx 2 tan(omega / 2) / omega. As omega goes to 0 this
+/// The scale on the axis is fx 2 tan(omega / 2) / omega. As omega goes to 0 this
 /// becomes the pinhole; below 1e-8, where the two differ by less than a rounding of a double, the
 /// pinhole is used, so omega = 0 is allowed.
 ///
-/// Domain of project: z > 0 (the formula goes on smoothly beyond 90 degrees, but says nothing about
-/// lenses there). Outside: the principal point, not valid.
+/// Domain of project: z > 0. The formula continues smoothly beyond 90 degrees, but does not
+/// describe lenses there. Outside: the principal point, invalid.
+///
 /// Domain of unproject: omega r_d < pi / 2. Rays have z = 1.
 ///
 /// Parameters (check): finite; fx and fy in [1e-3, 1e6]; omega in [0, 3.14] radians.
@@ -49,7 +50,7 @@ struct field_of_view {
     if (!scalar::is_finite(u) || !scalar::is_finite(v) || !scalar::is_finite(r)) { return outside; }
     return {{u, v}, true};
   }
-  /// Ray with z = 1; not valid: the axis.
+  /// Ray with z = 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const x = (pixel.x - cx) / fx;
     Scalar const y = (pixel.y - cy) / fy;
@@ -62,7 +63,7 @@ struct field_of_view {
       factor = r_d > Scalar(0) ? scalar::tan(angle) / (slope() * r_d) : omega / slope();
     }
     vec3<Scalar> const d{x * factor, y * factor, Scalar(1)};
-    // Next to a right angle the tangent of a rounded angle may have changed its sign.
+    // Close to a right angle the tangent of a rounded angle may have the wrong sign.
     valid = valid && factor > Scalar(0) && scalar::is_finite(d.x) && scalar::is_finite(d.y);
     if (!valid) { return {{Scalar(0), Scalar(0), Scalar(1)}, false}; }
     return {d, true};

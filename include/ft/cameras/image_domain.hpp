@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Whether a calibration can be inverted where it matters: on the pixels of its image.
+/// @file Checks that a calibration can be inverted on the pixels of its image.
 #pragma once
 
 #include <cmath>
@@ -14,11 +14,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What a camera model does on a grid of pixels of an image.
+/// Round trips of a camera model on a grid of pixels of an image.
 struct image_domain {
   static constexpr double tolerance = 1e-6;  ///< pixels, round trips in double
 
-  int pixels = 0;    ///< looked at
+  int pixels = 0;    ///< tested
   int with_ray = 0;  ///< of these: unproject says valid
   int returned =
       0;  ///< of these: the ray's projection is valid and within `tolerance` of the pixel
@@ -28,14 +28,14 @@ struct image_domain {
   double worst_x = 0;  ///< the pixel of worst_error
   double worst_y = 0;
 
-  /// Of the pixels, those with a valid ray: 0 to 1.
+  /// Share of the pixels with a valid ray, 0 to 1.
   double share_with_ray() const { return pixels > 0 ? static_cast<double>(with_ray) / pixels : 0; }
 };
 
 /// Unprojects and projects, in double, a grid of at most 65 x 65 pixels evenly spread over the
 /// image, its first and last rows and columns included. Host; allocates nothing.
 /// @param width,height pixels, in [1, 16384]
-/// @throws bad_argument for a calibration that its check() refuses, or a size out of range
+/// @throws bad_argument for a calibration that its check() rejects, or a size out of range
 template <typename Camera>
 image_domain inspect_image_domain(Camera const& camera, int width, int height) {
   detail::require_range("image width", width, 1, 16384);
@@ -69,12 +69,13 @@ image_domain inspect_image_domain(Camera const& camera, int width, int height) {
   return found;
 }
 
-/// Refuses a calibration that does not describe its image: where a valid ray does not return to
-/// its pixel, or where too few pixels have a ray. Host; see inspect_image_domain.
-/// @param least_share of the pixels, 0 to 1. The default lets fisheyes pass whose corners are dark,
-/// or whose model has no rays beyond 90 degrees: a circle that touches two sides of a 4:3 image
-/// covers 0.59 of it (0.44 of a 16:9 image: ask for less there). Ask for 1 where the lens lights
-/// the whole image, so that a distortion that folds back anywhere in it is refused.
+/// Rejects a calibration that does not describe its image: a valid ray that does not return to its
+/// pixel, or too few pixels with a ray. Host; see inspect_image_domain().
+/// @param least_share of the pixels, 0 to 1. The default accepts fisheyes with dark corners, or
+/// with
+///   a model that has no rays beyond 90 degrees: a circle that touches two sides of a 4:3 image
+///   covers 0.59 of it (0.44 of a 16:9 image, which needs a smaller value). Use 1 if the lens
+///   illuminates the whole image, so that a distortion that folds back anywhere is rejected.
 /// @throws bad_argument with the numbers
 template <typename Camera>
 void require_invertible(Camera const& camera, int width, int height, double least_share = 0.5) {

@@ -11,11 +11,15 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// theta = atan2(sqrt(x^2 + y^2), z), r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4
-/// theta^9, u = fx r x / sqrt(x^2 + y^2) + cx, v likewise. Defined for every direction in which r
-/// grows with theta; directions behind the camera are seen too, so `valid` only asks for a finite
-/// point other than the centre. Source: Kannala and Brandt, "A generic camera model and calibration
-/// method for conventional, wide-angle, and fish-eye lenses", PAMI 2006; specification section 12.
+/// With theta = atan2(sqrt(x^2 + y^2), z) and
+/// r = theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9:
+///
+///     u = fx r x / sqrt(x^2 + y^2) + cx,   v = fy r y / sqrt(x^2 + y^2) + cy
+///
+/// Defined for every direction in which r grows with theta. Directions behind the camera can be
+/// visible, so `valid` only requires a finite point other than the centre. Source: Kannala and
+/// Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
+/// fish-eye lenses", PAMI 2006; specification section 12.
 template <typename Scalar>
 struct kannala_brandt {
   using scalar_type = Scalar;
@@ -24,7 +28,7 @@ struct kannala_brandt {
   Scalar fx, fy, cx, cy, k1, k2, k3, k4;
 
   /// @throws bad_argument for a focal length that is not positive, a NaN, or a coefficient beyond
-  /// 1e6, with which the polynomial could have no number
+  ///   1e6, with which the polynomial could overflow
   void check() const {
     check_intrinsics(fx, fy, cx, cy);
     for (Scalar k : {k1, k2, k3, k4}) {
@@ -40,10 +44,9 @@ struct kannala_brandt {
     return project_at(p, radius, distorted(scalar::atan2(radius, p.z)));
   }
 
-  /// Ray with z = 1: (x, y) tan(theta) / theta_d. Beyond 90 degrees off the axis it is the opposite
-  /// ray, and not valid. Newton on theta, at most 10 steps, until they are below 1e-6; theta_d is
-  /// clamped to
-  /// [-pi/2, pi/2].
+  /// The ray with z = 1: (x, y) tan(theta) / theta_d. More than 90 degrees off the axis the result
+  /// is the opposite ray, and invalid. Solves for theta by at most 10 Newton steps, until a step is
+  /// below 1e-6; theta_d is clamped to [-pi/2, pi/2].
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const half_pi = Scalar(static_cast<plain_scalar_t<Scalar>>(1.5707963267948966));
     Scalar const x = (pixel.x - cx) / fx;
@@ -80,8 +83,8 @@ struct kannala_brandt {
     project_with_jacobian(p, jacobian);
     return jacobian;
   }
-  /// project() and project_jacobian() with one arc tangent, which for a float scalar is
-  /// scalar::quick_atan2: the pixel may differ from project()'s in the last digits.
+  /// project() and project_jacobian() with a single arc tangent. For a float scalar that is
+  /// scalar::quick_atan2(), so the pixel may differ from project()'s in the last digits.
   FT_HOST_DEVICE projection<Scalar> project_with_jacobian(vec3<Scalar> p,
                                                           mat23<Scalar>& jacobian) const {
     Scalar const r2 = p.x * p.x + p.y * p.y;
@@ -96,8 +99,8 @@ struct kannala_brandt {
     Scalar const dr =
         Scalar(1) + t2 * (Scalar(3) * k1 +
                           t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
-    // With (c, s) the direction on the image plane: r changes along it by `along` a metre, and
-    // turning the point about the axis moves its image by `across` a metre.
+    // (c, s) is the direction in the image plane. Per metre, r changes by `along` along it, and the
+    // image moves by `across` perpendicular to it.
     Scalar const c = p.x / radius;
     Scalar const s = p.y / radius;
     Scalar const across = r / radius;

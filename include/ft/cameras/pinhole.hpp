@@ -21,11 +21,11 @@ struct pinhole {
   /// @throws bad_argument for a focal length that is not positive, or a NaN
   void check() const { check_intrinsics(fx, fy, cx, cy); }
 
-  /// @param p point in the camera frame, metres. Behind the camera: the principal point, not valid.
+  /// @param p point in the camera frame, metres. Behind the camera: the principal point, invalid.
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
     if (!(p.z > Scalar(0))) {
       return {{cx, cy}, false};
-    }  // also a NaN z; a NaN x or y ends in a NaN pixel
+    }  // also for a NaN z; a NaN x or y gives a NaN pixel
     return {{fx * p.x / p.z + cx, fy * p.y / p.z + cy}, true};
   }
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {

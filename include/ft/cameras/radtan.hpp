@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Pinhole cameras with radial-tangential distortion (Brown-Conrady), as OpenCV has them.
+/// @file Pinhole cameras with radial-tangential distortion (Brown-Conrady), as in OpenCV.
 #pragma once
 
 #include <type_traits>
@@ -14,13 +14,13 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Whether c[0] + c[1] s + ... + c[Degree] s^Degree > 0 for every s in [0, end]. Never wrongly
-/// true but for rounding; false where 32 intervals do not decide, which is where the polynomial
-/// all but touches zero.
+/// Whether c[0] + c[1] s + ... + c[Degree] s^Degree > 0 for every s in [0, end]. Apart from
+/// rounding it is never wrongly true. It is false if 32 intervals do not decide, which happens
+/// where the polynomial almost touches zero.
 ///
-/// First with the negative terms alone, which fall as s grows: that settles most points. Else
-/// interval by interval from 0: on an interval the polynomial lies above its smallest Bernstein
-/// coefficient, and the last of those is its value at the interval's end.
+/// The negative terms alone, which decrease with s, decide most points. Otherwise it proceeds by
+/// intervals from 0: on an interval the polynomial is bounded below by its smallest Bernstein
+/// coefficient, and the last of these is its value at the interval's end.
 template <int Degree, typename Scalar>
 FT_HOST_DEVICE bool stays_positive(Scalar const (&c)[Degree + 1], Scalar end) {
   Scalar low = Scalar(0);
@@ -107,16 +107,16 @@ struct radtan_distortion {
             c + twice * p.y * p.y + Scalar(6) * k[2] * p.y + Scalar(2) * k[3] * p.x};
   }
 
-  /// Whether the distortion is one-to-one on the disc of squared radius `r2`; true for a disc
-  /// means true for smaller ones. With rho(r) = r * numerator / denominator and
-  /// p = sqrt(p1^2 + p2^2), it asks for rho' > 6 p r and a positive denominator on all of [0, r].
+  /// Whether the distortion is one-to-one on the disc of squared radius `r2`. True for a disc
+  /// implies true for smaller ones. With rho(r) = r * numerator / denominator and p = sqrt(p1^2 +
+  /// p2^2), the condition is rho' > 6 p r and a positive denominator on all of [0, r].
   ///
   /// Why: the Jacobian is the radial part, with the eigenvalues rho' and rho / r, which is a mean
   /// of rho', plus the tangential part, whose eigenvalues are at most 6 p r in size. So it is
   /// positive definite on the disc; it is symmetric, the distortion is the gradient of a function,
   /// and that function is strictly convex there: no two points share a gradient. Without tangential
-  /// terms the rule is exact. With them it is on the safe side: a ring is given up where rho grows
-  /// by less than 6 p r.
+  /// terms the rule is exact. With them it is conservative: it excludes a ring where rho grows by
+  /// less than 6 p r.
   FT_HOST_DEVICE bool one_to_one(Scalar r2) const {
     if (!scalar::is_finite(r2)) { return false; }
     Scalar const margin = Scalar(6) * scalar::sqrt((k[2] * k[2] + k[3] * k[3]) * r2);
@@ -143,10 +143,11 @@ struct radtan_distortion {
     }
   }
 
-  /// The point that is distorted to `target`: Newton from `target` itself, in the region where the
-  /// distortion is one-to-one; a step that leaves the region or brings no gain is halved. Valid
-  /// where the distance left is below 8 roundings of the scalar; next to a pole of the denominator,
-  /// where a rounding of the point itself moves its image further than that, no point is valid.
+  /// The point that is distorted to `target`, by Newton's method from `target` itself, in the
+  /// region where the distortion is one-to-one. A step that leaves the region or brings no gain is
+  /// halved. Valid if the remaining distance is below 8 roundings of the scalar. Close to a pole of
+  /// the denominator a rounding of the point moves its image further than that: no point is valid
+  /// there.
   FT_HOST_DEVICE plane_point<Scalar> undistort(vec2<Scalar> target) const {
     using P = plain_scalar_t<Scalar>;
     P const rounding = std::is_same<P, float>::value ? P(1.2e-7) : P(2.2e-16);
@@ -218,15 +219,15 @@ private:
 ///
 /// Coefficients that a model does not have are zero.
 ///
-/// Domain of project: Z > 0, and r inside the disc round the axis on which the distortion is known
-/// to be one-to-one. Polynomials fold back beyond some radius, and points far outside the field of
-/// view would appear inside the image. The rule, decided per call from the coefficients: c r grows
-/// by more than 6 sqrt(p1^2 + p2^2) r all the way from 0 to r (detail::radtan_distortion::
-/// one_to_one says why); exact for p1 = p2 = 0, a little narrower than necessary otherwise.
-/// Outside: the principal point, not valid.
-/// Domain of unproject: pixels that are the image of a point in that disc. Rays have z = 1.
+/// Domain of project: Z > 0, and r inside the disc around the axis on which the distortion is known
+/// to be one-to-one. Beyond some radius polynomials fold back, and points far outside the field of
+/// view would appear inside the image. The rule, evaluated per call from the coefficients: from 0
+/// to r, c r grows by more than 6 sqrt(p1^2 + p2^2) r; radtan_distortion::one_to_one explains why.
+/// It is exact for p1 = p2 = 0 and slightly conservative otherwise. Outside: the principal point,
+/// invalid. Domain of unproject: pixels that are the image of a point in that disc. Rays have z
+/// = 1.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]. Whether an image is covered: see
+/// Parameters (check): finite; fx and fy in [1e-3, 1e6]. For the coverage of an image see
 /// ft/cameras/image_domain.hpp.
 /// Source: Brown, "Decentering distortion of lenses", Photogrammetric Engineering 1966; order and
 /// rational form as in OpenCV's calib3d documentation.
@@ -259,7 +260,7 @@ struct radtan {
     if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
     return {{u, v}, true};
   }
-  /// Ray with z = 1; not valid: the axis.
+  /// Ray with z = 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     auto const found = lens().undistort({(pixel.x - cx) / fx, (pixel.y - cy) / fy});
     if (!found.valid) { return {{Scalar(0), Scalar(0), Scalar(1)}, false}; }

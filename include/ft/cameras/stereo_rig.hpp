@@ -14,7 +14,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Any two camera models. `T_rl` maps left-camera points to the right camera; metres.
+/// Two cameras of any models. `T_rl` maps left-camera points to the right camera; metres.
 template <typename Left, typename Right>
 struct stereo_rig {
   static constexpr bool rectified = false;
@@ -29,8 +29,7 @@ struct stereo_rig {
     auto const t = T_rl.template cast<strict_float>().t;
     return scalar::sqrt(dot(t, t));
   }
-  /// @throws bad_argument for a camera that cannot be, a motion that is not rigid, or a zero
-  /// baseline
+  /// @throws bad_argument for an invalid camera, a motion that is not rigid, or a zero baseline
   void check() const {
     left.check();
     right.check();
@@ -56,7 +55,7 @@ struct rectified_rig {
   static constexpr bool rectified = true;
   pinhole<float> camera;
   float baseline = 0;  ///< metres
-  float bf = 0;        ///< baseline times fx, metres x pixels
+  float bf = 0;        ///< baseline times fx, metres * pixels
 
   FT_HOST_DEVICE strict_float baseline_length() const { return baseline; }
   /// @throws bad_argument as check()
@@ -65,7 +64,7 @@ struct rectified_rig {
     rig.check();
     return rig;
   }
-  /// @throws bad_argument for a camera or a baseline that cannot be
+  /// @throws bad_argument for an invalid camera or baseline
   void check() const {
     camera.check();
     detail::require_finite("baseline", baseline);

@@ -18,11 +18,11 @@ inline namespace FT_ABI {
 ///     m = (x, y) / (z + xi d),  (u, v) = (fx m'x + cx, fy m'y + cy),  m' = m distorted by
 ///     k1, k2, p1, p2
 ///
-/// OpenCV's cv::omnidir with a skew of 0. On the axis the image is enlarged by fx / (1 + xi).
+/// OpenCV's cv::omnidir with a skew of 0. The scale on the axis is fx / (1 + xi).
 ///
 /// Domain of project: z > -w d, with w = xi for xi <= 1, else 1 / xi, and m inside the disc on
 /// which the distortion is one-to-one (see radtan). It reaches behind the camera (z < 0). Outside:
-/// the principal point, not valid.
+/// the principal point, invalid.
 /// Domain of unproject: pixels whose undistorted m is in that disc and, for xi > 1, has
 /// (xi^2 - 1) |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
@@ -60,7 +60,7 @@ struct unified {
     if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
     return {{u, v}, true};
   }
-  /// Ray of length 1; not valid: the axis.
+  /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
     ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Keypoints sorted into cells, as compressed rows: no limit per cell.
+/// @file Keypoints sorted into cells, in compressed row storage: no limit per cell.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Where the cells are: `cols` x `rows` over [min_x, max_x] x [min_y, max_y], pixels.
+/// Geometry of the cells: `cols` x `rows` over [min_x, max_x] x [min_y, max_y], pixels.
 struct grid_geometry {
   int cols = 64;
   int rows = 48;
@@ -42,7 +42,7 @@ struct feature_grid_view {
   int capacity = 0;
   int* start = nullptr;     ///< [batch][cells + 1]
   int* indices = nullptr;   ///< [batch][capacity]
-  int* unsorted = nullptr;  ///< [batch][capacity] workspace of fill_grid
+  int* unsorted = nullptr;  ///< [batch][capacity] workspace of build_grid()
 
   FT_HOST_DEVICE feature_grid_view slice(int b) const {
     feature_grid_view v = *this;
@@ -64,7 +64,7 @@ inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry
   v.unsorted = c.take<int>(b * static_cast<std::size_t>(capacity));
 }
 
-/// Owner of a grid.
+/// Owner of a grid; move-only.
 template <memory_space Space>
 class feature_grid {
 public:

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Container: how much of a frame's images is there while they are fetched, and which have
-/// their keypoints in place. By it a launch waits for parts of one that is still running, in place
-/// of all of it.
+/// @file Container: progress of a frame. It counts the chunks of the images that have been
+/// uploaded, and tells which images have their keypoints in place. A concurrent launch waits for
+/// these parts rather than for the whole preceding grid.
 ///
-/// A launch that waits in this way is beside() the one that it waits for, which has begun with all
-/// of its items: what it waits for comes, whatever else a device does. Where launches follow each
-/// other everything is there already.
+/// Such a launch is beside() the grid that it waits for. All blocks of that grid have started by
+/// then, so it makes progress whatever else runs on the device. For launches in stream order every
+/// wait is already satisfied.
 #pragma once
 
 #include <cstddef>
@@ -22,8 +22,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// What the group wrote before is seen by those that await the count which this raises by one.
-/// @param rank of the thread that does so, once its own loads are there
+/// Increments a counter with release semantics, after all earlier writes of the group.
+/// @param rank of the thread that does it
 template <typename Group>
 FT_HOST_DEVICE void arrive(Group const& g, unsigned* counter, int rank = 0) {
   g.sync();
@@ -37,7 +37,8 @@ FT_HOST_DEVICE void arrive(Group const& g, unsigned* counter, int rank = 0) {
 #endif
 }
 
-/// Until each of `count` counters is at least `n`. On the host, where nothing overlaps, they are.
+/// Waits until each of `count` counters is at least `n`, with acquire semantics. On the host
+/// nothing runs concurrently, and they always are.
 template <typename Group>
 FT_HOST_DEVICE void await(Group const& g, unsigned const* counters, int count, int n) {
 #if defined(__CUDA_ARCH__)
@@ -62,15 +63,15 @@ FT_HOST_DEVICE void await(Group const& g, unsigned const* counters, int count, i
 
 }  // namespace detail
 
-/// Counters in executor memory, 0 before a frame. A view without them says that everything is
-/// there.
+/// Counters in executor memory, 0 before a frame. In a view without counters every wait returns at
+/// once.
 struct frame_arrivals {
-  static constexpr int quads_of_part = 256;  ///< of 16 bytes: an image is fetched in such parts
+  static constexpr int quads_of_part = 256;  ///< size of a chunk, in units of 16 bytes
 
-  unsigned* received = nullptr;  ///< [batch][parts] 1 = the part is there
-  unsigned* placed = nullptr;    ///< [batch] 1 = an image's keypoints have their places
+  unsigned* received = nullptr;  ///< [batch][parts] 1 = the chunk has been uploaded
+  unsigned* placed = nullptr;    ///< [batch] 1 = the image's keypoints have their places
   int batch = 0;
-  int parts = 0;  ///< of an image
+  int parts = 0;  ///< chunks of an image
   int quads_of_row = 0;
 
   FT_HOST_DEVICE bool overlapping() const { return received != nullptr; }
@@ -79,7 +80,7 @@ struct frame_arrivals {
   }
   FT_HOST_DEVICE int counters() const { return batch * (parts + 1); }  ///< of both kinds
 
-  /// For rows [begin, end) of level 0.
+  /// Waits for rows [begin, end) of level 0.
   template <typename Group>
   FT_HOST_DEVICE void await_rows(Group const& g, int image, int begin, int end) const {
     int const first = begin * quads_of_row / quads_of_part;
@@ -101,6 +102,7 @@ struct frame_arrivals {
 };
 static_assert(std::is_trivially_copyable<frame_arrivals>::value, "passed to kernels");
 
+/// Places the counters into an arena.
 inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int batch) {
   v.batch = batch;
   v.parts = frame_arrivals::parts_of(g);
@@ -110,7 +112,7 @@ inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int b
   v.placed = c.take<unsigned>(b);
 }
 
-/// Sets a counter to 0, those of parts first.
+/// Sets one counter to 0; those of chunks come first.
 struct clear_arrival {
   using scratch = no_scratch;
 
@@ -121,7 +123,7 @@ struct clear_arrival {
   }
 };
 
-/// The same and what else there is, for with_small_items.
+/// Clears the counters and does the items of another stage, for with_small_items.
 template <typename Also>
 struct clear_arrivals_and {
   frame_arrivals arrivals;

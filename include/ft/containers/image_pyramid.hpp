@@ -20,7 +20,7 @@ inline namespace FT_ABI {
 inline constexpr int max_levels = 16;
 inline constexpr int max_image_side = 16384;
 
-/// Sizes, scales and offsets of the levels; a plain value that kernels get by copy.
+/// Sizes, scales and offsets of the levels; passed to kernels by value.
 /// Source: specification section 1.
 struct pyramid_geometry {
   int levels = 0;
@@ -43,7 +43,7 @@ struct pyramid_geometry {
   }
 
   /// @param w,h input size, pixels, 1 to 16384 @param levels 1 to 16 @param factor 1.01 to 4
-  /// @throws bad_argument outside these, or where a level would have no pixel
+  /// @throws bad_argument outside these ranges, or if a level would have no pixel
   static pyramid_geometry make(int w, int h, int levels, float factor) {
     detail::require_range("image width", w, 1, max_image_side);
     detail::require_range("image height", h, 1, max_image_side);

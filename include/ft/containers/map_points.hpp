@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Map points, one array per field, addressed by slot: an update touches only the fields that
-/// changed of the points that changed.
+/// @file Map points, one array per field, addressed by slot.
 #pragma once
 
 #include "ft/containers/keypoints.hpp"
@@ -17,13 +16,14 @@ struct position {  ///< world frame, metres
 struct normal {  ///< mean viewing direction, unit length, from the cameras to the point
   using type = vec3<float>;
 };
-struct min_distance {  ///< raw; points are looked for from 0.8 times this, metres
+struct min_distance {  ///< raw, metres; searches accept points from 0.8 times this on
   using type = float;
 };
-struct max_distance {  ///< raw; points are looked for up to 1.2 times this, metres
+struct max_distance {  ///< raw, metres; searches accept points up to 1.2 times this
   using type = float;
 };
-struct observations {  ///< how often seen; a point without any does not keep a keypoint to itself
+struct observations {  ///< number of observations; a point without any does not exclude others from
+                       ///< its keypoint
   using type = int;
 };
 }  // namespace field

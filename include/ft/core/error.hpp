@@ -28,7 +28,7 @@ public:
   using error::error;
 };
 
-/// A CUDA call failed; the message names the call and CUDA's own words.
+/// A CUDA call failed; the message contains the call and CUDA's description.
 class cuda_error : public error {
 public:
   using error::error;
@@ -36,8 +36,8 @@ public:
 
 namespace detail {
 
-/// A number as messages show it: floating-point ones by the fewest digits that read back as the
-/// same value, so that 1e-07 is not 0.000000.
+/// A number as text. Floating-point values get the fewest digits that read back as the same value,
+/// so 1e-07 does not become 0.000000.
 template <typename T>
 std::string number_text(T value) {
   if constexpr (std::is_floating_point<T>::value) {
@@ -71,7 +71,7 @@ inline void require_finite(char const* name, double value) {
   }
 }
 
-/// Product of sizes. @throws bad_argument where it does not fit
+/// Product of sizes. @throws bad_argument if it overflows
 inline std::size_t checked_mul(std::size_t a, std::size_t b) {
   if (a != 0 && b > std::numeric_limits<std::size_t>::max() / a) {
     throw bad_argument("ft: size overflow: " + std::to_string(a) + " x " + std::to_string(b));
@@ -79,7 +79,7 @@ inline std::size_t checked_mul(std::size_t a, std::size_t b) {
   return a * b;
 }
 
-/// Items of one launch are counted by an int. @throws bad_argument where their number is none
+/// Checks that an int can count the items of one launch. @throws bad_argument if not
 inline void require_items(char const* name, std::size_t batch, std::size_t each) {
   std::size_t const limit = static_cast<std::size_t>(std::numeric_limits<int>::max());
   if (checked_mul(batch, each) > limit) {

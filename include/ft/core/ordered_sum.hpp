@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Sums whose order of additions is fixed: the same bits for any executor and on every run.
+/// @file Sums with a fixed order of additions: the same bits on every executor and on every run.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"
@@ -9,18 +9,19 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Terms are dealt to this many lanes (i to lane i mod 512); in each 32 lanes the upper half of
-/// what is left is added to the lower one; then the 16 sums are added in order.
+/// Number of lanes. Term i goes to lane i mod 512. Each 32 lanes are added in a fixed tree, upper
+/// half to lower half; then the 16 sums are added in order. By hand, because CUB does not fix the
+/// order.
 inline constexpr int sum_lanes = 512;
 
-/// K numbers to add up.
+/// K summands.
 template <int K>
 struct sum_terms {
   static_assert(K >= 1 && K <= 32, "one entry a lane");
   float of[K];
 };
 
-/// Block scratch of ordered_sum, and its result.
+/// Scratch of ordered_sum, and its result.
 template <int K>
 struct ordered_sum_scratch {
   sum_terms<K> warp[sum_lanes / 32];
@@ -30,8 +31,8 @@ struct ordered_sum_scratch {
 #if defined(__CUDACC__)
 namespace detail {
 
-/// One step of transposed_warp_sum: K values become D, or stay K where these are no more.
-/// Recursive, as a loop over D may stay a loop and put the values into memory.
+/// One step of transposed_warp_sum(): reduces K values to min(K, D). Recursive, because a loop over
+/// D that is not unrolled would put the values into local memory.
 template <int D, int K, int Size>
 __device__ void halve_values(float (&v)[Size], int lane) {
   bool const upper = (lane & D) != 0;
@@ -39,7 +40,7 @@ __device__ void halve_values(float (&v)[Size], int lane) {
   for (int i = 0; i < min_of(D, K); ++i) {
     float give = v[i];
     float keep = v[i];
-    // Else the upper lanes get what nobody looks at.
+    // Otherwise the upper lanes get values that are never used.
     if (i + D < K) {
       give = upper ? v[i] : v[i + D];
       keep = upper ? v[i + D] : v[i];
@@ -49,9 +50,8 @@ __device__ void halve_values(float (&v)[Size], int lane) {
   if constexpr (D > 1) { halve_values<D / 2, min_of(D, K)>(v, lane); }
 }
 
-/// Adds K <= 32 values over the lanes of a warp, value k ending in lane k: each step halves the
-/// values that a lane keeps, so that 31 exchanges do what 32 butterflies do with 160, in the same
-/// order.
+/// Sums K <= 32 values over the lanes of a warp; value k ends in lane k. Each step halves the
+/// number of values per lane, so 31 exchanges replace the 160 of 32 butterflies, in the same order.
 template <int K>
 __device__ float transposed_warp_sum(float (&v)[K], int lane) {
   halve_values<16, K>(v, lane);
@@ -61,9 +61,10 @@ __device__ float transposed_warp_sum(float (&v)[K], int lane) {
 }  // namespace detail
 #endif
 
-/// K sums over i in [0, n): `add(i, sum_terms<K>& acc)` adds term i. The result is
-/// `scratch.total`, for every thread, until the next call. Groups of one thread or of sum_lanes.
-/// @param then `then()` is run by the first thread as soon as the sums are there; the others wait
+/// K sums over i in [0, n). The result is `scratch.total`, for every thread, until the next call.
+/// Groups have one thread or sum_lanes.
+/// @param add add(i, sum_terms<K>& acc) adds term i
+/// @param then then() is run by the first thread once the sums are known, while the others wait
 template <int K, typename Group, typename Add, typename Then>
 FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add,
                                 Then const& then) {
@@ -92,8 +93,8 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
     int const warp = g.rank() / 32;
     float mine = 0;
     if (warp * 32 < n) {
-      // -0 plus the first term is that term, with no addition. Nobody sees a difference between -0
-      // and 0: what is left of it at the end is gone with 0 as the first summand.
+      // -0 plus the first term is exactly that term. A -0 that remains at the end disappears in the
+      // final sum, which starts with 0.
       sum_terms<K> acc;
       FT_UNROLL
       for (int k = 0; k < K; ++k) { acc.of[k] = -0.0f; }

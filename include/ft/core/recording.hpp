@@ -16,8 +16,8 @@ inline namespace FT_ABI {
 template <typename Exec>
 class recording {
 public:
-  /// The second argument is callable with an executor; what it queues must use memory that stays
-  /// where it is.
+  /// The second argument is called with an executor. The memory that its launches use must not
+  /// move.
   template <typename Queue>
   void record(Exec const&, Queue const&) {}
   template <typename Queue>
@@ -27,8 +27,8 @@ public:
 };
 
 #if defined(__CUDACC__)
-/// Owns an executable CUDA graph; move-only. record() waits for nothing and runs nothing; replay()
-/// is asynchronous, one launch, allocates nothing.
+/// Owns an executable CUDA graph; move-only. record() neither waits nor runs anything. replay() is
+/// asynchronous, a single launch, and allocates nothing.
 template <>
 class recording<cuda_exec> {
 public:
@@ -44,7 +44,7 @@ public:
     if (graph_ != nullptr) { static_cast<void>(cudaGraphExecDestroy(graph_)); }
   }
 
-  /// Captures on a stream of its own, so that the caller's may be any, also the default one.
+  /// Captures on its own stream, so the caller's may be any stream, including the default one.
   /// @throws cuda_error
   template <typename Queue>
   void record(cuda_exec const&, Queue const& queue) {

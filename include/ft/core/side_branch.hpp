@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Work beside the main line of an executor: a second stream on a device, nothing special on
-/// the host.
+/// @file Work concurrent with an executor's main line: a second stream on a device. On the host it
+/// runs in order.
 #pragma once
 
 #include <optional>
@@ -12,9 +12,9 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// fork() gives an executor for work that may run beside what is queued next; join() makes what is
-/// queued after it wait for that work. Both may be recorded in a graph. A single launch needs no
-/// branch, see beside() in execution.hpp.
+/// fork() returns an executor for work that may run concurrently with later work of the main line.
+/// join() makes later work of the main line wait for it. Both can be recorded in a graph. A single
+/// launch needs no branch; see beside() in execution.hpp.
 template <typename Exec>
 class side_branch {
 public:

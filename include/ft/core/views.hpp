@@ -22,7 +22,7 @@ struct span {
   FT_HOST_DEVICE T* end() const { return data + size; }
 };
 
-/// A row-major image; `stride` is the distance of two rows in elements.
+/// A row-major image. `stride` is the distance between rows, in elements.
 template <typename T>
 struct image_view {
   T* data = nullptr;
@@ -34,7 +34,7 @@ struct image_view {
     return data + static_cast<std::ptrdiff_t>(y) * static_cast<std::ptrdiff_t>(stride);
   }
   FT_HOST_DEVICE T& operator()(int x, int y) const { return row(y)[x]; }
-  /// To a view that only reads.
+  /// Conversion to a read-only view.
   template <typename U, typename = std::enable_if_t<std::is_same<U, T const>::value &&
                                                     !std::is_const<T>::value>>
   FT_HOST_DEVICE operator image_view<U>() const {  // NOLINT(google-explicit-constructor)

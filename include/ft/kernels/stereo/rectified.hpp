@@ -90,15 +90,32 @@ struct match_left_keypoint {
       part.sum_differences(g, level_r, ur, vl, sums);
     }
     if (g.rank() != 0) { return; }
-    write_refined(u, ur, pyramid.geometry.scale[octave], sums, params, out, item);
+    refined const r = refine(pyramid.geometry, mine, ur, sums, params.max_disparity);
+    if (!r.valid) { return; }
+    get<field::depth>(out, item) = (params.bf / r.disparity).value;
+    get<field::right_x>(out, item) = r.column.value;
+    get<field::score>(out, item) = r.score;
   }
 
 private:
-  /// Interpolates between the best shift and its neighbours, and writes the match.
-  FT_HOST_DEVICE static void write_refined(float u, int ur, float scale,
-                                           int const (&sums)[window_side],
-                                           stereo_params const& params,
-                                           stereo_matches_view const& out, int item) {
+  /// The left keypoint.
+  struct feature {
+    float x, y;
+    int octave;
+    descriptor orb;
+  };
+
+  /// The right column with sub-pixel precision.
+  struct refined {
+    strict_float column, disparity;
+    int score;
+    bool valid;
+  };
+  /// Fits a parabola to the sums of the best shift and its neighbours.
+  FT_HOST_DEVICE static refined refine(pyramid_geometry const& geometry, feature const& left,
+                                       int ur, int const (&sums)[window_side],
+                                       float max_disparity) {
+    refined const none{0.0f, 0.0f, 0, false};
     int first = sums[0] << 4;  // the smallest sum, and its first shift
     FT_UNROLL
     for (int shift = 1; shift < window_side; ++shift) {
@@ -106,12 +123,12 @@ private:
     }
     int const best = first & 15;
     int const lowest = first >> 4;
-    if (best == 0 || best == window_side - 1) { return; }
+    if (best == 0 || best == window_side - 1) { return none; }
     int before = 0;
     int after = 0;
+    // Constant indices keep the sums in registers.
     FT_UNROLL
-    for (int shift = 1; shift + 1 < window_side;
-         ++shift) {  // constant indices keep the sums in registers
+    for (int shift = 1; shift + 1 < window_side; ++shift) {
       before = shift == best ? sums[shift - 1] : before;
       after = shift == best ? sums[shift + 1] : after;
     }
@@ -120,26 +137,15 @@ private:
     strict_float const d2 = static_cast<float>(lowest);
     strict_float const d3 = static_cast<float>(after);
     strict_float const delta = (d1 - d3) / (2.0f * (d1 + d3 - 2.0f * d2));
-    if (!(delta >= -1.0f && delta <= 1.0f)) { return; }
-    strict_float column = scale * (strict_float(static_cast<float>(ur)) +
-                                   static_cast<float>(best - window_half) + delta);
-    strict_float disparity = u - column;
-    if (!(disparity >= 0.0f && disparity < params.max_disparity)) { return; }
-    if (disparity <= 0.0f) {
-      disparity = 0.01f;
-      column = u - 0.01f;
-    }
-    get<field::depth>(out, item) = (params.bf / disparity).value;
-    get<field::right_x>(out, item) = column.value;
-    get<field::score>(out, item) = lowest;
+    if (!(delta >= -1.0f && delta <= 1.0f)) { return none; }
+    strict_float const column =
+        geometry.scale[left.octave] *
+        (strict_float(static_cast<float>(ur)) + static_cast<float>(best - window_half) + delta);
+    strict_float const disparity = left.x - column;
+    if (!(disparity >= 0.0f && disparity < max_disparity)) { return none; }
+    if (disparity <= 0.0f) { return {left.x - 0.01f, 0.01f, lowest, true}; }
+    return {column, disparity, lowest, true};
   }
-
-  /// The left keypoint.
-  struct feature {
-    float x, y;
-    int octave;
-    descriptor orb;
-  };
 
   /// Largest distance in rows of a matching right keypoint.
   FT_HOST_DEVICE static int reach_of(pyramid_geometry const& geometry, int octave) {

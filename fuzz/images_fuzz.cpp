@@ -159,13 +159,8 @@ void track(fuzz::input& in, ft::orb_params const& orb) {
   });
 }
 
-}  // namespace
-
-extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
-  fuzz::input in(data, size);
-  ft::orb_params const p = any_params(in);
-  bool const with_tracker = in.flag();
-  bool const made = fuzz::accepted<ft::bad_argument>([&] {
+void extract(fuzz::input& in, ft::orb_params const& p) {
+  fuzz::accepted<ft::bad_argument>([&] {
     std::vector<ft::stereo_overlap> overlaps;
     if (in.flag()) {
       for (int i = 0; i < 2; ++i) { overlaps.push_back({in.number(-9, 99), in.number(0, 200)}); }
@@ -189,6 +184,18 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
     for (int i = 0; i < 2; ++i) { check_keypoints(orb, i); }
     stereo(in, orb);
   });
-  if (made && with_tracker) { track(in, p); }
+}
+
+}  // namespace
+
+// A tracker extracts by itself, so each input takes one of both ways.
+extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
+  fuzz::input in(data, size);
+  ft::orb_params const p = any_params(in);
+  if (in.flag()) {
+    track(in, p);
+  } else {
+    extract(in, p);
+  }
   return 0;
 }

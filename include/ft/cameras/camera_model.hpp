@@ -145,8 +145,8 @@ struct assert_camera_model {
   static constexpr bool value = is_camera_model_v<C>;
 };
 
-/// For check() of a model: intrinsics in pixels. Host only.
-/// @throws bad_argument where a value is not finite, or a focal length not in [1e-3, 1e6]
+/// Checks intrinsics in pixels, for check() of a model. Host only.
+/// @throws bad_argument if a value is not finite, or a focal length is not in [1e-3, 1e6]
 template <typename Scalar>
 void check_intrinsics(Scalar fx, Scalar fy, Scalar cx, Scalar cy) {
   auto const plain = [](Scalar value) { return static_cast<double>(to_plain(value)); };

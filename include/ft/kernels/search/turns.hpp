@@ -39,7 +39,7 @@ FT_HOST_DEVICE bool choose_anew(assignment_context<Single> const& ctx,
   for (int c = 0; c < 2; ++c) {
     if (c >= open.cameras()) { break; }
     int const k = choose_keypoint(ctx, c, i, lists[c], refused, [&](int number, bool listed) {
-      return number == own ? open.observed(p, 0) : writes.taken(ctx, number, end, listed);
+      return number == own ? open.observed(p, 0) : writes.taken(ctx, open, number, end, listed);
     });
     if (k >= 0 && c == 0) { own = ctx.partner_of(k); }
     if (k == made.k[c]) { continue; }
@@ -71,7 +71,7 @@ FT_HOST_DEVICE void run_turns(Group g, assign_scratch& s, assignment_context<Sin
     int const changed = s.first_changed[turn];
     if (changed == unset) { break; }
     begin = changed + 1;
-    writes.next_turn(g);
+    writes.next_turn(g, ctx, open);
   }
   writes.find_last(g, ctx, open);
   int taken = 0;
@@ -115,24 +115,21 @@ FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Si
   }
   g.sync();
   if (s.any_unobserved == 0) {
-    firsts.next_turn(g);
+    firsts.next_turn(g, ctx, open);
     run_turns(g, s, ctx, open, firsts);
   } else {
     if (open.cameras() == 2) {
       list_open(g, s, ctx, n, open, true, [](int, point_choice const&) {});
     }
-    write_chains<Single> const chains{ctx,
-                                      open,
-                                      writer,
-                                      open.count * open.writes() <= assign_scratch::size
-                                          ? s.before
-                                          : ctx.work.before + at * ctx.work.links,
-                                      in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers,
-                                      numbers};
+    write_chains const chains{
+        writer,
+        open.count * open.writes() <= assign_scratch::size ? s.before
+                                                           : ctx.work.before + at * ctx.work.links,
+        in_scratch(ctx.frame) ? s.held : ctx.work.held + at * numbers, numbers};
     for (int k = g.rank(); k < numbers; k += g.size()) {
       chains.held[k] = static_cast<std::uint8_t>(ctx.held(k));
     }
-    chains.next_turn(g);
+    chains.next_turn(g, ctx, open);
     run_turns(g, s, ctx, open, chains);
   }
 }

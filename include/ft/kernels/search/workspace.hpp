@@ -15,8 +15,7 @@ enum class search_kind {
   /// No ratio test. The right camera is searched only if the left window contains a keypoint.
   last_frame,
   /// With the ratio test. A point that fails it in the left camera is not searched in the right
-  /// one.
-  /// The stereo partner of a matched keypoint is matched, too.
+  /// one. The stereo partner of a matched keypoint is matched, too.
   local_map,
 };
 
@@ -55,7 +54,7 @@ struct search_workspace {
 
   // Bits of list_count.
   static constexpr int observed = 1 << 30;      ///< the window's point is observed
-  static constexpr int left_out = 1 << 29;      ///< candidates held by observed points were omitted
+  static constexpr int left_out = 1 << 29;      ///< held candidates were omitted; two cameras only
   static constexpr int unlisted = 1 << 28;      ///< more candidates exist than the list holds
   static constexpr int counted = unlisted - 1;  ///< mask: number of listed candidates
   /// [cameras][batch][capacity] number of listed candidates and the bits above. The number is 0 if

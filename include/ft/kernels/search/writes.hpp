@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Records of which points wrote which keypoints in a turn.
+/// @file Records of which points wrote which keypoints in a turn: two forms with one interface.
 #pragma once
 
 #include <cstdint>
@@ -53,6 +53,11 @@ struct first_writes {
     base_now = unset - writes;
     g.sync();
   }
+  template <typename Group, bool Single>
+  FT_HOST_DEVICE void next_turn(Group g, assignment_context<Single> const&,
+                                open_points<Single> const&) {
+    next_turn(g);
+  }
   FT_HOST_DEVICE void add(int number, int write) const {
     atomic_min(now + number, base_now + write);
   }
@@ -63,6 +68,11 @@ struct first_writes {
   FT_HOST_DEVICE bool taken(assignment_context<Single> const& ctx, int number, int end,
                             bool listed) const {
     return last[number] < base + end || (!listed && ctx.held(number));
+  }
+  template <bool Single>
+  FT_HOST_DEVICE bool taken(assignment_context<Single> const& ctx, open_points<Single> const&,
+                            int number, int end, bool listed) const {
+    return taken(ctx, number, end, listed);
   }
   /// After the last turn: finds the last write to each keypoint.
   template <typename Group, bool Single>
@@ -82,11 +92,8 @@ struct first_writes {
 };
 
 /// The same if some open points are not observed: all writes to each keypoint, as linked lists.
-template <bool Single>
 struct write_chains {
   static constexpr bool kept_at_once = false;
-  assignment_context<Single> const& ctx;
-  open_points<Single> const& open;
   int* first;          ///< per keypoint: first write of its chain, -1 = none
   int* next;           ///< per write: next one of the chain, -1 = none
   std::uint8_t* held;  ///< per keypoint: 1 = held by an observed point since before the search
@@ -96,8 +103,9 @@ struct write_chains {
   FT_HOST_DEVICE void clear(Group g) const {
     for (int k = g.rank(); k < numbers; k += g.size()) { first[k] = -1; }
   }
-  template <typename Group>
-  FT_HOST_DEVICE void next_turn(Group g) const {
+  template <typename Group, bool Single>
+  FT_HOST_DEVICE void next_turn(Group g, assignment_context<Single> const& ctx,
+                                open_points<Single> const& open) const {
     clear(g);
     g.sync();
     for (int p = g.rank(); p < open.count; p += g.size()) {
@@ -110,13 +118,16 @@ struct write_chains {
     next[write] = atomic_exchange(first + number, write);
   }
   FT_HOST_DEVICE bool written(int number) const { return first[number] >= 0; }
-  FT_HOST_DEVICE bool taken(assignment_context<Single> const&, int number, int end, bool) const {
+  template <bool Single>
+  FT_HOST_DEVICE bool taken(assignment_context<Single> const&, open_points<Single> const& open,
+                            int number, int end, bool) const {
     int const write = last_write(number, end);
     return write < 0 ? held[number] != 0 : open.observed(write);
   }
-  template <typename Group>
+  template <typename Group, bool Single>
   FT_HOST_DEVICE void find_last(Group, assignment_context<Single> const&,
                                 open_points<Single> const&) const {}
+  template <bool Single>
   FT_HOST_DEVICE bool is_last(open_points<Single> const&, int number, int write) const {
     return last_write(number, unset) == write;
   }

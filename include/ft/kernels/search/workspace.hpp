@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
 

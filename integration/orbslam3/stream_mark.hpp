@@ -39,14 +39,14 @@ public:
   }
   /// Creates the event; once. @throws cuda_error
   void make() {
-    ft::detail::check(cudaEventCreateWithFlags(&event_, cudaEventDisableTiming),
-                      "cudaEventCreateWithFlags");
+    ft::throw_on_error(cudaEventCreateWithFlags(&event_, cudaEventDisableTiming),
+                       "cudaEventCreateWithFlags");
   }
   void set(cuda_exec const& exec) {
-    ft::detail::check(cudaEventRecord(event_, exec.stream), "cudaEventRecord");
+    ft::throw_on_error(cudaEventRecord(event_, exec.stream), "cudaEventRecord");
   }
   /// Until what was queued before set() is done. @throws cuda_error
-  void wait() const { ft::detail::check(cudaEventSynchronize(event_), "cudaEventSynchronize"); }
+  void wait() const { ft::throw_on_error(cudaEventSynchronize(event_), "cudaEventSynchronize"); }
 
 private:
   cudaEvent_t event_ = nullptr;
@@ -55,9 +55,9 @@ private:
 template <>
 class thread_device<cuda_exec> {
 public:
-  thread_device() { ft::detail::check(cudaGetDevice(&device_), "cudaGetDevice"); }
+  thread_device() { ft::throw_on_error(cudaGetDevice(&device_), "cudaGetDevice"); }
   /// The calling thread works with that device from now on.
-  void enter() const { ft::detail::check(cudaSetDevice(device_), "cudaSetDevice"); }
+  void enter() const { ft::throw_on_error(cudaSetDevice(device_), "cudaSetDevice"); }
 
 private:
   int device_ = 0;

@@ -21,7 +21,8 @@ std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
 /// On the current GPU; on host threads where there is none, where it fails, where the unit was
 /// compiled without CUDA, or with FT_ORBSLAM3_DEVICE=host. Says which on stderr.
-/// @throws bad_argument for settings that cannot be
+/// @throws bad_argument for settings that cannot be; to units of another compiler a
+/// std::runtime_error
 std::unique_ptr<device_tracker> make_tracker(settings const& s) {
   char const* const chosen = std::getenv("FT_ORBSLAM3_DEVICE");
   std::string reason = "FT_ORBSLAM3_DEVICE=host";

@@ -39,13 +39,18 @@ ft::tracker_params params() {
 }
 ft::rectified_rig rig() { return ft::rectified_rig::make({100, 100, 80, 60}, 0.1f); }
 
-/// The same frame for every tracker.
 template <typename Exec>
-test::snapshot extract(Exec const& exec, ft::frame_tracker<Exec>& tracker) {
+void give_images(ft::frame_tracker<Exec>& tracker) {
   for (int c = 0; c < 2; ++c) {
     auto const pixels = test::random_image(width, height, 3);
     tracker.set_image(0, c, {pixels.data(), width, height, width});
   }
+}
+
+/// The same frame for every tracker.
+template <typename Exec>
+test::snapshot extract(Exec const& exec, ft::frame_tracker<Exec>& tracker) {
+  give_images(tracker);
   tracker.predicted()[0] = ft::pose::identity();
   tracker.extract(exec);
   exec.wait();
@@ -306,6 +311,7 @@ void fault_and_go_on() {
   };
   {
     ft::frame_tracker<ft::cuda_exec> tracker(backend.exec, rig(), params());
+    give_images(tracker);
     ft::keypoints<ft::memory_space::device> const points(100);
     int* nowhere = nullptr;
     users_kernel<<<1, 1, 0, backend.exec.stream>>>(nowhere);  // writes where there is no memory

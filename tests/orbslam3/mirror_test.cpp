@@ -27,7 +27,10 @@ struct push_to final : stand_in::hooks {
 
 class map_mirror : public on_executor {
 protected:
-  map_mirror() : device_(make(settings_for(sensor::stereo))) {}
+  void SetUp() override {
+    on_executor::SetUp();
+    if (!IsSkipped() && !HasFatalFailure()) { device_ = make(settings_for(sensor::stereo)); }
+  }
 
   /// As a constructor and those who call it: `pushes` of them, then the number.
   std::unique_ptr<stand_in::map_point> new_point(stand_in::hooks* hooks, int pushes) {

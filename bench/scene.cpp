@@ -4,10 +4,10 @@
 #include <Eigen/Geometry>
 #include <cstddef>
 
-#include "sequence/evaluation.hpp"
-#include "sequence/generator.hpp"
-#include "sequence/parallel.hpp"
-#include "sequence/reader.hpp"
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/generator.hpp"
+#include "examples/sequence/parallel.hpp"
+#include "examples/sequence/reader.hpp"
 
 namespace bench {
 

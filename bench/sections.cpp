@@ -12,7 +12,7 @@
 #include "bench/clock.hpp"
 #include "bench/host_stages.hpp"
 #include "bench/plan.hpp"
-#include "sequence/report.hpp"
+#include "examples/sequence/report.hpp"
 
 namespace bench {
 

@@ -9,7 +9,7 @@
 
 #include "bench/clock.hpp"
 #include "bench/sections.hpp"
-#include "sequence/report.hpp"
+#include "examples/sequence/report.hpp"
 
 namespace bench {
 

@@ -34,11 +34,11 @@ GUARDED = {
 }
 FORBIDDEN = {
     "Eigen": re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"),
-    "the support library": re.compile(r"sequence/"),
-    "an example": re.compile(r"examples/"),
+    "the support library": re.compile(r"examples/sequence/"),
+    "an example": re.compile(r"examples/(?!sequence/)"),
     "a test": re.compile(r"(tests|bench|gtest|gmock|benchmark)/"),
 }
-OUTSIDE = ("sequence", "examples", "tests", "bench", "integration")
+OUTSIDE = ("examples", "tests", "bench", "integration")
 SUFFIXES = {".hpp", ".h", ".cpp", ".cu", ".cuh", ".inl", ".inc"}
 
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
@@ -137,7 +137,8 @@ class Checker:
             self.report(path, number, f"{target} belongs to {to} alone")
 
     def check_outside(self, path):
-        folder = path.relative_to(self.root).parts[0]
+        parts = path.relative_to(self.root).parts
+        support = parts[:2] == ("examples", "sequence")
         for number, line in enumerate(code_lines(path), 1):
             match = INCLUDE.match(line)
             if not match:
@@ -145,9 +146,9 @@ class Checker:
             target = match.group(2)
             if target.startswith("ft/") and "/detail/" in target:
                 self.report(path, number, f"{target} is not API")
-            elif target.startswith("sequence/detail/") and "sequence" not in path.parts:
+            elif target.startswith("examples/sequence/detail/") and "sequence" not in path.parts:
                 self.report(path, number, f"{target} is not API")
-            elif folder == "sequence" and target.startswith(("examples/", "tests/", "bench/")):
+            elif support and re.match(r"(examples/(?!sequence/)|tests/|bench/)", target):
                 self.report(path, number, f"the support library may not include {target}")
 
     def check_umbrella(self, headers):
@@ -189,9 +190,9 @@ CLEAN = {
     "include/ft/pipelines/tracker.hpp": '#include "ft/kernels/blur.hpp"\n#include "ft/version.hpp"',
     "include/ft/interop/opencv.hpp": '#include <opencv2/core.hpp>\n#include "ft/containers/soa.hpp"',
     "include/ft/interop/thrust.hpp": "#include <thrust/sort.h>",
-    "sequence/reader.cpp": '#include "sequence/detail/text.hpp"\n#include <Eigen/Core>',
+    "examples/sequence/reader.cpp": '#include "examples/sequence/detail/text.hpp"\n#include <Eigen/Core>',
     "tests/unit/blur_test.cpp": '#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
-    "tests/sequence/text_test.cpp": '#include "sequence/detail/text.hpp"',
+    "tests/sequence/text_test.cpp": '#include "examples/sequence/detail/text.hpp"',
 }
 
 # file, a line added to it, what the checker must say and where
@@ -210,7 +211,7 @@ VIOLATIONS = [
     ("include/ft/containers/soa.hpp", "#include <thrust/sort.h>", "includes Thrust"),
     ("include/ft/kernels/blur.hpp", '#include "ft/pipelines/tracker.hpp"', "kernels may not include"),
     ("include/ft/kernels/blur.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
-    ("include/ft/kernels/detail/row.hpp", '#include "sequence/reader.hpp"', "the support library"),
+    ("include/ft/kernels/detail/row.hpp", '#include "examples/sequence/reader.hpp"', "the support library"),
     ("include/ft/pipelines/tracker.hpp", '#include "ft/kernels/detail/row.hpp"', "belongs to kernels"),
     ("include/ft/pipelines/tracker.hpp", '#include "ft/interop/opencv.hpp"', "may not include interop"),
     ("include/ft/interop/thrust.hpp", '#include "ft/kernels/blur.hpp"', "interop may not include"),
@@ -221,8 +222,8 @@ VIOLATIONS = [
     ("include/ft/core/forgotten.hpp", "", "does not reach ft/core/forgotten.hpp"),
     ("examples/track/main.cpp", '#include "ft/core/detail/bits.hpp"', "is not API"),
     ("integration/orbslam3/shim.hpp", "#include <ft/kernels/detail/row.hpp>", "is not API"),
-    ("bench/blur.cu", '#include "sequence/detail/text.hpp"', "is not API"),
-    ("sequence/reader.cpp", '#include "tests/support/data.hpp"', "may not include tests/"),
+    ("bench/blur.cu", '#include "examples/sequence/detail/text.hpp"', "is not API"),
+    ("examples/sequence/reader.cpp", '#include "tests/support/data.hpp"', "may not include tests/"),
 ]
 
 

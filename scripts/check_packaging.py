@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that the recipes of packaging/ agree with the sources: versions, fields, files, syntax."""
+"""Checks that the recipes of cmake/packaging/ agree with the sources: versions, fields, files, syntax."""
 
 import ast
 import json
@@ -20,7 +20,7 @@ def header_version():
 
 
 def check_vcpkg(problems):
-    port = ROOT / "packaging/vcpkg/ft"
+    port = ROOT / "cmake/packaging/vcpkg/ft"
     manifest = json.loads((port / "vcpkg.json").read_text(encoding="utf-8"))
     if manifest["version"] != header_version():
         problems.append(f"vcpkg.json has version {manifest['version']}, the headers {header_version()}")
@@ -41,7 +41,7 @@ def check_vcpkg(problems):
 
 def check_conan(problems):
     for name in ("conanfile.py", "test_package/conanfile.py"):
-        path = ROOT / "packaging/conan" / name
+        path = ROOT / "cmake/packaging/conan" / name
         try:
             ast.parse(path.read_text(encoding="utf-8"), str(path))
         except SyntaxError as error:

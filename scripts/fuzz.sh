@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds the fuzzers of fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run, as many
+# Builds the fuzzers of tests/fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run, as many
 # at a time as FT_JOBS says:
 #   scripts/fuzz.sh [SECONDS]     the sum over all of them; 60 without the argument
-# Each begins with fuzz/corpus/NAME and what earlier runs found (build-fuzz/corpus/NAME). It ends with
+# Each begins with tests/fuzz/corpus/NAME and what earlier runs found (build-fuzz/corpus/NAME). It ends with
 # an error where a fuzzer finds one; the input is then in build-fuzz/NAME.
 # Without a clang++ that has libFuzzer it says so and ends with 77.
 set -euo pipefail
@@ -31,20 +31,20 @@ fi
 compiler=(clang++)
 if command -v ccache >/dev/null; then compiler=(ccache clang++); fi
 
-readers_parts=(sequence/{reader,calibration,evaluation,image_io,image_jpeg,image_png,rectify}.cpp)
+readers_parts=(examples/sequence/{reader,calibration,evaluation,image_io,image_jpeg,image_png,rectify}.cpp)
 
 object_of() { echo "$folder/$(basename "$1" .cpp).o"; }
 
 # Comparisons of pixels tell the fuzzer nothing, and to record them took half of the time.
 compile() {
   local extra=()
-  if [[ $1 == fuzz/images_fuzz.cpp ]]; then extra=(-fno-sanitize-coverage=trace-cmp); fi
+  if [[ $1 == tests/fuzz/images_fuzz.cpp ]]; then extra=(-fno-sanitize-coverage=trace-cmp); fi
   "${compiler[@]}" "${flags[@]}" "${extra[@]}" -isystem /usr/include/eigen3 -c "$1" \
     -o "$(object_of "$1")"
 }
 
 link() {
-  local name=$1 sources=(fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source
+  local name=$1 sources=(tests/fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source
   if [[ $name == readers ]]; then
     sources+=("${readers_parts[@]}")
     libraries=(-lpng -ljpeg -lyaml-cpp -lpthread)
@@ -58,7 +58,7 @@ run() {
   mkdir -p "$folder/$name" "$folder/corpus/$name"
   "$folder/${name}_fuzz" -max_total_time=$((seconds / ${#fuzzers[@]} + 1)) -max_len=2048 -timeout=20 \
     -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix="$folder/$name/" \
-    "$folder/corpus/$name" "fuzz/corpus/$name" >"$log" 2>&1 || status=$?
+    "$folder/corpus/$name" "tests/fuzz/corpus/$name" >"$log" 2>&1 || status=$?
   if ((status != 0)); then
     cat "$log" >&2
     return "$status"
@@ -68,7 +68,7 @@ run() {
           printf "%-10s %8d executions, %s\n", name, runs, substr(line, RSTART, RLENGTH) }' "$log"
 }
 
-for source in "${fuzzers[@]/%/_fuzz.cpp}"; do ft_start compile "fuzz/$source"; done
+for source in "${fuzzers[@]/%/_fuzz.cpp}"; do ft_start compile "tests/fuzz/$source"; done
 for source in "${readers_parts[@]}"; do ft_start compile "$source"; done
 ft_wait
 for name in "${fuzzers[@]}"; do ft_start link "$name"; done

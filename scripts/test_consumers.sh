@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Uses ft as strangers do: installed, as a subdirectory, fetched, as plain headers without CMake, by
-# pkg-config, by the recipes of packaging/; in C++17 and C++20, in several units and shared libraries.
+# pkg-config, by the recipes of cmake/packaging/; in C++17 and C++20, in several units and shared libraries.
 #   scripts/test_consumers.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
 # prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
@@ -91,19 +91,19 @@ by_pkg_config() {
 }
 
 vcpkg_port() {
-  heading "packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
-  quietly cmake -DPORT="$ft_root/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
+  heading "cmake/packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
+  quietly cmake -DPORT="$ft_root/cmake/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
     -P "$consumers/vcpkg/run_port.cmake"
   cmake_consumer find_package OFF 17 -DCMAKE_PREFIX_PATH="$work/vcpkg/packages"
 }
 
 # The dependency is a stand-in for oneTBB's package, so that no package server is needed.
 conan_recipe() {
-  heading packaging/conan
+  heading cmake/packaging/conan
   export CONAN_HOME=$work/conan
   quietly conan profile detect
   quietly conan create "$consumers/conan" --no-remote
-  quietly conan create "$ft_root/packaging/conan" --no-remote -s compiler.cppstd=17 \
+  quietly conan create "$ft_root/cmake/packaging/conan" --no-remote -s compiler.cppstd=17 \
     -c tools.cmake.cmake_layout:test_folder="$work/conan_test"
   grep '^ft [0-9]' "$work/log"
 }
@@ -144,7 +144,7 @@ consume vcpkg_port
 if command -v conan >/dev/null; then
   consume conan_recipe
 else
-  echo "Conan is not installed (pip install conan): packaging/conan not created here"
+  echo "Conan is not installed (pip install conan): cmake/packaging/conan not created here"
 fi
 ft_wait
 

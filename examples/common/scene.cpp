@@ -3,8 +3,8 @@
 
 #include <utility>
 
-#include "sequence/generator.hpp"
-#include "sequence/image_io.hpp"
+#include "examples/sequence/generator.hpp"
+#include "examples/sequence/image_io.hpp"
 
 namespace demo {
 

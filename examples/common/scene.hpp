@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Images for the examples: a textured room seen from a moving stereo pair, rendered by
-/// sequence/generator.hpp. Plain types only, so that units of any compiler can use it.
+/// examples/sequence/generator.hpp. Plain types only, so that units of any compiler can use it.
 #pragma once
 
 #include <array>

@@ -2,9 +2,9 @@
 /// @file Renders a textured room seen from a moving stereo pair and writes it in EuRoC (ASL)
 /// layout, with IMU samples and exact ground truth: a sequence to track where no data set is at
 /// hand.
-#include "sequence/asl_writer.hpp"
-#include "sequence/generator.hpp"
-#include "sequence/report.hpp"
+#include "examples/sequence/asl_writer.hpp"
+#include "examples/sequence/generator.hpp"
+#include "examples/sequence/report.hpp"
 
 #include <unistd.h>
 

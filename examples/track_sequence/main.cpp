@@ -19,10 +19,10 @@
 #include <thread>
 #include <vector>
 
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/reader.hpp"
+#include "examples/sequence/report.hpp"
 #include "examples/track_sequence/odometry.hpp"
-#include "sequence/evaluation.hpp"
-#include "sequence/reader.hpp"
-#include "sequence/report.hpp"
 
 namespace {
 

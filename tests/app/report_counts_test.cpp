@@ -5,7 +5,7 @@
 #include <map>
 #include <string>
 
-#include "sequence/report_palette.hpp"
+#include "examples/sequence/report_palette.hpp"
 #include "tests/app/process.hpp"
 #include "tests/app/track_support.hpp"
 #include "tests/sequence/test_support.hpp"

@@ -21,9 +21,9 @@
 #include <string>
 #include <vector>
 
-#include "sequence/evaluation.hpp"
-#include "sequence/image_io.hpp"
-#include "sequence/reader.hpp"
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/reader.hpp"
 #include "tests/app/process.hpp"
 #include "tests/sequence/test_support.hpp"
 

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <utility>
 
-#include "sequence/image_io.hpp"
+#include "examples/sequence/image_io.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Colour to grey against OpenCV's cvtColor.
-#include "sequence/grey.hpp"
+#include "examples/sequence/grey.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/calibration.hpp"
+#include "examples/sequence/calibration.hpp"
 
 #include <gtest/gtest.h>
 

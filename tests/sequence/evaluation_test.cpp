@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/evaluation.hpp"
+#include "examples/sequence/evaluation.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/generator.hpp"
+#include "examples/sequence/generator.hpp"
 
-#include "sequence/asl_writer.hpp"
-#include "sequence/image_io.hpp"
-#include "sequence/parallel.hpp"
-#include "sequence/reader.hpp"
+#include "examples/sequence/asl_writer.hpp"
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/parallel.hpp"
+#include "examples/sequence/reader.hpp"
 #include "tests/support/effort.hpp"
 
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/image_io.hpp"
+#include "examples/sequence/image_io.hpp"
 
 #include <gtest/gtest.h>
 
@@ -18,7 +18,7 @@
 
 #include <jpeglib.h>
 
-#include "sequence/grey.hpp"
+#include "examples/sequence/grey.hpp"
 
 namespace {
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/reader.hpp"
+#include "examples/sequence/reader.hpp"
 
 #include <gtest/gtest.h>
 
@@ -15,10 +15,10 @@
 #include <utility>
 #include <vector>
 
-#include "sequence/asl_writer.hpp"
-#include "sequence/generator.hpp"
-#include "sequence/image_io.hpp"
-#include "sequence/rectify.hpp"
+#include "examples/sequence/asl_writer.hpp"
+#include "examples/sequence/generator.hpp"
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/rectify.hpp"
 #include "test_support.hpp"
 
 namespace {

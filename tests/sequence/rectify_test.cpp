@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/rectify.hpp"
+#include "examples/sequence/rectify.hpp"
 
 #include <gtest/gtest.h>
 
@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "sequence/calibration.hpp"
-#include "sequence/reader.hpp"
+#include "examples/sequence/calibration.hpp"
+#include "examples/sequence/reader.hpp"
 #include "test_support.hpp"
 
 namespace {

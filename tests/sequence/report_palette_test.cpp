@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The colours of the report's stages can be told from each other and from the page.
-#include "sequence/report_palette.hpp"
+#include "examples/sequence/report_palette.hpp"
 
 #include <gtest/gtest.h>
 
@@ -13,7 +13,7 @@
 #include <set>
 #include <string>
 
-#include "sequence/report.hpp"
+#include "examples/sequence/report.hpp"
 #include "tests/sequence/test_support.hpp"
 
 namespace {

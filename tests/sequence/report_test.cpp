@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence/report.hpp"
+#include "examples/sequence/report.hpp"
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>

@@ -11,7 +11,7 @@
 #include <fstream>
 #include <string>
 
-#include "sequence/types.hpp"
+#include "examples/sequence/types.hpp"
 
 namespace seq_test {
 

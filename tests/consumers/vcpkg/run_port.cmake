@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# Runs packaging/vcpkg/ft/portfile.cmake without vcpkg: its functions are replaced by what they do for a
+# Runs cmake/packaging/vcpkg/ft/portfile.cmake without vcpkg: its functions are replaced by what they do for a
 # header-only port.   cmake -DPORT=FOLDER -DOUT=FOLDER -P run_port.cmake
 cmake_minimum_required(VERSION 3.22)
 set(CURRENT_PACKAGES_DIR ${OUT}/packages)

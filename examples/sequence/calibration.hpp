@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Reads the calibration of a stereo pair: EuRoC sensor.yaml, KITTI calib.txt, ORB-SLAM3
+/// settings.
+///
+/// Every value read is checked (finite, focal lengths above 0, sizes 1 to 16384, baseline above 0,
+/// rotations orthonormal); an error names file, key, value and limit. A radial-tangential camera
+/// whose coefficients are all zero comes out as a pinhole.
+#pragma once
+
+#include <string>
+
+#include "examples/sequence/reader.hpp"
+#include "examples/sequence/types.hpp"
+
+namespace seq {
+
+/// What a calibration file gives.
+struct calibration {
+  stereo_rig rig;
+  orb_settings settings;        ///< ORB-SLAM3 settings files only
+  bool has_body_frame = false;  ///< the file gives T_body_left; otherwise it is the identity
+};
+
+/// EuRoC: `mav0`/cam0/sensor.yaml and `mav0`/cam1/sensor.yaml. Distortion models radial-tangential
+/// (or radtan), equidistant (= Kannala-Brandt), none. T_BS maps camera points into the body.
+/// @throws seq::error
+calibration read_euroc_calibration(std::string const& mav0);
+
+/// T_BS of `mav0`/cam0/sensor.yaml alone: maps points of the raw left camera into the body, metres.
+/// @throws seq::error
+Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0);
+
+/// KITTI: the lines "P0:" and "P1:" of 12 numbers, 3x4 row-major projections of one reference
+/// frame.
+/// @param width,height the images' size, which the file does not give, pixels
+/// @throws seq::error
+calibration read_kitti_calibration(std::string const& path, int width, int height);
+
+/// ORB-SLAM3 settings, both formats: `Camera1.fx` with `Stereo.T_c1_c2` (maps camera-2 points into
+/// camera 1) or `Stereo.b`; and the older `Camera.fx` with `Camera.bf`, `LEFT.K` .. `RIGHT.P`, or
+/// `Tlr`. IMU.T_b_c1 or Tbc gives the body frame. Camera.newWidth and newHeight (a scaling) are not
+/// applied.
+/// @param width,height size to assume where the file gives none; 0 = then the file must give it
+/// @throws seq::error
+calibration read_orb_slam3_settings(std::string const& path, int width = 0, int height = 0);
+
+/// Any of these: a folder (`mav0`, or one that holds `mav0` or calib.txt), a cam0/sensor.yaml, a
+/// KITTI calib.txt or an ORB-SLAM3 settings file, told apart by content.
+/// @param width,height the images' size, for files that do not give it; 0 = unknown
+/// @throws seq::error
+calibration read_calibration(std::string const& path, int width = 0, int height = 0);
+
+/// @param source file to name in the message @throws seq::error where the rig is not usable
+void check_rig(stereo_rig const& rig, std::string const& source);
+
+}  // namespace seq

@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/evaluation.hpp"
+
+#include <Eigen/LU>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cinttypes>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <vector>
+
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq {
+namespace {
+
+/// An estimated pose and the ground truth at its instant.
+struct matched_pose {
+  std::int64_t time_ns = 0;
+  Eigen::Isometry3d truth = Eigen::Isometry3d::Identity();
+  Eigen::Isometry3d estimate = Eigen::Isometry3d::Identity();
+};
+
+/// Share of the RPE interval by which the time between two poses may differ from it.
+constexpr double interval_tolerance = 0.1;
+
+/// Closest rotation in the least-squares sense; the identity where `m` says nothing.
+Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
+  Eigen::JacobiSVD<Eigen::Matrix3d> const svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  if (!(svd.singularValues()(1) > 1e-9)) { return Eigen::Matrix3d::Identity(); }
+  Eigen::Vector3d sign = Eigen::Vector3d::Ones();
+  sign.z() = svd.matrixU().determinant() * svd.matrixV().determinant() < 0 ? -1 : 1;
+  return svd.matrixU() * sign.asDiagonal() * svd.matrixV().transpose();
+}
+
+/// Rotation R that maximises sum truth_i . R estimate_i over centred points (Kabsch, Umeyama).
+///
+/// @param covariance sum of truth_i estimate_i^T, m^2
+/// @param prior what decides where the points do not: about the line of collinear points, and for
+///   points that all coincide
+Eigen::Matrix3d best_rotation(Eigen::Matrix3d const& covariance, double count,
+                              Eigen::Matrix3d const& prior) {
+  constexpr double coincident = 1e-12;  // m^2: all within a micrometre
+  constexpr double collinear = 1e-9;    // of the largest singular value
+  Eigen::JacobiSVD<Eigen::Matrix3d> const svd(covariance,
+                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::Vector3d const s = svd.singularValues();
+  if (!(s(0) > coincident * count)) { return prior; }
+  if (s(1) <= collinear * s(0)) {
+    Eigen::Vector3d const to = svd.matrixU().col(0);
+    Eigen::Vector3d const from = prior * svd.matrixV().col(0);
+    return Eigen::Quaterniond::FromTwoVectors(from, to).toRotationMatrix() * prior;
+  }
+  return nearest_rotation(covariance / s(0));
+}
+
+Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation) {
+  double const n = static_cast<double>(pairs.size());
+  Eigen::Vector3d truth_mean = Eigen::Vector3d::Zero();
+  Eigen::Vector3d estimate_mean = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d rotation_sum = Eigen::Matrix3d::Zero();
+  for (matched_pose const& p : pairs) {
+    truth_mean += p.truth.translation();
+    estimate_mean += p.estimate.translation();
+    rotation_sum += p.truth.linear() * p.estimate.linear().transpose();
+  }
+  truth_mean /= n;
+  estimate_mean /= n;
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+  for (matched_pose const& p : pairs) {
+    covariance += (p.truth.translation() - truth_mean) *
+                  (p.estimate.translation() - estimate_mean).transpose();
+  }
+  Eigen::Matrix3d const prior =
+      orientation ? nearest_rotation(rotation_sum / n) : Eigen::Matrix3d::Identity();
+  Eigen::Isometry3d result = Eigen::Isometry3d::Identity();
+  result.linear() = best_rotation(covariance, n, prior);
+  result.translation() = truth_mean - result.linear() * estimate_mean;
+  return result;
+}
+
+/// Root mean square of the translation errors over about `interval_ns`; nothing without such pairs.
+std::optional<double> relative_error(std::vector<matched_pose> const& pairs, bool orientation,
+                                     std::int64_t interval_ns) {
+  double const tolerance = interval_tolerance * static_cast<double>(interval_ns);
+  double sum = 0;
+  int count = 0;
+  std::size_t j = 0;
+  for (matched_pose const& a : pairs) {
+    std::int64_t const wanted = a.time_ns + interval_ns;
+    auto const distance = [&](std::size_t k) {
+      return std::fabs(static_cast<double>(pairs[k].time_ns - wanted));
+    };
+    while (j + 1 < pairs.size() && distance(j + 1) <= distance(j)) { ++j; }
+    // At the end of the path the nearest pose is always the last one: not so for shorter intervals.
+    bool const past_end =
+        j + 1 == pairs.size() && wanted > pairs[j].time_ns && distance(j) > 0.1 * tolerance;
+    if (distance(j) > tolerance || past_end) { continue; }
+    matched_pose const& b = pairs[j];
+    double miss = 0;
+    if (orientation) {
+      Eigen::Isometry3d const truth = a.truth.inverse() * b.truth;
+      Eigen::Isometry3d const estimate = a.estimate.inverse() * b.estimate;
+      miss = (truth.inverse() * estimate).translation().norm();
+    } else {
+      miss = (b.truth.translation() - a.truth.translation()).norm() -
+             (b.estimate.translation() - a.estimate.translation()).norm();
+    }
+    sum += miss * miss;
+    ++count;
+  }
+  if (count == 0) { return std::nullopt; }
+  return std::sqrt(sum / count);
+}
+
+void check_sorted_and_finite(trajectory const& poses, char const* what) {
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    if (!poses[i].T_world_camera.matrix().allFinite()) {
+      throw error(std::string("evaluation: pose ") + std::to_string(i) + " of the " + what +
+                  " is not finite");
+    }
+    if (i > 0 && poses[i].time_ns <= poses[i - 1].time_ns) {
+      throw error(std::string("evaluation: time stamps of the ") + what +
+                  " must increase, but do not at pose " + std::to_string(i));
+    }
+  }
+}
+
+}  // namespace
+
+trajectory read_tum(std::string const& path) {
+  trajectory poses;
+  for (detail::text_line const& line : detail::read_lines(path)) {
+    if (detail::is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const words = detail::split(line.text, " \t", true);
+    if (words.size() != 8) {
+      detail::fail_at(
+          path, line.number,
+          std::to_string(words.size()) + " numbers, must have 8 (time tx ty tz qx qy qz qw)");
+    }
+    stamped_pose pose;
+    pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
+                                                 path, line.number);
+    pose.time_ns = detail::seconds_to_ns(words[0], path, line.number);
+    poses.push_back(pose);
+  }
+  std::stable_sort(poses.begin(), poses.end(), [](stamped_pose const& a, stamped_pose const& b) {
+    return a.time_ns < b.time_ns;
+  });
+  auto const twice = std::adjacent_find(
+      poses.begin(), poses.end(),
+      [](stamped_pose const& a, stamped_pose const& b) { return a.time_ns == b.time_ns; });
+  if (twice != poses.end()) {
+    throw error(path + ": time stamp " + std::to_string(twice->time_ns) + " ns occurs twice");
+  }
+  return poses;
+}
+
+void write_tum(std::string const& path, trajectory const& poses) {
+  std::ofstream out(path, std::ios::binary);
+  if (!out) { throw error(path + ": cannot be written"); }
+  out << "# time tx ty tz qx qy qz qw (seconds, metres; camera to world)\n";
+  for (stamped_pose const& pose : poses) {
+    Eigen::Vector3d const t = pose.T_world_camera.translation();
+    Eigen::Quaterniond q(pose.T_world_camera.linear());
+    q.normalize();
+    if (q.w() < 0) { q.coeffs() = -q.coeffs(); }
+    constexpr std::int64_t second = 1'000'000'000;
+    bool const negative = pose.time_ns < 0;
+    std::int64_t const whole = pose.time_ns / second;
+    std::int64_t const part = pose.time_ns % second;
+    char stamp[48];
+    std::snprintf(stamp, sizeof stamp, "%s%" PRId64 ".%09" PRId64, negative ? "-" : "",
+                  negative ? -whole : whole, negative ? -part : part);
+    char line[512];
+    int const length = std::snprintf(line, sizeof line, "%s %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n",
+                                     stamp, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w());
+    if (length < 0 || length >= static_cast<int>(sizeof line) || !t.allFinite() ||
+        !q.coeffs().allFinite()) {
+      throw error(path + ": pose at " + stamp + " s is not finite or too large to write");
+    }
+    out << line;
+  }
+  out.flush();
+  if (!out) { throw error(path + ": write failed (disk full?)"); }
+}
+
+std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::int64_t time_ns,
+                                             std::int64_t max_gap_ns) {
+  auto const next = std::lower_bound(
+      reference.begin(), reference.end(), time_ns,
+      [](stamped_pose const& pose, std::int64_t time) { return pose.time_ns < time; });
+  if (next == reference.end()) { return std::nullopt; }
+  if (next->time_ns == time_ns) { return next->T_world_camera; }
+  if (next == reference.begin()) { return std::nullopt; }
+  stamped_pose const& a = *(next - 1);
+  stamped_pose const& b = *next;
+  std::int64_t const gap = b.time_ns - a.time_ns;
+  if (gap > max_gap_ns) { return std::nullopt; }
+  double const share = static_cast<double>(time_ns - a.time_ns) / static_cast<double>(gap);
+  Eigen::Quaterniond const qa(a.T_world_camera.linear());
+  Eigen::Quaterniond const qb(b.T_world_camera.linear());
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  pose.linear() = qa.slerp(share, qb).normalized().toRotationMatrix();
+  pose.translation() =
+      (1 - share) * a.T_world_camera.translation() + share * b.T_world_camera.translation();
+  return pose;
+}
+
+trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, bool orientation,
+                          double rpe_interval_s) {
+  if (!(rpe_interval_s > 0) || !(rpe_interval_s <= 1e6)) {
+    throw error("evaluation: rpe_interval_s = " + detail::to_text(rpe_interval_s) +
+                ": must be above 0 and at most 1e6");
+  }
+  check_sorted_and_finite(estimate, "estimate");
+  check_sorted_and_finite(truth, "ground truth");
+  trajectory_error result;
+  std::vector<matched_pose> pairs;
+  for (std::size_t i = 0; i < estimate.size(); ++i) {
+    Eigen::Isometry3d const& pose = estimate[i].T_world_camera;
+    if (i > 0) {
+      result.path_m += (pose.translation() - estimate[i - 1].T_world_camera.translation()).norm();
+    }
+    if (auto const at = interpolate(truth, estimate[i].time_ns)) {
+      pairs.push_back({estimate[i].time_ns, *at, pose});
+    }
+  }
+  result.pairs = static_cast<int>(pairs.size());
+  for (std::size_t i = 1; i < pairs.size(); ++i) {
+    result.truth_path_m += (pairs[i].truth.translation() - pairs[i - 1].truth.translation()).norm();
+    result.estimate_path_m +=
+        (pairs[i].estimate.translation() - pairs[i - 1].estimate.translation()).norm();
+  }
+  if (pairs.empty()) { return result; }
+  result.T_truth_estimate = align(pairs, orientation);
+  if (pairs.size() >= 3) {
+    double sum = 0;
+    for (matched_pose const& p : pairs) {
+      sum += (p.truth.translation() - result.T_truth_estimate * p.estimate.translation())
+                 .squaredNorm();
+    }
+    result.ate_rmse_m = std::sqrt(sum / static_cast<double>(pairs.size()));
+  }
+  result.rpe_rmse_m = relative_error(pairs, orientation,
+                                     static_cast<std::int64_t>(std::llround(rpe_interval_s * 1e9)));
+  return result;
+}
+
+}  // namespace seq

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file A generated stereo sequence: a textured room seen from a moving pair, with exact ground
+/// truth.
+///
+/// World frame: z up, metres, gravity (0, 0, -9.81). Camera frame: x right, y down, z forward.
+/// Pixel centres have integer coordinates. One lap of the route takes 19.2 s, starts standing
+/// still, stops twice, turns at about 90 deg/s, and passes a wall at about 0.8 m; longer sequences
+/// go round again.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "examples/sequence/types.hpp"
+
+namespace seq {
+
+enum class rig_kind {
+  pinhole,  ///< rectified pair, 752 x 480, fx = fy = 435, baseline 0.11 m
+  fisheye,  ///< two Kannala-Brandt cameras, 512 x 512, fx about 190, slightly rotated; black past
+            ///< 86 deg
+};
+
+struct generator_options {
+  rig_kind rig = rig_kind::pinhole;
+  /// Pixels, 32 to 4096; 0 = the rig's own, or following the other side with the rig's aspect
+  /// ratio. The focal length follows the width.
+  int width = 0;
+  int height = 0;
+  int frames = 300;        ///< 1 to 100000
+  double fps = 20;         ///< 1 to 1000
+  std::uint64_t seed = 1;  ///< decides textures, details of route and room, noise
+  double noise_sigma = 2;  ///< grey levels, 0 to 50
+  bool exposure_change =
+      true;                    ///< gain between 0.8 and 1.2, smooth over time, equal left and right
+  bool vignetting = true;      ///< image corners 20 % darker
+  double baseline = 0;         ///< metres, 0.02 to 0.3; 0 = the rig's own (0.11 and 0.101)
+  double imu_rate = 200;       ///< Hz, 10 to 10000
+  double imu_noise_scale = 1;  ///< times the densities of generator::imu_noise, 0 to 100; 0 = ideal
+  int threads = 0;  ///< for building the textures, 1 to 256; 0 = as many as the machine has
+};
+
+/// State of the body (IMU) at an instant.
+struct body_state {
+  std::int64_t time_ns = 0;
+  Eigen::Isometry3d T_world_body = Eigen::Isometry3d::Identity();
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();    ///< m/s, world frame
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< rad/s
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< m/s^2
+};
+
+/// The whole sequence, rendered on demand. Everything is a function of the options (`threads`
+/// excepted): the same bytes on every run. Immutable after construction: all members may be called
+/// from several threads at once. Movable.
+class generator {
+public:
+  /// Builds room, textures (about 50 MB for the default size) and route.
+  /// @throws seq::error for an option outside its range, with value and limit
+  explicit generator(generator_options const& options = {});
+  generator(generator&&) noexcept;
+  generator& operator=(generator&&) noexcept;
+  ~generator();
+
+  /// As given, with the defaults (0) of width, height and baseline filled in.
+  generator_options const& options() const;
+  stereo_rig const& rig() const;
+  int size() const;  ///< frames
+
+  /// @pre (this and below) 0 <= i < size(). @throws seq::error
+  std::int64_t time_ns(int i) const;
+  /// Left camera.
+  Eigen::Isometry3d T_world_camera(int i) const;
+  /// Both images of frame i; one thread's work.
+  stereo_frame render(int i) const;
+
+  /// One pose of the left camera per frame.
+  trajectory ground_truth() const;
+  /// Body states at every IMU and every frame time, sorted.
+  std::vector<body_state> body_ground_truth() const;
+  /// From the first frame's time to the last one's.
+  std::vector<imu_sample> imu() const;
+
+  /// Noise densities of the IMU at imu_noise_scale 1.
+  struct imu_noise {
+    double gyro_noise = 1.7e-4;   ///< rad/s/sqrt(Hz)
+    double gyro_walk = 2.0e-5;    ///< rad/s^2/sqrt(Hz)
+    double accel_noise = 2.0e-3;  ///< m/s^2/sqrt(Hz)
+    double accel_walk = 3.0e-3;   ///< m/s^3/sqrt(Hz)
+  };
+
+  /// The surface seen at pixel (u, v) of a camera (0 left, 1 right), in that camera's frame,
+  /// metres; nothing outside the lens' range.
+  std::optional<Eigen::Vector3d> surface_point(int i, int camera, double u, double v) const;
+  /// z of the surface seen at (u, v) of the left camera, metres; -1 outside the lens' range.
+  double depth(int i, double u, double v) const;
+  /// Pixel of a point in a camera's own frame; nothing behind the camera or outside the lens'
+  /// range. The pixel may lie outside the image.
+  std::optional<Eigen::Vector2d> project(int camera, Eigen::Vector3d const& point) const;
+  /// Distance of the closer of the two cameras to the nearest surface, metres.
+  double clearance(int i) const;
+
+private:
+  struct impl;
+  std::unique_ptr<impl> impl_;
+};
+
+}  // namespace seq

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file PNG and JPEG in memory. Not API: image_io.cpp reads and writes files with it.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/types.hpp"
+
+namespace seq::detail {
+
+constexpr int max_side = 16384;
+
+/// Whether the content begins like one.
+bool is_png(std::vector<std::uint8_t> const& bytes);
+bool is_jpeg(std::vector<std::uint8_t> const& bytes);
+
+/// The picture as 8-bit grey. @param path named by errors @throws seq::error
+image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes);
+image read_jpeg(std::string const& path, std::vector<std::uint8_t> const& bytes);
+
+/// From the header alone. @throws seq::error
+void read_png_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                   int& height);
+void read_jpeg_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                    int& height);
+
+/// @param name named by errors @throws seq::error
+std::vector<std::uint8_t> write_png(std::string const& name, image const& picture, int compression);
+std::vector<std::uint8_t> write_jpeg(std::string const& name, image const& picture, int quality);
+
+[[noreturn]] void fail(std::string const& path, std::string const& reason);
+/// @throws seq::error for a side of 0 or above max_side
+void check_side(std::string const& path, unsigned long width, unsigned long height);
+/// @throws seq::error where the sides cannot be written or do not fit the number of pixels
+void check_picture(std::string const& name, image const& picture);
+
+}  // namespace seq::detail

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Image files in and out, through libpng and libjpeg.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/types.hpp"
+
+namespace seq {
+
+/// Reads a PNG or JPEG (recognised by content) as 8-bit grey: colour is decoded to RGB and
+/// converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples keep their high byte,
+/// alpha is ignored. Bytes behind the end of a JPEG, and bytes that it has between its segments,
+/// are skipped.
+/// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than
+/// 16384 a side
+image read_image(std::string const& path);
+
+/// Width and height without decoding the pixels. @throws seq::error
+void read_image_size(std::string const& path, int& width, int& height);
+
+/// Writes an 8-bit grey PNG. @param compression zlib level 0..9 (1 is fast and good enough)
+/// @throws seq::error
+void write_png(std::string const& path, image const& picture, int compression = 1);
+
+/// The bytes of an 8-bit grey PNG, for embedding. @throws seq::error
+std::vector<std::uint8_t> encode_png(image const& picture, int compression = 6);
+
+/// The bytes of an 8-bit grey JPEG. @param quality 1..100 @throws seq::error
+std::vector<std::uint8_t> encode_jpeg(image const& picture, int quality = 85);
+
+}  // namespace seq

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Opens a stereo sequence on disk: EuRoC (ASL) or KITTI odometry layout.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "examples/sequence/types.hpp"
+
+namespace seq {
+
+/// ORB settings found in an ORB-SLAM3 settings file; absent fields stay empty.
+struct orb_settings {
+  std::optional<int> features;
+  std::optional<int> levels;
+  std::optional<double> scale_factor;
+  std::optional<int> ini_threshold;
+  std::optional<int> min_threshold;
+  std::optional<double> depth_threshold;  ///< Stereo.ThDepth, in baselines
+};
+
+struct open_options {
+  /// Calibration file to use in place of the folder's own: sensor.yaml's parent `mav0`, a KITTI
+  /// calib.txt, or an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8). Empty = the
+  /// folder's.
+  std::string calibration;
+  /// Keep fisheye (Kannala-Brandt) pairs as they are; otherwise every pair is rectified on load.
+  bool keep_fisheye = true;
+  /// Read at most this many frames; 0 = all.
+  int max_frames = 0;
+};
+
+/// An opened sequence; frames are loaded one at a time. Not thread-safe, movable.
+class sequence {
+public:
+  /// @throws seq::error: no such folder, no layout recognised, no images, unreadable or absurd
+  ///   calibration (focal length not positive, NaN, zero baseline, sizes that differ from the
+  ///   images'), fewer than one stereo pair with equal time stamps
+  static sequence open(std::string const& directory, open_options const& options = {});
+
+  sequence(sequence&&) noexcept;
+  sequence& operator=(sequence&&) noexcept;
+  ~sequence();
+
+  std::string const& name() const;    ///< the folder's name
+  std::string const& layout() const;  ///< "euroc" or "kitti"
+  /// The rig as the frames come out of load(): rectified pinholes, or the fisheye pair.
+  stereo_rig const& rig() const;
+  bool fisheye() const;
+  orb_settings const& settings() const;  ///< empty unless an ORB-SLAM3 settings file was given
+  int size() const;                      ///< stereo pairs
+  std::int64_t time_ns(int i) const;
+  /// Decodes (and rectifies where needed) pair i. @throws seq::error on a broken file or a size
+  /// that differs from the calibration's
+  stereo_frame load(int i) const;
+  /// Ground truth of the left camera (the body's moved by T_body_left and by the rectifying
+  /// rotation), sorted by time; empty where there is none.
+  trajectory const& ground_truth() const;
+  /// False where ground truth gives positions only (all orientations identity).
+  bool ground_truth_has_orientation() const;
+
+private:
+  struct impl;
+  explicit sequence(std::unique_ptr<impl> p);
+  std::unique_ptr<impl> impl_;
+};
+
+}  // namespace seq

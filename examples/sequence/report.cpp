@@ -1,0 +1,401 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/report.hpp"
+
+#include "examples/sequence/report_figures.hpp"
+
+#include <nlohmann/json.hpp>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <locale>
+#include <ostream>
+#include <sstream>
+#include <utility>
+
+namespace seq {
+namespace detail {
+
+double percentile(std::vector<double> const& sorted, double percent) {
+  double const rank = std::ceil(percent / 100.0 * static_cast<double>(sorted.size()) - 1e-9);
+  auto const index = static_cast<std::size_t>(std::max(rank, 1.0)) - 1;
+  return sorted[std::min(index, sorted.size() - 1)];
+}
+
+std::string fixed(double value, int digits) {
+  if (!std::isfinite(value)) { return "n/a"; }
+  std::ostringstream out;
+  out.imbue(std::locale::classic());
+  out.setf(std::ios::fixed, std::ios::floatfield);
+  out.precision(digits);
+  out << value;
+  std::string text = out.str();
+  // "-0.00" says nothing that "0.00" does not
+  if (text.front() == '-' && text.find_first_not_of("-0.") == std::string::npos) {
+    text.erase(0, 1);
+  }
+  return text;
+}
+
+std::string fixed(std::optional<double> const& value, int digits, char const* unit) {
+  if (!value || !std::isfinite(*value)) { return "n/a"; }
+  return fixed(*value, digits) + unit;
+}
+
+void write_text(std::string const& path, std::string const& text) {
+  errno = 0;
+  std::ofstream out(path, std::ios::binary | std::ios::trunc);
+  if (out) {
+    out.write(text.data(), static_cast<std::streamsize>(text.size()));
+    out.close();  // the buffer is written here at the latest: check after it
+  }
+  if (!out) {
+    std::string const reason =
+        errno != 0 ? std::string(": ") + std::strerror(errno) : std::string();
+    throw error(path + ": cannot write" + reason);
+  }
+}
+
+std::optional<double> stage_time(frame_record const& record, std::size_t s) {
+  if (s >= record.stage_ms.size() || !std::isfinite(record.stage_ms[s])) { return std::nullopt; }
+  return record.stage_ms[s];
+}
+
+namespace {
+
+std::optional<double> finite(std::optional<double> const& value) {
+  return value && std::isfinite(*value) ? value : std::nullopt;
+}
+
+double path_length(trajectory const& poses) {
+  double length = 0;
+  for (std::size_t i = 1; i < poses.size(); ++i) {
+    double const step =
+        (poses[i].T_world_camera.translation() - poses[i - 1].T_world_camera.translation()).norm();
+    if (std::isfinite(step)) { length += step; }
+  }
+  return length;
+}
+
+/// Mean of an integer field over the records that `use` accepts.
+template <typename Use>
+std::optional<double> mean_of(run_report const& report, int frame_record::*field, Use use) {
+  double sum = 0;
+  int count = 0;
+  for (frame_record const& r : report.records) {
+    if (!use(r)) { continue; }
+    sum += r.*field;
+    ++count;
+  }
+  if (count == 0) { return std::nullopt; }
+  return sum / count;
+}
+
+}  // namespace
+
+run_figures figures_of(run_report const& report) {
+  run_figures f;
+  f.has_truth = !report.truth.empty() || report.error.pairs > 0;
+  bool const path_known = std::isfinite(report.error.path_m) && report.error.path_m > 0;
+  f.path_m = path_known ? report.error.path_m : path_length(report.estimate);
+  if (f.has_truth) {
+    f.ate_rmse_m = finite(report.error.ate_rmse_m);
+    f.rpe_rmse_m = finite(report.error.rpe_rmse_m);
+  }
+  if (report.frames > 0) { f.tracked_ratio = static_cast<double>(report.tracked) / report.frames; }
+
+  auto const all = [](frame_record const&) { return true; };
+  auto const tracked = [](frame_record const& r) { return r.tracked; };
+  f.mean_keypoints = mean_of(report, &frame_record::keypoints, all);
+  f.mean_stereo_matches = mean_of(report, &frame_record::stereo_matches, all);
+  f.mean_inliers = mean_of(report, &frame_record::inliers, tracked);
+  f.mean_local_points = mean_of(report, &frame_record::local_points, tracked);
+
+  for (std::size_t s = 0; s < report.stages.size(); ++s) {
+    std::vector<double> samples;
+    samples.reserve(report.records.size());
+    stage_figures stage;
+    stage.name = report.stages[s];
+    for (frame_record const& r : report.records) {
+      std::optional<double> const ms = stage_time(r, s);
+      if (!ms) { continue; }
+      samples.push_back(*ms);
+      stage.sum_ms += *ms;
+    }
+    stage.count = static_cast<int>(samples.size());
+    stage.ms = summarise(std::move(samples));
+    f.stages.push_back(std::move(stage));
+  }
+  if (!f.stages.empty() && f.stages.back().count > 0) {
+    f.processing_s = f.stages.back().sum_ms / 1000.0;
+    if (*f.processing_s > 0) { f.fps = f.stages.back().count / *f.processing_s; }
+  }
+  return f;
+}
+
+}  // namespace detail
+
+statistics summarise(std::vector<double> samples) {
+  samples.erase(
+      std::remove_if(samples.begin(), samples.end(), [](double v) { return !std::isfinite(v); }),
+      samples.end());
+  statistics s;
+  if (samples.empty()) { return s; }
+  std::sort(samples.begin(), samples.end());
+  auto const n = static_cast<double>(samples.size());
+  for (double const v : samples) { s.mean += v / n; }
+  double variance = 0;  // second pass: the one-pass formula cancels for a large mean
+  for (double const v : samples) { variance += (v - s.mean) * (v - s.mean) / n; }
+  s.std = std::sqrt(variance);
+  s.p50 = detail::percentile(samples, 50);
+  s.p99 = detail::percentile(samples, 99);
+  s.max = samples.back();
+  return s;
+}
+
+namespace {
+
+/// Columns that a terminal needs for UTF-8 text, one per code point.
+std::size_t columns(std::string const& text) {
+  return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) {
+    return (static_cast<unsigned char>(c) & 0xC0U) != 0x80U;
+  }));
+}
+
+std::string left(std::string const& text, std::size_t width) {
+  std::size_t const used = columns(text);
+  return used < width ? text + std::string(width - used, ' ') : text;
+}
+
+std::string right(std::string const& text, std::size_t width) {
+  std::size_t const used = columns(text);
+  return used < width ? std::string(width - used, ' ') + text : text;
+}
+
+std::string or_na(std::string const& text) { return text.empty() ? "n/a" : text; }
+
+}  // namespace
+
+void print_summary(std::ostream& out, run_report const& report) {
+  using detail::fixed;
+  detail::run_figures const f = detail::figures_of(report);
+  std::string text;
+  auto const line = [&text](std::string const& name, std::string const& value) {
+    text += "  " + left(name, 18) + value + '\n';
+  };
+
+  if (!report.title.empty()) { text += report.title + "\n\n"; }
+  line("sequence", or_na(report.sequence));
+  line("backend", or_na(report.backend) + (report.device.empty() ? "" : ", " + report.device));
+  line("image",
+       report.image_width > 0 && report.image_height > 0
+           ? std::to_string(report.image_width) + " x " + std::to_string(report.image_height)
+           : "n/a");
+  text += '\n';
+
+  std::size_t name_width = 5;
+  for (auto const& s : f.stages) { name_width = std::max(name_width, columns(s.name)); }
+  constexpr std::size_t cell = 11;
+  std::string const rule = "  " + std::string(name_width + 5 * cell, '-') + '\n';
+  text += "  " + left("stage", name_width);
+  for (char const* head : {"mean ms", "std ms", "p50 ms", "p99 ms", "max ms"}) {
+    text += right(head, cell);
+  }
+  text += '\n' + rule;
+  for (std::size_t s = 0; s < f.stages.size(); ++s) {
+    detail::stage_figures const& stage = f.stages[s];
+    if (s > 0 && s + 1 == f.stages.size()) { text += rule; }
+    text += "  " + left(stage.name, name_width);
+    for (double const v : {stage.ms.mean, stage.ms.std, stage.ms.p50, stage.ms.p99, stage.ms.max}) {
+      text += right(stage.count > 0 ? fixed(v, 3) : "n/a", cell);
+    }
+    text += '\n';
+  }
+  if (f.stages.empty()) { text += "  no stage was timed\n"; }
+  text += '\n';
+
+  line("frames", std::to_string(report.frames));
+  line("tracked", std::to_string(report.tracked) +
+                      (f.tracked_ratio ? " (" + fixed(100.0 * *f.tracked_ratio, 1) + " %)" : ""));
+  line("lost", std::to_string(report.lost));
+  line("dropped", std::to_string(report.dropped));
+  line("keyframes", std::to_string(report.keyframes));
+  line("map points", std::to_string(report.map_points));
+  line("maps begun", std::to_string(report.maps));
+  line("mean keypoints", fixed(f.mean_keypoints, 1));
+  line("mean inliers", fixed(f.mean_inliers, 1));
+  line("throughput", fixed(f.fps, 1, " frames/s"));
+  line("path", fixed(f.path_m, 3) + " m");
+  if (f.has_truth) {
+    line("truth pairs", std::to_string(report.error.pairs));
+    line("truth path", fixed(report.error.truth_path_m, 3) + " m");
+  }
+  std::string const why = f.has_truth ? "" : " (no ground truth)";
+  line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);
+  line("RPE RMSE", fixed(f.rpe_rmse_m, 4, " m") + why);
+  out << text << std::flush;
+}
+
+void write_summary_json(std::string const& path, run_report const& report) {
+  using json = nlohmann::ordered_json;
+  auto const number = [](std::optional<double> const& v) {
+    return v && std::isfinite(*v) ? json(*v) : json(nullptr);
+  };
+  detail::run_figures const f = detail::figures_of(report);
+  auto const with_truth = [&](double v) { return f.has_truth ? number(v) : json(nullptr); };
+
+  json root = json::object();
+  root["title"] = report.title;
+  root["sequence"] = report.sequence;
+  root["backend"] = report.backend;
+  root["device"] = report.device;
+  root["image_width"] = report.image_width;
+  root["image_height"] = report.image_height;
+  root["frames"] = report.frames;
+  root["tracked"] = report.tracked;
+  root["lost"] = report.lost;
+  root["dropped"] = report.dropped;
+  root["keyframes"] = report.keyframes;
+  root["map_points"] = report.map_points;
+  root["maps"] = report.maps;
+  root["path_m"] = number(f.path_m);
+  root["truth_path_m"] = with_truth(report.error.truth_path_m);
+  root["estimate_path_m"] = with_truth(report.error.estimate_path_m);
+  root["pairs"] = report.error.pairs;
+  root["ate_rmse_m"] = number(f.ate_rmse_m);
+  root["rpe_rmse_m"] = number(f.rpe_rmse_m);
+  root["mean_keypoints"] = number(f.mean_keypoints);
+  root["mean_stereo_matches"] = number(f.mean_stereo_matches);
+  root["mean_inliers"] = number(f.mean_inliers);
+  root["mean_local_points"] = number(f.mean_local_points);
+  root["processing_s"] = number(f.processing_s);
+  root["fps"] = number(f.fps);
+  json stages = json::object();
+  for (auto const& stage : f.stages) {
+    auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
+    json entry = json::object();
+    entry["mean_ms"] = ms(stage.ms.mean);
+    entry["std_ms"] = ms(stage.ms.std);
+    entry["p50_ms"] = ms(stage.ms.p50);
+    entry["p99_ms"] = ms(stage.ms.p99);
+    entry["max_ms"] = ms(stage.ms.max);
+    stages[stage.name] = std::move(entry);
+  }
+  root["stages"] = std::move(stages);
+  json options = json::object();
+  for (auto const& [name, value] : report.options) { options[name] = value; }
+  root["options"] = std::move(options);
+  // names come from the command line: bytes that are not UTF-8 must not cost the whole summary
+  detail::write_text(path, root.dump(2, ' ', false, json::error_handler_t::replace) + '\n');
+}
+
+namespace {
+
+/// RFC 4180: quoted where the text holds a separator, a quote or a line break.
+std::string csv_field(std::string const& text) {
+  if (text.find_first_of(",\"\r\n") == std::string::npos) { return text; }
+  std::string quoted = "\"";
+  for (char const c : text) {
+    if (c == '"') { quoted += '"'; }
+    quoted += c;
+  }
+  return quoted + '"';
+}
+
+/// All nine decimals, which a double would round away for a time since 1970.
+std::string seconds(std::int64_t time_ns) {
+  bool const negative = time_ns < 0;
+  std::uint64_t const ns =
+      negative ? 0 - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
+  std::string fraction = std::to_string(ns % 1'000'000'000U);
+  fraction.insert(0, 9 - fraction.size(), '0');
+  return (negative ? "-" : "") + std::to_string(ns / 1'000'000'000U) + '.' + fraction;
+}
+
+}  // namespace
+
+void write_times_csv(std::string const& path, run_report const& report) {
+  std::string text = "index,time_s,tracked,keyframe,keypoints,stereo_matches,inliers,local_points";
+  for (std::string const& stage : report.stages) { text += ',' + csv_field(stage + "_ms"); }
+  text += '\n';
+  for (frame_record const& r : report.records) {
+    text += std::to_string(r.index) + ',' + seconds(r.time_ns);
+    text += r.tracked ? ",1" : ",0";
+    text += r.keyframe ? ",1" : ",0";
+    for (int const count : {r.keypoints, r.stereo_matches, r.inliers, r.local_points}) {
+      text += ',' + std::to_string(count);
+    }
+    for (std::size_t s = 0; s < report.stages.size(); ++s) {
+      text += ',';
+      if (auto const ms = detail::stage_time(r, s)) { text += detail::fixed(*ms, 6); }
+    }
+    text += '\n';
+  }
+  detail::write_text(path, text);
+}
+
+namespace {
+
+constexpr double redraw_interval_s = 0.1;
+
+double now_s() {
+  using clock = std::chrono::steady_clock;
+  return std::chrono::duration<double>(clock::now().time_since_epoch()).count();
+}
+
+std::string duration_text(double s) {
+  if (s < 100) { return detail::fixed(std::ceil(s), 0) + " s"; }
+  if (s < 6000) { return detail::fixed(std::ceil(s / 60), 0) + " min"; }
+  return detail::fixed(s / 3600, 1) + " h";
+}
+
+}  // namespace
+
+progress::progress(std::ostream& out, bool terminal, std::string label, int total)
+    : out_(out), terminal_(terminal), label_(std::move(label)), total_(total), start_s_(now_s()) {}
+
+void progress::step(int done, std::string const& note) {
+  double const now = now_s();
+  bool const complete = total_ > 0 && done >= total_;
+  if (terminal_) {
+    bool const first = last_decile_ < 0;
+    if (!first && !complete && now - last_draw_s_ < redraw_interval_s) { return; }
+    last_decile_ = 0;
+    last_draw_s_ = now;
+  } else {
+    // without a total there is no 10 %: a line every hundred steps
+    int const decile =
+        total_ > 0 ? static_cast<int>(10LL * std::clamp(done, 0, total_) / total_) : done / 100;
+    if (decile <= std::max(last_decile_, 0)) { return; }
+    last_decile_ = decile;
+  }
+
+  std::string text = label_ + "  " + std::to_string(done);
+  if (total_ > 0) {
+    text += '/' + std::to_string(total_) + "  " +
+            std::to_string(100LL * std::clamp(done, 0, total_) / total_) + " %";
+  }
+  double const elapsed = now - start_s_;
+  if (done > 0 && elapsed > 1e-6) {
+    double const rate = done / elapsed;
+    text += "  " + detail::fixed(rate, rate < 1000 ? 1 : 0) + " frames/s";
+    if (total_ > done) { text += "  ETA " + duration_text((total_ - done) / rate); }
+  }
+  if (!note.empty()) { text += "  " + note; }
+  if (terminal_) {
+    out_ << '\r' << text << "\x1b[K" << std::flush;  // erases what a longer line left behind
+  } else {
+    out_ << text << '\n' << std::flush;
+  }
+}
+
+void progress::finish() {
+  if (terminal_ && last_decile_ >= 0) { out_ << '\n'; }
+  if (terminal_) { last_decile_ = -1; }
+  out_ << std::flush;
+}
+
+}  // namespace seq

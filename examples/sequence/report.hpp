@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What a tracking run leaves behind: printed table, summary.json, times.csv, report.html.
+#pragma once
+
+#include <iosfwd>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/types.hpp"
+
+namespace seq {
+
+struct statistics {
+  double mean = 0, std = 0, p50 = 0, p99 = 0, max = 0;
+};
+/// Population standard deviation; percentiles by nearest rank. All zero for no samples.
+statistics summarise(std::vector<double> samples);
+
+/// One processed frame.
+struct frame_record {
+  int index = 0;
+  std::int64_t time_ns = 0;
+  bool tracked = false;
+  bool keyframe = false;
+  int keypoints = 0;  ///< left image
+  int stereo_matches = 0;
+  int inliers = 0;  ///< keypoints matched to the map as it was before this frame's new points
+  int local_points = 0;
+  std::vector<double> stage_ms;  ///< same order as run_report::stages
+};
+
+/// Drawn in the report.
+struct sample_frame {
+  int index = 0;
+  image picture;  ///< left image
+  struct keypoint {
+    float x = 0, y = 0, size = 0;
+    int octave = 0;
+    float depth = -1;      ///< metres, -1 = no stereo match
+    bool matched = false;  ///< one of frame_record::inliers
+    float from_x = -1,
+          from_y = -1;  ///< where the same map point was seen in the frame before, -1 = not
+  };
+  std::vector<keypoint> keypoints;
+};
+
+struct run_report {
+  std::string title;
+  std::string sequence;
+  std::string backend;                         ///< "host" or "cuda"
+  std::string device;                          ///< processor or GPU name
+  std::map<std::string, std::string> options;  ///< as given, for the record
+  int image_width = 0, image_height = 0;
+  int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
+  int maps = 0;                     ///< begun; more than one after a long loss
+  std::vector<std::string> stages;  ///< names; the last one is "total"
+  std::vector<frame_record> records;
+  trajectory estimate;  ///< tracked frames only
+  trajectory truth;     ///< may be empty
+  trajectory_error error;
+  std::vector<sample_frame> samples;
+};
+
+/// Per-stage table (mean, std, p50, p99, max in ms) and the figures, for a terminal.
+void print_summary(std::ostream& out, run_report const& report);
+/// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
+/// ground truth), keyframes, map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms
+/// max_ms, and the rest.
+void write_summary_json(std::string const& path, run_report const& report);
+void write_times_csv(std::string const& path, run_report const& report);
+/// One self-contained file: no script, style or picture from elsewhere. @throws seq::error where it
+/// cannot be written, or where there are more stages than colours (report_palette.hpp)
+void write_html(std::string const& path, run_report const& report);
+
+/// A one-line progress display ("track  132/300  44 %  31.2 frames/s  ETA 5 s"); a plain line every
+/// 10 % where `out` is not a terminal.
+class progress {
+public:
+  progress(std::ostream& out, bool terminal, std::string label, int total);
+  void step(int done, std::string const& note = {});
+  void finish();
+
+private:
+  std::ostream& out_;
+  bool terminal_;
+  std::string label_;
+  int total_;
+  int last_decile_ = -1;
+  double start_s_;
+  double last_draw_s_ = 0;
+};
+
+}  // namespace seq

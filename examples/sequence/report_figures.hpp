@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Figures and text helpers that the writers of the report share. Not API: included by
+/// report.cpp and report_html.cpp only.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/report.hpp"
+
+namespace seq::detail {
+
+/// Statistics of one stage; `count` is the number of frames that have a time for it.
+struct stage_figures {
+  std::string name;
+  int count = 0;
+  double sum_ms = 0;
+  statistics ms;
+};
+
+/// What the writers print, derived once from a report; empty optionals where nothing was measured.
+struct run_figures {
+  bool has_truth = false;
+  double path_m = 0;
+  std::optional<double> ate_rmse_m, rpe_rmse_m;
+  std::optional<double> tracked_ratio;   ///< tracked / frames
+  std::optional<double> processing_s;    ///< sum of the last stage
+  std::optional<double> fps;             ///< timed frames / processing_s
+  std::optional<double> mean_keypoints;  ///< over all records
+  std::optional<double> mean_stereo_matches;
+  std::optional<double> mean_inliers;       ///< over tracked records
+  std::optional<double> mean_local_points;  ///< over tracked records
+  std::vector<stage_figures> stages;        ///< same order as run_report::stages
+};
+
+run_figures figures_of(run_report const& report);
+
+/// Milliseconds of stage `s`; nothing where the record has no such entry or it is not a finite
+/// number.
+std::optional<double> stage_time(frame_record const& record, std::size_t s);
+
+/// Nearest rank: the smallest sample that at least `percent` of all samples do not exceed.
+/// @pre sorted is not empty and ascending
+double percentile(std::vector<double> const& sorted, double percent);
+
+/// Decimal number, point as separator whatever the locale; "n/a" where it is not finite.
+std::string fixed(double value, int digits);
+std::string fixed(std::optional<double> const& value, int digits, char const* unit = "");
+
+/// @throws seq::error naming the file and the reason
+void write_text(std::string const& path, std::string const& text);
+
+}  // namespace seq::detail

@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+#include <cstddef>
+
+#include "examples/sequence/report.hpp"
+#include "examples/sequence/report_figures.hpp"
+#include "examples/sequence/report_markup.hpp"
+#include "examples/sequence/report_palette.hpp"
+#include "examples/sequence/report_sections.hpp"
+
+// The report is one HTML file without scripts: figures are inline SVG, pictures base64 JPEG.
+// Colours of charts are CSS classes, so that dark mode and print only redefine variables. The
+// markup is written so that every element but <meta> and <br> is closed, which the test checks.
+
+namespace seq {
+namespace {
+
+using detail::escape;
+using detail::fixed;
+using detail::grouped;
+using detail::run_figures;
+using detail::significant;
+
+std::string card(std::string const& name, std::string const& value, std::string const& unit,
+                 std::string const& note, char const* style = "") {
+  std::string out = std::string("<div class=\"card ") + style + "\"><div class=\"name\">" +
+                    escape(name) + "</div><div class=\"value\">" + escape(value);
+  if (!unit.empty() && value != "n/a") {
+    out += "<span class=\"unit\"> " + escape(unit) + "</span>";
+  }
+  return out + "</div><div class=\"note\">" + escape(note) + "</div></div>\n";
+}
+
+std::string length_text(double metres) {
+  return std::isfinite(metres) ? significant(metres) : "n/a";
+}
+
+std::string cards(run_report const& r, run_figures const& f) {
+  std::string out = "<div class=\"cards\">\n";
+  char const* state = !f.tracked_ratio          ? ""
+                      : *f.tracked_ratio > 0.98 ? "good"
+                      : *f.tracked_ratio > 0.8  ? "fair"
+                                                : "bad";
+  // rounded down: 100 % is for all of them
+  std::string const share =
+      f.tracked_ratio ? fixed(std::floor(*f.tracked_ratio * 1000) / 10, 1) : "n/a";
+  out += card("Tracked", share, "%",
+              grouped(r.tracked) + " of " + grouped(r.frames) + " frames, " + grouped(r.lost) +
+                  " lost" + (r.dropped > 0 ? ", " + grouped(r.dropped) + " dropped" : ""),
+              state);
+  std::string const no_truth = "no ground truth";
+  out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
+              f.ate_rmse_m  ? "ATE RMSE over " + grouped(r.error.pairs) + " poses"
+              : f.has_truth ? "too few poses with ground truth"
+                            : no_truth);
+  out += card("Relative error", f.rpe_rmse_m ? significant(*f.rpe_rmse_m) : "n/a", "m",
+              f.rpe_rmse_m  ? "RPE RMSE, translation"
+              : f.has_truth ? "too few poses with ground truth"
+                            : no_truth);
+  std::string path_note = "estimated";
+  if (f.has_truth && std::isfinite(r.error.truth_path_m) && r.error.truth_path_m > 0) {
+    path_note += "; ground truth " + length_text(r.error.truth_path_m) + " m";
+  }
+  out += card("Path", r.estimate.empty() && f.path_m <= 0 ? "n/a" : length_text(f.path_m), "m",
+              path_note);
+  bool const timed = !f.stages.empty() && f.stages.back().count > 0;
+  out += card("Time per frame", timed ? significant(f.stages.back().ms.p50) : "n/a", "ms",
+              timed ? "median; p99 " + significant(f.stages.back().ms.p99) + " ms" : "not timed");
+  out += card("Throughput", f.fps ? significant(*f.fps) : "n/a", "frames/s",
+              f.processing_s ? fixed(*f.processing_s, 1) + " s of processing" : "not timed");
+  out +=
+      card("Inliers", f.mean_inliers ? fixed(*f.mean_inliers, 0) : "n/a", "",
+           f.mean_keypoints ? "mean, of " + grouped(std::llround(*f.mean_keypoints)) + " keypoints"
+                            : "mean per tracked frame");
+  out += card("Map", grouped(r.map_points), "points", grouped(r.keyframes) + " keyframes");
+  return out + "</div>\n";
+}
+
+std::string table_row(std::string const& name, std::string const& value) {
+  return "<tr><th>" + escape(name) + "</th><td>" + escape(value.empty() ? "n/a" : value) +
+         "</td></tr>\n";
+}
+
+std::string options_section(run_report const& r) {
+  std::string out = detail::section_open("Run", "");
+  out += "<div class=\"columns\">\n<div><h3>Environment</h3><table class=\"plain\"><tbody>\n";
+  out += table_row("sequence", r.sequence);
+  out += table_row("backend", r.backend);
+  out += table_row("device", r.device);
+  out += table_row("image size", r.image_width > 0 && r.image_height > 0
+                                     ? std::to_string(r.image_width) + " \xc3\x97 " +
+                                           std::to_string(r.image_height)
+                                     : "n/a");
+  out += table_row("frames", grouped(r.frames));
+  out += table_row("lost", grouped(r.lost));
+  out += table_row("dropped", grouped(r.dropped));
+  out += "</tbody></table></div>\n<div><h3>Options</h3>";
+  if (r.options.empty()) {
+    out += detail::nothing("No options were recorded.");
+  } else {
+    out += "<table class=\"plain\"><tbody>\n";
+    for (auto const& [name, value] : r.options) { out += table_row(name, value); }
+    out += "</tbody></table>";
+  }
+  return out + "</div>\n</div></section>\n";
+}
+
+}  // namespace
+
+void write_html(std::string const& path, run_report const& report) {
+  // the last one is the whole frame
+  if (report.stages.size() > detail::stage_palette.size() + 1) {
+    throw error(path + ": " + std::to_string(report.stages.size() - 1) +
+                " stages before the last; the report has colours for " +
+                std::to_string(detail::stage_palette.size()));
+  }
+  run_figures const f = detail::figures_of(report);
+  std::string const title = report.title.empty() ? "Tracking report" : report.title;
+  std::string out =
+      "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
+      "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
+  out += "<title>" + escape(title) + "</title>\n<style>" + detail::style_sheet() +
+         "</style>\n</head>\n";
+  out += "<body>\n<main>\n<header>\n<h1>" + escape(title) + "</h1>\n<p class=\"lead\">";
+  std::string const size =
+      report.image_width > 0 && report.image_height > 0
+          ? std::to_string(report.image_width) + " \xc3\x97 " + std::to_string(report.image_height)
+          : "";
+  for (std::string const& fact : {report.sequence, report.backend, report.device, size}) {
+    if (!fact.empty()) { out += "<span>" + escape(fact) + "</span>"; }
+  }
+  out += "</p>\n</header>\n";
+  out += cards(report, f);
+  out += detail::trajectory_section(report, f);
+  out += detail::error_section(report, f);
+  out += detail::time_section(report, f);
+  out += detail::stage_table(f);
+  out += detail::counts_section(report);
+  out += detail::sample_section(report);
+  out += options_section(report);
+  out +=
+      "<footer>Written by FastTrack. Self-contained: no script, nothing loaded from "
+      "elsewhere.</footer>"
+      "\n</main>\n</body>\n</html>\n";
+  detail::write_text(path, out);
+}
+
+}  // namespace seq

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The sections of the HTML report, each a file. Not API: included by report_html.cpp and the
+/// sections only.
+#pragma once
+
+#include <string>
+
+#include "examples/sequence/report.hpp"
+#include "examples/sequence/report_figures.hpp"
+
+namespace seq::detail {
+
+std::string trajectory_section(run_report const& r, run_figures const& f);
+/// Empty without ground truth.
+std::string error_section(run_report const& r, run_figures const& f);
+/// The stages stacked over the frames. @pre at most stage_palette.size() stages before the last
+std::string time_section(run_report const& r, run_figures const& f);
+/// @pre as time_section
+std::string stage_table(run_figures const& f);
+std::string counts_section(run_report const& r);
+/// Pictures with keypoints; empty where there are none.
+std::string sample_section(run_report const& r);
+
+/// All of the page's CSS: colours are variables, which dark mode redefines.
+std::string style_sheet();
+
+}  // namespace seq::detail

@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+// Any bytes where a calibration, a list of frames, ground truth or an image is expected: read, or
+// refused with seq::error. The first byte says which file they are.
+#include <unistd.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/calibration.hpp"
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/reader.hpp"
+#include "tests/fuzz/input.hpp"
+
+namespace {
+
+namespace fs = std::filesystem;
+
+/// A folder of the process's own, in memory where the system has such a place.
+class folder {
+public:
+  folder() {
+    fs::path const memory = "/dev/shm";
+    path_ = (fs::exists(memory) ? memory : fs::temp_directory_path()) /
+            ("ft_fuzz_" + std::to_string(::getpid()));
+    fs::create_directories(path_);
+  }
+  folder(folder const&) = delete;
+  folder& operator=(folder const&) = delete;
+  ~folder() {
+    std::error_code ignored;
+    fs::remove_all(path_, ignored);
+  }
+  std::string path(std::string const& name) const { return (path_ / name).string(); }
+  void write(std::string const& name, std::string const& bytes) const {
+    fs::create_directories((path_ / name).parent_path());
+    std::ofstream(path_ / name, std::ios::binary) << bytes;
+  }
+  std::string read(std::string const& name) const {
+    std::ifstream in(path_ / name, std::ios::binary);
+    return {std::istreambuf_iterator<char>(in), {}};
+  }
+
+private:
+  fs::path path_;
+};
+
+constexpr char const* sensor =
+    "sensor_type: camera\n"
+    "T_BS:\n  rows: 4\n  cols: 4\n  data: [1, 0, 0, %s, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n"
+    "rate_hz: 20\nresolution: [16, 12]\ncamera_model: pinhole\n"
+    "intrinsics: [10, 10, 8, 6]\ndistortion_model: radial-tangential\n"
+    "distortion_coefficients: [0, 0, 0, 0]\n";
+
+std::string sensor_at(char const* x) {
+  char text[600];
+  std::snprintf(text, sizeof text, sensor, x);
+  return text;
+}
+
+/// Sequences of two frames, complete but for what the fuzzer writes in its place.
+class sequences {
+public:
+  sequences() {
+    std::string const list = "#timestamp,filename\n1000,1000.png\n2000,2000.png\n";
+    for (char const* camera : {"euroc/mav0/cam0/", "euroc/mav0/cam1/"}) {
+      std::string const at = camera;
+      files_.write(at + "sensor.yaml",
+                   sensor_at(at.find("cam0") != std::string::npos ? "0" : "0.1"));
+      files_.write(at + "data.csv", list);
+      for (char const* name : {"data/1000.png", "data/2000.png"}) { picture(at + name); }
+    }
+    files_.write("euroc/mav0/state_groundtruth_estimate0/data.csv", "1000,0,0,0,1,0,0,0\n");
+    files_.write("kitti/calib.txt",
+                 "P0: 10 0 8 0 0 10 6 0 0 0 1 0\nP1: 10 0 8 -5 0 10 6 0 0 0 1 0\n");
+    files_.write("kitti/times.txt", "0.0\n0.1\n");
+    files_.write("kitti/poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
+    for (char const* name :
+         {"image_0/000000.png", "image_0/000001.png", "image_1/000000.png", "image_1/000001.png"}) {
+      picture(std::string("kitti/") + name);
+    }
+  }
+  /// Opens the sequence with `bytes` as one of its files and loads what it lists.
+  void open_with(std::string const& sequence, std::string const& file,
+                 std::string const& bytes) const {
+    std::string const name = sequence + "/" + file;
+    std::string const before = files_.read(name);
+    files_.write(name, bytes);
+    try {
+      seq::open_options options;
+      options.max_frames = 2;
+      auto const opened = seq::sequence::open(files_.path(sequence), options);
+      fuzz::require(opened.size() >= 1, "an opened sequence has a pair");
+      for (int i = 0; i < opened.size(); ++i) {
+        auto const frame = opened.load(i);
+        fuzz::require(frame.left.width == opened.rig().left.width &&
+                          frame.right.width == opened.rig().right.width,
+                      "frames have the rig's size");
+      }
+    } catch (seq::error const&) {}
+    files_.write(name, before);
+  }
+  folder const& files() const { return files_; }
+
+private:
+  void picture(std::string const& name) const {
+    fs::create_directories(fs::path(files_.path(name)).parent_path());
+    seq::write_png(files_.path(name), {16, 12, std::vector<std::uint8_t>(16 * 12, 40)});
+  }
+  folder files_;
+};
+
+void read_settings(folder const& files, std::string const& bytes) {
+  files.write("settings.yaml", bytes);
+  try {
+    auto const read = seq::read_calibration(files.path("settings.yaml"), 16, 12);
+    fuzz::require(read.rig.left.fx > 0 && read.rig.right.fy > 0 && read.rig.baseline() > 0,
+                  "a rig that is read can be used");
+  } catch (seq::error const&) {}
+}
+
+void read_picture(folder const& files, std::string const& bytes) {
+  files.write("picture", bytes);
+  try {
+    int width = 0;
+    int height = 0;
+    seq::read_image_size(files.path("picture"), width, height);
+    if (width * height > 1 << 22) { return; }  // takes time, and nothing new is seen
+    auto const read = seq::read_image(files.path("picture"));
+    fuzz::require(read.width == width && read.height == height &&
+                      read.pixels.size() ==
+                          static_cast<std::size_t>(width) * static_cast<std::size_t>(height),
+                  "an image has the pixels that its header says");
+  } catch (seq::error const&) {}
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
+  if (size == 0) { return 0; }
+  static sequences const s;
+  std::string const bytes(reinterpret_cast<char const*>(data) + 1, size - 1);
+  switch (data[0] % 10) {
+    case 1:
+      s.open_with("euroc", "mav0/cam0/sensor.yaml", bytes);
+      break;
+    case 2:
+      s.open_with("euroc", "mav0/cam1/data.csv", bytes);
+      break;
+    case 3:
+      s.open_with("euroc", "mav0/state_groundtruth_estimate0/data.csv", bytes);
+      break;
+    case 4:
+      s.open_with("kitti", "calib.txt", bytes);
+      break;
+    case 5:
+      s.open_with("kitti", "times.txt", bytes);
+      break;
+    case 6:
+      s.open_with("kitti", "poses.txt", bytes);
+      break;
+    case 7:
+      s.open_with("kitti", "image_1/000001.png", bytes);
+      break;
+    case 8:
+      read_picture(s.files(), bytes);
+      break;
+    default:
+      read_settings(s.files(), bytes);
+  }
+  return 0;
+}

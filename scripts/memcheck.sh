@@ -26,7 +26,7 @@ compile() {
 }
 export -f compile
 export build
-tests=(robustness/lifetime robustness/limits parity/bad_input parity/tracker unit/memory unit/soa unit/group unit/extractor)
+tests=(pipelines/{lifetime,limits,bad_input,tracker,extractor} core/{memory,group} containers/soa)
 printf '%s\n' "${tests[@]}" | xargs -P "$(ft_jobs)" -I{} bash -c "compile {} ${flags[*]}"
 c++ "${flags[@]}" "$build"/*.o -lgtest -lgtest_main -ltbb -lpthread -o "$build/tests"
 

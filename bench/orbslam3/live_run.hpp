@@ -18,7 +18,7 @@
 
 #include "bench/orbslam3/world.hpp"
 #include "integration/orbslam3/accelerator.hpp"
-#include "tests/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/stand_in.hpp"
 
 namespace bench {
 

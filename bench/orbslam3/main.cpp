@@ -23,8 +23,8 @@
 #include "bench/orbslam3/world.hpp"
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/host_tracker.hpp"
-#include "tests/orbslam3/plain_search.hpp"
-#include "tests/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/plain_search.hpp"
+#include "tests/integration/orbslam3/stand_in.hpp"
 
 #if FT_BENCH_HAS_CUDA
 std::unique_ptr<ft::orbslam3::device_tracker> make_cuda(ft::orbslam3::settings const& s);

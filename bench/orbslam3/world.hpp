@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "integration/orbslam3/plain_types.hpp"
-#include "tests/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/stand_in.hpp"
 
 namespace bench {
 

@@ -7,7 +7,7 @@
 /// So what the algorithm does to equal elements is decided by the partitions and the heap sorts
 /// alone: this file makes those, and any stable sort of what they leave is the result. The details
 /// that a result depends on are those of std::sort in libstdc++, which serves as the oracle in
-/// tests/unit/introsort_test.cpp.
+/// tests/kernels/introsort_test.cpp.
 ///
 /// A partition exchanges the i-th element from the left that is not below the pivot with the i-th
 /// from the right that is not above it, for as long as the first lies before the second. Which

@@ -1,0 +1,544 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/reader.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <iterator>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "examples/sequence/asl_writer.hpp"
+#include "examples/sequence/generator.hpp"
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/rectify.hpp"
+#include "tests/support/sequence.hpp"
+
+namespace {
+
+namespace fs = std::filesystem;
+using seq_test::contains;
+using seq_test::message_of;
+using seq_test::replaced;
+using seq_test::temp_folder;
+
+constexpr int width = 64;
+constexpr int height = 48;
+
+/// Pixel values that tell images and places apart.
+seq::image picture(int seed, int w = width, int h = height) {
+  seq::image result;
+  result.width = w;
+  result.height = h;
+  for (int i = 0; i < w * h; ++i) {
+    result.pixels.push_back(static_cast<std::uint8_t>((i * 7 + seed * 31) % 251));
+  }
+  return result;
+}
+
+std::string sensor_text(double y, std::string const& distortion = "[0, 0, 0, 0]",
+                        std::string const& model = "radial-tangential") {
+  // The camera's x is the body's y, its y the body's -x.
+  return "%YAML:1.0\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n"
+         "  data: [0, -1, 0, 0.5, 1, 0, 0, " +
+         std::to_string(y) +
+         ", 0, 0, 1, 0.25, 0, 0, 0, 1]\nrate_hz: 20\nresolution: [64, 48]\n"
+         "camera_model: pinhole\nintrinsics: [40, 40, 31.5, 23.5]\ndistortion_model: " +
+         model + "\ndistortion_coefficients: " + distortion + "\n";
+}
+
+std::int64_t stamp(int i) { return 1'403'715'273'262'142'976 + i * std::int64_t{50'000'000}; }
+
+/// A rectified EuRoC sequence of `count` pairs; ground truth with 200 Hz from the second frame on.
+void write_euroc(temp_folder const& folder, int count, std::string const& name = "mav0/") {
+  std::string csv = "#timestamp [ns],filename\r\n";
+  for (int i = 0; i < count; ++i) {
+    csv += std::to_string(stamp(i)) + "," + std::to_string(stamp(i)) + ".png\r\n";
+  }
+  for (int camera = 0; camera < 2; ++camera) {
+    std::string const base = name + "cam" + std::to_string(camera) + "/";
+    folder.write(base + "data.csv", csv);
+    folder.write(base + "sensor.yaml", sensor_text(0.1 * camera));
+    fs::create_directories(folder.path(base + "data"));
+    for (int i = 0; i < count; ++i) {
+      seq::write_png(folder.path(base + "data/" + std::to_string(stamp(i)) + ".png"),
+                     picture(2 * i + camera));
+    }
+  }
+}
+
+void write_euroc_truth(temp_folder const& folder,
+                       std::string const& sensor = "state_groundtruth_estimate0") {
+  std::string text = "#timestamp, p_RS_R_x [m], ...\n";
+  for (int i = 10; i < 40; ++i) {  // a body that moves along x, turned by 90 degrees about z
+    text += std::to_string(stamp(0) + i * 5'000'000) + "," + std::to_string(0.01 * i) +
+            ",2,3,0.70710678,0,0,0.70710678,0,0,0,0,0,0,0,0,0\n";
+  }
+  folder.write("mav0/" + sensor + "/data.csv", text);
+}
+
+std::string const kitti_calib =
+    "P0: 4e1 0 31.5 0 0 40 23.5 0 0 0 1 0\nP1: 40 0 31.5 -4.0 0 40 23.5 0 0 0 1 0\n";
+
+void write_kitti(temp_folder const& folder, int count) {
+  std::string times;
+  for (int i = 0; i < count; ++i) {
+    char name[32];
+    std::snprintf(name, sizeof name, "%06d.png", i);
+    for (int camera = 0; camera < 2; ++camera) {
+      std::string const base = "image_" + std::to_string(camera) + "/";
+      fs::create_directories(folder.path(base));
+      seq::write_png(folder.path(base + name), picture(2 * i + camera));
+    }
+    char time[32];
+    std::snprintf(time, sizeof time, "%.6e\n", 0.1 * i);
+    times += time;
+  }
+  folder.write("times.txt", times);
+  folder.write("calib.txt", kitti_calib);
+}
+
+std::string open_error(std::string const& path, seq::open_options const& options = {}) {
+  return message_of([&] { seq::sequence::open(path, options); });
+}
+
+void truncate_file(std::string const& path) { fs::resize_file(path, fs::file_size(path) / 2); }
+
+TEST(reader_euroc, opens_a_rectified_pair_untouched) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  write_euroc_truth(folder);
+  for (std::string const& path : {folder.path(), folder.path() + "/", folder.path("mav0")}) {
+    seq::sequence const s = seq::sequence::open(path);
+    EXPECT_EQ(s.name(), fs::path(folder.path()).filename().string());
+    EXPECT_EQ(s.layout(), "euroc");
+    EXPECT_FALSE(s.fisheye());
+    ASSERT_EQ(s.size(), 3);
+    EXPECT_TRUE(s.rig().rectified());
+    EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
+    EXPECT_EQ(s.rig().left.fx, 40);
+    EXPECT_NEAR(s.rig().baseline(), 0.1, 1e-12);
+    EXPECT_EQ(s.rig().fps, 20);
+    for (int i = 0; i < 3; ++i) {
+      seq::stereo_frame const frame = s.load(i);
+      EXPECT_EQ(frame.time_ns, stamp(i));
+      EXPECT_EQ(s.time_ns(i), stamp(i));
+      EXPECT_EQ(frame.left.pixels, picture(2 * i).pixels);
+      EXPECT_EQ(frame.right.pixels, picture(2 * i + 1).pixels);
+    }
+    EXPECT_THROW(s.load(3), seq::error);
+    EXPECT_THROW(s.load(-1), seq::error);
+    EXPECT_FALSE(s.settings().features.has_value());
+  }
+}
+
+TEST(reader_euroc, ground_truth_of_the_body_becomes_the_cameras) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  write_euroc_truth(folder);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  ASSERT_EQ(s.ground_truth().size(), 30U);
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  Eigen::Isometry3d body = Eigen::Isometry3d::Identity();
+  body.linear() = Eigen::AngleAxisd(std::acos(0.0), Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  body.translation() = Eigen::Vector3d(0.1, 2, 3);
+  Eigen::Isometry3d camera = Eigen::Isometry3d::Identity();
+  camera.linear() << 0, -1, 0, 1, 0, 0, 0, 0, 1;
+  camera.translation() = Eigen::Vector3d(0.5, 0, 0.25);
+  seq::stamped_pose const first = s.ground_truth().front();
+  EXPECT_EQ(first.time_ns, stamp(1));  // after the first image
+  EXPECT_LT((first.T_world_camera.matrix() - (body * camera).matrix()).norm(), 1e-7);
+}
+
+TEST(reader_euroc, keeps_pairs_with_both_files_and_equal_times_only) {
+  temp_folder const folder;
+  write_euroc(folder, 4);
+  std::ofstream(folder.path("mav0/cam1/data.csv"), std::ios::app)
+      << stamp(9) << "," << stamp(9) << ".png\n\n";
+  std::ofstream(folder.path("mav0/cam0/data.csv"), std::ios::app)
+      << stamp(9) << "," << stamp(9) << ".png\n";
+  fs::remove(folder.path("mav0/cam1/data/" + std::to_string(stamp(1)) + ".png"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  ASSERT_EQ(s.size(), 3);
+  EXPECT_EQ(s.time_ns(1), stamp(2));
+  EXPECT_EQ(s.load(1).right.pixels, picture(5).pixels);
+  seq::open_options options;
+  options.max_frames = 2;
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).size(), 2);
+  options.max_frames = -1;
+  EXPECT_TRUE(contains(open_error(folder.path(), options), "max_frames"));
+}
+
+TEST(reader_euroc, takes_jpeg_files) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  for (int camera = 0; camera < 2; ++camera) {
+    std::string const base =
+        "mav0/cam" + std::to_string(camera) + "/data/" + std::to_string(stamp(0));
+    fs::remove(folder.path(base + ".png"));
+    std::vector<std::uint8_t> const bytes = seq::encode_jpeg(picture(camera), 95);
+    folder.write(base + ".jpg", std::string(bytes.begin(), bytes.end()));
+  }
+  EXPECT_EQ(seq::sequence::open(folder.path()).load(0).left.width, width);
+}
+
+TEST(reader_euroc, rectifies_distorted_pairs_and_their_ground_truth) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  write_euroc_truth(folder);
+  folder.write("mav0/cam0/sensor.yaml", sensor_text(0, "[-0.2, 0.02, 0.001, 0.0005]"));
+  std::string const tilted =
+      replaced(sensor_text(0.1, "[-0.2, 0.02, 0, 0]"), "0, 0, 1, 0.25", "0, 0, 1, 0.26");
+  folder.write("mav0/cam1/sensor.yaml", tilted);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(s.rig().rectified());
+  EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
+  EXPECT_NEAR(s.rig().baseline(), std::hypot(0.1, 0.01), 1e-9);
+  EXPECT_EQ(s.load(0).left.width, width);
+  EXPECT_NE(s.load(0).left.pixels, picture(0).pixels);
+  // The rig is turned by atan(0.01 / 0.1) about the camera's y; its centre stays.
+  Eigen::Isometry3d body = Eigen::Isometry3d::Identity();
+  body.linear() = Eigen::AngleAxisd(std::acos(0.0), Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  body.translation() = Eigen::Vector3d(0.1, 2, 3);
+  Eigen::Isometry3d const pose = s.ground_truth().front().T_world_camera;
+  EXPECT_LT((pose.matrix() - (body * s.rig().T_body_left).matrix()).norm(), 1e-7);
+  EXPECT_LT((s.rig().T_body_left.translation() - Eigen::Vector3d(0.5, 0, 0.25)).norm(), 1e-9);
+  Eigen::Vector3d const x_axis = s.rig().T_body_left.linear().col(0);
+  EXPECT_LT((x_axis - Eigen::Vector3d(0, 0.1, 0.01).normalized()).norm(), 1e-9);
+}
+
+TEST(reader_euroc, fisheye_pairs_stay_or_become_pinholes) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  for (int camera = 0; camera < 2; ++camera) {
+    folder.write("mav0/cam" + std::to_string(camera) + "/sensor.yaml",
+                 sensor_text(0.1 * camera, "[0.01, 0.001, 0, 0]", "equidistant"));
+  }
+  seq::sequence const kept = seq::sequence::open(folder.path());
+  EXPECT_TRUE(kept.fisheye());
+  EXPECT_EQ(kept.rig().left.model, seq::lens::kannala_brandt);
+  EXPECT_EQ(kept.load(0).left.pixels, picture(0).pixels);
+  seq::open_options options;
+  options.keep_fisheye = false;
+  seq::sequence const rectified = seq::sequence::open(folder.path(), options);
+  EXPECT_FALSE(rectified.fisheye());
+  EXPECT_TRUE(rectified.rig().rectified());
+}
+
+TEST(reader_euroc, takes_camera_ground_truth_files) {
+  temp_folder const folder;
+  write_euroc(folder, 2);
+  folder.write("poses.txt", "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 2 0 0 -1 2 0 1 0 3\n");
+  seq::sequence const poses = seq::sequence::open(folder.path());
+  ASSERT_EQ(poses.ground_truth().size(), 2U);
+  EXPECT_EQ(poses.ground_truth()[1].time_ns, stamp(1));
+  EXPECT_TRUE(poses.ground_truth_has_orientation());
+  folder.write("groundtruth.txt", "1 5 6 7 0 0 0 1\n2 5 6 8 0 0 0 1\n3 5 6 8 0 0 0 1\n");
+  seq::sequence const tum = seq::sequence::open(folder.path("mav0"));
+  ASSERT_EQ(tum.ground_truth().size(), 3U);
+  EXPECT_FALSE(tum.ground_truth_has_orientation());
+  EXPECT_EQ(tum.ground_truth()[0].T_world_camera.translation(), Eigen::Vector3d(5, 6, 7));
+  write_euroc_truth(folder);
+  EXPECT_EQ(seq::sequence::open(folder.path()).ground_truth().size(), 30U);
+  folder.write("mav0/state_groundtruth_estimate0/data.csv", "#\n1,2,3\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "data.csv:2: 3 fields"));
+}
+
+TEST(reader_euroc, motion_capture_of_the_body_is_ground_truth_as_well) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  write_euroc_truth(folder);
+  seq::trajectory const euroc = seq::sequence::open(folder.path()).ground_truth();
+  fs::remove_all(folder.path("mav0/state_groundtruth_estimate0"));
+  write_euroc_truth(folder, "mocap0");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  ASSERT_EQ(s.ground_truth().size(), 30U);
+  ASSERT_EQ(euroc.size(), 30U);
+  for (std::size_t i = 0; i < euroc.size(); ++i) {
+    EXPECT_EQ(s.ground_truth()[i].T_world_camera.matrix(), euroc[i].T_world_camera.matrix());
+  }
+}
+
+TEST(reader_euroc, another_calibration_replaces_the_folders) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  write_euroc_truth(folder);
+  seq::open_options options;
+  options.calibration = folder.write(
+      "orb.yaml",
+      "%YAML:1.0\nCamera.type: Rectified\nCamera1.fx: 50\nCamera1.fy: 50\nCamera1.cx: 31\n"
+      "Camera1.cy: 23\nStereo.b: 0.2\nCamera.width: 64\nCamera.height: 48\nCamera.fps: 20\n"
+      "ORBextractor.nFeatures: 700\n");
+  seq::sequence const s = seq::sequence::open(folder.path(), options);
+  EXPECT_EQ(s.rig().left.fx, 50);
+  EXPECT_EQ(s.rig().baseline(), 0.2);
+  EXPECT_EQ(s.settings().features, 700);
+  // The body frame comes from the folder: the file does not give it.
+  EXPECT_EQ(s.rig().T_body_left.translation(), Eigen::Vector3d(0.5, 0, 0.25));
+  options.calibration = folder.path("none.yaml");
+  EXPECT_TRUE(contains(open_error(folder.path(), options), "none.yaml: no such file"));
+  temp_folder const kitti;
+  options.calibration = kitti.write("calib.txt", kitti_calib);
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).rig().left.fx, 40);
+}
+
+TEST(reader_kitti, opens_and_loads) {
+  temp_folder const folder;
+  write_kitti(folder, 4);
+  folder.write("groundtruth.txt", "0.1 5 6 7 0 0 0 1\n0.0 5 6 8 0 0 0 1\n");
+  seq::sequence s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.layout(), "kitti");
+  ASSERT_EQ(s.size(), 4);
+  EXPECT_EQ(s.time_ns(3), 300'000'000);
+  EXPECT_TRUE(s.rig().rectified());
+  EXPECT_EQ(s.rig().left.width, width);
+  EXPECT_NEAR(s.rig().baseline(), 0.1, 1e-12);
+  EXPECT_EQ(s.load(2).right.pixels, picture(5).pixels);
+  ASSERT_EQ(s.ground_truth().size(), 2U);
+  EXPECT_EQ(s.ground_truth()[0].time_ns, 0);
+  EXPECT_FALSE(s.ground_truth_has_orientation());
+  seq::sequence moved = std::move(s);
+  EXPECT_EQ(moved.size(), 4);
+}
+
+TEST(reader_kitti, poses_belong_to_frame_numbers) {
+  temp_folder const folder;
+  write_kitti(folder, 3);
+  folder.write("poses.txt",
+               "1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 1 0 1 0 0 -1 0 0 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+  fs::remove(folder.path("image_0/000001.png"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.size(), 2);
+  EXPECT_EQ(s.time_ns(1), 200'000'000);
+  ASSERT_EQ(s.ground_truth().size(), 3U);
+  EXPECT_EQ(s.ground_truth()[2].time_ns, 200'000'000);
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  folder.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "1 poses, must have one for each of 3"));
+  folder.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "poses.txt:1: 11 numbers"));
+  folder.write("poses.txt", "2 0 0 0 0 1 0 0 0 0 1 0\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "poses.txt:1: not a rotation"));
+}
+
+TEST(reader, one_frame_is_enough) {
+  temp_folder const kitti;
+  write_kitti(kitti, 1);
+  EXPECT_EQ(seq::sequence::open(kitti.path()).size(), 1);
+  EXPECT_EQ(seq::sequence::open(kitti.path()).load(0).left.height, height);
+  temp_folder const euroc;
+  write_euroc(euroc, 1);
+  EXPECT_EQ(seq::sequence::open(euroc.path()).size(), 1);
+  EXPECT_TRUE(seq::sequence::open(euroc.path()).ground_truth().empty());
+  EXPECT_FALSE(seq::sequence::open(euroc.path()).ground_truth_has_orientation());
+}
+
+TEST(reader, rejects_folders_that_hold_no_sequence) {
+  temp_folder const folder;
+  EXPECT_TRUE(contains(open_error(folder.path("none")), "none: no such folder"));
+  EXPECT_TRUE(contains(open_error(folder.write("file", "x")), "no such folder"));
+  EXPECT_TRUE(contains(open_error(""), "no such folder"));
+  EXPECT_TRUE(contains(open_error(folder.path()), "no sequence found"));
+  fs::create_directories(folder.path("mav0"));
+  EXPECT_TRUE(contains(open_error(folder.path()), "cam0: no such folder"));
+}
+
+TEST(reader, rejects_missing_cameras_and_images) {
+  temp_folder const euroc;
+  write_euroc(euroc, 2);
+  fs::remove_all(euroc.path("mav0/cam1/data"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "2 with equal time stamps, 0 with both files"));
+  euroc.write("mav0/cam1/data.csv", "#timestamp\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "lists no images"));
+  euroc.write("mav0/cam1/data.csv", std::to_string(stamp(0) + 1) + ",a.png\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "no stereo pair"));
+  euroc.write("mav0/cam1/data.csv", "12.5,a.png\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv:1: '12.5'"));
+  euroc.write("mav0/cam1/data.csv", "99999999999999999999,a.png\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "not a time stamp"));
+  euroc.write("mav0/cam1/data.csv", "12,a.png\n12,b.png\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv:2: time stamp 12 occurs twice"));
+  euroc.write("mav0/cam1/data.csv", "12\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "1 fields"));
+  fs::remove(euroc.path("mav0/cam1/data.csv"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv: no such file"));
+  fs::remove_all(euroc.path("mav0/cam1"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "not a stereo sequence"));
+
+  temp_folder const kitti;
+  write_kitti(kitti, 3);
+  kitti.write("times.txt", "0\n0.1\n");
+  EXPECT_TRUE(contains(open_error(kitti.path()), "2 times, none for"));
+  kitti.write("times.txt", "0\n0.1\n0.1\n");
+  EXPECT_TRUE(contains(open_error(kitti.path()), "times.txt:3: time stamps must increase"));
+  kitti.write("times.txt", "0\n0.1\nnan\n");
+  EXPECT_TRUE(contains(open_error(kitti.path()), "times.txt:3"));
+  fs::remove(kitti.path("times.txt"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "times.txt: no such file"));
+  write_kitti(kitti, 3);
+  for (char const* name : {"000000.png", "000001.png", "000002.png"}) {
+    fs::remove(kitti.path(std::string("image_1/") + name));
+  }
+  EXPECT_TRUE(contains(open_error(kitti.path()), "image_1: no images"));
+  seq::write_png(kitti.path("image_1/000077.png"), picture(0));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "no stereo pair"));
+  fs::remove_all(kitti.path("image_1"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "not a stereo sequence"));
+}
+
+TEST(reader, rejects_absurd_calibrations) {
+  temp_folder const euroc;
+  write_euroc(euroc, 1);
+  struct bad_case {
+    std::string from, to, expected;
+  };
+  for (bad_case const& c : std::vector<bad_case>{
+           {"[40, 40,", "[0, 40,", "must be above 0"},
+           {"[40, 40,", "[nan, 40,", "must be finite"},
+           {"0.100000", "0", "baseline = 0 m"},
+           {"0.100000", "-0.1", "swapped"},
+           {"[64, 48]", "[64, 47]", "must be equal"},
+       }) {
+    euroc.write("mav0/cam1/sensor.yaml", replaced(sensor_text(0.1), c.from, c.to));
+    std::string const message = open_error(euroc.path());
+    EXPECT_TRUE(contains(message, c.expected)) << message;
+    EXPECT_TRUE(contains(message, euroc.path())) << message;
+  }
+  for (int camera = 0; camera < 2; ++camera) {
+    euroc.write("mav0/cam" + std::to_string(camera) + "/sensor.yaml",
+                replaced(sensor_text(0.1 * camera), "[64, 48]", "[640, 480]"));
+  }
+  EXPECT_TRUE(contains(open_error(euroc.path()),
+                       ".png: image is 64 x 48 pixels, the calibration has 640 x 480"));
+  fs::remove(euroc.path("mav0/cam0/sensor.yaml"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "cam0/sensor.yaml: no such file"));
+
+  temp_folder const kitti;
+  write_kitti(kitti, 1);
+  kitti.write("calib.txt", replaced(kitti_calib, "-4.0", "0"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "baseline = 0 m"));
+  kitti.write("calib.txt", replaced(kitti_calib, "-4.0", "4.0"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "swapped"));
+  kitti.write("calib.txt", replaced(kitti_calib, "4e1", "-40"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "must be above 0"));
+  fs::remove(kitti.path("calib.txt"));
+  EXPECT_TRUE(contains(open_error(kitti.path()), "calib.txt: no such file"));
+}
+
+TEST(reader, names_broken_and_changing_images) {
+  temp_folder const folder;
+  write_kitti(folder, 3);
+  seq::write_png(folder.path("image_1/000001.png"), picture(0, 60, 48));
+  truncate_file(folder.path("image_0/000002.png"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_NO_THROW(s.load(0));
+  EXPECT_TRUE(contains(message_of([&] { s.load(1); }),
+                       "image_1/000001.png: image is 60 x 48 pixels, the calibration has 64 x 48"));
+  EXPECT_TRUE(contains(message_of([&] { s.load(2); }), "image_0/000002.png"));
+  fs::remove(folder.path("image_0/000000.png"));
+  EXPECT_TRUE(contains(message_of([&] { s.load(0); }), "image_0/000000.png"));
+  folder.write("image_0/000000.png", "");
+  EXPECT_TRUE(contains(open_error(folder.path()), "image_0/000000.png"));
+  seq::write_png(folder.path("image_0/000000.png"), picture(0));
+  seq::write_png(folder.path("image_1/000000.png"), picture(0, 64, 40));
+  EXPECT_TRUE(contains(open_error(folder.path()), "image is 64 x 40"));
+}
+
+TEST(reader_generated, a_written_sequence_is_read_back) {
+  for (seq::rig_kind const kind : {seq::rig_kind::pinhole, seq::rig_kind::fisheye}) {
+    seq::generator_options options;
+    options.rig = kind;
+    options.width = 96;
+    options.frames = 3;
+    options.threads = 1;
+    seq::generator const source(options);
+    temp_folder const folder;
+    seq::write_asl(source, folder.path("generated"));
+    seq::sequence const s = seq::sequence::open(folder.path("generated"));
+    ASSERT_EQ(s.size(), 3);
+    EXPECT_EQ(s.fisheye(), kind == seq::rig_kind::fisheye);
+    EXPECT_NEAR(s.rig().baseline(), source.rig().baseline(), 1e-9);
+    EXPECT_NEAR(s.rig().left.fx, source.rig().left.fx, 1e-6);
+    EXPECT_EQ(s.rig().left.model, source.rig().left.model);
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_EQ(s.time_ns(i), source.time_ns(i));
+      seq::stereo_frame const written = source.render(i);
+      seq::stereo_frame const read = s.load(i);
+      EXPECT_EQ(read.left.pixels, written.left.pixels);
+      EXPECT_EQ(read.right.pixels, written.right.pixels);
+      bool found = false;
+      for (seq::stamped_pose const& pose : s.ground_truth()) {
+        if (pose.time_ns == s.time_ns(i)) {
+          found = true;
+          EXPECT_LT((pose.T_world_camera.matrix() - source.T_world_camera(i).matrix()).norm(),
+                    1e-5);
+        }
+      }
+      EXPECT_TRUE(found);
+    }
+  }
+}
+
+TEST(reader_real, kitti_drive) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  seq::sequence const s = seq::sequence::open(shared + "/data/kitti_0926_stereo/");
+  EXPECT_EQ(s.name(), "kitti_0926_stereo");
+  EXPECT_EQ(s.layout(), "kitti");
+  EXPECT_EQ(s.size(), 60);
+  EXPECT_TRUE(s.rig().rectified());
+  EXPECT_NEAR(s.rig().baseline(), 0.53717, 1e-4);
+  EXPECT_EQ(s.ground_truth().size(), 60U);
+  EXPECT_FALSE(s.ground_truth_has_orientation());
+  EXPECT_EQ(s.time_ns(59), 5'900'000'000);
+  seq::stereo_frame const frame = s.load(59);
+  EXPECT_EQ(frame.left.width, 1392);
+  EXPECT_EQ(frame.right.height, 512);
+}
+
+TEST(reader_real, euroc_pairs) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  seq::sequence const s = seq::sequence::open(shared + "/data/euroc_v101_stereo_start");
+  EXPECT_EQ(s.size(), 16);
+  EXPECT_TRUE(s.rig().rectified());
+  EXPECT_EQ(s.rig().fps, 20);
+  EXPECT_EQ(s.ground_truth().size(), 593U);
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  EXPECT_EQ(s.load(15).left.width, 752);
+  // The camera is 7 cm from the body's origin.
+  Eigen::Vector3d const position = s.ground_truth().front().T_world_camera.translation();
+  EXPECT_LT((position - Eigen::Vector3d(0.878612, 2.142470, 0.947262)).norm(), 0.08);
+
+  seq::sequence const sparse = seq::sequence::open(shared + "/data/euroc_v101_stereo_sparse");
+  EXPECT_EQ(sparse.size(), 25);
+  EXPECT_FALSE(sparse.ground_truth().empty());
+  EXPECT_EQ(sparse.load(24).right.height, 480);
+  EXPECT_TRUE(
+      contains(open_error(shared + "/data/euroc_v101_mono_flight"), "not a stereo sequence"));
+}
+
+TEST(reader_real, fisheye_pairs_with_a_settings_file) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  seq::open_options options;
+  options.calibration = shared + "/golden/t265_kb8/settings.yaml";
+  std::string const folder = shared + "/data/t265_kapture_stereo";
+  seq::sequence const s = seq::sequence::open(folder, options);
+  EXPECT_TRUE(s.fisheye());
+  EXPECT_EQ(s.size(), 3);
+  EXPECT_EQ(s.settings().features, 1000);
+  EXPECT_EQ(s.load(2).left.width, 848);
+  EXPECT_TRUE(contains(open_error(folder), "cam0/sensor.yaml: no such file"));
+  options.keep_fisheye = false;
+  EXPECT_TRUE(seq::sequence::open(folder, options).rig().rectified());
+  options.calibration = shared + "/golden/kb8_overlap/settings.yaml";
+  EXPECT_TRUE(contains(open_error(folder, options), "the calibration has 512 x 512"));
+}
+
+}  // namespace

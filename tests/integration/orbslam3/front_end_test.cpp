@@ -1,0 +1,372 @@
+// SPDX-License-Identifier: Apache-2.0
+// The calls that ORB-SLAM3's files make: by the accelerator, by the CPU's own code, by either after
+// a failure; settings from what Tracking has; the tracker that there is.
+#include "integration/orbslam3/front_end.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cstdlib>
+#include <iostream>
+#include <memory>
+#include <sstream>
+#include <stdexcept>
+#include <streambuf>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tests/integration/orbslam3/backends.hpp"
+#include "tests/integration/orbslam3/constructors.hpp"
+#include "tests/integration/orbslam3/plain_search.hpp"
+#include "tests/integration/orbslam3/scene.hpp"
+#include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/watched_device.hpp"
+#include "tests/support/backends.hpp"
+
+namespace orbslam3_test {
+
+using ft::orbslam3::stage;
+using ft::orbslam3::stage_mode;
+
+/// As a user's header has it.
+struct shim : ft::orbslam3::front_end<stand_in::types> {
+  using ft::orbslam3::front_end<stand_in::types>::front_end;
+};
+
+/// What is said on stderr meanwhile.
+class heard {
+public:
+  heard() : before_(std::cerr.rdbuf(text_.rdbuf())) {}
+  ~heard() { std::cerr.rdbuf(before_); }
+  int lines() const {
+    std::string const all = text_.str();
+    return static_cast<int>(std::count(all.begin(), all.end(), '\n'));
+  }
+  bool has(std::string const& part) const { return text_.str().find(part) != std::string::npos; }
+  std::string text() const { return text_.str(); }
+
+private:
+  std::ostringstream text_;
+  std::streambuf* before_;
+};
+
+stand_in::matrix shifted_image(int shift) {
+  auto const pixels = test::random_image(640, 480, 5);
+  stand_in::matrix m;
+  m.create(480, 640, 0);
+  for (int i = 0; i < 640 * 480; ++i) {
+    m.data[i] = pixels[static_cast<std::size_t>(i / 640 * 640 + (i + shift) % 640)];
+  }
+  return m;
+}
+
+ft::orbslam3::settings roomy_settings(sensor kind) {
+  auto s = settings_for(kind);
+  s.most_keypoints = 2000;
+  return s;
+}
+
+class front_ends : public on_executor {
+protected:
+  /// A frame of the shim in a constructor whose CPU is another accelerator. @param by_cpu counts
+  /// the stages that the CPU's code did
+  static stand_in::frame construct_with(shim* gpu, sensor kind, int& by_cpu) {
+    auto const s = settings_for(kind);
+    ft::orbslam3::accelerator<stand_in::types> cpu(make(s), s);
+    std::vector<stand_in::matrix> left;
+    std::vector<stand_in::matrix> right;
+    stand_in::steps by;
+    by.features = [&](stand_in::frame& f) {
+      ft::orbslam3::extract(
+          gpu, f,
+          [&] {
+            ++by_cpu;
+            cpu.extract(shifted_image(0), shifted_image(9), f);
+            cpu.download_pyramid(0, left);
+            cpu.download_pyramid(1, right);
+          },
+          shifted_image(0), shifted_image(9));
+    };
+    by.stereo = [&](stand_in::frame& f) {
+      if (kind == sensor::fisheye_stereo) {
+        ft::orbslam3::stereo_fisheye(gpu, f, [&] {
+          ++by_cpu;
+          cpu.compute_stereo_fisheye_matches(f);
+        });
+        return;
+      }
+      ft::orbslam3::stereo(
+          gpu, f,
+          [&] {
+            ++by_cpu;
+            cpu.compute_stereo_matches(f, left, right);
+          },
+          left, right);
+    };
+    return stand_in::construct(kind, 4, by);
+  }
+};
+
+TEST_P(front_ends, give_the_same_frame_in_every_mix_with_the_cpu) {
+  for (sensor const kind : {sensor::stereo, sensor::fisheye_stereo}) {
+    stand_in::frame want;
+    for (int mix = 0; mix < 5; ++mix) {
+      SCOPED_TRACE(std::string(name_of(kind)) + " mix " + std::to_string(mix));
+      ft::orbslam3::options o;
+      if ((mix & 1) != 0) { o[stage::extract] = stage_mode::host; }
+      if ((mix & 2) != 0) { o[stage::stereo] = stage_mode::host; }
+      o.verify = mix == 4;
+      auto const s = settings_for(kind);
+      heard quiet;
+      shim gpu(make(s), s, o);
+      int by_cpu = 0;
+      stand_in::frame const got = construct_with(&gpu, kind, by_cpu);
+      int const expected[] = {0, 1, 1, 2, 2};
+      EXPECT_EQ(by_cpu, expected[mix]);
+      int by_cpu_alone = 0;
+      EXPECT_EQ(construct_with(nullptr, kind, by_cpu_alone).mvDepth, got.mvDepth);
+      EXPECT_EQ(by_cpu_alone, 2);
+      if (mix == 0) { want = got; }
+      ASSERT_GT(got.N, 500);
+      EXPECT_EQ(got.N, want.N);
+      EXPECT_EQ(got.mvuRight, want.mvuRight);
+      EXPECT_EQ(got.mvDepth, want.mvDepth);
+      EXPECT_EQ(got.mvLeftToRightMatch, want.mvLeftToRightMatch);
+      if (o.verify) {
+        std::ostringstream text;
+        gpu.print(text);
+        EXPECT_NE(text.str().find("1 frames, 0 with differences"), std::string::npos) << text.str();
+        EXPECT_TRUE(quiet.has("verify: frame 4: 0 differences")) << quiet.text();
+      }
+    }
+  }
+}
+
+TEST_P(front_ends, go_on_with_the_cpu_where_a_call_fails_and_say_so_once) {
+  scene s(sensor::stereo, 4);
+  s.settings.most_keypoints = 2000;
+  plain_search const plain(s.settings);
+  for (bool const verify : {false, true}) {
+    heard said;
+    ft::orbslam3::options o;
+    o.detection = ft::orbslam3::change_detection::hooks;
+    o.verify = verify;
+    auto device = std::make_unique<watched_device>(make(s.settings));
+    device->on_call = [](std::string const& call) {
+      if (call == "search_last_frame") { throw ft::cuda_error("ft: the device is lost"); }
+    };
+    shim gpu(std::move(device), s.settings, o);
+    ASSERT_TRUE(gpu.uses(stage::search_last_frame));
+    stand_in::frame want = s.current;
+    int const n = plain.search_last(want, s.last, 15, false);
+    for (int round = 0; round < 3; ++round) {
+      stand_in::frame got = s.current;
+      got.mnId += static_cast<unsigned long>(round);
+      EXPECT_EQ(gpu.search_by_projection(got, s.last, 15, false,
+                                         [&] {
+                                           got.mvpMapPoints = s.current.mvpMapPoints;
+                                           return plain.search_last(got, s.last, 15, false);
+                                         }),
+                n);
+      EXPECT_EQ(got.mvpMapPoints, want.mvpMapPoints);
+      EXPECT_EQ(gpu.pose_optimization(got, stage::pose_last_frame, [] { return 77; }), 77);
+      EXPECT_FALSE(gpu.uses(stage::extract));
+    }
+    EXPECT_TRUE(said.has("the device is lost"));
+    EXPECT_EQ(said.lines(), 1) << said.text();
+    EXPECT_EQ(gpu.changes(), nullptr);
+    gpu.forget(nullptr);
+    gpu.reset();
+  }
+}
+
+TEST_P(front_ends, that_lose_the_device_between_features_and_stereo_have_a_frame_without_stereo) {
+  auto s = settings_for(sensor::stereo);
+  s.stereo_with_extraction = false;
+  heard said;
+  auto device = std::make_unique<watched_device>(make(s));
+  device->on_call = [](std::string const& call) {
+    if (call == "match_stereo") { throw ft::cuda_error("ft: the device is lost"); }
+  };
+  shim gpu(std::move(device), s, {});
+  int by_cpu = 0;
+  stand_in::frame const got = construct_with(&gpu, sensor::stereo, by_cpu);
+  EXPECT_EQ(by_cpu, 0);
+  EXPECT_EQ(got.mvDepth, std::vector<float>(got.mvKeys.size(), -1.0f));
+  stand_in::frame const next = construct_with(&gpu, sensor::stereo, by_cpu);
+  EXPECT_EQ(by_cpu, 2);
+  EXPECT_NE(next.mvDepth, got.mvDepth);
+}
+
+TEST_P(front_ends, verify_searches_and_poses_and_keep_the_accelerators_answers) {
+  for (sensor const kind : {sensor::stereo, sensor::fisheye_stereo}) {
+    std::vector<unsigned long> answers[2];
+    for (bool const verify : {false, true}) {
+      scene s(kind, 3);
+      s.settings.most_keypoints = 2000;
+      plain_search const plain(s.settings);
+      ft::orbslam3::options o;
+      o.verify = verify;
+      heard said;
+      shim gpu(make(s.settings), s.settings, o);
+      auto& f = s.current;
+      gpu.search_by_projection(f, s.last, 15, false,
+                               [&] { return plain.search_last(f, s.last, 15, false); });
+      auto const local = s.local_map();
+      gpu.search_local_points(f, local, 2, false, 50,
+                              [&] { return plain.search_local(f, local, 2); });
+      for (auto const* p : f.mvpMapPoints) {
+        answers[verify ? 1 : 0].push_back(p == nullptr ? 0 : p->mnId);
+      }
+      for (auto* p : local) {
+        ASSERT_EQ(p->visible(), 1 + static_cast<int>(p->mbTrackInView || p->mbTrackInViewR));
+      }
+      std::ostringstream text;
+      gpu.print(text);
+      EXPECT_EQ(verify, text.str().find("search_local_map: 1 calls, 0 with") != std::string::npos)
+          << text.str();
+    }
+    EXPECT_EQ(answers[0], answers[1]);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(executors, front_ends, ::testing::ValuesIn(executors()), executor_name);
+
+TEST(front_end_at_start, leaves_all_to_the_cpu_where_settings_cannot_be) {
+  heard said;
+  shim gpu([]() -> ft::orbslam3::settings { throw ft::bad_argument("ft: no such camera"); },
+           ft::orbslam3::change_detection::hooks);
+  EXPECT_TRUE(said.has("no such camera"));
+  EXPECT_EQ(said.lines(), 1);
+  EXPECT_EQ(gpu.changes(), nullptr);
+  for (int i = 0; i < ft::orbslam3::stage_count; ++i) {
+    EXPECT_FALSE(gpu.uses(static_cast<stage>(i)));
+  }
+  stand_in::frame f;
+  int calls = 0;
+  gpu.extract(
+      f, [&] { ++calls; }, shifted_image(0));
+  std::vector<stand_in::matrix> none;
+  gpu.stereo(
+      f, [&] { ++calls; }, none, none);
+  EXPECT_EQ(gpu.search_local_points(f, {}, 1, false, 0, [] { return 5; }), 5);
+  EXPECT_EQ(calls, 2);
+  std::ostringstream text;
+  gpu.print(text);
+  EXPECT_EQ(text.str(), "");
+}
+
+TEST(front_end_at_start, takes_hooks_unless_the_environment_compares) {
+  for (bool const compare : {false, true}) {
+    if (compare) { setenv("FT_ORBSLAM3_COMPARE", "1", 1); }
+    ft::orbslam3::options o;
+    o.detection = ft::orbslam3::change_detection::hooks;
+    o = ft::orbslam3::from_environment(o);
+    unsetenv("FT_ORBSLAM3_COMPARE");
+    EXPECT_EQ(o.detection == ft::orbslam3::change_detection::compare, compare);
+  }
+}
+
+TEST(make_tracker, takes_the_host_where_it_is_told_to_and_says_so) {
+  setenv("FT_ORBSLAM3_DEVICE", "host", 1);
+  heard said;
+  auto const tracker = ft::orbslam3::make_tracker(settings_for(sensor::stereo));
+  unsetenv("FT_ORBSLAM3_DEVICE");
+  EXPECT_GE(tracker->capacity(), 1000);
+  EXPECT_TRUE(said.has("ft: tracking on host threads (FT_ORBSLAM3_DEVICE=host)")) << said.text();
+}
+
+TEST(make_tracker, takes_what_there_is) {
+  heard said;
+  auto const tracker = ft::orbslam3::make_tracker(settings_for(sensor::fisheye_stereo));
+  EXPECT_EQ(tracker->cameras(), 2);
+  EXPECT_TRUE(said.has("ft: tracking on ")) << said.text();
+  auto wrong = settings_for(sensor::stereo);
+  wrong.levels = 30;
+  // A unit that nvcc compiled throws an ft::bad_argument of its own.
+  EXPECT_THROW(ft::orbslam3::make_tracker(wrong), std::runtime_error);
+}
+
+class settings_of_tracking : public ::testing::Test {
+protected:
+  ft::orbslam3::extractor_parameters const features{1200, 1.25f, 7, 18, 6};
+  stand_in::matrix image = shifted_image(0);
+  stand_in::se3 T_lr{Eigen::AngleAxisf(0.1f, Eigen::Vector3f::UnitY()).toRotationMatrix(),
+                     {0.1f, 0.02f, 0}};
+
+  template <typename Camera>
+  ft::orbslam3::settings of(int sensor, Camera* left, Camera* right = nullptr) {
+    return ft::orbslam3::settings_of<stand_in::types>(features, sensor, image, 45.8f,
+                                                      static_cast<stand_in::camera*>(left),
+                                                      static_cast<stand_in::camera*>(right), T_lr);
+  }
+};
+
+TEST_F(settings_of_tracking, have_the_extractor_the_image_and_one_pinhole_camera) {
+  stand_in::camera pinhole{0, {458, 457, 317, 243}};
+  for (int const sensor : {1, 4}) {
+    auto const s = of(sensor, &pinhole);
+    EXPECT_EQ(s.width, 640);
+    EXPECT_EQ(s.height, 480);
+    EXPECT_EQ(s.features, 1200);
+    EXPECT_EQ(s.scale_factor, 1.25f);
+    EXPECT_EQ(s.levels, 7);
+    EXPECT_EQ(s.ini_threshold, 18);
+    EXPECT_EQ(s.min_threshold, 6);
+    EXPECT_EQ(s.images, 2);
+    EXPECT_EQ(s.left.kind, ft::orbslam3::lens::pinhole);
+    EXPECT_EQ(s.left.values[3], 243);
+    EXPECT_EQ(s.bf, 45.8f);
+    EXPECT_EQ(s.baseline, 45.8f / 458);
+  }
+  for (int const sensor : {2, 5}) {
+    auto const s = of(sensor, &pinhole);
+    EXPECT_EQ(s.images, 1);
+    EXPECT_EQ(s.bf, 45.8f);
+    EXPECT_EQ(s.most_keypoints, 0);
+  }
+}
+
+TEST_F(settings_of_tracking, of_one_camera_have_no_baseline_and_room_for_initial_frames) {
+  stand_in::camera pinhole{0, {458, 457, 317, 243}};
+  stand_in::camera fisheye{1, {280, 281, 322, 239, 0.003f, 0.0007f, -0.002f, 0.0002f}};
+  for (auto* camera : {&pinhole, &fisheye}) {
+    for (int const sensor : {0, 3}) {
+      auto const s = of(sensor, camera);
+      EXPECT_EQ(s.images, 1);
+      EXPECT_EQ(s.bf, 0);
+      EXPECT_EQ(s.baseline, 0);
+      EXPECT_EQ(s.most_keypoints, 7200);
+    }
+  }
+  EXPECT_THROW(of(6, &pinhole), ft::bad_argument);
+}
+
+TEST_F(settings_of_tracking, of_a_fisheye_pair_have_its_motion_and_lapping_areas) {
+  stand_in::fisheye_camera left;
+  stand_in::fisheye_camera right;
+  left.type = right.type = 1;
+  left.parameters = {280, 281, 322, 239, 0.003f, 0.0007f, -0.002f, 0.0002f};
+  right.parameters = {279, 280, 318, 241, 0.004f, 0.0006f, -0.0019f, 0.0001f};
+  left.mvLappingArea = {100, 600};
+  right.mvLappingArea = {10, 500};
+  auto const s = of(1, &left, &right);
+  EXPECT_EQ(s.images, 2);
+  EXPECT_EQ(s.right.values[7], 0.0001f);
+  EXPECT_EQ(s.overlap[0][0], 100);
+  EXPECT_EQ(s.overlap[0][1], 600);
+  EXPECT_EQ(s.overlap[1][0], 10);
+  EXPECT_EQ(s.overlap[1][1], 500);
+  // What the right camera has at its centre, the left one has at T_lr's translation.
+  Eigen::Vector3f const t = T_lr.translation();
+  for (int r = 0; r < 3; ++r) {
+    float const* const R = s.T_rl.R + 3 * r;
+    EXPECT_NEAR(R[0] * t.x() + R[1] * t.y() + R[2] * t.z() + s.T_rl.t[r], 0, 1e-6f);
+  }
+  EXPECT_THROW(of<stand_in::fisheye_camera>(1, &left), ft::bad_argument);
+}
+
+}  // namespace orbslam3_test

@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <memory>
+
+#include "integration/orbslam3/host_tracker.hpp"
+#include "tests/integration/orbslam3/backends.hpp"
+
+namespace orbslam3_test {
+
+/// ThreadSanitizer does not see how the oneTBB library, which is not built with it, orders its
+/// workers: every access in a parallel loop would be reported. One thread uses no pool, and leaves
+/// what the shim itself shares between threads.
+#if defined(__SANITIZE_THREAD__)
+inline constexpr int host_threads = 1;
+#else
+inline constexpr int host_threads = 0;
+#endif
+
+std::unique_ptr<ft::orbslam3::device_tracker> make_host(ft::orbslam3::settings const& s) {
+  return ft::orbslam3::make_host_tracker(s, host_threads);
+}
+
+}  // namespace orbslam3_test

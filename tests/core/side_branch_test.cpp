@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Branches: what is queued on one sees what was there at the fork, and is there after the join,
-// queued or recorded. Launches beside the one ahead likewise.
+// queued or recorded. Concurrent launches likewise.
 #include "ft/core/side_branch.hpp"
 
 #include <gtest/gtest.h>
@@ -14,6 +14,8 @@
 #include "tests/support/backends.hpp"
 
 namespace side_branch_test {
+
+using order = ft::detail::launch_order;
 
 /// to = factor * from + term, element by element.
 struct scale_and_add {
@@ -40,7 +42,7 @@ protected:
                                       static_cast<int const*>(term.data()), to.data());
   }
 
-  /// 3 (2 input + input) + (5 (2 input + input) + input) by a branch beside the main line.
+  /// 3 (2 input + input) + (5 (2 input + input) + input) by a branch concurrent with the main line.
   /// @param fork of an executor
   template <typename Fork>
   void expect_sum(Fork const& fork, ft::side_branch<exec_type>& branch) {
@@ -50,16 +52,16 @@ protected:
     auto const input = test::to_exec(exec, values);
     constexpr auto count = static_cast<std::size_t>(size);
     memory const begun(count);
-    memory const beside(count);
+    memory const branched(count);
     memory const ahead(count);
     memory const joined(count);
     auto const queue = [&](exec_type const& e) {
       add(e, 2, input, input, begun);
-      add(fork(e), 5, begun, input, beside);
+      add(fork(e), 5, begun, input, branched);
       ft::fill_bytes(e, ahead.data(), 0, ahead.bytes());
       add(e, 3, begun, ahead, ahead);
       branch.join(e);
-      add(e, 1, ahead, beside, joined);
+      add(e, 1, ahead, branched, joined);
     };
     auto const expect = [&] {
       auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
@@ -68,7 +70,7 @@ protected:
         ASSERT_EQ(got[i], 3 * (3 * v) + (5 * (3 * v) + v)) << i;
       }
       ft::fill_bytes(exec, begun.data(), 0, begun.bytes());
-      ft::fill_bytes(exec, beside.data(), 0, beside.bytes());
+      ft::fill_bytes(exec, branched.data(), 0, branched.bytes());
       ft::fill_bytes(exec, joined.data(), 0, joined.bytes());
     };
     queue(exec);
@@ -91,7 +93,7 @@ TYPED_TEST(side_branch_unit, what_is_forked_is_there_after_the_join) {
   this->expect_sum([&](auto const& e) { return branch.fork(e); }, branch);
 }
 
-TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited_for) {
+TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_waited_for) {
   using executor = typename TypeParam::exec_type;
   auto const& exec = this->backend.exec;
   constexpr int length = TestFixture::size;
@@ -106,14 +108,15 @@ TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited
   buffer const half(count);
   buffer const joined(count);
   auto const add = TestFixture::add;
-  // 3 v; 9 v + v; beside it 15 v + v and 21 v + v; all that the last launches waited for.
+  // 3 v; 9 v + v; concurrently 15 v + v and 21 v + v; all that the last launches waited for.
   auto const queue = [&](executor const& e) {
     ft::copy(e, values.data(), static_cast<int const*>(input.data()), count);
     add(e, 2, values, values, begun);
     add(e, 3, begun, values, ahead);
-    add(ft::beside(e), 5, begun, values, first);
-    add(ft::beside(e), 7, begun, values, second);
-    add(ft::in_turn(ft::beside(e)), 1, ahead, first, half);
+    auto const concurrent = ft::detail::with_order(e, order::concurrent);
+    add(concurrent, 5, begun, values, first);
+    add(concurrent, 7, begun, values, second);
+    add(ft::detail::with_order(concurrent, order::serial), 1, ahead, first, half);
     add(e, 1, half, second, joined);
   };
   ft::recording<executor> recorded;
@@ -136,26 +139,39 @@ TYPED_TEST(side_branch_unit, launches_beside_the_one_ahead_find_what_that_waited
 }
 
 #if defined(__CUDACC__)
-TEST(launches, that_go_evenly_are_not_early_and_stay_in_their_stream) {
+TEST(launches, have_an_order_that_changes_neither_stream_nor_mode) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend const backend;
-  ft::cuda_exec const early(backend.exec.stream, true);
-  EXPECT_FALSE(ft::evenly(early).early_launches);
-  EXPECT_EQ(ft::evenly(early).stream, early.stream);
-  EXPECT_FALSE(early.launches_beside);
-  EXPECT_TRUE(ft::beside(early).launches_beside);
-  EXPECT_EQ(ft::beside(early).stream, early.stream);
-  EXPECT_FALSE(ft::in_turn(ft::beside(early)).launches_beside);
-  EXPECT_TRUE(ft::in_turn(ft::beside(early)).early_launches);
-  EXPECT_FALSE(ft::evenly(ft::beside(early)).launches_beside);
-  EXPECT_FALSE(ft::beside(ft::cuda_exec(early.stream)).launches_beside) << "not early";
+  using access = ft::detail::launch_access;
+  EXPECT_FALSE(access::programmatic(backend.exec));
+  EXPECT_EQ(access::order(backend.exec), order::serial);
+  auto const recorded = access::make(backend.exec.stream, true);
+  for (order const o : {order::serial, order::concurrent, order::full_wave}) {
+    auto const ordered = ft::detail::with_order(recorded, o);
+    EXPECT_EQ(access::order(ordered), o);
+    EXPECT_TRUE(access::programmatic(ordered));
+    EXPECT_EQ(ordered.stream, recorded.stream);
+    EXPECT_EQ(access::order(ft::detail::with_order(ordered, order::serial)), order::serial);
+    EXPECT_FALSE(access::programmatic(ft::detail::with_order(backend.exec, o)));
+  }
   ft::side_branch<ft::cuda_exec> branch;
   branch.make();
-  auto const forked = branch.fork(early);
-  EXPECT_TRUE(forked.early_launches);
-  EXPECT_NE(forked.stream, early.stream);
-  branch.join(early);
-  early.wait();
+  auto const forked = branch.fork(ft::detail::with_order(recorded, order::concurrent));
+  EXPECT_TRUE(access::programmatic(forked));
+  EXPECT_EQ(access::order(forked), order::serial);
+  EXPECT_NE(forked.stream, recorded.stream);
+  branch.join(recorded);
+  recorded.wait();
+}
+TEST(launches, are_early_and_concurrent_in_recordings_only) {
+  for (order const o : {order::serial, order::concurrent, order::full_wave}) {
+    ft::detail::launch_target const plain{nullptr, false, o};
+    EXPECT_FALSE(plain.early());
+    EXPECT_FALSE(plain.concurrent());
+    ft::detail::launch_target const recorded{nullptr, true, o};
+    EXPECT_EQ(recorded.early(), o != order::full_wave);
+    EXPECT_EQ(recorded.concurrent(), o == order::concurrent);
+  }
 }
 #endif
 

@@ -3,7 +3,7 @@
 /// uploaded, and tells which images have their keypoints in place. A concurrent launch waits for
 /// these parts rather than for the whole preceding grid.
 ///
-/// Such a launch is beside() the grid that it waits for. All blocks of that grid have started by
+/// Such a launch has launch_order::concurrent. All blocks of that grid have started by
 /// then, so it makes progress whatever else runs on the device. For launches in stream order every
 /// wait is already satisfied.
 #pragma once

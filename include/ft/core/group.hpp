@@ -7,7 +7,6 @@
 #pragma once
 
 #include <algorithm>
-#include <type_traits>
 
 #include "ft/core/config.hpp"
 
@@ -32,26 +31,6 @@ struct max_op {
     return a < b ? b : a;
   }
 };
-
-namespace detail {
-
-/// Whether a functor for blocks has a prologue: it says `static constexpr bool prepares = true` and
-/// has a member `prepare(group, scratch, item, args...)`. It runs before the block waits for the
-/// preceding grid, and must not read what that grid writes.
-template <typename Op, typename = void>
-inline constexpr bool prepares = false;
-template <typename Op>
-inline constexpr bool prepares<Op, std::enable_if_t<Op::prepares>> = true;
-
-/// Whether a functor for warps has a prologue: it says `static constexpr bool begins_beside = true`
-/// and has a member `bool begin(group, scratch, item, args...)`. In a launch that is concurrent
-/// with the preceding grid it runs before the wait for that grid. Returning false ends the item.
-template <typename Op, typename = void>
-inline constexpr bool begins_beside = false;
-template <typename Op>
-inline constexpr bool begins_beside<Op, std::enable_if_t<Op::begins_beside>> = true;
-
-}  // namespace detail
 
 /// One thread: every item on the host, and `per_thread` items on a device. Its members are the
 /// contract; warp_group and block_group (core/detail/cuda_groups.hpp) have the same ones, except

@@ -53,7 +53,7 @@ public:
     throw_on_error(cudaStreamBeginCapture(capturing.get(), cudaStreamCaptureModeThreadLocal),
                    "cudaStreamBeginCapture");
     try {
-      queue(cuda_exec(capturing.get(), true));
+      queue(detail::launch_access::make(capturing.get(), true));
     } catch (...) {
       static_cast<void>(cudaStreamEndCapture(capturing.get(), &graph));
       if (graph != nullptr) { static_cast<void>(cudaGraphDestroy(graph)); }

@@ -14,7 +14,7 @@ inline namespace FT_ABI {
 
 /// fork() returns an executor for work that may run concurrently with later work of the main line.
 /// join() makes later work of the main line wait for it. Both can be recorded in a graph. A single
-/// launch needs no branch; see beside() in execution.hpp.
+/// launch needs no branch; see launch_order::concurrent.
 template <typename Exec>
 class side_branch {
 public:
@@ -33,7 +33,8 @@ public:
   cuda_exec fork(cuda_exec const& exec) {
     handles_->begin.record(exec.stream);
     handles_->begin.make_wait(handles_->branch.get());
-    return cuda_exec(handles_->branch.get(), exec.early_launches);
+    return detail::launch_access::make(handles_->branch.get(),
+                                       detail::launch_access::programmatic(exec));
   }
   void join(cuda_exec const& exec) {
     handles_->end.record(handles_->branch.get());

@@ -647,7 +647,8 @@ private:
     } else if constexpr (Rig::rectified) {
       // The lists need no stereo matches, the choice from them does.
       matcher_.match_prepared(exec, extractor_);
-      search_on(beside(exec), [&](Exec const& e) { matcher_.finish(e, extractor_); });
+      search_on(detail::with_order(exec, detail::launch_order::concurrent),
+                [&](Exec const& e) { matcher_.finish(e, extractor_); });
     } else {
       // Nor does the choice for two cameras. The lists begin first.
       auto&& branch = match_branch_.fork(exec);
@@ -804,7 +805,8 @@ private:
 
   void download(Exec const& exec, pose const* poses, int const* matches, int const* inliers) {
     write_keypoints(exec);
-    write_matches(beside(exec), poses, matches, inliers);
+    write_matches(detail::with_order(exec, detail::launch_order::concurrent), poses, matches,
+                  inliers);
   }
   void write_keypoints(Exec const& exec) {
     for_each_item<per_thread>(exec, batch_ * frame_.numbers(), pack_keypoints<Rig>{}, rig_, frame_,

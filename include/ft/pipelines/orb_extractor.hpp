@@ -193,7 +193,9 @@ public:
     detect(exec);
     mark("corners");
     distribute(exec);
-    if (enters()) { gather_corners(beside(exec), corners_); }
+    if (enters()) {
+      gather_corners(detail::with_order(exec, detail::launch_order::concurrent), corners_);
+    }
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
@@ -244,11 +246,11 @@ private:
                             Then const& then) {
     detect(exec);
     distribute(exec);
-    besides(beside(exec));
-    blur_pyramid(beside(exec), pyramid_, blurred_, blur_layout_,
-                 clear_arrivals_and<Also>{arrivals_, also});
+    besides(detail::with_order(exec, detail::launch_order::concurrent));
+    blur_pyramid(detail::with_order(exec, detail::launch_order::concurrent), pyramid_, blurred_,
+                 blur_layout_, clear_arrivals_and<Also>{arrivals_, also});
     order(exec, arrivals_, then);
-    describe(beside(exec), arrivals_);
+    describe(detail::with_order(exec, detail::launch_order::concurrent), arrivals_);
   }
   void clear_arrivals(Exec const& exec) {
     for_each_item<per_thread>(exec, arrivals_.counters(), clear_arrival{}, arrivals_);

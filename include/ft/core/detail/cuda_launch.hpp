@@ -1,119 +1,112 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The one place where kernels are launched. Included by execution.hpp under a CUDA compiler.
+/// @file The one place where kernels are launched. Included by core/cuda_executor.hpp.
 #pragma once
 
 #include <cuda_runtime.h>
 
 #include <cstddef>
-#include <type_traits>
-#include <utility>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
 #include "ft/core/detail/cuda_groups.hpp"
-#include "ft/core/memory.hpp"
+#include "ft/core/launch_order.hpp"
+#include "ft/core/stage.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-struct per_thread;
-struct per_warp;
-template <int N>
-struct per_block;
-
 namespace detail {
 
-/// First in every kernel. Waits for the launch ahead where this one began early, and lets the next
-/// one begin. @param beside the launch ahead, which has waited for the one before it: what that
-/// wrote is there, in the caches as well
-__device__ inline void begin_launch(bool beside) {
+/// First in every kernel. Waits for the preceding grid, unless the launch is concurrent with it,
+/// and lets the next kernel start. @param concurrent the preceding grid has waited for the one
+/// before it; the fence makes visible what that wrote
+__device__ inline void begin_launch(bool concurrent) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
-  if (beside) {
+  if (concurrent) {
     __threadfence();
   } else {
     cudaGridDependencySynchronize();
   }
   cudaTriggerProgrammaticLaunchCompletion();
 #else
-  static_cast<void>(beside);
+  static_cast<void>(concurrent);
 #endif
 }
-/// Waits for the launch ahead of one that is beside it.
-__device__ inline void wait_for_launch_ahead(bool beside) {
+/// Waits for the preceding grid of a concurrent launch.
+__device__ inline void wait_for_preceding_grid(bool concurrent) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
-  if (beside) { cudaGridDependencySynchronize(); }
+  if (concurrent) { cudaGridDependencySynchronize(); }
 #else
-  static_cast<void>(beside);
+  static_cast<void>(concurrent);
 #endif
 }
-/// Last in every kernel: who waits for a launch waits for the one ahead of it, too.
-__device__ inline void end_launch(bool beside) {
+/// Last in every kernel: what waits for a concurrent launch waits for its preceding grid, too.
+__device__ inline void end_launch(bool concurrent) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
-  if (beside && blockIdx.x == 0) { cudaGridDependencySynchronize(); }
+  if (concurrent && blockIdx.x == 0) { cudaGridDependencySynchronize(); }
 #else
-  static_cast<void>(beside);
+  static_cast<void>(concurrent);
 #endif
 }
 
-/// Bytes of block scratch that one block may have, and how many multiprocessors there are.
-struct block_scratch_facts {
-  int most = 0;
-  int processors = 0;
+/// Most shared memory that a block can have, and the number of multiprocessors.
+struct shared_memory_limits {
+  int bytes_per_block = 0;
+  int multiprocessors = 0;
 
-  block_scratch_facts() {
+  shared_memory_limits() {
     int device = 0;
     throw_on_error(cudaGetDevice(&device), "cudaGetDevice");
-    throw_on_error(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
-                   "cudaDeviceGetAttribute");
-    throw_on_error(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device),
+    throw_on_error(
+        cudaDeviceGetAttribute(&bytes_per_block, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
+        "cudaDeviceGetAttribute");
+    throw_on_error(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device),
                    "cudaDeviceGetAttribute");
   }
 };
 
-/// Lets launches of a kernel have what the device has: always the same, so that nobody takes back
-/// what another, or a recording, relies on.
+/// Allows launches of a kernel all dynamic shared memory of the device. Always the same amount, so
+/// that no launch revokes what another one, or a recording, relies on.
 template <typename... Params>
-FT_HIDDEN void allow_all_block_scratch(void (*kernel)(Params...)) {
+FT_HIDDEN void allow_all_shared_memory(void (*kernel)(Params...)) {
   cudaFuncAttributes facts{};
   throw_on_error(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes");
-  throw_on_error(
-      cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                           block_scratch_facts{}.most - static_cast<int>(facts.sharedSizeBytes)),
-      "cudaFuncSetAttribute");
+  throw_on_error(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      shared_memory_limits{}.bytes_per_block -
+                                          static_cast<int>(facts.sharedSizeBytes)),
+                 "cudaFuncSetAttribute");
 }
 
-/// Functors whose launches overlap say `static constexpr bool shares_multiprocessors = true`: a
-/// kernel that wants another share of a multiprocessor's memory for block scratch than the one that
-/// is there would wait until it is idle.
-template <typename Op, typename = void>
-inline constexpr bool shares_multiprocessors = false;
-template <typename Op>
-inline constexpr bool shares_multiprocessors<Op, std::enable_if_t<Op::shares_multiprocessors>> =
-    true;
-/// Has a multiprocessor give all that it can to block scratch.
+/// Sets a kernel's preference for the largest share of shared memory.
 template <typename... Params>
-FT_HIDDEN void most_block_scratch(void (*kernel)(Params...)) {
+FT_HIDDEN void prefer_shared_memory(void (*kernel)(Params...)) {
   throw_on_error(cudaFuncSetAttribute(kernel, cudaFuncAttributePreferredSharedMemoryCarveout,
                                       cudaSharedmemCarveoutMaxShared),
                  "cudaFuncSetAttribute");
 }
 
-/// Where a launch goes, and when it begins; as cuda_exec has it.
-struct launch_order {
+/// Where a launch goes, and how it is ordered.
+struct launch_target {
   cudaStream_t stream;
-  bool early;
-  bool beside;
+  bool programmatic;  ///< programmatic dependent launches are allowed
+  launch_order order;
+
+  bool early() const { return programmatic && order != launch_order::full_wave; }
+  bool concurrent() const { return programmatic && order == launch_order::concurrent; }
 };
 
-/// Launches a kernel, early only where it is compiled for an architecture that knows
-/// begin_launch(). @param extra_bytes of block scratch besides what the kernel declares
+/// Launches a kernel, early only if it is compiled for an architecture that has begin_launch().
+/// @param extra_bytes of dynamic shared memory
 template <typename... Params, typename... Args>
 FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigned threads,
-                             std::size_t extra_bytes, launch_order how, Args const&... args) {
-  if (extra_bytes > 0) { allow_all_block_scratch(kernel); }
+                             std::size_t extra_bytes, launch_target to, Args const&... args) {
+  if (extra_bytes > 0) { allow_all_shared_memory(kernel); }
 #if CUDART_VERSION >= 12030
   cudaFuncAttributes facts{};
-  if (how.early) { throw_on_error(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes"); }
+  if (to.early()) {
+    throw_on_error(cudaFuncGetAttributes(&facts, kernel), "cudaFuncGetAttributes");
+  }
   cudaLaunchAttribute attribute{};
   attribute.id = cudaLaunchAttributeProgrammaticStreamSerialization;
   attribute.val.programmaticStreamSerializationAllowed = 1;
@@ -121,82 +114,69 @@ FT_HIDDEN void launch_kernel(void (*kernel)(Params...), unsigned blocks, unsigne
   config.gridDim = dim3(blocks);
   config.blockDim = dim3(threads);
   config.dynamicSmemBytes = extra_bytes;
-  config.stream = how.stream;
+  config.stream = to.stream;
   config.attrs = &attribute;
-  config.numAttrs = how.early && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
-  throw_on_error(cudaLaunchKernelEx(&config, kernel, how.beside, args...), "kernel launch");
+  config.numAttrs = to.early() && facts.ptxVersion >= 90 && facts.binaryVersion >= 90 ? 1 : 0;
+  throw_on_error(cudaLaunchKernelEx(&config, kernel, to.concurrent(), args...), "kernel launch");
 #else
-  kernel<<<blocks, threads, extra_bytes, how.stream>>>(how.beside, args...);
+  kernel<<<blocks, threads, extra_bytes, to.stream>>>(to.concurrent(), args...);
   throw_on_error(cudaGetLastError(), "kernel launch");
 #endif
 }
 
 template <int Threads, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Threads)
-    per_thread_kernel(bool beside, int items, Op op, Args... args) {
-  begin_launch(beside);
+    per_thread_kernel(bool concurrent, int items, Op op, Args... args) {
+  begin_launch(concurrent);
   int const item = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   if (item < items) {
     typename Op::scratch scratch;
     op(single_group{}, scratch, item, args...);
   }
-  end_launch(beside);
+  end_launch(concurrent);
 }
 
 template <int Warps, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
-    per_warp_kernel(bool beside, int items, Op op, Args... args) {
-  begin_launch(beside);
+    per_warp_kernel(bool concurrent, int items, Op op, Args... args) {
+  begin_launch(concurrent);
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
   int const item = static_cast<int>(blockIdx.x) * Warps + warp;
   bool more = item < items;
   if constexpr (begins_beside<Op>) {
-    more = more && op.begin(warp_group{}, scratch[warp], item, args...);
-    if (more) { wait_for_launch_ahead(beside); }
+    more = more && run_prologue(op, warp_group{}, scratch[warp], item, args...);
+    if (more) { wait_for_preceding_grid(concurrent); }
   }
   if (more) { op(warp_group{}, scratch[warp], item, args...); }
-  end_launch(beside);
+  end_launch(concurrent);
 }
 
-/// Threads that a multiprocessor of this architecture has at a time, at least.
+/// Resident threads of a multiprocessor of this architecture, at least.
 #if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 900 || __CUDA_ARCH__ == 1000)
-inline constexpr int threads_at_once = 2048;
+inline constexpr int resident_threads = 2048;
 #elif defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-inline constexpr int threads_at_once = 1536;
+inline constexpr int resident_threads = 1536;
 #else
-inline constexpr int threads_at_once = 1024;
+inline constexpr int resident_threads = 1024;
 #endif
-/// How many of its blocks a functor wants on a multiprocessor, if it says so (`side_by_side`): a
-/// limit of registers. Five sixths of the threads at most: with all of them registers do not do.
-template <int Threads, typename Op, typename = void>
-inline constexpr int blocks_side_by_side = 0;
+/// Capped at 5/6 of the resident threads; beyond that the compiler spills.
 template <int Threads, typename Op>
-inline constexpr int blocks_side_by_side<Threads, Op, std::enable_if_t<(Op::side_by_side > 0)>> =
-    min_of(int{Op::side_by_side}, threads_at_once * 5 / 6 / Threads);
+inline constexpr int min_blocks = min_of(blocks_side_by_side<Op>,
+                                         resident_threads * 5 / 6 / Threads);
 
 template <int Threads, typename Op, typename... Args>
-FT_HIDDEN __global__ void __launch_bounds__(Threads, blocks_side_by_side<Threads, Op>)
-    per_block_kernel(bool beside, Op op, Args... args) {
+FT_HIDDEN __global__ void __launch_bounds__(Threads, min_blocks<Threads, Op>)
+    per_block_kernel(bool concurrent, Op op, Args... args) {
   __shared__ typename block_group<Threads>::scratch collectives;
   __shared__ typename Op::scratch scratch;
   block_group<Threads> const g{&collectives};
   int const item = static_cast<int>(blockIdx.x);
   if constexpr (prepares<Op>) { op.prepare(g, scratch, item, args...); }
-  begin_launch(beside);
+  begin_launch(concurrent);
   op(g, scratch, item, args...);
-  end_launch(beside);
+  end_launch(concurrent);
 }
-
-/// What a functor wants of block scratch besides its `scratch`: its extra_bytes(), if it has that.
-template <typename Op, typename = void>
-struct extra_bytes_of {
-  static std::size_t get(Op const&) { return 0; }
-};
-template <typename Op>
-struct extra_bytes_of<Op, decltype(static_cast<void>(std::declval<Op const&>().extra_bytes()))> {
-  static std::size_t get(Op const& op) { return op.extra_bytes(); }
-};
 
 template <typename Shape>
 struct launch;
@@ -204,10 +184,10 @@ struct launch;
 template <>
 struct launch<per_thread> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     constexpr int threads = 128;
     launch_kernel(&per_thread_kernel<threads, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, threads)), threads, 0, how, items, op,
+                  static_cast<unsigned>(ceil_div(items, threads)), threads, 0, to, items, op,
                   args...);
   }
 };
@@ -215,10 +195,10 @@ struct launch<per_thread> {
 template <>
 struct launch<per_warp> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     constexpr int warps = 4;
     launch_kernel(&per_warp_kernel<warps, Op, Args...>,
-                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, how, items, op,
+                  static_cast<unsigned>(ceil_div(items, warps)), warps * 32, 0, to, items, op,
                   args...);
   }
 };
@@ -226,15 +206,15 @@ struct launch<per_warp> {
 template <int N>
 struct launch<per_block<N>> {
   template <typename Op, typename... Args>
-  FT_HIDDEN static void run(launch_order how, int items, Op const& op, Args const&... args) {
+  FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     static_assert(
         sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
         "static shared memory");
     if constexpr (shares_multiprocessors<Op>) {
-      most_block_scratch(&per_block_kernel<N, Op, Args...>);
+      prefer_shared_memory(&per_block_kernel<N, Op, Args...>);
     }
     launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N,
-                  extra_bytes_of<Op>::get(op), how, op, args...);
+                  extra_bytes_of<Op>::get(op), to, op, args...);
   }
 };
 

@@ -80,8 +80,9 @@ struct detect_cell {
 template <typename Exec>
 void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_params const& params,
                    corners_view const& out) {
-  for_each_item<per_block<128>>(evenly(exec), out.batch * out.layout.cells,
-                                detail::detect_cell{true}, pyramid, out, params);
+  for_each_item<per_block<128>>(detail::with_order(exec, detail::launch_order::full_wave),
+                                out.batch * out.layout.cells, detail::detect_cell{true}, pyramid,
+                                out, params);
 }
 
 /// Detects the corners of all images and gathers them: `out.list`, per level in cell order, and
@@ -89,8 +90,9 @@ void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_p
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                     corner_params const& params, corners_view const& out) {
-  for_each_item<per_block<128>>(evenly(exec), out.batch * out.layout.cells, detail::detect_cell{},
-                                pyramid, out, params);
+  for_each_item<per_block<128>>(detail::with_order(exec, detail::launch_order::full_wave),
+                                out.batch * out.layout.cells, detail::detect_cell{}, pyramid, out,
+                                params);
   gather_corners(exec, out);
 }
 

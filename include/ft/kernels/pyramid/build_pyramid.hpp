@@ -34,8 +34,8 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
   for (int i = 0; i < tiles.groups; ++i) {
     tile_group const& group = tiles.group[i];
     for_each_item<per_block<detail::resize_tile::threads>>(
-        evenly(exec), pyramid.batch * group.columns * group.rows, detail::resize_tile{}, pyramid,
-        taps, tiles, i);
+        detail::with_order(exec, detail::launch_order::full_wave),
+        pyramid.batch * group.columns * group.rows, detail::resize_tile{}, pyramid, taps, tiles, i);
   }
 }
 
@@ -45,8 +45,9 @@ template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
                    pyramid_tiles const& tiles, frame_arrivals const& arrivals) {
   for_each_item<per_block<detail::resize_tile::threads>>(
-      beside(exec), pyramid.batch * tiles.group[0].columns * tiles.group[0].rows,
-      detail::resize_tile{arrivals}, pyramid, taps, tiles, 0);
+      detail::with_order(exec, detail::launch_order::concurrent),
+      pyramid.batch * tiles.group[0].columns * tiles.group[0].rows, detail::resize_tile{arrivals},
+      pyramid, taps, tiles, 0);
 }
 
 }  // namespace FT_ABI

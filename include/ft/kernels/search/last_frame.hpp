@@ -173,7 +173,7 @@ private:
 
 /// Search from the last frame: windows, candidates, assignment, orientation check. Starts from
 /// empty holders. Asynchronous on `exec`; allocates nothing; two launches.
-/// @param exec may be beside() another launch, for the first of the two only
+/// @param exec its launch order applies to the first of the two only
 /// @param poses,last_poses [batch] T_cw predicted for the current frame, and of the last frame
 /// @param listed called as listed(exec) between the two launches; may enqueue what fills right_x
 template <typename Exec, typename Rig, typename Listed>
@@ -190,10 +190,11 @@ void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose
   search.right_later = true;
   for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_last_point<Rig>{},
                           input, frame, map, geometry, search, windows, work);
-  listed(in_turn(exec));
+  listed(detail::with_order(exec, detail::launch_order::serial));
   for_each_item<per_block<detail::assign_threads>>(
-      in_turn(exec), frame.batch, detail::assign_last_points<Rig, Exec::asynchronous>{}, input,
-      frame, map, geometry, search, stamps, windows, work);
+      detail::with_order(exec, detail::launch_order::serial), frame.batch,
+      detail::assign_last_points<Rig, Exec::asynchronous>{}, input, frame, map, geometry, search,
+      stamps, windows, work);
 }
 
 /// The same for a frame whose right_x is valid before the call.

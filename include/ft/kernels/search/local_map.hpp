@@ -126,8 +126,9 @@ void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_v
                       search_workspace const& work, Listed const& listed, bool early = false) {
   if (early) {
     int const items = windows.batch * windows.capacity;
-    for_each_item<per_warp>(beside(exec), items, detail::list_local_point_early<Rig>{}, search,
-                            frame, map, geometry, params, windows, work);
+    for_each_item<per_warp>(detail::with_order(exec, detail::launch_order::concurrent), items,
+                            detail::list_local_point_early<Rig>{}, search, frame, map, geometry,
+                            params, windows, work);
   } else {
     list_local_map(exec, search, frame, map, geometry, params, windows, work);
   }

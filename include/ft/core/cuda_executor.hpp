@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The executor of a GPU: a CUDA stream. Empty where the compiler is not a CUDA compiler.
+#pragma once
+
+#if defined(__CUDACC__)
+
+#include <cuda_runtime.h>
+
+#include <cstddef>
+
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/detail/cuda_launch.hpp"
+#include "ft/core/launch_order.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/stage.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+struct launch_access;
+}  // namespace detail
+
+/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream.
+/// Nothing here synchronises but wait().
+class cuda_exec {
+public:
+  static constexpr memory_space space = memory_space::device;
+  static constexpr bool asynchronous = true;
+
+  cudaStream_t stream;
+
+  explicit cuda_exec(cudaStream_t s) : stream(s) {}
+  /// Blocks until everything queued on the stream is done. @throws cuda_error
+  void wait() const { throw_on_error(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
+  /// The address through which stages can read host pointer `p`, in pinned, registered, managed or
+  /// device memory; null if they cannot. Leaves the calling thread's current context as it is.
+  static void const* host_address(void const* p) {
+    // A thread without a context gets no answer about memory. This call gives it the current
+    // device's; a context that the caller has made current stays, which cudaSetDevice would
+    // replace.
+    int least = 0;
+    int greatest = 0;
+    throw_on_error(cudaDeviceGetStreamPriorityRange(&least, &greatest),
+                   "cudaDeviceGetStreamPriorityRange");
+    cudaPointerAttributes facts{};
+    throw_on_error(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
+    return facts.type == cudaMemoryTypeUnregistered ? nullptr : facts.devicePointer;
+  }
+
+private:
+  friend struct detail::launch_access;
+  bool programmatic_ = false;
+  detail::launch_order order_ = detail::launch_order::serial;
+};
+
+namespace detail {
+
+/// How an executor launches; for recordings, branches and tests.
+struct launch_access {
+  /// Whether launches may be programmatic dependent launches: in recordings. Has no effect below
+  /// compute capability 9.0 or CUDA 12.3.
+  static bool programmatic(cuda_exec const& exec) { return exec.programmatic_; }
+  static launch_order order(cuda_exec const& exec) { return exec.order_; }
+
+  static cuda_exec make(cudaStream_t stream, bool programmatic,
+                        launch_order order = launch_order::serial) {
+    cuda_exec exec(stream);
+    exec.programmatic_ = programmatic;
+    exec.order_ = order;
+    return exec;
+  }
+};
+
+/// The same executor for launches in another order.
+inline cuda_exec with_order(cuda_exec const& exec, launch_order order) {
+  return launch_access::make(exec.stream, launch_access::programmatic(exec), order);
+}
+
+}  // namespace detail
+
+/// Queues op(group, scratch, item, args...) for every item in [0, items). Items are independent.
+template <typename Shape, typename Op, typename... Args>
+FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
+  if (items > 0) {
+    detail::launch<Shape>::run({exec.stream, detail::launch_access::programmatic(exec),
+                                detail::launch_access::order(exec)},
+                               items, op, args...);
+  }
+}
+
+/// As much as a multiprocessor has where no two blocks share one, else what lets several do.
+/// @throws cuda_error
+template <int Threads, typename Op>
+FT_HIDDEN std::size_t extra_scratch(cuda_exec const&, int items) {
+  constexpr std::size_t declared =
+      sizeof(typename Op::scratch) + sizeof(typename block_group<Threads>::scratch) + 64;
+  constexpr std::size_t usual = 48 * 1024;
+  detail::shared_memory_limits const limits;
+  std::size_t const limit = items <= limits.multiprocessors
+                                ? max_of(static_cast<std::size_t>(limits.bytes_per_block), usual)
+                                : usual;
+  return limit > declared ? limit - declared : 0;
+}
+
+inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::size_t bytes) {
+  if (bytes != 0) {
+    throw_on_error(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDefault, exec.stream),
+                   "cudaMemcpyAsync");
+  }
+}
+inline void copy_rows(cuda_exec const& exec, void* to, std::size_t to_pitch, void const* from,
+                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
+  throw_on_error(cudaMemcpy2DAsync(to, to_pitch, from, from_pitch, row_bytes,
+                                   static_cast<std::size_t>(rows), cudaMemcpyDefault, exec.stream),
+                 "cudaMemcpy2DAsync");
+}
+inline void fill_bytes(cuda_exec const& exec, void* to, int value, std::size_t bytes) {
+  if (bytes != 0) {
+    throw_on_error(cudaMemsetAsync(to, value, bytes, exec.stream), "cudaMemsetAsync");
+  }
+}
+
+}  // namespace FT_ABI
+}  // namespace ft
+
+#endif  // __CUDACC__

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The executor of the host: a pool of threads, one thread per item.
+#pragma once
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <cstddef>
+#include <cstring>
+#include <memory>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/launch_order.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/stage.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// Whether this processor has AVX2 and POPCNT.
+inline bool has_wide_vectors() {
+#if FT_HAS_WIDE
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+#elif defined(__AVX2__)
+  return true;
+#else
+  return false;
+#endif
+}
+
+template <typename Op, typename... Args>
+void run_plain(Op const& op, int item, Args const&... args) {
+  typename Op::scratch scratch;
+  if (run_prologue(op, single_group{}, scratch, item, args...)) {
+    op(single_group{}, scratch, item, args...);
+  }
+}
+/// The same, compiled for wide vectors.
+template <typename Op, typename... Args>
+FT_WIDE void run_wide(Op const& op, int item, Args const&... args) {
+  typename Op::scratch scratch;
+  if (run_prologue(op, single_group{}, scratch, item, args...)) {
+    op(single_group{}, scratch, item, args...);
+  }
+}
+
+}  // namespace detail
+
+/// Runs stages on host threads, synchronously. Copies share the thread pool; safe to use from
+/// several threads at a time.
+class host_exec {
+public:
+  static constexpr memory_space space = memory_space::host;
+  static constexpr bool asynchronous = false;
+
+  /// @param threads how many to use, the caller's included; 0 = all that the machine has
+  /// @throws bad_argument outside [0, 4096]
+  explicit host_exec(int threads = 0) {
+    detail::require_range("host threads", threads, 0, 4096);
+    if (threads > 1) { arena_ = std::make_shared<tbb::task_arena>(threads); }
+    sequential_ = threads == 1;
+  }
+
+  template <typename Body>
+  void parallel_for(int items, Body const& body) const {
+    if (sequential_ || items <= 1) {
+      for (int i = 0; i < items; ++i) { body(i); }
+      return;
+    }
+    auto const run = [&] {
+      tbb::parallel_for(tbb::blocked_range<int>(0, items),
+                        [&](tbb::blocked_range<int> const& range) {
+                          for (int i = range.begin(); i != range.end(); ++i) { body(i); }
+                        });
+    };
+    if (arena_) {
+      arena_->execute(run);
+    } else {
+      run();
+    }
+  }
+
+  /// Everything is done already when a call returns.
+  void wait() const {}
+  /// The address through which stages can read host pointer `p`; null if they cannot.
+  static void const* host_address(void const* p) { return p; }
+
+private:
+  std::shared_ptr<tbb::task_arena> arena_;
+  bool sequential_ = false;
+};
+
+/// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
+template <typename Shape, typename Op, typename... Args>
+void for_each_item(host_exec const& exec, int items, Op const& op, Args const&... args) {
+  if constexpr (detail::is_wide_on_host<Op> && FT_HAS_WIDE) {
+    if (detail::has_wide_vectors()) {
+      exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
+      return;
+    }
+  }
+  exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
+}
+
+namespace detail {
+
+inline host_exec const& with_order(host_exec const& exec, launch_order) { return exec; }
+
+}  // namespace detail
+
+/// How much extra scratch each of `items` blocks of `Threads` threads may have, bytes.
+template <int Threads, typename Op>
+std::size_t extra_scratch(host_exec const&, int /*items*/) {
+  return 0;
+}
+
+inline void copy_bytes(host_exec const&, void* to, void const* from, std::size_t bytes) {
+  if (bytes != 0) { std::memcpy(to, from, bytes); }
+}
+inline void copy_rows(host_exec const&, void* to, std::size_t to_pitch, void const* from,
+                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
+  for (int y = 0; y < rows; ++y) {
+    auto const row = static_cast<std::size_t>(y);
+    std::memcpy(static_cast<unsigned char*>(to) + row * to_pitch,
+                static_cast<unsigned char const*>(from) + row * from_pitch, row_bytes);
+  }
+}
+inline void fill_bytes(host_exec const&, void* to, int value, std::size_t bytes) {
+  if (bytes != 0) { std::memset(to, value, bytes); }
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -62,14 +62,13 @@ struct use_extra_scratch {
   }
 };
 
-/// Adds up what it wrote while it was prepared.
-struct use_what_is_prepared {
-  static constexpr bool prepares = true;
+/// Adds up what its prologue wrote.
+struct use_prologue {
   struct scratch {
     int of[1024];
   };
   template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int item, int n, int*) const {
+  FT_HOST_DEVICE void prologue(Group g, scratch& s, int item, int n, int*) const {
     for (int i = g.rank(); i < n; i += g.size()) { s.of[n - 1 - i] = i + item; }
   }
   template <typename Group>
@@ -539,7 +538,7 @@ TYPED_TEST(group_unit, what_a_block_prepares_is_there) {
   for (int const n : {1, 100, 1024}) {
     auto const out = test::to_exec(exec, std::vector<int>(items, -1));
     int* const to = out.data();
-    ft::for_each_item<ft::per_block<256>>(exec, items, use_what_is_prepared{}, n, to);
+    ft::for_each_item<ft::per_block<256>>(exec, items, use_prologue{}, n, to);
     auto const got = test::from_exec(exec, static_cast<int const*>(to), items);
     for (int item = 0; item < items; ++item) {
       ASSERT_EQ(got[static_cast<std::size_t>(item)], n * (n - 1) / 2 + n * item);

@@ -301,15 +301,15 @@ outcome search_in_order(scene const& s, tally& seen) {
 
 // ---- ft ---------------------------------------------------------------------------------------
 
-/// Lists candidates without knowing who holds what, which it is told afterwards.
+/// Lists candidates without holders in the prologue, and removes those that are held afterwards.
 struct list_then_leave_out {
-  static constexpr bool begins_beside = true;
   using scratch = ft::detail::list_candidates::scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE bool begin(Group g, scratch& s, int item, ft::frame_view frame,
-                            ft::map_points_view const& map, ft::search_windows_view const& windows,
-                            ft::search_params params, ft::search_workspace const& work) const {
+  FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, ft::frame_view frame,
+                               ft::map_points_view const& map,
+                               ft::search_windows_view const& windows, ft::search_params params,
+                               ft::search_workspace const& work) const {
     int const b = item / windows.capacity;
     int const i = item % windows.capacity;
     if (i >= windows.count[b]) { return false; }

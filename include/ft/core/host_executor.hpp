@@ -98,7 +98,7 @@ private:
 /// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
 void for_each_item(host_exec const& exec, int items, Op const& op, Args const&... args) {
-  if constexpr (detail::is_wide_on_host<Op> && FT_HAS_WIDE) {
+  if constexpr (detail::stage_traits<Op>::wide_on_host && FT_HAS_WIDE) {
     if (detail::has_wide_vectors()) {
       exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
       return;

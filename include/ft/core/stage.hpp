@@ -1,10 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stages: what a functor must and may have, and the shapes it is launched in.
+/// @file Stages: what a functor must have, what it may have, and how it is launched.
 ///
-/// A stage's body is a functor `op(group, scratch, item, args...)` with a nested type `scratch`.
+/// A stage's body is a functor with a nested type `scratch` and
+///
+///     void operator()(group, scratch&, int item, args...) const
+///
 /// An executor runs it once per item, with the threads that the shape asks for: `per_thread`,
 /// `per_warp` or `per_block<N>` on the device; on the host always one thread per item, items spread
-/// over a pool.
+/// over a pool. `scratch` is shared memory of a warp or a block, otherwise a local variable.
+/// Optional members, the hooks of stage_traits:
+///
+/// | member                                  | effect                                             |
+/// |-----------------------------------------|----------------------------------------------------|
+/// | `prologue(group, scratch&, item, args)` | work that needs nothing of the preceding grid      |
+/// | `std::size_t extra_bytes() const`       | dynamic shared memory of a block: `group.extra()`, |
+/// |                                         | at most extra_scratch(); the host has none         |
+/// | `static constexpr bool wide_on_host`    | also compiled for AVX2, chosen at run time         |
+/// | `static constexpr int resident_blocks`  | that many blocks on a multiprocessor at least: a   |
+/// |                                         | limit of registers                                 |
+/// | `static constexpr bool prefers_shared`  | the largest share of shared memory. For launches   |
+/// |                                         | that overlap: one that needs another split of a    |
+/// |                                         | multiprocessor's memory waits until it is idle     |
+///
+/// The launch protocol. A launch of a recording may be resident while the preceding grid runs
+/// (core/launch_order.hpp). Each group does, in this order:
+/// 1. the prologue. It must not read what the preceding grid writes, or a grid that runs
+///    concurrently with that. A prologue that returns void prepares its scratch from its arguments.
+///    One that returns bool may read memory that was complete before the preceding grid started;
+///    false ends the item. The latter is for warps.
+/// 2. the wait for the preceding grid, unless the launch is concurrent with it;
+/// 3. the operator.
+/// On the host, and outside recordings, the preceding work is complete before step 1.
 #pragma once
 
 #include <cstddef>
@@ -29,64 +55,129 @@ struct no_scratch {};
 
 namespace detail {
 
-/// Whether a functor for blocks has a prologue: it says `static constexpr bool prepares = true` and
-/// has a member `prepare(group, scratch, item, args...)`. It runs before the block waits for the
-/// preceding grid, and must not read what that grid writes.
-template <typename Op, typename = void>
-inline constexpr bool prepares = false;
-template <typename Op>
-inline constexpr bool prepares<Op, std::enable_if_t<Op::prepares>> = true;
+/// names_NAME<Op>: whether Op has a member of that name, whatever it is: with one, the name is
+/// ambiguous in a type that inherits another one.
+#define FT_NAMES_MEMBER(NAME)                \
+  struct has_##NAME {                        \
+    int NAME;                                \
+  };                                         \
+  template <typename Op, typename = void>    \
+  inline constexpr bool names_##NAME = true; \
+  template <typename Op>                     \
+  inline constexpr bool                      \
+      names_##NAME<Op, std::void_t<decltype(&inherits_both<Op, has_##NAME>::NAME)>> = false;
 
-/// Whether a functor for warps has a prologue: it says `static constexpr bool begins_beside = true`
-/// and has a member `bool begin(group, scratch, item, args...)`. In a launch that is concurrent
-/// with the preceding grid it runs before the wait for that grid. Returning false ends the item.
-template <typename Op, typename = void>
-inline constexpr bool begins_beside = false;
-template <typename Op>
-inline constexpr bool begins_beside<Op, std::enable_if_t<Op::begins_beside>> = true;
+template <typename Op, typename Other>
+struct inherits_both : Op, Other {};
 
-/// Runs a functor's prologue, if it has one. Returns whether the item needs the functor itself.
+FT_NAMES_MEMBER(prologue)
+FT_NAMES_MEMBER(extra_bytes)
+FT_NAMES_MEMBER(wide_on_host)
+FT_NAMES_MEMBER(resident_blocks)
+FT_NAMES_MEMBER(prefers_shared)
+// Names that are likely to be meant for a hook.
+FT_NAMES_MEMBER(prolog)
+FT_NAMES_MEMBER(prepares)
+FT_NAMES_MEMBER(begins_beside)
+FT_NAMES_MEMBER(extra_byte)
+FT_NAMES_MEMBER(shared_bytes)
+FT_NAMES_MEMBER(side_by_side)
+FT_NAMES_MEMBER(shares_multiprocessors)
+#undef FT_NAMES_MEMBER
+
+/// The hooks of a functor. A hook of another type or signature does not compile.
+template <typename Op>
+struct stage_traits {
+  static_assert(!std::is_final<Op>::value, "a stage's functor must not be final");
+  static_assert(!names_prolog<Op> && !names_prepares<Op> && !names_begins_beside<Op>,
+                "the hook of a stage for early work is called prologue");
+  static_assert(!names_extra_byte<Op> && !names_shared_bytes<Op>,
+                "the hook of a stage for dynamic shared memory is called extra_bytes");
+  static_assert(!names_side_by_side<Op>,
+                "the hook of a stage for its blocks per multiprocessor is called resident_blocks");
+  static_assert(!names_shares_multiprocessors<Op>,
+                "the hook of a stage for shared memory is called prefers_shared");
+
+  static constexpr bool has_prologue = names_prologue<Op>;
+
+  static constexpr bool wide_on_host = [] {
+    if constexpr (names_wide_on_host<Op>) {
+      static_assert(std::is_same<decltype(Op::wide_on_host), bool const>::value,
+                    "wide_on_host is a static constexpr bool");
+      return Op::wide_on_host;
+    } else {
+      return false;
+    }
+  }();
+  static constexpr bool prefers_shared = [] {
+    if constexpr (names_prefers_shared<Op>) {
+      static_assert(std::is_same<decltype(Op::prefers_shared), bool const>::value,
+                    "prefers_shared is a static constexpr bool");
+      return Op::prefers_shared;
+    } else {
+      return false;
+    }
+  }();
+  static constexpr int resident_blocks = [] {
+    if constexpr (names_resident_blocks<Op>) {
+      static_assert(std::is_same<decltype(Op::resident_blocks), int const>::value,
+                    "resident_blocks is a static constexpr int");
+      static_assert(Op::resident_blocks > 0, "resident_blocks is at least 1");
+      return Op::resident_blocks;
+    } else {
+      return 0;
+    }
+  }();
+
+  static std::size_t extra_bytes(Op const& op) {
+    if constexpr (names_extra_bytes<Op>) {
+      static_assert(std::is_same<decltype(op.extra_bytes()), std::size_t>::value,
+                    "extra_bytes() returns a std::size_t");
+      return op.extra_bytes();
+    } else {
+      static_cast<void>(op);
+      return 0;
+    }
+  }
+};
+
+template <typename Op, typename Group, typename... Args>
+using prologue_result = decltype(std::declval<Op const&>().prologue(
+    std::declval<Group>(), std::declval<typename Op::scratch&>(), int{},
+    std::declval<Args const&>()...));
+
+template <typename Op, typename Group, typename Enable, typename... Args>
+inline constexpr bool takes_prologue = false;
+template <typename Op, typename Group, typename... Args>
+inline constexpr bool
+    takes_prologue<Op, Group, std::void_t<prologue_result<Op, Group, Args...>>, Args...> = true;
+
+/// Whether the prologue decides about the item.
+template <typename Op, typename Group, typename... Args>
+FT_HOST_DEVICE constexpr bool prologue_decides() {
+  if constexpr (stage_traits<Op>::has_prologue) {
+    static_assert(takes_prologue<Op, Group, void, Args...>,
+                  "prologue must take what the operator takes: (group, scratch&, int, args...)");
+    using result = prologue_result<Op, Group, Args...>;
+    static_assert(std::is_same<result, void>::value || std::is_same<result, bool>::value,
+                  "prologue returns void or bool");
+    return std::is_same<result, bool>::value;
+  } else {
+    return false;
+  }
+}
+
+/// Runs a functor's prologue, if it has one. Returns whether the item needs the operator.
 template <typename Op, typename Group, typename... Args>
 FT_HOST_DEVICE FT_INLINE bool run_prologue(Op const& op, Group g, typename Op::scratch& scratch,
                                            int item, Args const&... args) {
-  if constexpr (prepares<Op>) { op.prepare(g, scratch, item, args...); }
-  if constexpr (begins_beside<Op>) { return op.begin(g, scratch, item, args...); }
+  if constexpr (prologue_decides<Op, Group, Args...>()) {
+    return op.prologue(g, scratch, item, args...);
+  } else if constexpr (stage_traits<Op>::has_prologue) {
+    op.prologue(g, scratch, item, args...);
+  }
   return true;
 }
-
-/// Stages that say `static constexpr bool wide_on_host = true` run, on the host, in a version for
-/// wide vectors where the processor has them.
-template <typename Op, typename = void>
-inline constexpr bool is_wide_on_host = false;
-template <typename Op>
-inline constexpr bool is_wide_on_host<Op, std::enable_if_t<Op::wide_on_host>> = true;
-
-/// Functors whose launches overlap say `static constexpr bool shares_multiprocessors = true`: a
-/// kernel that needs another split of a multiprocessor's memory into cache and shared memory than
-/// the present one would wait until the multiprocessor is idle.
-template <typename Op, typename = void>
-inline constexpr bool shares_multiprocessors = false;
-template <typename Op>
-inline constexpr bool shares_multiprocessors<Op, std::enable_if_t<Op::shares_multiprocessors>> =
-    true;
-
-/// How many blocks of a functor a multiprocessor should hold at least (`side_by_side`): a limit of
-/// registers; 0 without one.
-template <typename Op, typename = void>
-inline constexpr int blocks_side_by_side = 0;
-template <typename Op>
-inline constexpr int blocks_side_by_side<Op, std::enable_if_t<(Op::side_by_side > 0)>> =
-    int{Op::side_by_side};
-
-/// Dynamic shared memory of a functor for blocks: its extra_bytes(), if it has that.
-template <typename Op, typename = void>
-struct extra_bytes_of {
-  static std::size_t get(Op const&) { return 0; }
-};
-template <typename Op>
-struct extra_bytes_of<Op, decltype(static_cast<void>(std::declval<Op const&>().extra_bytes()))> {
-  static std::size_t get(Op const& op) { return op.extra_bytes(); }
-};
 
 }  // namespace detail
 
@@ -100,7 +191,11 @@ struct no_items {
 /// i < also.count(). Saves a launch, and a wait for what would be concurrent.
 template <typename Op, typename Also>
 struct with_small_items {
-  static constexpr bool wide_on_host = detail::is_wide_on_host<Op>;
+  using traits = detail::stage_traits<Op>;
+  static_assert(!traits::has_prologue && !traits::prefers_shared && traits::resident_blocks == 0 &&
+                    !detail::names_extra_bytes<Op>,
+                "with_small_items passes on no hook but wide_on_host");
+  static constexpr bool wide_on_host = traits::wide_on_host;
   using scratch = typename Op::scratch;
   Op op;
   Also also;

@@ -196,11 +196,10 @@ struct distribute_level {
   /// Whether there is place for them, as there is where no two blocks share a multiprocessor.
   FT_HOST_DEVICE bool has_more_bins() const { return scratch_points > more_bins / 2; }
 
-  static constexpr bool prepares = true;
   /// Empties bins, and fills the tables of codes.
   template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int item, corners_view const&,
-                              distribution_view const& v) const {
+  FT_HOST_DEVICE void prologue(Group g, scratch& s, int item, corners_view const&,
+                               distribution_view const& v) const {
     distribution_layout const& layout = v.layout;
     int const l = item % layout.levels;
     if (scratch_points == 0 || layout.capacity[l] == 0) { return; }
@@ -1311,7 +1310,7 @@ private:
 
 /// The same for a block that has a multiprocessor to itself, and all of its registers.
 struct distribute_level_alone : distribute_level {
-  static constexpr int side_by_side = 1;
+  static constexpr int resident_blocks = 1;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, corners_view const& corners,

@@ -49,7 +49,7 @@ struct receive_parts {
   struct scratch {
     image_source sources[sources_held];
   };
-  static constexpr bool shares_multiprocessors = true;
+  static constexpr bool prefers_shared = true;
 
   static int parts_of(block_source const& first, block_source const& second) {
     return ceil_div(first.quads + second.quads, quads);

@@ -33,12 +33,10 @@ __device__ inline void begin_launch(bool concurrent) {
   static_cast<void>(concurrent);
 #endif
 }
-/// Waits for the preceding grid of a concurrent launch.
-__device__ inline void wait_for_preceding_grid(bool concurrent) {
+/// Waits for the preceding grid in a kernel that began as a concurrent one.
+__device__ inline void wait_for_preceding_grid() {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
-  if (concurrent) { cudaGridDependencySynchronize(); }
-#else
-  static_cast<void>(concurrent);
+  cudaGridDependencySynchronize();
 #endif
 }
 /// Last in every kernel: what waits for a concurrent launch waits for its preceding grid, too.
@@ -129,6 +127,7 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads)
     per_thread_kernel(bool concurrent, int items, Op op, Args... args) {
   begin_launch(concurrent);
   int const item = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
+  static_assert(!stage_traits<Op>::has_prologue, "a prologue is for warps and blocks");
   if (item < items) {
     typename Op::scratch scratch;
     op(single_group{}, scratch, item, args...);
@@ -139,17 +138,20 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads)
 template <int Warps, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
     per_warp_kernel(bool concurrent, int items, Op op, Args... args) {
-  begin_launch(concurrent);
+  // A prologue must not wait, and other warps need not wait for what only one of them needs: each
+  // waits for itself.
+  constexpr bool early = stage_traits<Op>::has_prologue;
+  begin_launch(early || concurrent);
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
   int const item = static_cast<int>(blockIdx.x) * Warps + warp;
   bool more = item < items;
-  if constexpr (begins_beside<Op>) {
+  if constexpr (early) {
     more = more && run_prologue(op, warp_group{}, scratch[warp], item, args...);
-    if (more) { wait_for_preceding_grid(concurrent); }
+    if (more && !concurrent) { wait_for_preceding_grid(); }
   }
   if (more) { op(warp_group{}, scratch[warp], item, args...); }
-  end_launch(concurrent);
+  end_launch(early || concurrent);
 }
 
 /// Resident threads of a multiprocessor of this architecture, at least.
@@ -162,7 +164,7 @@ inline constexpr int resident_threads = 1024;
 #endif
 /// Capped at 5/6 of the resident threads; beyond that the compiler spills.
 template <int Threads, typename Op>
-inline constexpr int min_blocks = min_of(blocks_side_by_side<Op>,
+inline constexpr int min_blocks = min_of(stage_traits<Op>::resident_blocks,
                                          resident_threads * 5 / 6 / Threads);
 
 template <int Threads, typename Op, typename... Args>
@@ -172,7 +174,9 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads, min_blocks<Threads, Op>)
   __shared__ typename Op::scratch scratch;
   block_group<Threads> const g{&collectives};
   int const item = static_cast<int>(blockIdx.x);
-  if constexpr (prepares<Op>) { op.prepare(g, scratch, item, args...); }
+  static_assert(!prologue_decides<Op, block_group<Threads>, Args...>(),
+                "a prologue that decides about its item is for warps");
+  if constexpr (stage_traits<Op>::has_prologue) { op.prologue(g, scratch, item, args...); }
   begin_launch(concurrent);
   op(g, scratch, item, args...);
   end_launch(concurrent);
@@ -210,11 +214,11 @@ struct launch<per_block<N>> {
     static_assert(
         sizeof(typename Op::scratch) + sizeof(typename block_group<N>::scratch) <= 48 * 1024,
         "static shared memory");
-    if constexpr (shares_multiprocessors<Op>) {
+    if constexpr (stage_traits<Op>::prefers_shared) {
       prefer_shared_memory(&per_block_kernel<N, Op, Args...>);
     }
     launch_kernel(&per_block_kernel<N, Op, Args...>, static_cast<unsigned>(items), N,
-                  extra_bytes_of<Op>::get(op), to, op, args...);
+                  stage_traits<Op>::extra_bytes(op), to, op, args...);
   }
 };
 

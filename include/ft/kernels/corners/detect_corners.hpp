@@ -26,7 +26,7 @@ namespace detail {
 struct detect_cell {
   static constexpr bool wide_on_host = true;
   /// Blocks per multiprocessor: with 12, all cells of an image pair are resident on a large device.
-  static constexpr int side_by_side = 12;
+  static constexpr int resident_blocks = 12;
   using scratch = cell_scratch;
 
   bool enters = false;  ///< also append to the unordered list

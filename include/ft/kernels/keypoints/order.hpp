@@ -42,7 +42,7 @@ namespace detail {
 struct only_order {
   using scratch = no_scratch;
 
-  /// Runs before the preceding grids have ended. Must end with a sync().
+  /// Part of order_image's prologue. Must end with a sync().
   template <typename Group>
   FT_HOST_DEVICE void prepare(Group, scratch&, int, keypoints_view const&) const {}
   /// Called for each keypoint before its place is known. The result is passed to keep().
@@ -72,15 +72,14 @@ struct order_image {
     std::uint8_t level[known];   ///< of a slot; read by the thread that wrote it
   };
   /// Blocks per multiprocessor. There is one block an image; more would only cost registers.
-  static constexpr int side_by_side = 1;
+  static constexpr int resident_blocks = 1;
 
   std::size_t extra_bytes() const { return extra; }
 
-  static constexpr bool prepares = true;
   template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, pyramid_geometry const&,
-                              distribution_view const& kept, stereo_overlap const*, int*,
-                              keypoints_view const& out, int*, frame_arrivals const&) const {
+  FT_HOST_DEVICE void prologue(Group g, scratch& s, int image, pyramid_geometry const&,
+                               distribution_view const& kept, stereo_overlap const*, int*,
+                               keypoints_view const& out, int*, frame_arrivals const&) const {
     FT_NO_UNROLL
     for (int i = g.rank(); i < known; i += g.size()) {
       s.level[i] = static_cast<std::uint8_t>(kept.layout.level_of(i));

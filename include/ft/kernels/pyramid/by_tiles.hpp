@@ -54,7 +54,7 @@ struct resize_tile {
   };
   static constexpr int threads = 256;
   frame_arrivals arrivals{};
-  static constexpr bool shares_multiprocessors = true;
+  static constexpr bool prefers_shared = true;
 
   struct scratch {
     /// Two levels in turn, with two more words, which the loads of the last pixels may touch.

@@ -34,11 +34,10 @@ struct assign_keypoints {
   static constexpr int scratch_size = assign_scratch::size;
   using scratch = std::conditional_t<Turns, assign_scratch, no_scratch>;
 
-  static constexpr bool prepares = true;
   /// Clears the tables in block scratch.
   template <typename Group, typename... Args>
-  FT_HOST_DEVICE static void prepare(Group g, scratch& s, int, frame_view const& frame,
-                                     Args const&...) {
+  FT_HOST_DEVICE static void prologue(Group g, scratch& s, int, frame_view const& frame,
+                                      Args const&...) {
     if constexpr (Turns) {
       if (in_scratch(frame)) { clear_tables(g, s, s.writer, s.before, frame.numbers()); }
     }

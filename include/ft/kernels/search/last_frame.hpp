@@ -39,11 +39,10 @@ struct assign_last_points {
     check_orientation::scratch orientation;
   };
 
-  static constexpr bool prepares = true;
   template <typename Group, typename... Args>
-  FT_HOST_DEVICE static void prepare(Group g, scratch& s, int b, last_search<Rig> const&,
-                                     frame_view const& frame, Args const&...) {
-    assignment::prepare(g, s.assigned, b, frame);
+  FT_HOST_DEVICE static void prologue(Group g, scratch& s, int b, last_search<Rig> const&,
+                                      frame_view const& frame, Args const&...) {
+    assignment::prologue(g, s.assigned, b, frame);
   }
 
   template <typename Group>

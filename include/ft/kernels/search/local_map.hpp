@@ -43,21 +43,20 @@ struct list_local_point {
   }
 };
 
-/// The same, concurrently with the assignment of a search from the last frame. Lists without
-/// holders and stamps, waits for that search, then removes what it matched.
+/// The same, concurrently with the assignment of a search from the last frame. The prologue lists
+/// without holders and stamps; the operator removes what that search matched.
 template <typename Rig>
 struct list_local_point_early {
-  static constexpr bool begins_beside = true;
   struct scratch : list_candidates::scratch {
     int slot;
   };
 
   template <typename Group>
-  FT_HOST_DEVICE bool begin(Group g, scratch& s, int item, local_search<Rig> search,
-                            frame_view const& frame, map_points_view const& map,
-                            pyramid_geometry const& geometry, search_params params,
-                            search_windows_view const& windows,
-                            search_workspace const& work) const {
+  FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, local_search<Rig> search,
+                               frame_view const& frame, map_points_view const& map,
+                               pyramid_geometry const& geometry, search_params params,
+                               search_windows_view const& windows,
+                               search_workspace const& work) const {
     search.stamps = {};
     params.holders_later = true;
     list_local_point<Rig>{}(g, s, item, search, frame, map, geometry, params, windows, work);
@@ -126,9 +125,8 @@ void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_v
                       search_workspace const& work, Listed const& listed, bool early = false) {
   if (early) {
     int const items = windows.batch * windows.capacity;
-    for_each_item<per_warp>(detail::with_order(exec, detail::launch_order::concurrent), items,
-                            detail::list_local_point_early<Rig>{}, search, frame, map, geometry,
-                            params, windows, work);
+    for_each_item<per_warp>(exec, items, detail::list_local_point_early<Rig>{}, search, frame, map,
+                            geometry, params, windows, work);
   } else {
     list_local_map(exec, search, frame, map, geometry, params, windows, work);
   }

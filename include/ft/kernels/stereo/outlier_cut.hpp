@@ -20,7 +20,6 @@ namespace detail {
 /// The median is selected with two histograms, not a sort: scores are below 2^16 and their number
 /// is known at run time only.
 struct cut_stereo_outliers {
-  static constexpr bool prepares = true;
   static constexpr int fine_bits = 6;
   static constexpr int fine_bins = 1 << fine_bits;
   static constexpr int coarse_bins = 1 << (16 - fine_bits);  ///< scores are below 2^16
@@ -34,8 +33,8 @@ struct cut_stereo_outliers {
 
   /// Clears the bins.
   template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int /*pair*/,
-                              stereo_matches_view const& /*matches*/) const {
+  FT_HOST_DEVICE void prologue(Group g, scratch& s, int /*pair*/,
+                               stereo_matches_view const& /*matches*/) const {
     FT_NO_UNROLL
     for (int b = g.rank(); b < coarse_bins; b += g.size()) { s.coarse[b] = 0; }
     FT_NO_UNROLL

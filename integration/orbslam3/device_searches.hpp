@@ -12,7 +12,7 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"

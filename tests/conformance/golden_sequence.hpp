@@ -19,7 +19,7 @@
 #include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/kernels/grid.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"

@@ -20,7 +20,8 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/se3.hpp"
+#include "ft/kernels/pose/solve6.hpp"
 #include "tests/support/backends.hpp"
 
 namespace math_test {

@@ -15,7 +15,7 @@
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/cameras/unified.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_pose.hpp"
 #include "tests/fuzz/input.hpp"
 #include "tests/support/pose_problem.hpp"
 

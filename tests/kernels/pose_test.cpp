@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Pose optimisation on scenes with a known pose, on inputs that cannot be solved, and its
 // derivatives.
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 
 #include <gtest/gtest.h>
 

@@ -24,7 +24,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/kernels/grid.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"

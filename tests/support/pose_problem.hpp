@@ -3,7 +3,7 @@
 #pragma once
 
 #include "ft/core/config.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_pose.hpp"
 
 namespace test {
 

@@ -21,7 +21,7 @@
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/map_updates.hpp"
-#include "ft/kernels/pose_optimization.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/clear_holders.hpp"
 #include "ft/kernels/search/frustum.hpp"

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Map points seen at keypoints: the input of pose optimisation.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// A map point seen at a keypoint. Aligned, so that a GPU loads it in two pieces.
+struct alignas(16) observation {
+  vec3<float> point;  ///< world frame, metres
+  float u, v;         ///< pixels
+  float right_u;      ///< column in the right image of a rectified pair; negative = none
+  float inv_sigma2;   ///< weight, 1 / pixels^2
+  int right_camera;   ///< 1 = seen by the right camera of a fisheye pair
+};
+
+/// The observations of a batch of frames: every keypoint that holds a map point, in the order of
+/// keypoint numbers.
+struct observations_view {
+  observation* items = nullptr;      ///< [batch][capacity]
+  int* number = nullptr;             ///< [batch][capacity] keypoint number of an observation
+  unsigned char* outlier = nullptr;  ///< [batch][capacity] 1 = outlier
+  int* count = nullptr;              ///< [batch]
+  int* inliers = nullptr;            ///< [batch]
+  int capacity = 0;
+};
+
+inline void carve(carver& c, observations_view& v, int capacity, int batch) {
+  std::size_t const b = static_cast<std::size_t>(batch);
+  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
+  v.capacity = capacity;
+  v.items = c.take<observation>(n);
+  v.number = c.take<int>(n);
+  v.outlier = c.take<unsigned char>(n);
+  v.count = c.take<int>(b);
+  v.inliers = c.take<int>(b);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

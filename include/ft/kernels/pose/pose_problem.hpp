@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Parameters of pose optimisation, and the problem of a single pose.
+#pragma once
+
+#include "ft/containers/observations.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct pose_params {
+  int rounds = 4;
+  /// With fewer observations, outliers included, the first round is the only one.
+  int enough_observations = 10;
+  int steps = 10;   ///< per round
+  int trials = 10;  ///< of the damping, per step
+  /// A round ends with a step shorter than this in every component, rad and m; that one is taken
+  /// without a look at where it leads.
+  float small_step = 1e-4f;
+  double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
+  double chi2_stereo = 7.815;  ///< 95 % of 3
+};
+
+/// One camera's observations and results.
+struct pose_problem {
+  observation const* observations;
+  int count;
+  pose const* start;       ///< T_cw
+  pose* result;            ///< T_cw; the start where nothing can be done
+  unsigned char* outlier;  ///< [count]
+  int* inliers;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

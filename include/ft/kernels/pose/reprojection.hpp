@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Reprojection error of an observation, and its derivative.
+#pragma once
+
+#include <limits>
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/observations.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Reprojection error of one observation, its chi-square and its derivative. @tparam Rig
+/// rectified_rig or stereo_rig @tparam Real strict_float or strict_double @tparam Differentiate
+/// whether derivative() will be asked
+template <typename Rig, typename Real = strict_double, bool Differentiate = false>
+struct reprojection {
+  using plain = plain_scalar_t<Real>;
+  static constexpr plain infinitely_far = std::numeric_limits<plain>::infinity();
+
+  Real error[3];         ///< measured minus predicted; the third only with a right column
+  int rows;              ///< 2 or 3
+  vec3<Real> in_body;    ///< point in the left camera's frame
+  vec3<Real> in_camera;  ///< point in the seeing camera's frame
+  Real iz = Real(0);     ///< 1 / z of a rectified pair
+  bool valid = true;     ///< the camera model holds at the point
+
+  FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o) {
+    in_body = T_cw * vec3<Real>{real(o.point.x), real(o.point.y), real(o.point.z)};
+    in_camera = in_body;
+    rows = 2;
+    error[2] = Real(0);
+    if constexpr (Rig::rectified) {
+      auto const& c = rig.camera;
+      Real const inverse = scalar::reciprocal(in_body.z);
+      bool const stereo = o.right_u >= 0;
+      iz = stereo ? real(static_cast<float>(inverse.value)) : inverse;
+      Real const u = real(c.fx) * in_body.x * iz + real(c.cx);
+      Real const v = real(c.fy) * in_body.y * iz + real(c.cy);
+      error[0] = real(o.u) - u;
+      error[1] = real(o.v) - v;
+      if (stereo) {
+        rows = 3;
+        error[2] = real(o.right_u) - (u - real(rig.bf) * iz);
+      }
+    } else {
+      projection<Real> p;
+      if (o.right_camera != 0) {
+        in_camera = rig.T_rl.template cast<Real>() * in_body;
+        p = project(rig.right.template cast<Real>());
+      } else {
+        p = project(rig.left.template cast<Real>());
+      }
+      valid = p.valid;
+      error[0] = real(o.u) - p.pixel.x;
+      error[1] = real(o.v) - p.pixel.y;
+    }
+  }
+
+  /// Infinite where there is no projection: an outlier, and no place for a trial pose.
+  FT_HOST_DEVICE Real chi2(observation const& o) const {
+    if (!valid) { return Real(infinitely_far); }
+    return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) * real(o.inv_sigma2);
+  }
+
+  /// d prediction / d point in the left camera's frame.
+  FT_HOST_DEVICE void derivative(Rig const& rig, observation const& o, Real (&P)[3][3]) const {
+    Real const zero = Real(0);
+    if constexpr (Rig::rectified) {
+      static_cast<void>(o);
+      auto const& c = rig.camera;
+      Real const du = real(c.fx) * iz;
+      Real const dv = real(c.fy) * iz;
+      P[0][0] = P[2][0] = du;
+      P[1][1] = dv;
+      P[0][1] = P[1][0] = P[2][1] = zero;
+      P[0][2] = -(du * (in_body.x * iz));
+      P[1][2] = -(dv * (in_body.y * iz));
+      P[2][2] = P[0][2] + real(rig.bf) * (iz * iz);
+    } else {
+      static_assert(Differentiate, "asked for when it was made");
+      auto const& j = camera_derivative.m;
+      bool const right = o.right_camera != 0;
+      mat3<Real> const R = rig.T_rl.template cast<Real>().R;
+      for (int r = 0; r < 2; ++r) {
+        for (int k = 0; k < 3; ++k) {
+          P[r][k] = right
+                        ? j[3 * r] * R.m[k] + j[3 * r + 1] * R.m[3 + k] + j[3 * r + 2] * R.m[6 + k]
+                        : j[3 * r + k];
+        }
+      }
+      P[2][0] = P[2][1] = P[2][2] = zero;
+    }
+  }
+
+private:
+  FT_HOST_DEVICE static Real real(float v) { return Real(static_cast<plain>(v)); }
+
+  template <typename Camera>
+  FT_HOST_DEVICE projection<Real> project(Camera const& camera) {
+    if constexpr (Differentiate) {
+      return project_and_differentiate(camera, in_camera, camera_derivative);
+    } else {
+      return camera.project(in_camera);
+    }
+  }
+
+  mat23<Real> camera_derivative;  ///< d pixel / d in_camera, of unrectified cameras
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

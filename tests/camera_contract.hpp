@@ -1383,9 +1383,8 @@ TYPED_TEST_P(camera_in_stages, pose_optimization_finds_the_pose) {
       (turn({0.4, -1, 0.3}, 0.04, {0.05, -0.04, 0.06}) * s.T_cw.template cast<double>())
           .template cast<float>();
   auto const pose = to_exec(exec, std::vector<ft::pose>{start});
-  ft::optimize_poses(exec, TestFixture::rig(), frame.view, frame.map.view(), frame.geometry,
-                     ft::pose_params{}, static_cast<ft::pose const*>(pose.data()), pose.data(),
-                     observations);
+  ft::optimize_frame_poses(exec, TestFixture::rig(), {frame.view, frame.map.view(), frame.geometry},
+                           {pose.data(), pose.data(), observations});
   auto const found = from_exec(exec, static_cast<ft::pose const*>(pose.data()), 1)[0];
   EXPECT_LT(difference(found, s.T_cw), 1e-4);
   EXPECT_EQ(frame.holders(exec), kept) << "the false keypoints are let go, and no others";

@@ -66,6 +66,7 @@
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/kernels/pose/prepared_observations.hpp"
 #include "ft/kernels/pose/reprojection.hpp"
 #include "ft/kernels/pose/se3.hpp"
 #include "ft/kernels/pose/solve6.hpp"

@@ -261,8 +261,8 @@ public:
   }
 
   void queue_pose(Exec const& exec, context const& c) {
-    optimize_poses(exec, rig_, c.frame, c.map, c.geometry, pose_params{}, poses_, poses_ + 2,
-                   observations_);
+    optimize_frame_poses(exec, rig_, {c.frame, c.map, c.geometry},
+                         {poses_, poses_ + 2, observations_});
   }
 
   // ---- results: queued down by the last launch, valid after exec.wait()

@@ -31,7 +31,6 @@
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
-#include "tests/support/pose_problem.hpp"
 
 namespace test {
 
@@ -615,11 +614,8 @@ private:
     ft::copy(exec_, memory.items, items.data(), items.size());
     auto const start = to_exec(exec_, std::vector<ft::pose>{read_pose(k, po + "Tin")});
     ft::buffer<ft::pose, Exec::space> result(1);
-    ft::for_each_item<ft::per_block<ft::sum_lanes>>(
-        exec_, 1, test::solve_pose_problem<Rig>{}, rig,
-        ft::pose_problem{memory.items, n, start.data(), result.data(), memory.outlier,
-                         memory.inliers},
-        ft::pose_params{});
+    ft::optimize_pose(
+        exec_, rig, {memory.items, n, start.data(), result.data(), memory.outlier, memory.inliers});
     auto const got = get_array<ft::pose>(result.data(), 1)[0];
     auto const flags = get_array<unsigned char>(memory.outlier, static_cast<std::size_t>(n));
     auto const want = read_pose(k, po + "Tout");

@@ -17,7 +17,6 @@
 #include "ft/cameras/unified.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "tests/fuzz/input.hpp"
-#include "tests/support/pose_problem.hpp"
 
 namespace {
 
@@ -99,8 +98,7 @@ void solve(fuzz::input& in, Rig const& rig) {
   int inliers = -1;
   ft::pose_problem const problem{seen.data(), n, &start, &result, outlier.data(), &inliers};
   static ft::host_exec const exec(1);
-  ft::for_each_item<ft::per_warp>(exec, 1, test::solve_pose_problem<Rig>{}, rig, problem,
-                                  ft::pose_params{});
+  ft::optimize_pose(exec, rig, problem);
   int kept = 0;
   for (int i = 0; i < n; ++i) {
     auto const flag = outlier[static_cast<std::size_t>(i)];

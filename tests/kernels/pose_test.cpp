@@ -18,7 +18,6 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
-#include "tests/support/pose_problem.hpp"
 
 namespace pose_test {
 
@@ -203,29 +202,28 @@ struct differentiate {
     using real = ft::strict_double;
     ft::observation const o = observations[i];
     auto const T = T_cw.template cast<real>();
-    ft::reprojection<Rig, real, true> const here(rig, T, o);
-    real P[3][3];
-    here.derivative(rig, o, P);
+    ft::detail::reprojection<Rig, real, true> const here(rig, T, o);
+    auto const P = here.derivative(rig, o);
+    auto const row = [&](int r) {
+      return ft::vec3<real>{P.m[3 * r], P.m[3 * r + 1], P.m[3 * r + 2]};
+    };
     auto const& p = here.in_body;
     derivatives& d = out[i];
     d.rows = here.rows;
     for (int r = 0; r < 3; ++r) {
       d.error[r] = here.error[r].value;
       // A small twist (w, t) moves the point by w x p + t.
-      real const J[6] = {P[r][2] * p.y - P[r][1] * p.z,
-                         P[r][0] * p.z - P[r][2] * p.x,
-                         P[r][1] * p.x - P[r][0] * p.y,
-                         P[r][0],
-                         P[r][1],
-                         P[r][2]};
+      auto const by_point = row(r);
+      auto const by_turn = cross(p, by_point);
+      real const J[6] = {by_turn.x, by_turn.y, by_turn.z, by_point.x, by_point.y, by_point.z};
       for (int k = 0; k < 6; ++k) { d.analytic[r][k] = J[k].value; }
     }
     for (int k = 0; k < 6; ++k) {
       real twist[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
       twist[k] = step;
-      ft::reprojection<Rig> const ahead(rig, ft::detail::exp_se3(twist) * T, o);
+      ft::detail::reprojection<Rig> const ahead(rig, ft::detail::exp_se3(twist) * T, o);
       twist[k] = -step;
-      ft::reprojection<Rig> const behind(rig, ft::detail::exp_se3(twist) * T, o);
+      ft::detail::reprojection<Rig> const behind(rig, ft::detail::exp_se3(twist) * T, o);
       // Errors are measured minus predicted.
       for (int r = 0; r < 3; ++r) {
         d.numeric[r][k] = ((behind.error[r] - ahead.error[r]) / (2 * step)).value;
@@ -250,11 +248,9 @@ protected:
     auto const d_result = test::to_exec(exec, std::vector<ft::pose>{ft::pose{}});
     auto const d_outlier = test::to_exec(exec, std::vector<unsigned char>(n + 1, 77));
     auto const d_inliers = test::to_exec(exec, std::vector<int>{-1});
-    ft::for_each_item<ft::per_block<ft::sum_lanes>>(
-        exec, 1, test::solve_pose_problem<Rig>{}, rig,
-        ft::pose_problem{d_observations.data(), static_cast<int>(n), d_start.data(),
-                         d_result.data(), d_outlier.data(), d_inliers.data()},
-        ft::pose_params{});
+    ft::optimize_pose(exec, rig,
+                      {d_observations.data(), static_cast<int>(n), d_start.data(), d_result.data(),
+                       d_outlier.data(), d_inliers.data()});
     result r;
     r.pose = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), 1)[0];
     r.outlier = test::from_exec(exec, static_cast<unsigned char const*>(d_outlier.data()), n + 1);
@@ -478,8 +474,8 @@ protected:
     frame.batch = batch;
     frame.right_x = Rig::rectified ? d_right.data() : nullptr;
     frame.holder = d_holder.data();
-    ft::optimize_poses(exec, rig, frame, d_map.view(), geometry, {}, d_start.data(),
-                       d_result.data(), observations);
+    ft::optimize_frame_poses(exec, rig, {frame, d_map.view(), geometry},
+                             {d_start.data(), d_result.data(), observations});
     auto const got = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), batch);
     auto const after =
         test::from_exec(exec, static_cast<int const*>(d_holder.data()), holder.size());
@@ -593,17 +589,20 @@ TYPED_TEST(pose_unit, an_observation_adds_its_squared_jacobian) {
   for (int round = 0; round < 200; ++round) {
     bool const rectified = round % 2 == 0;
     ft::vec3<number> const p{any(random), any(random), any(random)};
-    number P[3][3];
-    for (auto& row : P) {
-      for (auto& v : row) { v = any(random); }
+    ft::mat3<number> P;
+    for (auto& v : P.m) { v = any(random); }
+    if (rectified) {
+      P.m[1] = P.m[3] = P.m[7] = 0.0f;
+      P.m[6] = P.m[0];
     }
-    if (rectified) { P[0][1] = P[1][0] = P[2][1] = 0.0f; }
-    if (rectified) { P[2][0] = P[0][0]; }
     ft::vec3<number> const W{std::abs(any(random)), std::abs(any(random)),
                              rectified && round % 4 == 0 ? std::abs(any(random)) : 0.0f};
     ft::vec3<number> const e{any(random), any(random), any(random)};
     float sums[ft::detail::pose_terms] = {};
-    ft::detail::add_motion_terms(p, P, W, e, rectified, sums);
+    ft::detail::add_motion_terms(p,
+                                 rectified ? ft::detail::rectified_equations(P, W, e)
+                                           : ft::detail::monocular_equations(P, W, e),
+                                 sums);
     double const x[3] = {p.x.value, p.y.value, p.z.value};
     double const w[3] = {W.x.value, W.y.value, W.z.value};
     double const error[3] = {e.x.value, e.y.value, e.z.value};
@@ -612,9 +611,9 @@ TYPED_TEST(pose_unit, an_observation_adds_its_squared_jacobian) {
       for (int k = 0; k < 3; ++k) {
         int const a = (k + 1) % 3;
         int const b = (k + 2) % 3;
-        J[r][k] =
-            static_cast<double>(P[r][b].value) * x[a] - static_cast<double>(P[r][a].value) * x[b];
-        J[r][3 + k] = P[r][k].value;
+        J[r][k] = static_cast<double>(P.m[3 * r + b].value) * x[a] -
+                  static_cast<double>(P.m[3 * r + a].value) * x[b];
+        J[r][3 + k] = P.m[3 * r + k].value;
       }
     }
     int at = 6;

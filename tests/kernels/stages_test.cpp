@@ -832,8 +832,8 @@ public:
   }
   /// Poses and flags. @param with_poses false: poses are compared elsewhere
   record optimize(bool with_poses) {
-    ft::optimize_poses(exec_, case_.rig, frame_, map_, case_.geometry, ft::pose_params{},
-                       predicted_, result_, observations_);
+    ft::optimize_frame_poses(exec_, case_.rig, {frame_, map_, case_.geometry},
+                             {predicted_, result_, observations_});
     record r;
     auto const b = at(case_.batch);
     auto const count = test::from_exec(exec_, static_cast<int const*>(observations_.count), b);
@@ -1064,19 +1064,15 @@ TEST_F(stage_parity, tracking_with_other_pairs) {
 /// One problem per item.
 template <typename Rig>
 struct solve_problem {
-  using scratch = typename ft::optimize_pose<Rig>::scratch;
+  using scratch = ft::detail::pose_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, Rig const& rig,
-                                 ft::observation const* observations, int const* first,
-                                 ft::pose const* start, ft::pose* result, unsigned char* outlier,
-                                 int* inliers, ft::pose_params const& params) const {
+                                 ft::pose_problem const& all, int const* first) const {
     int const from = first[item];
-    ft::optimize_pose<Rig>{}(
-        g, s, rig,
-        ft::pose_problem{observations + from, first[item + 1] - from, start + item, result + item,
-                         outlier + from, inliers + item},
-        params);
+    ft::pose_problem const one{all.observations + from, first[item + 1] - from, all.start + item,
+                               all.result + item,       all.outlier + from,     all.inliers + item};
+    ft::detail::optimize_problem<Rig>{rig, {}}(g, s, item, one);
   }
 };
 
@@ -1130,9 +1126,9 @@ void compare_poses(executors& on, int problems, unsigned seed, long& inliers_fou
     ft::buffer<int, space> const inliers(start.size());
     ft::for_each_item<ft::per_block<ft::sum_lanes>>(
         exec, problems, solve_problem<Rig>{}, rig,
-        static_cast<ft::observation const*>(d_observations.data()),
-        static_cast<int const*>(d_first.data()), static_cast<ft::pose const*>(d_start.data()),
-        result.data(), outlier.data(), inliers.data(), ft::pose_params{});
+        ft::pose_problem{d_observations.data(), first.back(), d_start.data(), result.data(),
+                         outlier.data(), inliers.data()},
+        static_cast<int const*>(d_first.data()));
     answer r;
     r.poses = test::from_exec(exec, static_cast<ft::pose const*>(result.data()), start.size());
     r.rest.add("flags", test::from_exec(exec, static_cast<unsigned char const*>(outlier.data()),

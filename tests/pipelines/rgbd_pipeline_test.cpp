@@ -230,8 +230,8 @@ public:
 
 private:
   void optimize() {
-    ft::optimize_poses(exec_, rig_, frame_, map_, orb_.geometry(), ft::pose_params{}, poses_,
-                       poses_, observations_);
+    ft::optimize_frame_poses(exec_, rig_, {frame_, map_, orb_.geometry()},
+                             {poses_, poses_, observations_});
   }
 
   Exec exec_;

@@ -26,6 +26,10 @@ template <typename S>
 FT_HOST_DEVICE S dot(vec3<S> a, vec3<S> b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }
+template <typename S>
+FT_HOST_DEVICE vec3<S> cross(vec3<S> a, vec3<S> b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
 
 /// 3 x 3, row-major.
 template <typename S>

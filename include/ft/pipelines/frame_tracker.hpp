@@ -656,8 +656,8 @@ private:
     }
     mark("search last frame");
     if (params_.optimize_last) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, input.predicted, poses_,
-                     observations_);
+      optimize_frame_poses(exec, rig_, {frame_, map_, geometry()},
+                           {input.predicted, poses_, observations_});
       mark("pose last frame");
     }
     if constexpr (branches<Mark> && !Rig::rectified) {
@@ -719,8 +719,8 @@ private:
       mark("search local map");
     }
     if (params_.optimize_local) {
-      optimize_poses(exec, rig_, frame_, map_, geometry(), pose_params{}, pose_of_motion(), poses_,
-                     observations_);
+      optimize_frame_poses(exec, rig_, {frame_, map_, geometry()},
+                           {pose_of_motion(), poses_, observations_});
       mark("pose local map");
     }
     if constexpr (branches<Mark>) {

@@ -16,25 +16,25 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Levenberg-Marquardt as a machine that one thread keeps: it names a trial motion, is told the
-/// sums there, and names the next.
+/// Levenberg-Marquardt state machine, run by one thread: propose() gives a trial motion, judge()
+/// takes the sums at the trial.
 struct damped_descent {
-  /// Costs that differ by less than this part are the same: they are sums of float residuals.
+  /// Relative difference below which two costs count as equal: they are sums of float residuals.
   static constexpr float noise = 1e-5f;
 
   using real = strict_float;
   rigid<real> D;      ///< the best motion so far, from the camera's frame at the start
-  rigid<real> trial;  ///< where the sums are wanted next
+  rigid<real> trial;  ///< the motion whose sums are needed next
   real step[6];
-  real cost;      ///< at the best
-  real expected;  ///< decrease of the cost
+  real cost;      ///< at D
+  real expected;  ///< decrease of the cost that the model predicts
   real damping;
   real growth;
   int steps_left;
   int trials_left;
-  bool running;  ///< false = done, `D` is the answer
+  bool running;  ///< false once D is the answer
 
-  /// @param sums without any motion
+  /// @param sums at the identity
   FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
     D = rigid<real>::identity();
     trial = D;
@@ -52,7 +52,8 @@ struct damped_descent {
     running = steps_left > 0;
   }
 
-  /// Whether the trial is the best now. @param sums there
+  /// @param sums at the trial
+  /// @return whether the trial is now the best motion
   FT_HOST_DEVICE bool judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
     real const there = sums.of[pose_terms - 1];
     real const decrease = cost - there;
@@ -71,7 +72,8 @@ struct damped_descent {
     return true;
   }
 
-  /// Names the next trial, or ends. @param best the sums at the best
+  /// Computes the next trial, or ends the descent.
+  /// @param best the sums at D
   FT_HOST_DEVICE void propose(sum_terms<pose_terms> const& best, pose_params const& params) {
     while (running && !solve_6(best.of, damping, step)) { refuse(); }
     if (!running) { return; }
@@ -83,13 +85,13 @@ struct damped_descent {
     }
     trial = exp_se3(step) * D;
     if (!small) { return; }
-    // Short because it was cut short: a longer one was no better.
+    // After a refused trial the step is small because of the damping: a longer one was no better.
     if (trials_left == params.trials) { D = trial; }
     running = false;
   }
 
 private:
-  /// After a trial that was no better: more damping, while any is left.
+  /// Increases the damping after a refused trial, or ends the descent.
   FT_HOST_DEVICE void refuse() {
     damping = damping * growth;
     growth = growth * 2.0f;

@@ -21,32 +21,47 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// One frame: gathers the observations, optimises the pose, and lets keypoints go of outliers.
+/// A batch of frames and the map points that their keypoints hold.
+struct frames_in_map {
+  frame_view frame;
+  map_points_view map;
+  pyramid_geometry geometry;  ///< the weight of a keypoint depends on its octave
+};
+
+/// What optimize_frame_poses() starts from and writes, in the executor's memory.
+struct frame_poses {
+  pose const* start;               ///< [batch] T_cw
+  pose* result;                    ///< [batch] T_cw; may be `start`
+  observations_view observations;  ///< written; capacity at least frame.numbers()
+};
+
+namespace detail {
+
+/// One item: a frame. Gathers the observations, optimises the pose and releases outliers.
 template <typename Rig>
-struct optimize_frame_pose {
-  using solver = optimize_pose<Rig>;
+struct optimize_frame {
   struct scratch {
-    typename solver::scratch pose;
-    int number[solver::scratch_size];  ///< keypoint number of an observation
+    pose_scratch pose;
+    int number[prepared_observations::size];  ///< keypoint number of an observation
   };
+  Rig rig;
+  pose_params params;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, Rig const& rig,
-                                 frame_view const& frame, map_points_view const& map,
-                                 pyramid_geometry const& geometry, pose_params const& params,
-                                 pose const* start, pose* result,
-                                 observations_view const& out) const {
-    map_points_view const points = map.slice(b);
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frames_in_map const& in,
+                                 frame_poses const& poses) const {
+    frame_view const& frame = in.frame;
+    map_points_view const points = in.map.slice(b);
+    observations_view const& out = poses.observations;
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
-    int const first = *frame.camera(b, 0).count;
-    int const all = first + (frame.cameras > 1 ? *frame.camera(b, 1).count : 0);
-    if (g.rank() == 0) { s.pose.T = start[b].template cast<strict_double>(); }
-    int const n = list_observations(g, s, first, all, frame.capacity(), holder, out.number + at);
-    pose_problem const problem{out.items + at, n, start + b, result + b, out.outlier + at,
-                               out.inliers + b};
+    if (g.rank() == 0) { s.pose.T = poses.start[b].template cast<strict_double>(); }
+    int const n = list_observations(g, s, b, frame, out.number + at);
+    pose_problem const problem{
+        out.items + at, n, poses.start + b, poses.result + b, out.outlier + at, out.inliers + b};
+    pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params};
     auto const number_of = [&](int i) {
-      return i < solver::scratch_size ? s.number[i] : out.number[at + i];
+      return i < prepared_observations::size ? s.number[i] : out.number[at + i];
     };
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
@@ -61,31 +76,34 @@ struct optimize_frame_pose {
                           get<field::x>(kp, k),
                           get<field::y>(kp, k),
                           right,
-                          geometry.inv_sigma2[get<field::octave>(kp, k)],
+                          in.geometry.inv_sigma2[get<field::octave>(kp, k)],
                           c};
       out.items[at + i] = o;
-      solver::prepare(s.pose, i, rig, problem, o);
+      solver.prepare(i, o);
     }
     if (g.rank() == 0) { out.count[b] = n; }
-    solver::solve(g, s.pose, rig, problem, params);
+    solver.solve();
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      if (solver::is_outlier(s.pose, i, problem)) { holder[number_of(i)] = -1; }
+      if (solver.is_outlier(i)) { holder[number_of(i)] = -1; }
     }
   }
 
 private:
-  /// Lists the numbers of the keypoints that hold a point. Returns how many. @param first keypoints
-  /// of the first camera @param all of both
+  /// Lists the numbers of the keypoints that hold a point, in scratch and in `listed`. Returns how
+  /// many there are.
   template <typename Group>
-  FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int first, int all, int capacity,
-                                              int const* holder, int* listed) {
-    // Each part takes a run of keypoints: one scan, over the parts, gives all their places.
+  FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int b, frame_view const& frame,
+                                              int* listed) {
+    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    int const first = *frame.camera(b, 0).count;
+    int const all = first + (frame.cameras > 1 ? *frame.camera(b, 1).count : 0);
+    // Each part of the group takes a run of keypoints, so one scan over the parts gives all places.
     auto const part = g.part();
     int const run = ceil_div(all, g.size()) * part.size();
     int const from = g.part_index() * run;
     int const to = min_of(from + run, all);
-    auto const number_of = [&](int k) { return k < first ? k : k - first + capacity; };
+    auto const number_of = [&](int k) { return k < first ? k : k - first + frame.capacity(); };
     auto const holds = [&](int k) { return k < to && holder[number_of(k)] >= 0; };
     int mine = 0;
     constexpr int at_once = 4;  // loads
@@ -103,7 +121,7 @@ private:
       int const i = place + part.exclusive_count(held, count);
       if (held) {
         listed[i] = number_of(k);
-        if (i < solver::scratch_size) { s.number[i] = number_of(k); }
+        if (i < prepared_observations::size) { s.number[i] = number_of(k); }
       }
       place += count;
     }
@@ -112,17 +130,16 @@ private:
   }
 };
 
-/// Pose of every frame from the map points that its keypoints hold; outliers are released.
-/// Asynchronous on `exec`; allocates nothing; one launch. @param start,result [batch] T_cw, may be
-/// the same
-/// @param out capacity at least frame.numbers()
+}  // namespace detail
+
+/// Pose of every frame from the map points that its keypoints hold. A keypoint releases its point
+/// where that is an outlier. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param in `holder` of the frame is read and written
 template <typename Exec, typename Rig>
-void optimize_poses(Exec const& exec, Rig const& rig, frame_view const& frame,
-                    map_points_view const& map, pyramid_geometry const& geometry,
-                    pose_params const& params, pose const* start, pose* result,
-                    observations_view const& out) {
-  for_each_item<per_block<sum_lanes>>(exec, frame.batch, optimize_frame_pose<Rig>{}, rig, frame,
-                                      map, geometry, params, start, result, out);
+void optimize_frame_poses(Exec const& exec, Rig const& rig, frames_in_map const& in,
+                          frame_poses const& poses, pose_params const& params = {}) {
+  for_each_item<per_block<sum_lanes>>(exec, in.frame.batch,
+                                      detail::optimize_frame<Rig>{rig, params}, in, poses);
 }
 
 }  // namespace FT_ABI

@@ -11,23 +11,23 @@ inline namespace FT_ABI {
 
 struct pose_params {
   int rounds = 4;
-  /// With fewer observations, outliers included, the first round is the only one.
+  /// With fewer observations, outliers included, only the first round is run.
   int enough_observations = 10;
   int steps = 10;   ///< per round
-  int trials = 10;  ///< of the damping, per step
-  /// A round ends with a step shorter than this in every component, rad and m; that one is taken
-  /// without a look at where it leads.
+  int trials = 10;  ///< values of the damping tried per step
+  /// A round ends with a step whose components are all shorter than this, rad and m. That step is
+  /// taken without evaluating its cost.
   float small_step = 1e-4f;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
 
-/// One camera's observations and results.
+/// The observations of one camera pose, and where its results go.
 struct pose_problem {
   observation const* observations;
   int count;
   pose const* start;       ///< T_cw
-  pose* result;            ///< T_cw; the start where nothing can be done
+  pose* result;            ///< T_cw; `start` if there are fewer than 3 observations
   unsigned char* outlier;  ///< [count]
   int* inliers;
 };

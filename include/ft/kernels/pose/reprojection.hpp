@@ -13,10 +13,12 @@
 
 namespace ft {
 inline namespace FT_ABI {
+namespace detail {
 
-/// Reprojection error of one observation, its chi-square and its derivative. @tparam Rig
-/// rectified_rig or stereo_rig @tparam Real strict_float or strict_double @tparam Differentiate
-/// whether derivative() will be asked
+/// Reprojection error of one observation, its chi-square and its derivative.
+/// @tparam Rig rectified_rig or stereo_rig
+/// @tparam Real strict_float or strict_double
+/// @tparam Differentiate whether derivative() will be called
 template <typename Rig, typename Real = strict_double, bool Differentiate = false>
 struct reprojection {
   using plain = plain_scalar_t<Real>;
@@ -25,9 +27,9 @@ struct reprojection {
   Real error[3];         ///< measured minus predicted; the third only with a right column
   int rows;              ///< 2 or 3
   vec3<Real> in_body;    ///< point in the left camera's frame
-  vec3<Real> in_camera;  ///< point in the seeing camera's frame
+  vec3<Real> in_camera;  ///< point in the frame of the camera that sees it
   Real iz = Real(0);     ///< 1 / z of a rectified pair
-  bool valid = true;     ///< the camera model holds at the point
+  bool valid = true;     ///< whether the point is in the domain of the camera model
 
   FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o) {
     in_body = T_cw * vec3<Real>{real(o.point.x), real(o.point.y), real(o.point.z)};
@@ -61,39 +63,39 @@ struct reprojection {
     }
   }
 
-  /// Infinite where there is no projection: an outlier, and no place for a trial pose.
+  /// Infinite without a valid projection: such an observation is an outlier, and a trial pose with
+  /// one is refused.
   FT_HOST_DEVICE Real chi2(observation const& o) const {
     if (!valid) { return Real(infinitely_far); }
     return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) * real(o.inv_sigma2);
   }
 
-  /// d prediction / d point in the left camera's frame.
-  FT_HOST_DEVICE void derivative(Rig const& rig, observation const& o, Real (&P)[3][3]) const {
+  /// d prediction / d point in the left camera's frame: rows u, v, and the right column.
+  FT_HOST_DEVICE mat3<Real> derivative(Rig const& rig, observation const& o) const {
     Real const zero = Real(0);
     if constexpr (Rig::rectified) {
       static_cast<void>(o);
       auto const& c = rig.camera;
       Real const du = real(c.fx) * iz;
       Real const dv = real(c.fy) * iz;
-      P[0][0] = P[2][0] = du;
-      P[1][1] = dv;
-      P[0][1] = P[1][0] = P[2][1] = zero;
-      P[0][2] = -(du * (in_body.x * iz));
-      P[1][2] = -(dv * (in_body.y * iz));
-      P[2][2] = P[0][2] + real(rig.bf) * (iz * iz);
+      Real const du_dz = -(du * (in_body.x * iz));
+      Real const dv_dz = -(dv * (in_body.y * iz));
+      return {{du, zero, du_dz, zero, dv, dv_dz, du, zero, du_dz + real(rig.bf) * (iz * iz)}};
     } else {
-      static_assert(Differentiate, "asked for when it was made");
+      static_assert(Differentiate, "derivative() needs the template argument Differentiate");
       auto const& j = camera_derivative.m;
       bool const right = o.right_camera != 0;
       mat3<Real> const R = rig.T_rl.template cast<Real>().R;
+      mat3<Real> P;
       for (int r = 0; r < 2; ++r) {
         for (int k = 0; k < 3; ++k) {
-          P[r][k] = right
-                        ? j[3 * r] * R.m[k] + j[3 * r + 1] * R.m[3 + k] + j[3 * r + 2] * R.m[6 + k]
-                        : j[3 * r + k];
+          P.m[3 * r + k] =
+              right ? j[3 * r] * R.m[k] + j[3 * r + 1] * R.m[3 + k] + j[3 * r + 2] * R.m[6 + k]
+                    : j[3 * r + k];
         }
       }
-      P[2][0] = P[2][1] = P[2][2] = zero;
+      P.m[6] = P.m[7] = P.m[8] = zero;
+      return P;
     }
   }
 
@@ -112,5 +114,6 @@ private:
   mat23<Real> camera_derivative;  ///< d pixel / d in_camera, of unrectified cameras
 };
 
+}  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -23,7 +23,8 @@ FT_HOST_DEVICE mat3<Real> one_plus(Real a, Real b, vec3<Real> w, Real theta2) {
            xz - aw.y, yz + aw.x, rest + bw.z * w.z}};
 }
 
-/// exp of a twist (rotation first), by series and repeated squaring: no library function.
+/// Exponential of a twist (rotation first), by series and repeated squaring. It calls no library
+/// function, so its bits are the same on every executor.
 template <typename Real>
 FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
   using plain = plain_scalar_t<Real>;
@@ -39,8 +40,8 @@ FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
     theta2 = theta2 * Real(plain(1) / 4);
     ++halvings;
   }
-  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket. What is
-  // left out is below 1e-16 of the result.
+  // sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3: series in t^2, from the innermost bracket. The
+  // truncation error is below 1e-16 of the result.
   Real a = Real(1);
   Real b = Real(1);
   Real c = Real(1);
@@ -56,7 +57,7 @@ FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
   rigid<Real> t;
   t.R = one_plus(a, b, w, theta2);
   t.t = one_plus(b, c, w, theta2) * u;
-  // Each product doubles what R lacks of a rotation: of many turns nothing would be left in float.
+  // Each squaring doubles the departure of R from a rotation. In float that adds up after a few.
   constexpr int harmless = 6;
   bool const many = halvings > harmless;
   FT_NO_UNROLL

@@ -10,7 +10,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// A symmetric matrix of size 3: its upper triangle by rows.
+/// A symmetric 3 x 3 matrix, stored as its upper triangle by rows.
 template <typename Real>
 struct symmetric_3 {
   Real xx, xy, xz, yy, yz, zz;
@@ -19,7 +19,7 @@ struct symmetric_3 {
     return {xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z,
             xz * v.x + yz * v.y + zz * v.z};
   }
-  /// By cofactors: one division, short chains. False where it is not positive definite.
+  /// By cofactors: one division, short dependency chains. False if it is not positive definite.
   FT_HOST_DEVICE bool invert(symmetric_3& inverse) const {
     symmetric_3 const c{yy * zz - yz * yz, yz * xz - xy * zz, xy * yz - yy * xz,
                         xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy};
@@ -31,9 +31,11 @@ struct symmetric_3 {
   }
 };
 
-/// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in blocks of 3
-/// (Schur complement). @param terms b, then A as upper triangle by rows. False where the matrix is
-/// not positive definite. @tparam Real that it is solved in
+/// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in 3 x 3 blocks
+/// (Schur complement).
+/// @tparam Real scalar of the solution
+/// @param terms b, then the upper triangle of A by rows
+/// @return false if the matrix is not positive definite
 template <typename Real, typename Number>
 FT_HOST_DEVICE bool solve_6(Number const* terms, Real damping, Real (&x)[6]) {
   using plain = plain_scalar_t<Real>;

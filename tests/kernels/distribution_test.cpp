@@ -17,7 +17,7 @@
 
 #include "ft/containers/corners.hpp"
 #include "ft/containers/soa.hpp"
-#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/distribution/distribute_corners.hpp"
 #include "tests/support/backends.hpp"
 
 namespace distribution_oracle {
@@ -293,10 +293,13 @@ protected:
       if (scratch_points == 0) {
         ft::distribute_corners(exec, corners, out, w.entered, w.ties);
       } else {
-        ft::distribute_level op;
-        op.scratch_points = scratch_points;
-        op.entered = w.entered;
-        ft::distribute_corners(exec, op, corners, out, w.ties);
+        ft::detail::level_memory const division{scratch_points};
+        if (w.ties == ft::tie_rule::std_sort) {
+          ft::detail::distribute_in<ft::tie_rule::std_sort>(exec, division, w.entered, corners,
+                                                            out);
+        } else {
+          ft::detail::distribute_in<ft::tie_rule::stable>(exec, division, w.entered, corners, out);
+        }
       }
       int compared = 0;
       check(exec, points, layout, out, levels, batch, w.ties, compared);
@@ -392,7 +395,7 @@ TYPED_TEST(distribution_oracle_test, few_points_for_any_number_of_wanted_feature
 }
 
 TYPED_TEST(distribution_oracle_test, every_kind_of_points_around_what_block_scratch_holds) {
-  using level = ft::distribute_level;
+  namespace level = ft::detail::quadtree;
   int const points[] = {1,
                         2,
                         31,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Introsort in parallel against std::sort of libstdc++, whose order of equal elements it gives.
-#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/distribution/last_rounds.hpp"
 
 #include <gtest/gtest.h>
 

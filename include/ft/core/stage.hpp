@@ -17,7 +17,7 @@
 /// |                                         | at most extra_scratch(); the host has none         |
 /// | `static constexpr bool wide_on_host`    | also compiled for AVX2, chosen at run time         |
 /// | `static constexpr int resident_blocks`  | that many blocks on a multiprocessor at least: a   |
-/// |                                         | limit of registers                                 |
+/// |                                         | limit of registers. 0: no limit                    |
 /// | `static constexpr bool prefers_shared`  | the largest share of shared memory. For launches   |
 /// |                                         | that overlap: one that needs another split of a    |
 /// |                                         | multiprocessor's memory waits until it is idle     |
@@ -122,7 +122,7 @@ struct stage_traits {
     if constexpr (names_resident_blocks<Op>) {
       static_assert(std::is_same<decltype(Op::resident_blocks), int const>::value,
                     "resident_blocks is a static constexpr int");
-      static_assert(Op::resident_blocks > 0, "resident_blocks is at least 1");
+      static_assert(Op::resident_blocks >= 0, "resident_blocks is a number of blocks, 0 for any");
       return Op::resident_blocks;
     } else {
       return 0;

@@ -20,7 +20,7 @@
 #include "ft/kernels/corners/detect_corners.hpp"
 #include "ft/kernels/corners/gather.hpp"
 #include "ft/kernels/corners/mask.hpp"
-#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/distribution/distribute_corners.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/describe_keypoints.hpp"
 #include "ft/kernels/keypoints/order.hpp"

@@ -12,7 +12,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
-#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/distribution/layout.hpp"
 #include "ft/kernels/keypoints/descriptor.hpp"
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"

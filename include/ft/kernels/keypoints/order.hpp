@@ -14,7 +14,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/distribution.hpp"
+#include "ft/kernels/distribution/layout.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

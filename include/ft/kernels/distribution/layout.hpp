@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file How many corners each level keeps, and the memory of the quadtree. Source: specification
+/// sections 2 and 3.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+
+#include "ft/containers/corners.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Which of two nodes is split first if they have the same number of points and the same left edge,
+/// in the rounds that split node by node. Source: specification section 3.
+enum class tie_rule {
+  stable,   ///< the one that was created last
+  std_sort  ///< as libstdc++'s std::sort orders them, whatever library the program uses
+};
+
+/// The number of corners that each level should keep, and its share of the memory.
+struct distribution_layout {
+  int levels = 0;
+  int wanted[max_levels] = {};    ///< features of a level
+  int roots[max_levels] = {};     ///< root nodes, side by side
+  int width[max_levels] = {};     ///< of the work area, pixels
+  int height[max_levels] = {};    ///< likewise
+  int capacity[max_levels] = {};  ///< most nodes, and so most kept corners, of a level
+  int first[max_levels] = {};     ///< slot of a level's first corner among those of an image
+  int total = 0;                  ///< slots of an image
+
+  /// Level of the corner in a slot of an image.
+  FT_HOST_DEVICE int level_of(int slot) const {
+    int l = 0;
+    while (l + 1 < levels && slot >= first[l + 1]) { ++l; }
+    return l;
+  }
+  /// @param features wanted on all levels together, 1 to 2^20
+  /// @throws bad_argument for another number of features
+  static distribution_layout make(pyramid_geometry const& g, int features) {
+    detail::require_range("features", features, 1, 1 << 20);
+    distribution_layout d;
+    d.levels = g.levels;
+    float const factor = 1.0f / g.scale_factor;
+    float n = static_cast<float>(features) * (1.0f - factor) /
+              (1.0f - static_cast<float>(
+                          std::pow(static_cast<double>(factor), static_cast<double>(g.levels))));
+    int sum = 0;
+    for (int l = 0; l < g.levels; ++l) {
+      bool const last = l + 1 == g.levels;
+      d.wanted[l] = last ? max_of(features - sum, 0) : static_cast<int>(std::lrint(n));
+      sum += d.wanted[l];
+      n *= factor;
+      d.width[l] = max_of(g.width[l] - 2 * corner_border, 0);
+      d.height[l] = max_of(g.height[l] - 2 * corner_border, 0);
+      bool const empty = d.width[l] < corner_cell_size || d.height[l] < corner_cell_size;
+      d.roots[l] = empty ? 0
+                         : max_of(1, static_cast<int>(std::round(static_cast<float>(d.width[l]) /
+                                                                 static_cast<float>(d.height[l]))));
+      // One unconditional round makes at most four nodes of a root. Later a split of one of n - 1
+      // nodes leaves at most n + 2.
+      d.capacity[l] = empty ? 0 : max_of(d.wanted[l] + 3, 4 * d.roots[l]);
+      d.first[l] = d.total;
+      d.total += d.capacity[l];
+    }
+    return d;
+  }
+};
+
+/// A node of the quadtree: the points [begin, end) in the order of their codes.
+template <typename Index>
+struct node_range {
+  Index begin, end;
+};
+
+/// The kept corners of a batch of images, and the workspace of the quadtree.
+struct distribution_view {
+  distribution_layout layout;
+  int batch = 0;
+  corner* kept = nullptr;     ///< [batch][total], per level in list order
+  int* kept_count = nullptr;  ///< [batch][levels]
+  // Workspace of the levels that do not fit into shared memory.
+  static constexpr int key_pad = 32;        ///< keys of a level beyond its points: whole words
+  unsigned long long* keys = nullptr;       ///< [batch][total_slots + levels * key_pad]
+  unsigned* order = nullptr;                ///< [batch][total_slots]
+  node_range<int>* list[2] = {};            ///< [batch][total]
+  unsigned long long* node_keys = nullptr;  ///< [batch][total]
+  int* splits_before = nullptr;             ///< [batch][total]
+  int* gain_before = nullptr;               ///< [batch][total]
+};
+
+/// Places the arrays into an arena.
+inline void carve(carver& c, distribution_view& v, distribution_layout const& layout,
+                  corner_layout const& corners, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  auto const levels = static_cast<std::size_t>(layout.levels);
+  auto const slots = static_cast<std::size_t>(corners.total_slots);
+  std::size_t const total = detail::checked_mul(b, static_cast<std::size_t>(layout.total));
+  v.layout = layout;
+  v.batch = batch;
+  v.kept = c.take<corner>(max_of(total, std::size_t{1}));  // ordering always reads the first
+  v.kept_count = c.take<int>(b * levels);
+  v.keys = c.take<unsigned long long>(
+      detail::checked_mul(b, slots + levels * std::size_t{distribution_view::key_pad}));
+  v.order = c.take<unsigned>(detail::checked_mul(b, slots));
+  v.list[0] = c.take<node_range<int>>(total);
+  v.list[1] = c.take<node_range<int>>(total);
+  v.node_keys = c.take<unsigned long long>(total);
+  v.splits_before = c.take<int>(total);
+  v.gain_before = c.take<int>(total);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The quadtree of one level in memory: sorted points, rows of bits, the list of nodes.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#include "ft/containers/corners.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
+#include "ft/core/config.hpp"
+#include "ft/kernels/distribution/layout.hpp"
+#include "ft/kernels/distribution/node_codes.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail::quadtree {
+
+inline constexpr int threads = 512;         ///< of a block
+inline constexpr int scratch_nodes = 512;   ///< most nodes of a level in shared memory
+inline constexpr int max_bins = 2048;       ///< of the sort by code
+inline constexpr int more_bins = 8192;      ///< likewise, if the points leave room for them
+inline constexpr int usual_depths = 7;      ///< of codes at first; all depths if those are too few
+inline constexpr int max_rows = 16;         ///< depths 0 to 15: a node of 2^14 pixels, and one more
+inline constexpr int crowded_bin = 128;     ///< with a fuller bin, points are sorted by comparison
+inline constexpr int ranked_nodes = 256;    ///< most nodes that are ranked by comparing all pairs
+inline constexpr int bytes_per_point = 12;  ///< of shared memory: key or rows, and order
+inline constexpr int min_scratch_points = 2048;  ///< fewer would leave no room for the nodes
+static_assert(2 * max_rows * 6 == 6 * 32, "rows and counts take 6 bytes a point");
+static_assert(2 * scratch_nodes * sizeof(node_range<std::uint16_t>) <= 2 * min_scratch_points,
+              "both lists take at most 2 bytes a point");
+
+/// Static shared memory of a block.
+struct scratch {
+  struct split_store {
+    unsigned long long keys[scratch_nodes];
+    int splits_before[scratch_nodes];
+    int gain_before[scratch_nodes];
+  };
+  struct packed_store {
+    unsigned keys[scratch_nodes];
+    int before[scratch_nodes];
+    std::uint16_t left[scratch_nodes];  ///< of introsort; then the place of each node's key
+    std::uint16_t right[scratch_nodes];
+  };
+  union {
+    alignas(16) int bins[max_bins];
+    split_store splits;
+    packed_store packed;
+  } b;
+  int totals[2 * max_rows];  ///< bits of each row
+  int made;                  ///< nodes created in the current round
+  int candidates;            ///< keys of split_packed() so far
+  union {
+    unsigned crowded;  ///< 1 = a bin has more than crowded_bin points; during the sort
+    int open[2];       ///< of introsort
+  };
+};
+
+/// The points of a level and its list of nodes.
+///
+/// Row k, for k in [0, rows), has a bit for each sorted point that is the first of its node at
+/// depth k. Row `rows + k` has a bit for each point that is alone in its node. Bits below a
+/// position are counted from `before`, which has the number of bits below each word of a row.
+/// @tparam Index type of positions among the sorted points
+template <typename Index>
+struct level_tree {
+  static constexpr int index_bits = 26;  ///< of an entry of `order`; above them the depth
+  static constexpr unsigned index_mask = (1u << index_bits) - 1;
+
+  corner const* points;
+  bool ranked;               ///< points are in any order, and have a corner_rank
+  int n;                     ///< points
+  int words;                 ///< of a row
+  corner* copy = nullptr;    ///< where points are copied at their first use; null = nowhere
+  unsigned long long* keys;  ///< code << 32 | index
+  unsigned* order;           ///< [n] by code: parting depth from the predecessor, and index
+  int order_size;            ///< at least n
+  bool prepared = false;     ///< bins are empty, and `order` has the tables of codes
+  int* bins;                 ///< used by the sort only
+  int most_bins;
+  unsigned* rows;
+  Index* before;
+  node_range<Index>* list;  ///< front first
+  node_range<Index>* next;
+  unsigned long long* node_keys;
+  int* splits_before;  ///< per node: number of nodes that are split before it
+  int* gain_before;    ///< per node: by how much these splits lengthen the list
+
+  FT_HOST_DEVICE corner point(int i) const {
+    corner c = points[i];
+    if (ranked) { c.response = corner_rank::response(static_cast<std::uint32_t>(c.response)); }
+    return c;
+  }
+  /// Highest for the strongest point, and for the first one in the ordered list among equals.
+  FT_HOST_DEVICE unsigned long long strength(int i) const {
+    auto const response =
+        static_cast<unsigned long long>(static_cast<std::uint32_t>(points[i].response));
+    return ranked ? response : response << 32 | (0xffffffffu - static_cast<unsigned>(i));
+  }
+  /// First depth at which the point at position p is not in the node of its predecessor.
+  FT_HOST_DEVICE int depth_at(int p) const {
+    return p < n ? static_cast<int>(order[p] >> index_bits) : 0;
+  }
+  FT_HOST_DEVICE int index_at(int p) const { return static_cast<int>(order[p] & index_mask); }
+  /// Bits of a row below position p < n.
+  FT_HOST_DEVICE int rank(int row, int p) const {
+    int const at = row * words + p / 32;
+    return before[at] + popcount(rows[at] & ((1u << (p & 31)) - 1));
+  }
+  /// Position of bit number i of a row.
+  FT_HOST_DEVICE int select(int row, int i) const {
+    int const first = row * words;
+    int w = 0;
+    for (int end = words; end - w > 1;) {
+      int const middle = (w + end) / 2;
+      if (before[first + middle] <= i) {
+        w = middle;
+      } else {
+        end = middle;
+      }
+    }
+    unsigned bits = rows[first + w];
+    int left = i - before[first + w];
+    int p = 32 * w;
+    for (int step = 16; step > 0; step /= 2) {
+      int const below = popcount(bits & ((1u << step) - 1));
+      bool const above = left >= below;
+      left -= above ? below : 0;
+      bits >>= above ? step : 0;
+      p += above ? step : 0;
+    }
+    return p;
+  }
+  /// Position of the first bit of a row above position p; n if there is none.
+  FT_HOST_DEVICE int bit_above(int row, int p) const {
+    int w = p / 32;
+    unsigned bits = rows[row * words + w] & ~((2u << (p & 31)) - 1);
+    while (bits == 0) {
+      if (++w == words) { return n; }
+      bits = rows[row * words + w];
+    }
+    return 32 * w + popcount((bits & (0u - bits)) - 1);
+  }
+};
+
+/// What the steps of a level work on.
+template <typename Group, typename Index>
+struct level_work {
+  Group g;
+  scratch& s;
+  level_tree<Index>& t;
+  node_codes const& codes;
+};
+
+/// A corner as one word. It is unpacked as late as possible, because that waits for the load.
+using corner_word = unsigned long long;
+static_assert(sizeof(corner) == sizeof(corner_word) && alignof(corner) == sizeof(corner_word),
+              "one load");
+FT_HOST_DEVICE inline corner corner_of(corner_word word) {
+  corner c;
+  std::memcpy(&c, &word, sizeof(c));
+  return c;
+}
+
+/// Points that a thread keeps in registers: those with the numbers rank + k * threads.
+/// @tparam Held how many; 0 = none
+template <int Held>
+struct held_points {
+  static constexpr int size = max_of(Held, 1);
+  corner_word words[size];
+
+  /// @param n readable points
+  template <typename Group>
+  FT_HOST_DEVICE void fetch(Group g, corner const* points, int n) {
+    FT_UNROLL
+    for (int k = 0; k < Held; ++k) {
+      int const i = g.rank() + k * g.size();
+      words[k] = {};
+      if (i < n) { words[k] = *reinterpret_cast<corner_word const*>(points + i); }
+    }
+  }
+};
+
+}  // namespace detail::quadtree
+}  // namespace FT_ABI
+}  // namespace ft

@@ -45,7 +45,6 @@
 #include "ft/kernels/corners/cell_host.hpp"
 #include "ft/kernels/corners/detect_corners.hpp"
 #include "ft/kernels/corners/fast_score.hpp"
-#include "ft/kernels/corners/gather.hpp"
 #include "ft/kernels/corners/mask.hpp"
 #include "ft/kernels/distribution/distribute_corners.hpp"
 #include "ft/kernels/distribution/last_rounds.hpp"

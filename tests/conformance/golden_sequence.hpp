@@ -29,6 +29,7 @@
 #include "ft/kernels/stereo/rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "tests/support/corners.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
 
@@ -131,8 +132,7 @@ private:
     auto const pyramid = get_array<std::uint8_t>(orb_.pyramid().data, pyramid_bytes);
     auto const blurred = get_array<std::uint8_t>(orb_.blurred().data, pyramid_bytes);
     auto const cv = orb_.corners();
-    auto const list =
-        get_array<ft::corner>(cv.list, static_cast<std::size_t>(cv.layout.total_slots) * 2);
+    auto list = get_array<ft::corner>(cv.list, static_cast<std::size_t>(cv.layout.total_slots) * 2);
     auto const list_count =
         get_array<int>(cv.list_count, static_cast<std::size_t>(2 * params_.levels));
     auto const dv = orb_.distribution();
@@ -145,9 +145,10 @@ private:
         std::string const level = side + std::to_string(l);
         compare_image(table["pyramid"], path("frame", k, "pyr" + level), pyramid, c, l);
         compare_image(table["blur"], path("frame", k, "blur" + level), blurred, c, l);
-        compare_corners(table["corners"], path("frame", k, "cand" + level),
-                        list.data() + c * cv.layout.total_slots + cv.layout.first_slot[l],
-                        list_count[static_cast<std::size_t>(c * params_.levels + l)]);
+        int const found = list_count[static_cast<std::size_t>(c * params_.levels + l)];
+        ft::corner* const first = list.data() + c * cv.layout.total_slots + cv.layout.first_slot[l];
+        test::sort_corners(first, found, cv.layout, l);
+        compare_corners(table["corners"], path("frame", k, "cand" + level), first, found);
         compare_corners(table["distribution"], path("frame", k, "quad" + level),
                         kept.data() + c * dv.layout.total + dv.layout.first[l],
                         kept_count[static_cast<std::size_t>(c * params_.levels + l)]);

@@ -18,6 +18,7 @@
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/corners.hpp"
 
 namespace corner_mask_test {
 
@@ -91,15 +92,18 @@ protected:
     orb.extract(backend.exec);
     backend.exec.wait();
   }
-  /// Corners of a level, in the list's order.
+  /// Corners of a level, in the level's order.
   std::vector<ft::corner> corners(extractor const& orb, int image, int level) {
     auto const v = orb.corners();
     auto const counts = test::from_exec(
         backend.exec, static_cast<int const*>(v.list_count),
         static_cast<std::size_t>(v.batch) * static_cast<std::size_t>(v.layout.levels));
     auto const n = counts[static_cast<std::size_t>(image * v.layout.levels + level)];
-    return test::from_exec(backend.exec, static_cast<ft::corner const*>(v.level_list(image, level)),
-                           static_cast<std::size_t>(n));
+    auto list =
+        test::from_exec(backend.exec, static_cast<ft::corner const*>(v.level_list(image, level)),
+                        static_cast<std::size_t>(n));
+    test::sort_corners(list.data(), n, v.layout, level);
+    return list;
   }
   int keypoints(extractor const& orb, int image) {
     return test::from_exec(backend.exec, static_cast<int const*>(orb.keypoints().count) + image,

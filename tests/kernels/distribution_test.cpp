@@ -19,6 +19,7 @@
 #include "ft/containers/soa.hpp"
 #include "ft/kernels/distribution/distribute_corners.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/corners.hpp"
 
 namespace distribution_oracle {
 
@@ -252,63 +253,52 @@ protected:
     corners_list list(static_cast<std::size_t>(batch) *
                       static_cast<std::size_t>(cells.total_slots));
     std::vector<int> counts(static_cast<std::size_t>(batch * levels), 0);
+    std::vector<corners_list> in_order = points;  // as the rule takes them
     for (int b = 0; b < batch; ++b) {
       for (int l = 0; l < levels; ++l) {
         auto const at = static_cast<std::size_t>(b * levels + l);
         ASSERT_LE(points[at].size(), static_cast<std::size_t>(cells.level_slots(l)));
         counts[at] = static_cast<int>(points[at].size());
-        std::copy(points[at].begin(), points[at].end(),
+        test::sort_corners(in_order[at].data(), counts[at], cells, l);
+        std::copy(in_order[at].begin(), in_order[at].end(),
                   list.begin() + b * cells.total_slots + cells.first_slot[l]);
       }
     }
-    ft::copy(exec, corners.list, list.data(), list.size());
-    ft::copy(exec, corners.list_count, counts.data(), counts.size());
-    // The same points as entries, in another order.
-    corners_list entries(list.size());
+    corners_list shuffled = list;
     std::mt19937 random(static_cast<unsigned>(list.size()));
     for (int b = 0; b < batch; ++b) {
       for (int l = 0; l < levels; ++l) {
-        auto const first = entries.begin() + b * cells.total_slots + cells.first_slot[l];
-        auto to = first;
-        for (ft::corner const& p : points[static_cast<std::size_t>(b * levels + l)]) {
-          auto const rank = ft::corner_rank::of(p.response, static_cast<std::uint32_t>(to - first));
-          *to++ = {p.x, p.y, static_cast<std::int32_t>(rank)};
-        }
-        std::shuffle(first, to, random);
+        auto const first = shuffled.begin() + b * cells.total_slots + cells.first_slot[l];
+        std::shuffle(first, first + counts[static_cast<std::size_t>(b * levels + l)], random);
       }
     }
-    ft::copy(exec, corners.entries, entries.data(), entries.size());
-    struct way {
-      bool entered;
-      ft::tie_rule ties;
-    };
-    for (way const w : {way{false, ft::tie_rule::stable}, way{false, ft::tie_rule::std_sort},
-                        way{true, ft::tie_rule::stable}, way{true, ft::tie_rule::std_sort}}) {
-      if (w.ties == ft::tie_rule::std_sort && !has_std_sort) { continue; }
-      SCOPED_TRACE(w.entered ? "entries" : "lists");
-      SCOPED_TRACE(w.ties == ft::tie_rule::stable ? "stable" : "std_sort");
-      if (w.entered) {  // which a call takes out
-        ft::copy(exec, corners.entry_count, counts.data(), counts.size());
+    ft::copy(exec, corners.list_count, counts.data(), counts.size());
+    for (bool const any_order : {false, true}) {
+      auto const& given = any_order ? shuffled : list;
+      ft::copy(exec, corners.list, given.data(), given.size());
+      for (ft::tie_rule const ties : {ft::tie_rule::stable, ft::tie_rule::std_sort}) {
+        if (ties == ft::tie_rule::std_sort && !has_std_sort) { continue; }
+        SCOPED_TRACE(any_order ? "any order" : "in order");
+        SCOPED_TRACE(ties == ft::tie_rule::stable ? "stable" : "std_sort");
+        run(exec, corners, out, ties, scratch_points);
+        int compared = 0;
+        check(exec, in_order, layout, out, levels, batch, ties, compared);
+        levels_compared_ += any_order && ties == ft::tie_rule::stable ? compared : 0;
       }
-      if (scratch_points == 0) {
-        ft::distribute_corners(exec, corners, out, w.entered, w.ties);
-      } else {
-        ft::detail::level_memory const division{scratch_points};
-        if (w.ties == ft::tie_rule::std_sort) {
-          ft::detail::distribute_in<ft::tie_rule::std_sort>(exec, division, w.entered, corners,
-                                                            out);
-        } else {
-          ft::detail::distribute_in<ft::tie_rule::stable>(exec, division, w.entered, corners, out);
-        }
-      }
-      int compared = 0;
-      check(exec, points, layout, out, levels, batch, w.ties, compared);
-      bool const counted = !w.entered && w.ties == ft::tie_rule::stable;
-      levels_compared_ += counted ? compared : 0;
     }
-    auto const left =
-        test::from_exec(exec, static_cast<int const*>(corners.entry_count), counts.size());
-    EXPECT_EQ(left, std::vector<int>(counts.size(), 0)) << "entries are taken out";
+  }
+
+  template <typename Exec>
+  static void run(Exec const& exec, ft::corners_view const& corners,
+                  ft::distribution_view const& out, ft::tie_rule ties, int scratch_points) {
+    ft::detail::level_memory const division{scratch_points};
+    if (scratch_points == 0) {
+      ft::distribute_corners(exec, corners, out, ties);
+    } else if (ties == ft::tie_rule::std_sort) {
+      ft::detail::distribute_in<ft::tie_rule::std_sort>(exec, division, corners, out);
+    } else {
+      ft::detail::distribute_in<ft::tie_rule::stable>(exec, division, corners, out);
+    }
   }
 
   template <typename Exec>

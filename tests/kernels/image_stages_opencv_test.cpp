@@ -23,6 +23,7 @@
 #include "ft/kernels/pyramid/build_pyramid.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/corners.hpp"
 
 namespace {
 
@@ -160,7 +161,9 @@ std::vector<found> corners_of(cv::Mat const& image, int ini, int minimum) {
   ft::corners_view view;
   ft::arena<ft::memory_space::host> const memory(
       [&](ft::carver& c) { ft::carve(c, view, ft::corner_layout::make(g), 1); });
+  ft::clear_corners(exec, view);
   ft::detect_corners(exec, pyramid.view(), {ini, minimum}, view);
+  test::sort_corners(view.list, view.list_count[0], view.layout, 0);
   std::vector<found> all;
   for (int i = 0; i < view.list_count[0]; ++i) {
     auto const& c = view.level_list(0, 0)[i];

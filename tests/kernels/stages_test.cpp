@@ -36,6 +36,7 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/corners.hpp"
 
 namespace stages_parity {
 
@@ -280,8 +281,8 @@ record extract(Exec const& exec, feature_case const& c, feature_totals& totals) 
   auto const corners = orb.corners();
   auto const kept = orb.distribution();
   int const levels = p.levels;
-  auto const list = test::from_exec(exec, static_cast<ft::corner const*>(corners.list),
-                                    at(batch * corners.layout.total_slots));
+  auto list = test::from_exec(exec, static_cast<ft::corner const*>(corners.list),
+                              at(batch * corners.layout.total_slots));
   auto const list_count =
       test::from_exec(exec, static_cast<int const*>(corners.list_count), at(batch * levels));
   auto const kept_list =
@@ -295,8 +296,9 @@ record extract(Exec const& exec, feature_case const& c, feature_totals& totals) 
     for (int l = 0; l < levels; ++l) {
       std::string const where = " of image " + std::to_string(i) + " level " + std::to_string(l);
       int const n = list_count[at(i * levels + l)];
-      r.add("corners" + where,
-            head(list, i * corners.layout.total_slots + corners.layout.first_slot[l], n));
+      auto const first = i * corners.layout.total_slots + corners.layout.first_slot[l];
+      test::sort_corners(list.data() + first, n, corners.layout, l);
+      r.add("corners" + where, head(list, first, n));
       r.add(
           "kept corners" + where,
           head(kept_list, static_cast<std::ptrdiff_t>(i) * kept.layout.total + kept.layout.first[l],

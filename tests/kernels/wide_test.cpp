@@ -82,8 +82,6 @@ protected:
         blur);
     run(v, corners.batch * corners.layout.cells, ft::detail::detect_cell{}, pyramid, corners,
         ft::corner_params{});
-    ft::for_each_item<ft::per_warp>(exec, corners.batch * corners.layout.cells,
-                                    ft::detail::gather_cell{}, corners);
     ft::distribute_corners(exec, corners, kept);
     run(version::plain, pyramid.batch, ft::detail::order_image<>{}, g, kept,
         static_cast<ft::stereo_overlap const*>(overlaps.data()), place.data(), keypoints,

@@ -17,28 +17,38 @@ inline namespace FT_ABI {
 /// A corner before it becomes a keypoint.
 struct alignas(8) corner {
   std::uint16_t x, y;     ///< relative to the work area's origin (16, 16), pixels of the level
-  std::int32_t response;  ///< score; in `corners_view::entries` a corner_rank
-};
-
-/// Key of a corner in a list of any order: 8 bits of response, and below them 24 bits that decrease
-/// with the place in the level's ordered array. So among equal responses the corner that comes
-/// first in the ordered list has the highest rank.
-struct corner_rank {
-  static constexpr int place_bits = 24;
-  static constexpr std::uint32_t last_place = (1u << place_bits) - 1;
-
-  FT_HOST_DEVICE static std::uint32_t of(int response, std::uint32_t place) {
-    return static_cast<std::uint32_t>(response) << place_bits | (last_place - place);
-  }
-  FT_HOST_DEVICE static int response(std::uint32_t rank) {
-    return static_cast<int>(rank >> place_bits);
-  }
+  std::int32_t response;  ///< corner score, 1 to 254
 };
 
 inline constexpr int corner_border = 16;     ///< width of the margin around the work area
 inline constexpr int corner_cell_size = 35;  ///< nominal side of a cell
 inline constexpr int max_cell_side = 69;     ///< in a level with a single cell
-inline constexpr int max_patch_side = max_cell_side + 6;
+inline constexpr int corner_margin = 3;      ///< of a patch around the pixels of its cell
+inline constexpr int max_patch_side = max_cell_side + 2 * corner_margin;
+
+/// The order of the corners of a level: cell by cell, row by row within a cell. That is the order
+/// in which the sequential rule lists them; of equal corners, the quadtree keeps the first.
+struct corner_order {
+  int cols = 0;
+  int cell_width = 0;
+  int cell_height = 0;
+  detail::small_divider col_of{1};
+  detail::small_divider row_of{1};
+
+  corner_order() = default;
+  FT_HOST_DEVICE corner_order(int columns, int width, int height)
+      : cols(columns), cell_width(width), cell_height(height), col_of(width), row_of(height) {}
+  /// Ascending in this order, and distinct for distinct pixels of the work area.
+  FT_HOST_DEVICE std::uint32_t operator()(int x, int y) const {
+    int const col = col_of(max_of(x - corner_margin, 0));
+    int const row = row_of(max_of(y - corner_margin, 0));
+    int const in_rows =
+        (row * cols + col) * (cell_height + 2 * corner_margin) + y - row * cell_height;
+    return static_cast<std::uint32_t>(in_rows) *
+               static_cast<std::uint32_t>(cell_width + 2 * corner_margin) +
+           static_cast<std::uint32_t>(x - col * cell_width);
+  }
+};
 
 /// Cells of all levels of one image, numbered level by level.
 struct corner_layout {
@@ -83,30 +93,27 @@ struct corner_layout {
     return l;
   }
   FT_HOST_DEVICE int cells_of(int l) const { return cols[l] * rows[l]; }
+  /// @pre the level has cells
+  FT_HOST_DEVICE corner_order order_of(int l) const {
+    return {cols[l], cell_width[l], cell_height[l]};
+  }
   /// Capacity of a level's list.
   FT_HOST_DEVICE std::ptrdiff_t level_slots(int l) const {
     return static_cast<std::ptrdiff_t>(cells_of(l)) * slots[l];
   }
 };
 
-/// Corners of a batch of images: per cell, gathered per level in cell order, and per level in any
-/// order.
+/// Corners of a batch of images, per level in any order. See corner_order for the order that they
+/// are in where it matters.
 struct corners_view {
   corner_layout layout;
   int batch = 0;
-  corner* cell_corners = nullptr;  ///< [batch][total_slots] per cell
-  int* cell_count = nullptr;       ///< [batch][cells]
-  corner* list = nullptr;          ///< [batch][total_slots] per level, in cell order
-  int* list_count = nullptr;       ///< [batch][levels]
-  corner* entries = nullptr;       ///< [batch][total_slots] per level in any order, with ranks
-  int* entry_count = nullptr;      ///< [batch][levels]
+  corner* list = nullptr;     ///< [batch][total_slots] per level
+  int* list_count = nullptr;  ///< [batch][levels]
+  /// [batch][levels] progress of a running detection: finished cells << 32 | their corners.
+  /// 0 before and after
+  unsigned long long* progress = nullptr;
 
-  /// Whether every place of the largest level fits into a corner_rank.
-  bool can_enter() const {
-    std::ptrdiff_t most = 0;
-    for (int l = 0; l < layout.levels; ++l) { most = max_of(most, layout.level_slots(l)); }
-    return most <= std::ptrdiff_t{corner_rank::last_place};
-  }
   FT_HOST_DEVICE std::ptrdiff_t level_slot(int image, int l) const {
     return image * layout.total_slots + layout.first_slot[l];
   }
@@ -116,15 +123,12 @@ struct corners_view {
 /// Places the arrays into an arena.
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
   auto const b = static_cast<std::size_t>(batch);
-  std::size_t const slots = detail::checked_mul(b, static_cast<std::size_t>(layout.total_slots));
+  auto const levels = static_cast<std::size_t>(layout.levels);
   v.layout = layout;
   v.batch = batch;
-  v.cell_corners = c.take<corner>(slots);
-  v.cell_count = c.take<int>(b * static_cast<std::size_t>(layout.cells));
-  v.list = c.take<corner>(slots);
-  v.list_count = c.take<int>(b * static_cast<std::size_t>(layout.levels));
-  v.entries = c.take<corner>(slots);
-  v.entry_count = c.take<int>(b * static_cast<std::size_t>(layout.levels));
+  v.list = c.take<corner>(detail::checked_mul(b, static_cast<std::size_t>(layout.total_slots)));
+  v.list_count = c.take<int>(b * levels);
+  v.progress = c.take<unsigned long long>(b * levels);
 }
 
 }  // namespace FT_ABI

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstdint>
 #include <type_traits>
 #if defined(__SSE2__) && !defined(__CUDA_ARCH__)
 #include <emmintrin.h>
@@ -270,6 +271,21 @@ FT_HOST_DEVICE constexpr T clamp(T v, T low, T high) {
   return v < low ? low : (high < v ? high : v);
 }
 FT_HOST_DEVICE constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
+
+namespace detail {
+
+/// Division by a number known at run time, as a multiplication. Exact while i * n is below 2^31.
+struct small_divider {
+  std::uint32_t factor;
+  small_divider() = default;
+  FT_HOST_DEVICE explicit small_divider(int n)
+      : factor(0x80000000u / static_cast<unsigned>(n) + 1) {}
+  FT_HOST_DEVICE int operator()(int i) const {
+    return static_cast<int>(static_cast<std::uint64_t>(static_cast<unsigned>(i)) * factor >> 31);
+  }
+};
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

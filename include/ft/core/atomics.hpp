@@ -18,8 +18,26 @@ FT_HOST_DEVICE inline int atomic_add(int* address, int value) {
 #endif
 }
 
+FT_HOST_DEVICE inline unsigned long long atomic_add(unsigned long long* address,
+                                                    unsigned long long value) {
+#if defined(__CUDA_ARCH__)
+  return atomicAdd(address, value);
+#else
+  return __atomic_fetch_add(address, value, __ATOMIC_RELAXED);
+#endif
+}
+
 /// Stores; returns the old value.
 FT_HOST_DEVICE inline int atomic_exchange(int* address, int value) {
+#if defined(__CUDA_ARCH__)
+  return atomicExch(address, value);
+#else
+  return __atomic_exchange_n(address, value, __ATOMIC_RELAXED);
+#endif
+}
+
+FT_HOST_DEVICE inline unsigned long long atomic_exchange(unsigned long long* address,
+                                                         unsigned long long value) {
 #if defined(__CUDA_ARCH__)
   return atomicExch(address, value);
 #else

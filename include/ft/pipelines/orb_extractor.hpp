@@ -18,7 +18,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners/detect_corners.hpp"
-#include "ft/kernels/corners/gather.hpp"
 #include "ft/kernels/corners/mask.hpp"
 #include "ft/kernels/distribution/distribute_corners.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
@@ -113,13 +112,10 @@ public:
     fill_bytes(exec, blurred_.data, 0, static_cast<std::size_t>(geometry_.bytes) * b);
     // Corners and keypoints are read ahead of how many there are, in all stages.
     fill(exec, keypoints_, 0);
-    auto const slots = b * static_cast<std::size_t>(cells.total_slots);
-    fill_bytes(exec, corners_.list, 0, slots * sizeof(corner));
-    fill_bytes(exec, corners_.entries, 0, slots * sizeof(corner));
+    clear_corners(exec, corners_);
     fill_bytes(exec, distribution_.kept, 0,
                static_cast<std::size_t>(max_of(quad.total, 1)) * b * sizeof(corner));
     clear_arrivals(exec);
-    forget_entries(exec);
     if (has_masks()) { fill_bytes(exec, masks_.data, 255, mask_bytes() * b); }
     exec.wait();
   }
@@ -155,14 +151,8 @@ public:
 
   /// Queues all stages over the uploaded images; the blur beside the distribution.
   void extract(Exec const& exec) {
-    forget_entries(exec);
     resize(exec);
-    extract_from_pyramid(
-        exec,
-        [this](Exec const& e) {
-          if (enters()) { gather_corners(e, corners_); }
-        },
-        no_items{}, detail::only_order{});
+    extract_from_pyramid(exec, no_items{}, detail::only_order{});
   }
   /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
   /// pyramid's tiles are made of rows that are there while the next ones are fetched.
@@ -181,21 +171,16 @@ public:
       receive_images(exec, sources, pyramid_, first, second);
       resize(exec);
     }
-    extract_from_pyramid(
-        exec, [](Exec const&) {}, also, then);
+    extract_from_pyramid(exec, also, then);
   }
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
   void extract(Exec const& exec, Mark&& mark) {
-    forget_entries(exec);
     resize(exec);
     mark("pyramid");
     detect(exec);
     mark("corners");
     distribute(exec);
-    if (enters()) {
-      gather_corners(detail::with_order(exec, detail::launch_order::concurrent), corners_);
-    }
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
@@ -227,7 +212,6 @@ public:
   int const* mono_count() const { return mono_count_; }    ///< [batch], outside the stereo overlap
   image_pyramid_view pyramid() const { return pyramid_; }
   image_pyramid_view blurred() const { return blurred_; }
-  /// Lists after extract(), not after receive_and_extract().
   corners_view corners() const { return corners_; }
   distribution_view distribution() const { return distribution_; }
 
@@ -240,13 +224,11 @@ public:
 private:
   /// The blur runs beside the quadtree, where most of a device is idle, and the description beside
   /// the order, of which it may need the places in the end.
-  /// @param besides called with an executor for other launches there @param also small items there
-  template <typename Besides, typename Also, typename Then>
-  void extract_from_pyramid(Exec const& exec, Besides const& besides, Also const& also,
-                            Then const& then) {
+  /// @param also small items there
+  template <typename Also, typename Then>
+  void extract_from_pyramid(Exec const& exec, Also const& also, Then const& then) {
     detect(exec);
     distribute(exec);
-    besides(detail::with_order(exec, detail::launch_order::concurrent));
     blur_pyramid(detail::with_order(exec, detail::launch_order::concurrent), pyramid_, blurred_,
                  blur_layout_, clear_arrivals_and<Also>{arrivals_, also});
     order(exec, arrivals_, then);
@@ -270,24 +252,12 @@ private:
     order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_,
                   arrivals, then);
   }
-  /// The distribution takes corners in any order, but masks lists, which are then gathered before.
-  bool enters() const { return !has_masks() && corners_.can_enter(); }
   void detect(Exec const& exec) {
-    corner_params const thresholds{params_.ini_threshold, params_.min_threshold};
-    if (enters()) {
-      enter_corners(exec, pyramid_, thresholds, corners_);
-    } else {
-      detect_corners(exec, pyramid_, thresholds, corners_);
-    }
+    detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);
     if (has_masks()) { mask_corners(exec, geometry_, masks_, corners_); }
   }
   void distribute(Exec const& exec) {
-    distribute_corners(exec, corners_, distribution_, enters(), params_.ties);
-  }
-  /// Of a call that ended early.
-  void forget_entries(Exec const& exec) {
-    fill_bytes(exec, corners_.entry_count, 0,
-               static_cast<std::size_t>(batch() * geometry_.levels) * sizeof(int));
+    distribute_corners(exec, corners_, distribution_, params_.ties);
   }
   bool has_masks() const { return masks_.data != nullptr; }
   std::size_t mask_bytes() const {

@@ -6,6 +6,7 @@
 
 #include "ft/containers/corners.hpp"
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 
 namespace ft {
@@ -33,6 +34,7 @@ struct cell_scratch {
   static constexpr int max_word_items = (max_cell_side + 6) / 4 * (staged_rows - 6) / cell_chain;
   static constexpr int max_kept = (max_cell_side + 1) / 2 * ((max_cell_side + 1) / 2);
   static_assert(2 * max_kept <= staged_rows * cell_pitch, "kept places fit over the pixels");
+  static_assert(max_kept <= cell_list_size, "the host lists kept places as candidates");
   static_assert(cell_pitch >= 3 + max_patch_side && cell_pitch % 16 == 0, "rows of whole words");
   struct quad {
     alignas(16) std::uint32_t words[4];
@@ -44,6 +46,7 @@ struct cell_scratch {
   /// counters, because a warp may append to the second while another one still reads the first.
   int candidate_count[2];
   int kept;                               ///< number of corners
+  int first;                              ///< index of the first one in the level's list
   std::uint32_t lenient[max_word_items];  ///< flags of pixels for the lenient threshold alone
 
   /// Places of the corners. They overwrite the pixels, which are all scored by then.
@@ -62,17 +65,25 @@ struct cell_inner {
   int w, h;
 };
 
-/// Where a cell appends its corners in any order, with their ranks in place of their responses.
-struct entry_list {
-  corner* to;  ///< of the level; null = none
-  int* count;
-  std::uint32_t place;  ///< of the cell's first corner in the ordered array
+/// The list of a level, to which its cells append their corners in any order. Detection counts in
+/// `progress`, which the last cell to finish resets, so that it is 0 between launches.
+struct level_list {
+  corner* to;
+  int* count;                    ///< gets the number of corners of the level
+  unsigned long long* progress;  ///< finished cells << 32 | their corners
+  int cells;                     ///< of the level
 
-  /// Writes corner i of the cell as entry number `entry`.
-  FT_HOST_DEVICE void write(int entry, int i, corner const& c) const {
-    to[entry] = {c.x, c.y,
-                 static_cast<std::int32_t>(
-                     corner_rank::of(c.response, place + static_cast<std::uint32_t>(i)))};
+  /// Finishes a cell with `found` corners; called once per cell. Returns the index of its first
+  /// corner.
+  FT_HOST_DEVICE int finish_cell(int found) const {
+    unsigned long long const before =
+        atomic_add(progress, 1ull << 32 | static_cast<unsigned long long>(found));
+    int const first = static_cast<int>(before & 0xffffffffu);
+    if (static_cast<int>(before >> 32) + 1 == cells) {
+      atomic_exchange(progress, 0ull);
+      *count = first + found;
+    }
+    return first;
   }
 };
 

@@ -98,43 +98,32 @@ FT_HOST_DEVICE void keep_strongest(Group g, cell_scratch& s, cell_inner const& i
   }
 }
 
-/// Writes the kept corners in raster order, and to the unordered list. Returns their number.
+/// Appends the kept corners to the level's list.
 template <typename Group>
-FT_HOST_DEVICE int write_corners(Group g, cell_scratch& s, cell_place const& in,
-                                 cell_inner const& inner, corner* list, entry_list const& entered) {
+FT_HOST_DEVICE void write_corners(Group g, cell_scratch& s, cell_place const& in,
+                                  cell_inner const& inner, level_list const& list) {
   auto const* const scores = reinterpret_cast<std::uint8_t const*>(s.scores);
   int const found = s.kept;
   std::uint16_t const* const kept = s.kept_places();
-  auto const warp = g.part();
-  for (int base = g.part_index() * warp.size(); base < found; base += g.size()) {
-    int entry = 0;  // one reservation for the whole warp
-    if (entered.to != nullptr && warp.rank() == 0) {
-      entry = atomic_add(entered.count, min_of(warp.size(), found - base));
-    }
-    int const i = base + warp.rank();
-    int const at = kept[min_of(i, found - 1)];
-    int to = 0;  // few enough to rank by counting; cheaper than a block scan
-    for (int k = 0; k < found; ++k) { to += static_cast<int>(kept[k] < at); }
-    entry = warp.shuffle(entry, 0) + warp.rank();
-    if (i >= found) { continue; }
+  if (g.rank() == 0) { s.first = list.finish_cell(found); }
+  g.sync();
+  for (int i = g.rank(); i < found; i += g.size()) {
+    int const at = kept[i];
     int const y = at / cell_pitch;
-    corner const c{static_cast<std::uint16_t>(in.x_rel + 3 + at - y * cell_pitch - inner.first_x),
-                   static_cast<std::uint16_t>(in.y_rel + y), scores[at + score_offset]};
-    list[to] = c;
-    if (entered.to != nullptr) { entered.write(entry, to, c); }
+    list.to[s.first + i] = {
+        static_cast<std::uint16_t>(in.x_rel + corner_margin + at - y * cell_pitch - inner.first_x),
+        static_cast<std::uint16_t>(in.y_rel + y), scores[at + score_offset]};
   }
-  return found;
 }
 
-/// Corners of a cell by a block. Returns their number.
+/// Detects the corners of a cell by a block.
 template <typename Group>
-FT_HOST_DEVICE int detect_together(Group g, cell_scratch& s, gray_view level, cell_place const& in,
-                                   corner_params const& params, corner* list,
-                                   entry_list const& entered) {
+FT_HOST_DEVICE void detect_together(Group g, cell_scratch& s, gray_view level, cell_place const& in,
+                                    corner_params const& params, level_list const& list) {
   cell_inner const inner{(in.x0 & 3) + 3, in.patch_w - 6, in.patch_h - 6};
   stage_cell(g, s, level, in, inner);
   keep_strongest(g, s, inner, params);
-  return write_corners(g, s, in, inner, list, entered);
+  write_corners(g, s, in, inner, list);
 }
 
 }  // namespace detail

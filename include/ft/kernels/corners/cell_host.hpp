@@ -153,12 +153,30 @@ FT_HOST_DEVICE FT_INLINE int suppress_cell(cell_inner const& inner, std::uint8_t
   return strongest;
 }
 
-/// Corners of a cell by a single thread, in raster order. Returns their number.
+/// Lists the places of the scores from a threshold on, row * cell_pitch + column, in raster order.
+/// Returns their number.
+FT_HOST_DEVICE FT_INLINE int list_scores(cell_inner const& inner, std::uint8_t const* kept,
+                                         int threshold, std::uint16_t* places) {
+  row_runs const runs{inner.w};
+  int found = 0;
+  for (int y = 0; y < inner.h; ++y) {
+    for (int r = 0; r < runs.count(); ++r) {
+      int const start = y * cell_pitch + runs.start(r);
+      int const seen = r * run_pixels - runs.start(r);  // by the run before
+      for_each_above(kept + start, static_cast<std::uint8_t>(threshold), [&](int k) {
+        if (k >= seen) { places[found++] = static_cast<std::uint16_t>(start + k); }
+      });
+    }
+  }
+  return found;
+}
+
+/// Detects the corners of a cell by a single thread.
 ///
 /// Scores do not depend on the threshold. What survives suppression at the lenient threshold and
 /// passes the strict one is what the strict one alone gives, so the threshold is chosen last.
-FT_HOST_DEVICE FT_INLINE int detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
-                                          corner_params const& params, corner* list) {
+FT_HOST_DEVICE FT_INLINE void detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
+                                           corner_params const& params, level_list const& list) {
   cell_inner const inner{0, in.patch_w - 6, in.patch_h - 6};
   auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
   auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
@@ -168,23 +186,14 @@ FT_HOST_DEVICE FT_INLINE int detect_alone(cell_scratch& s, gray_view level, cell
 
   int const strict = max_of(params.ini_threshold, 1);
   int const threshold = strongest >= strict ? strict : max_of(params.min_threshold, 1);
-  if (strongest < threshold) { return 0; }
-  row_runs const runs{inner.w};
-  int found = 0;
-  for (int y = 0; y < inner.h; ++y) {
-    std::uint8_t const* const row = kept + y * cell_pitch;
-    for (int r = 0; r < runs.count(); ++r) {
-      int const start = runs.start(r);
-      int const seen = r * run_pixels - start;  // by the run before
-      for_each_above(row + start, static_cast<std::uint8_t>(threshold), [&](int k) {
-        if (k < seen) { return; }
-        int const x = start + k;
-        list[found++] = {static_cast<std::uint16_t>(in.x_rel + 3 + x),
-                         static_cast<std::uint16_t>(in.y_rel + 3 + y), row[x]};
-      });
-    }
+  int const found = strongest < threshold ? 0 : list_scores(inner, kept, threshold, s.candidates);
+  corner* const to = list.to + list.finish_cell(found);
+  for (int i = 0; i < found; ++i) {
+    int const at = s.candidates[i];
+    int const y = at / cell_pitch;
+    to[i] = {static_cast<std::uint16_t>(in.x_rel + corner_margin + at - y * cell_pitch),
+             static_cast<std::uint16_t>(in.y_rel + corner_margin + y), kept[at]};
   }
-  return found;
 }
 
 }  // namespace detail

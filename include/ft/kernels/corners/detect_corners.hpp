@@ -9,27 +9,23 @@
 
 #include "ft/containers/corners.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners/cell.hpp"
 #include "ft/kernels/corners/cell_device.hpp"
 #include "ft/kernels/corners/cell_host.hpp"
-#include "ft/kernels/corners/gather.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
 
-/// One cell: scores, suppression, choice of the threshold, corners in raster order.
+/// One cell: scores, suppression, choice of the threshold.
 struct detect_cell {
   static constexpr bool wide_on_host = true;
   /// Blocks per multiprocessor: with 12, all cells of an image pair are resident on a large device.
   static constexpr int resident_blocks = 12;
   using scratch = cell_scratch;
-
-  bool enters = false;  ///< also append to the unordered list
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
@@ -50,50 +46,43 @@ struct detect_cell {
     int const patch_w = min_of(cell_w + 6, level.width - corner_border - x0);
     int const patch_h = min_of(cell_h + 6, level.height - corner_border - y0);
     cell_place const at{x0, y0, patch_w, patch_h, x_rel, y_rel};
-    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(in_level) * layout.slots[l];
-    corner* const list = out.cell_corners + out.level_slot(image, l) + first;
-    entry_list const entered{enters ? out.entries + out.level_slot(image, l) : nullptr,
-                             out.entry_count + image * layout.levels + l,
-                             static_cast<std::uint32_t>(first)};
-    int found = 0;
-    if (patch_w >= 7 && patch_h >= 7) {
-      if constexpr (Group::max_threads == 1) {
-        found = detect_alone(s, level, at, params, list);
-        if (enters) {
-          int const entry = atomic_add(entered.count, found);
-          for (int i = 0; i < found; ++i) { entered.write(entry + i, i, list[i]); }
-        }
-      } else {
-        found = detect_together(g, s, level, at, params, list, entered);
-      }
+    int const of_level = image * layout.levels + l;
+    level_list const list{out.level_list(image, l), out.list_count + of_level,
+                          out.progress + of_level, layout.cells_of(l)};
+    if (patch_w < 2 * corner_margin + 1 || patch_h < 2 * corner_margin + 1) {
+      if (g.rank() == 0) { list.finish_cell(0); }
+    } else if constexpr (Group::max_threads == 1) {
+      detect_alone(s, level, at, params, list);
+    } else {
+      detect_together(g, s, level, at, params, list);
     }
-    if (g.rank() == 0) { out.cell_count[item] = found; }
   }
 };
 
 }  // namespace detail
 
-/// Detects the corners of all images: per cell (`out.cell_corners`, `out.cell_count`) and per level
-/// in any order (`out.entries`, `out.entry_count`). A consumer of the entries need not wait for
-/// gather_corners(). Asynchronous on `exec`; allocates nothing; one launch.
-/// @pre `out.can_enter()`, and `out.entry_count` is 0
+/// Clears all arrays; once, before the first detect_corners(). Levels without cells keep the count
+/// of 0 that they get here, and stages read the lists beyond their counts. Asynchronous on `exec`;
+/// allocates nothing.
 template <typename Exec>
-void enter_corners(Exec const& exec, image_pyramid_view const& pyramid, corner_params const& params,
-                   corners_view const& out) {
-  for_each_item<per_block<128>>(detail::with_order(exec, detail::launch_order::full_wave),
-                                out.batch * out.layout.cells, detail::detect_cell{true}, pyramid,
-                                out, params);
+void clear_corners(Exec const& exec, corners_view const& corners) {
+  auto const batch = static_cast<std::size_t>(corners.batch);
+  auto const levels = batch * static_cast<std::size_t>(corners.layout.levels);
+  fill_bytes(exec, corners.list, 0,
+             batch * static_cast<std::size_t>(corners.layout.total_slots) * sizeof(corner));
+  fill_bytes(exec, corners.list_count, 0, levels * sizeof(int));
+  fill_bytes(exec, corners.progress, 0, levels * sizeof(unsigned long long));
 }
 
-/// Detects the corners of all images and gathers them: `out.list`, per level in cell order, and
-/// `out.list_count`. Asynchronous on `exec`; allocates nothing; two launches.
+/// Detects the corners of all images into `out.list` and `out.list_count`, per level in any order.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @pre clear_corners() was called once for `out`; every call leaves `out.progress` at 0
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                     corner_params const& params, corners_view const& out) {
   for_each_item<per_block<128>>(detail::with_order(exec, detail::launch_order::full_wave),
                                 out.batch * out.layout.cells, detail::detect_cell{}, pyramid, out,
                                 params);
-  gather_corners(exec, out);
 }
 
 }  // namespace FT_ABI

@@ -45,7 +45,7 @@ inline void carve(carver& c, corner_masks_view& v, int width, int height, int ba
 
 namespace detail {
 
-/// Compacts the list of one level of one image, in order.
+/// Compacts the list of one level of one image.
 struct mask_level {
   using scratch = no_scratch;
 

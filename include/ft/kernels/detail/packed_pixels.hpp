@@ -163,17 +163,6 @@ FT_HOST_DEVICE bool has_word_rows(image_view<T> const& image) {
           3u) == 0;
 }
 
-/// Division by a number known at run time, as a multiplication. Exact while i * n is below 2^31.
-struct small_divider {
-  std::uint32_t factor;
-  small_divider() = default;
-  FT_HOST_DEVICE explicit small_divider(int n)
-      : factor(0x80000000u / static_cast<unsigned>(n) + 1) {}
-  FT_HOST_DEVICE int operator()(int i) const {
-    return static_cast<int>(static_cast<std::uint64_t>(static_cast<unsigned>(i)) * factor >> 31);
-  }
-};
-
 /// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch. Call sync()
 /// afterwards. Pixel (x0 + i, y0 + r) becomes byte (x0 & 3) + i of the row that starts at word
 /// r * pitch. Other bytes of the touched words are undefined.

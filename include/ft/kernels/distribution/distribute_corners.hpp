@@ -81,7 +81,6 @@ struct distribute_level {
   static constexpr int held = Alone ? 8 : 0;
 
   level_memory memory;
-  bool entered = false;  ///< read the corners' entries, not their ordered list
 
   std::size_t extra_bytes() const { return memory.bytes(); }
 
@@ -110,38 +109,33 @@ struct distribute_level {
     place const at{item / layout.levels, item % layout.levels};
     // Prefetches points before their count is known.
     quadtree::held_points<held> points{};
-    points.fetch(g, points_of(at, corners), static_cast<int>(corners.layout.level_slots(at.level)));
-    int const n = (entered ? corners.entry_count : corners.list_count)[item];
+    corner const* const list = corners.level_list(at.image, at.level);
+    points.fetch(g, list, static_cast<int>(corners.layout.level_slots(at.level)));
+    int const n = corners.list_count[item];
     if (n == 0 || layout.capacity[at.level] == 0) {
       if (g.rank() == 0) { v.kept_count[item] = 0; }
       return;
     }
+    corner* const kept = v.kept + at.image * layout.total + layout.first[at.level];
     int size = 0;
     if (n <= memory.points && layout.capacity[at.level] <= quadtree::scratch_nodes) {
       auto t = tree_in_scratch(g, s, n);
-      t.points = points_of(at, corners);
-      t.ranked = entered;
-      size = run(g, s, t, points, at, v);
+      t.points = list;
+      size = make_nodes(g, s, t, points, layout, at.level);
+      keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
     } else {
       auto t = tree_in_workspace(s, n, at, corners, v);
-      t.points = points_of(at, corners);
-      t.ranked = entered;
-      size = run(g, s, t, quadtree::held_points<0>{}, at, v);
+      t.points = list;
+      size = make_nodes(g, s, t, quadtree::held_points<0>{}, layout, at.level);
+      keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
     }
-    if (g.rank() == 0) {
-      v.kept_count[item] = size;
-      if (entered) { corners.entry_count[item] = 0; }
-    }
+    if (g.rank() == 0) { v.kept_count[item] = size; }
   }
 
 private:
   struct place {
     int image, level;
   };
-
-  FT_HOST_DEVICE corner const* points_of(place at, corners_view const& corners) const {
-    return (entered ? corners.entries : corners.list) + corners.level_slot(at.image, at.level);
-  }
 
   template <typename Group>
   FT_HOST_DEVICE quadtree::level_tree<std::uint16_t> tree_in_scratch(Group g, scratch& s,
@@ -207,13 +201,12 @@ private:
     return t;
   }
 
-  /// @param points the first points of each thread @return number of kept corners
+  /// Leaves the nodes of a level in `t.list`. @param points the first points of each thread
+  /// @return number of nodes
   template <int Held, typename Group, typename Index>
-  FT_HOST_DEVICE static int run(Group g, scratch& s, quadtree::level_tree<Index>& t,
-                                quadtree::held_points<Held> points, place at,
-                                distribution_view const& v) {
-    distribution_layout const& layout = v.layout;
-    int const l = at.level;
+  FT_HOST_DEVICE static int make_nodes(Group g, scratch& s, quadtree::level_tree<Index>& t,
+                                       quadtree::held_points<Held> points,
+                                       distribution_layout const& layout, int l) {
     int const wanted = layout.wanted[l];
     for (int most = quadtree::usual_depths;; most = quadtree::max_rows - 1) {
       quadtree::node_codes const codes(layout.width[l], layout.height[l], layout.roots[l], t.n,
@@ -234,7 +227,6 @@ private:
           quadtree::split_nodes<Ties>(work, depth, wanted, list);
         }
       }
-      keep_strongest(g, t, list.size, v.kept + at.image * layout.total + layout.first[l]);
       return list.size;
     }
   }
@@ -242,34 +234,33 @@ private:
 
 /// Distributes with a given division of shared memory; see distribute_corners().
 template <tie_rule Ties, typename Exec>
-void distribute_in(Exec const& exec, level_memory memory, bool entered, corners_view const& corners,
+void distribute_in(Exec const& exec, level_memory memory, corners_view const& corners,
                    distribution_view const& out) {
   using shape = per_block<quadtree::threads>;
   int const items = out.batch * out.layout.levels;
   if (memory.has_more_bins()) {
-    for_each_item<shape>(exec, items, distribute_level<true, Ties>{memory, entered}, corners, out);
+    for_each_item<shape>(exec, items, distribute_level<true, Ties>{memory}, corners, out);
   } else {
-    for_each_item<shape>(exec, items, distribute_level<false, Ties>{memory, entered}, corners, out);
+    for_each_item<shape>(exec, items, distribute_level<false, Ties>{memory}, corners, out);
   }
 }
 
 }  // namespace detail
 
 /// Thins the corners of every level of every image to about the wanted number. Asynchronous on
-/// `exec`; allocates nothing; one launch. @pre corners lie within their level's work area
-/// @param entered from enter_corners(), whose entries it takes out again, not from the ordered
-/// lists: the same in the end
+/// `exec`; allocates nothing; one launch. The result does not depend on the order of the lists.
+/// @pre corners lie within their level's work area
 template <typename Exec>
 void distribute_corners(Exec const& exec, corners_view const& corners, distribution_view const& out,
-                        bool entered = false, tie_rule ties = tie_rule::stable) {
+                        tie_rule ties = tie_rule::stable) {
   using op = detail::distribute_level<false, tie_rule::stable>;
   int const items = out.batch * out.layout.levels;
   auto const memory =
       detail::level_memory::of(extra_scratch<detail::quadtree::threads, op>(exec, items));
   if (ties == tie_rule::std_sort) {
-    detail::distribute_in<tie_rule::std_sort>(exec, memory, entered, corners, out);
+    detail::distribute_in<tie_rule::std_sort>(exec, memory, corners, out);
   } else {
-    detail::distribute_in<tie_rule::stable>(exec, memory, entered, corners, out);
+    detail::distribute_in<tie_rule::stable>(exec, memory, corners, out);
   }
 }
 

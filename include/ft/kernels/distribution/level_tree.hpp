@@ -69,7 +69,6 @@ struct level_tree {
   static constexpr unsigned index_mask = (1u << index_bits) - 1;
 
   corner const* points;
-  bool ranked;               ///< points are in any order, and have a corner_rank
   int n;                     ///< points
   int words;                 ///< of a row
   corner* copy = nullptr;    ///< where points are copied at their first use; null = nowhere
@@ -87,17 +86,6 @@ struct level_tree {
   int* splits_before;  ///< per node: number of nodes that are split before it
   int* gain_before;    ///< per node: by how much these splits lengthen the list
 
-  FT_HOST_DEVICE corner point(int i) const {
-    corner c = points[i];
-    if (ranked) { c.response = corner_rank::response(static_cast<std::uint32_t>(c.response)); }
-    return c;
-  }
-  /// Highest for the strongest point, and for the first one in the ordered list among equals.
-  FT_HOST_DEVICE unsigned long long strength(int i) const {
-    auto const response =
-        static_cast<unsigned long long>(static_cast<std::uint32_t>(points[i].response));
-    return ranked ? response : response << 32 | (0xffffffffu - static_cast<unsigned>(i));
-  }
   /// First depth at which the point at position p is not in the node of its predecessor.
   FT_HOST_DEVICE int depth_at(int p) const {
     return p < n ? static_cast<int>(order[p] >> index_bits) : 0;

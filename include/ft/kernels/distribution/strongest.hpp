@@ -2,6 +2,8 @@
 /// @file Keeps the strongest corner of every node.
 #pragma once
 
+#include <cstdint>
+
 #include "ft/containers/corners.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -12,10 +14,17 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail::quadtree {
 
+/// Highest for the strongest corner; among equals, for the first one in the level's order.
+FT_HOST_DEVICE inline unsigned long long strength_of(corner const& c, corner_order const& order) {
+  return static_cast<unsigned long long>(static_cast<std::uint32_t>(c.response)) << 32 |
+         (0xffffffffu - order(c.x, c.y));
+}
+
 /// Writes the strongest point of each of the first `size` nodes of the list; among equals the first
 /// one in the level's order. Up to four threads take a node.
 template <typename Group, typename Index>
-FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size, corner* kept) {
+FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size,
+                                   corner_order const& order, corner* kept) {
   constexpr int most = 4;
   constexpr int batch = Group::max_threads == 1 ? 1 : 4;  // loads in flight together
   int const lanes = g.lanes(most);
@@ -35,7 +44,7 @@ FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size
           index[k] = t.index_at(min_of(first + k * lanes, node.end - 1));
         }
         FT_UNROLL
-        for (int k = 0; k < batch; ++k) { strength[k] = t.strength(index[k]); }
+        for (int k = 0; k < batch; ++k) { strength[k] = strength_of(t.points[index[k]], order); }
         FT_UNROLL
         for (int k = 0; k < batch; ++k) {
           if (strength[k] > mine) {
@@ -46,7 +55,7 @@ FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size
       }
     }
     unsigned long long const best = g.template reduce_lanes<most>(mine, max_op{});
-    if (i < size && mine == best) { kept[i] = t.point(strongest); }
+    if (i < size && mine == best) { kept[i] = t.points[strongest]; }
   }
 }
 

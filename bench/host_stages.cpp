@@ -177,8 +177,13 @@ private:
   void describe() {
     ft::stereo_overlap const overlaps[2] = {{0, 1e9f}, {0, 1e9f}};
     int mono_count[2];
-    ft::order_corners(exec_, extractor_.geometry(), extractor_.distribution(), overlaps,
-                      extractor_.keypoints(), mono_count, place_.data());
+    ft::order_corners(exec_, ft::ordering_view{extractor_.geometry(),
+                                               extractor_.distribution(),
+                                               overlaps,
+                                               extractor_.keypoints(),
+                                               mono_count,
+                                               place_.data(),
+                                               {}});
     ft::describe_corners(exec_, extractor_.pyramid(), extractor_.blurred(),
                          extractor_.distribution(), ft::detail::orb_pattern, place_.data(),
                          extractor_.keypoints());

@@ -68,6 +68,7 @@
 #include "ft/kernels/keypoints/describe_keypoints.hpp"
 #include "ft/kernels/keypoints/descriptor.hpp"
 #include "ft/kernels/keypoints/order.hpp"
+#include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
 #include "ft/kernels/keypoints/pattern.hpp"
 #include "ft/kernels/map_updates.hpp"

@@ -246,15 +246,15 @@ private:
     if (pair()) {
       feature_grid_view grids = f.grids;
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
-      detail::sort_keypoints<Rig::rectified> const sort{grids, right_rows_};
+      keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
       if constexpr (Rig::rectified) {
-        extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, sort);
+        extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, all_grids);
       } else {
         extractor_.receive_and_extract(exec, sources, {}, {}, detail::clear_partners{f.fisheye},
-                                       sort);
+                                       all_grids);
       }
     } else {
-      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, detail::only_order{});
+      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, no_grids{});
     }
     for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
                               extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,

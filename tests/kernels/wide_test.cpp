@@ -83,9 +83,8 @@ protected:
     run(v, corners.batch * corners.layout.cells, ft::detail::detect_cell{}, pyramid, corners,
         ft::corner_params{});
     ft::distribute_corners(exec, corners, kept);
-    run(version::plain, pyramid.batch, ft::detail::order_image<>{}, g, kept,
-        static_cast<ft::stereo_overlap const*>(overlaps.data()), place.data(), keypoints,
-        mono.data(), ft::frame_arrivals{});
+    run(version::plain, pyramid.batch, ft::detail::order_image<ft::detail::no_filler>{},
+        ft::ordering_view{g, kept, overlaps.data(), keypoints, mono.data(), place.data(), {}});
     run(v, pyramid.batch * kept.layout.total, ft::detail::describe_corner{}, pyramid, blurred, kept,
         static_cast<ft::pattern_pair const*>(ft::detail::orb_pattern),
         static_cast<int const*>(place.data()), keypoints, ft::frame_arrivals{});

@@ -20,6 +20,7 @@
 #include "ft/core/recording.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/grid.hpp"
+#include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/kernels/map_updates.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
@@ -145,60 +146,6 @@ struct twin {
     static_assert(alignment >= 2 * sizeof(receive_parts::quad), "all that is carved is copied");
     return {device_memory.data(), host_memory.data(),
             static_cast<int>(host_memory.bytes() / sizeof(receive_parts::quad))};
-  }
-};
-
-/// One image, once its keypoints have their places: what searches and stereo find them by.
-template <bool Rectified>
-struct sort_keypoints {
-  feature_grid_view grids;
-  feature_grid_view right_rows;  ///< rectified
-  using scratch = grid_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void prepare(Group g, scratch& s, int image, keypoints_view const& all) const {
-    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
-      if (in_scratch) { fill.clear(g, s, grid.geometry); }
-    });
-  }
-  template <typename Group>
-  FT_HOST_DEVICE std::uint32_t count(Group, scratch& s, int image, keypoints_view const& all,
-                                     float x, float y) const {
-    std::uint32_t entry = 0;
-    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
-      if (in_scratch) { entry = fill.count(s, grid.geometry, x, y); }
-    });
-    return entry;
-  }
-  FT_HOST_DEVICE void keep(scratch& s, int keypoint, std::uint32_t entry) const {
-    if (keypoint < scratch::size) { s.entry[keypoint] = entry; }
-  }
-  template <typename Group>
-  FT_HOST_DEVICE void sort(Group g, scratch& s, int image, keypoints_view const& all, int n) const {
-    with_grid<Group>(image, all, [&](auto fill, feature_grid_view const& grid, bool in_scratch) {
-      if (in_scratch) {
-        fill.sort(g, s, n, grid);
-      } else {
-        g.sync();
-        fill(g, s, 0, all.slice(image), 0, 1, grid);
-      }
-    });
-  }
-
-private:
-  /// Calls f(fill_grid, the image's grid, whether scratch does for all that the image may have).
-  template <typename Group, typename F>
-  FT_HOST_DEVICE void with_grid(int image, keypoints_view const& all, F const& f) const {
-    auto const call = [&](auto fill, feature_grid_view const& grid) {
-      f(fill, grid, scratch::template serves<Group>(grid.geometry, all.capacity));
-    };
-    if (!Rectified) {
-      call(fill_grid<nearest_cell>{}, grids.slice(image));
-    } else if (image % 2 == 0) {
-      call(fill_grid<nearest_cell>{}, grids.slice(image / 2));
-    } else {
-      call(fill_grid<row_cell>{}, right_rows.slice(image / 2));
-    }
   }
 };
 
@@ -789,7 +736,7 @@ private:
     if constexpr (branches<Mark>) {
       extractor_.receive_and_extract(
           exec, sources_.data(), motion_.source(), local, matcher_.clearing(),
-          detail::sort_keypoints<Rig::rectified>{frame_.grids, matcher_.right_rows()});
+          keypoint_grids<Rig::rectified>{frame_.grids, matcher_.right_rows()});
     } else {
       receive_images(exec, sources_.data(), extractor_.pyramid(), motion_.source(), local);
       mark("upload");

@@ -23,6 +23,7 @@
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/describe_keypoints.hpp"
 #include "ft/kernels/keypoints/order.hpp"
+#include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
@@ -152,16 +153,16 @@ public:
   /// Queues all stages over the uploaded images; the blur beside the distribution.
   void extract(Exec const& exec) {
     resize(exec);
-    extract_from_pyramid(exec, no_items{}, detail::only_order{});
+    extract_from_pyramid(exec, no_items{}, no_grids{});
   }
   /// Queues the fetching of all images and of two blocks as receive_images(), then the same. The
   /// pyramid's tiles are made of rows that are there while the next ones are fetched.
   /// @param also small items beside the distribution, which leaves most of a device idle; see
   /// with_small_items
-  /// @param then what is done with an image's keypoints while they are described, see order_image
-  template <typename Also, typename Then>
+  /// @param grids to fill with the keypoints: keypoint_grids or no_grids
+  template <typename Also, typename Grids>
   void receive_and_extract(Exec const& exec, image_source const* sources, block_source const& first,
-                           block_source const& second, Also const& also, Then const& then) {
+                           block_source const& second, Also const& also, Grids const& grids) {
     batch_.require_made("extractor");
     bool const overlap = Exec::asynchronous && tiles_.groups == 1;
     if (overlap) {
@@ -171,7 +172,7 @@ public:
       receive_images(exec, sources, pyramid_, first, second);
       resize(exec);
     }
-    extract_from_pyramid(exec, also, then);
+    extract_from_pyramid(exec, also, grids);
   }
   /// The same, one stage after the other. @param mark called with a stage's name once it is queued
   template <typename Mark>
@@ -184,7 +185,7 @@ public:
     mark("distribution");
     blur_pyramid(exec, pyramid_, blurred_, blur_layout_);
     mark("blur");
-    order(exec, {}, detail::only_order{});
+    order(exec, {}, no_grids{});
     describe(exec, {});
     mark("descriptors");
   }
@@ -225,13 +226,13 @@ private:
   /// The blur runs beside the quadtree, where most of a device is idle, and the description beside
   /// the order, of which it may need the places in the end.
   /// @param also small items there
-  template <typename Also, typename Then>
-  void extract_from_pyramid(Exec const& exec, Also const& also, Then const& then) {
+  template <typename Also, typename Grids>
+  void extract_from_pyramid(Exec const& exec, Also const& also, Grids const& grids) {
     detect(exec);
     distribute(exec);
     blur_pyramid(detail::with_order(exec, detail::launch_order::concurrent), pyramid_, blurred_,
                  blur_layout_, clear_arrivals_and<Also>{arrivals_, also});
-    order(exec, arrivals_, then);
+    order(exec, arrivals_, grids);
     describe(detail::with_order(exec, detail::launch_order::concurrent), arrivals_);
   }
   void clear_arrivals(Exec const& exec) {
@@ -247,10 +248,12 @@ private:
       build_pyramid(exec, pyramid_, taps_);
     }
   }
-  template <typename Then>
-  void order(Exec const& exec, frame_arrivals const& arrivals, Then const& then) {
-    order_corners(exec, geometry_, distribution_, overlaps_, keypoints_, mono_count_, place_,
-                  arrivals, then);
+  template <typename Grids>
+  void order(Exec const& exec, frame_arrivals const& arrivals, Grids const& grids) {
+    order_corners(exec,
+                  ordering_view{geometry_, distribution_, overlaps_, keypoints_, mono_count_,
+                                place_, arrivals},
+                  grids);
   }
   void detect(Exec const& exec) {
     detect_corners(exec, pyramid_, {params_.ini_threshold, params_.min_threshold}, corners_);

@@ -36,13 +36,30 @@ struct stereo_overlap {
   }
 };
 
+/// What the ordering of a batch of images reads and writes, all in executor memory.
+struct ordering_view {
+  pyramid_geometry geometry;
+  distribution_view kept;
+  stereo_overlap const* overlaps = nullptr;  ///< [batch]
+  keypoints_view out;                        ///< angles and descriptors are not written
+  int* mono_count = nullptr;  ///< [batch] gets the number of keypoints outside the overlap
+  int* place = nullptr;  ///< [batch][kept.layout.total] gets the place of each corner's keypoint
+  /// Signals a concurrent describe_corners() which images have their places. Only images whose
+  /// overlap is neither empty nor the whole image are signalled.
+  frame_arrivals arrivals;
+};
+
+/// For order_corners() without feature grids; see order_and_grid.hpp.
+struct no_grids {};
+
 namespace detail {
 
-/// Hooks of order_image that do nothing: the group only orders keypoints.
-struct only_order {
+/// What a group does with the keypoints of its image while it orders them: nothing. Another filler
+/// of order_image has the same members.
+struct no_filler {
   using scratch = no_scratch;
 
-  /// Part of order_image's prologue. Must end with a sync().
+  /// Part of the prologue of order_image.
   template <typename Group>
   FT_HOST_DEVICE void prepare(Group, scratch&, int, keypoints_view const&) const {}
   /// Called for each keypoint before its place is known. The result is passed to keep().
@@ -53,21 +70,21 @@ struct only_order {
   }
   /// Called for each keypoint with its place.
   FT_HOST_DEVICE void keep(scratch&, int, std::uint32_t) const {}
-  /// Called at the end, after a sync().
+  /// Called once all keypoints are written.
   template <typename Group>
-  FT_HOST_DEVICE void sort(Group, scratch&, int, keypoints_view const&, int) const {}
+  FT_HOST_DEVICE void fill(Group, scratch&, int, keypoints_view const&, int) const {}
 };
 
 /// One image: writes its keypoints, except angles and descriptors. Keypoints outside the overlap
 /// come first, level by level in list order. Those inside fill the array from its end backwards.
-/// @tparam Then hooks for further work of the same group on the keypoints; see only_order
-template <typename Then = only_order>
+/// @tparam Filler what else the group does with them, see no_filler
+template <typename Filler>
 struct order_image {
-  Then then;
+  Filler filler;
   std::size_t extra = 0;              ///< unused shared memory that keeps other blocks away
   static constexpr int known = 2048;  ///< slots whose levels are computed in the prologue
   struct scratch {
-    typename Then::scratch then;
+    typename Filler::scratch filler;
     int before[max_levels + 1];  ///< corners on lower levels
     std::uint8_t level[known];   ///< of a slot; read by the thread that wrote it
   };
@@ -77,40 +94,22 @@ struct order_image {
   std::size_t extra_bytes() const { return extra; }
 
   template <typename Group>
-  FT_HOST_DEVICE void prologue(Group g, scratch& s, int image, pyramid_geometry const&,
-                               distribution_view const& kept, stereo_overlap const*, int*,
-                               keypoints_view const& out, int*, frame_arrivals const&) const {
+  FT_HOST_DEVICE void prologue(Group g, scratch& s, int image, ordering_view const& v) const {
     FT_NO_UNROLL
     for (int i = g.rank(); i < known; i += g.size()) {
-      s.level[i] = static_cast<std::uint8_t>(kept.layout.level_of(i));
+      s.level[i] = static_cast<std::uint8_t>(v.kept.layout.level_of(i));
     }
-    then.prepare(g, s.then, image, out);
+    filler.prepare(g, s.filler, image, v.out);
   }
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int image, pyramid_geometry const& geometry,
-                                 distribution_view const& kept, stereo_overlap const* overlaps,
-                                 int* place, keypoints_view const& out, int* mono_count,
-                                 frame_arrivals const& arrivals) const {
-    constexpr int together = 2;  // slots per thread whose loads are in flight together
-    distribution_layout const& layout = kept.layout;
-    stereo_overlap const overlap = overlaps[image];
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int image, ordering_view const& v) const {
+    distribution_layout const& layout = v.kept.layout;
+    stereo_overlap const overlap = v.overlaps[image];
     // Prefetches corners before their count is known.
     slot_place of[together];
-    auto const fetch = [&](int base) {
-      FT_UNROLL
-      for (int k = 0; k < together; ++k) {
-        int const slot = base + k * g.size() + g.rank();
-        of[k] = slot_place(slot);
-        // Past the end the last slot is loaded again, so no load depends on a branch.
-        int const held = max_of(min_of(slot, layout.total - 1), 0);
-        of[k].word = corner_word(kept.kept + image * layout.total + held);
-        bool const ahead = Group::max_threads > 1 && slot < known;
-        of[k].level = ahead ? static_cast<int>(s.level[slot]) : layout.level_of(slot);
-      }
-    };
-    fetch(0);
-    sum_lower_levels(g, s, kept.kept_count + image * layout.levels, layout.levels);
+    fetch(g, s, of, image, 0, v.kept);
+    sum_lower_levels(g, s, v.kept.kept_count + image * layout.levels, layout.levels);
     g.sync();
     int const all = s.before[layout.levels];
     int stereo = 0;  // corners inside the overlap in lower slots
@@ -119,9 +118,9 @@ struct order_image {
       unsigned inside = 0;  // 16 bits per slot
       FT_UNROLL
       for (int k = 0; k < together; ++k) {
-        of[k].locate(layout, s.before, geometry, overlap);
+        of[k].locate(layout, s.before, v.geometry, overlap);
         inside |= static_cast<unsigned>(of[k].inside) << (16 * k);
-        if (of[k].valid) { entry[k] = then.count(g, s.then, image, out, of[k].x, of[k].y); }
+        if (of[k].valid) { entry[k] = filler.count(g, s.filler, image, v.out, of[k].x, of[k].y); }
       }
       int total = 0;
       int const lower = g.exclusive_scan(static_cast<int>(inside), total);
@@ -131,46 +130,27 @@ struct order_image {
         stereo += total >> (16 * k) & 0xffff;
         if (!of[k].valid) { continue; }
         int const at = of[k].inside ? all - 1 - stereo_rank : of[k].rank - stereo_rank;
-        place[image * layout.total + of[k].slot] = at;
-        int const to = image * out.capacity + at;
-        of[k].write(out, to);
-        then.keep(s.then, at, entry[k]);
+        v.place[image * layout.total + of[k].slot] = at;
+        of[k].write(v.out, image * v.out.capacity + at);
+        filler.keep(s.filler, at, entry[k]);
       }
-      if (base + together * g.size() < layout.total) { fetch(base + together * g.size()); }
+      if (base + together * g.size() < layout.total) {
+        fetch(g, s, of, image, base + together * g.size(), v.kept);
+      }
     }
     if (g.rank() == 0) {
-      out.count[image] = all;
-      mono_count[image] = all - stereo;
+      v.out.count[image] = all;
+      v.mono_count[image] = all - stereo;
     }
     // In all other images describe_corner computes the places itself: a signal has to wait for this
     // group's stores.
-    int const width = geometry.width[0];
-    if (!overlap.has_none(width) && !overlap.has_all(width)) { arrivals.tell_placed(g, image); }
-    then.sort(g, s.then, image, out, all);
+    int const width = v.geometry.width[0];
+    if (!overlap.has_none(width) && !overlap.has_all(width)) { v.arrivals.tell_placed(g, image); }
+    filler.fill(g, s.filler, image, v.out, all);
   }
 
 private:
-  /// Fills `s.before`.
-  template <typename Group>
-  FT_HOST_DEVICE static void sum_lower_levels(Group g, scratch& s, int const* counts, int levels) {
-    for (int l = g.rank(); l <= max_levels; l += g.size()) {
-      int sum = 0;
-      FT_UNROLL
-      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, levels) ? counts[k] : 0; }
-      s.before[l] = sum;
-    }
-  }
-
-  FT_HOST_DEVICE static std::uint64_t corner_word(corner const* at) {
-    static_assert(sizeof(corner) == 8 && alignof(corner) == 8, "a corner is a word");
-#if defined(__CUDA_ARCH__)
-    return *reinterpret_cast<unsigned long long const*>(at);
-#else
-    std::uint64_t word;
-    std::memcpy(&word, at, sizeof word);
-    return word;
-#endif
-  }
+  static constexpr int together = 2;  ///< slots per thread whose loads are in flight together
 
   /// The kept corner of a slot, and its place.
   struct slot_place {
@@ -207,29 +187,63 @@ private:
       get<field::octave>(out, to) = level;
     }
   };
+
+  /// Loads the corners of the slots base + k * threads + rank.
+  template <typename Group>
+  FT_HOST_DEVICE static void fetch(Group g, scratch const& s, slot_place (&of)[together], int image,
+                                   int base, distribution_view const& kept) {
+    distribution_layout const& layout = kept.layout;
+    FT_UNROLL
+    for (int k = 0; k < together; ++k) {
+      int const slot = base + k * g.size() + g.rank();
+      of[k] = slot_place(slot);
+      // Past the end the last slot is loaded again, so no load depends on a branch.
+      int const held = max_of(min_of(slot, layout.total - 1), 0);
+      of[k].word = corner_word(kept.kept + image * layout.total + held);
+      bool const precomputed = Group::max_threads > 1 && slot < known;
+      of[k].level = precomputed ? static_cast<int>(s.level[slot]) : layout.level_of(slot);
+    }
+  }
+
+  /// Fills `s.before`.
+  template <typename Group>
+  FT_HOST_DEVICE static void sum_lower_levels(Group g, scratch& s, int const* counts, int levels) {
+    for (int l = g.rank(); l <= max_levels; l += g.size()) {
+      int sum = 0;
+      FT_UNROLL
+      for (int k = 0; k < max_levels; ++k) { sum += k < min_of(l, levels) ? counts[k] : 0; }
+      s.before[l] = sum;
+    }
+  }
+
+  FT_HOST_DEVICE static std::uint64_t corner_word(corner const* at) {
+    static_assert(sizeof(corner) == 8 && alignof(corner) == 8, "a corner is a word");
+#if defined(__CUDA_ARCH__)
+    return *reinterpret_cast<unsigned long long const*>(at);
+#else
+    std::uint64_t word;
+    std::memcpy(&word, at, sizeof word);
+    return word;
+#endif
+  }
 };
+
+template <typename Exec, typename Filler>
+void order_with(Exec const& exec, ordering_view const& v, Filler const& filler) {
+  constexpr int threads = 1024;
+  using op = order_image<Filler>;
+  // All shared memory of a multiprocessor, so that no other block is resident on it.
+  std::size_t const extra = extra_scratch<threads, op>(exec, v.out.batch);
+  for_each_item<per_block<threads>>(exec, v.out.batch, op{filler, extra}, v);
+}
 
 }  // namespace detail
 
 /// Writes the keypoints of a batch of images in the contract's order, except angles and
-/// descriptors. Asynchronous on `exec`; allocates nothing; one launch. All arrays are in executor
-/// memory.
-/// @param overlaps [batch] @param mono_count [batch] gets the number of keypoints outside the
-/// overlap
-/// @param place [batch][layout.total] gets the place of each kept corner's keypoint
-/// @param arrivals signals a concurrent describe_corners() which images have their places. Only
-///   images with an overlap that is neither empty nor the whole image are signalled
-/// @param then hooks, see detail::only_order
-template <typename Exec, typename Then = detail::only_order>
-void order_corners(Exec const& exec, pyramid_geometry const& geometry,
-                   distribution_view const& kept, stereo_overlap const* overlaps,
-                   keypoints_view const& out, int* mono_count, int* place,
-                   frame_arrivals const& arrivals = {}, Then const& then = {}) {
-  constexpr int threads = 1024;
-  // All shared memory of a multiprocessor, so that no other block is resident on it.
-  std::size_t const extra = extra_scratch<threads, detail::order_image<Then>>(exec, out.batch);
-  for_each_item<per_block<threads>>(exec, out.batch, detail::order_image<Then>{then, extra},
-                                    geometry, kept, overlaps, place, out, mono_count, arrivals);
+/// descriptors. Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void order_corners(Exec const& exec, ordering_view const& v, no_grids const& = {}) {
+  detail::order_with(exec, v, detail::no_filler{});
 }
 
 }  // namespace FT_ABI

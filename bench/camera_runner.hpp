@@ -54,7 +54,7 @@ struct differentiate_points {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, Camera const& camera,
                                  point_columns const& p) const {
-    auto const J = camera.project_jacobian({p.in[0][i], p.in[1][i], p.in[2][i]});
+    auto const J = camera.project_with_jacobian({p.in[0][i], p.in[1][i], p.in[2][i]}).jacobian;
     bool finite = true;
     FT_UNROLL
     for (int k = 0; k < 6; ++k) {
@@ -316,7 +316,7 @@ private:
     std::string const model = Model<Scalar>::name;
     cases_.push_back({model, scalar, "project"});
     steps_.push_back({&draw_points<Model>, &run_model<Model, Scalar, project_points>});
-    cases_.push_back({model, scalar, "project_jacobian"});
+    cases_.push_back({model, scalar, "project_with_jacobian"});
     steps_.push_back({&draw_points<Model>, &run_model<Model, Scalar, differentiate_points>});
     cases_.push_back({model, scalar, "unproject"});
     steps_.push_back({&draw_points<Model>, &run_model<Model, Scalar, unproject_points>});

@@ -127,7 +127,7 @@ std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options co
 struct camera_case {
   std::string model;   ///< "(copy)": no camera, the same memory traffic as project
   std::string scalar;  ///< "float" or "strict_float"
-  std::string op;      ///< "project", "project_jacobian" or "unproject"
+  std::string op;      ///< "project", "project_with_jacobian" or "unproject"
 };
 
 /// Runs camera models over sets of different points in the field of view.

@@ -174,8 +174,10 @@ def cameras():
     for model, scalar in dict.fromkeys((r["model"], r["scalar"]) for r in rows):
         cells = []
         for backend, threads in columns:
-            for function in ("project", "project_jacobian", "unproject"):
-                v = value.get((model, scalar, backend, threads, function))
+            for function in ("project", "project_with_jacobian", "unproject"):
+                key = (model, scalar, backend, threads, function)
+                # Recorded under this name while the Jacobian was computed without the pixel.
+                v = value.get(key, value.get((*key[:4], "project_jacobian")) if "jacobian" in function else None)
                 cells.append("" if v is None else f"{v:.4f}" if backend == "cuda" else f"{v:.1f}")
         lines.append(f"| {model} | {scalar} | " + " | ".join(cells) + " |")
     return lines

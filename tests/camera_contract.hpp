@@ -208,11 +208,12 @@ struct lift {
   int valid;
 };
 struct answer {
-  sight of_point;      ///< project(point)
-  lift back;           ///< unproject(project(point))
-  lift of_pixel;       ///< unproject(pixel)
-  sight again;         ///< project(unproject(pixel))
-  double jacobian[6];  ///< at the point
+  sight of_point;       ///< project(point)
+  sight with_jacobian;  ///< project_with_jacobian(point)
+  lift back;            ///< unproject(project(point))
+  lift of_pixel;        ///< unproject(pixel)
+  sight again;          ///< project(unproject(pixel))
+  double jacobian[6];   ///< at the point
 };
 
 template <typename Camera>
@@ -229,15 +230,16 @@ struct answer_question {
                              scalar(static_cast<plain>(q.point.y)),
                              scalar(static_cast<plain>(q.point.z))};
     auto const seen = camera.project(p);
-    auto const j = camera.project_jacobian(p);
+    auto const both = camera.project_with_jacobian(p);
     auto const ray = camera.unproject(
         {scalar(static_cast<plain>(q.pixel.x)), scalar(static_cast<plain>(q.pixel.y))});
     answer a{};
     a.of_point = wide(seen);
+    a.with_jacobian = wide(both.value);
     a.back = wide(camera.unproject(seen.pixel));
     a.of_pixel = wide(ray);
     a.again = wide(camera.project(ray.direction));
-    for (int k = 0; k < 6; ++k) { a.jacobian[k] = wide(j.m[k]); }
+    for (int k = 0; k < 6; ++k) { a.jacobian[k] = wide(both.jacobian.m[k]); }
     out[i] = a;
   }
 
@@ -525,8 +527,16 @@ protected:
     for (int i = 0; i < 2; ++i) {
       for (double const focal : {0.0, -1.0, 1e9}) { refused(i, focal); }
     }
-    for (int i = 0; i < base::template model_of<Scalar>::num_params; ++i) {
+    using model = typename base::template model_of<Scalar>;
+    for (int i = 0; i < ft::num_params_v<model>; ++i) {
       for (double const value : {nan, infinity, -infinity}) { refused(i, value); }
+      // The limits are in double; a float next to one is beyond it by more than a rounding.
+      auto const& limits = model::parameters.of[i];
+      for (double const limit : {limits.low, limits.high}) {
+        if (!std::isfinite(limit)) { continue; }
+        double const beyond = 1e-3 * (1 + std::abs(limit));
+        refused(i, limit == limits.low ? limit - beyond : limit + beyond);
+      }
     }
   }
 };
@@ -544,10 +554,10 @@ TYPED_TEST_P(camera_model, holds_its_parameters_and_nothing_else) {
   using narrow = typename TestFixture::template model_of<float>;
   using wide = typename TestFixture::template model_of<double>;
   using strict = typename TestFixture::template model_of<ft::strict_float>;
-  ASSERT_GE(narrow::num_params, 4);
-  EXPECT_EQ(sizeof(narrow), sizeof(float) * static_cast<std::size_t>(narrow::num_params));
-  EXPECT_EQ(sizeof(wide), sizeof(double) * static_cast<std::size_t>(wide::num_params));
-  EXPECT_EQ(sizeof(strict), sizeof(float) * static_cast<std::size_t>(strict::num_params));
+  ASSERT_GE(ft::num_params_v<narrow>, 4);
+  EXPECT_EQ(sizeof(narrow), sizeof(float) * static_cast<std::size_t>(ft::num_params_v<narrow>));
+  EXPECT_EQ(sizeof(wide), sizeof(double) * static_cast<std::size_t>(ft::num_params_v<wide>));
+  EXPECT_EQ(sizeof(strict), sizeof(float) * static_cast<std::size_t>(ft::num_params_v<strict>));
 }
 
 TYPED_TEST_P(camera_model, the_first_parameters_are_fx_fy_cx_cy) {
@@ -574,7 +584,7 @@ TYPED_TEST_P(camera_model, a_cast_keeps_the_parameters) {
   auto const back = there.template cast<ft::strict_float>().template cast<float>();
   EXPECT_EQ(std::memcmp(&back, &in_float, sizeof back), 0);
   auto const c = TestFixture::lens::parameters();
-  for (int i = 0; i < TestFixture::template model_of<float>::num_params; ++i) {
+  for (int i = 0; i < ft::num_params_v<typename TestFixture::template model_of<float>>; ++i) {
     EXPECT_EQ(parameter(in_float, i), static_cast<double>(static_cast<float>(parameter(c, i))))
         << "parameter " << i;
   }
@@ -666,6 +676,26 @@ TYPED_TEST_P(camera_model, the_jacobian_is_the_derivative) {
   }
 }
 
+TYPED_TEST_P(camera_model, the_jacobian_comes_with_the_projection) {
+  using data = typename TestFixture::lens;
+  auto questions = TestFixture::points();
+  std::mt19937 random(5);
+  for (int i = 0; i < 300; ++i) { questions.push_back({random_direction(random), {1, 1}}); }
+  for (double const bad : {nan, infinity}) { questions.push_back({{bad, 0.1, 1}, {1, 1}}); }
+  auto const expect_agreement = [](std::vector<answer> const& got, double tolerance) {
+    for (answer const& a : got) {
+      ASSERT_EQ(a.with_jacobian.usable(), a.of_point.usable());
+      if (!a.of_point.usable()) { continue; }
+      ASSERT_NEAR(a.with_jacobian.pixel.x, a.of_point.pixel.x, tolerance);
+      ASSERT_NEAR(a.with_jacobian.pixel.y, a.of_point.pixel.y, tolerance);
+    }
+  };
+  expect_agreement(this->template ask<double>(questions), data::double_pixels);
+  expect_agreement(this->template ask<ft::strict_double>(questions), data::double_pixels);
+  expect_agreement(this->template ask<float>(questions), data::float_pixels);
+  expect_agreement(this->template ask<ft::strict_float>(questions), data::float_pixels);
+}
+
 TYPED_TEST_P(camera_model, the_axis_is_seen_at_the_principal_point) {
   auto const c = TestFixture::model();
   question const q{{0, 0, 2}, {parameter(c, 2), parameter(c, 3)}};
@@ -729,9 +759,9 @@ REGISTER_TYPED_TEST_SUITE_P(camera_model, keeps_the_contract, holds_its_paramete
                             calibrations_that_cannot_be_throw, a_pixel_survives_the_round_trip,
                             a_pixel_outside_the_image_has_its_own_ray_or_none,
                             a_ray_points_at_its_point, float_and_double_agree,
-                            the_jacobian_is_the_derivative, the_axis_is_seen_at_the_principal_point,
-                            behind_the_camera, no_two_directions_share_a_pixel,
-                            a_point_that_is_no_number_has_no_pixel,
+                            the_jacobian_is_the_derivative, the_jacobian_comes_with_the_projection,
+                            the_axis_is_seen_at_the_principal_point, behind_the_camera,
+                            no_two_directions_share_a_pixel, a_point_that_is_no_number_has_no_pixel,
                             a_pixel_that_is_no_number_has_no_ray,
                             a_very_far_or_near_point_has_its_own_pixel_or_none);
 
@@ -779,6 +809,8 @@ TYPED_TEST_P(camera_on_gpu, strict_floats_are_the_same_bits_as_on_the_host) {
         << "validity at " << p.x << ", " << p.y << ", " << p.z;
     ASSERT_TRUE(same(a.of_point.pixel.x, b.of_point.pixel.x) &&
                 same(a.of_point.pixel.y, b.of_point.pixel.y) &&
+                same(a.with_jacobian.pixel.x, b.with_jacobian.pixel.x) &&
+                same(a.with_jacobian.pixel.y, b.with_jacobian.pixel.y) &&
                 same(a.again.pixel.x, b.again.pixel.x) && same(a.again.pixel.y, b.again.pixel.y))
         << "pixel of " << p.x << ", " << p.y << ", " << p.z;
     ASSERT_TRUE(same(a.back.direction, b.back.direction)) << "ray back to the point";

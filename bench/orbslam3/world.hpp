@@ -23,8 +23,7 @@ inline ft::orbslam3::settings euroc() {
   s.height = 480;
   s.features = 1200;
   s.left = {ft::orbslam3::lens::pinhole, {435.2f, 435.2f, 367.2f, 252.2f}};
-  s.baseline = 0.11f;
-  s.bf = s.baseline * 435.2f;
+  s.bf = 0.11f * 435.2f;
   return s;
 }
 /// KITTI's raw images, 1392x512, with 2000 features.
@@ -34,8 +33,7 @@ inline ft::orbslam3::settings kitti() {
   s.height = 512;
   s.features = 2000;
   s.left = {ft::orbslam3::lens::pinhole, {984.2f, 984.2f, 690.0f, 233.2f}};
-  s.baseline = 0.537f;
-  s.bf = s.baseline * 984.2f;
+  s.bf = 0.537f * 984.2f;
   return s;
 }
 

@@ -17,12 +17,12 @@
 template <typename Scalar>
 struct stereographic {
   using scalar_type = Scalar;
-  static constexpr int num_params = 4;  ///< fx, fy, cx, cy
   static constexpr char const* name = "stereographic";
+  static constexpr auto parameters = ft::camera_parameters();
   Scalar fx, fy, cx, cy;
 
   /// @throws ft::bad_argument for a focal length out of range, or a value that is not finite
-  void check() const { ft::check_intrinsics(fx, fy, cx, cy); }
+  void check() const { ft::check_camera(*this); }
 
   FT_HOST_DEVICE ft::projection<Scalar> project(ft::vec3<Scalar> p) const {
     Scalar const s = divisor(p);
@@ -44,7 +44,8 @@ struct stereographic {
     return {{(a + a) / n, (b + b) / n, (one - q) / n}, true};
   }
 
-  FT_HOST_DEVICE ft::mat23<Scalar> project_jacobian(ft::vec3<Scalar> p) const {
+  FT_HOST_DEVICE ft::projection_with_jacobian<Scalar> project_with_jacobian(
+      ft::vec3<Scalar> p) const {
     Scalar const one = Scalar(1);
     Scalar const d = ft::scalar::sqrt(dot(p, p));
     Scalar const s = divisor(p);
@@ -53,15 +54,14 @@ struct stereographic {
     Scalar const a = (fx + fx) / s;
     Scalar const b = (fy + fy) / s;
     // d s = (x, y, s) / d
-    return {{a * (one - x * p.x / d), -(a * x * p.y / d), -(a * p.x / d), -(b * y * p.x / d),
-             b * (one - y * p.y / d), -(b * p.y / d)}};
+    return {project(p),
+            {{a * (one - x * p.x / d), -(a * x * p.y / d), -(a * p.x / d), -(b * y * p.x / d),
+              b * (one - y * p.y / d), -(b * p.y / d)}}};
   }
 
   template <typename U>
   FT_HOST_DEVICE stereographic<U> cast() const {
-    using P = ft::plain_scalar_t<U>;
-    return {U(static_cast<P>(ft::to_plain(fx))), U(static_cast<P>(ft::to_plain(fy))),
-            U(static_cast<P>(ft::to_plain(cx))), U(static_cast<P>(ft::to_plain(cy)))};
+    return ft::cast_camera<stereographic<U>>(*this);
   }
 
 private:

@@ -58,8 +58,8 @@ public:
   }
   matrix23 jacobian(int camera, Eigen::Vector3d const& x) const {
     Eigen::Vector3d const y = in(camera, x);
-    auto const j =
-        cameras_[static_cast<std::size_t>(camera)].project_jacobian({y.x(), y.y(), y.z()});
+    auto const& model = cameras_[static_cast<std::size_t>(camera)];
+    auto const j = model.project_with_jacobian({y.x(), y.y(), y.z()}).jacobian;
     matrix23 J;
     J << j.m[0], j.m[1], j.m[2], j.m[3], j.m[4], j.m[5];
     return camera == 0 ? J : matrix23(J * T_.R);
@@ -91,7 +91,7 @@ public:
     return p.valid;
   }
   matrix23 jacobian(int camera, Eigen::Vector3d const& x) const {
-    auto const j = left_.project_jacobian({x.x(), x.y(), x.z()});
+    auto const j = left_.project_with_jacobian({x.x(), x.y(), x.z()}).jacobian;
     matrix23 J;
     if (camera == 0) {
       J << j.m[0], j.m[1], j.m[2], j.m[3], j.m[4], j.m[5];

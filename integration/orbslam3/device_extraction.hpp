@@ -85,7 +85,7 @@ public:
     }
     extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
     stereo_.bf = s.bf;
-    stereo_.max_disparity = s.baseline > 0 ? s.bf / s.baseline : 0;
+    stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf over Frame::mb
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = s.height;

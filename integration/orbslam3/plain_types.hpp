@@ -36,8 +36,7 @@ struct settings {
   camera_parameters left;
   camera_parameters right;  ///< of a kannala_brandt pair
   transform T_rl;           ///< left camera to right camera, of a kannala_brandt pair
-  float baseline = 0;       ///< metres; pinhole: Frame::mb, virtual for RGB-D, 0 for monocular
-  float bf = 0;             ///< baseline times fx, Frame::mbf; 0 for monocular
+  float bf = 0;             ///< baseline times fx, Frame::mbf; virtual for RGB-D, 0 for monocular
   /// First and last column of the left and of the right image that see the same; pairs of
   /// kannala_brandt cameras only.
   float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};

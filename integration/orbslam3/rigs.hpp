@@ -34,7 +34,9 @@ template <typename Rig>
 Rig rig_of(settings const& s) {
   float const* const l = s.left.values;
   if constexpr (Rig::rectified) {
-    rectified_rig const rig{{l[0], l[1], l[2], l[3]}, s.baseline, s.bf};
+    // As rectified_rig::from_bf(), and 0 for a monocular camera.
+    rectified_rig const rig{{l[0], l[1], l[2], l[3]},
+                            static_cast<double>(s.bf) / static_cast<double>(l[0])};
     rig.camera.check();
     if (s.images == 2 || s.bf != 0) { rig.check(); }
     return rig;

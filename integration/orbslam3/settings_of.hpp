@@ -53,7 +53,6 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
     return s;
   }
   s.bf = bf;
-  s.baseline = bf / s.left.values[0];
   if (kind == sensor_kind::rgbd || s.left.kind == lens::pinhole) { return s; }
   detail::require(camera2 != nullptr, "a fisheye pair needs its second camera");
   s.right = parameters_of(*camera2);

@@ -104,7 +104,7 @@ TEST(kannala_brandt_oracle, the_jacobian_is_the_derivative_of_opencvs_projection
   auto const k = matrix_of(camera.fx, camera.fy, camera.cx, camera.cy);
   cv::Vec4d const distortion(camera.k1, camera.k2, camera.k3, camera.k4);
   for (auto const& p : points) {
-    auto const jacobian = camera.project_jacobian({p.x, p.y, p.z});
+    auto const jacobian = camera.project_with_jacobian({p.x, p.y, p.z}).jacobian;
     double const size = cv::norm(p);
     double const h = 1e-6 * size;
     for (int axis = 0; axis < 3; ++axis) {

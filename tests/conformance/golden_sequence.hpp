@@ -90,9 +90,8 @@ public:
                       {c2[0], c2[1], c2[2], c2[3], c2[4], c2[5], c2[6], c2[7]},
                       T_lr.cast<ft::strict_float>().inverse().template cast<float>()};
     } else {
-      rectified_rig_ = {{c1[0], c1[1], c1[2], c1[3]},
-                        json_["mb"].template get<float>(),
-                        json_["bf"].template get<float>()};
+      rectified_rig_ = ft::rectified_rig::from_bf({c1[0], c1[1], c1[2], c1[3]},
+                                                  json_["bf"].template get<float>());
     }
   }
 
@@ -331,8 +330,8 @@ private:
     rows.rows = params_.height;
     ft::feature_grid<Exec::space> right_rows(rows, orb_.capacity());
     ft::stereo_params params;
-    params.bf = rectified_rig_.bf;
-    params.max_disparity = rectified_rig_.bf / rectified_rig_.baseline;
+    params.bf = rectified_rig_.bf();
+    params.max_disparity = rectified_rig_.bf() / rectified_rig_.baseline_length().value;
     ft::match_stereo_rectified(exec_, orb_.pyramid(), frame_keypoints_.view(), params,
                                matches.view(), right_rows.view());
     auto const right_x = column<ft::field::right_x>(exec_, matches.view());

@@ -24,7 +24,7 @@ namespace {
 template <typename Camera>
 Camera any_camera(fuzz::input& in) {
   constexpr int n = static_cast<int>(sizeof(Camera) / sizeof(float));
-  static_assert(n == Camera::num_params && std::is_trivially_copyable<Camera>::value,
+  static_assert(n == ft::num_params_v<Camera> && std::is_trivially_copyable<Camera>::value,
                 "made of its parameters");
   float values[n];
   for (int i = 0; i < n; ++i) { values[i] = i < 4 ? in.number(50, 400) : in.number(-1, 1.5f); }
@@ -44,7 +44,7 @@ void use(fuzz::input& in) {
     };
     ft::vec3<float> const p{number(5), number(5), number(5)};
     auto const at = camera.project(p);
-    static_cast<void>(camera.project_jacobian(p));
+    static_cast<void>(camera.project_with_jacobian(p));
     ft::vec2<float> const pixel{number(800), number(600)};
     auto const ray = camera.unproject(pixel);
     bool const sane = std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) &&

@@ -95,7 +95,7 @@ scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed)
     o.v = static_cast<float>(pixel.y + error_v);
     o.right_u = -1;
     if constexpr (Rig::rectified) {
-      double const right = pixel.x - static_cast<double>(rig.bf) / depth;
+      double const right = pixel.x - static_cast<double>(rig.bf()) / depth;
       if (second != 0 && right >= 0) { o.right_u = static_cast<float>(right); }
     } else {
       o.right_camera = second;
@@ -153,7 +153,7 @@ seen_error error_of(Rig const& rig, motion const& T_cw, ft::observation const& o
   if constexpr (Rig::rectified) {
     stereo = o.right_u >= 0;
     double const right =
-        static_cast<double>(o.right_u) - (pixel.x - static_cast<double>(rig.bf) / seen.z);
+        static_cast<double>(o.right_u) - (pixel.x - static_cast<double>(rig.bf()) / seen.z);
     if (stereo) { sum += right * right; }
   }
   return {sum * static_cast<double>(o.inv_sigma2), stereo};

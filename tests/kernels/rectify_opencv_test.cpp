@@ -300,7 +300,8 @@ constexpr ft::radtan8<double> lens8{
 
 template <typename Camera>
 cv::Mat coefficients(Camera const& c) {
-  return cv::Mat(1, Camera::num_params - 4, CV_64F, const_cast<double*>(c.distortion)).clone();
+  return cv::Mat(1, ft::num_params_v<Camera> - 4, CV_64F, const_cast<double*>(c.distortion))
+      .clone();
 }
 
 template <typename Camera>

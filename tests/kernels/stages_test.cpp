@@ -541,7 +541,7 @@ template <typename Camera>
 Camera make_camera(generator& g) {
   float const fx = g.real(280, 420);
   float const fy = g.real(280, 420);
-  if constexpr (Camera::num_params == 4) {
+  if constexpr (ft::num_params_v<Camera> == 4) {
     return {fx, fy, g.real(360, 390), g.real(220, 260)};
   } else {
     return {fx,

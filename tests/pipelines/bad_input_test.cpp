@@ -183,7 +183,7 @@ std::array<stereo_frame, 2> make_frames(Rig const& rig) {
     T_cw.t = {-0.01f * static_cast<float>(i), 0, -0.03f * static_cast<float>(i)};
     if constexpr (Rig::rectified) {
       ft::pose T_rw = T_cw;
-      T_rw.t.x -= rig.baseline;
+      T_rw.t.x -= rig.baseline_length().value;
       frames[i] = {render(rig.camera, T_cw, texture, side),
                    render(rig.camera, T_rw, texture, side)};
     } else {
@@ -300,7 +300,7 @@ TYPED_TEST(bad_input_test, a_rectified_pair_without_a_baseline_is_refused_with_t
   for (auto const& [value, text] : bad) {
     SCOPED_TRACE(text);
     auto rig = a_rig<ft::rectified_rig>();
-    rig.baseline = value;  // bf stays right
+    rig.baseline = value;
     expect_says(refusal([&] { ft::rectified_rig::make(rig.camera, rig.baseline); }),
                 {"baseline is " + text});
     expect_says(refusal([&] { ft::stereo_matcher<executor>(rig, extractor); }),
@@ -804,7 +804,7 @@ void expect_rectified_as_told(Exec const& exec, ft::orb_extractor<Exec> const& e
       g,
       test::from_exec(exec, static_cast<std::uint8_t const*>(extractor.pyramid().data),
                       at(2 * g.bytes)),
-      rig.bf, rig.baseline);
+      rig.bf(), rig.baseline_length().value);
   oracle_tally seen;
   auto const want = oracle(images[0].all, images[1].all, seen);
   auto const depth = test::column<ft::field::depth>(exec, matcher.matches());
@@ -1034,7 +1034,7 @@ search_answer search_last_plainly(search_scene const& s, ft::rectified_rig const
         float const inv_z = 1 / p.z;
         w.x = rig.camera.fx * p.x / p.z + rig.camera.cx;
         w.y = rig.camera.fy * p.y / p.z + rig.camera.cy;
-        w.right_x = w.x - rig.bf * inv_z;
+        w.right_x = w.x - rig.bf() * inv_z;
         int const o = s.last_octave[at(i)];
         w.radius = th * g.scale[o];
         bool const forward = ahead > rig.baseline;
@@ -1093,7 +1093,7 @@ search_answer search_local_plainly(search_scene const& s, ft::rectified_rig cons
       float const cosine = ft::dot(p, s.normal[at(slot)]) / distance;
       w.x = rig.camera.fx * p.x / p.z + rig.camera.cx;
       w.y = rig.camera.fy * p.y / p.z + rig.camera.cy;
-      w.right_x = w.x - rig.bf / p.z;
+      w.right_x = w.x - rig.bf() / p.z;
       bool const seen = p.z >= 0 && w.x >= 0 && w.x <= width && w.y >= 0 && w.y <= height &&
                         distance >= 0.8f * s.min_distance[at(slot)] &&
                         distance <= 1.2f * s.max_distance[at(slot)] && cosine >= 0.5f;
@@ -1249,7 +1249,7 @@ std::vector<ft::vec3<float>> unseen_positions(Rig const& rig) {
       {inf, inf, 1},  {inf, inf, inf}, {nan, 0.1f, 3}, {0, nan, 3},
       {0.1f, 0, nan}, {nan, nan, nan}, {0, 0, -3e38f}, {3e38f, 0, -1}};
   if constexpr (Rig::rectified) {
-    all.push_back({rig.baseline, 0, 0});
+    all.push_back({rig.baseline_length().value, 0, 0});
   } else {
     all.push_back(rig.T_rl.inverse().t);
   }

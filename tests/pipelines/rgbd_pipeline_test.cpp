@@ -155,7 +155,7 @@ public:
     orb_.extract(exec_);
     ft::undistort_keypoints(exec_, raw_, rig_.camera, orb_.keypoints(), undistorted_, nullptr);
     ft::depth_params depth;
-    depth.bf = rig_.bf;
+    depth.bf = rig_.bf();
     depth.scale = 1.0f / 5000;
     ft::depth_images_view<std::uint16_t> const images{depth_, width, height, 2 * width, 0, 1};
     ft::associate_depth(exec_, orb_.keypoints(), undistorted_, images, depth, matches_);
@@ -297,7 +297,7 @@ TYPED_TEST(rgbd_test, a_known_motion_is_found_from_distorted_images_and_their_de
   float furthest_right = 0;
   for (int i = 0; i < count; ++i) {
     ASSERT_GT(depth[at(i)], 0.0f) << "the plane is everywhere";
-    EXPECT_NEAR(right_x[at(i)], x[at(i)] - rig.bf / depth[at(i)], 1e-3f);
+    EXPECT_NEAR(right_x[at(i)], x[at(i)] - rig.bf() / depth[at(i)], 1e-3f);
     auto const ray = rig.camera.unproject({x[at(i)], y[at(i)]}).direction;
     float const z = depth[at(i)];
     ft::vec3<float> const p{ray.x * z, ray.y * z, z};
@@ -409,7 +409,7 @@ TYPED_TEST(rgbd_test, rectified_images_go_straight_into_the_extractor) {
     auto const ray = rig.camera.unproject({x[at(i)], y[at(i)]}).direction;
     double const true_depth =
         2.5 / (0.25 * static_cast<double>(ray.x) + 0.15 * static_cast<double>(ray.y) + 1);
-    off.push_back(std::abs(static_cast<double>(rig.bf) *
+    off.push_back(std::abs(static_cast<double>(rig.bf()) *
                            (1 / true_depth - 1 / static_cast<double>(depth[at(i)]))));
   }
   ASSERT_GT(off.size(), 200u);

@@ -221,7 +221,7 @@ std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
     ft::pose const T_cw = T_wc.inverse();
     if constexpr (Rig::rectified) {
       ft::pose T_rw = T_cw;
-      T_rw.t.x -= rig.baseline;
+      T_rw.t.x -= rig.baseline_length().value;
       walk.push_back(
           {render(rig.camera, walls, side, T_cw), render(rig.camera, walls, side, T_rw), T_cw});
     } else {
@@ -658,7 +658,6 @@ TYPED_TEST(frame_tracker_test, refuses_rigs_and_parameters_that_cannot_be) {
     refused_rig([&](auto& r) { r.camera.fx = v; });
     refused_rig([&](auto& r) { r.camera.fy = v; });
     refused_rig([&](auto& r) { r.baseline = v; });
-    refused_rig([&](auto& r) { r.bf = v; });
   }
   for (float const v : {nan, inf, -inf}) {
     refused_rig([&](auto& r) { r.camera.cx = v; });

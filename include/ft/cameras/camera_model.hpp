@@ -1,28 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The contract of a camera model, and a trait that checks it.
+/// @file The contract of a camera model, and the traits that check it.
 ///
 /// A model is a plain struct templated on its scalar (float, double or ft::strict of either):
 ///
-///     template <typename Scalar> struct my_camera {
+///     template <typename Scalar>
+///     struct my_camera {
 ///       using scalar_type = Scalar;
-///       static constexpr int num_params = ...;
-///       static constexpr char const* name = "...";
-///       Scalar ...;  // the parameters, in order
+///       static constexpr char const* name = "my_camera";
+///       static constexpr auto parameters = ft::camera_parameters({{"k", -1, 1}});
+///       Scalar fx, fy, cx, cy, k;
 ///
-///       projection<Scalar> project(vec3<Scalar> p) const;      // camera frame -> pixel
-///       ray<Scalar> unproject(vec2<Scalar> pixel) const;       // pixel -> direction
-///       mat23<Scalar> project_jacobian(vec3<Scalar> p) const;  // d pixel / d point
-///       template <typename U> my_camera<U> cast() const;
-///       void check() const;  // host; throws bad_argument
+///       projection<Scalar> project(vec3<Scalar> p) const;
+///       projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const;
+///       ray<Scalar> unproject(vec2<Scalar> pixel) const;
+///       template <typename U>
+///       my_camera<U> cast() const { return ft::cast_camera<my_camera<U>>(*this); }
+///       void check() const { ft::check_camera(*this); }
 ///     };
 ///
-/// All members except check() are FT_HOST_DEVICE. There are no virtual functions, and the struct is
+/// Its data members are the parameters, in the order of `parameters`, and nothing else. All member
+/// functions except check() are FT_HOST_DEVICE. There are no virtual functions, and the struct is
 /// trivially copyable. The camera frame has x right, y down, z forward.
 #pragma once
 
+#include <cstddef>
+#include <cstring>
+#include <limits>
+#include <string>
 #include <type_traits>
 #include <utility>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
@@ -50,113 +58,150 @@ struct mat23 {
   Scalar m[6];
 };
 
-namespace detail {
+/// A projection and its derivative, for solvers. `value` agrees with project() up to rounding.
+template <typename Scalar>
+struct projection_with_jacobian {
+  projection<Scalar> value;
+  mat23<Scalar> jacobian;  ///< d pixel / d point
+};
 
-template <typename C, typename = void>
-struct has_project : std::false_type {};
-template <typename C>
-struct has_project<C, std::void_t<decltype(std::declval<C const&>().project(
-                          std::declval<vec3<typename C::scalar_type>>()))>>
-    : std::is_same<decltype(std::declval<C const&>().project(
-                       std::declval<vec3<typename C::scalar_type>>())),
-                   projection<typename C::scalar_type>> {};
+// ---- parameters
 
-template <typename C, typename = void>
-struct has_unproject : std::false_type {};
-template <typename C>
-struct has_unproject<C, std::void_t<decltype(std::declval<C const&>().unproject(
-                            std::declval<vec2<typename C::scalar_type>>()))>>
-    : std::is_same<decltype(std::declval<C const&>().unproject(
-                       std::declval<vec2<typename C::scalar_type>>())),
-                   ray<typename C::scalar_type>> {};
+/// A parameter of a camera model and its limits, which are included. The default is any finite
+/// value.
+struct camera_parameter {
+  char const* name = "";
+  double low = -std::numeric_limits<double>::infinity();
+  double high = std::numeric_limits<double>::infinity();
+};
 
-template <typename C, typename = void>
-struct has_jacobian : std::false_type {};
-template <typename C>
-struct has_jacobian<C, std::void_t<decltype(std::declval<C const&>().project_jacobian(
-                           std::declval<vec3<typename C::scalar_type>>()))>>
-    : std::is_same<decltype(std::declval<C const&>().project_jacobian(
-                       std::declval<vec3<typename C::scalar_type>>())),
-                   mat23<typename C::scalar_type>> {};
+/// The parameters of a model, in the order of its data members.
+template <int Count>
+struct camera_parameter_list {
+  static constexpr int count = Count;
+  camera_parameter of[Count];
+};
 
-template <typename C, typename = void>
-struct has_joint_projection : std::false_type {};
-template <typename C>
-struct has_joint_projection<C, std::void_t<decltype(std::declval<C const&>().project_with_jacobian(
-                                   std::declval<vec3<typename C::scalar_type>>(),
-                                   std::declval<mat23<typename C::scalar_type>&>()))>>
-    : std::true_type {};
+/// A list of fx and fy, in [1e-3, 1e6] pixels, cx and cy.
+constexpr camera_parameter_list<4> camera_parameters() {
+  return {{{"fx", 1e-3, 1e6}, {"fy", 1e-3, 1e6}, {"cx"}, {"cy"}}};
+}
+/// A list of fx, fy, cx and cy, followed by the parameters given.
+template <int More>
+constexpr camera_parameter_list<4 + More> camera_parameters(camera_parameter const (&more)[More]) {
+  camera_parameter_list<4 + More> all{};
+  for (int i = 0; i < 4; ++i) { all.of[i] = camera_parameters().of[i]; }
+  for (int i = 0; i < More; ++i) { all.of[4 + i] = more[i]; }
+  return all;
+}
 
-template <typename C, typename = void>
-struct has_names : std::false_type {};
-template <typename C>
-struct has_names<C, std::void_t<decltype(C::num_params), decltype(C::name)>> : std::true_type {};
+/// Number of parameters of a camera model.
+template <typename Camera>
+inline constexpr int num_params_v = std::decay_t<decltype(Camera::parameters)>::count;
 
-template <typename C, typename = void>
-struct has_cast : std::false_type {};
-template <typename C>
-struct has_cast<C, std::void_t<decltype(std::declval<C const&>().template cast<double>())>>
-    : std::true_type {};
+/// A camera whose parameters are those of `from` in another scalar. For cast() of a model.
+template <typename To, typename From>
+FT_HOST_DEVICE To cast_camera(From const& from) {
+  using scalar_to = typename To::scalar_type;
+  typename From::scalar_type before[num_params_v<From>];
+  scalar_to after[num_params_v<From>];
+  std::memcpy(before, &from, sizeof before);
+  FT_UNROLL
+  for (int i = 0; i < num_params_v<From>; ++i) {
+    after[i] = scalar_to(static_cast<plain_scalar_t<scalar_to>>(to_plain(before[i])));
+  }
+  To to;
+  std::memcpy(&to, after, sizeof after);
+  return to;
+}
 
-template <typename C, typename = void>
-struct has_check : std::false_type {};
-template <typename C>
-struct has_check<C, std::void_t<decltype(std::declval<C const&>().check())>> : std::true_type {};
-
-}  // namespace detail
-
-/// A projection and its derivative. A model whose project() and project_jacobian() share much work
-/// may have a member
-/// `projection<Scalar> project_with_jacobian(vec3<Scalar> p, mat23<Scalar>& jacobian) const`.
-/// Its values need to agree up to rounding only: it is for solvers.
-template <typename C, typename Scalar>
-FT_HOST_DEVICE projection<Scalar> project_and_differentiate(C const& camera, vec3<Scalar> p,
-                                                            mat23<Scalar>& jacobian) {
-  if constexpr (detail::has_joint_projection<C>::value) {
-    return camera.project_with_jacobian(p, jacobian);
-  } else {
-    jacobian = camera.project_jacobian(p);
-    return camera.project(p);
+/// Checks the parameters of a model against their limits. For check() of a model; host only.
+/// @throws bad_argument naming the first parameter that is not finite or out of its limits
+template <typename Camera>
+void check_camera(Camera const& camera) {
+  auto const numbers = camera.template cast<double>();
+  double values[num_params_v<Camera>];
+  std::memcpy(values, &numbers, sizeof values);
+  for (int i = 0; i < num_params_v<Camera>; ++i) {
+    camera_parameter const& p = Camera::parameters.of[i];
+    std::string const name = std::string("camera ") + p.name;
+    detail::require_finite(name.c_str(), values[i]);
+    detail::require_range(name.c_str(), values[i], p.low, p.high);
   }
 }
 
-/// True for a type that satisfies the contract above.
+// ---- the contract
+
+namespace detail {
+
+template <typename C>
+using camera_project =
+    decltype(std::declval<C const&>().project(std::declval<vec3<typename C::scalar_type>>()));
+template <typename C>
+using camera_project_with_jacobian = decltype(std::declval<C const&>().project_with_jacobian(
+    std::declval<vec3<typename C::scalar_type>>()));
+template <typename C>
+using camera_unproject =
+    decltype(std::declval<C const&>().unproject(std::declval<vec2<typename C::scalar_type>>()));
+template <typename C>
+using camera_cast = decltype(std::declval<C const&>().template cast<double>());
+template <typename C>
+using camera_check = decltype(std::declval<C const&>().check());
+template <typename C>
+using camera_names = decltype(C::parameters.of[0].name, C::name);
+
+template <template <typename> class Expression, typename C, typename = void>
+inline constexpr bool is_expression = false;
+template <template <typename> class Expression, typename C>
+inline constexpr bool is_expression<Expression, C, std::void_t<Expression<C>>> = true;
+
+/// Whether an expression of a camera has the type Result<scalar_type>.
+template <template <typename> class Expression, template <typename> class Result, typename C,
+          typename = void>
+inline constexpr bool gives = false;
+template <template <typename> class Expression, template <typename> class Result, typename C>
+inline constexpr bool gives<Expression, Result, C, std::void_t<Expression<C>>> =
+    std::is_same<Expression<C>, Result<typename C::scalar_type>>::value;
+
+/// Whether the data members of a camera are its parameters and nothing else.
+template <typename C, typename = void>
+inline constexpr bool holds_its_parameters = false;
+template <typename C>
+inline constexpr bool holds_its_parameters<C, std::void_t<camera_names<C>>> =
+    std::is_trivially_copyable<C>::value &&
+    sizeof(C) == static_cast<std::size_t>(num_params_v<C>) * sizeof(typename C::scalar_type);
+
+}  // namespace detail
+
+/// Whether a type satisfies the contract above.
 template <typename C>
 inline constexpr bool is_camera_model_v =
-    std::is_trivially_copyable<C>::value&& detail::has_project<C>::value&&
-        detail::has_unproject<C>::value&& detail::has_jacobian<C>::value&&
-            detail::has_names<C>::value&& detail::has_cast<C>::value&& detail::has_check<C>::value;
+    detail::holds_its_parameters<C>&& detail::gives<detail::camera_project, projection, C>&&
+        detail::gives<detail::camera_project_with_jacobian, projection_with_jacobian, C>&&
+            detail::gives<detail::camera_unproject, ray, C>&& detail::is_expression<
+                detail::camera_cast, C>&& detail::is_expression<detail::camera_check, C>;
 
-/// Instantiate it to see which part of the contract a type violates.
+/// Instantiate it to have the compiler name the part of the contract that a type misses.
 template <typename C>
 struct assert_camera_model {
-  static_assert(std::is_trivially_copyable<C>::value,
-                "a camera model is passed to kernels by value");
-  static_assert(detail::has_project<C>::value,
+  static_assert(detail::is_expression<detail::camera_names, C>,
+                "a camera model needs: name, and parameters = camera_parameters(...)");
+  static_assert(!detail::is_expression<detail::camera_names, C> || detail::holds_its_parameters<C>,
+                "a camera model holds its parameters and nothing else");
+  static_assert(detail::gives<detail::camera_project, projection, C>,
                 "a camera model needs: projection<Scalar> project(vec3<Scalar>) const");
-  static_assert(detail::has_unproject<C>::value,
+  static_assert(detail::gives<detail::camera_project_with_jacobian, projection_with_jacobian, C>,
+                "a camera model needs: "
+                "projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar>) const");
+  static_assert(detail::gives<detail::camera_unproject, ray, C>,
                 "a camera model needs: ray<Scalar> unproject(vec2<Scalar>) const");
-  static_assert(detail::has_jacobian<C>::value,
-                "a camera model needs: mat23<Scalar> project_jacobian(vec3<Scalar>) const");
-  static_assert(detail::has_names<C>::value, "a camera model needs: num_params and name");
-  static_assert(detail::has_cast<C>::value,
+  static_assert(detail::is_expression<detail::camera_cast, C>,
                 "a camera model needs: template <typename U> my_camera<U> cast() const");
-  static_assert(detail::has_check<C>::value, "a camera model needs: void check() const");
-  static constexpr bool value = is_camera_model_v<C>;
+  static_assert(detail::is_expression<detail::camera_check, C>,
+                "a camera model needs: void check() const");
+  /// True in any case: where the contract is missed, the assertions above are the error.
+  static constexpr bool value = true;
 };
-
-/// Checks intrinsics in pixels, for check() of a model. Host only.
-/// @throws bad_argument if a value is not finite, or a focal length is not in [1e-3, 1e6]
-template <typename Scalar>
-void check_intrinsics(Scalar fx, Scalar fy, Scalar cx, Scalar cy) {
-  auto const plain = [](Scalar value) { return static_cast<double>(to_plain(value)); };
-  detail::require_finite("camera fx", plain(fx));
-  detail::require_finite("camera fy", plain(fy));
-  detail::require_finite("camera cx", plain(cx));
-  detail::require_finite("camera cy", plain(cy));
-  detail::require_range("camera fx", plain(fx), 1e-3, 1e6);
-  detail::require_range("camera fy", plain(fy), 1e-3, 1e6);
-}
 
 }  // namespace FT_ABI
 }  // namespace ft

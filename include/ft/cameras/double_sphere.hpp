@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -31,42 +32,34 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct double_sphere {
   using scalar_type = Scalar;
-  static constexpr int num_params = 6;  ///< fx, fy, cx, cy, xi, alpha
   static constexpr char const* name = "double_sphere";
+  static constexpr auto parameters = camera_parameters({{"xi", -1, 1}, {"alpha", 0, 1}});
   Scalar fx, fy, cx, cy, xi, alpha;
 
   /// @throws bad_argument for a value out of the ranges above
   void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    detail::require_range("camera xi", static_cast<double>(to_plain(xi)), -1.0, 1.0);
+    check_camera(*this);
     detail::require(xi > Scalar(-1), "camera xi is -1, must be in (-1, 1]");
-    detail::require_range("camera alpha", static_cast<double>(to_plain(alpha)), 0.0, 1.0);
   }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    projection<Scalar> const outside{{cx, cy}, false};
     Scalar const r2 = p.x * p.x + p.y * p.y;
     Scalar const q = xi * scalar::sqrt(r2 + p.z * p.z) + p.z;
     Scalar const d2 = scalar::sqrt(r2 + q * q);
     Scalar const depth = alpha * d2 + (Scalar(1) - alpha) * q;
     if (!(q > -(reach() * d2)) || !(depth > Scalar(0)) || !scalar::is_finite(d2)) {
-      return outside;
+      return detail::no_pixel(*this);
     }
-    Scalar const u = fx * p.x / depth + cx;
-    Scalar const v = fy * p.y / depth + cy;
-    if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
-    return {{u, v}, true};
+    return detail::finite_pixel(*this, fx * p.x / depth + cx, fy * p.y / depth + cy);
   }
   /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
-    ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};
-    Scalar const x = (pixel.x - cx) / fx;
-    Scalar const y = (pixel.y - cy) / fy;
-    Scalar const r2 = x * x + y * y;
+    auto const m = detail::normalized(*this, pixel);
+    Scalar const r2 = m.x * m.x + m.y * m.y;
     Scalar const rest = one - (alpha + alpha - one) * r2;
-    if (!(rest > Scalar(0))) { return none; }
-    // On the second sphere: the direction (x, y, z) from its centre.
+    if (!(rest > Scalar(0))) { return detail::no_ray<Scalar>(); }
+    // On the second sphere: the direction (m.x, m.y, z) from its centre.
     Scalar const z = (one - alpha * alpha * r2) / (alpha * scalar::sqrt(rest) + (one - alpha));
     // Intersect it with the first sphere, whose centre is at (0, 0, xi). Of the two forms of the
     // solution this one has no cancellation.
@@ -75,12 +68,11 @@ struct double_sphere {
     Scalar const along = z * xi;
     Scalar const length =
         along >= Scalar(0) ? (along + root) / (z * z + r2) : inner / (root - along);
-    vec3<Scalar> const d{length * x, length * y, length * z - xi};
-    Scalar const norm = scalar::sqrt(dot(d, d));
-    if (!(length > Scalar(0)) || !(norm > Scalar(0)) || !scalar::is_finite(norm)) { return none; }
-    return {{d.x / norm, d.y / norm, d.z / norm}, true};
+    if (!(length > Scalar(0))) { return detail::no_ray<Scalar>(); }
+    vec3<Scalar> const d{length * m.x, length * m.y, length * z - xi};
+    return detail::unit_ray(d, scalar::sqrt(dot(d, d)));
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const one = Scalar(1);
     Scalar const r2 = p.x * p.x + p.y * p.y;
     Scalar const d1 = scalar::sqrt(r2 + p.z * p.z);
@@ -96,15 +88,13 @@ struct double_sphere {
     Scalar const b = fy * s;
     Scalar const x = p.x * s;
     Scalar const y = p.y * s;
-    return {{a * (one - x * depth.x), -(a * x * depth.y), -(a * x * depth.z), -(b * y * depth.x),
-             b * (one - y * depth.y), -(b * y * depth.z)}};
+    return {project(p),
+            {{a * (one - x * depth.x), -(a * x * depth.y), -(a * x * depth.z), -(b * y * depth.x),
+              b * (one - y * depth.y), -(b * y * depth.z)}}};
   }
   template <typename U>
   FT_HOST_DEVICE double_sphere<U> cast() const {
-    using P = plain_scalar_t<U>;
-    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
-            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
-            U(static_cast<P>(to_plain(xi))), U(static_cast<P>(to_plain(alpha)))};
+    return cast_camera<double_sphere<U>>(*this);
   }
 
 private:

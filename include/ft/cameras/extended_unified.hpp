@@ -3,9 +3,9 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
 
 namespace ft {
@@ -28,45 +28,35 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct extended_unified {
   using scalar_type = Scalar;
-  static constexpr int num_params = 6;  ///< fx, fy, cx, cy, alpha, beta
   static constexpr char const* name = "extended_unified";
+  static constexpr auto parameters = camera_parameters({{"alpha", 0, 1}, {"beta", 1e-6, 1e6}});
   Scalar fx, fy, cx, cy, alpha, beta;
 
   /// @throws bad_argument for a value out of the ranges above
-  void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    detail::require_range("camera alpha", static_cast<double>(to_plain(alpha)), 0.0, 1.0);
-    detail::require_range("camera beta", static_cast<double>(to_plain(beta)), 1e-6, 1e6);
-  }
+  void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    projection<Scalar> const outside{{cx, cy}, false};
     Scalar const rest = Scalar(1) - alpha;
     Scalar const reach = alpha <= rest ? alpha / rest : rest / alpha;
     Scalar const d = scalar::sqrt(beta * (p.x * p.x + p.y * p.y) + p.z * p.z);
     Scalar const depth = alpha * d + rest * p.z;
-    if (!(p.z > -(reach * d)) || !(depth > Scalar(0)) || !scalar::is_finite(d)) { return outside; }
-    Scalar const u = fx * p.x / depth + cx;
-    Scalar const v = fy * p.y / depth + cy;
-    if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
-    return {{u, v}, true};
+    if (!(p.z > -(reach * d)) || !(depth > Scalar(0)) || !scalar::is_finite(d)) {
+      return detail::no_pixel(*this);
+    }
+    return detail::finite_pixel(*this, fx * p.x / depth + cx, fy * p.y / depth + cy);
   }
   /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
-    ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};
-    Scalar const x = (pixel.x - cx) / fx;
-    Scalar const y = (pixel.y - cy) / fy;
-    Scalar const r2 = x * x + y * y;
+    auto const m = detail::normalized(*this, pixel);
+    Scalar const r2 = m.x * m.x + m.y * m.y;
     Scalar const rest = one - (alpha + alpha - one) * (beta * r2);
-    if (!(rest > Scalar(0))) { return none; }
+    if (!(rest > Scalar(0))) { return detail::no_ray<Scalar>(); }
     Scalar const z =
         (one - alpha * alpha * (beta * r2)) / (alpha * scalar::sqrt(rest) + (one - alpha));
-    Scalar const norm = scalar::sqrt(r2 + z * z);
-    if (!(norm > Scalar(0)) || !scalar::is_finite(norm)) { return none; }
-    return {{x / norm, y / norm, z / norm}, true};
+    return detail::unit_ray(vec3<Scalar>{m.x, m.y, z}, scalar::sqrt(r2 + z * z));
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const one = Scalar(1);
     Scalar const d = scalar::sqrt(beta * (p.x * p.x + p.y * p.y) + p.z * p.z);
     Scalar const s = one / (alpha * d + (one - alpha) * p.z);
@@ -76,15 +66,13 @@ struct extended_unified {
     Scalar const b = fy * s;
     Scalar const x = p.x * s;
     Scalar const y = p.y * s;
-    return {{a * (one - x * depth.x), -(a * x * depth.y), -(a * x * depth.z), -(b * y * depth.x),
-             b * (one - y * depth.y), -(b * y * depth.z)}};
+    return {project(p),
+            {{a * (one - x * depth.x), -(a * x * depth.y), -(a * x * depth.z), -(b * y * depth.x),
+              b * (one - y * depth.y), -(b * y * depth.z)}}};
   }
   template <typename U>
   FT_HOST_DEVICE extended_unified<U> cast() const {
-    using P = plain_scalar_t<U>;
-    return {U(static_cast<P>(to_plain(fx))),    U(static_cast<P>(to_plain(fy))),
-            U(static_cast<P>(to_plain(cx))),    U(static_cast<P>(to_plain(cy))),
-            U(static_cast<P>(to_plain(alpha))), U(static_cast<P>(to_plain(beta)))};
+    return cast_camera<extended_unified<U>>(*this);
   }
 };
 

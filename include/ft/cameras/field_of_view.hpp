@@ -3,9 +3,9 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
 
 namespace ft {
@@ -30,31 +30,25 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct field_of_view {
   using scalar_type = Scalar;
-  static constexpr int num_params = 5;  ///< fx, fy, cx, cy, omega
   static constexpr char const* name = "field_of_view";
+  static constexpr auto parameters = camera_parameters({{"omega", 0, 3.14}});
   Scalar fx, fy, cx, cy, omega;
 
   /// @throws bad_argument for a value out of the ranges above
-  void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    detail::require_range("camera omega", static_cast<double>(to_plain(omega)), 0.0, 3.14);
-  }
+  void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    projection<Scalar> const outside{{cx, cy}, false};
-    if (!(p.z > Scalar(0)) || !scalar::is_finite(p.z)) { return outside; }
     Scalar const r = scalar::sqrt(p.x * p.x + p.y * p.y);
+    if (!(p.z > Scalar(0)) || !scalar::is_finite(p.z) || !scalar::is_finite(r)) {
+      return detail::no_pixel(*this);
+    }
     Scalar const g = enlargement(r, p.z);
-    Scalar const u = fx * (p.x * g) + cx;
-    Scalar const v = fy * (p.y * g) + cy;
-    if (!scalar::is_finite(u) || !scalar::is_finite(v) || !scalar::is_finite(r)) { return outside; }
-    return {{u, v}, true};
+    return detail::finite_pixel(*this, fx * (p.x * g) + cx, fy * (p.y * g) + cy);
   }
   /// Ray with z = 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
-    Scalar const x = (pixel.x - cx) / fx;
-    Scalar const y = (pixel.y - cy) / fy;
-    Scalar const r_d = scalar::sqrt(x * x + y * y);
+    auto const m = detail::normalized(*this, pixel);
+    Scalar const r_d = scalar::sqrt(m.x * m.x + m.y * m.y);
     Scalar factor = Scalar(1);
     bool valid = true;
     if (!is_pinhole()) {
@@ -62,13 +56,13 @@ struct field_of_view {
       valid = angle < number(1.5707963267948966);
       factor = r_d > Scalar(0) ? scalar::tan(angle) / (slope() * r_d) : omega / slope();
     }
-    vec3<Scalar> const d{x * factor, y * factor, Scalar(1)};
+    vec3<Scalar> const d{m.x * factor, m.y * factor, Scalar(1)};
     // Close to a right angle the tangent of a rounded angle may have the wrong sign.
     valid = valid && factor > Scalar(0) && scalar::is_finite(d.x) && scalar::is_finite(d.y);
-    if (!valid) { return {{Scalar(0), Scalar(0), Scalar(1)}, false}; }
+    if (!valid) { return detail::no_ray<Scalar>(); }
     return {d, true};
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const r2 = p.x * p.x + p.y * p.y;
     Scalar const r = scalar::sqrt(r2);
     Scalar const g = enlargement(r, p.z);
@@ -82,15 +76,13 @@ struct field_of_view {
     }
     Scalar const x = r > Scalar(0) ? p.x / r : Scalar(0);
     Scalar const y = r > Scalar(0) ? p.y / r : Scalar(0);
-    return {{fx * (g + x * x * by_r), fx * (x * y * by_r), fx * (p.x * by_z), fy * (x * y * by_r),
-             fy * (g + y * y * by_r), fy * (p.y * by_z)}};
+    return {project(p),
+            {{fx * (g + x * x * by_r), fx * (x * y * by_r), fx * (p.x * by_z), fy * (x * y * by_r),
+              fy * (g + y * y * by_r), fy * (p.y * by_z)}}};
   }
   template <typename U>
   FT_HOST_DEVICE field_of_view<U> cast() const {
-    using P = plain_scalar_t<U>;
-    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
-            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
-            U(static_cast<P>(to_plain(omega)))};
+    return cast_camera<field_of_view<U>>(*this);
   }
 
 private:

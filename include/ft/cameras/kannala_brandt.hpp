@@ -4,6 +4,7 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
@@ -23,20 +24,14 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct kannala_brandt {
   using scalar_type = Scalar;
-  static constexpr int num_params = 8;  ///< fx, fy, cx, cy, k1, k2, k3, k4
   static constexpr char const* name = "kannala_brandt";
+  static constexpr auto parameters = camera_parameters(
+      {{"k1", -1e6, 1e6}, {"k2", -1e6, 1e6}, {"k3", -1e6, 1e6}, {"k4", -1e6, 1e6}});
   Scalar fx, fy, cx, cy, k1, k2, k3, k4;
 
   /// @throws bad_argument for a focal length that is not positive, a NaN, or a coefficient beyond
   ///   1e6, with which the polynomial could overflow
-  void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    for (Scalar k : {k1, k2, k3, k4}) {
-      detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
-      detail::require_range("camera distortion coefficient", static_cast<double>(to_plain(k)), -1e6,
-                            1e6);
-    }
-  }
+  void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
     Scalar const radius = scalar::sqrt(p.x * p.x + p.y * p.y);
@@ -49,9 +44,8 @@ struct kannala_brandt {
   /// below 1e-6; theta_d is clamped to [-pi/2, pi/2].
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const half_pi = Scalar(static_cast<plain_scalar_t<Scalar>>(1.5707963267948966));
-    Scalar const x = (pixel.x - cx) / fx;
-    Scalar const y = (pixel.y - cy) / fy;
-    Scalar theta_d = scalar::sqrt(x * x + y * y);
+    auto const m = detail::normalized(*this, pixel);
+    Scalar theta_d = scalar::sqrt(m.x * m.x + m.y * m.y);
     if (theta_d > half_pi) { theta_d = half_pi; }
     Scalar factor = Scalar(1);
     Scalar theta = theta_d;
@@ -73,25 +67,19 @@ struct kannala_brandt {
       }
       factor = scalar::tan(theta) / theta_d;
     }
-    bool const valid = converged && scalar::is_finite(factor) && scalar::is_finite(x) &&
-                       scalar::is_finite(y) && theta < half_pi && theta >= Scalar(0);
-    return {{x * factor, y * factor, Scalar(1)}, valid};
+    bool const valid = converged && scalar::is_finite(factor) && scalar::is_finite(m.x) &&
+                       scalar::is_finite(m.y) && theta < half_pi && theta >= Scalar(0);
+    return {{m.x * factor, m.y * factor, Scalar(1)}, valid};
   }
 
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
-    mat23<Scalar> jacobian;
-    project_with_jacobian(p, jacobian);
-    return jacobian;
-  }
-  /// project() and project_jacobian() with a single arc tangent. For a float scalar that is
-  /// scalar::quick_atan2(), so the pixel may differ from project()'s in the last digits.
-  FT_HOST_DEVICE projection<Scalar> project_with_jacobian(vec3<Scalar> p,
-                                                          mat23<Scalar>& jacobian) const {
+  /// Both with one arc tangent. For a float scalar that is scalar::quick_atan2(), so the pixel may
+  /// differ from project()'s in the last digits.
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const r2 = p.x * p.x + p.y * p.y;
     Scalar const radius = scalar::sqrt(r2);
     if (!(radius > Scalar(0))) {
-      jacobian = {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}};
-      return project_axis(radius, p.z);
+      return {project_axis(radius, p.z),
+              {{fx / p.z, Scalar(0), Scalar(0), Scalar(0), fy / p.z, Scalar(0)}}};
     }
     Scalar const theta = scalar::quick_atan2(radius, p.z);
     Scalar const t2 = theta * theta;
@@ -107,18 +95,14 @@ struct kannala_brandt {
     Scalar const turn = dr / (r2 + p.z * p.z);
     Scalar const along = turn * p.z;
     Scalar const mixed = (along - across) * (c * s);
-    jacobian = {{fx * (along * (c * c) + across * (s * s)), fx * mixed, -(fx * (turn * p.x)),
-                 fy * mixed, fy * (along * (s * s) + across * (c * c)), -(fy * (turn * p.y))}};
-    return {{fx * r * c + cx, fy * r * s + cy}, is_somewhere(p, radius)};
+    return {{{fx * r * c + cx, fy * r * s + cy}, is_somewhere(p, radius)},
+            {{fx * (along * (c * c) + across * (s * s)), fx * mixed, -(fx * (turn * p.x)),
+              fy * mixed, fy * (along * (s * s) + across * (c * c)), -(fy * (turn * p.y))}}};
   }
 
   template <typename U>
   FT_HOST_DEVICE kannala_brandt<U> cast() const {
-    using P = plain_scalar_t<U>;
-    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
-            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
-            U(static_cast<P>(to_plain(k1))), U(static_cast<P>(to_plain(k2))),
-            U(static_cast<P>(to_plain(k3))), U(static_cast<P>(to_plain(k4)))};
+    return cast_camera<kannala_brandt<U>>(*this);
   }
 
 private:

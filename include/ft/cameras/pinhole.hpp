@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
@@ -14,34 +15,32 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct pinhole {
   using scalar_type = Scalar;
-  static constexpr int num_params = 4;  ///< fx, fy, cx, cy
   static constexpr char const* name = "pinhole";
+  static constexpr auto parameters = camera_parameters();
   Scalar fx, fy, cx, cy;
 
   /// @throws bad_argument for a focal length that is not positive, or a NaN
-  void check() const { check_intrinsics(fx, fy, cx, cy); }
+  void check() const { check_camera(*this); }
 
   /// @param p point in the camera frame, metres. Behind the camera: the principal point, invalid.
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    if (!(p.z > Scalar(0))) {
-      return {{cx, cy}, false};
-    }  // also for a NaN z; a NaN x or y gives a NaN pixel
+    // Also for a NaN z; a NaN x or y gives a NaN pixel.
+    if (!(p.z > Scalar(0))) { return detail::no_pixel(*this); }
     return {{fx * p.x / p.z + cx, fy * p.y / p.z + cy}, true};
   }
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
-    Scalar const x = (pixel.x - cx) / fx;
-    Scalar const y = (pixel.y - cy) / fy;
-    return {{x, y, Scalar(1)}, scalar::is_finite(x) && scalar::is_finite(y)};
+    auto const m = detail::normalized(*this, pixel);
+    return {{m.x, m.y, Scalar(1)}, scalar::is_finite(m.x) && scalar::is_finite(m.y)};
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const iz = Scalar(1) / p.z;
-    return {{fx * iz, Scalar(0), -(fx * p.x * iz * iz), Scalar(0), fy * iz, -(fy * p.y * iz * iz)}};
+    return {
+        project(p),
+        {{fx * iz, Scalar(0), -(fx * p.x * iz * iz), Scalar(0), fy * iz, -(fy * p.y * iz * iz)}}};
   }
   template <typename U>
   FT_HOST_DEVICE pinhole<U> cast() const {
-    using P = plain_scalar_t<U>;
-    return {U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
-            U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy)))};
+    return cast_camera<pinhole<U>>(*this);
   }
 };
 

@@ -5,9 +5,9 @@
 #include <type_traits>
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
 
 namespace ft {
@@ -58,6 +58,15 @@ FT_HOST_DEVICE bool stays_positive(Scalar const (&c)[Degree + 1], Scalar end) {
     }
   }
   return false;
+}
+
+/// fx, fy, cx, cy and the coefficients.
+template <int Coefficients>
+constexpr camera_parameter_list<4 + Coefficients> radtan_parameters() {
+  constexpr char const* names[] = {"k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"};
+  camera_parameter coefficients[Coefficients]{};
+  for (int i = 0; i < Coefficients; ++i) { coefficients[i].name = names[i]; }
+  return camera_parameters(coefficients);
 }
 
 /// A point of the plane z = 1, and whether the method that found it succeeded.
@@ -235,56 +244,39 @@ private:
 template <typename Scalar, int Coefficients>
 struct radtan {
   using scalar_type = Scalar;
-  static constexpr int num_params = 4 + Coefficients;  ///< fx, fy, cx, cy, distortion
   static constexpr char const* name =
       Coefficients == 4 ? "radtan4" : (Coefficients == 5 ? "radtan5" : "radtan8");
+  static constexpr auto parameters = detail::radtan_parameters<Coefficients>();
   Scalar fx, fy, cx, cy;
   Scalar distortion[Coefficients];  ///< k1, k2, p1, p2, k3, k4, k5, k6
 
   /// @throws bad_argument for a focal length out of range, or a value that is not finite
-  void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    for (Scalar k : distortion) {
-      detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
-    }
-  }
+  void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    projection<Scalar> const outside{{cx, cy}, false};
-    if (!(p.z > Scalar(0)) || !scalar::is_finite(p.z)) { return outside; }
+    if (!(p.z > Scalar(0)) || !scalar::is_finite(p.z)) { return detail::no_pixel(*this); }
     vec2<Scalar> const at{p.x / p.z, p.y / p.z};
-    if (!lens().one_to_one(at.x * at.x + at.y * at.y)) { return outside; }
+    if (!lens().one_to_one(at.x * at.x + at.y * at.y)) { return detail::no_pixel(*this); }
     vec2<Scalar> const d = lens().distort(at);
-    Scalar const u = fx * d.x + cx;
-    Scalar const v = fy * d.y + cy;
-    if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
-    return {{u, v}, true};
+    return detail::finite_pixel(*this, fx * d.x + cx, fy * d.y + cy);
   }
   /// Ray with z = 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
-    auto const found = lens().undistort({(pixel.x - cx) / fx, (pixel.y - cy) / fy});
-    if (!found.valid) { return {{Scalar(0), Scalar(0), Scalar(1)}, false}; }
+    auto const found = lens().undistort(detail::normalized(*this, pixel));
+    if (!found.valid) { return detail::no_ray<Scalar>(); }
     return {{found.at.x, found.at.y, Scalar(1)}, true};
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const iz = Scalar(1) / p.z;
     vec2<Scalar> const at{p.x * iz, p.y * iz};
     auto const j = lens().jacobian(at);
-    return {{fx * j.xx * iz, fx * j.xy * iz, -(fx * (j.xx * at.x + j.xy * at.y) * iz),
-             fy * j.xy * iz, fy * j.yy * iz, -(fy * (j.xy * at.x + j.yy * at.y) * iz)}};
+    return {project(p),
+            {{fx * j.xx * iz, fx * j.xy * iz, -(fx * (j.xx * at.x + j.xy * at.y) * iz),
+              fy * j.xy * iz, fy * j.yy * iz, -(fy * (j.xy * at.x + j.yy * at.y) * iz)}}};
   }
   template <typename U>
   FT_HOST_DEVICE radtan<U, Coefficients> cast() const {
-    using P = plain_scalar_t<U>;
-    radtan<U, Coefficients> c{U(static_cast<P>(to_plain(fx))),
-                              U(static_cast<P>(to_plain(fy))),
-                              U(static_cast<P>(to_plain(cx))),
-                              U(static_cast<P>(to_plain(cy))),
-                              {}};
-    for (int i = 0; i < Coefficients; ++i) {
-      c.distortion[i] = U(static_cast<P>(to_plain(distortion[i])));
-    }
-    return c;
+    return cast_camera<radtan<U, Coefficients>>(*this);
   }
 
 private:

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/pinhole.hpp"
@@ -14,14 +15,34 @@
 namespace ft {
 inline namespace FT_ABI {
 
+namespace detail {
+
+/// Takes the place of a type that misses the camera contract, so that the assertion which says so
+/// is the only error.
+template <typename Scalar>
+struct stand_in_camera : pinhole<Scalar> {
+  stand_in_camera() = default;
+  template <typename... Any>
+  FT_HOST_DEVICE stand_in_camera(Any const&...) {}  // NOLINT(google-explicit-constructor)
+};
+
+/// Camera, checked at compile time.
+template <typename Camera>
+struct camera_in_rig {
+  static_assert(assert_camera_model<Camera>::value, "a rig needs camera models");
+  using type = std::conditional_t<is_camera_model_v<Camera>, Camera, stand_in_camera<float>>;
+};
+
+}  // namespace detail
+
 /// Two cameras of any models. `T_rl` maps left-camera points to the right camera; metres.
 template <typename Left, typename Right>
 struct stereo_rig {
   static constexpr bool rectified = false;
-  using left_type = Left;
-  using right_type = Right;
-  Left left;
-  Right right;
+  using left_type = typename detail::camera_in_rig<Left>::type;
+  using right_type = typename detail::camera_in_rig<Right>::type;
+  left_type left;
+  right_type right;
   pose T_rl;
 
   /// Distance of the two centres, metres.
@@ -51,25 +72,36 @@ struct stereo_rig {
 };
 
 /// A rectified pair: one pinhole, rows correspond, the right camera `baseline` metres to the right.
+///
+/// The baseline is a double, so that both ways to state it are exact: a float baseline b gives
+/// bf() = b * fx rounded once, and from_bf() gives back its float bf, to the bit.
 struct rectified_rig {
   static constexpr bool rectified = true;
   pinhole<float> camera;
-  float baseline = 0;  ///< metres
-  float bf = 0;        ///< baseline times fx, metres * pixels
+  double baseline = 0;  ///< metres
 
-  FT_HOST_DEVICE strict_float baseline_length() const { return baseline; }
   /// @throws bad_argument as check()
-  static rectified_rig make(pinhole<float> const& camera, float baseline) {
-    rectified_rig const rig{camera, baseline, baseline * camera.fx};
+  static rectified_rig make(pinhole<float> const& camera, double baseline) {
+    rectified_rig const rig{camera, baseline};
     rig.check();
     return rig;
   }
+  /// The rig of a calibration that states baseline times fx, metres * pixels.
+  /// @throws bad_argument as check()
+  static rectified_rig from_bf(pinhole<float> const& camera, float bf) {
+    return make(camera, static_cast<double>(bf) / static_cast<double>(camera.fx));
+  }
+
+  /// Baseline times fx, metres * pixels: the disparity of a point at a depth of 1 m.
+  FT_HOST_DEVICE float bf() const {
+    return static_cast<float>(baseline * static_cast<double>(camera.fx));
+  }
+  FT_HOST_DEVICE strict_float baseline_length() const { return static_cast<float>(baseline); }
   /// @throws bad_argument for an invalid camera or baseline
   void check() const {
     camera.check();
     detail::require_finite("baseline", baseline);
-    detail::require_range("baseline", baseline, 1e-6f, 1e6f);
-    detail::require_range("baseline x fx", bf, 1e-9f, 1e12f);
+    detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);
   }
 };
 

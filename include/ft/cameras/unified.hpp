@@ -3,10 +3,10 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
 
 namespace ft {
@@ -32,51 +32,41 @@ inline namespace FT_ABI {
 template <typename Scalar>
 struct unified {
   using scalar_type = Scalar;
-  static constexpr int num_params = 9;  ///< fx, fy, cx, cy, xi, k1, k2, p1, p2
   static constexpr char const* name = "unified";
+  static constexpr auto parameters =
+      camera_parameters({{"xi", 0, 1000}, {"k1"}, {"k2"}, {"p1"}, {"p2"}});
   Scalar fx, fy, cx, cy, xi;
   Scalar distortion[4];  ///< k1, k2, p1, p2
 
   /// @throws bad_argument for a value out of the ranges above
-  void check() const {
-    check_intrinsics(fx, fy, cx, cy);
-    detail::require_range("camera xi", static_cast<double>(to_plain(xi)), 0.0, 1000.0);
-    for (Scalar k : distortion) {
-      detail::require_finite("camera distortion coefficient", static_cast<double>(to_plain(k)));
-    }
-  }
+  void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
-    projection<Scalar> const outside{{cx, cy}, false};
     Scalar const reach = xi <= Scalar(1) ? xi : Scalar(1) / xi;
     Scalar const d = scalar::sqrt(dot(p, p));
     Scalar const depth = p.z + xi * d;
-    if (!(p.z > -(reach * d)) || !(depth > Scalar(0)) || !scalar::is_finite(d)) { return outside; }
+    if (!(p.z > -(reach * d)) || !(depth > Scalar(0)) || !scalar::is_finite(d)) {
+      return detail::no_pixel(*this);
+    }
     vec2<Scalar> const m{p.x / depth, p.y / depth};
-    if (!lens().one_to_one(m.x * m.x + m.y * m.y)) { return outside; }
+    if (!lens().one_to_one(m.x * m.x + m.y * m.y)) { return detail::no_pixel(*this); }
     vec2<Scalar> const m2 = lens().distort(m);
-    Scalar const u = fx * m2.x + cx;
-    Scalar const v = fy * m2.y + cy;
-    if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return outside; }
-    return {{u, v}, true};
+    return detail::finite_pixel(*this, fx * m2.x + cx, fy * m2.y + cy);
   }
   /// Ray of length 1; the axis if invalid.
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const one = Scalar(1);
-    ray<Scalar> const none{{Scalar(0), Scalar(0), one}, false};
-    auto const found = lens().undistort({(pixel.x - cx) / fx, (pixel.y - cy) / fy});
-    if (!found.valid) { return none; }
+    auto const found = lens().undistort(detail::normalized(*this, pixel));
+    if (!found.valid) { return detail::no_ray<Scalar>(); }
     vec2<Scalar> const m = found.at;
     Scalar const r2 = m.x * m.x + m.y * m.y;
     Scalar const rest = one + (one - xi) * (one + xi) * r2;
-    if (!(rest > Scalar(0))) { return none; }
+    if (!(rest > Scalar(0))) { return detail::no_ray<Scalar>(); }
     Scalar const root = scalar::sqrt(rest);
     vec3<Scalar> const way{(xi + root) * m.x, (xi + root) * m.y, root - xi * r2};
-    Scalar const norm = scalar::sqrt(dot(way, way));
-    if (!(norm > Scalar(0)) || !scalar::is_finite(norm)) { return none; }
-    return {{way.x / norm, way.y / norm, way.z / norm}, true};
+    return detail::unit_ray(way, scalar::sqrt(dot(way, way)));
   }
-  FT_HOST_DEVICE mat23<Scalar> project_jacobian(vec3<Scalar> p) const {
+  FT_HOST_DEVICE projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const {
     Scalar const one = Scalar(1);
     Scalar const d = scalar::sqrt(dot(p, p));
     Scalar const s = one / (p.z + xi * d);
@@ -89,18 +79,14 @@ struct unified {
     vec3<Scalar> const b{-(m.y * depth.x), one - m.y * depth.y, -(m.y * depth.z)};
     Scalar const f = fx * s;
     Scalar const g = fy * s;
-    return {{f * (j.xx * a.x + j.xy * b.x), f * (j.xx * a.y + j.xy * b.y),
-             f * (j.xx * a.z + j.xy * b.z), g * (j.xy * a.x + j.yy * b.x),
-             g * (j.xy * a.y + j.yy * b.y), g * (j.xy * a.z + j.yy * b.z)}};
+    return {project(p),
+            {{f * (j.xx * a.x + j.xy * b.x), f * (j.xx * a.y + j.xy * b.y),
+              f * (j.xx * a.z + j.xy * b.z), g * (j.xy * a.x + j.yy * b.x),
+              g * (j.xy * a.y + j.yy * b.y), g * (j.xy * a.z + j.yy * b.z)}}};
   }
   template <typename U>
   FT_HOST_DEVICE unified<U> cast() const {
-    using P = plain_scalar_t<U>;
-    unified<U> c{U(static_cast<P>(to_plain(fx))), U(static_cast<P>(to_plain(fy))),
-                 U(static_cast<P>(to_plain(cx))), U(static_cast<P>(to_plain(cy))),
-                 U(static_cast<P>(to_plain(xi))), {}};
-    for (int i = 0; i < 4; ++i) { c.distortion[i] = U(static_cast<P>(to_plain(distortion[i]))); }
-    return c;
+    return cast_camera<unified<U>>(*this);
   }
 
 private:

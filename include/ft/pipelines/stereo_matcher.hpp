@@ -46,8 +46,8 @@ public:
     capacity_ = extractor.capacity();
     height_ = extractor.params().height;
     if constexpr (Rig::rectified) {
-      params_.bf = rig.bf;
-      params_.max_disparity = rig.bf / rig.baseline;
+      params_.bf = rig.bf();
+      params_.max_disparity = rig.bf() / rig.baseline_length().value;
     }
     grid_geometry rows;
     rows.cols = 1;

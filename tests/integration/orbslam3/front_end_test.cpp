@@ -320,7 +320,6 @@ TEST_F(settings_of_tracking, have_the_extractor_the_image_and_one_pinhole_camera
     EXPECT_EQ(s.left.kind, ft::orbslam3::lens::pinhole);
     EXPECT_EQ(s.left.values[3], 243);
     EXPECT_EQ(s.bf, 45.8f);
-    EXPECT_EQ(s.baseline, 45.8f / 458);
   }
   for (int const sensor : {2, 5}) {
     auto const s = of(sensor, &pinhole);
@@ -338,7 +337,6 @@ TEST_F(settings_of_tracking, of_one_camera_have_no_baseline_and_room_for_initial
       auto const s = of(sensor, camera);
       EXPECT_EQ(s.images, 1);
       EXPECT_EQ(s.bf, 0);
-      EXPECT_EQ(s.baseline, 0);
       EXPECT_EQ(s.most_keypoints, 7200);
     }
   }

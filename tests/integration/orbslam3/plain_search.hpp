@@ -114,7 +114,7 @@ public:
     cells const right(f, f.mvKeysRight);
     Eigen::Vector3f const centre = -(R(f).transpose() * t(f));
     float const ahead = (R(last) * centre + t(last)).z();
-    float const baseline = two ? t_rl().norm() : s_.baseline;
+    float const baseline = two ? t_rl().norm() : s_.bf / s_.left.values[0];
     bool const forward = !mono && ahead > baseline;
     bool const backward = !mono && -ahead > baseline;
     std::vector<rotated> taken;

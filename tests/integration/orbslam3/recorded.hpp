@@ -72,7 +72,6 @@ public:
     s.scale_factor = json_["scaleFactor"];
     s.ini_threshold = json_["iniThFAST"];
     s.min_threshold = json_["minThFAST"];
-    s.baseline = json_["mb"];
     s.bf = json_["bf"];
     s.std_sort_ties = false;
     s.left = camera("camera1_params");

@@ -49,8 +49,7 @@ inline ft::orbslam3::settings settings_for(sensor kind) {
     s.T_rl.t[0] = -0.1f;
   } else {
     s.left = {lens::pinhole, {458, 457, 317, 243}};
-    s.baseline = kind == sensor::monocular ? 0.0f : 0.11f;
-    s.bf = s.baseline * 458;
+    s.bf = kind == sensor::monocular ? 0.0f : 0.11f * 458;
   }
   return s;
 }

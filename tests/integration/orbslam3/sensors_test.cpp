@@ -267,7 +267,7 @@ TEST_P(extracted_frames, refuse_settings_that_cannot_be) {
   refused([](auto& s) { s.width = 0; });
   refused([](auto& s) { s.images = 3; });
   refused([](auto& s) { s.left.values[0] = 0; });
-  refused([](auto& s) { s.baseline = 0; });
+  refused([](auto& s) { s.bf = 0; });
   refused([](auto& s) { s.map_points = 0; });
   refused([](auto& s) { s.local_points = 0; });
   refused([](auto& s) { s.most_keypoints = -1; });

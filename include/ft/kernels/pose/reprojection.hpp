@@ -47,7 +47,7 @@ struct reprojection {
       error[1] = real(o.v) - v;
       if (stereo) {
         rows = 3;
-        error[2] = real(o.right_u) - (u - real(rig.bf) * iz);
+        error[2] = real(o.right_u) - (u - real(rig.bf()) * iz);
       }
     } else {
       projection<Real> p;
@@ -80,7 +80,7 @@ struct reprojection {
       Real const dv = real(c.fy) * iz;
       Real const du_dz = -(du * (in_body.x * iz));
       Real const dv_dz = -(dv * (in_body.y * iz));
-      return {{du, zero, du_dz, zero, dv, dv_dz, du, zero, du_dz + real(rig.bf) * (iz * iz)}};
+      return {{du, zero, du_dz, zero, dv, dv_dz, du, zero, du_dz + real(rig.bf()) * (iz * iz)}};
     } else {
       static_assert(Differentiate, "derivative() needs the template argument Differentiate");
       auto const& j = camera_derivative.m;
@@ -105,7 +105,9 @@ private:
   template <typename Camera>
   FT_HOST_DEVICE projection<Real> project(Camera const& camera) {
     if constexpr (Differentiate) {
-      return project_and_differentiate(camera, in_camera, camera_derivative);
+      auto const seen = camera.project_with_jacobian(in_camera);
+      camera_derivative = seen.jacobian;
+      return seen.value;
     } else {
       return camera.project(in_camera);
     }

@@ -171,7 +171,7 @@ private:
     Rig const& rig = search.rig;
     if constexpr (Rig::rectified) {
       static_cast<void>(camera);
-      return test_visibility(rig.camera, T_cw, points, slot, rig.bf, search.frustum);
+      return test_visibility(rig.camera, T_cw, points, slot, rig.bf(), search.frustum);
     } else {
       if (camera == 0) {
         return test_visibility(rig.left, T_cw, points, slot, 0.0f, search.frustum);

@@ -136,7 +136,7 @@ private:
       if (!in_bounds(seen, params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
-      w.right_x = (seen.pixel.x - rig.bf * inv_z).value;
+      w.right_x = (seen.pixel.x - rig.bf() * inv_z).value;
       w.check_right = true;
       out.of[0] = w;
     } else {

@@ -27,7 +27,6 @@ inline namespace FT_ABI {
 /// Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every pixel for alpha <= 0.5, else
 /// (2 alpha - 1) |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; alpha in [0, 1]; xi in (-1, 1].
 /// Source: Usenko, Demmel and Cremers, "The Double Sphere Camera Model", 3DV 2018.
 template <typename Scalar>
 struct double_sphere {
@@ -36,7 +35,7 @@ struct double_sphere {
   static constexpr auto parameters = camera_parameters({{"xi", -1, 1}, {"alpha", 0, 1}});
   Scalar fx, fy, cx, cy, xi, alpha;
 
-  /// @throws bad_argument for a value out of the ranges above
+  /// @throws bad_argument for a value out of the limits of `parameters`
   void check() const {
     check_camera(*this);
     detail::require(xi > Scalar(-1), "camera xi is -1, must be in (-1, 1]");

@@ -22,7 +22,6 @@ inline namespace FT_ABI {
 /// Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every pixel for alpha <= 0.5, else
 /// (2 alpha - 1) beta |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; alpha in [0, 1]; beta in [1e-6, 1e6].
 /// Source: Khomutenko, Garcia and Martinet, "An enhanced unified camera model", RA-L 2016; the
 /// domain as in section 2 of Usenko, Demmel and Cremers, 3DV 2018.
 template <typename Scalar>
@@ -32,7 +31,7 @@ struct extended_unified {
   static constexpr auto parameters = camera_parameters({{"alpha", 0, 1}, {"beta", 1e-6, 1e6}});
   Scalar fx, fy, cx, cy, alpha, beta;
 
-  /// @throws bad_argument for a value out of the ranges above
+  /// @throws bad_argument for a value out of the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -15,16 +15,16 @@ inline namespace FT_ABI {
 ///
 ///     u = fx r_d x / r + cx,   v = fy r_d y / r + cy
 ///
-/// The scale on the axis is fx 2 tan(omega / 2) / omega. As omega goes to 0 this
-/// becomes the pinhole; below 1e-8, where the two differ by less than a rounding of a double, the
-/// pinhole is used, so omega = 0 is allowed.
+/// The scale on the axis is fx 2 tan(omega / 2) / omega. As omega goes to 0 the model becomes the
+/// pinhole. Below 1e-8 the two differ by less than a rounding of a double and the pinhole is used,
+/// so omega = 0 is allowed.
 ///
 /// Domain of project: z > 0. The formula continues smoothly beyond 90 degrees, but does not
 /// describe lenses there. Outside: the principal point, invalid.
 ///
 /// Domain of unproject: omega r_d < pi / 2. Rays have z = 1.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; omega in [0, 3.14] radians.
+/// Unit of omega: radians.
 /// Source: Devernay and Faugeras, "Straight lines have to be straight", Machine Vision and
 /// Applications 2001.
 template <typename Scalar>
@@ -34,7 +34,7 @@ struct field_of_view {
   static constexpr auto parameters = camera_parameters({{"omega", 0, 3.14}});
   Scalar fx, fy, cx, cy, omega;
 
-  /// @throws bad_argument for a value out of the ranges above
+  /// @throws bad_argument for a value out of the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -19,9 +19,9 @@ struct image_domain {
   static constexpr double tolerance = 1e-6;  ///< pixels, round trips in double
 
   int pixels = 0;    ///< tested
-  int with_ray = 0;  ///< of these: unproject says valid
-  int returned =
-      0;  ///< of these: the ray's projection is valid and within `tolerance` of the pixel
+  int with_ray = 0;  ///< of `pixels`: unproject() gives a valid ray
+  /// Of `with_ray`: the ray's projection is valid and within `tolerance` of the pixel.
+  int returned = 0;
   /// Largest distance between a pixel and its ray's projection, pixels; infinity where a valid ray
   /// has no valid projection.
   double worst_error = 0;
@@ -71,11 +71,10 @@ image_domain inspect_image_domain(Camera const& camera, int width, int height) {
 
 /// Rejects a calibration that does not describe its image: a valid ray that does not return to its
 /// pixel, or too few pixels with a ray. Host; see inspect_image_domain().
-/// @param least_share of the pixels, 0 to 1. The default accepts fisheyes with dark corners, or
-/// with
-///   a model that has no rays beyond 90 degrees: a circle that touches two sides of a 4:3 image
-///   covers 0.59 of it (0.44 of a 16:9 image, which needs a smaller value). Use 1 if the lens
-///   illuminates the whole image, so that a distortion that folds back anywhere is rejected.
+/// @param least_share of the pixels, 0 to 1. The default accepts fisheyes with dark corners, and
+///   those whose model has no rays beyond 90 degrees. A circle that touches two sides of a 4:3
+///   image covers 0.59 of it; that of a 16:9 image covers 0.44 and needs a smaller value. Use 1 if
+///   the lens illuminates the whole image: then a distortion that folds back anywhere is rejected.
 /// @throws bad_argument with the numbers
 template <typename Camera>
 void require_invertible(Camera const& camera, int width, int height, double least_share = 0.5) {

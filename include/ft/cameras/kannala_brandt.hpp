@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The Kannala-Brandt fisheye camera with four coefficients ("KB4", OpenCV fisheye,
-/// "equidistant").
+/// @file The Kannala-Brandt fisheye camera with four coefficients, also called KB4, equidistant, or
+/// OpenCV's fisheye model.
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
@@ -29,8 +29,8 @@ struct kannala_brandt {
       {{"k1", -1e6, 1e6}, {"k2", -1e6, 1e6}, {"k3", -1e6, 1e6}, {"k4", -1e6, 1e6}});
   Scalar fx, fy, cx, cy, k1, k2, k3, k4;
 
-  /// @throws bad_argument for a focal length that is not positive, a NaN, or a coefficient beyond
-  ///   1e6, with which the polynomial could overflow
+  /// Larger coefficients could make the polynomial overflow.
+  /// @throws bad_argument for a value out of the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -19,7 +19,7 @@ struct pinhole {
   static constexpr auto parameters = camera_parameters();
   Scalar fx, fy, cx, cy;
 
-  /// @throws bad_argument for a focal length that is not positive, or a NaN
+  /// @throws bad_argument for a focal length out of range, or a value that is not finite
   void check() const { check_camera(*this); }
 
   /// @param p point in the camera frame, metres. Behind the camera: the principal point, invalid.

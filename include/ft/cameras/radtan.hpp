@@ -233,11 +233,10 @@ private:
 /// view would appear inside the image. The rule, evaluated per call from the coefficients: from 0
 /// to r, c r grows by more than 6 sqrt(p1^2 + p2^2) r; radtan_distortion::one_to_one explains why.
 /// It is exact for p1 = p2 = 0 and slightly conservative otherwise. Outside: the principal point,
-/// invalid. Domain of unproject: pixels that are the image of a point in that disc. Rays have z
-/// = 1.
+/// invalid.
+/// Domain of unproject: pixels that are the image of a point in that disc. Rays have z = 1.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]. For the coverage of an image see
-/// ft/cameras/image_domain.hpp.
+/// For the coverage of an image see ft/cameras/image_domain.hpp.
 /// Source: Brown, "Decentering distortion of lenses", Photogrammetric Engineering 1966; order and
 /// rational form as in OpenCV's calib3d documentation.
 /// @tparam Coefficients 4, 5 or 8, see the aliases radtan4, radtan5, radtan8

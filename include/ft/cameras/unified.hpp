@@ -26,7 +26,6 @@ inline namespace FT_ABI {
 /// Domain of unproject: pixels whose undistorted m is in that disc and, for xi > 1, has
 /// (xi^2 - 1) |m|^2 < 1. Rays have length 1 and may have z <= 0.
 ///
-/// Parameters (check): finite; fx and fy in [1e-3, 1e6]; xi in [0, 1000].
 /// Source: Mei and Rives, "Single View Point Omnidirectional Camera Calibration from Planar
 /// Grids", ICRA 2007.
 template <typename Scalar>
@@ -38,7 +37,7 @@ struct unified {
   Scalar fx, fy, cx, cy, xi;
   Scalar distortion[4];  ///< k1, k2, p1, p2
 
-  /// @throws bad_argument for a value out of the ranges above
+  /// @throws bad_argument for a value out of the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -105,6 +105,8 @@ FT_HOST_DEVICE To cast_camera(From const& from) {
   using scalar_to = typename To::scalar_type;
   typename From::scalar_type before[num_params_v<From>];
   scalar_to after[num_params_v<From>];
+  static_assert(sizeof(From) == sizeof before && sizeof(To) == sizeof after,
+                "a camera model holds its parameters and nothing else");
   std::memcpy(before, &from, sizeof before);
   FT_UNROLL
   for (int i = 0; i < num_params_v<From>; ++i) {

@@ -68,6 +68,83 @@ snapshot take(Tracker const& tracker, int b, int local_points) {
   return s;
 }
 
+/// All that a frame of a tracker depends on, given anew for every call: what the last frame left as
+/// well, which the tracker keeps by itself otherwise. One call at a time: wait between two.
+template <typename Tracker>
+struct frame_inputs {
+  Tracker& tracker;
+  std::vector<ft::pose> predicted;   ///< [batch]
+  std::vector<ft::pose> last_pose;   ///< [batch]
+  std::vector<int> last_holder;      ///< [batch][cameras * capacity]
+  std::vector<int> local_slots;      ///< [batch][local_points]
+  std::vector<int> local_count;      ///< [batch]
+
+  explicit frame_inputs(Tracker& t)
+      : tracker(t),
+        predicted(size(t.batch()), ft::pose::identity()),
+        last_pose(predicted),
+        last_holder(size(t.batch() * numbers()), -1),
+        local_slots(size(t.batch() * t.params().local_points)),
+        local_count(size(t.batch())) {}
+
+  int numbers() const { return Tracker::cameras * tracker.capacity(); }
+
+  /// The result has the predicted pose.
+  template <typename Exec>
+  void extract(Exec const& exec) {
+    set_last(exec, predicted);
+    tracker.extract(exec);
+  }
+  template <typename Exec>
+  void track(Exec const& exec) {
+    set_last(exec, last_pose);
+    auto const all = inputs();
+    tracker.track(exec, all.data());
+  }
+  template <typename Exec>
+  void track_motion(Exec const& exec) {
+    set_last(exec, last_pose);
+    tracker.track_motion(exec, predicted.data());
+  }
+  template <typename Exec>
+  void track_local(Exec const& exec) {
+    auto const all = slots();
+    tracker.track_local(exec, all.data());
+  }
+  template <typename Exec>
+  void relocalize(Exec const& exec, ft::local_search_params const& search = {}) {
+    auto const all = inputs();
+    tracker.relocalize(exec, all.data(), search);
+  }
+
+private:
+  static std::size_t size(int n) { return static_cast<std::size_t>(n); }
+  template <typename Exec>
+  void set_last(Exec const& exec, std::vector<ft::pose> const& poses) {
+    for (int b = 0; b < tracker.batch(); ++b) {
+      tracker.set_last(exec, b, poses[size(b)],
+                       {last_holder.data() + static_cast<std::ptrdiff_t>(b) * numbers(), numbers()});
+    }
+  }
+  std::vector<ft::slot_list> slots() const {
+    std::vector<ft::slot_list> all;
+    for (int b = 0; b < tracker.batch(); ++b) {
+      all.emplace_back(
+          local_slots.data() + static_cast<std::ptrdiff_t>(b) * tracker.params().local_points,
+          local_count[size(b)]);
+    }
+    return all;
+  }
+  std::vector<ft::frame_input> inputs() const {
+    auto const all_slots = slots();
+    std::vector<ft::frame_input> all;
+    for (int b = 0; b < tracker.batch(); ++b) {
+      all.push_back({predicted[size(b)], all_slots[size(b)]});
+    }
+    return all;
+  }
+};
+
 template <typename T>
 bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
   return a.size() == b.size() &&

@@ -170,41 +170,41 @@ private:
 
 }  // namespace detail
 
-/// Search from the last frame: windows, candidates, assignment, orientation check. Starts from
-/// empty holders. Asynchronous on `exec`; allocates nothing; two launches.
-/// @param exec its launch order applies to the first of the two only
-/// @param poses,last_poses [batch] T_cw predicted for the current frame, and of the last frame
-/// @param listed called as listed(exec) between the two launches; may enqueue what fills right_x
-template <typename Exec, typename Rig, typename Listed>
-void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
-                       frame_view const& frame, last_frame_view const& last,
-                       map_points_view const& map, last_search_params const& params,
-                       pyramid_geometry const& geometry, search_windows_view const& windows,
-                       search_workspace const& work, point_stamps const& stamps,
-                       Listed const& listed) {
-  last_search<Rig> const input{rig, poses, last_poses, last, params};
+namespace detail {
+inline search_params last_frame_search() {
   search_params search;
   search.kind = search_kind::last_frame;
   search.from_empty = true;
   search.right_later = true;
-  for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_last_point<Rig>{},
-                          input, frame, map, geometry, search, windows, work);
-  listed(detail::with_order(exec, detail::launch_order::serial));
-  for_each_item<per_block<detail::assign_threads>>(
-      detail::with_order(exec, detail::launch_order::serial), frame.batch,
-      detail::assign_last_points<Rig, Exec::asynchronous>{}, input, frame, map, geometry, search,
-      stamps, windows, work);
+  return search;
 }
+}  // namespace detail
 
-/// The same for a frame whose right_x is valid before the call.
+template <typename Exec, typename Rig>
+void list_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
+                     map_points_view const& map, pyramid_geometry const& geometry,
+                     search_windows_view const& windows, search_workspace const& work) {
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_last_point<Rig>{},
+                          input, frame, map, geometry, detail::last_frame_search(), windows, work);
+}
+template <typename Exec, typename Rig>
+void assign_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
+                       map_points_view const& map, pyramid_geometry const& geometry,
+                       point_stamps const& stamps, search_windows_view const& windows,
+                       search_workspace const& work) {
+  for_each_item<per_block<detail::assign_threads>>(
+      exec, frame.batch, detail::assign_last_points<Rig, Exec::asynchronous>{}, input, frame, map,
+      geometry, detail::last_frame_search(), stamps, windows, work);
+}
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
                        frame_view const& frame, last_frame_view const& last,
                        map_points_view const& map, last_search_params const& params,
                        pyramid_geometry const& geometry, search_windows_view const& windows,
                        search_workspace const& work, point_stamps const& stamps = {}) {
-  search_last_frame(exec, rig, poses, last_poses, frame, last, map, params, geometry, windows, work,
-                    stamps, [](Exec const&) {});
+  last_search<Rig> const input{rig, poses, last_poses, last, params};
+  list_last_frame(exec, input, frame, map, geometry, windows, work);
+  assign_last_frame(exec, input, frame, map, geometry, stamps, windows, work);
 }
 
 }  // namespace FT_ABI

@@ -53,10 +53,10 @@ struct list_local_point_early {
 
   template <typename Group>
   FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, local_search<Rig> search,
-                               frame_view const& frame, map_points_view const& map,
-                               pyramid_geometry const& geometry, search_params params,
-                               search_windows_view const& windows,
-                               search_workspace const& work) const {
+                            frame_view const& frame, map_points_view const& map,
+                            pyramid_geometry const& geometry, search_params params,
+                            search_windows_view const& windows,
+                            search_workspace const& work) const {
     search.stamps = {};
     params.holders_later = true;
     list_local_point<Rig>{}(g, s, item, search, frame, map, geometry, params, windows, work);
@@ -113,24 +113,21 @@ void list_local_map(Exec const& exec, local_search<Rig> const& search, frame_vie
                           search, frame, map, geometry, params, windows, work);
 }
 
-/// Search in the local map: find_visible_points() and search_by_projection() in two launches.
-/// Asynchronous on `exec`; allocates nothing.
-/// @param listed called as listed(exec) between the two launches
-/// @param early the preceding launch is the assignment of a search from the last frame with another
-///   workspace. Candidates are listed concurrently with it.
-template <typename Exec, typename Rig, typename Listed>
+template <typename Exec, typename Rig>
+void list_local_map_early(Exec const& exec, local_search<Rig> const& search,
+                          frame_view const& frame, map_points_view const& map,
+                          pyramid_geometry const& geometry, search_params const& params,
+                          search_windows_view const& windows, search_workspace const& work) {
+  for_each_item<per_warp>(exec, windows.batch * windows.capacity,
+                          detail::list_local_point_early<Rig>{}, search, frame, map, geometry,
+                          params, windows, work);
+}
+template <typename Exec, typename Rig>
 void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
                       map_points_view const& map, pyramid_geometry const& geometry,
                       search_params const& params, search_windows_view const& windows,
-                      search_workspace const& work, Listed const& listed, bool early = false) {
-  if (early) {
-    int const items = windows.batch * windows.capacity;
-    for_each_item<per_warp>(exec, items, detail::list_local_point_early<Rig>{}, search, frame, map,
-                            geometry, params, windows, work);
-  } else {
-    list_local_map(exec, search, frame, map, geometry, params, windows, work);
-  }
-  listed(exec);
+                      search_workspace const& work) {
+  list_local_map(exec, search, frame, map, geometry, params, windows, work);
   assign_candidates(exec, frame, map, windows, params, work);
 }
 

@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Time of each stage of enqueued work: the wall clock on the host, events on a device.
+///
+/// In a recording the events are nodes of the graph. They hang from the launches whose end they
+/// record, and no launch depends on them: the same launches run, in the same order, timed or not.
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <cstring>
+#include <vector>
+
+#include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The time of one stage.
+struct stage_time {
+  char const* name;
+  /// From the end of the preceding stage to the end of this one, microseconds, summed over the
+  /// launches of this name. For a stage on a side branch: from the branch's fork.
+  double us;
+};
+
+namespace detail {
+
+/// The names and order of marks, which both clocks share.
+class stage_marks {
+public:
+  static constexpr int most = 32;
+
+  void clear() { used_ = 0; }
+  int used() const { return used_; }
+  /// @param since the mark that the stage began at; -1: the preceding one @return the new mark
+  /// @throws bad_argument for more than `most` marks
+  int add(char const* name, int since = -1) {
+    require(used_ < most, "a stage clock has no room for another stage");
+    marks_[static_cast<std::size_t>(used_)] = {name, since >= 0 ? since : used_ - 1};
+    return used_++;
+  }
+  /// @param between us(from, to): microseconds from one mark to another
+  template <typename Between>
+  std::vector<stage_time> times(Between const& between) const {
+    std::vector<stage_time> all;
+    for (int i = 1; i < used_; ++i) {
+      auto const& m = marks_[static_cast<std::size_t>(i)];
+      double const us = between(m.since, i);
+      bool found = false;
+      for (auto& t : all) {
+        if (std::strcmp(t.name, m.name) == 0) {
+          t.us += us;
+          found = true;
+        }
+      }
+      if (!found) { all.push_back({m.name, us}); }
+    }
+    return all;
+  }
+
+private:
+  struct mark {
+    char const* name;
+    int since;
+  };
+  std::array<mark, most> marks_{};
+  int used_ = 0;
+};
+
+}  // namespace detail
+
+/// Marks the ends of stages. Without enable() every call returns at once. Not thread-safe.
+template <typename Exec>
+class stage_clock {
+public:
+  void enable() { enabled_ = true; }
+  /// Forgets all marks and sets the first one. @return the mark
+  int begin(Exec const& exec) {
+    marks_.clear();
+    return mark(exec, "");
+  }
+  /// Marks the end of a stage. @param name a string literal @param since the mark at which the
+  /// stage began; -1: the preceding one @return the mark @throws bad_argument after 32 marks
+  int mark(Exec const&, char const* name, int since = -1) {
+    if (!enabled_) { return -1; }
+    int const i = marks_.add(name, since);
+    at_[static_cast<std::size_t>(i)] = std::chrono::steady_clock::now();
+    return i;
+  }
+  /// Stages in the order of their first marks. Allocates.
+  std::vector<stage_time> times() const {
+    return marks_.times([&](int from, int to) {
+      return std::chrono::duration<double, std::micro>(at_[static_cast<std::size_t>(to)] -
+                                                       at_[static_cast<std::size_t>(from)])
+          .count();
+    });
+  }
+
+private:
+  bool enabled_ = false;
+  detail::stage_marks marks_;
+  std::array<std::chrono::steady_clock::time_point, detail::stage_marks::most> at_{};
+};
+
+#if defined(__CUDACC__)
+
+namespace detail {
+
+/// Records an event on a stream. While the stream is captured: adds a node that records it to the
+/// graph, which depends on what was captured last and on which nothing depends.
+inline void record_beside_capture(cudaEvent_t event, cudaStream_t stream) {
+  cudaStreamCaptureStatus status = cudaStreamCaptureStatusNone;
+  cudaGraph_t graph = nullptr;
+  cudaGraphNode_t const* last = nullptr;
+  std::size_t count = 0;
+#if CUDART_VERSION >= 13000
+  cudaGraphEdgeData const* edges = nullptr;
+  throw_on_error(
+      cudaStreamGetCaptureInfo(stream, &status, nullptr, &graph, &last, &edges, &count),
+      "cudaStreamGetCaptureInfo");
+#elif CUDART_VERSION >= 12030
+  cudaGraphEdgeData const* edges = nullptr;
+  throw_on_error(
+      cudaStreamGetCaptureInfo_v3(stream, &status, nullptr, &graph, &last, &edges, &count),
+      "cudaStreamGetCaptureInfo_v3");
+#else
+  throw_on_error(cudaStreamGetCaptureInfo_v2(stream, &status, nullptr, &graph, &last, &count),
+                 "cudaStreamGetCaptureInfo_v2");
+#endif
+  if (status == cudaStreamCaptureStatusActive) {
+    cudaGraphNode_t node = nullptr;
+    throw_on_error(cudaGraphAddEventRecordNode(&node, graph, last, count, event),
+                   "cudaGraphAddEventRecordNode");
+  } else {
+    throw_on_error(cudaEventRecord(event, stream), "cudaEventRecord");
+  }
+}
+
+}  // namespace detail
+
+/// On a device: owns the events; move-only.
+template <>
+class stage_clock<cuda_exec> {
+public:
+  /// Creates the events; before the first mark. @throws cuda_error
+  void enable() {
+    events_.reserve(static_cast<std::size_t>(detail::stage_marks::most));
+    for (int i = 0; i < detail::stage_marks::most; ++i) { events_.emplace_back(cudaEventDefault); }
+  }
+  int begin(cuda_exec const& exec) {
+    marks_.clear();
+    return mark(exec, "");
+  }
+  int mark(cuda_exec const& exec, char const* name, int since = -1) {
+    if (events_.empty()) { return -1; }
+    int const i = marks_.add(name, since);
+    detail::record_beside_capture(events_[static_cast<std::size_t>(i)].get(), exec.stream);
+    return i;
+  }
+  /// After the executor's wait(). @throws cuda_error
+  std::vector<stage_time> times() const {
+    return marks_.times([&](int from, int to) {
+      float ms = 0;
+      throw_on_error(cudaEventElapsedTime(&ms, events_[static_cast<std::size_t>(from)].get(),
+                                          events_[static_cast<std::size_t>(to)].get()),
+                     "cudaEventElapsedTime");
+      return 1000.0 * static_cast<double>(ms);
+    });
+  }
+
+private:
+  detail::stage_marks marks_;
+  std::vector<event> events_;
+};
+
+#endif
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The stages of ORB extraction on the memory of an orb_extractor. What runs concurrently is
+/// said in frame_schedule.hpp.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/corners.hpp"
+#include "ft/containers/frame_arrivals.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/blur.hpp"
+#include "ft/kernels/corners/detect_corners.hpp"
+#include "ft/kernels/corners/mask.hpp"
+#include "ft/kernels/distribution/distribute_corners.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
+#include "ft/kernels/keypoints/order.hpp"
+#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
+#include "ft/kernels/upload.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Views into an extractor's memory, and a function that enqueues each stage. All are asynchronous
+/// on their executor and allocate nothing.
+template <typename Exec>
+struct extraction {
+  pyramid_geometry geometry;
+  blur_layout blur_tiles;
+  corner_params thresholds;
+  tie_rule ties = tie_rule::stable;
+  image_pyramid_view pyramid;
+  image_pyramid_view blurred;
+  corners_view corners;
+  corner_masks_view masks;
+  distribution_view kept;
+  keypoints_view keypoints;
+  resize_tap* taps = nullptr;
+  pyramid_tiles tiles;
+  pattern_pair* pattern = nullptr;
+  stereo_overlap* overlaps = nullptr;
+  int* place = nullptr;
+  int* mono_count = nullptr;
+  frame_arrivals arrivals;
+
+  bool has_masks() const { return masks.data != nullptr; }
+  /// Whether tiles of the pyramid wait for the rows that they are made of while later ones arrive.
+  bool pyramid_overlaps_upload() const { return Exec::asynchronous && tiles.groups == 1; }
+
+  /// Images and two blocks from host memory.
+  void upload(Exec const& exec, image_source const* sources, block_source const& first,
+              block_source const& second) const {
+    receive_images(exec, sources, pyramid, first, second,
+                   pyramid_overlaps_upload() ? arrivals : frame_arrivals{});
+  }
+  /// The pyramid while upload() runs, if pyramid_overlaps_upload().
+  void pyramid_of_upload(Exec const& exec) const {
+    build_pyramid(exec, pyramid, taps, tiles, arrivals);
+  }
+  /// The pyramid of images that are there. Both forms give the same pixels. Long rows suit a
+  /// processor, few launches a device.
+  void build_levels(Exec const& exec) const {
+    if constexpr (Exec::asynchronous) {
+      build_pyramid(exec, pyramid, taps, tiles);
+    } else {
+      build_pyramid(exec, pyramid, taps);
+    }
+  }
+  void detect(Exec const& exec) const {
+    detect_corners(exec, pyramid, thresholds, corners);
+    if (has_masks()) { mask_corners(exec, geometry, masks, corners); }
+  }
+  void distribute(Exec const& exec) const {
+    distribute_corners(exec, corners, kept, ties);
+  }
+  /// @param also small items of other stages, see with_small_items
+  template <typename Also>
+  void blur(Exec const& exec, Also const& also) const {
+    blur_pyramid(exec, pyramid, blurred, blur_tiles, clear_arrivals_and<Also>{arrivals, also});
+  }
+  void blur(Exec const& exec) const { blur(exec, no_items{}); }
+  /// Places of the keypoints. @param grids that they are sorted into: keypoint_grids or no_grids
+  template <typename Grids>
+  void order(Exec const& exec, Grids const& grids) const {
+    order_corners(exec,
+                  ordering_view{geometry, kept, overlaps, keypoints, mono_count, place, arrivals},
+                  grids);
+  }
+  void order(Exec const& exec) const { order(exec, no_grids{}); }
+  void describe(Exec const& exec) const {
+    describe_corners(exec, pyramid, blurred, kept, pattern, place, keypoints, arrivals, overlaps);
+  }
+
+  /// Sets what is read before the first image has written it.
+  void initialize(Exec const& exec) const {
+    auto const b = static_cast<std::size_t>(pyramid.batch);
+    auto const bytes = static_cast<std::size_t>(geometry.bytes) * b;
+    // Padding at the ends of rows is read with whole words.
+    fill_bytes(exec, pyramid.data, 0, bytes);
+    fill_bytes(exec, blurred.data, 0, bytes);
+    // All stages prefetch corners and keypoints before they know how many there are.
+    fill(exec, keypoints, 0);
+    clear_corners(exec, corners);
+    fill_bytes(exec, kept.kept, 0,
+               static_cast<std::size_t>(keypoints.capacity) * b * sizeof(corner));
+    for_each_item<per_thread>(exec, arrivals.counters(), clear_arrival{}, arrivals);
+    if (has_masks()) {
+      fill_bytes(exec, masks.data, 255,
+                 b * static_cast<std::size_t>(masks.width) * static_cast<std::size_t>(masks.height));
+    }
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

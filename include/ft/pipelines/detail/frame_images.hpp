@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Where the images of a tracker's next frame lie in host memory.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/views.hpp"
+#include "ft/kernels/upload.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Staging memory for the images of camera pairs, and for each camera the address that frames fetch
+/// its image from: that memory, or a buffer of the caller's.
+template <typename Exec>
+class frame_images {
+public:
+  static constexpr memory_space staging = staging_space<Exec>;
+
+  frame_images() = default;
+  frame_images(pyramid_geometry const& geometry, int batch)
+      : width_(geometry.width[0]),
+        height_(geometry.height[0]),
+        stride_(geometry.stride[0]),
+        batch_(batch) {
+    auto const n = 2 * static_cast<std::size_t>(batch);
+    memory_ = buffer<std::uint8_t, staging>(checked_mul(n, image_bytes()));
+    std::memset(memory_.data(), 0, memory_.bytes());
+    sources_ = buffer<image_source, staging>(n);
+    given_.assign(n, false);
+    for (int i = 0; i < 2 * batch; ++i) { use_own_memory(i); }
+  }
+
+  void set(int b, int camera, gray_view image) {
+    require_image(b, camera, image);
+    std::uint8_t* const to = staged(b, camera);
+    for (int y = 0; y < height_; ++y) {
+      std::memcpy(to + static_cast<std::ptrdiff_t>(y) * stride_, image.row(y),
+                  static_cast<std::size_t>(width_));
+    }
+  }
+  void borrow(int b, int camera, gray_view image) {
+    require_image(b, camera, image);
+    require(image.stride % 16 == 0 && reinterpret_cast<std::uintptr_t>(image.data) % 16 == 0,
+            "a borrowed image needs an address and a stride that are multiples of 16");
+    auto const* const last = image.row(image.height - 1) + (image.stride - 1);
+    auto const* const data = static_cast<std::uint8_t const*>(Exec::host_address(image.data));
+    require(data != nullptr && Exec::host_address(last) != nullptr,
+            "the device cannot read a borrowed image: is its memory pinned?");
+    sources_.data()[2 * b + camera] = {data, image.stride};
+    given_[static_cast<std::size_t>(2 * b + camera)] = true;
+  }
+  std::uint8_t* staged(int b, int camera) {
+    require_camera(b, camera);
+    given_[static_cast<std::size_t>(2 * b + camera)] = true;
+    return use_own_memory(2 * b + camera);
+  }
+
+  /// @throws bad_argument
+  void require_camera(int b, int camera) const {
+    require_range("camera pair", b, 0, batch_ - 1);
+    require_range("camera", camera, 0, 1);
+  }
+  /// @throws bad_argument where a camera was never given an image
+  void require_given() const {
+    require(batch_ > 0, "the tracker was never made, or was moved from");
+    for (std::size_t i = 0; i < given_.size(); ++i) {
+      if (!given_[i]) {
+        throw bad_argument("ft: camera " + std::to_string(i % 2) + " of pair " +
+                           std::to_string(i / 2) + " was never given an image");
+      }
+    }
+  }
+
+  image_source const* sources() const { return sources_.data(); }  ///< [batch][2]
+  /// Of all images.
+  std::size_t bytes() const { return 2 * static_cast<std::size_t>(batch_) * image_bytes(); }
+
+private:
+  std::size_t image_bytes() const {
+    return static_cast<std::size_t>(stride_) * static_cast<std::size_t>(height_);
+  }
+  std::uint8_t* use_own_memory(int image) {
+    std::uint8_t* const data = memory_.data() + static_cast<std::size_t>(image) * image_bytes();
+    sources_.data()[image] = {data, stride_};
+    return data;
+  }
+  void require_image(int b, int camera, gray_view image) const {
+    require_camera(b, camera);
+    require(image.data != nullptr, "the image is null");
+    require(image.width == width_ && image.height == height_ && image.stride >= image.width,
+            "the image's size is not the tracker's, or its stride is below its width");
+  }
+
+  int width_ = 0;
+  int height_ = 0;
+  int stride_ = 0;
+  moved_count batch_;
+  buffer<std::uint8_t, staging> memory_;
+  buffer<image_source, staging> sources_;
+  std::vector<bool> given_;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Writes the result of a frame where the host reads it, and what the next frame needs of it.
+#pragma once
+
+#include <cstddef>
+#include <cstring>
+
+#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/frame.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/soa.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/upload.hpp"
+#include "ft/pipelines/detail/frame_memory.hpp"
+#include "ft/pipelines/tracker_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The outcome of a frame's last search and pose optimisation.
+struct frame_outcome {
+  pose const* T_cw = nullptr;    ///< [batch]
+  int const* matches = nullptr;  ///< [batch]
+  int const* inliers = nullptr;  ///< [batch]; null where no pose was optimised
+};
+
+/// Item: a keypoint number of a batch entry. Writes matches and poses where the host reads them,
+/// and keeps them for the next frame.
+struct pack_matches {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_view const& frame,
+                                 frame_outcome const& found, tracked_frame_view const& out,
+                                 last_state const& last) const {
+    int const b = item / frame.numbers();
+    int const number = item % frame.numbers();
+    int const c = number / frame.capacity();
+    if (number == 0) {
+      pose const T_cw = found.T_cw[b];
+      out.T_cw[b] = T_cw;
+      last.T_cw[b] = T_cw;
+      out.matches[b] = found.matches[b];
+      out.inliers[b] = found.inliers != nullptr ? found.inliers[b] : found.matches[b];
+    }
+    bool const there = number % frame.capacity() < *frame.camera(b, c).count;
+    int const holder = there ? frame.holder[item] : -1;
+    out.holder[item] = holder;
+    last.holder[item] = holder;
+  }
+};
+
+/// Item: a keypoint number of a batch entry. Writes keypoints where the host reads them, and keeps
+/// what the next frame's search needs of them.
+template <typename Rig>
+struct pack_keypoints {
+  using scratch = no_scratch;
+
+  /// @param depth [batch][capacity] metres @param point [batch][capacity], unrectified pairs
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
+                                 float const* depth, vec3<float> const* point,
+                                 tracked_frame_view const& out, last_state const& last) const {
+    int const b = item / frame.numbers();
+    int const number = item % frame.numbers();
+    int const c = number / frame.capacity();
+    int const i = number % frame.capacity();
+    keypoints_view const kp = frame.camera(b, c);
+    auto const kept = last.keypoints.slice(frame.keypoint_step * b + c);
+    if (i == 0) { out.keypoints[b * frame.cameras + c] = *kept.count = *kp.count; }
+    bool const there = i < *kp.count;
+    float const x = there ? get<field::x>(kp, i) : 0.0f;
+    float const y = there ? get<field::y>(kp, i) : 0.0f;
+    out.x[item] = x;
+    out.y[item] = y;
+    int const octave = there ? get<field::octave>(kp, i) : 0;
+    out.octave[item] = octave;
+    if (there) {
+      get<field::octave>(kept, i) = octave;
+      get<field::angle>(kept, i) = get<field::angle>(kp, i);
+    }
+    out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
+    if (c != 0) { return; }
+    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.capacity() + i;
+    float const z = there ? depth[at] : -1.0f;
+    out.depth[at] = z;
+    if constexpr (Rig::rectified) {
+      auto const r = rig.camera.template cast<strict_float>().unproject({x, y}).direction;
+      out.point[at] =
+          z > 0 ? vec3<float>{(r.x * z).value, (r.y * z).value, z} : vec3<float>{0, 0, 0};
+    } else {
+      out.point[at] = z > 0 ? point[at] : vec3<float>{0, 0, 0};
+    }
+  }
+};
+
+/// Item: an entry of the local map of a batch entry. Writes whether a camera has it in view.
+struct pack_visibility {
+  using scratch = no_scratch;
+
+  /// @param seen [cameras][batch][local_points] @param count [batch] length of the local map
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen,
+                                 int const* count, int batch, int cameras,
+                                 tracked_frame_view const& out) const {
+    int const i = item % out.local_points;
+    bool in_view = false;
+    for (int c = 0; c < cameras && i < count[item / out.local_points]; ++c) {
+      in_view = in_view ||
+                seen[static_cast<std::ptrdiff_t>(c) * batch * out.local_points + item].level >= 0;
+    }
+    out.in_view[item] = static_cast<unsigned char>(in_view);
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The order of launches of a frame, and which of them run concurrently. This is the only
+/// place that says so.
+///
+/// Every line enqueues one stage. `line.then(name)` is the executor for a launch that runs when the
+/// preceding launch has completed. `line.with(name)` is the executor for one that starts when the
+/// preceding launch has started, and that needs nothing of it but what the two signal to each
+/// other. A launch after the two waits for both. Names are those of stage_times(). On the host all
+/// run in the order of the lines.
+///
+/// Why stages overlap: the pyramid is made of rows that have arrived, and the bus is the bottleneck
+/// meanwhile; the distribution and the order have one block an image and level, which leaves most
+/// of a device idle; lists of candidates need no stereo matches, the choice from them does.
+#pragma once
+
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/side_branch.hpp"
+#include "ft/core/stage_clock.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Gives stages their executors and marks their ends.
+template <typename Exec>
+class stage_line {
+public:
+  stage_line(Exec const& exec, stage_clock<Exec>& clock) : exec_(exec), clock_(clock) {
+    clock_.begin(exec_);
+  }
+  Exec then(char const* stage) {
+    end_stage(stage);
+    return with_order(exec_, launch_order::serial);
+  }
+  Exec with(char const* stage) {
+    end_stage(stage);
+    return with_order(exec_, launch_order::concurrent);
+  }
+  /// An executor for launches that run concurrently with all that follow, until join().
+  Exec fork(side_branch<Exec>& branch) {
+    fork_ = end_stage(nullptr);
+    return branch.fork(exec_);
+  }
+  /// Marks the end of a stage on a branch.
+  void end_of_branch(Exec const& branch, char const* stage) {
+    clock_.mark(branch, stage, fork_);
+  }
+  void join(side_branch<Exec>& branch) {
+    end_stage(nullptr);
+    branch.join(exec_);
+  }
+  void end() { end_stage(nullptr); }
+
+private:
+  /// Marks the end of the stage before. @return the mark
+  int end_stage(char const* next) {
+    if (stage_ != nullptr) { last_ = clock_.mark(exec_, stage_, last_); }
+    stage_ = next;
+    return last_;
+  }
+
+  Exec exec_;
+  stage_clock<Exec>& clock_;
+  char const* stage_ = nullptr;
+  int last_ = 0;
+  int fork_ = 0;
+};
+
+/// Keypoints of images whose pyramids are enqueued.
+/// @param f an extraction, or what has its stages
+template <typename Line, typename Features>
+void queue_features(Line& line, Features const& f) {
+  f.detect(line.then("corners"));
+  f.distribute(line.then("distribution"));
+  f.blur(line.with("blur"));
+  f.order(line.then("order"));
+  f.describe(line.with("descriptors"));
+}
+
+/// Images and inputs of a frame, and its keypoints. @param with_local the local map is uploaded, too
+template <typename Line, typename Stages>
+void queue_images(Line& line, Stages const& s, bool with_local) {
+  s.upload(line.then("upload"), with_local);
+  if (s.pyramid_overlaps_upload()) {
+    s.pyramid_of_upload(line.with("pyramid"));
+  } else {
+    s.build_levels(line.then("pyramid"));
+  }
+  queue_features(line, s);
+}
+
+/// A frame without a search.
+template <typename Line, typename Stages>
+void queue_extract(Line& line, Stages& s) {
+  queue_images(line, s, false);
+  s.match_stereo(line.then("stereo"));
+  s.cut_stereo(line.then("stereo"));
+  s.forget_matches(line.then("result"));
+  s.pack_keypoints(line.then("result"));
+  s.pack_matches(line.with("result"), s.outcome_of_extract());
+  line.end();
+}
+
+/// Images, keypoints, stereo, the search from the last frame and its pose.
+/// @param local_follows queue_local() comes next, on the same line
+template <typename Line, typename Stages>
+void queue_motion(Line& line, Stages& s, bool local_follows) {
+  queue_images(line, s, local_follows);
+  if constexpr (Stages::rectified) {
+    s.match_stereo(line.then("stereo"));
+    s.list_last_frame(line.with("search last frame"));
+    s.cut_stereo(line.then("stereo"));
+    s.assign_last_frame(line.then("search last frame"));
+  } else {
+    auto const branch = line.fork(s.stereo_branch());
+    s.list_last_frame(line.then("search last frame"));
+    s.match_stereo(branch);
+    line.end_of_branch(branch, "stereo");
+    s.assign_last_frame(line.then("search last frame"));
+  }
+  if (s.optimizes_last()) { s.optimize_last(line.then("pose last frame")); }
+  if (!Stages::rectified && !(local_follows && s.lists_local_early())) {
+    line.join(s.stereo_branch());
+  }
+}
+
+/// The search in the local map and its pose, and the result.
+/// @param early the preceding launch is the choice of the search from the last frame: a prologue
+///   lists the local map's candidates while it runs
+template <typename Line, typename Stages>
+void queue_local(Line& line, Stages& s, bool early) {
+  if (early) {
+    s.list_local_map_early(line.then("search local map"));
+    if (!Stages::rectified) { line.join(s.stereo_branch()); }
+  } else {
+    s.list_local_map(line.then("search local map"));
+  }
+  auto const branch = line.fork(s.result_branch());
+  s.pack_visibility(branch);
+  s.pack_keypoints(branch);
+  s.assign_local_map(line.then("search local map"));
+  if (s.optimizes_local()) { s.optimize_local(line.then("pose local map")); }
+  line.join(s.result_branch());
+  s.pack_matches(line.then("result"), s.outcome_of_local());
+  line.end();
+}
+
+/// queue_motion() and the result.
+template <typename Line, typename Stages>
+void queue_track_motion(Line& line, Stages& s) {
+  queue_motion(line, s, false);
+  s.pack_keypoints(line.then("result"));
+  s.pack_matches(line.with("result"), s.outcome_of_motion());
+  line.end();
+}
+
+/// A whole frame.
+template <typename Line, typename Stages>
+void queue_track(Line& line, Stages& s) {
+  queue_motion(line, s, true);
+  queue_local(line, s, s.lists_local_early());
+}
+
+/// The local map alone: of a frame that queue_track_motion() has enqueued, or from a pose.
+template <typename Line, typename Stages>
+void queue_track_local(Line& line, Stages& s, bool restart) {
+  s.upload_local(line.then("upload"), restart);
+  queue_local(line, s, false);
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

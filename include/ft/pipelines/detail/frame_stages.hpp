@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The stages of a tracked frame on the memory of a frame_tracker. What runs concurrently is
+/// said in frame_schedule.hpp.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/containers/frame.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/side_branch.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
+#include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/clear_holders.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/last_frame.hpp"
+#include "ft/kernels/search/local_map.hpp"
+#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
+#include "ft/kernels/upload.hpp"
+#include "ft/pipelines/detail/extraction.hpp"
+#include "ft/pipelines/detail/frame_memory.hpp"
+#include "ft/pipelines/detail/frame_packing.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/pipelines/tracker_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// A function that enqueues each stage of a frame. All are asynchronous on their executor and
+/// allocate nothing.
+template <typename Exec, typename Rig>
+class frame_stages {
+public:
+  static constexpr bool rectified = Rig::rectified;
+  static constexpr memory_space space = Exec::space;
+  static constexpr memory_space staging = staging_space<Exec>;
+  static constexpr int cameras = rectified ? 1 : 2;
+
+  Rig rig{};
+  tracker_params params;
+  int batch = 0;
+  orb_extractor<Exec> extractor;
+  stereo_matcher<Exec, Rig> matcher;
+  frame_memory<Exec> memory;
+  frustum_params frustum;
+  local_search_params local_params;  ///< of the next search in the local map
+  image_source const* sources = nullptr;  ///< [batch][2]
+
+  // ---- images and keypoints
+
+  /// Images, motion and, on request, the local map.
+  void upload(Exec const& exec, bool with_local) const {
+    features().upload(exec, sources, memory.motion.source(),
+                      with_local ? memory.local.source() : block_source{});
+  }
+  bool pyramid_overlaps_upload() const { return features().pyramid_overlaps_upload(); }
+  void pyramid_of_upload(Exec const& exec) const { features().pyramid_of_upload(exec); }
+  void build_levels(Exec const& exec) const { features().build_levels(exec); }
+  void detect(Exec const& exec) const { features().detect(exec); }
+  void distribute(Exec const& exec) const { features().distribute(exec); }
+  void blur(Exec const& exec) const { features().blur(exec, matcher.clearing()); }
+  void order(Exec const& exec) const {
+    features().order(exec, keypoint_grids<rectified>{memory.frame.grids, matcher.right_rows()});
+  }
+  void describe(Exec const& exec) const { features().describe(exec); }
+
+  // ---- stereo
+
+  void match_stereo(Exec const& exec) { matcher.match_prepared(exec, extractor); }
+  void cut_stereo(Exec const& exec) { matcher.finish(exec, extractor); }
+  /// Concurrent stereo matching of pairs that are not rectified.
+  side_branch<Exec>& stereo_branch() { return stereo_branch_; }
+
+  // ---- search from the last frame
+
+  void list_last_frame(Exec const& exec) const {
+    ft::list_last_frame(exec, last_input(), memory.frame, memory.map, geometry(),
+                        memory.last_windows, memory.last_work);
+  }
+  void assign_last_frame(Exec const& exec) const {
+    ft::assign_last_frame(exec, last_input(), memory.frame, memory.map, geometry(), stamps(),
+                          memory.last_windows, memory.last_work);
+  }
+  bool optimizes_last() const { return params.optimize_last; }
+  void optimize_last(Exec const& exec) const { optimize(exec, memory.motion.device.predicted); }
+  void forget_matches(Exec const& exec) const {
+    clear_holders(exec, memory.frame);
+    fill_bytes(exec, memory.last_work.matches, 0, static_cast<std::size_t>(batch) * sizeof(int));
+  }
+
+  // ---- search in the local map
+
+  /// Whether the search in the local map begins at the predicted pose, as the search from the last
+  /// frame does. Then its candidates are listed while that one chooses.
+  bool lists_local_early() const { return !params.optimize_last; }
+  void list_local_map(Exec const& exec) const {
+    ft::list_local_map(exec, local_input(), memory.frame, memory.map, geometry(), search_params{},
+                       memory.local_windows, memory.local_work);
+  }
+  void list_local_map_early(Exec const& exec) const {
+    ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, geometry(),
+                             search_params{}, memory.local_windows, memory.local_work);
+  }
+  void assign_local_map(Exec const& exec) const {
+    assign_candidates(exec, memory.frame, memory.map, memory.local_windows, search_params{},
+                      memory.local_work);
+  }
+  bool optimizes_local() const { return params.optimize_local; }
+  void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
+  /// The local map, and for a restart the motion, which then decides where it begins.
+  void upload_local(Exec const& exec, bool restart) const {
+    image_pyramid_view none = extractor.pyramid();
+    none.batch = 0;
+    receive_images(exec, nullptr, none, memory.local.source(),
+                   restart ? memory.motion.source() : block_source{});
+    if (!restart) { return; }
+    clear_holders(exec, memory.frame);
+    if (optimizes_last()) {
+      copy(exec, memory.poses, static_cast<pose const*>(memory.motion.device.predicted),
+           static_cast<std::size_t>(batch));
+    }
+  }
+
+  // ---- the result
+
+  side_branch<Exec>& result_branch() { return result_branch_; }
+  void pack_keypoints(Exec const& exec) const {
+    for_each_item<per_thread>(exec, batch * memory.frame.numbers(), detail::pack_keypoints<Rig>{},
+                              rig, memory.frame, matcher.depth(),
+                              static_cast<vec3<float> const*>(matcher.fisheye_matches().point),
+                              memory.result, memory.last);
+  }
+  void pack_visibility(Exec const& exec) const {
+    for_each_item<per_thread>(exec, batch * params.local_points, detail::pack_visibility{},
+                              static_cast<visibility const*>(memory.visible),
+                              static_cast<int const*>(memory.local.device.count), batch, int{cameras},
+                              memory.result);
+  }
+  /// @param outcome of the call
+  void pack_matches(Exec const& exec, frame_outcome const& outcome) const {
+    for_each_item<per_thread>(exec, batch * memory.frame.numbers(), detail::pack_matches{},
+                              memory.frame, outcome, memory.result, memory.last);
+  }
+  frame_outcome outcome_of_extract() const {
+    return {memory.last.T_cw, memory.last_work.matches, nullptr};
+  }
+  frame_outcome outcome_of_motion() const {
+    return {pose_of_motion(), memory.last_work.matches,
+            params.optimize_last ? memory.observations.inliers : nullptr};
+  }
+  frame_outcome outcome_of_local() const {
+    return {params.optimize_local ? memory.poses : pose_of_motion(), memory.local_work.matches,
+            params.optimize_local ? memory.observations.inliers : nullptr};
+  }
+
+  // ---- state
+
+  /// @param images [batch][2]
+  void take_memory(image_source const* images) {
+    sources = images;
+    frame_shape const shape{capacity(), batch, cameras};
+    memory.take(shape, params, lists_local_early());
+    memory.frame.keypoints = extractor.keypoints();
+    if constexpr (rectified) {
+      memory.frame.right_x = array_of<field::right_x>(matcher.matches());
+    } else {
+      memory.frame.partner = matcher.fisheye_matches().partner;
+    }
+    stereo_branch_.make();
+    result_branch_.make();
+  }
+  void initialize(Exec const& exec) { memory.initialize(exec); }
+  /// @param holders [cameras * capacity]
+  void set_last(Exec const& exec, int b, pose const& T_cw, int const* holders) {
+    memory.set_last(exec, b, T_cw, holders);
+  }
+  void forget_stamps(Exec const& exec) const { memory.forget_stamps(exec); }
+  int capacity() const { return extractor.capacity(); }
+  pyramid_geometry const& geometry() const { return extractor.geometry(); }
+
+private:
+  extraction<Exec> const& features() const { return extractor.stages(); }
+  point_stamps stamps() const { return {memory.motion.device.stamp, memory.stamps}; }
+  /// The pose at which the search in the local map begins, [batch].
+  pose const* pose_of_motion() const {
+    return params.optimize_last ? memory.poses : memory.motion.device.predicted;
+  }
+  last_search<Rig> last_input() const {
+    last_search_params search;
+    search.th = params.last_th;
+    search.retry_below = params.enough_matches;
+    search.max_x = frustum.max_x;
+    search.max_y = frustum.max_y;
+    last_frame_view last;
+    last.keypoints = memory.last.keypoints;
+    last.cameras = cameras;
+    last.holder = memory.last.holder;
+    return {rig, memory.motion.device.predicted, memory.last.T_cw, last, search};
+  }
+  local_search<Rig> local_input() const {
+    local_search<Rig> search;
+    search.rig = rig;
+    search.poses = pose_of_motion();
+    search.slots = memory.local.device.slots;
+    search.slot_count = memory.local.device.count;
+    search.stamps = stamps();
+    search.frustum = frustum;
+    search.params = local_params;
+    search.seen = memory.visible;
+    return search;
+  }
+  void optimize(Exec const& exec, pose const* start) const {
+    optimize_frame_poses(exec, rig, {memory.frame, memory.map, geometry()},
+                         {start, memory.poses, memory.observations});
+  }
+
+  side_branch<Exec> stereo_branch_;
+  side_branch<Exec> result_branch_;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What goes into a frame_tracker and what comes out of it.
+#pragma once
+
+#include <cstddef>
+#include <iterator>
+
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct tracker_params {
+  orb_params orb;
+  int map_slots = 1 << 16;      ///< map points on the device at a time, per camera pair
+  int local_points = 1 << 13;   ///< points of one local-map search
+  int updates = 1 << 13;        ///< map points that one update_map() can send
+  float last_th = 7;            ///< search radius at scale 1 from the last frame, pixels
+  int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
+  bool optimize_last = true;    ///< pose optimisation after the search from the last frame
+  bool optimize_local = true;   ///< and after the search in the local map
+  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue launch by launch
+  bool measure_stages = false;  ///< record stage_times()
+  /// Columns of the left and the right image that see the same, as orb_extractor takes them: pairs
+  /// that are not rectified only. The default is the whole image; where one of the two lies outside
+  /// its image no keypoint has a stereo partner.
+  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
+};
+
+/// Slots of map points in host memory. Converts from anything with data() and size().
+struct slot_list {
+  int const* data = nullptr;
+  int count = 0;
+
+  slot_list() = default;
+  slot_list(int const* first, int n) : data(first), count(n) {}
+  template <typename Slots>
+  slot_list(Slots const& slots)  // NOLINT(google-explicit-constructor): it is a view of them
+      : data(slots.data()), count(static_cast<int>(slots.size())) {}
+};
+
+/// What a frame of one camera pair is tracked with.
+struct frame_input {
+  /// T_cw expected for this frame, from a motion model or an IMU. Must be finite. Whether it is a
+  /// rotation is not looked at.
+  pose T_predicted = pose::identity();
+  /// The local map, in search order, at most tracker_params::local_points slots. A slot outside the
+  /// map, or one that was never written, is not in view.
+  slot_list local_slots{};
+};
+
+/// A keypoint of a tracked frame.
+struct tracked_keypoint {
+  int number;         ///< in its camera's image
+  vec2<float> pixel;  ///< position
+  int octave;
+  int slot;           ///< of the map point matched to it, an inlier; -1 = none
+  float depth;        ///< metres, -1 = no stereo match; of left keypoints
+  vec3<float> point;  ///< in the left camera's frame, metres; 0 without depth; of left keypoints
+  int partner;        ///< number of its stereo partner in the other image, of unrectified pairs;
+                      ///< -1 = none
+};
+
+/// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed
+/// by right ones: keypoint k of camera c has number c * capacity + k.
+struct tracked_frame_view {
+  int* keypoints = nullptr;  ///< [batch][cameras]
+  pose* T_cw = nullptr;      ///< [batch]
+  int* matches = nullptr;    ///< [batch] keypoints given a point by the last search
+  int* inliers = nullptr;  ///< [batch] of the last pose optimisation; matches where there was none
+  float* x = nullptr;      ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;      ///< likewise
+  int* octave = nullptr;   ///< likewise
+  int* holder = nullptr;   ///< likewise: slot of the map point held, -1 = none
+  float* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
+  vec3<float>* point =
+      nullptr;             ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
+  int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
+  unsigned char* in_view =
+      nullptr;  ///< [batch][local_points] 1 = passed the frustum test of the local-map search
+  int capacity = 0;
+  int cameras = 1;
+  int local_points = 0;
+
+  int numbers() const { return cameras * capacity; }
+};
+
+/// The keypoints of one camera of a tracked frame, as a range of tracked_keypoint.
+class tracked_keypoints {
+public:
+  class iterator {
+  public:
+    using iterator_category = std::input_iterator_tag;
+    using value_type = tracked_keypoint;
+    using difference_type = std::ptrdiff_t;
+    using pointer = void;
+    using reference = tracked_keypoint;
+
+    iterator(tracked_keypoints const& of, int i) : of_(&of), i_(i) {}
+    tracked_keypoint operator*() const { return (*of_)[i_]; }
+    iterator& operator++() {
+      ++i_;
+      return *this;
+    }
+    bool operator==(iterator const& other) const { return i_ == other.i_; }
+    bool operator!=(iterator const& other) const { return i_ != other.i_; }
+
+  private:
+    tracked_keypoints const* of_;
+    int i_;
+  };
+
+  tracked_keypoints(tracked_frame_view const& result, int b, int camera)
+      : r_(result), b_(b), camera_(camera) {}
+
+  int size() const {
+    return camera_ < r_.cameras ? r_.keypoints[b_ * r_.cameras + camera_] : 0;
+  }
+  iterator begin() const { return {*this, 0}; }
+  iterator end() const { return {*this, size()}; }
+  /// @param i below size()
+  tracked_keypoint operator[](int i) const {
+    std::ptrdiff_t const at =
+        static_cast<std::ptrdiff_t>(b_) * r_.numbers() + camera_ * r_.capacity + i;
+    tracked_keypoint k{i, {r_.x[at], r_.y[at]}, r_.octave[at], r_.holder[at], -1, {0, 0, 0}, -1};
+    int const partner = r_.partner[at];
+    if (partner >= 0) { k.partner = partner - (partner < r_.capacity ? 0 : r_.capacity); }
+    if (camera_ == 0) {
+      std::ptrdiff_t const left = static_cast<std::ptrdiff_t>(b_) * r_.capacity + i;
+      k.depth = r_.depth[left];
+      k.point = r_.point[left];
+    }
+    return k;
+  }
+
+private:
+  tracked_frame_view r_;
+  int b_;
+  int camera_;
+};
+
+/// The result of one camera pair. Valid until the tracker's next call.
+class tracked_frame {
+public:
+  tracked_frame(tracked_frame_view const& result, int b) : r_(result), b_(b) {}
+
+  pose const& T_cw() const { return r_.T_cw[b_]; }
+  int matches() const { return r_.matches[b_]; }  ///< keypoints given a point by the last search
+  /// Of the last pose optimisation; matches() where there was none.
+  int inliers() const { return r_.inliers[b_]; }
+  tracked_keypoints left() const { return {r_, b_, 0}; }
+  /// Empty for a rectified pair, of which only left keypoints are tracked.
+  tracked_keypoints right() const { return {r_, b_, 1}; }
+  /// Whether entry i of the local map passed the frustum test.
+  bool in_view(int i) const {
+    return r_.in_view[static_cast<std::ptrdiff_t>(b_) * r_.local_points + i] != 0;
+  }
+
+private:
+  tracked_frame_view r_;
+  int b_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -14,7 +14,6 @@
 #include "bench/graph_facts.hpp"
 #include "bench/owned_executor.hpp"
 #include "bench/runner.hpp"
-#include "bench/stage_clock.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
@@ -51,13 +50,10 @@ public:
         batch_(how.batch),
         owned_(how.host_threads),
         tracker_(exec(), rig_of<Rig>(s), params_of(s, how), how.batch),
-        clock_(exec()),
-        recorded_clock_(exec()) {
+        inputs_(static_cast<std::size_t>(how.batch)) {
     lay_out_images();
     build_map();
-    stage_times(0, false);
-    wait();
-    names_ = clock_.names();
+    begin_walk();
   }
   ~frame_runner_of() override {
     try {
@@ -72,11 +68,8 @@ public:
       ft::pose T = pose_of(frame(frame_of(i, b)).T_cw);
       T.t.x += 0.01f;
       T.t.z -= 0.01f;
-      tracker_.predicted()[b] = T;
-      tracker_.last_pose()[b] = pose_of(frame(frame_of(i - 1, b)).T_cw);
-      tracker_.stamp()[b] = ++stamp_;
+      inputs_[static_cast<std::size_t>(b)] = {T, slots_};
     }
-    std::copy(holder_.begin(), holder_.end(), tracker_.last_holder());
   }
 
   void borrow_images(bool borrow) override { borrow_ = borrow; }
@@ -84,36 +77,17 @@ public:
   void launch(call_type how) override {
     switch (how) {
       case call_type::whole:
-        tracker_.track(exec());
+        tracker_.track(exec(), inputs_.data());
         break;
       case call_type::two_halves:
-        tracker_.track_motion(exec());
+        track_motion();
         exec().wait();
-        tracker_.track_local(exec());
-        break;
-      case call_type::queued:
-        tracker_.track(exec(), ft::no_mark{});
-        break;
-      case call_type::queued_in_a_row:
-        tracker_.track(exec(), [](char const*) {});
-        break;
-      case call_type::queued_with_copies:
-        make_copy_memory();
-        track_with_copies(exec());
-        break;
-      case call_type::recorded_with_copies:
-        make_copy_memory();
-        copies_recording_.replay(exec(), [this](Exec const& e) { track_with_copies(e); });
+        track_local();
         break;
     }
   }
   bool done() override { return owned_.done(); }
   void wait() override { exec().wait(); }
-
-  void keep() override {
-    auto const& r = tracker_.result();
-    std::copy(r.holder, r.holder + holder_.size(), holder_.begin());
-  }
 
   void update_map(int count) override {
     tracker_.update_map(exec(), 0, points_.data(), std::min(count, map_points()));
@@ -135,11 +109,11 @@ public:
     for (int i = 0; i < frames; ++i) {
       prepare(i);
       auto const& r = tracker_.result();
-      tracker_.track_motion(exec());
+      track_motion();
       wait();
       c.last_matches += r.matches[0];
       c.last_inliers += r.inliers[0];
-      tracker_.track_local(exec());
+      track_local();
       wait();
       c.keypoints += r.keypoints[0];
       c.local_matches += r.matches[0];
@@ -147,7 +121,6 @@ public:
       for (int k = 0; k < r.keypoints[0]; ++k) { c.stereo_matches += r.depth[k] > 0 ? 1 : 0; }
       ft::vec3<float> const off = r.T_cw[0].centre() - pose_of(frame(frame_of(i, 0)).T_cw).centre();
       c.position_error += static_cast<double>(std::sqrt(ft::dot(off, off)));
-      keep();
     }
     for (double* v : {&c.keypoints, &c.stereo_matches, &c.last_matches, &c.last_inliers,
                       &c.local_matches, &c.inliers, &c.position_error}) {
@@ -156,14 +129,13 @@ public:
     return c;
   }
 
-  std::vector<std::string> const& stages() override { return names_; }
-  std::vector<double> stage_times(int i, bool recorded) override {
+  std::vector<stage_us> stage_times(int i) override {
     prepare(i);
-    auto us = (recorded ? recorded_clock_ : clock_)
-                  .run([this](Exec const& e, auto&& mark) { tracker_.track(e, mark); }, recorded);
+    launch(call_type::whole);
     wait();
-    keep();
-    return us;
+    std::vector<stage_us> times;
+    for (auto const& s : tracker_.stage_times()) { times.push_back({s.name, s.us}); }
+    return times;
   }
 
   graph_counts graph() override {
@@ -201,27 +173,27 @@ private:
 #if defined(__CUDACC__)
   captured capture() {
     wait();
-    return captured([this](ft::cuda_exec const& e) { tracker_.track(e, ft::no_mark{}); });
+    return captured([this](ft::cuda_exec const& e) { tracker_.track(e, inputs_.data()); });
   }
 #endif
 
-  /// Host memory for a pyramid that does not stay with the executor, and the graph of such a frame.
-  void make_copy_memory() {
-    if (pyramid_copy_.size() != 0) { return; }
-    pyramid_copy_ = staged<std::uint8_t>(pyramid_bytes());
-    copies_recording_.record(exec(), [this](Exec const& e) { track_with_copies(e); });
+  void track_motion() {
+    std::vector<ft::pose> T;
+    for (auto const& in : inputs_) { T.push_back(in.T_predicted); }
+    tracker_.track_motion(exec(), T.data());
   }
-  std::size_t pyramid_bytes() const {
-    return 2 * static_cast<std::size_t>(batch_) *
-           static_cast<std::size_t>(tracker_.geometry().bytes);
+  void track_local() {
+    std::vector<ft::slot_list> const slots(inputs_.size(), slots_);
+    tracker_.track_local(exec(), slots.data());
   }
-  void track_with_copies(Exec const& e) {
-    std::uint8_t* const pyramid = tracker_.extractor().pyramid().data;
-    tracker_.track(e, [&](char const* stage) {
-      std::string const done = stage;
-      if (done == "pyramid") { ft::copy_bytes(e, pyramid_copy_.data(), pyramid, pyramid_bytes()); }
-      if (done == "grid") { ft::copy_bytes(e, pyramid, pyramid_copy_.data(), pyramid_bytes()); }
-    });
+  /// Before the first frame the cameras stand where the frame before it was seen. Nothing is held.
+  void begin_walk() {
+    std::vector<int> const none(
+        static_cast<std::size_t>(decltype(tracker_)::cameras * tracker_.capacity()), -1);
+    for (int b = 0; b < batch_; ++b) {
+      tracker_.set_last(exec(), b, pose_of(frame(frame_of(-1, b)).T_cw), none);
+    }
+    wait();
   }
 
   static ft::tracker_params params_of(scene const& s, frame_options const& how) {
@@ -235,6 +207,8 @@ private:
     p.updates = 4096;
     p.optimize_last = how.optimize_last;
     p.optimize_local = how.optimize_local;
+    p.use_graphs = how.use_graphs;
+    p.measure_stages = how.measure_stages;
     return p;
   }
 
@@ -279,9 +253,7 @@ private:
   /// Points seen with depth in all of the scene's frames, up to the wanted number: each frame gives
   /// its share, and frames with more to give make up for those with less.
   void build_map() {
-    auto const capacity = static_cast<std::size_t>(tracker_.capacity());
-    holder_.assign(static_cast<std::size_t>(batch_ * frame_tracker_cameras) * capacity, -1);
-    std::vector<ft::descriptor> orb(capacity);
+    std::vector<ft::descriptor> orb(static_cast<std::size_t>(tracker_.capacity()));
     auto const n = static_cast<int>(scene_.frames.size());
     std::vector<std::vector<ft::point_update>> seen(scene_.frames.size());
     for (int k = 0; k < n; ++k) {
@@ -329,31 +301,22 @@ private:
     for (int b = 0; b < batch_; ++b) {
       tracker_.update_map(exec(), b, points_.data(), map_points());
       wait();
-      tracker_.local_count()[b] = map_points();
-      for (int i = 0; i < map_points(); ++i) {
-        tracker_.local_slots()[b * tracker_.params().local_points + i] = i;
-      }
     }
+    slots_.resize(points_.size());
+    for (int i = 0; i < map_points(); ++i) { slots_[static_cast<std::size_t>(i)] = i; }
   }
-
-  static constexpr int frame_tracker_cameras = ft::frame_tracker<Exec, Rig>::cameras;
 
   scene const& scene_;
   int batch_;
   bool borrow_ = true;
   owned_executor<Exec> owned_;
   ft::frame_tracker<Exec, Rig> tracker_;
-  stage_clock<Exec> clock_;
-  stage_clock<Exec> recorded_clock_;
-  std::vector<std::string> names_;
-  std::vector<int> holder_;
+  std::vector<ft::frame_input> inputs_;
+  std::vector<int> slots_;       ///< of the map, in order
   staged<std::uint8_t> images_;  ///< [frames][2][height][stride_]
   int stride_ = 0;
   std::vector<ft::point_update> points_;
   staged<ft::vec3<float>> positions_;
-  staged<std::uint8_t> pyramid_copy_;
-  ft::recording<Exec> copies_recording_;
-  int stamp_ = 0;
 };
 
 template <typename Exec, typename Rig>

@@ -55,9 +55,10 @@ public:
     bench::frame_options o;
     o.backend = p.backend;
     o.batch = p.batch;
+    o.measure_stages = true;
     runner_ = bench::make_frame_runner(*scene_, o);
     runner_key_ = p.key();
-    runner_->stage_times(0, true);
+    runner_->stage_times(0);
     return *runner_;
   }
   int next_frame() { return frame_++; }
@@ -80,16 +81,17 @@ workshop& shop() {
 void run_stage(benchmark::State& state, point const& p, std::string const& stage) {
   try {
     auto& runner = shop().get(p);
-    auto const& names = runner.stages();
-    auto const at = std::find(names.begin(), names.end(), stage);
-    if (at == names.end()) {
-      state.SkipWithError("no such stage");
-      return;
-    }
-    auto const index = static_cast<std::size_t>(at - names.begin());
     for (auto _ : state) {
-      auto const us = runner.stage_times(shop().next_frame(), true);
-      state.SetIterationTime(1e-6 * us[index]);
+      bool found = false;
+      for (auto const& s : runner.stage_times(shop().next_frame())) {
+        if (s.name != stage) { continue; }
+        state.SetIterationTime(1e-6 * s.us);
+        found = true;
+      }
+      if (!found) {
+        state.SkipWithError("no such stage");
+        break;
+      }
     }
     state.SetItemsProcessed(state.iterations() * p.batch);
   } catch (std::exception const& e) { state.SkipWithError(e.what()); }
@@ -104,7 +106,6 @@ void run_frame(benchmark::State& state, point const& p) {
       runner.launch(bench::call_type::whole);
       runner.wait();
       state.SetIterationTime(1e-6 * (bench::now_us() - start));
-      runner.keep();
     }
     state.SetItemsProcessed(state.iterations() * p.batch);
   } catch (std::exception const& e) { state.SkipWithError(e.what()); }
@@ -161,15 +162,14 @@ int main(int argc, char** argv) {
                                         "corners",
                                         "distribution",
                                         "blur",
+                                        "order",
                                         "descriptors",
-                                        "grid",
                                         "stereo",
                                         "search last frame",
                                         "pose last frame",
-                                        "frustum",
                                         "search local map",
                                         "pose local map",
-                                        "download"};
+                                        "result"};
   using bench::backend_type;
   using bench::rig_type;
   std::vector<backend_type> backends{backend_type::host};

@@ -33,16 +33,14 @@ struct frame_options {
   bool optimize_last = true;
   bool optimize_local = true;
   bool std_sort_ties = false;  ///< of the quadtree
+  bool use_graphs = true;      ///< false: launch after launch
+  bool measure_stages = false;
 };
 
-/// How a frame is queued.
+/// How a frame is enqueued.
 enum class call_type {
-  whole,                 ///< one call, on a device one graph
-  two_halves,            ///< the host waits in between, where it would choose the local map
-  queued,                ///< launch after launch, side branches as in the graph
-  queued_in_a_row,       ///< launch after launch, no side branches
-  queued_with_copies,    ///< the same, and the pyramid goes to host memory and back before stereo
-  recorded_with_copies,  ///< the same in one graph; on the host as queued
+  whole,       ///< one call, on a device one graph
+  two_halves,  ///< the host waits in between, where it would choose the local map
 };
 
 /// Means over the scene's frames, of the batch's first pair.
@@ -79,9 +77,15 @@ struct kernel_facts {
   int most_threads_sm = 0;  ///< that the device could hold
 };
 
+/// Time of a stage, microseconds.
+struct stage_us {
+  std::string name;
+  double us;
+};
+
 /// A tracker over a batch of pairs that see the scene's frames, each pair a frame further on than
 /// the one before it, against a map of points of all frames. Order of calls per frame: prepare,
-/// launch, wait (or done until it says true), keep.
+/// launch, wait (or done until it says true).
 class frame_runner {
 public:
   frame_runner() = default;
@@ -99,8 +103,6 @@ public:
   virtual void launch(call_type how) = 0;
   virtual bool done() = 0;
   virtual void wait() = 0;
-  /// Keeps of the result what the next frame needs.
-  virtual void keep() = 0;
   /// Queues the writing of the first `count` map points, of pair 0; waits for an earlier one.
   virtual void update_map(int count) = 0;
   /// Queues the writing of the positions alone of the first `count` map points, of pair 0: one
@@ -110,11 +112,9 @@ public:
 
   /// Runs every frame of the scene in two halves and looks at the results.
   virtual frame_counts counts() = 0;
-  /// Names of the stages, in order.
-  virtual std::vector<std::string> const& stages() = 0;
-  /// One frame, stage after stage; microseconds of each. @param recorded in a graph with events in
-  /// it, so that the time to queue does not count; on the host the same
-  virtual std::vector<double> stage_times(int i, bool recorded) = 0;
+  /// One frame; what each stage adds to it, in order. Needs frame_options::measure_stages.
+  virtual std::vector<stage_us> stage_times(int i) = 0;
+  /// Need frame_options::use_graphs to be off: what is captured is what the recorded graph has.
   virtual graph_counts graph() = 0;
   virtual std::vector<kernel_facts> kernels() = 0;
 };

@@ -85,7 +85,6 @@ std::vector<double> time_frames(frame_runner& r, call_type how, int warm_up, int
     r.launch(how);
     r.wait();
     if (i >= warm_up) { us.push_back(now_us() - start); }
-    r.keep();
   }
   return us;
 }
@@ -178,42 +177,36 @@ void frame_section(context const& c, backend_type b, rig_type rig) {
 }
 
 void stages_section(context const& c, backend_type b, rig_type rig) {
-  scene const& s = c.all_scenes->get(rig);
   frame_options o;
   o.backend = b;
-  auto const runner = make_frame_runner(s, o);
-  auto const names = runner->stages();
+  o.measure_stages = true;
+  auto const runner = make_frame_runner(c.all_scenes->get(rig), o);
   int const frames =
       b == backend_type::cuda ? std::max(1, c.how.frames_on(b) / 4) : c.how.frames_on(b);
-  for (bool recorded : {false, true}) {
-    if (recorded && b == backend_type::host) { continue; }  // the same there
-    print_head((std::string("Stages one after the other, ") + name_of(rig) +
-                (recorded ? ", in a graph with events" : ", queued one by one"))
-                   .c_str());
-    std::vector<std::vector<double>> us(names.size());
-    std::vector<double> sums;
-    for (int i = 0; i < c.how.warm_up_on(b) + frames; ++i) {
-      auto const times = runner->stage_times(i, recorded);
-      if (i < c.how.warm_up_on(b)) { continue; }
-      double sum = 0;
-      for (std::size_t k = 0; k < names.size(); ++k) {
-        us[k].push_back(times[k]);
-        sum += times[k];
-      }
-      sums.push_back(sum);
+  print_head((std::string("What each stage adds to a frame, ") + name_of(rig)).c_str());
+  std::vector<std::string> names;
+  std::vector<std::vector<double>> us;
+  std::vector<double> sums;
+  for (int i = 0; i < c.how.warm_up_on(b) + frames; ++i) {
+    auto const times = runner->stage_times(i);
+    if (i < c.how.warm_up_on(b)) { continue; }
+    double sum = 0;
+    us.resize(times.size());
+    names.resize(times.size());
+    for (std::size_t k = 0; k < times.size(); ++k) {
+      names[k] = times[k].name;
+      us[k].push_back(times[k].us);
+      sum += times[k].us;
     }
-    for (std::size_t k = 0; k < names.size(); ++k) {
-      json row = row_of("stage: " + names[k], b, 1, us[k]);
-      row["map_points"] = runner->map_points();
-      if (recorded) {
-        row["rig"] = name_of(rig);
-        (*c.out)["graph_stages"].push_back(row);
-      } else {
-        (*c.out)[array_of(rig)].push_back(row);
-      }
-    }
-    static_cast<void>(row_of("all stages", b, 1, sums));
+    sums.push_back(sum);
   }
+  for (std::size_t k = 0; k < names.size(); ++k) {
+    json row = row_of("stage: " + names[k], b, 1, us[k]);
+    row["map_points"] = runner->map_points();
+    row["rig"] = name_of(rig);
+    (*c.out)["stages"].push_back(row);
+  }
+  static_cast<void>(row_of("all stages", b, 1, sums));
 }
 
 // ---- many pairs -------------------------------------------------------------------------------
@@ -272,7 +265,6 @@ void all_at_once(std::vector<std::unique_ptr<frame_runner>>& trackers, int round
       }
     }
     if (i >= warm_up) { round_us.push_back(now_us() - begin); }
-    for (auto& t : trackers) { t->keep(); }
   }
 }
 
@@ -308,7 +300,6 @@ std::vector<finished_frame> without_pause(std::vector<std::unique_ptr<frame_runn
           double const now = now_us();
           mine.push_back({now, now - start[k]});
           ++count;
-          at(k).keep();
           go(k);
         }
       }
@@ -412,6 +403,7 @@ void graph_section(context const& c, backend_type b) {
       frame_options o;
       o.backend = b;
       o.batch = batch;
+      o.use_graphs = false;
       auto const g = make_frame_runner(c.all_scenes->get(rig), o)->graph();
       std::printf("%-10s %6d %8d %7d %6d %7d %10zu %12zu %12zu %14zu\n", name_of(rig), batch,
                   g.kernels, g.copies, g.fills, g.others, g.bytes_up, g.bytes_down, g.bytes_within,
@@ -441,6 +433,7 @@ void kernels_section(context const& c, backend_type b) {
   for (rig_type rig : {rig_type::rectified, rig_type::fisheye}) {
     frame_options o;
     o.backend = b;
+    o.use_graphs = false;
     for (auto const& k : make_frame_runner(c.all_scenes->get(rig), o)->kernels()) {
       std::printf("%-64s %-10s %5d %7d %7d %5d %7zu %7zu %4d/%d\n", k.name.c_str(), name_of(rig),
                   k.launches, k.threads, k.blocks, k.registers, k.shared, k.local, k.threads_per_sm,
@@ -485,12 +478,6 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
     add("as it is", b, time_frames(*r, call_type::whole, warm_up, frames));
     add("in two halves, host in between", b,
         time_frames(*r, call_type::two_halves, warm_up, frames));
-    if (b == backend_type::cuda) {
-      add("queued launch after launch, no graph", b,
-          time_frames(*r, call_type::queued, warm_up, frames));
-      add("the same without side branches", b,
-          time_frames(*r, call_type::queued_in_a_row, warm_up, frames));
-    }
     int const all = r->map_points();
     int const some = std::min(100, all);
     add("map: " + std::to_string(some) + " points sent each frame", b,
@@ -499,20 +486,18 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
         time_frames(*r, call_type::whole, warm_up, frames, {all, 0}));
     add("map: positions of all local points sent each frame", b,
         time_frames(*r, call_type::whole, warm_up, frames, {0, all}));
-    add("pyramid copied to host memory and back", b,
-        time_frames(*r, call_type::recorded_with_copies, warm_up, frames));
-    // From a frame with none of the choices, each alone, to all of them.
-    auto const together = [&](std::string const& name, call_type how, map_traffic const& sent) {
-      add("from nothing: " + name, b, time_frames(*r, how, warm_up, frames, sent));
-    };
-    bool const cuda = b == backend_type::cuda;
-    together("pyramid copied, whole map points" + std::string(cuda ? ", no graph" : ""),
-             call_type::queued_with_copies, {all, 0});
-    together("resident pyramid alone", call_type::queued_in_a_row, {all, 0});
-    together("split map points alone", call_type::queued_with_copies, {0, all});
-    if (cuda) { together("one graph alone", call_type::recorded_with_copies, {all, 0}); }
-    together("all together" + std::string(cuda ? ", with side branches" : ""), call_type::whole,
-             {0, all});
+  }
+  if (b == backend_type::cuda) {
+    frame_options o = options(true, true);
+    o.use_graphs = false;
+    add("launch after launch, no graph", b,
+        time_frames(*make_frame_runner(s, o), call_type::whole, warm_up, frames));
+  }
+  {
+    frame_options o = options(true, true);
+    o.measure_stages = true;
+    add("with times of stages", b,
+        time_frames(*make_frame_runner(s, o), call_type::whole, warm_up, frames));
   }
   add("no pose optimisation after the last frame's search", b,
       time_frames(*make_frame_runner(s, options(false, true)), call_type::whole, warm_up, frames));

@@ -29,21 +29,20 @@ double time_frame(frame_runner& r, int i) {
   double const start = now_us();
   r.launch(call_type::whole);
   r.wait();
-  double const us = now_us() - start;
-  r.keep();
-  return us;
+  return now_us() - start;
 }
 
 std::vector<rule_times> time_rules(scene const& s, backend_type b, int warm_up, int frames) {
   std::vector<std::unique_ptr<frame_runner>> runners;
+  std::vector<std::unique_ptr<frame_runner>> measuring;
   for (int rule = 0; rule < rules; ++rule) {
     frame_options o;
     o.backend = b;
     o.std_sort_ties = rule == 1;
     runners.push_back(make_frame_runner(s, o));
+    o.measure_stages = true;
+    measuring.push_back(make_frame_runner(s, o));
   }
-  auto const& names = runners[0]->stages();
-  auto const stage = std::find(names.begin(), names.end(), "distribution") - names.begin();
   std::vector<rule_times> times(rules);
   for (int i = 0; i < warm_up + frames; ++i) {
     for (int k = 0; k < rules; ++k) {
@@ -54,8 +53,9 @@ std::vector<rule_times> time_rules(scene const& s, backend_type b, int warm_up, 
   }
   for (int i = 0; i < std::max(1, frames / 4); ++i) {
     for (std::size_t rule = 0; rule < rules; ++rule) {
-      times[rule].distribution.push_back(
-          runners[rule]->stage_times(i, true)[static_cast<std::size_t>(stage)]);
+      for (auto const& stage : measuring[rule]->stage_times(i)) {
+        if (stage.name == "distribution") { times[rule].distribution.push_back(stage.us); }
+      }
     }
   }
   return times;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <numeric>
 #include <vector>
 
 #include "examples/common/run.hpp"
@@ -20,9 +21,7 @@ template <typename Exec>
 class simple_odometry {
 public:
   simple_odometry(Exec const& exec, scene const& scene)
-      : exec_(exec), tracker_(exec, rig_of(scene), params_of(scene)) {
-    held_.assign(static_cast<std::size_t>(tracker_.capacity()), -1);
-  }
+      : exec_(exec), tracker_(exec, rig_of(scene), params_of(scene)) {}
 
   /// Waits for the frame's result. The world is the first frame's left camera.
   /// @return map points that agree with the pose; the first frame: points made
@@ -35,27 +34,21 @@ public:
       return add_points();
     }
 
-    // What the tracker wants to know: where the camera is expected, where it was, what the
-    // keypoints of the last frame hold, and which points may be in view.
-    tracker_.predicted()[0] = velocity_ * T_cw_;
-    tracker_.last_pose()[0] = T_cw_;
-    std::copy(held_.begin(), held_.end(), tracker_.last_holder());
-    tracker_.stamp()[0] = ++frame_;
-    int const local = std::min(points_, tracker_.params().local_points);
-    tracker_.local_count()[0] = local;
-    for (int i = 0; i < local; ++i) { tracker_.local_slots()[i] = points_ - local + i; }
+    // The newest points, of which some may be in view.
+    std::vector<int> local(
+        static_cast<std::size_t>(std::min(points_, tracker_.params().local_points)));
+    std::iota(local.begin(), local.end(), points_ - static_cast<int>(local.size()));
 
     // Features, stereo, both searches and pose optimisations: on a GPU one launch of a graph.
-    tracker_.track(exec_);
+    tracker_.track(exec_, {velocity_ * T_cw_, local});
     exec_.wait();
 
-    auto const& result = tracker_.result();
-    ft::pose const T_cw = result.T_cw[0].orthonormalized();  // or rounding errors double each frame
+    auto const frame = tracker_.frame();
+    ft::pose const T_cw = frame.T_cw().orthonormalized();  // or rounding errors double each frame
     velocity_ = (T_cw * T_cw_.inverse()).orthonormalized();
     T_cw_ = T_cw;
-    std::copy_n(result.holder, held_.size(), held_.begin());
-    if (result.inliers[0] < enough_inliers) { add_points(); }
-    return result.inliers[0];
+    if (frame.inliers() < enough_inliers) { add_points(); }
+    return frame.inliers();
   }
 
   ft::pose const& T_cw() const { return T_cw_; }
@@ -80,44 +73,44 @@ private:
 
   /// A map point of every near keypoint that holds none.
   int add_points() {
-    auto const& result = tracker_.result();
-    std::vector<ft::descriptor> descriptors(held_.size());
-    tracker_.download_descriptors(exec_, 0, descriptors.data(), result.keypoints[0]);
+    auto const keypoints = tracker_.frame().left();
+    std::vector<ft::descriptor> descriptors(static_cast<std::size_t>(keypoints.size()));
+    tracker_.download_descriptors(exec_, 0, descriptors.data(), keypoints.size());
     exec_.wait();
 
-    auto const& scale = tracker_.geometry().scale;
-    float const coarsest = scale[tracker_.geometry().levels - 1];
+    auto const& geometry = tracker_.geometry();
+    std::vector<int> held(static_cast<std::size_t>(tracker_.capacity()), -1);
     std::vector<ft::point_update> made;
-    for (int i = 0; i < result.keypoints[0]; ++i) {
-      int& slot = held_[static_cast<std::size_t>(i)];
+    for (auto const& k : keypoints) {
+      int& slot = held[static_cast<std::size_t>(k.number)];
+      slot = k.slot;
       bool const room = points_ < tracker_.params().map_slots;
-      if (slot >= 0 || !(result.depth[i] > 0 && result.depth[i] < far) || !room) { continue; }
+      if (slot >= 0 || !(k.depth > 0 && k.depth < far) || !room) { continue; }
       slot = points_++;
       ft::point_update u;
       u.slot = slot;
       u.observations = 1;
-      u.position = T_cw_.inverse() * result.point[i];
+      u.position = T_cw_.inverse() * k.point;
       auto const ray = u.position - T_cw_.centre();
       float const distance = std::sqrt(ft::dot(ray, ray));
       u.normal = {ray.x / distance, ray.y / distance, ray.z / distance};
       // Where the pyramid has a level at which the point looks as it does here.
-      u.max_distance = distance * scale[result.octave[i]];
-      u.min_distance = u.max_distance / coarsest;
-      u.orb = descriptors[static_cast<std::size_t>(i)];
+      u.max_distance = distance * geometry.scale[k.octave];
+      u.min_distance = u.max_distance / geometry.scale[geometry.levels - 1];
+      u.orb = descriptors[static_cast<std::size_t>(k.number)];
       made.push_back(u);
     }
     tracker_.update_map(exec_, 0, made.data(), static_cast<int>(made.size()));
+    tracker_.set_last(exec_, 0, T_cw_, held);  // the next frame looks for the new points, too
     exec_.wait();
     return static_cast<int>(made.size());
   }
 
   Exec exec_;
   ft::frame_tracker<Exec> tracker_;
-  std::vector<int> held_;  ///< slot of the map point that each keypoint of the last frame holds
   ft::pose T_cw_ = ft::pose::identity();
   ft::pose velocity_ = ft::pose::identity();  ///< T_cw of a frame times the inverse of the last
   int points_ = 0;
-  int frame_ = 0;
 };
 
 }  // namespace demo

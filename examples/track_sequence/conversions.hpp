@@ -57,6 +57,7 @@ inline ft::tracker_params tracker_params_of(odometry_options const& o) {
   p.optimize_local = o.optimize == pose_optimization::both;
   p.map_slots = std::max(1 << 17, 8 * o.features);
   p.updates = std::max(1 << 13, 2 * o.features);
+  p.measure_stages = true;
   return p;
 }
 

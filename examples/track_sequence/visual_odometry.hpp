@@ -22,7 +22,7 @@
 #include "examples/track_sequence/motion_model.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/sparse_map.hpp"
-#include "examples/track_sequence/stage_timer.hpp"
+#include "examples/track_sequence/stage_sums.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
 namespace app {
@@ -54,10 +54,9 @@ public:
         map_(tracker_.params().map_slots,
              std::vector<float>(tracker_.geometry().scale,
                                 tracker_.geometry().scale + options.levels)),
-        sums_({"upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid",
-               "stereo", "search last frame", "pose last frame", "update local map", "frustum",
-               "search local map", "pose local map", "download", "keyframe", "total"}),
-        timer_(exec_),
+        sums_({"upload", "pyramid", "corners", "distribution", "blur", "order", "descriptors",
+               "stereo", "search last frame", "pose last frame", "update local map",
+               "search local map", "pose local map", "result", "keyframe", "total"}),
         descriptors_(static_cast<std::size_t>(tracker_.capacity())) {}
 
   frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
@@ -76,7 +75,7 @@ public:
     if (has_map && lost_frames_ == 0) {
       found = track_from_last(out);
     } else {
-      run([&](auto&& mark) { tracker_.extract(exec_, mark); });
+      run([&] { tracker_.extract(exec_); });
     }
     if (has_map && !found) { found = recover(out); }
     finish(out, found, has_map);
@@ -107,10 +106,9 @@ private:
   /// Queues a call of the tracker and waits for its result.
   template <typename Call>
   void run(Call const& call) {
-    timer_.start();
-    call([&](char const* stage) { timer_.mark(stage, sums_); });
+    call();
     exec_.wait();
-    timer_.collect(sums_);
+    for (auto const& stage : tracker_.stage_times()) { sums_.add(stage.name, 1e-3 * stage.us); }
   }
   template <typename Host>
   void timed(char const* stage, Host const& body) {
@@ -128,19 +126,12 @@ private:
   }
 
   bool track_from_last(frame_outcome& out) {
-    tracker_.predicted()[0] = to_ft(motion_.predict(T_cw_, interval_ns_));
-    tracker_.last_pose()[0] = to_ft(T_cw_);
-    tracker_.stamp()[0] = ++stamp_;
-    for (int i = 0; i < cameras * tracker_.capacity(); ++i) {
-      int const slot = held_.empty() ? -1 : held_[static_cast<std::size_t>(i)];
-      tracker_.last_holder()[i] = map_.alive(slot) ? slot : -1;
-    }
-    run([&](auto&& mark) { tracker_.track_motion(exec_, mark); });
+    run([&] { tracker_.track_motion(exec_, to_ft(motion_.predict(T_cw_, interval_ns_))); });
     if (tracker_.result().inliers[0] < vo::min_motion_inliers) { return false; }
     std::vector<int> held = holders();
     timed("update local map",
-          [&] { choose_local(map_.local_points(held, tracker_.params().local_points)); });
-    run([&](auto&& mark) { tracker_.track_local(exec_, ft::local_search_params{}, false, mark); });
+          [&] { local_ = map_.local_points(held, tracker_.params().local_points); });
+    run([&] { tracker_.track_local(exec_, local_); });
     // Points matched from the last frame were not tested again: they are in view.
     for (int slot : held) { map_.count_visible(slot); }
     count_in_view();
@@ -163,26 +154,18 @@ private:
 
   /// Whether a search in the newest points finds the camera around there.
   bool is_at(rigid_pose const& guess, float width, frame_outcome& out) {
-    tracker_.predicted()[0] = to_ft(guess);
-    tracker_.stamp()[0] = ++stamp_;
-    timed("update local map",
-          [&] { choose_local(map_.recent_points(tracker_.params().local_points)); });
+    timed("update local map", [&] { local_ = map_.recent_points(tracker_.params().local_points); });
     ft::local_search_params wide;
     wide.th = width;
-    run([&](auto&& mark) { tracker_.track_local(exec_, wide, true, mark); });
+    run([&] { tracker_.relocalize(exec_, {to_ft(guess), local_}, wide); });
     out.local_points = static_cast<int>(local_.size());
     out.inliers = tracker_.result().inliers[0];
     return out.inliers >= vo::min_recovered;
   }
 
-  void choose_local(std::vector<int> slots) {
-    local_ = std::move(slots);
-    std::copy(local_.begin(), local_.end(), tracker_.local_slots());
-    tracker_.local_count()[0] = static_cast<int>(local_.size());
-  }
   void count_in_view() {
     for (std::size_t i = 0; i < local_.size(); ++i) {
-      if (tracker_.result().in_view[i] != 0) { map_.count_visible(local_[i]); }
+      if (tracker_.frame().in_view(static_cast<int>(i))) { map_.count_visible(local_[i]); }
     }
   }
   /// Every map point that the frame's keypoints hold, once.
@@ -299,6 +282,8 @@ private:
     map_.adjust(options_, seen_points());
     T_cw_ = map_.last_keyframe_pose();
     send_changes();
+    tracker_.set_last(exec_, 0, to_ft(T_cw_), held_);
+    exec_.wait();
   }
 
   /// The map points that the frame's keypoints hold, each once in a camera.
@@ -365,7 +350,6 @@ private:
   ft::frame_tracker<Exec, Rig> tracker_;
   sparse_map map_;
   stage_sums sums_;
-  stage_timer<Exec> timer_;
   std::vector<ft::descriptor> descriptors_;
   std::vector<int> held_;  ///< slot of each keypoint of the last frame, new points among them
   std::vector<unsigned char> matched_;  ///< whether it was matched to a point of the map before
@@ -374,7 +358,6 @@ private:
   motion_model motion_;
   std::int64_t time_ns_ = 0;      ///< of the last frame
   std::int64_t interval_ns_ = 0;  ///< to it from the one before
-  int stamp_ = 0;
   int lost_frames_ = 0;
   int lost_with_features_ = 0;
   int reference_tracked_ = 0;

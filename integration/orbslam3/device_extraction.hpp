@@ -248,42 +248,43 @@ private:
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
       keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
       if constexpr (Rig::rectified) {
-        extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, all_grids);
+        keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
+        if constexpr (Rig::rectified) {
+          extractor_.extract_from(exec, sources, no_items{}, all_grids);
+        } else {
+          extractor_.extract_from(exec, sources, detail::clear_partners{f.fisheye}, all_grids);
+        }
       } else {
-        extractor_.receive_and_extract(exec, sources, {}, {}, detail::clear_partners{f.fisheye},
-                                       all_grids);
+        extractor_.extract_from(exec, sources);
       }
-    } else {
-      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, no_grids{});
+      for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
+                                extractor_.keypoints(), extractor_.mono_count(), f.keypoints,
+                                f.mono, frames.arrays(b));
     }
-    for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
-                              extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,
-                              frames.arrays(b));
-  }
-  void took_grid(device_frames<Exec, Rig>& frames, int b) {
-    if (pair()) {
-      frames.has_grid(b, image_bounds());
-    } else {
-      frames[b].grid_made = false;
+    void took_grid(device_frames<Exec, Rig> & frames, int b) {
+      if (pair()) {
+        frames.has_grid(b, image_bounds());
+      } else {
+        frames[b].grid_made = false;
+      }
     }
-  }
 
-  settings settings_;
-  helper_threads& helpers_;
-  Rig rig_;
-  orb_extractor<Exec> extractor_;
-  stereo_params stereo_;
-  feature_grid_view right_rows_;
-  std::uint8_t* images_ = nullptr;
-  image_source* sources_ = nullptr;  ///< [2] of the recordings
-  image_source* all_sources_ = nullptr;
-  image_source* no_sources_ = nullptr;
-  arena<space> memory_;
-  arena<staging> host_memory_;
-  stream_mark<Exec> features_there_;
-  recording<Exec> feature_recordings_[buffers];
-  recording<Exec> stereo_recordings_[buffers];
-};
+    settings settings_;
+    helper_threads& helpers_;
+    Rig rig_;
+    orb_extractor<Exec> extractor_;
+    stereo_params stereo_;
+    feature_grid_view right_rows_;
+    std::uint8_t* images_ = nullptr;
+    image_source* sources_ = nullptr;  ///< [2] of the recordings
+    image_source* all_sources_ = nullptr;
+    image_source* no_sources_ = nullptr;
+    arena<space> memory_;
+    arena<staging> host_memory_;
+    stream_mark<Exec> features_there_;
+    recording<Exec> feature_recordings_[buffers];
+    recording<Exec> stereo_recordings_[buffers];
+  };
 
 }  // namespace FT_ABI
 }  // namespace orbslam3

@@ -73,11 +73,11 @@ snapshot take(Tracker const& tracker, int b, int local_points) {
 template <typename Tracker>
 struct frame_inputs {
   Tracker& tracker;
-  std::vector<ft::pose> predicted;   ///< [batch]
-  std::vector<ft::pose> last_pose;   ///< [batch]
-  std::vector<int> last_holder;      ///< [batch][cameras * capacity]
-  std::vector<int> local_slots;      ///< [batch][local_points]
-  std::vector<int> local_count;      ///< [batch]
+  std::vector<ft::pose> predicted;  ///< [batch]
+  std::vector<ft::pose> last_pose;  ///< [batch]
+  std::vector<int> last_holder;     ///< [batch][cameras * capacity]
+  std::vector<int> local_slots;     ///< [batch][local_points]
+  std::vector<int> local_count;     ///< [batch]
 
   explicit frame_inputs(Tracker& t)
       : tracker(t),
@@ -122,8 +122,9 @@ private:
   template <typename Exec>
   void set_last(Exec const& exec, std::vector<ft::pose> const& poses) {
     for (int b = 0; b < tracker.batch(); ++b) {
-      tracker.set_last(exec, b, poses[size(b)],
-                       {last_holder.data() + static_cast<std::ptrdiff_t>(b) * numbers(), numbers()});
+      tracker.set_last(
+          exec, b, poses[size(b)],
+          {last_holder.data() + static_cast<std::ptrdiff_t>(b) * numbers(), numbers()});
     }
   }
   std::vector<ft::slot_list> slots() const {

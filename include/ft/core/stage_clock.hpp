@@ -119,9 +119,8 @@ inline void record_beside_capture(cudaEvent_t event, cudaStream_t stream) {
   std::size_t count = 0;
 #if CUDART_VERSION >= 13000
   cudaGraphEdgeData const* edges = nullptr;
-  throw_on_error(
-      cudaStreamGetCaptureInfo(stream, &status, nullptr, &graph, &last, &edges, &count),
-      "cudaStreamGetCaptureInfo");
+  throw_on_error(cudaStreamGetCaptureInfo(stream, &status, nullptr, &graph, &last, &edges, &count),
+                 "cudaStreamGetCaptureInfo");
 #elif CUDART_VERSION >= 12030
   cudaGraphEdgeData const* edges = nullptr;
   throw_on_error(

@@ -137,6 +137,23 @@ public:
     detail::queue_features(line, stages_);
     line.end();
   }
+  /// Queues the upload of all images, overlapped with their pyramids, and all stages.
+  /// @param sources [batch] in host memory that the executor's threads can read: addresses and
+  ///   strides of the images. Read when the launches run
+  void extract_from(Exec const& exec, image_source const* sources) {
+    extract_from(exec, sources, no_items{}, no_grids{});
+  }
+  /// The same, and sorts the keypoints into grids. @param grids keypoint_grids or no_grids
+  /// @param also see detail::extraction
+  template <typename Also, typename Grids>
+  void extract_from(Exec const& exec, image_source const* sources, Also const& also,
+                    Grids const& grids) {
+    batch_.require_made("extractor");
+    detail::stage_line<Exec> line(exec, clock_);
+    detail::queue_images(
+        line, detail::extraction_with<Exec, Also, Grids>{stages_, sources, also, grids}, false);
+    line.end();
+  }
   /// The keypoints in memory that the host reads. Waits, and allocates.
   /// @throws std::bad_alloc, cuda_error
   auto download(Exec const& exec) const { return ft::download(exec, keypoints()); }
@@ -164,7 +181,9 @@ public:
 
   // Views into executor memory, valid as long as the extractor.
   keypoints_view keypoints() const { return stages_.keypoints; }  ///< one batch entry per image
-  int const* mono_count() const { return stages_.mono_count; }    ///< [batch], outside the stereo overlap
+  int const* mono_count() const {
+    return stages_.mono_count;
+  }  ///< [batch], outside the stereo overlap
   image_pyramid_view pyramid() const { return stages_.pyramid; }
   image_pyramid_view blurred() const { return stages_.blurred; }
   corners_view corners() const { return stages_.corners; }
@@ -173,7 +192,9 @@ public:
   orb_params const& params() const { return params_; }
   pyramid_geometry const& geometry() const { return stages_.geometry; }
   int batch() const { return batch_; }
-  int capacity() const { return stages_.keypoints.capacity; }  ///< most keypoints that an image can yield
+  int capacity() const {
+    return stages_.keypoints.capacity;
+  }                                                     ///< most keypoints that an image can yield
   std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
 
   /// For pipelines that run other stages between or concurrently with these.

@@ -115,9 +115,7 @@ public:
   tracked_keypoints(tracked_frame_view const& result, int b, int camera)
       : r_(result), b_(b), camera_(camera) {}
 
-  int size() const {
-    return camera_ < r_.cameras ? r_.keypoints[b_ * r_.cameras + camera_] : 0;
-  }
+  int size() const { return camera_ < r_.cameras ? r_.keypoints[b_ * r_.cameras + camera_] : 0; }
   iterator begin() const { return {*this, 0}; }
   iterator end() const { return {*this, size()}; }
   /// @param i below size()

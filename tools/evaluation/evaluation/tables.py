@@ -11,11 +11,11 @@ import statistics
 
 # The tracking components of the paper, and the stages of track_sequence that each one is made of.
 COMPONENTS = (
-    ("ORB extraction", ("upload", "pyramid", "corners", "distribution", "blur", "descriptors", "grid")),
+    ("ORB extraction", ("upload", "pyramid", "corners", "distribution", "blur", "order", "descriptors")),
     ("stereo matching", ("stereo",)),
     ("tracking from the last frame", ("search last frame", "pose last frame")),
-    ("tracking in the local map", ("update local map", "frustum", "search local map", "pose local map")),
-    ("download", ("download",)),
+    ("tracking in the local map", ("update local map", "search local map", "pose local map")),
+    ("result", ("result",)),
     ("keyframe", ("keyframe",)),
 )
 TOTAL = "total"

@@ -53,10 +53,10 @@ struct list_local_point_early {
 
   template <typename Group>
   FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, local_search<Rig> search,
-                            frame_view const& frame, map_points_view const& map,
-                            pyramid_geometry const& geometry, search_params params,
-                            search_windows_view const& windows,
-                            search_workspace const& work) const {
+                               frame_view const& frame, map_points_view const& map,
+                               pyramid_geometry const& geometry, search_params params,
+                               search_windows_view const& windows,
+                               search_workspace const& work) const {
     search.stamps = {};
     params.holders_later = true;
     list_local_point<Rig>{}(g, s, item, search, frame, map, geometry, params, windows, work);

@@ -76,9 +76,7 @@ struct extraction {
     detect_corners(exec, pyramid, thresholds, corners);
     if (has_masks()) { mask_corners(exec, geometry, masks, corners); }
   }
-  void distribute(Exec const& exec) const {
-    distribute_corners(exec, corners, kept, ties);
-  }
+  void distribute(Exec const& exec) const { distribute_corners(exec, corners, kept, ties); }
   /// @param also small items of other stages, see with_small_items
   template <typename Also>
   void blur(Exec const& exec, Also const& also) const {
@@ -111,10 +109,30 @@ struct extraction {
                static_cast<std::size_t>(keypoints.capacity) * b * sizeof(corner));
     for_each_item<per_thread>(exec, arrivals.counters(), clear_arrival{}, arrivals);
     if (has_masks()) {
-      fill_bytes(exec, masks.data, 255,
-                 b * static_cast<std::size_t>(masks.width) * static_cast<std::size_t>(masks.height));
+      fill_bytes(
+          exec, masks.data, 255,
+          b * static_cast<std::size_t>(masks.width) * static_cast<std::size_t>(masks.height));
     }
   }
+};
+
+/// The stages with images from host memory and grids of a caller's.
+template <typename Exec, typename Also, typename Grids>
+struct extraction_with {
+  extraction<Exec> const& stages;
+  image_source const* sources;
+  Also also;
+  Grids grids;
+
+  void upload(Exec const& exec, bool /*with_local*/) const { stages.upload(exec, sources, {}, {}); }
+  bool pyramid_overlaps_upload() const { return stages.pyramid_overlaps_upload(); }
+  void pyramid_of_upload(Exec const& exec) const { stages.pyramid_of_upload(exec); }
+  void build_levels(Exec const& exec) const { stages.build_levels(exec); }
+  void detect(Exec const& exec) const { stages.detect(exec); }
+  void distribute(Exec const& exec) const { stages.distribute(exec); }
+  void blur(Exec const& exec) const { stages.blur(exec, also); }
+  void order(Exec const& exec) const { stages.order(exec, grids); }
+  void describe(Exec const& exec) const { stages.describe(exec); }
 };
 
 }  // namespace detail

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The memory of a tracker: what stages of a frame work on, inputs from the host, and results.
+/// @file The memory of a tracker: what stages of a frame work on, inputs from the host, and
+/// results.
 #pragma once
 
 #include <algorithm>
@@ -112,7 +113,8 @@ struct frame_shape {
   int numbers() const { return cameras * capacity; }
 };
 
-/// Owns the memory of a tracker and holds the views into it. Executor memory, unless said otherwise.
+/// Owns the memory of a tracker and holds the views into it. Executor memory, unless said
+/// otherwise.
 template <typename Exec>
 struct frame_memory {
   static constexpr memory_space space = Exec::space;
@@ -222,7 +224,7 @@ private:
     });
   }
 
-  pose* staged_T_cw_ = nullptr;    ///< [batch]
+  pose* staged_T_cw_ = nullptr;   ///< [batch]
   int* staged_holder_ = nullptr;  ///< [batch][numbers]
   arena<space> memory_;
   arena<staging> staging_memory_;

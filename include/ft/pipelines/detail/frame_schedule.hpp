@@ -43,9 +43,7 @@ public:
     return branch.fork(exec_);
   }
   /// Marks the end of a stage on a branch.
-  void end_of_branch(Exec const& branch, char const* stage) {
-    clock_.mark(branch, stage, fork_);
-  }
+  void end_of_branch(Exec const& branch, char const* stage) { clock_.mark(branch, stage, fork_); }
   void join(side_branch<Exec>& branch) {
     end_stage(nullptr);
     branch.join(exec_);
@@ -78,7 +76,8 @@ void queue_features(Line& line, Features const& f) {
   f.describe(line.with("descriptors"));
 }
 
-/// Images and inputs of a frame, and its keypoints. @param with_local the local map is uploaded, too
+/// Images and inputs of a frame, and its keypoints. @param with_local the local map is uploaded,
+/// too
 template <typename Line, typename Stages>
 void queue_images(Line& line, Stages const& s, bool with_local) {
   s.upload(line.then("upload"), with_local);

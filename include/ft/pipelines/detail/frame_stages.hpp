@@ -50,7 +50,7 @@ public:
   stereo_matcher<Exec, Rig> matcher;
   frame_memory<Exec> memory;
   frustum_params frustum;
-  local_search_params local_params;  ///< of the next search in the local map
+  local_search_params local_params;       ///< of the next search in the local map
   image_source const* sources = nullptr;  ///< [batch][2]
 
   // ---- images and keypoints
@@ -140,8 +140,8 @@ public:
   void pack_visibility(Exec const& exec) const {
     for_each_item<per_thread>(exec, batch * params.local_points, detail::pack_visibility{},
                               static_cast<visibility const*>(memory.visible),
-                              static_cast<int const*>(memory.local.device.count), batch, int{cameras},
-                              memory.result);
+                              static_cast<int const*>(memory.local.device.count), batch,
+                              int{cameras}, memory.result);
   }
   /// @param outcome of the call
   void pack_matches(Exec const& exec, frame_outcome const& outcome) const {

@@ -23,7 +23,7 @@ inline namespace FT_ABI {
 struct stage_time {
   char const* name;
   /// From the end of the preceding stage to the end of this one, microseconds, summed over the
-  /// launches of this name. For a stage on a side branch: from the branch's fork.
+  /// launches of this name. For a stage on a side branch of a device: from the branch's fork.
   double us;
 };
 
@@ -83,11 +83,11 @@ public:
     marks_.clear();
     return mark(exec, "");
   }
-  /// Marks the end of a stage. @param name a string literal @param since the mark at which the
-  /// stage began; -1: the preceding one @return the mark @throws bad_argument after 32 marks
-  int mark(Exec const&, char const* name, int since = -1) {
+  /// Marks the end of a stage, which began at the preceding mark. @param name a string literal
+  /// @return the mark @throws bad_argument after 32 marks
+  int mark(Exec const&, char const* name, int = -1) {
     if (!enabled_) { return -1; }
-    int const i = marks_.add(name, since);
+    int const i = marks_.add(name);
     at_[static_cast<std::size_t>(i)] = std::chrono::steady_clock::now();
     return i;
   }
@@ -154,6 +154,7 @@ public:
     marks_.clear();
     return mark(exec, "");
   }
+  /// @param since the mark at which the stage began; -1: the preceding one
   int mark(cuda_exec const& exec, char const* name, int since = -1) {
     if (events_.empty()) { return -1; }
     int const i = marks_.add(name, since);

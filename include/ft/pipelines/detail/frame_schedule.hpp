@@ -42,6 +42,12 @@ public:
     fork_ = end_stage(nullptr);
     return branch.fork(exec_);
   }
+  /// The branch's executor for a stage there. Ends the preceding stage, which on the host is what
+  /// came before it.
+  Exec const& on(Exec const& branch) {
+    end_stage(nullptr);
+    return branch;
+  }
   /// Marks the end of a stage on a branch.
   void end_of_branch(Exec const& branch, char const* stage) { clock_.mark(branch, stage, fork_); }
   void join(side_branch<Exec>& branch) {
@@ -114,7 +120,7 @@ void queue_motion(Line& line, Stages& s, bool local_follows) {
   } else {
     auto const branch = line.fork(s.stereo_branch());
     s.list_last_frame(line.then("search last frame"));
-    s.match_stereo(branch);
+    s.match_stereo(line.on(branch));
     line.end_of_branch(branch, "stereo");
     s.assign_last_frame(line.then("search last frame"));
   }

@@ -1440,8 +1440,8 @@ TYPED_TEST_P(camera_in_stages, a_tracker_follows_the_camera) {
     tracker.set_image(0, 1, {frames.right[f].data(), data::width, data::height, data::width});
   };
   set_images(0);
-  tracker.stamp()[0] = 1;
-  tracker.predicted()[0] = tracker.last_pose()[0] = frames.T_cw[0];
+  // The pose that the keypoints of the first frame hold for.
+  tracker.set_last(exec, 0, frames.T_cw[0], std::vector<int>(at(2 * tracker.capacity()), -1));
   tracker.extract(exec);
   exec.wait();
   auto const first = this->take(tracker);
@@ -1450,20 +1450,20 @@ TYPED_TEST_P(camera_in_stages, a_tracker_follows_the_camera) {
   auto const points = map_of(first, frames.T_cw[0], tracker.geometry());
   tracker.update_map(exec, 0, points.data(), static_cast<int>(points.size()));
   exec.wait();
-  std::fill(tracker.last_holder(), tracker.last_holder() + 2 * tracker.capacity(), -1);
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    int const slot = points[i].slot;
-    tracker.last_holder()[slot] = slot;
-    if (first.partner[at(slot)] >= 0) { tracker.last_holder()[first.partner[at(slot)]] = slot; }
-    tracker.local_slots()[i] = slot;
+  std::vector<int> holders(at(2 * tracker.capacity()), -1);
+  std::vector<int> local_slots;
+  for (auto const& point : points) {
+    holders[at(point.slot)] = point.slot;
+    int const partner = first.partner[at(point.slot)];
+    if (partner >= 0) { holders[at(partner)] = point.slot; }
+    local_slots.push_back(point.slot);
   }
-  tracker.local_count()[0] = static_cast<int>(points.size());
+  tracker.set_last(exec, 0, frames.T_cw[0], holders);
   set_images(1);
-  tracker.stamp()[0] = 2;
-  tracker.track_motion(exec);
+  tracker.track_motion(exec, frames.T_cw[0]);
   exec.wait();
   check_pose(camera, this->take(tracker), frames.T_cw[1]);
-  tracker.track_local(exec);
+  tracker.track_local(exec, local_slots);
   exec.wait();
   check_pose(camera, this->take(tracker), frames.T_cw[1]);
 }

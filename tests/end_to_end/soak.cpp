@@ -208,6 +208,7 @@ public:
   void make() {
     tracker_.reset();
     tracker_ = std::make_unique<ft::frame_tracker<Exec>>(exec_, rig(), params());
+    nothing_.assign(static_cast<std::size_t>(tracker_->capacity()), -1);
     previous_ = none;
     if (!points_.empty()) { write_map(); }
   }
@@ -232,18 +233,18 @@ public:
     set_images(f.left, f.right);
     bool const has_last = previous_ != none && previous_ != unknown;
     int const last = has_last ? previous_ : 0;
-    tracker_->predicted()[0] = f.T_cw;
-    tracker_->predicted()[0].t.x += 0.01f;
-    tracker_->last_pose()[0] = frames_.frames[static_cast<std::size_t>(last)].T_cw;
-    std::copy_n(holders(last), tracker_->capacity(), tracker_->last_holder());
-    if (!has_last) { std::fill_n(tracker_->last_holder(), tracker_->capacity(), -1); }
-    all_points_local();
+    ft::pose predicted = f.T_cw;
+    predicted.t.x += 0.01f;
+    int const capacity = tracker_->capacity();
+    ft::slot_list const nothing{nothing_.data(), capacity};
+    tracker_->set_last(exec_, 0, frames_.frames[static_cast<std::size_t>(last)].T_cw,
+                       has_last ? ft::slot_list{holders(last), capacity} : nothing);
     if (in_halves) {
-      tracker_->track_motion(exec_);
+      tracker_->track_motion(exec_, predicted);
       exec_.wait();
-      tracker_->track_local(exec_);
+      tracker_->track_local(exec_, local_slots_);
     } else {
-      tracker_->track(exec_);
+      tracker_->track(exec_, {predicted, local_slots_});
     }
     exec_.wait();
     features.check(static_cast<std::size_t>(i), digest_features(), "features and stereo");
@@ -262,17 +263,17 @@ public:
     image const small(pixels / 2);
     ft::point_update outside{};
     outside.slot = params().map_slots;
-    int const refused = refuses([&] {
-                          tracker_->set_image(0, 0, {small.data(), width, height / 2, width});
-                        }) +
-                        refuses([&] {
-                          tracker_->set_image(0, 0, {nullptr, width, height, width});
-                        }) +
-                        refuses([&] { tracker_->update_map(exec_, 0, &outside, 1); }) +
-                        refuses([&] {
-                          tracker_->local_count()[0] = params().local_points + 1;
-                          tracker_->track(exec_);
-                        });
+    int const refused =
+        refuses([&] {
+          tracker_->set_image(0, 0, {small.data(), width, height / 2, width});
+        }) +
+        refuses([&] {
+          tracker_->set_image(0, 0, {nullptr, width, height, width});
+        }) +
+        refuses([&] { tracker_->update_map(exec_, 0, &outside, 1); }) + refuses([&] {
+          std::vector<int> const many(static_cast<std::size_t>(params().local_points) + 1);
+          tracker_->track(exec_, {ft::pose::identity(), many});
+        });
     if (refused != 4) { throw std::runtime_error("a call that cannot be was accepted"); }
   }
 
@@ -303,16 +304,11 @@ private:
   void set_images(image const& left, image const& right) {
     tracker_->set_image(0, 0, {left.data(), width, height, width});
     tracker_->set_image(0, 1, {right.data(), width, height, width});
-    tracker_->stamp()[0] = ++stamp_;
   }
   int* holders(int i) {
     auto const room = static_cast<std::size_t>(tracker_->capacity());
     holders_.resize(room * gallery::size);
     return holders_.data() + static_cast<std::size_t>(i) * room;
-  }
-  void all_points_local() {
-    tracker_->local_count()[0] = points();
-    for (int i = 0; i < points(); ++i) { tracker_->local_slots()[i] = i; }
   }
 
   /// A map point of every keypoint of frame 0 that has a depth.
@@ -330,6 +326,7 @@ private:
       ft::vec3<float> const p = r.point[i];
       float const distance = std::sqrt(ft::dot(p, p));
       float const farthest = distance * scale[r.octave[i]];
+      local_slots_.push_back(points());
       points_.push_back({points(),
                          1,
                          f.T_cw.inverse() * p,
@@ -346,12 +343,9 @@ private:
   void find_holders(int i) {
     auto const& f = frames_.frames[static_cast<std::size_t>(i)];
     set_images(f.left, f.right);
-    tracker_->predicted()[0] = f.T_cw;
     tracker_->extract(exec_);
     exec_.wait();
-    all_points_local();
-    tracker_->stamp()[0] = ++stamp_;
-    tracker_->track_local(exec_, {}, true);
+    tracker_->relocalize(exec_, {f.T_cw, local_slots_});
     exec_.wait();
     std::copy_n(tracker_->result().holder, tracker_->capacity(), holders(i));
     previous_ = i;
@@ -386,10 +380,11 @@ private:
   gallery const& frames_;
   std::unique_ptr<ft::frame_tracker<Exec>> tracker_;
   std::vector<ft::point_update> points_;
+  std::vector<int> local_slots_;  ///< all points
+  std::vector<int> nothing_;      ///< held by no keypoint
   std::vector<int> holders_;
   std::vector<ft::descriptor> descriptors_;
   int previous_ = none;
-  int stamp_ = 0;
   int inliers_ = 0;
 };
 

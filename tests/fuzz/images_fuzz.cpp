@@ -136,16 +136,24 @@ void track(fuzz::input& in, ft::orb_params const& orb) {
       }
       fuzz::accepted<ft::bad_argument>(
           [&] { t.update_map(exec(), 0, points.data(), static_cast<int>(points.size())); });
-      t.predicted()[0] = any_pose(in);
-      t.last_pose()[0] = any_pose(in);
-      t.stamp()[0] = frame + 1;
-      for (int k = 0; k < t.capacity(); ++k) { t.last_holder()[k] = k % (p.map_slots + 2) - 1; }
-      t.local_count()[0] = in.within(-1, p.local_points + 1);
-      for (int i = 0; i < p.local_points; ++i) { t.local_slots()[i] = in.within(-2, 62); }
-      bool const queued = fuzz::accepted<ft::bad_argument>([&] { t.track(exec()); });
+      ft::pose const predicted = any_pose(in);
+      ft::pose const last = any_pose(in);
+      std::vector<int> holders;
+      for (int k = 0; k < t.capacity(); ++k) { holders.push_back(k % (p.map_slots + 2) - 1); }
+      int const local = in.within(-1, p.local_points + 1);
+      std::vector<int> slots(static_cast<std::size_t>(p.local_points + 1));
+      for (int i = 0; i < p.local_points; ++i) {
+        slots[static_cast<std::size_t>(i)] = in.within(-2, 62);
+      }
+      bool const replaced =
+          fuzz::accepted<ft::bad_argument>([&] { t.set_last(exec(), 0, last, holders); });
+      fuzz::require(replaced == is_finite(last),
+                    "a last pose is refused where it is not finite, and only there");
+      bool const queued = fuzz::accepted<ft::bad_argument>([&] {
+        t.track(exec(), {predicted, {slots.data(), local}});
+      });
       fuzz::require(
-          queued == (t.local_count()[0] >= 0 && t.local_count()[0] <= t.params().local_points &&
-                     is_finite(t.predicted()[0]) && is_finite(t.last_pose()[0])),
+          queued == (local >= 0 && local <= t.params().local_points && is_finite(predicted)),
           "a frame is refused where the local map does not fit or a pose is not finite, and only "
           "there");
       if (!queued) { continue; }

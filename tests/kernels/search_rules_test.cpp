@@ -130,8 +130,7 @@ std::vector<bool> search(Exec const& exec, scene const& s) {
     local.frustum.max_y = height;
     local.frustum.log_scale_factor = ft::log_rounded(1.2f);
     local.frustum.levels = levels;
-    ft::search_local_map(exec, local, frame, map.view(), g, ft::search_params{}, windows, work,
-                         [](Exec const&) {});
+    ft::search_local_map(exec, local, frame, map.view(), g, ft::search_params{}, windows, work);
   }
   auto const holder = test::from_exec(exec, static_cast<int const*>(d_holder.data()), size);
   std::vector<bool> found;

@@ -276,6 +276,7 @@ record extract(Exec const& exec, feature_case const& c, feature_totals& totals) 
     orb.upload(exec, i, {c.images[at(i)].data(), p.width, p.height, p.width});
   }
   orb.extract(exec);
+  orb.list_corners(exec);
   add_pyramid(r, exec, "pyramid", orb.pyramid());
   add_pyramid(r, exec, "blur", orb.blurred());
   auto const corners = orb.corners();
@@ -1255,6 +1256,7 @@ std::vector<record> run_tracker(Exec const& exec, Rig const& rig, tracker_case c
   ft::frame_tracker<Exec, Rig> tracker(exec, rig, params, c.batch);
   int const capacity = tracker.capacity();
   int const numbers = tracker.cameras * capacity;
+  test::frame_inputs in(tracker);
   std::vector<record> all;
   auto const keep = [&](bool local) {
     exec.wait();
@@ -1291,11 +1293,9 @@ std::vector<record> run_tracker(Exec const& exec, Rig const& rig, tracker_case c
           shifted(left[at(b)], c.width, c.height, 25, 0, c.seed + static_cast<unsigned>(b));
       tracker.set_image(b, 0, {left[at(b)].data(), c.width, c.height, c.width});
       tracker.set_image(b, 1, {right.data(), c.width, c.height, c.width});
-      tracker.stamp()[b] = frame + 1;
     }
     if (frame == 0) {
-      std::fill_n(tracker.predicted(), c.batch, ft::pose::identity());
-      tracker.extract(exec);
+      in.extract(exec);
       keep(false);
       for (int b = 0; b < c.batch; ++b) {
         auto const& r = tracker.result();
@@ -1305,10 +1305,9 @@ std::vector<record> run_tracker(Exec const& exec, Rig const& rig, tracker_case c
         exec.wait();
         all.back().add("descriptors", orb);
         std::vector<ft::point_update> points;
-        int* const holder = tracker.last_holder() + static_cast<std::ptrdiff_t>(b) * numbers;
+        int* const holder = in.last_holder.data() + static_cast<std::ptrdiff_t>(b) * numbers;
         int* const local =
-            tracker.local_slots() + static_cast<std::ptrdiff_t>(b) * params.local_points;
-        std::fill(holder, holder + numbers, -1);
+            in.local_slots.data() + static_cast<std::ptrdiff_t>(b) * params.local_points;
         for (int i = 0; i < count; ++i) {
           auto const p = r.point[b * capacity + i];
           if (!(p.z > 0)) { continue; }
@@ -1324,22 +1323,21 @@ std::vector<record> run_tracker(Exec const& exec, Rig const& rig, tracker_case c
                             orb[at(i)]});
           if (i % 3 != 0) { holder[i] = i; }
         }
-        tracker.local_count()[b] = static_cast<int>(points.size());
+        in.local_count[at(b)] = static_cast<int>(points.size());
         tracker.update_map(exec, b, points.data(), static_cast<int>(points.size()));
         exec.wait();
-        tracker.last_pose()[b] = ft::pose::identity();
       }
       continue;
     }
-    tracker.track_motion(exec);
+    in.track_motion(exec);
     keep(false);
-    tracker.track_local(exec);
+    in.track_local(exec);
     keep(true);
-    tracker.track_local(exec, {2, 0}, true);
+    in.relocalize(exec, {2, 0});
     keep(true);
-    std::copy_n(tracker.result().holder, c.batch * numbers, tracker.last_holder());
-    std::copy_n(tracker.result().T_cw, c.batch, tracker.last_pose());
-    std::copy_n(tracker.result().T_cw, c.batch, tracker.predicted());
+    std::copy_n(tracker.result().holder, c.batch * numbers, in.last_holder.begin());
+    std::copy_n(tracker.result().T_cw, c.batch, in.last_pose.begin());
+    in.predicted = in.last_pose;
   }
   return all;
 }

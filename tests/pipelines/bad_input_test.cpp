@@ -217,26 +217,27 @@ struct driver {
   using tracker_type = ft::frame_tracker<Exec, Rig>;
   Exec const& exec;
   tracker_type tracker;
-  int stamp = 0;
+  test::frame_inputs<tracker_type> in;
   std::vector<ft::point_update> points;  ///< what first() found
 
   driver(Exec const& e, Rig const& rig, ft::tracker_params const& p = params())
-      : exec(e), tracker(e, rig, p) {}
+      : exec(e), tracker(e, rig, p), in(tracker) {}
+  driver(driver const&) = delete;
+  driver& operator=(driver const&) = delete;
 
   static int numbers(tracker_type const& t) { return tracker_type::cameras * t.capacity(); }
   void images(image const& left, image const& right) {
     tracker.set_image(0, 0, view(left));
     tracker.set_image(0, 1, view(right));
-    tracker.stamp()[0] = ++stamp;
   }
   snapshot result(bool local) {
     exec.wait();
-    return test::take(tracker, 0, local ? tracker.local_count()[0] : 0);
+    return test::take(tracker, 0, local ? in.local_count[0] : 0);
   }
   snapshot extract(stereo_frame const& f) {
     images(f.left, f.right);
-    tracker.predicted()[0] = ft::pose::identity();
-    tracker.extract(exec);
+    in.predicted[0] = ft::pose::identity();
+    in.extract(exec);
     return result(false);
   }
   /// extract(), and a map of what it found: slot i is left keypoint i.
@@ -268,15 +269,15 @@ struct driver {
   }
   /// The first frame becomes the last one: its keypoints hold their points.
   void use_as_last(snapshot const& s) {
-    std::fill_n(tracker.last_holder(), numbers(tracker), -1);
+    std::fill(in.last_holder.begin(), in.last_holder.end(), -1);
     for (auto const& p : points) {
-      tracker.last_holder()[p.slot] = p.slot;
+      in.last_holder[at(p.slot)] = p.slot;
       int const partner = s.partner[at(p.slot)];
-      if (partner >= 0) { tracker.last_holder()[partner] = p.slot; }
+      if (partner >= 0) { in.last_holder[at(partner)] = p.slot; }
     }
-    tracker.predicted()[0] = tracker.last_pose()[0] = ft::pose::identity();
-    tracker.local_count()[0] = static_cast<int>(points.size());
-    for (std::size_t i = 0; i < points.size(); ++i) { tracker.local_slots()[i] = points[i].slot; }
+    in.predicted[0] = in.last_pose[0] = ft::pose::identity();
+    in.local_count[0] = static_cast<int>(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) { in.local_slots[i] = points[i].slot; }
   }
 };
 
@@ -587,9 +588,9 @@ TYPED_TEST(bad_input_test, an_eye_without_a_keypoint_leaves_nothing_stale) {
     driver<executor, rig_type> alone(this->exec(), rig);
     auto const seen_first = alone.first(frames[0]);
     alone.images(frames[1].left, frames[1].right);
-    alone.tracker.track_motion(this->exec());
+    alone.in.track_motion(this->exec());
     auto const seen_motion = alone.result(false);
-    alone.tracker.track_local(this->exec());
+    alone.in.track_local(this->exec());
     auto const seen_local = alone.result(true);
     ASSERT_GT(alone.points.size(), 40u);
     ASSERT_GT(seen_motion.inliers, 50);
@@ -604,17 +605,15 @@ TYPED_TEST(bad_input_test, an_eye_without_a_keypoint_leaves_nothing_stale) {
         d.images((dark & 1) != 0 ? flat() : frames[1].left,
                  (dark & 2) != 0 ? flat() : frames[1].right);
         bool local = false;
-        if (c == call::extract) { d.tracker.extract(this->exec()); }
-        if (c == call::track_motion || c == call::track_local) {
-          d.tracker.track_motion(this->exec());
-        }
+        if (c == call::extract) { d.in.extract(this->exec()); }
+        if (c == call::track_motion || c == call::track_local) { d.in.track_motion(this->exec()); }
         if (c == call::track_local) {
           this->exec().wait();
-          d.tracker.track_local(this->exec());
+          d.in.track_local(this->exec());
           local = true;
         }
         if (c == call::track) {
-          d.tracker.track(this->exec());
+          d.in.track(this->exec());
           local = true;
         }
         auto const s = d.result(local);
@@ -648,12 +647,12 @@ TYPED_TEST(bad_input_test, an_eye_without_a_keypoint_leaves_nothing_stale) {
           EXPECT_EQ(s.matches, 0);
           EXPECT_EQ(s.inliers, 0);
           EXPECT_EQ(held(s), 0);
-          EXPECT_EQ(std::memcmp(&s.T_cw, d.tracker.predicted(), sizeof(ft::pose)), 0);
+          EXPECT_EQ(std::memcmp(&s.T_cw, d.in.predicted.data(), sizeof(ft::pose)), 0);
         }
         // With the frame of one eye as the last one nothing breaks, either.
-        std::copy(s.holder.begin(), s.holder.end(), d.tracker.last_holder());
+        std::copy(s.holder.begin(), s.holder.end(), d.in.last_holder.begin());
         d.images(frames[1].left, frames[1].right);
-        d.tracker.track_motion(this->exec());
+        d.in.track_motion(this->exec());
         auto const next = d.result(false);
         EXPECT_EQ(next.keypoints, seen_motion.keypoints);
         EXPECT_TRUE(same_bits(next.depth, seen_motion.depth) &&
@@ -662,9 +661,9 @@ TYPED_TEST(bad_input_test, an_eye_without_a_keypoint_leaves_nothing_stale) {
         // And the way goes on as if nothing had been.
         expect_same(d.first(frames[0]), seen_first);
         d.images(frames[1].left, frames[1].right);
-        d.tracker.track_motion(this->exec());
+        d.in.track_motion(this->exec());
         expect_same(d.result(false), seen_motion);
-        d.tracker.track_local(this->exec());
+        d.in.track_local(this->exec());
         expect_same(d.result(true), seen_local);
         if (this->HasFailure()) { return; }
       }
@@ -1199,8 +1198,7 @@ search_answer search(Exec const& exec, search_scene const& s, ft::rectified_rig 
     local.frustum.log_scale_factor = ft::log_rounded(g.scale_factor);
     local.frustum.levels = g.levels;
     local.params.th = th;
-    ft::search_local_map(exec, local, frame, map, g, ft::search_params{}, windows, work,
-                         [](Exec const&) {});
+    ft::search_local_map(exec, local, frame, map, g, ft::search_params{}, windows, work);
   }
   exec.wait();
   return {test::from_exec(exec, static_cast<int const*>(frame.holder), at(n)),
@@ -1282,11 +1280,11 @@ TYPED_TEST(bad_input_test, map_points_that_cannot_be_seen_are_left_out_and_chang
         int count = 0;
         for (std::size_t i = 0; i < d.points.size(); ++i) {
           if (bad == 1) {
-            d.tracker.local_slots()[count++] = first_slot + static_cast<int>(i % where.size());
+            d.in.local_slots[at(count++)] = first_slot + static_cast<int>(i % where.size());
           }
-          d.tracker.local_slots()[count++] = d.points[i].slot;
+          d.in.local_slots[at(count++)] = d.points[i].slot;
         }
-        d.tracker.local_count()[0] = count;
+        d.in.local_count[0] = count;
       };
       auto const keep = [&](bool local) {
         auto s = d.result(local);
@@ -1310,22 +1308,21 @@ TYPED_TEST(bad_input_test, map_points_that_cannot_be_seen_are_left_out_and_chang
       for (int number = 0; bad == 1 && number < d.numbers(d.tracker); ++number) {
         auto const capacity = d.tracker.capacity();
         if (number % capacity < seen.keypoints[at(number / capacity)] &&
-            d.tracker.last_holder()[number] < 0) {
-          d.tracker.last_holder()[number] = first_slot + given++ % static_cast<int>(where.size());
+            d.in.last_holder[at(number)] < 0) {
+          d.in.last_holder[at(number)] = first_slot + given++ % static_cast<int>(where.size());
         }
       }
       if (bad == 1) { EXPECT_GE(given, 20); }
       choose_local();
       d.images(frames[1].left, frames[1].right);
-      d.tracker.track_motion(this->exec());
+      d.in.track_motion(this->exec());
       keep(false);
-      d.tracker.track_local(this->exec());
+      d.in.track_local(this->exec());
       keep(true);
       // In the local map, by cameras that stand exactly at the origin.
       d.extract(frames[0]);
-      d.tracker.stamp()[0] = ++d.stamp;
       choose_local();
-      d.tracker.track_local(this->exec(), {}, true);
+      d.in.relocalize(this->exec());
       keep(true);
     }
     ASSERT_EQ(with[0].size(), with[1].size());
@@ -1357,29 +1354,25 @@ TYPED_TEST(bad_input_test, map_points_and_poses_with_a_nan_are_refused_and_chang
         expect_says(refusal([&] { d.tracker.update_map(this->exec(), 0, two.data(), 2); }),
                     {"slot " + std::to_string(p.slot), "NaN"});
       }
-      for (ft::pose* const pose : {d.tracker.predicted(), d.tracker.last_pose()}) {
-        for (int k = 0; k < 12; ++k) {
-          for (float const v : {nan, inf}) {
-            ft::pose const before = *pose;
-            (k < 9 ? pose->R.m[k] : k == 9 ? pose->t.x : k == 10 ? pose->t.y : pose->t.z) = v;
-            auto const& exec = this->exec();
-            auto const mark = [](char const*) {};
-            std::vector<std::string> const says{pose == d.tracker.predicted() ? "predicted pose"
-                                                                              : "last pose"};
-            expect_says(refusal([&] { d.tracker.track_motion(exec); }), says);
-            expect_says(refusal([&] { d.tracker.track_motion(exec, mark); }), says);
-            expect_says(refusal([&] { d.tracker.track(exec); }), says);
-            expect_says(refusal([&] { d.tracker.track(exec, mark); }), says);
-            expect_says(refusal([&] { d.tracker.track_local(exec, {}, true); }), says);
-            *pose = before;
-          }
+      for (int k = 0; k < 12; ++k) {
+        for (float const v : {nan, inf}) {
+          ft::pose T = ft::pose::identity();
+          (k < 9 ? T.R.m[k] : k == 9 ? T.t.x : k == 10 ? T.t.y : T.t.z) = v;
+          auto const& exec = this->exec();
+          auto& tracker = d.tracker;
+          std::vector<std::string> const says{"predicted pose"};
+          expect_says(refusal([&] { tracker.track_motion(exec, T); }), says);
+          expect_says(refusal([&] { tracker.track(exec, {T, {}}); }), says);
+          expect_says(refusal([&] { tracker.relocalize(exec, {T, {}}); }), says);
+          expect_says(refusal([&] { tracker.set_last(exec, 0, T, d.in.last_holder); }),
+                      {"last pose"});
         }
       }
     }
     d.images(frames[1].left, frames[1].right);
-    d.tracker.track_motion(this->exec());
+    d.in.track_motion(this->exec());
     of[bad ? 1 : 0].push_back(d.result(false));
-    d.tracker.track_local(this->exec());
+    d.in.track_local(this->exec());
     of[bad ? 1 : 0].push_back(d.result(true));
   }
   EXPECT_GT(of[0][1].inliers, 50);
@@ -1392,14 +1385,12 @@ TYPED_TEST(bad_input_test, a_frame_before_any_image_is_refused) {
   auto const rig = a_rig<ft::rectified_rig>();
   auto const frame = make_frames(rig)[0];
   ft::frame_tracker<executor> tracker(exec, rig, params(), 2);
-  auto const mark = [](char const*) {};
+  std::vector<ft::frame_input> const inputs(2);
+  std::vector<ft::pose> const predicted(2, ft::pose::identity());
   auto const refused = [&](std::string const& camera) {
     expect_says(refusal([&] { tracker.extract(exec); }), {camera});
-    expect_says(refusal([&] { tracker.extract(exec, mark); }), {camera});
-    expect_says(refusal([&] { tracker.track_motion(exec); }), {camera});
-    expect_says(refusal([&] { tracker.track_motion(exec, mark); }), {camera});
-    expect_says(refusal([&] { tracker.track(exec); }), {camera});
-    expect_says(refusal([&] { tracker.track(exec, mark); }), {camera});
+    expect_says(refusal([&] { tracker.track_motion(exec, predicted.data()); }), {camera});
+    expect_says(refusal([&] { tracker.track(exec, inputs.data()); }), {camera});
   };
   refused("camera 0 of pair 0");
   tracker.set_image(0, 0, view(frame.left));
@@ -1409,7 +1400,7 @@ TYPED_TEST(bad_input_test, a_frame_before_any_image_is_refused) {
   static_cast<void>(tracker.staged_image(1, 0));
   refused("camera 1 of pair 1");
   static_cast<void>(tracker.staged_image(1, 1));
-  EXPECT_NO_THROW(tracker.track(exec));
+  EXPECT_NO_THROW(tracker.track(exec, inputs.data()));
   exec.wait();
 }
 
@@ -1421,7 +1412,7 @@ void expect_released(Exec const& exec, Rig const& rig) {
     driver<Exec, Rig> d(exec, rig);
     d.first(frames[0]);
     d.images(frames[1].left, frames[1].right);
-    d.tracker.track_motion(exec);
+    d.in.track_motion(exec);
     auto const before = d.result(false);
     ASSERT_GT(before.inliers, 50);
     std::vector<ft::point_update> updates;
@@ -1435,7 +1426,7 @@ void expect_released(Exec const& exec, Rig const& rig) {
                static_cast<ft::vec3<float> const*>(&p.position), 1);
       exec.wait();
     }
-    d.tracker.track_local(exec);
+    d.in.track_local(exec);
     auto const after = d.result(true);
     for (auto const& u : updates) {
       EXPECT_EQ(std::count(after.holder.begin(), after.holder.end(), u.slot), 0);

@@ -353,16 +353,4 @@ TYPED_TEST(extractor_unit, keypoints_of_a_wide_image_lie_on_both_sides_of_an_ove
   }
 }
 
-TYPED_TEST(extractor_unit, stages_are_announced_in_order) {
-  typename TestFixture::extractor orb(this->backend.exec, size(100, 100), 1);
-  std::vector<std::string> marks;
-  image const pixels = noise(100, 100, 1);
-  orb.upload(this->backend.exec, 0, {pixels.data(), 100, 100, 100});
-  this->backend.exec.wait();
-  orb.extract(this->backend.exec, [&](char const* stage) { marks.emplace_back(stage); });
-  this->backend.exec.wait();
-  EXPECT_EQ(marks, (std::vector<std::string>{"pyramid", "corners", "distribution", "blur",
-                                             "descriptors"}));
-}
-
 }  // namespace extractor_test

@@ -5,6 +5,7 @@
 // else.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <new>
 #include <ostream>
@@ -214,8 +215,8 @@ template <typename Rig>
 class tracked_scene {
 public:
   using tracker_type = ft::frame_tracker<ft::cuda_exec, Rig>;
-  tracked_scene(ft::cuda_exec const& exec, Rig const& rig)
-      : tracker(exec, rig, params()), exec_(exec) {
+  tracked_scene(ft::cuda_exec const& exec, Rig const& rig, ft::tracker_params const& p = params())
+      : tracker(exec, rig, p), exec_(exec) {
     next_frame();
     tracker.extract(exec_);
     exec_.wait();
@@ -234,10 +235,9 @@ public:
       u.min_distance = r.depth[i] / 4;
       u.orb = orb[static_cast<std::size_t>(i)];
       updates.push_back(u);
-      tracker.local_slots()[points] = points;
+      slots.push_back(points);
       ++points;
     }
-    tracker.local_count()[0] = points;
     tracker.update_map(exec_, 0, updates.data(), points);
     exec_.wait();
   }
@@ -247,22 +247,22 @@ public:
     auto const image = test::random_image(width + disparity, height, 7);
     tracker.set_image(0, 0, {image.data(), width, height, width + disparity});
     tracker.set_image(0, 1, {image.data() + disparity, width, height, width + disparity});
-    tracker.predicted()[0] = ft::pose::identity();
-    tracker.last_pose()[0] = ft::pose::identity();
-    tracker.stamp()[0] = ++stamp_;
-    for (int i = 0; i < tracker_type::cameras * tracker.capacity(); ++i) {
-      tracker.last_holder()[i] = i < points ? i : -1;
-    }
+    std::vector<int> holders(static_cast<std::size_t>(tracker_type::cameras * tracker.capacity()),
+                             -1);
+    std::copy(slots.begin(), slots.end(), holders.begin());
+    tracker.set_last(exec_, 0, ft::pose::identity(), holders);
+    exec_.wait();
   }
+  ft::frame_input input() const { return {ft::pose::identity(), slots}; }
 
   tracker_type tracker;
   std::vector<ft::point_update> updates;
+  std::vector<int> slots;  ///< of all points
   int points = 0;
 
 private:
   static constexpr int disparity = 12;
   ft::cuda_exec const& exec_;
-  int stamp_ = 0;
 };
 
 call_counts one_graph_launch() {
@@ -282,15 +282,17 @@ void expect_graphs_alone(ft::cuda_exec const& exec, Rig const& rig) {
   auto& tracker = scene.tracker;
   for (int i = 0; i < 4; ++i) {
     scene.next_frame();
-    EXPECT_EQ(calls_during([&] { tracker.track(exec); }), one_graph_launch()) << "frame " << i;
+    EXPECT_EQ(calls_during([&] { tracker.track(exec, scene.input()); }), one_graph_launch())
+        << "frame " << i;
     EXPECT_EQ(calls_during([&] { exec.wait(); }), one_wait());
     EXPECT_GT(tracker.result().keypoints[0], 100) << "there was a frame";
 
     // The host chooses the local map in between: two launches, each with a wait of the caller's.
     scene.next_frame();
-    EXPECT_EQ(calls_during([&] { tracker.track_motion(exec); }), one_graph_launch());
+    EXPECT_EQ(calls_during([&] { tracker.track_motion(exec, ft::pose::identity()); }),
+              one_graph_launch());
     EXPECT_EQ(calls_during([&] { exec.wait(); }), one_wait());
-    EXPECT_EQ(calls_during([&] { tracker.track_local(exec); }), one_graph_launch());
+    EXPECT_EQ(calls_during([&] { tracker.track_local(exec, scene.slots); }), one_graph_launch());
     EXPECT_EQ(calls_during([&] { exec.wait(); }), one_wait());
 
     scene.next_frame();
@@ -314,10 +316,12 @@ TEST_F(frame_calls, of_a_fisheye_pair_are_one_graph_launch_and_the_callers_wait)
 }
 
 TEST_F(frame_calls, queued_one_by_one_a_frame_still_neither_waits_nor_allocates) {
+  auto p = params();
+  p.use_graphs = false;
   tracked_scene<ft::rectified_rig> scene(
-      backend.exec, ft::rectified_rig::make({200.0f, 200.0f, 159.5f, 119.5f}, 0.2f));
+      backend.exec, ft::rectified_rig::make({200.0f, 200.0f, 159.5f, 119.5f}, 0.2f), p);
   scene.next_frame();
-  call_counts const c = calls_during([&] { scene.tracker.track(backend.exec, ft::no_mark{}); });
+  call_counts const c = calls_during([&] { scene.tracker.track(backend.exec, scene.input()); });
   EXPECT_GT(c.queued, 15);
   EXPECT_EQ(c.graph_launches, 0);
   EXPECT_EQ(c.waits + c.polls + c.allocations, 0) << c;

@@ -51,7 +51,6 @@ void give_images(ft::frame_tracker<Exec>& tracker) {
 template <typename Exec>
 test::snapshot extract(Exec const& exec, ft::frame_tracker<Exec>& tracker) {
   give_images(tracker);
-  tracker.predicted()[0] = ft::pose::identity();
   tracker.extract(exec);
   exec.wait();
   return test::take(tracker, 0, 0);
@@ -74,7 +73,7 @@ protected:
     EXPECT_THROW(orb.upload(exec(), 0, view), ft::bad_argument);
     EXPECT_THROW(orb.set_mask(exec(), 0, view), ft::bad_argument);
     EXPECT_THROW(orb.extract(exec()), ft::bad_argument);
-    EXPECT_THROW(orb.extract(exec(), ft::no_mark{}), ft::bad_argument);
+    EXPECT_THROW(orb.list_corners(exec()), ft::bad_argument);
     EXPECT_THROW(orb.build_levels(exec()), ft::bad_argument);
     EXPECT_THROW(orb.build_pyramids(exec()), ft::bad_argument);
     EXPECT_THROW(orb.describe_keypoints(exec(), ft::described_view{}), ft::bad_argument);
@@ -93,13 +92,18 @@ protected:
     EXPECT_THROW(t.set_mask(exec(), 0, 0, view), ft::bad_argument);
     EXPECT_THROW(t.update_map(exec(), 0, &point, 1), ft::bad_argument);
     EXPECT_THROW(t.extract(exec()), ft::bad_argument);
-    EXPECT_THROW(t.extract(exec(), ft::no_mark{}), ft::bad_argument);
-    EXPECT_THROW(t.track_motion(exec()), ft::bad_argument);
-    EXPECT_THROW(t.track_motion(exec(), ft::no_mark{}), ft::bad_argument);
-    EXPECT_THROW(t.track(exec()), ft::bad_argument);
-    EXPECT_THROW(t.track(exec(), ft::no_mark{}), ft::bad_argument);
-    EXPECT_THROW(t.track_local(exec()), ft::bad_argument);
-    EXPECT_THROW(t.track_local(exec(), {}, true), ft::bad_argument);
+    ft::frame_input const input{};
+    EXPECT_THROW(t.set_last(exec(), 0, ft::pose::identity(), {}), ft::bad_argument);
+    EXPECT_THROW(t.track_motion(exec(), ft::pose::identity()), ft::bad_argument);
+    EXPECT_THROW(t.track_motion(exec(), &input.T_predicted), ft::bad_argument);
+    EXPECT_THROW(t.track(exec(), input), ft::bad_argument);
+    EXPECT_THROW(t.track(exec(), &input), ft::bad_argument);
+    EXPECT_THROW(t.track_local(exec(), ft::slot_list{}), ft::bad_argument);
+    EXPECT_THROW(t.track_local(exec(), &input.local_slots), ft::bad_argument);
+    EXPECT_THROW(t.relocalize(exec(), input), ft::bad_argument);
+    EXPECT_THROW(t.relocalize(exec(), &input), ft::bad_argument);
+    EXPECT_THROW(t.frame(), ft::bad_argument);
+    EXPECT_THROW(t.stage_times(), ft::bad_argument);
     EXPECT_THROW(t.download_descriptors(exec(), 0, &orb, 1), ft::bad_argument);
     EXPECT_EQ(t.batch(), 0);
   }

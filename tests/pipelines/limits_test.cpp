@@ -9,6 +9,7 @@
 #include <cstring>
 #include <limits>
 #include <new>
+#include <numeric>
 #include <random>
 #include <string>
 #include <vector>
@@ -236,24 +237,22 @@ TYPED_TEST(limits, a_tracker_takes_what_its_capacities_say_and_no_more) {
     points[i] = {static_cast<int>(i), 1, {0, 0, 2}, {0, 0, 1}, 1, 10, {}};
   }
   points[at(small().updates) - 1].slot = small().map_slots - 1;
-  tracker.predicted()[0] = tracker.last_pose()[0] = ft::pose::identity();
-  std::fill_n(tracker.last_holder(), tracker.capacity(), -1);
   for (int const over : {-1, 0, 1}) {
     SCOPED_TRACE(over);
     int const updates = small().updates + over;
     int const local = small().local_points + over;
-    tracker.local_count()[0] = local;
-    for (int i = 0; i < std::min(local, small().local_points); ++i) {
-      tracker.local_slots()[i] = i;
-    }
-    tracker.stamp()[0] = over + 2;
+    std::vector<int> slots(at(local));
+    std::iota(slots.begin(), slots.end(), 0);
+    tracker.set_last(this->exec(), 0, ft::pose::identity(),
+                     std::vector<int>(at(tracker.capacity()), -1));
+    ft::frame_input const input{ft::pose::identity(), slots};
     if (over > 0) {
       EXPECT_THROW(tracker.update_map(this->exec(), 0, points.data(), updates), ft::bad_argument);
-      EXPECT_THROW(tracker.track(this->exec()), ft::bad_argument);
+      EXPECT_THROW(tracker.track(this->exec(), input), ft::bad_argument);
     } else {
       tracker.update_map(this->exec(), 0, points.data(), updates);
       this->exec().wait();
-      tracker.track(this->exec());
+      tracker.track(this->exec(), input);
       this->exec().wait();
       auto const& r = tracker.result();
       EXPECT_GT(r.keypoints[0], 0);

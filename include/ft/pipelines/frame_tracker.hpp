@@ -159,10 +159,12 @@ public:
 
   /// Queues a whole frame: keypoints, stereo, search from the last frame (repeated with twice the
   /// radius where it finds too little), pose, search in the local map, pose.
-  /// @param inputs [batch]
+  /// @param inputs [batch] frame_input. A template here and below, so that {} is an input and no
+  /// null array
   /// @throws bad_argument where a camera was never given an image, for a predicted pose that is not
   /// finite, or for more local points than params().local_points
-  void track(Exec const& exec, frame_input const* inputs) {
+  template <typename Input>
+  void track(Exec const& exec, Input const* inputs) {
     images_.require_given();
     set_inputs(exec, inputs);
     run(exec, calls_[whole]);
@@ -174,7 +176,8 @@ public:
   }
 
   /// Queues the first half of track(), up to the first pose. @param T_predicted [batch]
-  void track_motion(Exec const& exec, pose const* T_predicted) {
+  template <typename Pose>
+  void track_motion(Exec const& exec, Pose const* T_predicted) {
     images_.require_given();
     set_predictions(exec, [&](int b) -> pose const& { return T_predicted[b]; });
     run(exec, calls_[motion]);
@@ -186,7 +189,8 @@ public:
 
   /// Queues the second half: search in the local map, from the first half's pose, and pose.
   /// @param local_slots [batch]
-  void track_local(Exec const& exec, slot_list const* local_slots) {
+  template <typename Slots>
+  void track_local(Exec const& exec, Slots const* local_slots) {
     batch_.require_made("tracker");
     set_local_slots([&](int b) -> slot_list const& { return local_slots[b]; });
     run(exec, calls_[local]);
@@ -200,8 +204,8 @@ public:
   /// the given pose: after extract(), or for another try after a search that failed. What the
   /// keypoints hold is forgotten.
   /// @param inputs [batch] @param search of this call alone
-  void relocalize(Exec const& exec, frame_input const* inputs,
-                  local_search_params const& search = {}) {
+  template <typename Input>
+  void relocalize(Exec const& exec, Input const* inputs, local_search_params const& search = {}) {
     batch_.require_made("tracker");
     set_inputs(exec, inputs);
     stages_.local_params = search;
@@ -223,10 +227,12 @@ public:
   }
   /// The same as arrays, in host memory.
   tracked_frame_view const& result() const { return stages_.memory.result; }
-  /// Time of each stage of the last call. Stages overlap: a time is what the stage adds. Allocates.
-  /// @throws bad_argument without params().measure_stages
+  /// Time of each stage of the last call; empty before any. Stages overlap: a time is what the
+  /// stage adds. Allocates. @throws bad_argument without params().measure_stages
   std::vector<stage_time> stage_times() const {
+    batch_.require_made("tracker");
     detail::require(params().measure_stages, "stage times need tracker_params::measure_stages");
+    if (last_call_ == call_count) { return {}; }
     return calls_[last_call_].clock.times();
   }
   /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many,
@@ -352,7 +358,7 @@ private:
   detail::moved_count batch_;
   stages_type stages_;
   call calls_[call_count];
-  call_number last_call_ = extracting;
+  call_number last_call_ = call_count;  ///< none
   int frame_number_ = 0;
   detail::frame_images<Exec> images_;
   buffer<point_update, space> updates_;

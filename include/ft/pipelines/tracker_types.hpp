@@ -104,6 +104,11 @@ public:
       ++i_;
       return *this;
     }
+    iterator operator++(int) {
+      iterator const before = *this;
+      ++i_;
+      return before;
+    }
     bool operator==(iterator const& other) const { return i_ == other.i_; }
     bool operator!=(iterator const& other) const { return i_ != other.i_; }
 

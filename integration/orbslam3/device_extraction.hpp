@@ -85,7 +85,7 @@ public:
     }
     extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
     stereo_.bf = s.bf;
-    stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf over Frame::mb
+    stereo_.max_disparity = s.baseline > 0 ? s.bf / s.baseline : 0;
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = s.height;
@@ -248,43 +248,41 @@ private:
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
       keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
       if constexpr (Rig::rectified) {
-        keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
-        if constexpr (Rig::rectified) {
-          extractor_.extract_from(exec, sources, no_items{}, all_grids);
-        } else {
-          extractor_.extract_from(exec, sources, detail::clear_partners{f.fisheye}, all_grids);
-        }
+        extractor_.extract_from(exec, sources, no_items{}, all_grids);
       } else {
-        extractor_.extract_from(exec, sources);
+        extractor_.extract_from(exec, sources, detail::clear_partners{f.fisheye}, all_grids);
       }
-      for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
-                                extractor_.keypoints(), extractor_.mono_count(), f.keypoints,
-                                f.mono, frames.arrays(b));
+    } else {
+      extractor_.extract_from(exec, sources);
     }
-    void took_grid(device_frames<Exec, Rig> & frames, int b) {
-      if (pair()) {
-        frames.has_grid(b, image_bounds());
-      } else {
-        frames[b].grid_made = false;
-      }
+    for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
+                              extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,
+                              frames.arrays(b));
+  }
+  void took_grid(device_frames<Exec, Rig>& frames, int b) {
+    if (pair()) {
+      frames.has_grid(b, image_bounds());
+    } else {
+      frames[b].grid_made = false;
     }
+  }
 
-    settings settings_;
-    helper_threads& helpers_;
-    Rig rig_;
-    orb_extractor<Exec> extractor_;
-    stereo_params stereo_;
-    feature_grid_view right_rows_;
-    std::uint8_t* images_ = nullptr;
-    image_source* sources_ = nullptr;  ///< [2] of the recordings
-    image_source* all_sources_ = nullptr;
-    image_source* no_sources_ = nullptr;
-    arena<space> memory_;
-    arena<staging> host_memory_;
-    stream_mark<Exec> features_there_;
-    recording<Exec> feature_recordings_[buffers];
-    recording<Exec> stereo_recordings_[buffers];
-  };
+  settings settings_;
+  helper_threads& helpers_;
+  Rig rig_;
+  orb_extractor<Exec> extractor_;
+  stereo_params stereo_;
+  feature_grid_view right_rows_;
+  std::uint8_t* images_ = nullptr;
+  image_source* sources_ = nullptr;  ///< [2] of the recordings
+  image_source* all_sources_ = nullptr;
+  image_source* no_sources_ = nullptr;
+  arena<space> memory_;
+  arena<staging> host_memory_;
+  stream_mark<Exec> features_there_;
+  recording<Exec> feature_recordings_[buffers];
+  recording<Exec> stereo_recordings_[buffers];
+};
 
 }  // namespace FT_ABI
 }  // namespace orbslam3

@@ -372,7 +372,6 @@ TYPED_TEST(frame_tracker_test, refuses_rigs_and_parameters_that_cannot_be) {
     refused_rig([&](auto& r) { r.camera.fx = v; });
     refused_rig([&](auto& r) { r.camera.fy = v; });
     refused_rig([&](auto& r) { r.baseline = v; });
-    refused_rig([&](auto& r) { r.bf = v; });
   }
   for (float const v : {nan, inf, -inf}) {
     refused_rig([&](auto& r) { r.camera.cx = v; });

@@ -126,7 +126,7 @@ std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
     ft::pose const T_cw = T_wc.inverse();
     if constexpr (Rig::rectified) {
       ft::pose T_rw = T_cw;
-      T_rw.t.x -= rig.baseline;
+      T_rw.t.x -= rig.baseline_length().value;
       walk.push_back(
           {render(rig.camera, walls, side, T_cw), render(rig.camera, walls, side, T_rw), T_cw});
     } else {

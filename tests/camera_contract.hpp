@@ -1284,12 +1284,13 @@ TYPED_TEST_P(camera_in_stages, points_are_visible_where_they_project_into_the_im
   params.levels = 8;
   ft::local_search<std::decay_t<decltype(TestFixture::rig())>> search;
   search.rig = TestFixture::rig();
-  search.poses = poses.data();
+  search.T_cw = poses.data();
   search.slots = d_slots.data();
   search.slot_count = count.data();
   search.frustum = params;
+  search.geometry = frame.geometry;
   search.seen = seen.data();
-  ft::find_visible_points(exec, search, frame.map.view(), frame.geometry, windows);
+  ft::find_visible_points(exec, search, frame.map.view(), windows);
   auto const got = from_exec(exec, static_cast<ft::visibility const*>(seen.data()), at(2 * n));
   int in_view = 0;
   int out_of_view = 0;
@@ -1334,22 +1335,24 @@ TYPED_TEST_P(camera_in_stages, points_of_the_last_frame_find_their_keypoints) {
   last.keypoints = last_keypoints.view();
   last.cameras = 2;
   last.holder = holder.data();
-  ft::search_windows_view windows;
-  ft::search_workspace work;
+  ft::search_buffers buffers;
   ft::arena<TestFixture::space> const memory([&](ft::carver& c) {
-    carve(c, windows, 2 * n, 1, 2);
-    carve(c, work, 2 * n, n, 1, 2);
+    carve(c, buffers.windows, 2 * n, 1, 2);
+    carve(c, buffers.work, 2 * n, n, 1, 2);
   });
   auto const pose = to_exec(exec, std::vector<ft::pose>{predicted});
-  ft::last_search_params params;
-  params.th = static_cast<float>(std::max(7.0, 0.02 * camera.focal()));
-  params.max_x = static_cast<float>(camera.width);
-  params.max_y = static_cast<float>(camera.height);
-  ft::search_last_frame(exec, TestFixture::rig(), static_cast<ft::pose const*>(pose.data()),
-                        static_cast<ft::pose const*>(pose.data()), frame.view, last,
-                        frame.map.view(), params, frame.geometry, windows, work);
+  ft::last_search<std::decay_t<decltype(TestFixture::rig())>> search;
+  search.rig = TestFixture::rig();
+  search.T_cw = pose.data();
+  search.last_T_cw = pose.data();
+  search.last = last;
+  search.geometry = frame.geometry;
+  search.params.window_radius = static_cast<float>(std::max(7.0, 0.02 * camera.focal()));
+  search.params.max_x = static_cast<float>(camera.width);
+  search.params.max_y = static_cast<float>(camera.height);
+  ft::search_last_frame(exec, search, frame.view, frame.map.view(), buffers);
   EXPECT_EQ(frame.holders(exec), own_points(s));
-  EXPECT_EQ(from_exec(exec, static_cast<int const*>(work.matches), 1)[0],
+  EXPECT_EQ(from_exec(exec, static_cast<int const*>(buffers.work.matches), 1)[0],
             static_cast<int>(s.left.size() + s.right.size()));
 }
 

@@ -156,7 +156,7 @@ private:
   bool is_at(rigid_pose const& guess, float width, frame_outcome& out) {
     timed("update local map", [&] { local_ = map_.recent_points(tracker_.params().local_points); });
     ft::local_search_params wide;
-    wide.th = width;
+    wide.radius_factor = width;
     run([&] { tracker_.relocalize(exec_, {to_ft(guess), local_}, wide); });
     out.local_points = static_cast<int>(local_.size());
     out.inliers = tracker_.result().inliers[0];

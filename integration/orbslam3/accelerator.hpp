@@ -185,8 +185,8 @@ public:
     request.T_cw = transform_of(current.GetPose());
     request.T_lw = transform_of(last.GetPose());
     request.image = frames_.bounds_of(current);
-    request.th = th;
-    request.mono = mono;
+    request.window_radius = th;
+    request.ignore_motion_direction = mono;
     int const matches = timer.on_device([&] { return device_->search_last_frame(request); });
     write_matches(request.current, current);
     return matches;
@@ -210,8 +210,8 @@ public:
     if (tested == 0) { return 0; }
     request.T_cw = transform_of(frame.GetPose());
     request.image = frames_.bounds_of(frame);
-    request.th = th;
-    request.far_distance = far_points ? far_threshold : 0.0f;
+    request.radius_factor = th;
+    request.max_distance = far_points ? far_threshold : 0.0f;
     auto const seen = timer.on_device([&] { return device_->search_local_map(request); });
     local_.write_sights(frame, points, seen);
     int const matches = timer.on_device([&] { return device_->local_matches(); });

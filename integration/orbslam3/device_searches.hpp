@@ -55,8 +55,8 @@ struct leave_out_far_point {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, visibility const* seen,
-                                 float far_distance, search_windows_view const& windows) const {
-    if (seen[item].level >= 0 && seen[item].distance > far_distance) {
+                                 float max_distance, search_windows_view const& windows) const {
+    if (seen[item].level >= 0 && seen[item].distance > max_distance) {
       windows.windows[item] = search_window::none();
       windows.windows[windows.capacity + item] = search_window::none();
     }
@@ -152,8 +152,8 @@ public:
       seen_ = c.take<visibility>(searched * all);
       listed_ = c.take<int>(all);
       windows_recorded_ = c.take<recorded_window>(searched * all);
-      carve(c, windows_, room, 1, searched);
-      carve(c, work_, room, keypoints_, 1, searched);
+      carve(c, buffers_.windows, room, 1, searched);
+      carve(c, buffers_.work, room, keypoints_, 1, searched);
     });
     local_host_memory_ = arena<staging>([&](carver& c) {
       staged_slots_ = c.take<int>(all);
@@ -162,8 +162,8 @@ public:
       staged_windows_ = c.take<recorded_window>(searched * all);
     });
     std::fill_n(staged_slots_, n, no_slot_yet);
-    // Candidates are read beside how many there are.
-    fill_bytes(exec, work_.list, 0xff, work_.list_bytes());
+    // Candidates are loaded together with their number.
+    fill_bytes(exec, buffers_.work.list, 0xff, buffers_.work.list_bytes());
     local_capacity_ = n;
     return true;
   }
@@ -197,7 +197,8 @@ public:
                          s.seen.cosine, s.seen.distance, s.seen.level};
       search_window window = search_window::none();
       if (s.camera != recorded_sight::not_right_alone) {
-        window = window_of(v, s.slot, s.camera == 0 ? r.th : 1.0f, Rig::rectified, geometry);
+        window =
+            window_of(v, s.slot, s.camera == 0 ? r.radius_factor : 1.0f, Rig::rectified, geometry);
       }
       staged_windows_[i] = {s.index, s.camera, window};
     }
@@ -214,50 +215,53 @@ public:
 
   void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
                         device_frame const& last) {
-    last_search_params params;
-    params.th = r.th;
-    params.mono = r.mono;
-    params.orientation_check = settings_.orientation_check;
-    params.reference_quirks = settings_.reference_quirks;
-    params.min_x = r.image.min_x;
-    params.min_y = r.image.min_y;
-    params.max_x = r.image.max_x;
-    params.max_y = r.image.max_y;
-    windows_.capacity = searched * keypoints_;
-    ft::search_last_frame(exec, rig_, poses_, poses_ + 1, c.frame,
-                          last_frame_view{last.keypoints, 2, searched, last.holder}, c.map, params,
-                          c.geometry, windows_, work_);
+    last_search<Rig> search;
+    search.rig = rig_;
+    search.T_cw = poses_;
+    search.last_T_cw = poses_ + 1;
+    search.last = {last.keypoints, 2, searched, last.holder};
+    search.geometry = c.geometry;
+    search.params.window_radius = r.window_radius;
+    search.params.ignore_motion_direction = r.ignore_motion_direction;
+    search.params.orientation_check = settings_.orientation_check;
+    search.params.reference_quirks = settings_.reference_quirks;
+    search.params.min_x = r.image.min_x;
+    search.params.min_y = r.image.min_y;
+    search.params.max_x = r.image.max_x;
+    search.params.max_y = r.image.max_y;
+    buffers_.windows.capacity = searched * keypoints_;
+    ft::search_last_frame(exec, search, c.frame, c.map, buffers_);
   }
 
   /// The frustum test, candidates, and the points in view down.
   void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
-    windows_.capacity = size_of(r.points);
+    buffers_.windows.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      list_local_map(exec, search_of(r), c.frame, c.map, c.geometry, search_params{}, windows_,
-                     work_);
+      list_local_map(exec, search_of(r, c.geometry), c.frame, c.map, buffers_);
     } else {
-      find_visible_points(exec, search_of(r), c.map, c.geometry, windows_);
+      find_visible_points(exec, search_of(r, c.geometry), c.map, buffers_.windows);
     }
-    for_each_item<per_block<1024>>(exec, 1, list_points_in_view{},
-                                   static_cast<visibility const*>(seen_), searched,
-                                   windows_.capacity, static_cast<int const*>(slot_count_), listed_,
-                                   in_view_, staged_index_, staged_sights_, local_capacity_);
+    for_each_item<per_block<1024>>(
+        exec, 1, list_points_in_view{}, static_cast<visibility const*>(seen_), searched,
+        buffers_.windows.capacity, static_cast<int const*>(slot_count_), listed_, in_view_,
+        staged_index_, staged_sights_, local_capacity_);
   }
   /// The rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
-    windows_.capacity = size_of(r.points);
+    buffers_.windows.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      assign_candidates(exec, c.frame, c.map, windows_, search_params{}, work_);
+      assign_candidates(exec, c.frame, c.map, search_params{}, buffers_);
       return;
     }
     if (by_both(r)) {
       for_each_item<per_thread>(exec, r.points, leave_out_far_point{},
-                                static_cast<visibility const*>(seen_), r.far_distance, windows_);
+                                static_cast<visibility const*>(seen_), r.max_distance,
+                                buffers_.windows);
     }
     for_each_item<per_thread>(exec, r.recorded, place_recorded_window{},
                               static_cast<recorded_window const*>(windows_recorded_),
-                              static_cast<visibility const*>(seen_), windows_);
-    search_by_projection(exec, c.frame, c.map, windows_, search_params{}, work_);
+                              static_cast<visibility const*>(seen_), buffers_.windows);
+    search_by_projection(exec, c.frame, c.map, search_params{}, buffers_);
   }
 
   void queue_pose(Exec const& exec, context const& c) {
@@ -269,7 +273,7 @@ public:
 
   void download_matches(Exec const& exec, int* holder, frame_view const& frame) {
     word_mover<Exec> down;
-    down.add(exec, found_, work_.matches, 1);
+    down.add(exec, found_, buffers_.work.matches, 1);
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
@@ -289,12 +293,12 @@ public:
   }
 
 private:
-  static bool by_both(local_map_request const& r) { return !Rig::rectified && r.far_distance > 0; }
+  static bool by_both(local_map_request const& r) { return !Rig::rectified && r.max_distance > 0; }
 
-  local_search<Rig> search_of(local_map_request const& r) const {
+  local_search<Rig> search_of(local_map_request const& r, pyramid_geometry const& geometry) const {
     local_search<Rig> search;
     search.rig = rig_;
-    search.poses = poses_;
+    search.T_cw = poses_;
     search.slots = slots_;
     search.slot_count = slot_count_;
     search.frustum.min_x = r.image.min_x;
@@ -303,8 +307,9 @@ private:
     search.frustum.max_y = r.image.max_y;
     search.frustum.log_scale_factor = log_rounded(settings_.scale_factor);
     search.frustum.levels = settings_.levels;
-    search.params.th = r.th;
-    search.params.far_distance = Rig::rectified ? r.far_distance : 0;
+    search.geometry = geometry;
+    search.params.radius_factor = r.radius_factor;
+    search.params.max_distance = Rig::rectified ? r.max_distance : 0;
     search.seen = seen_;
     return search;
   }
@@ -314,8 +319,7 @@ private:
   int keypoints_ = 0;
   int local_capacity_ = 0;
   observations_view observations_;
-  search_windows_view windows_;
-  search_workspace work_;
+  search_buffers buffers_;
   pose* poses_ = nullptr;  ///< expected, last frame's, optimised
   int* slot_count_ = nullptr;
   int* slots_ = nullptr;

@@ -151,13 +151,15 @@ public:
     begin(2 * sizeof(pose));
     frames_.make_grid(exec_, r.current, r.image);
     auto const call = context_of(r.current);
-    replay(key_of(1, r.current, 0, r.image, r.th, r.mono ? 1.0f : 0.0f), [&](Exec const& exec) {
-      searches_.upload(exec, 2, false);
-      clock_.mark(exec, 1);
-      searches_.queue_last_frame(exec, call, r, frames_[r.last]);
-      clock_.mark(exec, 2);
-      searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
-    });
+    replay(
+        key_of(1, r.current, 0, r.image, r.window_radius, r.ignore_motion_direction ? 1.0f : 0.0f),
+        [&](Exec const& exec) {
+          searches_.upload(exec, 2, false);
+          clock_.mark(exec, 1);
+          searches_.queue_last_frame(exec, call, r, frames_[r.last]);
+          clock_.mark(exec, 2);
+          searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
+        });
     finish(sizeof(int) + holder_bytes());
     return searches_.matches();
   }
@@ -181,9 +183,9 @@ public:
     };
     if (r.recorded == 0) {
       int const size = searches_.size_of(r.points);
-      replay(key_of(2, r.buffer, size, r.image, r.th, r.far_distance), lists);
+      replay(key_of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
       sights_there_.set(exec_);
-      replay(key_of(3, r.buffer, size, r.image, r.th, r.far_distance), choice);
+      replay(key_of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
     } else {
       lists(exec_);
       sights_there_.set(exec_);

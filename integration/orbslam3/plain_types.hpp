@@ -139,8 +139,8 @@ struct last_frame_request {
   transform T_cw;  ///< expected
   transform T_lw;
   bounds image{};
-  float th = 7;
-  bool mono = false;
+  float window_radius = 7;  ///< half side of a window at scale 1, pixels
+  bool ignore_motion_direction = false;
 };
 
 struct local_map_request {
@@ -150,8 +150,8 @@ struct local_map_request {
   int points = 0;             ///< slots in local_slots(), -1 = not tested
   bool slots_changed = true;  ///< since the last request
   int recorded = 0;           ///< entries in recorded_sights()
-  float th = 1;
-  float far_distance = 0;  ///< points beyond are not searched; 0 = no limit, metres
+  float radius_factor = 1;    ///< of the windows of the left camera
+  float max_distance = 0;     ///< points beyond are not searched; 0 = no limit, metres
 };
 
 struct pose_result {

@@ -467,29 +467,32 @@ private:
     auto const d_pred = to_exec(exec_, std::vector<ft::pose>{read_pose(k, "Tcw_pred")});
     auto const d_tlw = to_exec(exec_, std::vector<ft::pose>{read_pose(k, "Tlw")});
     int const most = std::max(cameras * capacity, points);
-    ft::search_windows_view windows;
-    ft::search_workspace work;
+    ft::search_buffers buffers;
     ft::observations_view observations;
     ft::arena<Exec::space> memory([&](ft::carver& c) {
-      ft::carve(c, windows, most, 1, cameras);
-      ft::carve(c, work, most, capacity, 1, cameras);
+      ft::carve(c, buffers.windows, most, 1, cameras);
+      ft::carve(c, buffers.work, most, capacity, 1, cameras);
       ft::carve(c, observations, cameras * capacity, 1);
     });
     for (int ori = 1; ori >= 0; --ori) {
       std::string const name = ori != 0 ? "sbp_last" : "sbp_last_noori";
       auto const setting = read_npy<float>(path("pair", k, name + "_th_nnratio_n"));
-      ft::last_search_params params;
-      params.th = setting(0);
-      params.reference_quirks = true;
-      params.max_x = static_cast<float>(params_.width);
-      params.max_y = static_cast<float>(params_.height);
-      params.orientation_check = ori != 0;
-      ft::search_last_frame(exec_, rig, d_pred.data(), d_tlw.data(), frame, last, map.view(),
-                            params, orb_.geometry(), windows, work);
+      ft::last_search<std::decay_t<decltype(rig)>> search;
+      search.rig = rig;
+      search.T_cw = d_pred.data();
+      search.last_T_cw = d_tlw.data();
+      search.last = last;
+      search.geometry = orb_.geometry();
+      search.params.window_radius = setting(0);
+      search.params.reference_quirks = true;
+      search.params.max_x = static_cast<float>(params_.width);
+      search.params.max_y = static_cast<float>(params_.height);
+      search.params.orientation_check = ori != 0;
+      ft::search_last_frame(exec_, search, frame, map.view(), buffers);
       compare_holders(table["search_last_frame"],
                       spread(read_npy<std::int32_t>(path("pair", k, name)).data, counts), counts,
                       get_array<int>(frame.holder, numbers));
-      table["search_last_frame"].add(get_array<int>(work.matches, 1)[0] ==
+      table["search_last_frame"].add(get_array<int>(buffers.work.matches, 1)[0] ==
                                      static_cast<int>(setting(2)));
     }
 
@@ -517,13 +520,20 @@ private:
     fp.log_scale_factor = ft::log_rounded(params_.scale_factor);
     fp.levels = params_.levels;
     ft::local_search_params lp;
-    lp.th = setting(0);
+    lp.radius_factor = setting(0);
     using rig_type = std::decay_t<decltype(rig)>;
-    ft::find_visible_points(
-        exec_,
-        ft::local_search<rig_type>{
-            rig, d_local.data(), d_slots.data(), d_count.data(), {}, fp, lp, seen.data()},
-        map.view(), orb_.geometry(), windows);
+    ft::find_visible_points(exec_,
+                            ft::local_search<rig_type>{rig,
+                                                       d_local.data(),
+                                                       d_slots.data(),
+                                                       d_count.data(),
+                                                       {},
+                                                       fp,
+                                                       orb_.geometry(),
+                                                       lp,
+                                                       {},
+                                                       seen.data()},
+                            map.view(), buffers.windows);
     auto const vis =
         get_array<ft::visibility>(seen.data(), static_cast<std::size_t>(most * cameras));
     auto const inview = read_npy<std::int32_t>(path("pair", k, "local_inview"));
@@ -562,15 +572,15 @@ private:
             ft::window_of(v, local(i), c == 0 ? setting(0) : 1.0f, !fisheye_, orb_.geometry());
       }
     }
-    ft::copy(exec_, windows.windows, recorded.data(), recorded.size());
+    ft::copy(exec_, buffers.windows.windows, recorded.data(), recorded.size());
     ft::search_params sp;
     sp.ratio = setting(1);
-    ft::search_by_projection(exec_, frame, map.view(), windows, sp, work);
+    ft::search_by_projection(exec_, frame, map.view(), sp, buffers);
     compare_holders(
         table["search_local_map"],
         spread(read_npy<std::int32_t>(path("pair", k, "cur_mp_after_local")).data, counts), counts,
         get_array<int>(frame.holder, numbers));
-    table["search_local_map"].add(get_array<int>(work.matches, 1)[0] ==
+    table["search_local_map"].add(get_array<int>(buffers.work.matches, 1)[0] ==
                                   static_cast<int>(setting(2)));
   }
 

@@ -183,9 +183,9 @@ void search(fuzz::input& in, field_of_keypoints const& f) {
   for (int k = 0; k < capacity; ++k) { frame.holder[k] = -1; }
   ft::search_params params;
   params.kind = in.flag() ? ft::search_kind::last_frame : ft::search_kind::local_map;
-  params.max_distance = in.within(0, 256);
+  params.max_hamming = in.within(0, 256);
   params.ratio = in.number(0, 1);
-  ft::search_by_projection(exec(), frame, map.view(), in_windows, params, work);
+  ft::search_by_projection(exec(), frame, map.view(), params, {in_windows, work});
   int held = 0;
   auto const kp = frame.keypoints;
   for (int k = 0; k < capacity; ++k) {
@@ -200,7 +200,7 @@ void search(fuzz::input& in, field_of_keypoints const& f) {
     }
     fuzz::require(found && k < *kp.count, "a keypoint is given to a point that looked there");
     fuzz::require(ft::hamming(ft::get<ft::field::orb>(kp, k),
-                              ft::get<ft::field::orb>(map.view(), slot)) <= params.max_distance,
+                              ft::get<ft::field::orb>(map.view(), slot)) <= params.max_hamming,
                   "descriptors that differ too much are not matched");
   }
   fuzz::require(held <= *work.matches, "every keypoint that was given a point is counted");

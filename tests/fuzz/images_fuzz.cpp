@@ -120,7 +120,7 @@ void track(fuzz::input& in, ft::orb_params const& orb) {
   p.map_slots = in.within(1, 60);
   p.local_points = in.within(1, 60);
   p.updates = in.within(1, 60);
-  p.last_th = in.number(0.1f, 40);
+  p.window_radius = in.number(0.1f, 40);
   p.enough_matches = in.within(-1, 40);
   auto const rig = ft::rectified_rig::make({90, 90, 80, 60}, 0.1f);
   fuzz::accepted<ft::bad_argument>([&] {

@@ -302,9 +302,11 @@ struct local_map_run {
                                    d_count.data(),
                                    {d_stamp.data(), stamps.empty() ? nullptr : d_stamps.data()},
                                    bounds(),
+                                   g,
                                    search,
+                                   ft::search_params{},
                                    d_seen.data()},
-        map, g, out);
+        map, out);
     windows = test::from_exec(exec, static_cast<ft::search_window const*>(out.windows), n);
     seen = test::from_exec(exec, static_cast<ft::visibility const*>(d_seen.data()), n);
     count =
@@ -330,8 +332,8 @@ TYPED_TEST(frustum_unit, windows_of_a_local_map) {
   auto turned = ft::pose::identity();  // half a turn: all but point 3 are behind
   turned.R = {{-1, 0, 0, 0, 1, 0, 0, 0, -1}};
   ft::local_search_params search;
-  search.th = 3;
-  search.far_distance = 20;
+  search.radius_factor = 3;
+  search.max_distance = 20;
   // Entries past the count hold valid slots, which must not be looked at.
   std::vector<int> const slots{9, 3, -1, 5, 6, 100, 4, 2, 2, /**/ 0, 3, 1, 1, 1, 1, 1, 1, 1};
   std::vector<int> stamps(20, 0);
@@ -380,7 +382,7 @@ TYPED_TEST(frustum_unit, the_right_fisheye_camera_has_its_own_view) {
   std::vector<int> slots;
   for (int i = 0; i < 200; ++i) { slots.push_back(i); }
   ft::local_search_params search;
-  search.th = 3;
+  search.radius_factor = 3;
   local_map_run<fisheye_rig, TestFixture::space, typename TypeParam::exec_type> const run(
       exec, rig, {ft::pose::identity()}, map.view(), slots, {200}, {}, {0}, search);
   auto const by_left = this->look_at(points, left);
@@ -397,7 +399,7 @@ TYPED_TEST(frustum_unit, the_right_fisheye_camera_has_its_own_view) {
     different += static_cast<int>((by_left[at].level >= 0) != (by_right[at].level >= 0));
     auto const& w = run.window(1, 0, i);
     EXPECT_EQ(w.slot, by_right[at].level >= 0 ? i : -1);
-    if (w.slot >= 0) {  // th is the left camera's
+    if (w.slot >= 0) {  // the factor is the left camera's
       EXPECT_EQ(w.radius,
                 (by_right[at].cosine > 0.998f ? 2.5f : 4.0f) * g.scale[by_right[at].level]);
       EXPECT_FALSE(w.check_right);

@@ -248,7 +248,7 @@ outcome search_in_order(scene const& s, tally& seen) {
               continue;
             }
           }
-          candidates += static_cast<int>(distance <= s.params.max_distance);
+          candidates += static_cast<int>(distance <= s.params.max_hamming);
           if (held >= 0 && observations[held] > 0) {
             best_blocked = std::min(best_blocked, distance);
             continue;
@@ -266,8 +266,8 @@ outcome search_in_order(scene const& s, tally& seen) {
         }
         seen.long_lists += static_cast<long>(candidates > ft::search_workspace::list_size);
         seen.blocked +=
-            static_cast<long>(best_blocked < best && best_blocked <= s.params.max_distance);
-        if (best_k < 0 || best > s.params.max_distance) { continue; }
+            static_cast<long>(best_blocked < best && best_blocked <= s.params.max_hamming);
+        if (best_k < 0 || best > s.params.max_hamming) { continue; }
         if (local && best_octave == second_octave &&
             static_cast<float>(best) > s.params.ratio * static_cast<float>(second)) {
           if (c == 0) {
@@ -301,36 +301,30 @@ outcome search_in_order(scene const& s, tally& seen) {
 
 // ---- ft ---------------------------------------------------------------------------------------
 
-/// Lists candidates without holders in the prologue, and removes those that are held afterwards.
+/// Lists candidates before it is known which keypoints are held.
 struct list_then_leave_out {
   using scratch = ft::detail::list_candidates::scratch;
 
   template <typename Group>
   FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, ft::frame_view frame,
-                               ft::map_points_view const& map,
-                               ft::search_windows_view const& windows, ft::search_params params,
-                               ft::search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    int const i = item % windows.capacity;
-    if (i >= windows.count[b]) { return false; }
+                               ft::map_points_view const& map, ft::search_params const& params,
+                               ft::search_buffers const& buffers) const {
+    int const b = item / buffers.windows.capacity;
+    int const i = item % buffers.windows.capacity;
+    if (i >= buffers.windows.count[b]) { return false; }
     frame.holder = nullptr;
-    params.holders_later = true;
-    ft::window_pair pair;
-    pair.of[0] = windows.at(0, b, i);
-    if (frame.cameras == 2) { pair.of[1] = windows.at(1, b, i); }
-    ft::detail::list_candidates::list(g, s, b, i, pair, frame, map, params, work);
+    ft::detail::list_candidates::list_all(g, s, {b, frame, map, params, buffers, true},
+                                          buffers.windows.pair(b, i));
     return true;
   }
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, ft::frame_view const& frame,
-                                 ft::map_points_view const& map,
-                                 ft::search_windows_view const& windows,
-                                 ft::search_params const& params,
-                                 ft::search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    ft::detail::list_candidates::leave_out(
-        g, s, b, item % windows.capacity,
-        ft::detail::list_candidates::held(g, s, b, frame, map, params), frame, params, work);
+                                 ft::map_points_view const& map, ft::search_params const& params,
+                                 ft::search_buffers const& buffers) const {
+    int const b = item / buffers.windows.capacity;
+    ft::detail::frame_search const in{b, frame, map, params, buffers, true};
+    ft::detail::list_candidates::write_free(g, s, in, item % buffers.windows.capacity,
+                                            ft::detail::list_candidates::held(g, s, in));
   }
 };
 
@@ -400,34 +394,32 @@ outcome search(Exec const& exec, scene const& s) {
   frame.partner = s.partner.empty() ? nullptr : partner;
   frame.holder = holder;
 
+  ft::search_buffers const buffers{windows, work};
   bool const all_images = s.cameras == s.step;
   ft::build_grid<ft::nearest_cell>(exec, keypoints, 0, all_images ? 1 : s.step, s.cameras * s.batch,
                                    grids);
   if (s.turned) {
-    ft::last_search<ft::rectified_rig> search{};  // of it the last frame alone is looked at
+    ft::last_search<ft::rectified_rig> search;  // only the last frame and `matching` are used
     search.last.keypoints = last;
     search.last.cameras = s.cameras;
+    search.matching = s.params;
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity,
-                                    ft::detail::list_candidates{}, frame, map, windows, s.params,
-                                    work);
+                                    ft::detail::list_candidates{}, frame, map, s.params, buffers);
     ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
         exec, windows.batch, ft::detail::assign_last_points<ft::rectified_rig, Rounds>{}, search,
-        frame, map, ft::pyramid_geometry{}, s.params, ft::point_stamps{}, windows, work);
+        frame, map, buffers);
   } else if (Way::early && s.params.kind == ft::search_kind::local_map && !s.params.from_empty) {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity, list_then_leave_out{},
-                                    frame, map, windows, s.params, work);
+                                    frame, map, s.params, buffers);
     ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
-        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, windows, s.params,
-        work);
+        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, s.params, buffers);
   } else if constexpr (Rounds == Exec::asynchronous) {
-    ft::search_by_projection(exec, frame, map, windows, s.params, work);
+    ft::search_by_projection(exec, frame, map, s.params, buffers);
   } else {
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity,
-                                    ft::detail::list_candidates{}, frame, map, windows, s.params,
-                                    work);
+                                    ft::detail::list_candidates{}, frame, map, s.params, buffers);
     ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(
-        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, windows, s.params,
-        work);
+        exec, windows.batch, ft::detail::assign_keypoints<Rounds>{}, frame, map, s.params, buffers);
   }
   outcome out;
   out.holder = test::from_exec(exec, static_cast<int const*>(holder), s.holder.size());
@@ -524,7 +516,7 @@ scene random_scene(unsigned seed, ft::search_kind kind, int cameras, scene_limit
                             : ft::grid_geometry::over(min_x, min_y, min_x + width, min_y + height,
                                                       g.from_to(1, 20), g.from_to(1, 20));
   s.params.kind = kind;
-  if (g.chance(20)) { s.params.max_distance = g.below(257); }
+  if (g.chance(20)) { s.params.max_hamming = g.below(257); }
   if (g.chance(20)) { s.params.ratio = g.real(0.05f, 1.2f); }
 
   std::vector<ft::descriptor> looks(at(g.from_to(1, 6)));
@@ -767,7 +759,7 @@ protected:
                 bit_distance(
                     s.wanted[at(static_cast<std::ptrdiff_t>(b) * s.slots + w.slot)],
                     s.orb[at(static_cast<std::ptrdiff_t>(s.image(b, c)) * s.capacity + k)]) <=
-                    s.params.max_distance;
+                    s.params.max_hamming;
           }
           bool const left_out = (lists & work::left_out) != 0;
           bool const unlisted = (lists & work::unlisted) != 0;

@@ -62,13 +62,12 @@ std::vector<bool> search(Exec const& exec, scene const& s) {
   ft::map_points<Exec::space> const map(n, 1);
   ft::frame_view frame;
   ft::last_frame_view last;
-  ft::search_windows_view windows;
-  ft::search_workspace work;
+  ft::search_buffers buffers;
   ft::arena<Exec::space> const memory([&](ft::carver& c) {
     carve(c, frame.grids, ft::grid_geometry::over(0, 0, width, height), n, 1);
     carve(c, last.keypoints, n, 1);
-    carve(c, windows, n, 1, 1);
-    carve(c, work, n, n, 1, 1);
+    carve(c, buffers.windows, n, 1, 1);
+    carve(c, buffers.work, n, n, 1, 1);
   });
   std::vector<float> keypoint_x, max_distance;
   std::vector<ft::vec3<float>> position, normal;
@@ -114,23 +113,28 @@ std::vector<bool> search(Exec const& exec, scene const& s) {
   last.holder = d_slots.data();
   ft::build_grid<ft::nearest_cell>(exec, frame.keypoints, 0, 1, 1, frame.grids);
   if (s.from_last_frame) {
-    ft::last_search_params p;
-    p.retry_below = s.retry_below;
-    p.max_x = width;
-    p.max_y = height;
-    ft::search_last_frame(exec, rig(), poses.data(), poses.data() + 1, frame, last, map.view(), p,
-                          g, windows, work);
+    ft::last_search<ft::rectified_rig> search;
+    search.rig = rig();
+    search.T_cw = poses.data();
+    search.last_T_cw = poses.data() + 1;
+    search.last = last;
+    search.geometry = g;
+    search.params.retry_below = s.retry_below;
+    search.params.max_x = width;
+    search.params.max_y = height;
+    ft::search_last_frame(exec, search, frame, map.view(), buffers);
   } else {
     ft::local_search<ft::rectified_rig> local;
     local.rig = rig();
-    local.poses = poses.data();
+    local.T_cw = poses.data();
     local.slots = d_slots.data();
     local.slot_count = d_count.data();
     local.frustum.max_x = width;
     local.frustum.max_y = height;
     local.frustum.log_scale_factor = ft::log_rounded(1.2f);
     local.frustum.levels = levels;
-    ft::search_local_map(exec, local, frame, map.view(), g, ft::search_params{}, windows, work);
+    local.geometry = g;
+    ft::search_local_map(exec, local, frame, map.view(), buffers);
   }
   auto const holder = test::from_exec(exec, static_cast<int const*>(d_holder.data()), size);
   std::vector<bool> found;

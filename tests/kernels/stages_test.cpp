@@ -617,11 +617,11 @@ struct tracking_case {
     frustum.max_y = last_params.max_y = image_height;
     frustum.levels = 8;
     frustum.log_scale_factor = ft::log_rounded(1.2f);
-    last_params.th = g.real(3, 20);
-    last_params.mono = g.chance(20);
+    last_params.window_radius = g.real(3, 20);
+    last_params.ignore_motion_direction = g.chance(20);
     last_params.reference_quirks = g.chance(20);
-    local_params.th = g.real(0.5f, 4);
-    if (g.chance(30)) { local_params.far_distance = g.real(3, 12); }
+    local_params.radius_factor = g.real(0.5f, 4);
+    if (g.chance(30)) { local_params.max_distance = g.real(3, 12); }
     right_x.assign(at(batch * capacity), -1.0f);
     partner.assign(at(batch * cameras * capacity), -1);
     last_holder.assign(at(batch * cameras * capacity), -1);
@@ -772,8 +772,9 @@ public:
     ft::last_search_params params = case_.last_params;
     params.orientation_check = orientation_check;
     auto const run = [&](ft::last_search_params const& with) {
-      ft::search_last_frame(exec_, case_.rig, predicted_, last_, frame_, last, map_, with,
-                            case_.geometry, windows_, work_);
+      ft::last_search<std::decay_t<decltype(case_.rig)>> const search{
+          case_.rig, predicted_, last_, last, case_.geometry, with, {}};
+      ft::search_last_frame(exec_, search, frame_, map_, {windows_, work_});
       return test::from_exec(exec_, static_cast<int const*>(holder_),
                              at(case_.batch) * at(frame_.numbers()));
     };
@@ -782,7 +783,7 @@ public:
       auto const first =
           test::from_exec(exec_, static_cast<int const*>(work_.matches), at(case_.batch));
       auto wider = params;
-      wider.th *= 2;
+      wider.window_radius *= 2;
       auto const wide = run(wider);
       params.retry_below = first[0];
       auto const got = run(params);
@@ -802,16 +803,11 @@ public:
   }
   record find_visible() {
     using rig_type = std::decay_t<decltype(case_.rig)>;
-    ft::find_visible_points(exec_,
-                            ft::local_search<rig_type>{case_.rig,
-                                                       predicted_,
-                                                       slots_,
-                                                       slot_count_,
-                                                       {stamp_, stamps_},
-                                                       case_.frustum,
-                                                       case_.local_params,
-                                                       seen_},
-                            map_, case_.geometry, windows_);
+    ft::local_search<rig_type> const search{case_.rig,      predicted_,         slots_,
+                                            slot_count_,    {stamp_, stamps_},  case_.frustum,
+                                            case_.geometry, case_.local_params, ft::search_params{},
+                                            seen_};
+    ft::find_visible_points(exec_, search, map_, windows_);
     record r;
     auto const all = test::from_exec(exec_, static_cast<ft::visibility const*>(seen_),
                                      at(cameras) * at(case_.batch) * at(windows_capacity_));
@@ -828,7 +824,7 @@ public:
     return r;
   }
   record search_local(ft::search_params const& params) {
-    ft::search_by_projection(exec_, frame_, map_, windows_, params, work_);
+    ft::search_by_projection(exec_, frame_, map_, params, {windows_, work_});
     record r;
     add_search(r);
     return r;
@@ -1013,7 +1009,7 @@ void compare_tracking(executors& on, int cases, int most_points, unsigned first_
     b.take(a.windows());
     ft::search_params params;
     if (g.chance(30)) { params.ratio = g.real(0.3f, 1.1f); }
-    if (g.chance(30)) { params.max_distance = g.below(200); }
+    if (g.chance(30)) { params.max_hamming = g.below(200); }
     {
       SCOPED_TRACE("search in the local map");
       expect_same_bits(a.search_local(params), b.search_local(params));

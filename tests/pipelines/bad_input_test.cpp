@@ -1123,8 +1123,7 @@ search_answer search(Exec const& exec, search_scene const& s, ft::rectified_rig 
   ft::frame_view frame;
   ft::last_frame_view last;
   ft::map_points_view map;
-  ft::search_windows_view windows;
-  ft::search_workspace work;
+  ft::search_buffers buffers;
   ft::pose* poses = nullptr;
   int* slots = nullptr;
   int* slot_count = nullptr;
@@ -1136,8 +1135,8 @@ search_answer search(Exec const& exec, search_scene const& s, ft::rectified_rig 
     carve(c, frame.grids, geometry, n, 1);
     carve(c, last.keypoints, n, 1);
     carve(c, map, m, 1);
-    carve(c, windows, n, 1, 1);
-    carve(c, work, n, n, 1, 1);
+    carve(c, buffers.windows, n, 1, 1);
+    carve(c, buffers.work, n, n, 1, 1);
     frame.holder = c.take<int>(n);
     last_holder = c.take<int>(n);
     right_x = c.take<float>(n);
@@ -1182,27 +1181,33 @@ search_answer search(Exec const& exec, search_scene const& s, ft::rectified_rig 
   put(poses, std::vector<ft::pose>{ft::pose::identity(), last_pose});
   ft::build_grid<ft::nearest_cell>(exec, frame.keypoints, 0, 1, 1, frame.grids);
   if (retry_below >= 0) {
-    ft::last_search_params p;
-    p.retry_below = retry_below;
-    p.max_x = width;
-    p.max_y = height;
-    ft::search_last_frame(exec, rig, poses, poses + 1, frame, last, map, p, g, windows, work);
+    ft::last_search<ft::rectified_rig> search;
+    search.rig = rig;
+    search.T_cw = poses;
+    search.last_T_cw = poses + 1;
+    search.last = last;
+    search.geometry = g;
+    search.params.retry_below = retry_below;
+    search.params.max_x = width;
+    search.params.max_y = height;
+    ft::search_last_frame(exec, search, frame, map, buffers);
   } else {
     ft::local_search<ft::rectified_rig> local;
     local.rig = rig;
-    local.poses = poses;
+    local.T_cw = poses;
     local.slots = slots;
     local.slot_count = slot_count;
     local.frustum.max_x = width;
     local.frustum.max_y = height;
     local.frustum.log_scale_factor = ft::log_rounded(g.scale_factor);
     local.frustum.levels = g.levels;
-    local.params.th = th;
-    ft::search_local_map(exec, local, frame, map, g, ft::search_params{}, windows, work);
+    local.geometry = g;
+    local.params.radius_factor = th;
+    ft::search_local_map(exec, local, frame, map, buffers);
   }
   exec.wait();
   return {test::from_exec(exec, static_cast<int const*>(frame.holder), at(n)),
-          test::from_exec(exec, static_cast<int const*>(work.matches), 1)[0]};
+          test::from_exec(exec, static_cast<int const*>(buffers.work.matches), 1)[0]};
 }
 
 TYPED_TEST(bad_input_test, searches_with_equal_descriptors_take_what_the_rules_say) {

@@ -130,8 +130,8 @@ public:
       carve(c, frame_.grids, cells, n, 1);
       carve(c, last_keypoints_, n, 1);
       carve(c, map_, map_slots, 1);
-      carve(c, windows_, n, 1, 1);
-      carve(c, work_, n, n, 1, 1);
+      carve(c, buffers_.windows, n, 1, 1);
+      carve(c, buffers_.work, n, n, 1, 1);
       carve(c, observations_, n, 1);
       frame_.holder = c.template take<int>(at(n));
       last_holder_ = c.template take<int>(at(n));
@@ -177,18 +177,22 @@ public:
   int track_motion(ft::pose const& predicted, ft::pose const& last) {
     std::vector<ft::pose> const poses{predicted, last};
     ft::copy(exec_, poses_, poses.data(), 2);
-    ft::last_search_params search;
-    search.th = 15;
-    search.min_x = bounds_.min_x;
-    search.min_y = bounds_.min_y;
-    search.max_x = bounds_.max_x;
-    search.max_y = bounds_.max_y;
-    search.retry_below = 20;
-    ft::search_last_frame(exec_, rig_, poses_, poses_ + 1, frame_, last_, map_, search,
-                          orb_.geometry(), windows_, work_);
+    ft::last_search<ft::rectified_rig> search;
+    search.rig = rig_;
+    search.T_cw = poses_;
+    search.last_T_cw = poses_ + 1;
+    search.last = last_;
+    search.geometry = orb_.geometry();
+    search.params.window_radius = 15;
+    search.params.min_x = bounds_.min_x;
+    search.params.min_y = bounds_.min_y;
+    search.params.max_x = bounds_.max_x;
+    search.params.max_y = bounds_.max_y;
+    search.params.retry_below = 20;
+    ft::search_last_frame(exec_, search, frame_, map_, buffers_);
     optimize();
     exec_.wait();
-    return test::from_exec(exec_, static_cast<int const*>(work_.matches), 1)[0];
+    return test::from_exec(exec_, static_cast<int const*>(buffers_.work.matches), 1)[0];
   }
   /// Search for more points, and the pose. @return likewise
   int track_local(std::vector<int> const& slots, ft::pose const* start = nullptr) {
@@ -198,18 +202,19 @@ public:
     if (start != nullptr) { ft::copy(exec_, poses_, start, 1); }
     ft::local_search<ft::rectified_rig> local;
     local.rig = rig_;
-    local.poses = poses_;
+    local.T_cw = poses_;
     local.slots = slots_;
     local.slot_count = slot_count_;
     local.frustum = {bounds_.min_x, bounds_.min_y, bounds_.max_x, bounds_.max_y};
     local.frustum.log_scale_factor = ft::log_rounded(orb_.params().scale_factor);
     local.frustum.levels = orb_.params().levels;
-    local.params.th = 3;
-    ft::find_visible_points(exec_, local, map_, orb_.geometry(), windows_);
-    ft::search_by_projection(exec_, frame_, map_, windows_, ft::search_params{}, work_);
+    local.geometry = orb_.geometry();
+    local.params.radius_factor = 3;
+    ft::find_visible_points(exec_, local, map_, buffers_.windows);
+    ft::search_by_projection(exec_, frame_, map_, ft::search_params{}, buffers_);
     optimize();
     exec_.wait();
-    return test::from_exec(exec_, static_cast<int const*>(work_.matches), 1)[0];
+    return test::from_exec(exec_, static_cast<int const*>(buffers_.work.matches), 1)[0];
   }
   void forget() { ft::clear_holders(exec_, frame_); }
 
@@ -245,8 +250,7 @@ private:
   ft::soa_view<ft::field::angle, ft::field::octave> last_keypoints_;
   ft::last_frame_view last_;
   ft::map_points_view map_;
-  ft::search_windows_view windows_;
-  ft::search_workspace work_;
+  ft::search_buffers buffers_;
   ft::observations_view observations_;
   int* last_holder_ = nullptr;
   ft::pose* poses_ = nullptr;

@@ -284,7 +284,7 @@ TYPED_TEST(frame_tracker_test, finds_the_pose_from_the_map_alone) {
   exec.wait();
   EXPECT_EQ(held(take(tracker, 0, false)), 0);
   ft::local_search_params search;
-  search.th = 5;
+  search.radius_factor = 5;
   in.relocalize(exec, search);
   exec.wait();
   auto const once = take(tracker, 0, true);
@@ -399,8 +399,8 @@ TYPED_TEST(frame_tracker_test, refuses_rigs_and_parameters_that_cannot_be) {
   refused([](auto& p) { p.map_slots = 0; });
   refused([](auto& p) { p.local_points = 0; });
   refused([](auto& p) { p.updates = 0; });
-  refused([](auto& p) { p.last_th = 0; });
-  refused([&](auto& p) { p.last_th = nan; });
+  refused([](auto& p) { p.window_radius = 0; });
+  refused([&](auto& p) { p.window_radius = nan; });
   EXPECT_THROW(refused_type(this->exec(), good, params(), 0), ft::bad_argument);
   EXPECT_THROW(refused_type(this->exec(), good, params(), -1), ft::bad_argument);
 
@@ -530,7 +530,7 @@ TYPED_TEST(frame_tracker_test, finds_nothing_in_the_local_map_before_any_frame) 
     tracker.update_map(exec, 0, points.data(), 50);
     exec.wait();
     ft::local_search_params search;
-    search.th = 20;
+    search.radius_factor = 20;
     tracker.relocalize(exec, {ft::pose::identity(), slots}, search);
     exec.wait();
     auto const got = take(tracker, 0, true);

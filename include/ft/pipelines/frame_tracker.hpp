@@ -308,7 +308,7 @@ private:
     detail::require_range("map_slots", params.map_slots, 1, 1 << 26);
     detail::require_range("local_points", params.local_points, 1, 1 << 24);
     detail::require_range("updates", params.updates, 1, 1 << 24);
-    detail::require_range("last_th", params.last_th, 0.1f, 1000.0f);
+    detail::require_range("window_radius", params.window_radius, 0.1f, 1000.0f);
     return batch;
   }
 

@@ -17,7 +17,7 @@ struct tracker_params {
   int map_slots = 1 << 16;      ///< map points on the device at a time, per camera pair
   int local_points = 1 << 13;   ///< points of one local-map search
   int updates = 1 << 13;        ///< map points that one update_map() can send
-  float last_th = 7;            ///< search radius at scale 1 from the last frame, pixels
+  float window_radius = 7;      ///< half side at scale 1 of windows from the last frame, pixels
   int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
   bool optimize_last = true;    ///< pose optimisation after the search from the last frame
   bool optimize_local = true;   ///< and after the search in the local map

@@ -3,7 +3,6 @@
 /// Source: specification sections 9 and 10.
 #pragma once
 
-#include <cstddef>
 #include <type_traits>
 
 #include "ft/containers/frame.hpp"
@@ -12,10 +11,10 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/search/assignment_context.hpp"
 #include "ft/kernels/search/candidates.hpp"
+#include "ft/kernels/search/frame_search.hpp"
 #include "ft/kernels/search/proposals.hpp"
 #include "ft/kernels/search/sequential.hpp"
 #include "ft/kernels/search/turns.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {
@@ -45,13 +44,13 @@ struct assign_keypoints {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
-                                 map_points_view const& map, search_windows_view const& windows,
-                                 search_params const& params, search_workspace const& work) const {
-    assign(g, s, b, frame, map, windows, params, work, true,
+                                 map_points_view const& map, search_params const& params,
+                                 search_buffers const& buffers) const {
+    assign(g, s, {b, frame, map, params, buffers, false}, true,
            [](auto, int const*) { return false; });
   }
 
-  /// Assigns the keypoints of frame b.
+  /// Assigns the keypoints of a frame.
   ///
   /// After proposals from empty holders, if all points are observed, write(single, owners) may
   /// write the result in place of this function. `single` is the constant `Single`. `owners` is the
@@ -60,40 +59,26 @@ struct assign_keypoints {
   /// @param write returns whether it wrote the result
   /// @return whether `write` did
   template <typename Group, typename Write>
-  FT_HOST_DEVICE static bool assign(Group g, scratch& s, int b, frame_view const& frame,
-                                    map_points_view const& map, search_windows_view const& windows,
-                                    search_params const& params, search_workspace const& work,
-                                    bool prepared, Write const& write) {
+  FT_HOST_DEVICE static bool assign(Group g, scratch& s, frame_search const& in, bool prepared,
+                                    Write const& write) {
     static_assert(Turns || Group::max_threads == 1, "the loop is for one thread");
-    bool const partners = frame.partner != nullptr && params.kind == search_kind::local_map;
+    frame_view const& frame = in.frame;
+    bool const partners = in.partners();
     if constexpr (Turns && !Single) {
       if (frame.cameras == 1 && !partners) {
-        return assign_keypoints<Turns, true>::assign(g, s, b, frame, map, windows, params, work,
-                                                     prepared, write);
+        return assign_keypoints<Turns, true>::assign(g, s, in, prepared, write);
       }
     }
-    assignment_context<Single> const ctx{
-        b,
-        frame,
-        map.slice(b),
-        windows,
-        params,
-        work,
-        frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers(),
-        partners && !Single ? frame.partner + static_cast<std::ptrdiff_t>(b) * frame.numbers()
-                            : nullptr,
-        frame.right_x == nullptr || !params.right_later
-            ? nullptr
-            : frame.right_x + static_cast<std::ptrdiff_t>(b) * frame.capacity()};
+    assignment_context<Single> const ctx(in);
     if constexpr (Turns) {
       auto const clear_all = [&] {
         clear_tables(g, s, owner_table(s, ctx), second_table(s, ctx), frame.numbers());
       };
       if (!prepared || !in_scratch(frame)) { clear_all(); }
       g.sync();
-      bool const proposes = params.kind == search_kind::last_frame;
+      bool const proposes = ctx.params.kind == search_kind::last_frame;
       if (proposes && propose_all(g, s, ctx)) {
-        bool const simple = in_scratch(frame) && s.any_unobserved == 0 && params.from_empty;
+        bool const simple = in_scratch(frame) && s.any_unobserved == 0 && ctx.params.from_empty;
         using single = std::integral_constant<bool, Single>;
         if (simple && write(single{}, static_cast<int const*>(s.writer))) { return true; }
         write_proposed(g, s, ctx);
@@ -118,11 +103,10 @@ struct assign_keypoints {
 /// Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void assign_candidates(Exec const& exec, frame_view const& frame, map_points_view const& map,
-                       search_windows_view const& windows, search_params const& params,
-                       search_workspace const& work) {
-  for_each_item<per_block<detail::assign_threads>>(exec, windows.batch,
+                       search_params const& params, search_buffers const& buffers) {
+  for_each_item<per_block<detail::assign_threads>>(exec, buffers.windows.batch,
                                                    detail::assign_keypoints<Exec::asynchronous>{},
-                                                   frame, map, windows, params, work);
+                                                   frame, map, params, buffers);
 }
 
 /// Search in given windows: lists candidates and assigns keypoints. The result equals that of a
@@ -130,11 +114,10 @@ void assign_candidates(Exec const& exec, frame_view const& frame, map_points_vie
 /// Asynchronous on `exec`; allocates nothing; two launches.
 template <typename Exec>
 void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
-                          search_windows_view const& windows, search_params const& params,
-                          search_workspace const& work) {
-  for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_candidates{}, frame,
-                          map, windows, params, work);
-  assign_candidates(exec, frame, map, windows, params, work);
+                          search_params const& params, search_buffers const& buffers) {
+  for_each_item<per_warp>(exec, buffers.windows.batch * buffers.windows.capacity,
+                          detail::list_candidates{}, frame, map, params, buffers);
+  assign_candidates(exec, frame, map, params, buffers);
 }
 
 }  // namespace FT_ABI

@@ -19,6 +19,7 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/kernels/search/candidate_list.hpp"
+#include "ft/kernels/search/frame_search.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
@@ -44,7 +45,7 @@ struct assign_scratch {
 /// An unset table entry. It loses every minimum.
 inline constexpr int unset = 0x7fffffff;
 
-/// One frame of a search.
+/// One frame of a search, as the assignment uses it.
 /// @tparam Single one camera and no stereo partners, which is known at compile time
 template <bool Single>
 struct assignment_context {
@@ -56,7 +57,21 @@ struct assignment_context {
   search_workspace const& work;
   int* holder;           ///< of this frame
   int const* partner;    ///< of this frame; null if partners are not matched
-  float const* right_x;  ///< of this frame; null if listing has checked it
+  float const* right_x;  ///< of this frame; null if they are not compared
+
+  FT_HOST_DEVICE explicit assignment_context(frame_search const& search)
+      : b(search.b),
+        frame(search.frame),
+        points(search.map.slice(search.b)),
+        windows(search.buffers.windows),
+        params(search.params),
+        work(search.buffers.work),
+        holder(search.holder()),
+        partner(!Single && search.partners()
+                    ? search.frame.partner +
+                          static_cast<std::ptrdiff_t>(search.b) * search.frame.numbers()
+                    : nullptr),
+        right_x(search.right_x()) {}
 
   FT_HOST_DEVICE int cameras() const { return Single ? 1 : frame.cameras; }
   FT_HOST_DEVICE int numbers() const { return cameras() * frame.capacity(); }

@@ -17,9 +17,9 @@ namespace detail {
 
 /// Largest descriptor distance that can matter, as the best or the second best candidate.
 FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
-  if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_distance; }
-  float const second = min_of(static_cast<float>(p.max_distance) / p.ratio, 256.0f);
-  return max_of(p.max_distance, min_of(256, static_cast<int>(second) + 1));
+  if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_hamming; }
+  float const second = min_of(static_cast<float>(p.max_hamming) / p.ratio, 256.0f);
+  return max_of(p.max_hamming, min_of(256, static_cast<int>(second) + 1));
 }
 
 /// Whether a keypoint's column r in the right image, -1 = none, lies outside the window.

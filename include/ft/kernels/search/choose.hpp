@@ -75,7 +75,7 @@ FT_HOST_DEVICE bool choose_from_list(assignment_context<Single> const& ctx, int 
       int const distance = entry_distance(quad.entry[e]);
       int const k = entry_keypoint(quad.entry[e]);
       if (4 * q + e >= n) { return !list.unlisted; }
-      if (found.best_k < 0 && distance > ctx.params.max_distance) { return true; }
+      if (found.best_k < 0 && distance > ctx.params.max_hamming) { return true; }
       if (taken(ctx.number(c, k), true) || ctx.misses_right(c, i, k)) { continue; }
       found.add(k, distance);
       if (!with_ratio || found.second_k >= 0) { return true; }
@@ -116,7 +116,7 @@ FT_HOST_DEVICE int choose_keypoint(assignment_context<Single> const& ctx, int c,
     found = {};
     choose_from_grid(ctx, c, i, taken, found);
   }
-  if (found.best_k < 0 || found.best > ctx.params.max_distance) { return -1; }
+  if (found.best_k < 0 || found.best > ctx.params.max_hamming) { return -1; }
   if (refuses(ctx.params, ctx.frame.camera(ctx.b, c), found.best, found.best_k, found.second,
               found.second_k)) {
     refused = c == 0;

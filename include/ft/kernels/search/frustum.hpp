@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -81,17 +82,17 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
 }
 
 struct local_search_params {
-  float th = 1;            ///< factor of the search radius
-  float far_distance = 0;  ///< points farther away are skipped, metres; 0 = no limit
+  float radius_factor = 1;  ///< of the windows of the left camera
+  float max_distance = 0;   ///< points farther away are skipped, metres; 0 = no limit
 };
 
 /// Search window of a visible map point.
-/// @param th factor of the radius; 1 for the right camera of a fisheye pair
+/// @param radius_factor 1 for the right camera of a fisheye pair
 /// @param right_column whether to compare columns in the right image
-FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th,
+FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float radius_factor,
                                               bool right_column, pyramid_geometry const& geometry) {
   strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
-  float const radius = (base * th * geometry.scale[v.level]).value;
+  float const radius = (base * radius_factor * geometry.scale[v.level]).value;
   search_window w{};
   w.x = v.x;
   w.y = v.y;
@@ -104,21 +105,74 @@ FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, flo
   return w;
 }
 
-/// Inputs of the windows of a search in the local map.
+/// Inputs of a search in the local map, apart from the frame and the map.
 template <typename Rig>
 struct local_search {
   Rig rig;
-  pose const* poses = nullptr;      ///< [batch] T_cw
-  int const* slots = nullptr;       ///< [batch][windows' capacity], -1 = none
+  pose const* T_cw = nullptr;       ///< [batch] of the left camera
+  int const* slots = nullptr;       ///< [batch][windows' capacity] in search order, -1 = none
   int const* slot_count = nullptr;  ///< [batch]
   /// Points matched in the current frame are skipped.
   point_stamps stamps;
   frustum_params frustum;
+  pyramid_geometry geometry;
   local_search_params params;
-  visibility* seen = nullptr;  ///< [cameras][batch][windows' capacity], or null
+  search_params matching;
+  visibility* seen = nullptr;  ///< output, [cameras][batch][windows' capacity]; may be null
 };
 
 namespace detail {
+
+/// The windows of a search in the local map; see list_point.
+/// @tparam Stamped whether the points matched in the current frame are known, and skipped
+template <typename Rig, bool Stamped = true>
+struct local_map_windows {
+  using search = local_search<Rig>;
+  static constexpr int cameras = Rig::rectified ? 1 : 2;
+  static constexpr bool lists_by_column = true;  ///< see frame_search
+
+  FT_HOST_DEVICE static int count(search const& in, int b) { return in.slot_count[b]; }
+
+  /// The windows of entry i of batch entry b.
+  /// @param writes whether this thread writes visibilities to `in.seen`
+  FT_HOST_DEVICE static window_pair find(search const& in, map_points_view const& map, int b, int i,
+                                         search_windows_view const& to, bool writes) {
+    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * to.capacity + i;
+    std::ptrdiff_t const per_camera = static_cast<std::ptrdiff_t>(to.batch) * to.capacity;
+    map_points_view const points = map.slice(b);
+    int const slot = in.slots[item];
+    bool const skip = slot < 0 || slot >= points.capacity ||
+                      (Stamped && in.stamps.stamped(b, points.capacity, slot));
+    window_pair pair;
+    FT_UNROLL
+    for (int c = 0; c < cameras; ++c) {
+      visibility v{0, 0, 0, 0, 0, -1};
+      if (!skip) { v = see(in, in.T_cw[b], points, slot, c); }
+      float const most = in.params.max_distance;
+      if (v.level >= 0 && !(most > 0 && v.distance > most)) {
+        float const factor = c == 0 ? in.params.radius_factor : 1.0f;
+        pair.of[c] = window_of(v, slot, factor, Rig::rectified, in.geometry);
+      }
+      if (writes && in.seen != nullptr) { in.seen[c * per_camera + item] = v; }
+    }
+    return pair;
+  }
+
+private:
+  FT_HOST_DEVICE static visibility see(search const& in, pose const& T_cw,
+                                       map_points_view const& points, int slot, int camera) {
+    Rig const& rig = in.rig;
+    if constexpr (Rig::rectified) {
+      static_cast<void>(camera);
+      return test_visibility(rig.camera, T_cw, points, slot, rig.bf(), in.frustum);
+    } else {
+      if (camera == 0) { return test_visibility(rig.left, T_cw, points, slot, 0.0f, in.frustum); }
+      pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
+                            .template cast<float>();
+      return test_visibility(rig.right, T_rw, points, slot, 0.0f, in.frustum);
+    }
+  }
+};
 
 /// Item: an entry of the local map. Computes its visibility and windows.
 template <typename Rig>
@@ -126,60 +180,10 @@ struct frustum_point {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, local_search<Rig> const& search,
-                                 map_points_view const& map, pyramid_geometry const& geometry,
-                                 search_windows_view const& out) const {
-    int const b = item / out.capacity;
-    int const i = item % out.capacity;
-    if (i == 0) { out.count[b] = search.slot_count[b]; }
-    if (i < search.slot_count[b]) { test(b, i, search, map, geometry, true, out); }
-  }
-
-  /// The windows of entry i of batch entry b.
-  /// @param keep whether this thread writes the windows to `out`, and visibilities to `search.seen`
-  FT_HOST_DEVICE static window_pair test(int b, int i, local_search<Rig> const& search,
-                                         map_points_view const& map,
-                                         pyramid_geometry const& geometry, bool keep,
-                                         search_windows_view const& out) {
-    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * out.capacity + i;
-    std::ptrdiff_t const per_camera = static_cast<std::ptrdiff_t>(out.batch) * out.capacity;
-    map_points_view const points = map.slice(b);
-    int const slot = search.slots[item];
-    bool const skip =
-        slot < 0 || slot >= points.capacity || search.stamps.stamped(b, points.capacity, slot);
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, local_search<Rig> const& search,
+                                 map_points_view const& map, search_windows_view const& out) const {
     window_pair pair;
-    constexpr int cameras = Rig::rectified ? 1 : 2;
-    FT_UNROLL
-    for (int c = 0; c < cameras; ++c) {
-      visibility v{0, 0, 0, 0, 0, -1};
-      if (!skip) { v = see(search, search.poses[b], points, slot, c); }
-      float const far = search.params.far_distance;
-      if (v.level >= 0 && !(far > 0 && v.distance > far)) {
-        pair.of[c] = window_of(v, slot, c == 0 ? search.params.th : 1.0f, Rig::rectified, geometry);
-      }
-      if (keep) {
-        if (search.seen != nullptr) { search.seen[c * per_camera + item] = v; }
-        out.windows[c * per_camera + item] = pair.of[c];
-      }
-    }
-    return pair;
-  }
-
-private:
-  FT_HOST_DEVICE static visibility see(local_search<Rig> const& search, pose const& T_cw,
-                                       map_points_view const& points, int slot, int camera) {
-    Rig const& rig = search.rig;
-    if constexpr (Rig::rectified) {
-      static_cast<void>(camera);
-      return test_visibility(rig.camera, T_cw, points, slot, rig.bf(), search.frustum);
-    } else {
-      if (camera == 0) {
-        return test_visibility(rig.left, T_cw, points, slot, 0.0f, search.frustum);
-      }
-      pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
-                            .template cast<float>();
-      return test_visibility(rig.right, T_rw, points, slot, 0.0f, search.frustum);
-    }
+    find_windows<local_map_windows<Rig>>(g, item, search, map, out, pair);
   }
 };
 
@@ -189,10 +193,9 @@ private:
 /// nothing; one launch.
 template <typename Exec, typename Rig>
 void find_visible_points(Exec const& exec, local_search<Rig> const& search,
-                         map_points_view const& map, pyramid_geometry const& geometry,
-                         search_windows_view const& out) {
+                         map_points_view const& map, search_windows_view const& out) {
   for_each_item<per_thread>(exec, out.batch * out.capacity, detail::frustum_point<Rig>{}, search,
-                            map, geometry, out);
+                            map, out);
 }
 
 }  // namespace FT_ABI

@@ -8,13 +8,13 @@
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/frame.hpp"
-#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/candidates.hpp"
+#include "ft/kernels/search/frame_search.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
 #include "ft/kernels/search/orientation_check.hpp"
 #include "ft/kernels/search/windows.hpp"
@@ -48,17 +48,11 @@ struct assign_last_points {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, last_search<Rig> const& search,
                                  frame_view const& frame, map_points_view const& map,
-                                 pyramid_geometry const& geometry, search_params const& params,
-                                 point_stamps const& stamps, search_windows_view const& windows,
-                                 search_workspace const& work) const {
+                                 search_buffers const& buffers) const {
+    frame_search const in{b, frame, map, search.matching, buffers, true};
     // Prefetched; used after the proposals.
     int const left_count = search.last.keypoints.count[search.last.keypoint_step * b];
-    int const now = stamps.seen != nullptr ? stamps.frame[b] : 0;
-    auto const stamp = [&](int slot) {
-      if (stamps.seen != nullptr) {
-        stamps.seen[static_cast<std::ptrdiff_t>(b) * map.capacity + slot] = now;
-      }
-    };
+    stamp_writer const stamp(search.stamps, b, map.capacity);
     bool prepared = true;
     for (int least = search.params.retry_below;; least = 0) {
       // Visible after the first barrier of the assignment.
@@ -66,72 +60,88 @@ struct assign_last_points {
       bool enough = false;
       auto const write = [&](auto single, int const* owners) {
         if constexpr (Turns) {
-          enough = write_owned<decltype(single)::value>(g, s, b, search, left_count, frame, windows,
-                                                        work, owners, least, stamp);
+          owned_keypoints const owned{search, in, left_count, owners};
+          enough = write_owned<decltype(single)::value>(g, s, owned, least, stamp);
         }
         return Turns;
       };
-      bool const written =
-          assignment::assign(g, s.assigned, b, frame, map, windows, params, work, prepared, write);
-      if (!written) {
+      if (!assignment::assign(g, s.assigned, in, prepared, write)) {
         g.sync();
-        if (search.params.orientation_check) {
-          check_orientation{}(g, s.orientation, b, frame, search.last, windows, work);
-          g.sync();
-        }
-        enough = least <= 0 || work.matches[b] >= least;
-        if (enough && stamps.seen != nullptr) {
-          int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
-          for (int k = g.rank(); k < frame.numbers(); k += g.size()) {
-            if (holder[k] >= 0) { stamp(holder[k]); }
-          }
-        }
+        enough = check_matches(g, s, search, in, least, stamp);
       }
       if (enough) { return; }
       g.sync();
-      list_wider(g, s, b, search, frame, map, geometry, params, windows, work);
+      list_wider(g, s, search, in);
       g.sync();
       prepared = false;
     }
   }
 
 private:
+  /// Marks map points as matched in the current frame.
+  struct stamp_writer {
+    point_stamps const& stamps;
+    int b;
+    int slots;  ///< capacity of the map
+    int now;    ///< number of the current frame
+
+    FT_HOST_DEVICE stamp_writer(point_stamps const& of, int entry, int capacity)
+        : stamps(of), b(entry), slots(capacity), now(of.seen != nullptr ? of.frame[entry] : 0) {}
+    FT_HOST_DEVICE void operator()(int slot) const {
+      if (stamps.seen != nullptr) {
+        stamps.seen[static_cast<std::ptrdiff_t>(b) * slots + slot] = now;
+      }
+    }
+  };
+
+  /// The result of the proposals.
+  struct owned_keypoints {
+    last_search<Rig> const& search;
+    frame_search const& in;
+    int left_count;     ///< as in rotations::last_angle()
+    int const* owners;  ///< as in assign_keypoints::assign()
+
+    FT_HOST_DEVICE bool has_owner(int number) const { return owners[number] != unset; }
+    FT_HOST_DEVICE int window(int number) const {
+      return owners[number] / search_workspace::list_size;
+    }
+  };
+
   /// Writes the matches that pass the orientation check.
-  /// @param left_count as in rotations::last_angle()
-  /// @param owners as in assign_keypoints::assign()
   /// @return false, with nothing written, if they are fewer than `least`
-  template <bool Single, typename Group, typename Stamp>
-  FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, int b, last_search<Rig> const& search,
-                                         int left_count, frame_view const& frame,
-                                         search_windows_view const& windows,
-                                         search_workspace const& work, int const* owners, int least,
-                                         Stamp const& stamp) {
-    int const numbers = frame.numbers();
-    bool const any = windows.count[b] > 0;
+  template <bool Single, typename Group>
+  FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, owned_keypoints const& owned,
+                                         int least, stamp_writer const& stamp) {
+    frame_search const& in = owned.in;
+    search_windows_view const& windows = in.buffers.windows;
+    search_workspace const& work = in.buffers.work;
+    int const numbers = in.frame.numbers();
+    int const capacity = in.frame.capacity();
+    bool const any = windows.count[in.b] > 0;
     int* const slots = s.assigned.before;  // of the owners' map points
     int* const histogram = s.orientation.histogram;
     struct owner {
       int slot;
       float before, now;  // angles
     };
-    auto const camera_of = [&](int number) { return Single || number < frame.capacity() ? 0 : 1; };
+    auto const camera_of = [&](int number) { return Single || number < capacity ? 0 : 1; };
     // Keypoints without an owner load from window 0, so that the loads need no branch.
     load_ahead<2>(
         g, any ? numbers : 0,
         [&](int number) {
           int const c = camera_of(number);
-          bool const owned = owners[number] != unset;
-          int const i = owned ? owners[number] / search_workspace::list_size : 0;
+          int const i = owned.has_owner(number) ? owned.window(number) : 0;
           owner o;
-          o.slot = windows.at(c, b, i).slot;
-          o.before = rotations::last_angle(search.last, left_count, b, i);
-          o.now = get<field::angle>(frame.camera(b, c), number - c * frame.capacity());
+          o.slot = windows.at(c, in.b, i).slot;
+          o.before = rotations::last_angle(owned.search.last, owned.left_count, in.b, i);
+          o.now = get<field::angle>(in.frame.camera(in.b, c), number - c * capacity);
           return o;
         },
         [&](int number, owner const& o) {
-          if (owners[number] == unset) { return; }
+          if (!owned.has_owner(number)) { return; }
           // Without the check all matches share one bin.
-          int const r = search.params.orientation_check ? rotations::bin(o.before, o.now) : 0;
+          bool const checks = owned.search.params.orientation_check;
+          int const r = checks ? rotations::bin(o.before, o.now) : 0;
           s.orientation.bin[number] = static_cast<std::uint8_t>(r);
           atomic_add(histogram + r, 1);
           slots[number] = o.slot;
@@ -140,71 +150,86 @@ private:
     auto const most = rotations::of(g.part(), histogram);
     if (most.matches < least) { return false; }
     for (int number = g.rank(); number < numbers; number += g.size()) {
-      bool const stays = owners[number] != unset && most.has(s.orientation.bin[number]);
+      bool const stays = owned.has_owner(number) && most.has(s.orientation.bin[number]);
       int const slot = stays ? slots[number] : -1;
-      frame.holder[static_cast<std::ptrdiff_t>(b) * numbers + number] = slot;
+      in.holder()[number] = slot;
       if (!stays) { continue; }
       int const c = camera_of(number);
-      work.match[work.window(c, b, owners[number] / search_workspace::list_size)] =
-          number - c * frame.capacity();
+      work.match[work.window(c, in.b, owned.window(number))] = number - c * capacity;
       stamp(slot);
     }
-    if (g.rank() == 0) { work.matches[b] = most.matches; }
+    if (g.rank() == 0) { work.matches[in.b] = most.matches; }
     return true;
   }
 
+  /// Drops matches by their orientation, and stamps the others if they are enough.
+  /// @return whether there are at least `least`
   template <typename Group>
-  FT_HOST_DEVICE static void list_wider(Group g, scratch& s, int b, last_search<Rig> const& search,
-                                        frame_view const& frame, map_points_view const& map,
-                                        pyramid_geometry const& geometry,
-                                        search_params const& params,
-                                        search_windows_view const& windows,
-                                        search_workspace const& work) {
-    int const count = windows.count[b];
-    for (int i = g.part_index(); i < count; i += g.parts()) {
-      list_last_point<Rig>::list(g.part(), s.lists[g.part_index()], b, i, search,
-                                 2 * search.params.th, frame, map, geometry, params, windows, work);
+  FT_HOST_DEVICE static bool check_matches(Group g, scratch& s, last_search<Rig> const& search,
+                                           frame_search const& in, int least,
+                                           stamp_writer const& stamp) {
+    if (search.params.orientation_check) {
+      check_orientation{}(g, s.orientation, in.b, in.frame, search.last, in.buffers);
+      g.sync();
+    }
+    bool const enough = least <= 0 || in.buffers.work.matches[in.b] >= least;
+    if (enough && search.stamps.seen != nullptr) {
+      int const* const holder = in.holder();
+      for (int k = g.rank(); k < in.frame.numbers(); k += g.size()) {
+        if (holder[k] >= 0) { stamp(holder[k]); }
+      }
+    }
+    return enough;
+  }
+
+  /// Lists the candidates of all points in windows of twice the radius.
+  template <typename Group>
+  FT_HOST_DEVICE static void list_wider(Group g, scratch& s, last_search<Rig> const& search,
+                                        frame_search const& in) {
+    using windows_of = last_frame_windows<Rig>;
+    search_windows_view const& windows = in.buffers.windows;
+    frame_search listing = in;
+    listing.compares_columns = windows_of::lists_by_column;
+    auto const part = g.part();
+    for (int i = g.part_index(); i < windows.count[in.b]; i += g.parts()) {
+      window_pair const pair =
+          windows_of::project(search, in.map, in.b, i, 2 * search.params.window_radius);
+      if (part.rank() == 0) { store<windows_of::cameras>(windows, in.b, i, pair); }
+      list_candidates::list(part, s.lists[g.part_index()], listing, i, pair);
     }
   }
 };
 
 }  // namespace detail
 
-namespace detail {
-inline search_params last_frame_search() {
-  search_params search;
-  search.kind = search_kind::last_frame;
-  search.from_empty = true;
-  search.right_later = true;
-  return search;
+/// First step of search_last_frame(): windows and candidates. Needs no stereo matches of the frame.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec, typename Rig>
+void list_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,
+                     map_points_view const& map, search_buffers const& buffers) {
+  for_each_item<per_warp>(exec, buffers.windows.batch * buffers.windows.capacity,
+                          detail::list_point<detail::last_frame_windows<Rig>>{}, search, frame, map,
+                          buffers);
 }
-}  // namespace detail
 
+/// Second step: assignment and orientation check, repeated with twice the radius where there are
+/// too few matches. Writes `frame.holder`, `work.match`, `work.matches` and the stamps.
+/// Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
-void list_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
-                     map_points_view const& map, pyramid_geometry const& geometry,
-                     search_windows_view const& windows, search_workspace const& work) {
-  for_each_item<per_warp>(exec, windows.batch * windows.capacity, detail::list_last_point<Rig>{},
-                          input, frame, map, geometry, detail::last_frame_search(), windows, work);
-}
-template <typename Exec, typename Rig>
-void assign_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
-                       map_points_view const& map, pyramid_geometry const& geometry,
-                       point_stamps const& stamps, search_windows_view const& windows,
-                       search_workspace const& work) {
+void assign_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,
+                       map_points_view const& map, search_buffers const& buffers) {
   for_each_item<per_block<detail::assign_threads>>(
-      exec, frame.batch, detail::assign_last_points<Rig, Exec::asynchronous>{}, input, frame, map,
-      geometry, detail::last_frame_search(), stamps, windows, work);
+      exec, frame.batch, detail::assign_last_points<Rig, Exec::asynchronous>{}, search, frame, map,
+      buffers);
 }
+
+/// Search from the last frame: list_last_frame(), then assign_last_frame(). Ignores the frame's
+/// holders from before. Asynchronous on `exec`; allocates nothing; two launches.
 template <typename Exec, typename Rig>
-void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
-                       frame_view const& frame, last_frame_view const& last,
-                       map_points_view const& map, last_search_params const& params,
-                       pyramid_geometry const& geometry, search_windows_view const& windows,
-                       search_workspace const& work, point_stamps const& stamps = {}) {
-  last_search<Rig> const input{rig, poses, last_poses, last, params};
-  list_last_frame(exec, input, frame, map, geometry, windows, work);
-  assign_last_frame(exec, input, frame, map, geometry, stamps, windows, work);
+void search_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,
+                       map_points_view const& map, search_buffers const& buffers) {
+  list_last_frame(exec, search, frame, map, buffers);
+  assign_last_frame(exec, search, frame, map, buffers);
 }
 
 }  // namespace FT_ABI

@@ -10,7 +10,6 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
-#include "ft/kernels/search/candidates.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
@@ -29,9 +28,9 @@ struct last_frame_view {
 
 struct last_search_params {
   /// Half side of a window at scale 1, pixels.
-  float th = 7;
-  /// Ignores the direction of motion when choosing octaves.
-  bool mono = false;
+  float window_radius = 7;
+  /// Searches all neighbouring octaves, whether the camera moves forwards, backwards or neither.
+  bool ignore_motion_direction = false;
   /// With fewer matches the search is repeated with twice the radius.
   int retry_below = 0;
   /// Drops matches whose rotation differs from that of most others.
@@ -41,99 +40,66 @@ struct last_search_params {
   float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
 };
 
-/// Number of keypoints of the last frame. The search takes the left ones first, then the right
-/// ones.
-FT_HOST_DEVICE inline int last_point_count(last_frame_view const& last, int b) {
-  return last.keypoints.count[last.keypoint_step * b] +
-         (last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0);
-}
-
-/// Inputs of the windows of a search from the last frame.
+/// Inputs of a search from the last frame, apart from the frame and the map.
 template <typename Rig>
 struct last_search {
   Rig rig;
-  pose const* poses;       ///< [batch] T_cw predicted for this frame
-  pose const* last_poses;  ///< [batch] T_cw of the last frame
+  pose const* T_cw = nullptr;       ///< [batch] predicted for this frame
+  pose const* last_T_cw = nullptr;  ///< [batch] of the last frame
   last_frame_view last;
+  pyramid_geometry geometry;
   last_search_params params;
+  point_stamps stamps;  ///< gets the matched points; may be without arrays
+  search_params matching = from_last_frame();
+
+  static search_params from_last_frame() {
+    search_params p;
+    p.kind = search_kind::last_frame;
+    p.from_empty = true;
+    return p;
+  }
 };
 
 namespace detail {
 
-/// Item: a keypoint of the last frame. Lists the candidates in the windows of its map point.
+/// The windows of a search from the last frame; see list_point.
 template <typename Rig>
-struct list_last_point {
-  using scratch = list_candidates::scratch;
+struct last_frame_windows {
+  using search = last_search<Rig>;
+  static constexpr int cameras = Rig::rectified ? 1 : 2;
+  static constexpr bool lists_by_column = false;  ///< see frame_search
 
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, last_search<Rig> const& search,
-                                 frame_view const& frame, map_points_view const& map,
-                                 pyramid_geometry const& geometry, search_params const& params,
-                                 search_windows_view const& windows,
-                                 search_workspace const& work) const {
-    int const b = item / windows.capacity;
-    int const i = item % windows.capacity;
-    int const count = last_point_count(search.last, b);
-    if (i == 0 && g.rank() == 0) { windows.count[b] = count; }
-    if (i >= count) { return; }
-    list(g, s, b, i, search, search.params.th, frame, map, geometry, params, windows, work);
+  /// Number of keypoints of the last frame. The search takes the left ones first, then the right
+  /// ones.
+  FT_HOST_DEVICE static int count(search const& in, int b) {
+    last_frame_view const& last = in.last;
+    return last.keypoints.count[last.keypoint_step * b] +
+           (last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0);
+  }
+  FT_HOST_DEVICE static window_pair find(search const& in, map_points_view const& map, int b, int i,
+                                         search_windows_view const& /*to*/, bool /*writes*/) {
+    return project(in, map, b, i, in.params.window_radius);
   }
 
-  /// Lists the candidates of keypoint i of batch entry b.
-  /// @param th half side of a window at scale 1, pixels
-  template <typename Group>
-  FT_HOST_DEVICE static void list(Group g, scratch& s, int b, int i, last_search<Rig> const& search,
-                                  float th, frame_view const& frame, map_points_view const& map,
-                                  pyramid_geometry const& geometry, search_params const& params,
-                                  search_windows_view const& windows,
-                                  search_workspace const& work) {
-    // All threads compute the same windows, which is faster than a broadcast.
-    window_pair const pair = project(b, i, search, th, map, geometry);
-    if (g.rank() == 0) {
-      windows.at(0, b, i) = pair.of[0];
-      if constexpr (!Rig::rectified) { windows.at(1, b, i) = pair.of[1]; }
-    }
-    list_candidates::list(g, s, b, i, pair, frame, map, params, work);
-  }
-
-private:
-  FT_HOST_DEVICE static window_pair project(int b, int i, last_search<Rig> const& search, float th,
-                                            map_points_view const& map,
-                                            pyramid_geometry const& geometry) {
-    Rig const& rig = search.rig;
-    last_frame_view const& last = search.last;
-    last_search_params const& params = search.params;
+  /// The windows of the map point of keypoint i, batch entry b.
+  /// @param radius half side of a window at scale 1, pixels
+  FT_HOST_DEVICE static window_pair project(search const& in, map_points_view const& map, int b,
+                                            int i, float radius) {
+    Rig const& rig = in.rig;
     window_pair out;
-    int const left_count = last.keypoints.count[last.keypoint_step * b];
-    int const c_last = i < left_count ? 0 : 1;
-    int const k = i < left_count ? i : i - left_count;
-    int const number = c_last * last.keypoints.capacity + k;
-    int const slot =
-        last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity +
-                    number];
+    keypoint const from = keypoint_of(in.last, b, i);
     map_points_view const points = map.slice(b);
-    if (slot < 0 || slot >= points.capacity) { return out; }
+    if (from.slot < 0 || from.slot >= points.capacity) { return out; }
 
-    auto const T_cw = search.poses[b].template cast<strict_float>();
-    auto const T_lw = search.last_poses[b].template cast<strict_float>();
-    vec3<float> const world = get<field::position>(points, slot);
+    auto const T_cw = in.T_cw[b].template cast<strict_float>();
+    vec3<float> const world = get<field::position>(points, from.slot);
     vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
     if (!(inv_z >= 0.0f)) { return out; }
-    int const octave = get<field::octave>(last.keypoints.slice(last.keypoint_step * b + c_last), k);
-    strict_float const baseline = rig.baseline_length();
-    strict_float const ahead = (T_lw * T_cw.centre()).z;
-    bool const forward = ahead > baseline && !params.mono;
-    bool const backward = -ahead > baseline && !params.mono;
-
-    search_window w{};
-    w.radius = mul(th, geometry.scale[octave]);
-    w.min_level = forward ? octave : (backward ? 0 : octave - 1);
-    w.max_level = forward ? -1 : (backward ? octave : octave + 1);
-    w.slot = slot;
+    search_window w = without_centre(in, T_cw, b, from, radius);
     if constexpr (Rig::rectified) {
       auto const seen = rig.camera.template cast<strict_float>().project(Pc);
-      if (!in_bounds(seen, params)) { return out; }
+      if (!in_bounds(seen, in.params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
       w.right_x = (seen.pixel.x - rig.bf() * inv_z).value;
@@ -141,18 +107,56 @@ private:
       out.of[0] = w;
     } else {
       auto const seen = rig.left.template cast<strict_float>().project(Pc);
-      if (!in_bounds(seen, params)) { return out; }
+      if (!in_bounds(seen, in.params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
       out.of[0] = w;
       vec3<strict_float> const Pr = rig.T_rl.template cast<strict_float>() * Pc;
-      auto const right = project_right(rig, Pr, params.reference_quirks);
+      auto const right = project_right(rig, Pr, in.params.reference_quirks);
       if (!right.valid) { return out; }
       w.x = right.pixel.x.value;
       w.y = right.pixel.y.value;
       out.of[1] = w;
     }
     return out;
+  }
+
+private:
+  /// A keypoint of the last frame.
+  struct keypoint {
+    int image;  ///< batch entry of its keypoints
+    int k;      ///< index there
+    int slot;   ///< of its map point, -1 = none
+  };
+  FT_HOST_DEVICE static keypoint keypoint_of(last_frame_view const& last, int b, int i) {
+    int const left_count = last.keypoints.count[last.keypoint_step * b];
+    int const camera = i < left_count ? 0 : 1;
+    int const k = i < left_count ? i : i - left_count;
+    int const number = camera * last.keypoints.capacity + k;
+    int const slot =
+        last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity +
+                    number];
+    return {last.keypoint_step * b + camera, k, slot};
+  }
+
+  /// Radius and octaves. The octaves depend on whether the camera has moved along its axis by more
+  /// than the baseline.
+  FT_HOST_DEVICE static search_window without_centre(search const& in,
+                                                     rigid<strict_float> const& T_cw, int b,
+                                                     keypoint const& from, float radius) {
+    auto const T_lw = in.last_T_cw[b].template cast<strict_float>();
+    int const octave = get<field::octave>(in.last.keypoints.slice(from.image), from.k);
+    strict_float const baseline = in.rig.baseline_length();
+    strict_float const forward_motion = (T_lw * T_cw.centre()).z;
+    bool const any_direction = in.params.ignore_motion_direction;
+    bool const forward = forward_motion > baseline && !any_direction;
+    bool const backward = -forward_motion > baseline && !any_direction;
+    search_window w{};
+    w.radius = mul(radius, in.geometry.scale[octave]);
+    w.min_level = forward ? octave : (backward ? 0 : octave - 1);
+    w.max_level = forward ? -1 : (backward ? octave : octave + 1);
+    w.slot = from.slot;
+    return w;
   }
 
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,

@@ -10,7 +10,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {
@@ -81,11 +80,11 @@ struct check_orientation {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
-                                 last_frame_view const& last, search_windows_view const& windows,
-                                 search_workspace const& work) const {
+                                 last_frame_view const& last, search_buffers const& buffers) const {
+    search_workspace const& work = buffers.work;
     for (int i = g.rank(); i < rotations::bins; i += g.size()) { s.histogram[i] = 0; }
     g.sync();
-    int const n = windows.count[b];
+    int const n = buffers.windows.count[b];
     int const left_count = last.keypoints.count[last.keypoint_step * b];
     bool const kept = frame.cameras * n <= scratch_size;
     constexpr std::uint8_t no_match = 255;

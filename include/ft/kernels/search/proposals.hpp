@@ -59,7 +59,7 @@ FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const&
       if ((now.count & search_workspace::unlisted) != 0) { s.list_exhausted = 1; }
       return;
     }
-    if (entry_distance(now.entry) > ctx.params.max_distance) { return; }
+    if (entry_distance(now.entry) > ctx.params.max_hamming) { return; }
     int const k = entry_keypoint(now.entry);
     int const mine = i * search_workspace::list_size + place;
     int before = -1;

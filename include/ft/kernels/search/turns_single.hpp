@@ -59,7 +59,7 @@ FT_HOST_DEVICE inline int choose_packed(assignment_context<true> const& ctx, pac
     }
   }
   // Empty places compare as farther than any candidate.
-  bool const near = entry_distance(best) <= ctx.params.max_distance;
+  bool const near = entry_distance(best) <= ctx.params.max_hamming;
   bool const all = listed <= 4 && !point.unlisted();
   if (second == ~0u && !all && (near || best == ~0u)) {
     bool refused = false;

@@ -7,6 +7,7 @@
 
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
@@ -46,6 +47,13 @@ struct search_windows_view {
   FT_HOST_DEVICE search_window& at(int camera, int b, int i) const {
     return windows[(static_cast<std::ptrdiff_t>(camera) * batch + b) * capacity + i];
   }
+  /// Both windows of a point; the second is none() if there is one camera.
+  FT_HOST_DEVICE window_pair pair(int b, int i) const {
+    window_pair both;
+    both.of[0] = at(0, b, i);
+    if (cameras == 2) { both.of[1] = at(1, b, i); }
+    return both;
+  }
 };
 
 inline void carve(carver& c, search_windows_view& v, int capacity, int batch, int cameras) {
@@ -57,6 +65,37 @@ inline void carve(carver& c, search_windows_view& v, int capacity, int batch, in
                             static_cast<std::size_t>(capacity));
   v.count = c.take<int>(static_cast<std::size_t>(batch));
 }
+
+namespace detail {
+
+/// Writes the windows of point i of batch entry b.
+template <int Cameras>
+FT_HOST_DEVICE void store(search_windows_view const& to, int b, int i, window_pair const& pair) {
+  to.at(0, b, i) = pair.of[0];
+  if constexpr (Cameras == 2) { to.at(1, b, i) = pair.of[1]; }
+}
+
+/// Computes the windows of the point that an item stands for, and writes them to `to`.
+/// @tparam Windows see list_point
+/// @param item b * capacity + i for point i of batch entry b
+/// @return false, with nothing written, if the frame has fewer points
+template <typename Windows, typename Group>
+FT_HOST_DEVICE bool find_windows(Group g, int item, typename Windows::search const& search,
+                                 map_points_view const& map, search_windows_view const& to,
+                                 window_pair& pair) {
+  int const b = item / to.capacity;
+  int const i = item % to.capacity;
+  int const count = Windows::count(search, b);
+  bool const writes = g.rank() == 0;
+  if (i == 0 && writes) { to.count[b] = count; }
+  if (i >= count) { return false; }
+  // All threads compute the same windows, which is faster than a broadcast.
+  pair = Windows::find(search, map, b, i, to, writes);
+  if (writes) { store<Windows::cameras>(to, b, i, pair); }
+  return true;
+}
+
+}  // namespace detail
 
 /// Calls visit(k) for every keypoint k in the grid cells of a window, in grid order. All threads of
 /// the group make every call. A thread without a keypoint in a step passes -1.

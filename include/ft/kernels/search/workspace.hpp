@@ -8,6 +8,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/search/windows.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -20,21 +21,16 @@ enum class search_kind {
   local_map,
 };
 
+/// How descriptors are matched.
 struct search_params {
   search_kind kind = search_kind::local_map;
   /// Largest Hamming distance of a match, bits.
-  int max_distance = 100;
+  int max_hamming = 100;
   /// Ratio test: largest distance of the best candidate over that of the second best, applied if
   /// both have the same octave. Local map only.
   float ratio = 0.8f;
   /// Ignores and overwrites the holders from before the search.
   bool from_empty = false;
-  /// frame.right_x is not yet valid when candidates are listed, so the assignment checks it.
-  /// Last frame only.
-  bool right_later = false;
-  /// frame.holder and the stamps are not yet valid when candidates are listed, so
-  /// list_candidates::leave_out() removes held candidates afterwards. Local map only.
-  bool holders_later = false;
 };
 
 /// Four candidates of a window, each packed as distance << 23 | keypoint. Loaded at once.
@@ -86,6 +82,12 @@ struct search_workspace {
     return static_cast<std::size_t>(window(cameras, 0, 0)) * (list_size / 4) *
            sizeof(candidate_quad);
   }
+};
+
+/// What a search writes, apart from the holders of the frame.
+struct search_buffers {
+  search_windows_view windows;
+  search_workspace work;
 };
 
 inline void carve(carver& c, search_workspace& v, int windows, int keypoints, int batch,

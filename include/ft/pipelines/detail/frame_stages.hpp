@@ -81,12 +81,10 @@ public:
   // ---- search from the last frame
 
   void list_last_frame(Exec const& exec) const {
-    ft::list_last_frame(exec, last_input(), memory.frame, memory.map, geometry(),
-                        memory.last_windows, memory.last_work);
+    ft::list_last_frame(exec, last_input(), memory.frame, memory.map, last_buffers());
   }
   void assign_last_frame(Exec const& exec) const {
-    ft::assign_last_frame(exec, last_input(), memory.frame, memory.map, geometry(), stamps(),
-                          memory.last_windows, memory.last_work);
+    ft::assign_last_frame(exec, last_input(), memory.frame, memory.map, last_buffers());
   }
   bool optimizes_last() const { return params.optimize_last; }
   void optimize_last(Exec const& exec) const { optimize(exec, memory.motion.device.predicted); }
@@ -101,16 +99,13 @@ public:
   /// frame does. Then its candidates are listed while that one chooses.
   bool lists_local_early() const { return !params.optimize_last; }
   void list_local_map(Exec const& exec) const {
-    ft::list_local_map(exec, local_input(), memory.frame, memory.map, geometry(), search_params{},
-                       memory.local_windows, memory.local_work);
+    ft::list_local_map(exec, local_input(), memory.frame, memory.map, local_buffers());
   }
   void list_local_map_early(Exec const& exec) const {
-    ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, geometry(),
-                             search_params{}, memory.local_windows, memory.local_work);
+    ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, local_buffers());
   }
   void assign_local_map(Exec const& exec) const {
-    assign_candidates(exec, memory.frame, memory.map, memory.local_windows, search_params{},
-                      memory.local_work);
+    assign_candidates(exec, memory.frame, memory.map, local_input().matching, local_buffers());
   }
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
@@ -187,22 +182,28 @@ public:
 
 private:
   extraction<Exec> const& features() const { return extractor.stages(); }
+  search_buffers last_buffers() const { return {memory.last_windows, memory.last_work}; }
+  search_buffers local_buffers() const { return {memory.local_windows, memory.local_work}; }
   point_stamps stamps() const { return {memory.motion.device.stamp, memory.stamps}; }
   /// The pose at which the search in the local map begins, [batch].
   pose const* pose_of_motion() const {
     return params.optimize_last ? memory.poses : memory.motion.device.predicted;
   }
   last_search<Rig> last_input() const {
-    last_search_params search;
-    search.th = params.last_th;
-    search.retry_below = params.enough_matches;
-    search.max_x = frustum.max_x;
-    search.max_y = frustum.max_y;
-    last_frame_view last;
-    last.keypoints = memory.last.keypoints;
-    last.cameras = cameras;
-    last.holder = memory.last.holder;
-    return {rig, memory.motion.device.predicted, memory.last.T_cw, last, search};
+    last_search<Rig> search;
+    search.rig = rig;
+    search.T_cw = memory.motion.device.predicted;
+    search.last_T_cw = memory.last.T_cw;
+    search.last.keypoints = memory.last.keypoints;
+    search.last.cameras = cameras;
+    search.last.holder = memory.last.holder;
+    search.geometry = geometry();
+    search.params.window_radius = params.window_radius;
+    search.params.retry_below = params.enough_matches;
+    search.params.max_x = frustum.max_x;
+    search.params.max_y = frustum.max_y;
+    search.stamps = stamps();
+    return search;
   }
   local_search<Rig> local_input() const {
     local_search<Rig> search;
@@ -212,6 +213,7 @@ private:
     search.slot_count = memory.local.device.count;
     search.stamps = stamps();
     search.frustum = frustum;
+    search.geometry = geometry();
     search.params = local_params;
     search.seen = memory.visible;
     return search;

@@ -80,7 +80,7 @@ TYPED_TEST(undistort_unit, keypoints_go_where_the_target_camera_sees_their_ray) 
   test::set_pixels(this->backend.exec, out.view(), std::vector<float>(x.size(), 99),
                    std::vector<float>(x.size(), 98), {-1, -1, -1});
   auto const valid = test::to_exec(exec, std::vector<std::uint8_t>(x.size(), 7));
-  ft::undistort_keypoints(exec, fisheye(), ideal(), R, raw.view(), out.view(), valid.data());
+  ft::undistort_keypoints(exec, fisheye(), ideal(), R, raw.view(), {out.view(), valid.data()});
   auto const u = test::column<ft::field::x>(exec, out.view());
   auto const v = test::column<ft::field::y>(exec, out.view());
   auto const good =
@@ -114,7 +114,7 @@ TYPED_TEST(undistort_unit, a_keypoint_without_a_ray_keeps_its_position_and_is_ma
   typename TestFixture::pixels const out(6);
   test::set_pixels(this->backend.exec, raw.view(), x, y, {6});
   auto const valid = test::to_exec(exec, std::vector<std::uint8_t>(6, 7));
-  ft::undistort_keypoints(exec, fisheye(), ideal(), raw.view(), out.view(), valid.data());
+  ft::undistort_keypoints(exec, fisheye(), ideal(), raw.view(), {out.view(), valid.data()});
   auto const u = test::column<ft::field::x>(exec, out.view());
   auto const v = test::column<ft::field::y>(exec, out.view());
   EXPECT_EQ(test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), 6),
@@ -127,7 +127,7 @@ TYPED_TEST(undistort_unit, a_keypoint_without_a_ray_keeps_its_position_and_is_ma
 
   // A ray that the target camera cannot see.
   ft::mat3<double> const back{{-1, 0, 0, 0, 1, 0, 0, 0, -1}};
-  ft::undistort_keypoints(exec, fisheye(), ideal(), back, raw.view(), out.view(), valid.data());
+  ft::undistort_keypoints(exec, fisheye(), ideal(), back, raw.view(), {out.view(), valid.data()});
   EXPECT_EQ(test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), 6)[5], 0);
   EXPECT_EQ(test::column<ft::field::x>(exec, out.view())[5], 300);
 }
@@ -148,8 +148,8 @@ TYPED_TEST(undistort_unit, it_works_in_place_on_keypoints_and_leaves_the_other_c
   ft::copy(exec, ft::array_of<ft::field::octave>(kp.view()), octave.data(), octave.size());
   typename TestFixture::pixels const apart(40, 2);
   test::set_pixels(this->backend.exec, apart.view(), x, y, {0, 0});
-  ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), apart.view(), nullptr);
-  ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), kp.view(), nullptr);
+  ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), {apart.view(), nullptr});
+  ft::undistort_keypoints(exec, fisheye(), ideal(), kp.view(), {kp.view(), nullptr});
   EXPECT_EQ(test::column<ft::field::x>(exec, kp.view()),
             test::column<ft::field::x>(exec, apart.view()));
   EXPECT_EQ(test::column<ft::field::y>(exec, kp.view()),
@@ -181,8 +181,9 @@ TYPED_TEST(undistort_unit, answers_are_the_same_on_every_executor) {
   std::vector<std::uint8_t> host_valid(n);
   auto const cam = fisheye().cast<float>();
   ft::mat3<double> const R = turn_x(-0.07);
-  ft::undistort_keypoints(exec, cam, ideal(), R, raw.view(), out.view(), valid.data());
-  ft::undistort_keypoints(reference, cam, ideal(), R, host.view(), host.view(), host_valid.data());
+  ft::undistort_keypoints(exec, cam, ideal(), R, raw.view(), {out.view(), valid.data()});
+  ft::undistort_keypoints(reference, cam, ideal(), R, host.view(),
+                          {host.view(), host_valid.data()});
   EXPECT_EQ(test::column<ft::field::x>(exec, out.view()),
             test::column<ft::field::x>(reference, host.view()));
   EXPECT_EQ(test::column<ft::field::y>(exec, out.view()),
@@ -202,7 +203,7 @@ TYPED_TEST(undistort_unit, bad_input_throws_before_anything_is_queued) {
                    std::vector<float>(10, 9), {0, 0});
   auto const r = raw.view();
   auto const run = [&](ft::pixels_view const& a, ft::pixels_view const& b) {
-    ft::undistort_keypoints(exec, fisheye(), ideal(), a, b, nullptr);
+    ft::undistort_keypoints(exec, fisheye(), ideal(), a, {b, nullptr});
   };
   EXPECT_NO_THROW(run(r, r));
   EXPECT_THROW(run({}, r), ft::bad_argument);
@@ -221,11 +222,13 @@ TYPED_TEST(undistort_unit, bad_input_throws_before_anything_is_queued) {
   EXPECT_THROW(run(empty, empty), ft::bad_argument);
   auto nan_camera = fisheye();
   nan_camera.k3 = std::nan("");
-  EXPECT_THROW(ft::undistort_keypoints(exec, nan_camera, ideal(), r, r, nullptr), ft::bad_argument);
-  EXPECT_THROW(ft::undistort_keypoints(exec, fisheye(), ft::pinhole<double>{}, r, r, nullptr),
+  EXPECT_THROW(ft::undistort_keypoints(exec, nan_camera, ideal(), r, {r, nullptr}),
                ft::bad_argument);
-  EXPECT_THROW(ft::undistort_keypoints(exec, fisheye(), ideal(), ft::mat3<double>{}, r, r, nullptr),
+  EXPECT_THROW(ft::undistort_keypoints(exec, fisheye(), ft::pinhole<double>{}, r, {r, nullptr}),
                ft::bad_argument);
+  EXPECT_THROW(
+      ft::undistort_keypoints(exec, fisheye(), ideal(), ft::mat3<double>{}, r, {r, nullptr}),
+      ft::bad_argument);
   exec.wait();
 }
 

@@ -153,7 +153,7 @@ public:
     orb_.upload(exec_, 0, view(p.grey));
     ft::copy(exec_, depth_, p.depth.data(), p.depth.size());
     orb_.extract(exec_);
-    ft::undistort_keypoints(exec_, raw_, rig_.camera, orb_.keypoints(), undistorted_, nullptr);
+    ft::undistort_keypoints(exec_, raw_, rig_.camera, orb_.keypoints(), {undistorted_, nullptr});
     ft::depth_params depth;
     depth.bf = rig_.bf();
     depth.scale = 1.0f / 5000;

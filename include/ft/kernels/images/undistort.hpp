@@ -27,6 +27,12 @@ using pixels_view = soa_view<field::x, field::y>;
 template <memory_space Space>
 using pixels = soa<Space, field::x, field::y>;
 
+/// Output of undistort_keypoints().
+struct undistorted_view {
+  pixels_view positions;          ///< of the shape of the input, which it may be; gets the counts
+  std::uint8_t* valid = nullptr;  ///< [batch][capacity] 1 or 0; may be null
+};
+
 namespace detail {
 
 /// @throws bad_argument for a view without memory or entries, or with more entries than an int
@@ -52,11 +58,7 @@ void require_same_shape(char const* names, A const& a, B const& b) {
   }
 }
 
-}  // namespace detail
-
-namespace detail {
-
-/// One keypoint of one image, with camera models of strict_double.
+/// Item: a keypoint. Camera models have the scalar strict_double.
 template <typename Source, typename Target>
 struct undistort_keypoint {
   using scratch = no_scratch;
@@ -64,8 +66,8 @@ struct undistort_keypoint {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Source const& camera,
                                  mat3<strict_double> const& R_target_source, Target const& target,
-                                 pixels_view const& raw, pixels_view const& out,
-                                 std::uint8_t* valid) const {
+                                 pixels_view const& raw, undistorted_view const& to) const {
+    pixels_view const& out = to.positions;
     int const image = item / raw.capacity;
     int const i = item % raw.capacity;
     int const count = raw.count[image];
@@ -80,7 +82,7 @@ struct undistort_keypoint {
     bool const good = p.valid && scalar::is_finite(u) && scalar::is_finite(v);
     get<field::x>(out, item) = good ? u : x;
     get<field::y>(out, item) = good ? v : y;
-    if (valid != nullptr) { valid[item] = static_cast<std::uint8_t>(good); }
+    if (to.valid != nullptr) { to.valid[item] = static_cast<std::uint8_t>(good); }
   }
 };
 
@@ -93,36 +95,34 @@ struct undistort_keypoint {
 /// hides the last bit of an arc tangent or tangent in a model. A keypoint that has no ray in
 /// `camera` or no projection in `target` keeps its raw position and is marked invalid. Entries past
 /// a count are not written. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param raw extracted positions, pixels @param out same shape; also gets the counts; may be `raw`
-/// @param valid [batch][capacity] 1 or 0, or null
+/// @param raw extracted positions, pixels
 /// @throws bad_argument for null views, different shapes, an invalid camera, or a matrix that is
-/// not a
-///   rotation
+///   not a rotation
 template <typename Exec, typename Source, typename Target>
 void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
                          mat3<double> const& R_target_source, pixels_view const& raw,
-                         pixels_view const& out, std::uint8_t* valid) {
+                         undistorted_view const& out) {
   static_assert(is_camera_model_v<Source> && is_camera_model_v<Target>,
                 "camera models as in cameras/camera_model.hpp");
   camera.check();
   target.check();
   detail::require_rotation(R_target_source);
   detail::require_pixels("raw keypoints", raw);
-  detail::require_pixels("undistorted keypoints", out);
-  detail::require_same_shape("raw and undistorted keypoints", raw, out);
+  detail::require_pixels("undistorted keypoints", out.positions);
+  detail::require_same_shape("raw and undistorted keypoints", raw, out.positions);
   auto const from = camera.template cast<strict_double>();
   auto const to = target.template cast<strict_double>();
   using stage =
       detail::undistort_keypoint<std::decay_t<decltype(from)>, std::decay_t<decltype(to)>>;
   for_each_item<per_thread>(exec, raw.batch * raw.capacity, stage{}, from,
-                            detail::strict_rotation(R_target_source), to, raw, out, valid);
+                            detail::strict_rotation(R_target_source), to, raw, out);
 }
 
 /// The same without rotation.
 template <typename Exec, typename Source, typename Target>
 void undistort_keypoints(Exec const& exec, Source const& camera, Target const& target,
-                         pixels_view const& raw, pixels_view const& out, std::uint8_t* valid) {
-  undistort_keypoints(exec, camera, target, mat3<double>::identity(), raw, out, valid);
+                         pixels_view const& raw, undistorted_view const& out) {
+  undistort_keypoints(exec, camera, target, mat3<double>::identity(), raw, out);
 }
 
 /// A rectangle of pixels, as grid_geometry::over() takes it.

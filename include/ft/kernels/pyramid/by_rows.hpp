@@ -117,7 +117,7 @@ struct resize_band {
     resize_tap const* const taps = all_taps + pyramid.geometry.tap_offset[l];
     static_assert(Group::max_threads == 1, "a band is computed by one thread");
     for (int x = 0; x < to.width; x += strip) {
-      resize_strip(from, to, taps, x, min_of(strip, to.width - x), first, end);
+      resize_strip(from, to, taps, {x, min_of(strip, to.width - x), first, end});
     }
   }
 
@@ -125,12 +125,16 @@ private:
   static constexpr int strip = 256;  ///< columns whose taps are kept at a time
   static constexpr int run = 32;     ///< columns per vectorised loop
 
-  /// Columns [x, x + n), rows [first, end). A source row is interpolated once, although two rows of
-  /// the level may read it.
+  /// Columns [x, x + n), rows [first, end).
+  struct part {
+    int x, n, first, end;
+  };
+  /// Computes a part of a level. A source row is interpolated once, although two rows of the level
+  /// may read it.
   FT_HOST_DEVICE FT_INLINE static void resize_strip(gray_view from, image_view<std::uint8_t> to,
-                                                    resize_tap const* taps, int x, int n, int first,
-                                                    int end) {
-    column_taps<strip> columns(taps + x, n, from.width);
+                                                    resize_tap const* taps, part const& of) {
+    int const n = of.n;
+    column_taps<strip> columns(taps + of.x, n, from.width);
     std::int16_t sums[2][strip] = {};
     int row_of[2] = {-1, -1};
     auto const sums_of = [&](int row, int other) {
@@ -142,11 +146,11 @@ private:
       columns.interpolate(from.row(row), sums[k]);
       return k;
     };
-    for (int y = first; y < end; ++y) {
+    for (int y = of.first; y < of.end; ++y) {
       resize_tap const v = taps[to.width + y];
       int const k0 = sums_of(v.first, v.first + v.offset);
       int const k1 = sums_of(v.first + v.offset, v.first);
-      std::uint8_t* const out = to.row(y) + x;
+      std::uint8_t* const out = to.row(y) + of.x;
       int at = 0;
       for (; at + run <= n; at += run) {
         mix_rows<run>(sums[k0] + at, sums[k1] + at, v, out + at, run);

@@ -1365,10 +1365,9 @@ TYPED_TEST_P(camera_in_stages, a_stereo_pair_gives_its_points_back) {
   ft::fisheye_matches_view out;
   ft::arena<TestFixture::space> const memory([&](ft::carver& c) { carve(c, out, n, 1); });
   auto const before_overlap = to_exec(exec, std::vector<int>{0, 0});
-  ft::fisheye_stereo_params const params;
-  ft::match_stereo_fisheye(exec, TestFixture::rig(), frame.keypoints.view(),
-                           static_cast<int const*>(before_overlap.data()), frame.geometry, params,
-                           out);
+  ft::fisheye_stereo<std::decay_t<decltype(TestFixture::rig())>> const stereo{
+      TestFixture::rig(), frame.geometry, before_overlap.data(), {}};
+  ft::match_stereo_fisheye(exec, stereo, frame.keypoints.view(), out);
   auto const partner = from_exec(exec, static_cast<int const*>(out.partner), at(2 * n));
   auto const point = from_exec(exec, static_cast<ft::vec3<float> const*>(out.point), at(n));
   auto const depth = from_exec(exec, static_cast<float const*>(out.depth), at(n));
@@ -1380,10 +1379,11 @@ TYPED_TEST_P(camera_in_stages, a_stereo_pair_gives_its_points_back) {
     vector const p = s.in_left[at(i)];
     bool const ahead = s.in_right[at(i)].z > 0.05 * length(p);
     if (r != s.right.end() &&
-        (std::abs(cosine - static_cast<double>(params.max_cosine)) < 1e-5 || !ahead)) {
+        (std::abs(cosine - static_cast<double>(stereo.params.max_cosine)) < 1e-5 || !ahead)) {
       continue;  // at a limit of the stage
     }
-    bool const should = r != s.right.end() && cosine < static_cast<double>(params.max_cosine);
+    bool const should =
+        r != s.right.end() && cosine < static_cast<double>(stereo.params.max_cosine);
     ASSERT_EQ(partner[at(i)], should ? n + static_cast<int>(r - s.right.begin()) : -1)
         << p.x << ", " << p.y << ", " << p.z;
     if (!should) { continue; }

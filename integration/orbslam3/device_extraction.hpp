@@ -85,7 +85,7 @@ public:
     }
     extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
     stereo_.bf = s.bf;
-    stereo_.max_disparity = s.baseline > 0 ? s.bf / s.baseline : 0;
+    stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf over Frame::mb
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = s.height;
@@ -183,7 +183,7 @@ public:
     extractor_.build_pyramids(exec);
   }
   /// Queues the stereo matches of a frame's keypoints by the pyramids, and their way to the host.
-  /// @param sorted right rows and partners are as the extraction has left them
+  /// @param sorted the extraction has sorted the right keypoints by rows
   void queue_stereo(Exec const& exec, device_frames<Exec, Rig>& frames, int b, bool sorted) {
     device_frame& f = frames[b];
     frame_arrays const& a = frames.arrays(b);
@@ -191,13 +191,12 @@ public:
     if constexpr (Rig::rectified) {
       if (!sorted) { sort_right_rows(exec, f.keypoints, right_rows_); }
       match_sorted_rows(exec, extractor_.pyramid(), f.keypoints, stereo_, f.matches, right_rows_);
-      cut_outliers(exec, f.keypoints, f.matches);
       down.add(exec, a.right_x, array_of<field::right_x>(f.matches), capacity());
       down.add(exec, a.depth, array_of<field::depth>(f.matches), capacity());
     } else {
-      if (!sorted) { clear_fisheye_matches(exec, f.fisheye); }
-      match_cleared_fisheye(exec, rig_, f.keypoints, f.mono, extractor_.geometry(),
-                            fisheye_stereo_params{}, f.fisheye);
+      static_cast<void>(sorted);
+      match_stereo_fisheye(exec, fisheye_stereo<Rig>{rig_, extractor_.geometry(), f.mono, {}},
+                           f.keypoints, f.fisheye);
       down.add(exec, a.partner, f.fisheye.partner, 2 * capacity());
       down.add(exec, a.depth, f.fisheye.depth, capacity());
       down.add(exec, reinterpret_cast<vec3<float>*>(a.point), f.fisheye.point, capacity());
@@ -247,11 +246,7 @@ private:
       feature_grid_view grids = f.grids;
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
       keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
-      if constexpr (Rig::rectified) {
-        extractor_.extract_from(exec, sources, no_items{}, all_grids);
-      } else {
-        extractor_.extract_from(exec, sources, detail::clear_partners{f.fisheye}, all_grids);
-      }
+      extractor_.extract_from(exec, sources, all_grids);
     } else {
       extractor_.extract_from(exec, sources);
     }

@@ -355,8 +355,9 @@ private:
     auto const mono = to_exec(exec_, read_npy<std::int32_t>(path("frame", k, "mono")).data);
     ft::fisheye_matches_view matches;
     ft::arena<Exec::space> memory([&](ft::carver& c) { ft::carve(c, matches, capacity, 1); });
-    ft::match_stereo_fisheye(exec_, fisheye_rig_, frame_keypoints_.view(), mono.data(),
-                             orb_.geometry(), {}, matches);
+    ft::fisheye_stereo<std::decay_t<decltype(fisheye_rig_)>> const stereo{
+        fisheye_rig_, orb_.geometry(), mono.data(), {}};
+    ft::match_stereo_fisheye(exec_, stereo, frame_keypoints_.view(), matches);
     auto const partner = get_array<int>(matches.partner, static_cast<std::size_t>(2 * capacity));
     auto const point =
         get_array<ft::vec3<float>>(matches.point, static_cast<std::size_t>(capacity));
@@ -531,7 +532,6 @@ private:
                                                        fp,
                                                        orb_.geometry(),
                                                        lp,
-                                                       {},
                                                        seen.data()},
                             map.view(), buffers.windows);
     auto const vis =

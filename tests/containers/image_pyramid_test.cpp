@@ -324,11 +324,9 @@ TYPED_TEST(image_pyramid_unit, tiles_of_images_that_are_still_fetched_give_the_s
     ft::frame_arrivals arrivals;
     ft::arena<exec_type::space> const memory(
         [&](ft::carver& c) { carve(c, arrivals, g, s.batch); });
-    auto const clear = [&] {
-      ft::for_each_item<ft::per_thread>(exec, arrivals.counters(), ft::clear_arrival{}, arrivals);
-    };
     auto const parts = static_cast<std::size_t>(arrivals.batch * arrivals.parts);
-    clear();
+    // As an earlier frame leaves them: the upload has to reset them.
+    ft::fill_bytes(exec, arrivals.received, 1, parts * sizeof(unsigned));
     int const stride = (s.w + 15) / 16 * 16;
     auto const bytes = static_cast<std::size_t>(stride) * static_cast<std::size_t>(s.h);
     auto const batch = static_cast<std::size_t>(s.batch);
@@ -337,7 +335,8 @@ TYPED_TEST(image_pyramid_unit, tiles_of_images_that_are_still_fetched_give_the_s
     exec.wait();
     auto const queue = [&](exec_type const& e) {
       ft::receive_images(e, sources.data(), by_tiles.view(), {}, {}, arrivals);
-      ft::build_pyramid(e, by_tiles.view(), d_taps.data(), tiles, arrivals);
+      ft::build_pyramid(ft::detail::with_order(e, ft::detail::launch_order::concurrent),
+                        by_tiles.view(), d_taps.data(), tiles, arrivals);
     };
     ft::recording<exec_type> recorded;
     recorded.record(exec, queue);
@@ -359,10 +358,10 @@ TYPED_TEST(image_pyramid_unit, tiles_of_images_that_are_still_fetched_give_the_s
       } else {
         recorded.replay(exec, queue);
       }
-      auto const told =
+      auto const received =
           test::from_exec(exec, static_cast<unsigned const*>(arrivals.received), parts);
-      EXPECT_EQ(static_cast<std::size_t>(std::count(told.begin(), told.end(), 1u)), told.size());
-      clear();
+      EXPECT_EQ(static_cast<std::size_t>(std::count(received.begin(), received.end(), 1u)),
+                received.size());
       for (int b = 0; b < s.batch; ++b) {
         for (int l = 0; l < s.levels; ++l) {
           ASSERT_EQ(this->level_of(by_tiles, b, l), this->level_of(by_rows, b, l))
@@ -370,10 +369,6 @@ TYPED_TEST(image_pyramid_unit, tiles_of_images_that_are_still_fetched_give_the_s
         }
       }
     }
-    auto const cleared =
-        test::from_exec(exec, static_cast<unsigned const*>(arrivals.received), parts);
-    EXPECT_EQ(static_cast<std::size_t>(std::count(cleared.begin(), cleared.end(), 0u)),
-              cleared.size());
   }
 }
 

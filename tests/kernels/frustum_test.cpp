@@ -304,7 +304,6 @@ struct local_map_run {
                                    bounds(),
                                    g,
                                    search,
-                                   ft::search_params{},
                                    d_seen.data()},
         map, out);
     windows = test::from_exec(exec, static_cast<ft::search_window const*>(out.windows), n);

@@ -399,10 +399,10 @@ outcome search(Exec const& exec, scene const& s) {
   ft::build_grid<ft::nearest_cell>(exec, keypoints, 0, all_images ? 1 : s.step, s.cameras * s.batch,
                                    grids);
   if (s.turned) {
-    ft::last_search<ft::rectified_rig> search;  // only the last frame and `matching` are used
+    ft::last_search<ft::rectified_rig> search;  // only the last frame and max_hamming are used
     search.last.keypoints = last;
     search.last.cameras = s.cameras;
-    search.matching = s.params;
+    search.params.max_hamming = s.params.max_hamming;
     ft::for_each_item<ft::per_warp>(exec, windows.batch * windows.capacity,
                                     ft::detail::list_candidates{}, frame, map, s.params, buffers);
     ft::for_each_item<ft::per_block<ft::detail::assign_threads>>(

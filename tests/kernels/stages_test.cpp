@@ -805,8 +805,7 @@ public:
     using rig_type = std::decay_t<decltype(case_.rig)>;
     ft::local_search<rig_type> const search{case_.rig,      predicted_,         slots_,
                                             slot_count_,    {stamp_, stamps_},  case_.frustum,
-                                            case_.geometry, case_.local_params, ft::search_params{},
-                                            seen_};
+                                            case_.geometry, case_.local_params, seen_};
     ft::find_visible_points(exec_, search, map_, windows_);
     record r;
     auto const all = test::from_exec(exec_, static_cast<ft::visibility const*>(seen_),
@@ -1202,8 +1201,8 @@ void compare_fisheye_stereo(executors& on, unsigned seed, long& found) {
     ft::fisheye_matches_view out;
     ft::arena<exec_type::space> const memory(
         [&](ft::carver& c) { ft::carve(c, out, capacity, pairs); });
-    ft::match_stereo_fisheye(exec, rig, keypoints.view(), static_cast<int const*>(d_mono.data()),
-                             geometry, {}, out);
+    ft::fisheye_stereo<std::decay_t<decltype(rig)>> const stereo{rig, geometry, d_mono.data(), {}};
+    ft::match_stereo_fisheye(exec, stereo, keypoints.view(), out);
     record r;
     auto const depth =
         test::from_exec(exec, static_cast<float const*>(out.depth), at(pairs * capacity));

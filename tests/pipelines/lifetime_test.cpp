@@ -127,8 +127,7 @@ TYPED_TEST(lifetime, what_was_never_made_or_was_moved_from_refuses_every_call) {
   typename TestFixture::matcher stereo(rig(), first);
   typename TestFixture::matcher taken(std::move(stereo));
   EXPECT_THROW(stereo.match(exec, first), ft::bad_argument);
-  EXPECT_THROW(stereo.match_prepared(exec, first), ft::bad_argument);
-  EXPECT_THROW(stereo.finish(exec, first), ft::bad_argument);
+  EXPECT_THROW(stereo.match_sorted(exec, first), ft::bad_argument);
   EXPECT_THROW(stereo.match(exec, second), ft::bad_argument) << "both are empty";
 
   typename TestFixture::tracker_type no_tracker;

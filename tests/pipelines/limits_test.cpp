@@ -279,8 +279,7 @@ TYPED_TEST(limits, a_matcher_refuses_an_extractor_of_another_shape) {
   orb const none;
   for (orb const* other : {&larger, &taller, &longer, &none}) {
     EXPECT_THROW(matcher.match(exec, *other), ft::bad_argument);
-    EXPECT_THROW(matcher.match_prepared(exec, *other), ft::bad_argument);
-    EXPECT_THROW(matcher.finish(exec, *other), ft::bad_argument);
+    EXPECT_THROW(matcher.match_sorted(exec, *other), ft::bad_argument);
   }
   image const pixels = test::random_image(160, 120, 8);
   for (int i = 0; i < 2; ++i) { mine.upload(exec, i, {pixels.data(), 160, 120, 160}); }

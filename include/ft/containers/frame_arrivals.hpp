@@ -37,6 +37,18 @@ FT_HOST_DEVICE void arrive(Group const& g, unsigned* counter, int rank = 0) {
 #endif
 }
 
+/// Sets counters first, first + step, ... below `end` to 0, in the prologue of the stage that will
+/// increment them. No dependent grid starts before the whole group has done so: the fence and the
+/// barrier come before the group lets dependents start.
+template <typename Group>
+FT_HOST_DEVICE void reset(Group const& g, unsigned* counters, int first, int end, int step) {
+  for (int i = first + g.rank() * step; i < end; i += g.size() * step) { counters[i] = 0; }
+#if defined(__CUDA_ARCH__)
+  __threadfence();
+#endif
+  g.sync();
+}
+
 /// Waits until each of `count` counters is at least `n`, with acquire semantics. On the host
 /// nothing runs concurrently, and they always are.
 template <typename Group>
@@ -63,8 +75,8 @@ FT_HOST_DEVICE void await(Group const& g, unsigned const* counters, int count, i
 
 }  // namespace detail
 
-/// Counters in executor memory, 0 before a frame. In a view without counters every wait returns at
-/// once.
+/// Counters in executor memory. The stage that increments them resets them in its prologue. In a
+/// view without counters every wait returns at once.
 struct frame_arrivals {
   static constexpr int quads_of_part = 256;  ///< size of a chunk, in units of 16 bytes
 
@@ -78,7 +90,6 @@ struct frame_arrivals {
   FT_HOST_DEVICE static int parts_of(pyramid_geometry const& g) {
     return ceil_div(ceil_div(g.width[0], 16) * g.height[0], quads_of_part);
   }
-  FT_HOST_DEVICE int counters() const { return batch * (parts + 1); }  ///< of both kinds
 
   /// Waits for rows [begin, end) of level 0.
   template <typename Group>
@@ -86,6 +97,15 @@ struct frame_arrivals {
     int const first = begin * quads_of_row / quads_of_part;
     int const last = (end * quads_of_row - 1) / quads_of_part;
     detail::await(g, received + image * parts + first, last - first + 1, 1);
+  }
+  /// Resets the counters of chunks first, first + step, ... of all images.
+  template <typename Group>
+  FT_HOST_DEVICE void reset_received(Group const& g, int first, int step) const {
+    if (overlapping()) { detail::reset(g, received, first, batch * parts, step); }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE void reset_placed(Group const& g, int image) const {
+    if (overlapping()) { detail::reset(g, placed, image, image + 1, 1); }
   }
   template <typename Group>
   FT_HOST_DEVICE void tell_placed(Group const& g, int image) const {
@@ -111,35 +131,6 @@ inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int b
   v.received = c.take<unsigned>(b * static_cast<std::size_t>(v.parts));
   v.placed = c.take<unsigned>(b);
 }
-
-/// Sets one counter to 0; those of chunks come first.
-struct clear_arrival {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frame_arrivals const& arrivals) const {
-    int const parts = arrivals.batch * arrivals.parts;
-    (item < parts ? arrivals.received[item] : arrivals.placed[item - parts]) = 0;
-  }
-};
-
-/// Clears the counters and does the items of another stage, for with_small_items.
-template <typename Also>
-struct clear_arrivals_and {
-  frame_arrivals arrivals;
-  Also also;
-
-  FT_HOST_DEVICE int count() const { return arrivals.counters() + also.count(); }
-  FT_HOST_DEVICE void operator()(int item) const {
-    int const counters = arrivals.counters();
-    if (item < counters) {
-      no_scratch none;
-      clear_arrival{}(single_group{}, none, item, arrivals);
-    } else {
-      also(item - counters);
-    }
-  }
-};
 
 }  // namespace FT_ABI
 }  // namespace ft

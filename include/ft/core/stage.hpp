@@ -25,8 +25,9 @@
 /// The launch protocol. A launch of a recording may be resident while the preceding grid runs
 /// (core/launch_order.hpp). Each group does, in this order:
 /// 1. the prologue. It must not read what the preceding grid writes, or a grid that runs
-///    concurrently with that. A prologue that returns void prepares its scratch from its arguments.
-///    One that returns bool may read memory that was complete before the preceding grid started;
+///    concurrently with that. A prologue that returns void prepares its scratch from its arguments,
+///    and may reset counters that only this launch and concurrent ones after it use. One that
+///    returns bool may read memory that was complete before the preceding grid started;
 ///    false ends the item. The latter is for warps.
 /// 2. the wait for the preceding grid, unless the launch is concurrent with it;
 /// 3. the operator.
@@ -180,33 +181,6 @@ FT_HOST_DEVICE FT_INLINE bool run_prologue(Op const& op, Group g, typename Op::s
 }
 
 }  // namespace detail
-
-/// No items of another stage.
-struct no_items {
-  FT_HOST_DEVICE static int count() { return 0; }
-  FT_HOST_DEVICE void operator()(int /*item*/) const {}
-};
-
-/// Fuses a small elementwise job into another stage's launch: its groups first do also(i) for all
-/// i < also.count(). Saves a launch, and a wait for what would be concurrent.
-template <typename Op, typename Also>
-struct with_small_items {
-  using traits = detail::stage_traits<Op>;
-  static_assert(!traits::has_prologue && !traits::prefers_shared && traits::resident_blocks == 0 &&
-                    !detail::names_extra_bytes<Op>,
-                "with_small_items passes on no hook but wide_on_host");
-  static constexpr bool wide_on_host = traits::wide_on_host;
-  using scratch = typename Op::scratch;
-  Op op;
-  Also also;
-  int items;  ///< of the launch
-
-  template <typename Group, typename... Args>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, Args const&... args) const {
-    for (int i = item * g.size() + g.rank(); i < also.count(); i += items * g.size()) { also(i); }
-    op(g, s, item, args...);
-  }
-};
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -44,11 +44,7 @@ FT_HOST_DEVICE inline int reflect_101(int i, int n) {
   return i;
 }
 
-}  // namespace detail
-
-namespace detail {
-
-/// One tile of one level of one image.
+/// Item: a tile of a level of an image.
 ///
 /// On the host a single thread goes through the rows in scratch. On a device each thread blurs
 /// strips of 4 columns in registers; blur_rows() is for images that strips cannot handle.
@@ -126,20 +122,12 @@ struct blur_tile {
       right_x = rest > 4 ? right_x : x;
       if (rest < 8) { mirror(rest, own, beyond); }
     }
-    auto const row_at = [&](int r) {
-      int at = y + r - radius;
-      if (Border) {
-        at = at < 0 ? -at : at;
-        at = max_of(min_of(at, 2 * in.height - 2 - at), 0);
-      }
-      return in.data + at * in.stride;
-    };
     std::uint32_t left[rows];
     std::uint32_t middle[rows];
     std::uint32_t right[rows];
     FT_UNROLL
     for (int r = 0; r < rows; ++r) {
-      std::uint8_t const* const row = row_at(r);
+      std::uint8_t const* const row = row_of<Border>(in, y + r - radius);
       left[r] = load_word(row + left_x);
       middle[r] = load_word(row + x);
       right[r] = load_word(row + right_x);
@@ -177,6 +165,16 @@ struct blur_tile {
   }
 
 private:
+  /// Row y of an image, mirrored if it lies outside.
+  template <bool Border>
+  FT_HOST_DEVICE static std::uint8_t const* row_of(gray_view in, int y) {
+    if (Border) {
+      y = y < 0 ? -y : y;
+      y = max_of(min_of(y, 2 * in.height - 2 - y), 0);
+    }
+    return in.data + y * in.stride;
+  }
+
   /// Stores the first `rest` pixels of a word, at most four.
   template <bool Border>
   FT_HOST_DEVICE static void store_pixels(std::uint8_t* to, std::uint32_t word, int rest) {
@@ -332,14 +330,12 @@ private:
 }  // namespace detail
 
 /// Blurs every level of every image of `from` into `to`. Asynchronous on `exec`; allocates nothing;
-/// one launch. @param also elementwise work of another stage, see with_small_items
-template <typename Exec, typename Also = no_items>
+/// one launch.
+template <typename Exec>
 void blur_pyramid(Exec const& exec, image_pyramid_view const& from, image_pyramid_view const& to,
-                  blur_layout const& layout, Also const& also = {}) {
-  int const tiles = from.batch * layout.first[layout.levels];
-  for_each_item<per_block<64>>(
-      exec, tiles, with_small_items<detail::blur_tile, Also>{detail::blur_tile{}, also, tiles},
-      from, to, layout);
+                  blur_layout const& layout) {
+  for_each_item<per_block<64>>(exec, from.batch * layout.first[layout.levels], detail::blur_tile{},
+                               from, to, layout);
 }
 
 }  // namespace FT_ABI

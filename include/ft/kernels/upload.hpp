@@ -55,6 +55,14 @@ struct receive_parts {
     return ceil_div(first.quads + second.quads, quads);
   }
 
+  /// Resets the counters of the chunks that this block copies.
+  template <typename Group>
+  FT_HOST_DEVICE void prologue(Group g, scratch&, int item, image_pyramid_view const&,
+                               image_source const*, block_source const&, block_source const&,
+                               frame_arrivals const& arrivals) const {
+    arrivals.reset_received(g, item, fetchers);
+  }
+
   /// @param sources [batch of pyramids], host memory
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& to,
@@ -133,7 +141,7 @@ private:
     }
   };
 
-  /// Copies chunks item, item + fetchers, ... with `in_flight` of them loaded ahead.
+  /// Copies chunks item, item + fetchers, ... with `in_flight` of them prefetched.
   template <typename Group>
   FT_HOST_DEVICE static void copy_pipelined(Group g, int item, int parts, inputs& in,
                                             frame_arrivals const& arrivals) {

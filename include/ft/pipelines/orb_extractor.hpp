@@ -141,17 +141,15 @@ public:
   /// @param sources [batch] in host memory that the executor's threads can read: addresses and
   ///   strides of the images. Read when the launches run
   void extract_from(Exec const& exec, image_source const* sources) {
-    extract_from(exec, sources, no_items{}, no_grids{});
+    extract_from(exec, sources, no_grids{});
   }
   /// The same, and sorts the keypoints into grids. @param grids keypoint_grids or no_grids
-  /// @param also see detail::extraction
-  template <typename Also, typename Grids>
-  void extract_from(Exec const& exec, image_source const* sources, Also const& also,
-                    Grids const& grids) {
+  template <typename Grids>
+  void extract_from(Exec const& exec, image_source const* sources, Grids const& grids) {
     batch_.require_made("extractor");
     detail::stage_line<Exec> line(exec, clock_);
-    detail::queue_images(
-        line, detail::extraction_with<Exec, Also, Grids>{stages_, sources, also, grids}, false);
+    detail::queue_images(line, detail::extraction_with<Exec, Grids>{stages_, sources, grids},
+                         false);
     line.end();
   }
   /// The keypoints in memory that the host reads. Waits, and allocates.

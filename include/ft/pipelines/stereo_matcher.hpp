@@ -12,7 +12,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
-#include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
@@ -62,49 +61,29 @@ public:
     });
   }
 
-  /// Queues the matching of the extractor's current images. @throws bad_argument, as its parts, for
-  /// an extractor of another shape than the one that the matcher was made with
+  /// Queues the matching of the extractor's current images. @throws bad_argument, as
+  /// match_sorted(), for an extractor of another shape than the one that the matcher was made with
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
-    if constexpr (Rig::rectified) {
-      sort_right_rows(exec, extractor.keypoints(), right_rows_);
-    } else {
-      clear_fisheye_matches(exec, fisheye_);
-    }
-    match_prepared(exec, extractor);
-    finish(exec, extractor);
+    if constexpr (Rig::rectified) { sort_right_rows(exec, extractor.keypoints(), right_rows_); }
+    match_sorted(detail::with_order(exec, detail::launch_order::serial), extractor);
   }
-  /// The part of match() that needs no keypoints, for with_small_items.
-  auto clearing() const {
-    pairs_.require_made("stereo matcher");
-    if constexpr (Rig::rectified) {
-      return no_items{};
-    } else {
-      return detail::clear_partners{fisheye_};
-    }
-  }
-  /// Of a rectified rig the grid of the right images' rows, which match_prepared() needs.
-  feature_grid_view right_rows() const { return right_rows_; }
-  /// The part that needs descriptors, after clearing().
-  void match_prepared(Exec const& exec, orb_extractor<Exec> const& extractor) {
+  /// The same, if another stage has sorted the right keypoints of rectified pairs into
+  /// right_rows(). Only the first launch is concurrent with its predecessor if `exec` says so.
+  void match_sorted(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {
       match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
                         right_rows_);
     } else {
-      match_cleared_fisheye(exec, rig_, extractor.keypoints(), extractor.mono_count(),
-                            extractor.geometry(), fisheye_params_, fisheye_);
+      match_stereo_fisheye(
+          exec,
+          fisheye_stereo<Rig>{rig_, extractor.geometry(), extractor.mono_count(), fisheye_params_},
+          extractor.keypoints(), fisheye_);
     }
   }
-  /// The rest of match().
-  void finish(Exec const& exec, orb_extractor<Exec> const& extractor) {
-    require_shape(extractor);
-    if constexpr (Rig::rectified) {
-      cut_outliers(exec, extractor.keypoints(), matches_);
-    } else {
-      static_cast<void>(exec);
-    }
-  }
+  /// Grid of the right keypoints by rows; without memory if the rig is not rectified.
+  feature_grid_view right_rows() const { return right_rows_; }
 
   // Executor memory, valid as long as the matcher.
   stereo_matches_view matches() const { return matches_; }  ///< rectified: one batch entry per pair

@@ -24,7 +24,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One row of a map, from camera models of strict_double.
+/// Item: a row of a map. Camera models have the scalar strict_double.
 template <typename Source, typename Target>
 struct fill_remap_row {
   using scratch = no_scratch;
@@ -54,13 +54,12 @@ struct fill_remap_row {
 /// remap_entry::none(). Computed in double. All executors agree, with one exception: for models
 /// with an arc tangent or tangent an entry within about 1e-13 pixels of a rounding limit may differ
 /// by 1/32. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param source the camera that took the images @param target the camera wanted, any model
-/// @param R_source_target rotates rays of the target camera into the source camera (the transpose
-/// of R
-///   of OpenCV's initUndistortRectifyMap)
+/// @param source camera that took the images
+/// @param target camera of the rectified images, any model
+/// @param R_source_target rotates rays of the target camera into the source camera: the transpose
+///   of R of OpenCV's initUndistortRectifyMap
 /// @throws bad_argument for a null table, an entry outside it, an invalid camera, or a matrix that
-/// is
-///   not a rotation
+///   is not a rotation
 template <typename Exec, typename Source, typename Target>
 void build_remap(Exec const& exec, Source const& source, mat3<double> const& R_source_target,
                  Target const& target, remap_table_view const& table, int entry = 0) {

@@ -61,7 +61,7 @@ struct depth_params {
 
 namespace detail {
 
-/// One keypoint of one image.
+/// Item: a keypoint.
 template <typename T>
 struct associate_keypoint_depth {
   using scratch = no_scratch;
@@ -110,9 +110,10 @@ struct associate_keypoint_depth {
 /// see the point: it has a depth, but counts as monocular in later stages. All other entries get
 /// -1, -1, -1: keypoints outside the depth image, NaN positions, and entries past a count.
 /// Asynchronous on `exec`; allocates nothing; one launch.
-/// @param raw extracted positions @param undistorted the same keypoints from undistort_keypoints(),
-/// or
-///   `raw` again for a camera without distortion @param out same shape
+/// @param raw extracted positions
+/// @param undistorted the same keypoints from undistort_keypoints(), or `raw` again for a camera
+///   without distortion
+/// @param out same shape
 /// @throws bad_argument for null views, different shapes, sizes or parameters out of range, rows
 ///   that overlap, or a pitch that is not a multiple of a pixel
 template <typename Exec, typename T>

@@ -37,7 +37,7 @@ void require_images(char const* name, image_batch_view<T> const& images, int wid
   require(images.step >= 0, "the distance of two images is negative");
 }
 
-/// One row of one target image.
+/// Item: a row of a target image.
 struct rectify_row {
   static constexpr bool wide_on_host = true;
   using scratch = no_scratch;

@@ -100,6 +100,7 @@ struct order_image {
       s.level[i] = static_cast<std::uint8_t>(v.kept.layout.level_of(i));
     }
     filler.prepare(g, s.filler, image, v.out);
+    v.arrivals.reset_placed(g, image);
   }
 
   template <typename Group>

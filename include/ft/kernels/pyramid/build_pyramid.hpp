@@ -39,15 +39,14 @@ void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_t
   }
 }
 
-/// Computes the same concurrently with receive_images(), which must precede it with the same
-/// `arrivals`: each tile waits for its own rows. @param tiles of a single group
+/// The same for a launch that may be concurrent with receive_images(), which must precede it with
+/// the same `arrivals`: each tile waits for its own rows. @param tiles of a single group
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps,
                    pyramid_tiles const& tiles, frame_arrivals const& arrivals) {
   for_each_item<per_block<detail::resize_tile::threads>>(
-      detail::with_order(exec, detail::launch_order::concurrent),
-      pyramid.batch * tiles.group[0].columns * tiles.group[0].rows, detail::resize_tile{arrivals},
-      pyramid, taps, tiles, 0);
+      exec, pyramid.batch * tiles.group[0].columns * tiles.group[0].rows,
+      detail::resize_tile{arrivals}, pyramid, taps, tiles, 0);
 }
 
 }  // namespace FT_ABI

@@ -111,13 +111,15 @@ void assign_candidates(Exec const& exec, frame_view const& frame, map_points_vie
 
 /// Search in given windows: lists candidates and assigns keypoints. The result equals that of a
 /// loop over the points, for any input. Writes `frame.holder`, `work.match` and `work.matches`.
-/// Asynchronous on `exec`; allocates nothing; two launches.
+/// Asynchronous on `exec`; allocates nothing; two launches, of which only the first is concurrent
+/// with its predecessor if `exec` says so.
 template <typename Exec>
 void search_by_projection(Exec const& exec, frame_view const& frame, map_points_view const& map,
                           search_params const& params, search_buffers const& buffers) {
   for_each_item<per_warp>(exec, buffers.windows.batch * buffers.windows.capacity,
                           detail::list_candidates{}, frame, map, params, buffers);
-  assign_candidates(exec, frame, map, params, buffers);
+  assign_candidates(detail::with_order(exec, detail::launch_order::serial), frame, map, params,
+                    buffers);
 }
 
 }  // namespace FT_ABI

@@ -207,7 +207,8 @@ struct list_point {
     int const i = item % buffers.windows.capacity;
     window_pair windows;
     if (!find_windows<Windows>(g, item, search, map, buffers.windows, windows)) { return; }
-    frame_search const in{b, frame, map, search.matching, buffers, Windows::lists_by_column};
+    search_params const params = search.matching();
+    frame_search const in{b, frame, map, params, buffers, Windows::lists_by_column};
     list_candidates::list(g, s, in, i, windows);
   }
 };

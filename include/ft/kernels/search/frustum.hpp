@@ -84,6 +84,8 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
 struct local_search_params {
   float radius_factor = 1;  ///< of the windows of the left camera
   float max_distance = 0;   ///< points farther away are skipped, metres; 0 = no limit
+  int max_hamming = 100;    ///< largest Hamming distance of a match, bits
+  float ratio = 0.8f;       ///< see search_params
 };
 
 /// Search window of a visible map point.
@@ -117,8 +119,15 @@ struct local_search {
   frustum_params frustum;
   pyramid_geometry geometry;
   local_search_params params;
-  search_params matching;
   visibility* seen = nullptr;  ///< output, [cameras][batch][windows' capacity]; may be null
+
+  FT_HOST_DEVICE search_params matching() const {
+    search_params p;
+    p.kind = search_kind::local_map;
+    p.max_hamming = params.max_hamming;
+    p.ratio = params.ratio;
+    return p;
+  }
 };
 
 namespace detail {

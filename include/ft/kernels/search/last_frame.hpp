@@ -49,7 +49,8 @@ struct assign_last_points {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, last_search<Rig> const& search,
                                  frame_view const& frame, map_points_view const& map,
                                  search_buffers const& buffers) const {
-    frame_search const in{b, frame, map, search.matching, buffers, true};
+    search_params const params = search.matching();
+    frame_search const in{b, frame, map, params, buffers, true};
     // Prefetched; used after the proposals.
     int const left_count = search.last.keypoints.count[search.last.keypoint_step * b];
     stamp_writer const stamp(search.stamps, b, map.capacity);
@@ -224,12 +225,14 @@ void assign_last_frame(Exec const& exec, last_search<Rig> const& search, frame_v
 }
 
 /// Search from the last frame: list_last_frame(), then assign_last_frame(). Ignores the frame's
-/// holders from before. Asynchronous on `exec`; allocates nothing; two launches.
+/// holders from before. Asynchronous on `exec`; allocates nothing; two launches, of which only the
+/// first is concurrent with its predecessor if `exec` says so.
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,
                        map_points_view const& map, search_buffers const& buffers) {
   list_last_frame(exec, search, frame, map, buffers);
-  assign_last_frame(exec, search, frame, map, buffers);
+  assign_last_frame(detail::with_order(exec, detail::launch_order::serial), search, frame, map,
+                    buffers);
 }
 
 }  // namespace FT_ABI

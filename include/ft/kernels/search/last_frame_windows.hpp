@@ -31,6 +31,8 @@ struct last_search_params {
   float window_radius = 7;
   /// Searches all neighbouring octaves, whether the camera moves forwards, backwards or neither.
   bool ignore_motion_direction = false;
+  /// Largest Hamming distance of a match, bits.
+  int max_hamming = 100;
   /// With fewer matches the search is repeated with twice the radius.
   int retry_below = 0;
   /// Drops matches whose rotation differs from that of most others.
@@ -50,11 +52,12 @@ struct last_search {
   pyramid_geometry geometry;
   last_search_params params;
   point_stamps stamps;  ///< gets the matched points; may be without arrays
-  search_params matching = from_last_frame();
 
-  static search_params from_last_frame() {
+  /// All but one member are known at compile time, which saves registers.
+  FT_HOST_DEVICE search_params matching() const {
     search_params p;
     p.kind = search_kind::last_frame;
+    p.max_hamming = params.max_hamming;
     p.from_empty = true;
     return p;
   }

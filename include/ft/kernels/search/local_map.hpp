@@ -36,8 +36,9 @@ struct list_local_point_early {
     using windows_of = local_map_windows<Rig, false>;
     window_pair windows;
     if (!find_windows<windows_of>(g, item, search, map, buffers.windows, windows)) { return false; }
-    int const b = item / buffers.windows.capacity;
-    list_candidates::list_all(g, s, {b, frame, map, search.matching, buffers, true}, windows);
+    search_params const params = search.matching();
+    frame_search const in{item / buffers.windows.capacity, frame, map, params, buffers, true};
+    list_candidates::list_all(g, s, in, windows);
     if (g.rank() == 0) { s.slot = search.slots[item]; }
     g.sync();
     return true;
@@ -49,7 +50,8 @@ struct list_local_point_early {
                                  search_buffers const& buffers) const {
     int const b = item / buffers.windows.capacity;
     int const i = item % buffers.windows.capacity;
-    frame_search const in{b, frame, map, search.matching, buffers, true};
+    search_params const params = search.matching();
+    frame_search const in{b, frame, map, params, buffers, true};
     bool const known = s.slot >= 0 && s.slot < map.capacity;
     // The stamp and the holders of all candidates are loaded together.
     bool const stamped = known && search.stamps.stamped(b, map.capacity, s.slot);
@@ -102,12 +104,13 @@ void list_local_map_early(Exec const& exec, local_search<Rig> const& search,
 
 /// Search in the local map: list_local_map(), then assign_candidates(). The result equals that of
 /// find_visible_points() and search_by_projection(). Asynchronous on `exec`; allocates nothing; two
-/// launches.
+/// launches, of which only the first is concurrent with its predecessor if `exec` says so.
 template <typename Exec, typename Rig>
 void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
                       map_points_view const& map, search_buffers const& buffers) {
   list_local_map(exec, search, frame, map, buffers);
-  assign_candidates(exec, frame, map, search.matching, buffers);
+  assign_candidates(detail::with_order(exec, detail::launch_order::serial), frame, map,
+                    search.matching(), buffers);
 }
 
 }  // namespace FT_ABI

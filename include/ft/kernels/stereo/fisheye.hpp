@@ -29,19 +29,23 @@ struct fisheye_stereo_params {
   float min_depth = 1e-4f;     ///< metres
 };
 
+/// Inputs of stereo matching without rectification, apart from the keypoints.
+template <typename Rig>
+struct fisheye_stereo {
+  Rig rig;
+  pyramid_geometry geometry;
+  int const* mono_count = nullptr;  ///< [images] keypoints outside the overlap; they come first
+  fisheye_stereo_params params;
+};
+
 namespace detail {
 
-/// Resets one entry of the matches. Also usable with with_small_items.
-struct clear_partners {
+/// Item: the number of a keypoint. Clears its match.
+struct clear_partner {
   using scratch = no_scratch;
-  fisheye_matches_view out;
 
-  FT_HOST_DEVICE int count() const { return 2 * out.batch * out.capacity; }
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item) const {
-    (*this)(item);
-  }
-  FT_HOST_DEVICE void operator()(int item) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, fisheye_matches_view const& out) const {
     out.partner[item] = -1;
     int const k = item % (2 * out.capacity);
     if (k < out.capacity) {
@@ -53,26 +57,25 @@ struct clear_partners {
   }
 };
 
-/// One left keypoint in the overlap: finds its partner and the point.
+/// Item: a left keypoint. Finds its partner and the point if it is in the overlap.
 template <typename Rig>
 struct match_fisheye_keypoint {
   static constexpr bool wide_on_host = true;
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, Rig const& rig,
-                                 keypoints_view const& keypoints, int const* mono_count,
-                                 pyramid_geometry const& geometry,
-                                 fisheye_stereo_params const& params,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, fisheye_stereo<Rig> const& stereo,
+                                 keypoints_view const& keypoints,
                                  fisheye_matches_view const& out) const {
+    fisheye_stereo_params const& params = stereo.params;
     int const pair = item / out.capacity;
     int const i = item % out.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
     // Loads in flight together, although the entry may turn out to be past the count.
     int const count = *left.count;
-    int const first = mono_count[2 * pair];
-    int const right_first = mono_count[2 * pair + 1];
+    int const first = stereo.mono_count[2 * pair];
+    int const right_first = stereo.mono_count[2 * pair + 1];
     int const right_count = *right.count;
     descriptor const mine = get<field::orb>(left, i);
     if (i >= count || i < first) { return; }
@@ -83,7 +86,7 @@ struct match_fisheye_keypoint {
     int const j = best.index;
 
     vec3<float> point;
-    if (!accept(g, rig, left, i, right, j, geometry, params, point) || g.rank() != 0) { return; }
+    if (!accept(g, stereo, {left, right, i, j}, point) || g.rank() != 0) { return; }
     int* const partner = out.partner + static_cast<std::ptrdiff_t>(pair) * 2 * out.capacity;
     partner[i] = out.capacity + j;
     atomic_max(partner + out.capacity + j, i);  // of several left keypoints the last one stays
@@ -92,6 +95,13 @@ struct match_fisheye_keypoint {
   }
 
 private:
+  /// A left keypoint and its candidate.
+  struct candidate_pair {
+    keypoints_view const& left;
+    keypoints_view const& right;
+    int i, j;
+  };
+
   /// The two nearest of the right keypoints [begin, end).
   template <typename Group>
   FT_HOST_DEVICE static two_nearest nearest(Group g, descriptor const& mine,
@@ -120,16 +130,17 @@ private:
   /// do the same work, with one exception: if both cameras have the same model, lanes of even rank
   /// evaluate the left camera and the others the right one.
   template <typename Group>
-  FT_HOST_DEVICE static bool accept(Group g, Rig const& rig, keypoints_view const& left, int i,
-                                    keypoints_view const& right, int j,
-                                    pyramid_geometry const& geometry,
-                                    fisheye_stereo_params const& params, vec3<float>& point) {
+  FT_HOST_DEVICE static bool accept(Group g, fisheye_stereo<Rig> const& stereo,
+                                    candidate_pair const& pair, vec3<float>& point) {
+    Rig const& rig = stereo.rig;
+    fisheye_stereo_params const& params = stereo.params;
     constexpr bool by_halves =
         Group::max_threads == 32 && std::is_same<decltype(rig.left), decltype(rig.right)>::value;
-    vec2<strict_float> const pl{get<field::x>(left, i), get<field::y>(left, i)};
-    vec2<strict_float> const pr{get<field::x>(right, j), get<field::y>(right, j)};
-    float const sigma2_l = geometry.sigma2[get<field::octave>(left, i)];
-    float const sigma2_r = geometry.sigma2[get<field::octave>(right, j)];
+    vec2<strict_float> const pl{get<field::x>(pair.left, pair.i), get<field::y>(pair.left, pair.i)};
+    vec2<strict_float> const pr{get<field::x>(pair.right, pair.j),
+                                get<field::y>(pair.right, pair.j)};
+    float const sigma2_l = stereo.geometry.sigma2[get<field::octave>(pair.left, pair.i)];
+    float const sigma2_r = stereo.geometry.sigma2[get<field::octave>(pair.right, pair.j)];
     auto const cam_l = rig.left.template cast<strict_float>();
     auto const cam_r = rig.right.template cast<strict_float>();
     bool const is_right = g.rank() % 2 != 0;
@@ -180,32 +191,16 @@ private:
 
 }  // namespace detail
 
-/// Resets all matches: the first step of match_stereo_fisheye(), which needs no keypoints. One
-/// launch.
-template <typename Exec>
-void clear_fisheye_matches(Exec const& exec, fisheye_matches_view const& out) {
-  detail::clear_partners const clear{out};
-  for_each_item<per_thread>(exec, clear.count(), clear);
-}
-
-/// The second step: matches, into cleared arrays. One launch.
-template <typename Exec, typename Rig>
-void match_cleared_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
-                           int const* mono_count, pyramid_geometry const& geometry,
-                           fisheye_stereo_params const& params, fisheye_matches_view const& out) {
-  for_each_item<per_warp>(exec, out.batch * out.capacity, detail::match_fisheye_keypoint<Rig>{},
-                          rig, keypoints, mono_count, geometry, params, out);
-}
-
 /// Finds partners, depths and points of the keypoints in the overlap of every pair; images 2 b and
-/// 2 b + 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches.
-/// @param mono_count [images] keypoints outside the overlap, from order_corners()
+/// 2 b + 1 are pair b. Asynchronous on `exec`; allocates nothing; two launches, of which only the
+/// first is concurrent with its predecessor if `exec` says so.
 template <typename Exec, typename Rig>
-void match_stereo_fisheye(Exec const& exec, Rig const& rig, keypoints_view const& keypoints,
-                          int const* mono_count, pyramid_geometry const& geometry,
-                          fisheye_stereo_params const& params, fisheye_matches_view const& out) {
-  clear_fisheye_matches(exec, out);
-  match_cleared_fisheye(exec, rig, keypoints, mono_count, geometry, params, out);
+void match_stereo_fisheye(Exec const& exec, fisheye_stereo<Rig> const& stereo,
+                          keypoints_view const& keypoints, fisheye_matches_view const& out) {
+  for_each_item<per_thread>(exec, 2 * out.batch * out.capacity, detail::clear_partner{}, out);
+  for_each_item<per_warp>(detail::with_order(exec, detail::launch_order::serial),
+                          out.batch * out.capacity, detail::match_fisheye_keypoint<Rig>{}, stereo,
+                          keypoints, out);
 }
 
 }  // namespace FT_ABI

@@ -15,7 +15,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// One pair: drops the matches whose score is too far above the median.
+/// Item: a pair. Drops the matches whose score is too far above the median.
 ///
 /// The median is selected with two histograms, not a sort: scores are below 2^16 and their number
 /// is known at run time only.

@@ -24,12 +24,12 @@ inline namespace FT_ABI {
 struct stereo_params {
   float bf = 0;             ///< baseline times fx, metres * pixels
   float max_disparity = 0;  ///< bf / baseline, pixels
-  int max_distance = 75;    ///< matching descriptors differ in fewer bits
+  int hamming_limit = 75;   ///< matching descriptors differ in fewer bits
 };
 
 namespace detail {
 
-/// One left keypoint: finds the nearest right one in its band of rows, then refines the column.
+/// Item: a left keypoint. Finds the nearest right one in its band of rows, then refines the column.
 struct match_left_keypoint {
   static constexpr bool wide_on_host = true;
   using scratch = no_scratch;
@@ -152,7 +152,7 @@ private:
     return static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
   }
 
-  /// Tells which right keypoints are candidates: by column, octave and row.
+  /// Whether a right keypoint is a candidate: by column, octave and row.
   struct candidate_band {
     float lowest_u, u;
     int octave, row;
@@ -223,7 +223,7 @@ private:
       }
     }
     best = g.reduce(best, min_op{});
-    return static_cast<int>(best >> 32) < params.max_distance && best != ~0ull
+    return static_cast<int>(best >> 32) < params.hamming_limit && best != ~0ull
                ? static_cast<int>(best & 0xffffffffu)
                : -1;
   }
@@ -240,8 +240,10 @@ void sort_right_rows(Exec const& exec, keypoints_view const& keypoints,
   build_grid<row_cell>(exec, keypoints, 1, 2, keypoints.batch / 2, rows);
 }
 
-/// The second step: matches, with outliers. Asynchronous on `exec`; allocates nothing; one launch.
-/// Follow it with cut_outliers().
+/// The other steps, if another stage has sorted the right keypoints. Asynchronous on `exec`;
+/// allocates nothing; two launches, of which only the first is concurrent with its predecessor if
+/// `exec` says so.
+/// @param right_rows result of sort_right_rows()
 template <typename Exec>
 void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
                        keypoints_view const& keypoints, stereo_params const& params,
@@ -249,18 +251,20 @@ void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
   int const pairs = keypoints.batch / 2;
   for_each_item<per_warp>(exec, pairs * keypoints.capacity, detail::match_left_keypoint{}, pyramid,
                           keypoints, right_rows, params, out);
+  cut_outliers(detail::with_order(exec, detail::launch_order::serial), keypoints, out);
 }
 
 /// Finds right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are
-/// pair b. Asynchronous on `exec`; allocates nothing; three launches.
+/// pair b. Asynchronous on `exec`; allocates nothing; three launches, of which only the first is
+/// concurrent with its predecessor if `exec` says so.
 /// @param right_rows workspace: a grid of one column and `image height` rows per pair
 template <typename Exec>
 void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
                             keypoints_view const& keypoints, stereo_params const& params,
                             stereo_matches_view const& out, feature_grid_view const& right_rows) {
   sort_right_rows(exec, keypoints, right_rows);
-  match_sorted_rows(exec, pyramid, keypoints, params, out, right_rows);
-  cut_outliers(exec, keypoints, out);
+  match_sorted_rows(detail::with_order(exec, detail::launch_order::serial), pyramid, keypoints,
+                    params, out, right_rows);
 }
 
 }  // namespace FT_ABI

@@ -77,12 +77,7 @@ struct extraction {
     if (has_masks()) { mask_corners(exec, geometry, masks, corners); }
   }
   void distribute(Exec const& exec) const { distribute_corners(exec, corners, kept, ties); }
-  /// @param also small items of other stages, see with_small_items
-  template <typename Also>
-  void blur(Exec const& exec, Also const& also) const {
-    blur_pyramid(exec, pyramid, blurred, blur_tiles, clear_arrivals_and<Also>{arrivals, also});
-  }
-  void blur(Exec const& exec) const { blur(exec, no_items{}); }
+  void blur(Exec const& exec) const { blur_pyramid(exec, pyramid, blurred, blur_tiles); }
   /// Places of the keypoints. @param grids that they are sorted into: keypoint_grids or no_grids
   template <typename Grids>
   void order(Exec const& exec, Grids const& grids) const {
@@ -107,7 +102,6 @@ struct extraction {
     clear_corners(exec, corners);
     fill_bytes(exec, kept.kept, 0,
                static_cast<std::size_t>(keypoints.capacity) * b * sizeof(corner));
-    for_each_item<per_thread>(exec, arrivals.counters(), clear_arrival{}, arrivals);
     if (has_masks()) {
       fill_bytes(
           exec, masks.data, 255,
@@ -117,11 +111,10 @@ struct extraction {
 };
 
 /// The stages with images from host memory and grids of a caller's.
-template <typename Exec, typename Also, typename Grids>
+template <typename Exec, typename Grids>
 struct extraction_with {
   extraction<Exec> const& stages;
   image_source const* sources;
-  Also also;
   Grids grids;
 
   void upload(Exec const& exec, bool /*with_local*/) const { stages.upload(exec, sources, {}, {}); }
@@ -130,7 +123,7 @@ struct extraction_with {
   void build_levels(Exec const& exec) const { stages.build_levels(exec); }
   void detect(Exec const& exec) const { stages.detect(exec); }
   void distribute(Exec const& exec) const { stages.distribute(exec); }
-  void blur(Exec const& exec) const { stages.blur(exec, also); }
+  void blur(Exec const& exec) const { stages.blur(exec); }
   void order(Exec const& exec) const { stages.order(exec, grids); }
   void describe(Exec const& exec) const { stages.describe(exec); }
 };

@@ -100,7 +100,6 @@ template <typename Line, typename Stages>
 void queue_extract(Line& line, Stages& s) {
   queue_images(line, s, false);
   s.match_stereo(line.then("stereo"));
-  s.cut_stereo(line.then("stereo"));
   s.forget_matches(line.then("result"));
   s.pack_keypoints(line.then("result"));
   s.pack_matches(line.with("result"), s.outcome_of_extract());
@@ -113,9 +112,8 @@ template <typename Line, typename Stages>
 void queue_motion(Line& line, Stages& s, bool local_follows) {
   queue_images(line, s, local_follows);
   if constexpr (Stages::rectified) {
-    s.match_stereo(line.then("stereo"));
-    s.list_last_frame(line.with("search last frame"));
-    s.cut_stereo(line.then("stereo"));
+    s.list_last_frame(line.then("search last frame"));
+    s.match_stereo(line.with("stereo"));
     s.assign_last_frame(line.then("search last frame"));
   } else {
     auto const branch = line.fork(s.stereo_branch());

@@ -65,7 +65,7 @@ public:
   void build_levels(Exec const& exec) const { features().build_levels(exec); }
   void detect(Exec const& exec) const { features().detect(exec); }
   void distribute(Exec const& exec) const { features().distribute(exec); }
-  void blur(Exec const& exec) const { features().blur(exec, matcher.clearing()); }
+  void blur(Exec const& exec) const { features().blur(exec); }
   void order(Exec const& exec) const {
     features().order(exec, keypoint_grids<rectified>{memory.frame.grids, matcher.right_rows()});
   }
@@ -73,8 +73,7 @@ public:
 
   // ---- stereo
 
-  void match_stereo(Exec const& exec) { matcher.match_prepared(exec, extractor); }
-  void cut_stereo(Exec const& exec) { matcher.finish(exec, extractor); }
+  void match_stereo(Exec const& exec) { matcher.match_sorted(exec, extractor); }
   /// Concurrent stereo matching of pairs that are not rectified.
   side_branch<Exec>& stereo_branch() { return stereo_branch_; }
 
@@ -105,7 +104,8 @@ public:
     ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, local_buffers());
   }
   void assign_local_map(Exec const& exec) const {
-    assign_candidates(exec, memory.frame, memory.map, local_input().matching, local_buffers());
+    assign_candidates(exec, memory.frame, memory.map, local_search<Rig>::matching(),
+                      local_buffers());
   }
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
@@ -208,7 +208,7 @@ private:
   local_search<Rig> local_input() const {
     local_search<Rig> search;
     search.rig = rig;
-    search.poses = pose_of_motion();
+    search.T_cw = pose_of_motion();
     search.slots = memory.local.device.slots;
     search.slot_count = memory.local.device.count;
     search.stamps = stamps();

@@ -5,6 +5,7 @@
 /// record, and no launch depends on them: the same launches run, in the same order, timed or not.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstddef>
@@ -22,8 +23,9 @@ inline namespace FT_ABI {
 /// The time of one stage.
 struct stage_time {
   char const* name;
-  /// From the end of the preceding stage to the end of this one, microseconds, summed over the
-  /// launches of this name. For a stage on a side branch of a device: from the branch's fork.
+  /// From the end of all stages before it to its own end, microseconds, summed over the launches of
+  /// this name; 0 where it ended while a stage before it still ran. For a stage on a side branch of
+  /// a device: from the branch's fork.
   double us;
 };
 
@@ -36,28 +38,25 @@ public:
 
   void clear() { used_ = 0; }
   int used() const { return used_; }
-  /// @param since the mark that the stage began at; -1: the preceding one @return the new mark
+  /// @param since of a stage on a branch: the mark of the fork @return the new mark
   /// @throws bad_argument for more than `most` marks
   int add(char const* name, int since = -1) {
     require(used_ < most, "a stage clock has no room for another stage");
-    marks_[static_cast<std::size_t>(used_)] = {name, since >= 0 ? since : used_ - 1};
+    marks_[static_cast<std::size_t>(used_)] = {name, since};
     return used_++;
   }
-  /// @param between us(from, to): microseconds from one mark to another
-  template <typename Between>
-  std::vector<stage_time> times(Between const& between) const {
+  /// @param end_of end_of(i): when mark i was, microseconds after the first one
+  template <typename EndOf>
+  std::vector<stage_time> times(EndOf const& end_of) const {
     std::vector<stage_time> all;
+    double latest = 0;  // end of what the main line has done so far
     for (int i = 1; i < used_; ++i) {
       auto const& m = marks_[static_cast<std::size_t>(i)];
-      double const us = between(m.since, i);
-      bool found = false;
-      for (auto& t : all) {
-        if (std::strcmp(t.name, m.name) == 0) {
-          t.us += us;
-          found = true;
-        }
-      }
-      if (!found) { all.push_back({m.name, us}); }
+      double const end = end_of(i);
+      bool const on_branch = m.since >= 0;
+      double const us = on_branch ? end - end_of(m.since) : std::max(0.0, end - latest);
+      if (!on_branch) { latest = std::max(latest, end); }
+      add_to(all, m.name, us);
     }
     return all;
   }
@@ -67,6 +66,15 @@ private:
     char const* name;
     int since;
   };
+  static void add_to(std::vector<stage_time>& all, char const* name, double us) {
+    for (auto& t : all) {
+      if (std::strcmp(t.name, name) == 0) {
+        t.us += us;
+        return;
+      }
+    }
+    all.push_back({name, us});
+  }
   std::array<mark, most> marks_{};
   int used_ = 0;
 };
@@ -93,9 +101,8 @@ public:
   }
   /// Stages in the order of their first marks. Allocates.
   std::vector<stage_time> times() const {
-    return marks_.times([&](int from, int to) {
-      return std::chrono::duration<double, std::micro>(at_[static_cast<std::size_t>(to)] -
-                                                       at_[static_cast<std::size_t>(from)])
+    return marks_.times([&](int i) {
+      return std::chrono::duration<double, std::micro>(at_[static_cast<std::size_t>(i)] - at_[0])
           .count();
     });
   }
@@ -154,7 +161,7 @@ public:
     marks_.clear();
     return mark(exec, "");
   }
-  /// @param since the mark at which the stage began; -1: the preceding one
+  /// @param since of a stage on a branch: the mark of the fork
   int mark(cuda_exec const& exec, char const* name, int since = -1) {
     if (events_.empty()) { return -1; }
     int const i = marks_.add(name, since);
@@ -163,11 +170,11 @@ public:
   }
   /// After the executor's wait(). @throws cuda_error
   std::vector<stage_time> times() const {
-    return marks_.times([&](int from, int to) {
+    return marks_.times([&](int i) {
       float ms = 0;
-      throw_on_error(cudaEventElapsedTime(&ms, events_[static_cast<std::size_t>(from)].get(),
-                                          events_[static_cast<std::size_t>(to)].get()),
-                     "cudaEventElapsedTime");
+      throw_on_error(
+          cudaEventElapsedTime(&ms, events_[0].get(), events_[static_cast<std::size_t>(i)].get()),
+          "cudaEventElapsedTime");
       return 1000.0 * static_cast<double>(ms);
     });
   }

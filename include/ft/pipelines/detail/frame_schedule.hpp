@@ -59,7 +59,7 @@ public:
 private:
   /// Marks the end of the stage before. @return the mark
   int end_stage(char const* next) {
-    if (stage_ != nullptr) { last_ = clock_.mark(exec_, stage_, last_); }
+    if (stage_ != nullptr) { last_ = clock_.mark(exec_, stage_); }
     stage_ = next;
     return last_;
   }

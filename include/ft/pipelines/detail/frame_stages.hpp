@@ -104,8 +104,7 @@ public:
     ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, local_buffers());
   }
   void assign_local_map(Exec const& exec) const {
-    assign_candidates(exec, memory.frame, memory.map, local_search<Rig>::matching(),
-                      local_buffers());
+    assign_candidates(exec, memory.frame, memory.map, local_input().matching(), local_buffers());
   }
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }

@@ -31,6 +31,8 @@ VERSION = "ft/version.hpp"
 GUARDED = {
     "OpenCV": (re.compile(r"opencv2?/"), "ft/interop/opencv.hpp"),
     "Thrust": (re.compile(r"thrust/"), "ft/interop/thrust.hpp"),
+    "CUB": (re.compile(r"cub/"), "ft/core/detail/cuda_groups.hpp"),
+    "libcu++": (re.compile(r"cuda/"), "ft/core/detail/cuda_atomics.hpp"),
 }
 FORBIDDEN = {
     "Eigen": re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"),
@@ -210,6 +212,8 @@ VIOLATIONS = [
     ("include/ft/cameras/pinhole.hpp", '#include "ft/containers/soa.hpp"', "cameras may not include"),
     ("include/ft/containers/soa.hpp", '#include "ft/cameras/pinhole.hpp"', "containers may not"),
     ("include/ft/containers/soa.hpp", "#include <thrust/sort.h>", "includes Thrust"),
+    ("include/ft/kernels/blur.hpp", "#include <cub/warp/warp_scan.cuh>", "includes CUB"),
+    ("include/ft/core/math.hpp", "#include <cuda/atomic>", "includes libcu++"),
     ("include/ft/kernels/blur.hpp", '#include "ft/pipelines/tracker.hpp"', "kernels may not include"),
     ("include/ft/kernels/blur.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
     ("include/ft/kernels/detail/row.hpp", '#include "examples/sequence/reader.hpp"', "the support library"),

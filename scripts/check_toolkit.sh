@@ -39,6 +39,8 @@ if [[ ! -d $toolkit ]]; then
   toolkit=$work/toolkit
 fi
 
+# CCCL declares variadic functions for the device, which clang++ allows with an option. Packages before
+# 12.4 lack the headers of CCCL that have no extension; there FOLDER must be a toolkit.
 # clang++ 16 asks for a header of cuRAND, which ft does not use, and libstdc++ 12 uses a word that the
 # toolkit defines.
 mkdir -p "$work/in_front/bits"
@@ -58,8 +60,8 @@ template class ft::frame_tracker<ft::cuda_exec, ft::stereo_rig<fisheye, distorte
 END
 
 compile() {
-  "$clang" -std=c++17 -O3 -Wall -Wextra -Werror -Wno-unknown-cuda-version -x cuda \
-    --cuda-path="$toolkit" -isystem "$work/in_front" -isystem "$toolkit/include" \
+  "$clang" -std=c++17 -O3 -Wall -Wextra -Werror -Wno-unknown-cuda-version -Wno-pass-failed -x cuda \
+    -Xclang -fcuda-allow-variadic-functions --cuda-path="$toolkit" -isystem "$work/in_front" -isystem "$toolkit/include" \
     -I"$ft_root/include" "$@"
 }
 for architecture in "${architectures[@]}"; do

@@ -13,6 +13,7 @@
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -27,14 +28,7 @@ namespace detail {
 template <typename Group>
 FT_HOST_DEVICE void arrive(Group const& g, unsigned* counter, int rank = 0) {
   g.sync();
-#if defined(__CUDA_ARCH__)
-  if (g.rank() == rank) {
-    asm volatile("red.release.gpu.global.add.u32 [%0], 1;" ::"l"(counter) : "memory");
-  }
-#else
-  static_cast<void>(rank);
-  __atomic_fetch_add(counter, 1u, __ATOMIC_RELEASE);
-#endif
+  if (g.rank() == rank % g.size()) { atomic_increment_release(counter); }
 }
 
 /// Sets counters first, first + step, ... below `end` to 0, in the prologue of the stage that will
@@ -55,15 +49,7 @@ template <typename Group>
 FT_HOST_DEVICE void await(Group const& g, unsigned const* counters, int count, int n) {
 #if defined(__CUDA_ARCH__)
   for (int i = g.rank(); i < count; i += g.size()) {
-    for (;;) {
-      unsigned seen;
-      asm volatile("ld.acquire.gpu.global.u32 %0, [%1];"
-                   : "=r"(seen)
-                   : "l"(counters + i)
-                   : "memory");
-      if (seen >= static_cast<unsigned>(n)) { break; }
-      asm volatile("nanosleep.u32 64;");
-    }
+    while (atomic_load_acquire(counters + i) < static_cast<unsigned>(n)) { __nanosleep(64); }
   }
 #else
   static_cast<void>(counters);

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Atomic operations on integers, relaxed.
-///
-/// Sums, minima and maxima do not depend on the order of the calls.
+/// @file Atomic operations on integers: relaxed ones, whose sums, minima and maxima do not depend
+/// on the order of the calls, and a counter with release and acquire semantics.
 #pragma once
 
 #include "ft/core/config.hpp"
+#if defined(__CUDACC__)
+#include "ft/core/detail/cuda_atomics.hpp"
+#endif
 
 namespace ft {
 inline namespace FT_ABI {
@@ -67,6 +69,23 @@ FT_HOST_DEVICE void atomic_max(T* address, T value) {
   T seen = __atomic_load_n(address, __ATOMIC_RELAXED);
   while (seen < value && !__atomic_compare_exchange_n(address, &seen, value, true, __ATOMIC_RELAXED,
                                                       __ATOMIC_RELAXED)) {}
+#endif
+}
+
+/// Adds 1 with release semantics, for the whole device: writes that come before are visible to
+/// threads that see the sum through atomic_load_acquire().
+FT_HOST_DEVICE inline void atomic_increment_release(unsigned* address) {
+#if defined(__CUDA_ARCH__)
+  detail::increment_release(address);
+#else
+  __atomic_fetch_add(address, 1u, __ATOMIC_RELEASE);
+#endif
+}
+FT_HOST_DEVICE inline unsigned atomic_load_acquire(unsigned const* address) {
+#if defined(__CUDA_ARCH__)
+  return detail::load_acquire(address);
+#else
+  return __atomic_load_n(address, __ATOMIC_ACQUIRE);
 #endif
 }
 

@@ -46,8 +46,10 @@ struct receive_parts {
   struct alignas(16) quad {
     std::uint32_t words[4];
   };
+  /// Bytes, because shared memory has no default member initialisers.
   struct scratch {
-    image_source sources[sources_held];
+    alignas(image_source) unsigned char bytes[sources_held * sizeof(image_source)];
+    FT_HOST_DEVICE image_source* sources() { return reinterpret_cast<image_source*>(bytes); }
   };
   static constexpr bool prefers_shared = true;
 
@@ -118,7 +120,7 @@ private:
       int const of_row = ceil_div(level.width, 16);
       int const at = (part - image * of_image) * quads + i;
       int const y = at / of_row;
-      image_source const& from = s.sources[image % sources_held];
+      image_source const& from = s.sources()[image % sources_held];
       if (y >= level.height || from.data == nullptr) { return {nullptr, nullptr}; }
       auto const x = static_cast<std::ptrdiff_t>(16 * (at - y * of_row));
       return {
@@ -135,7 +137,7 @@ private:
       g.sync();
       for (int k = g.rank(); k < sources_held && held * sources_held + k < to.batch;
            k += g.size()) {
-        s.sources[k] = sources[held * sources_held + k];
+        s.sources()[k] = sources[held * sources_held + k];
       }
       g.sync();
     }

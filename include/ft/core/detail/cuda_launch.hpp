@@ -5,6 +5,7 @@
 #include <cuda_runtime.h>
 
 #include <cstddef>
+#include <type_traits>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -141,6 +142,8 @@ FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
   // A prologue must not wait, and other warps need not wait for what only one of them needs: each
   // waits for itself.
   constexpr bool early = stage_traits<Op>::has_prologue;
+  static_assert(std::is_trivially_default_constructible<typename Op::scratch>::value,
+                "shared memory is not initialised");
   begin_launch(early || concurrent);
   __shared__ typename Op::scratch scratch[Warps];
   int const warp = static_cast<int>(threadIdx.x) / 32;
@@ -174,6 +177,8 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads, min_blocks<Threads, Op>)
   __shared__ typename Op::scratch scratch;
   block_group<Threads> const g{&collectives};
   int const item = static_cast<int>(blockIdx.x);
+  static_assert(std::is_trivially_default_constructible<typename Op::scratch>::value,
+                "shared memory is not initialised");
   static_assert(!prologue_decides<Op, block_group<Threads>, Args...>(),
                 "a prologue that decides about its item is for warps");
   if constexpr (stage_traits<Op>::has_prologue) { op.prologue(g, scratch, item, args...); }

@@ -209,6 +209,7 @@ public:
     mirror_.flush();
     if (tested == 0) { return 0; }
     request.T_cw = transform_of(frame.GetPose());
+    centres_of(frame, device_->cameras(), request.centres);
     request.image = frames_.bounds_of(frame);
     request.th = th;
     request.far_distance = far_points ? far_threshold : 0.0f;

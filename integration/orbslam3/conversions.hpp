@@ -37,6 +37,18 @@ transform transform_of(Pose const& pose) {
   }
   return T;
 }
+/// The centres of a frame's cameras in the world as the frame has them: rotated by the pose's
+/// quaternion, which rounds otherwise than its matrix.
+template <typename Frame>
+void centres_of(Frame& frame, int cameras, float (&centres)[2][3]) {
+  auto const T_wc = frame.GetPose().inverse();
+  Eigen::Vector3f const left = T_wc.translation();
+  for (int i = 0; i < 3; ++i) { centres[0][i] = left(i); }
+  if (cameras < 2) { return; }
+  Eigen::Vector3f const right =
+      T_wc.rotationMatrix() * frame.GetRelativePoseTlr().translation() + left;
+  for (int i = 0; i < 3; ++i) { centres[1][i] = right(i); }
+}
 /// To a Sophus::SE3f, through a unit quaternion.
 template <typename Pose>
 Pose pose_of(transform const& T) {

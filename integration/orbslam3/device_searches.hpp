@@ -128,10 +128,12 @@ public:
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, numbers, 1);
       poses_ = c.take<pose>(3);
+      centres_ = c.take<vec3<float>>(2);
       slot_count_ = c.take<int>(1);
     });
     host_memory_ = arena<staging>([&](carver& c) {
       staged_poses_ = c.take<pose>(3);
+      staged_centres_ = c.take<vec3<float>>(2);
       staged_count_ = c.take<int>(1);
       found_ = c.take<int>(2);
       in_view_ = c.take<int>(1);
@@ -190,6 +192,9 @@ public:
   void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
                      pyramid_geometry const& geometry) {
     *staged_count_ = r.points;
+    for (int i = 0; i < 2; ++i) {
+      staged_centres_[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
+    }
     if (r.slots_changed) { up.add(exec, slots_, staged_slots_, r.points); }
     for (int i = 0; i < r.recorded; ++i) {
       recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
@@ -203,10 +208,14 @@ public:
     }
     up.add(exec, windows_recorded_, staged_windows_, r.recorded);
   }
-  void upload(Exec const& exec, int poses, bool slot_count) {
+  /// @param local also what a search of the local map needs
+  void upload(Exec const& exec, int poses, bool local) {
     word_mover<Exec> up;
     up.add(exec, poses_, staged_poses_, poses);
-    if (slot_count) { up.add(exec, slot_count_, staged_count_, 1); }
+    if (local) {
+      up.add(exec, centres_, staged_centres_, searched);
+      up.add(exec, slot_count_, staged_count_, 1);
+    }
     up.flush(exec);
   }
 
@@ -306,6 +315,7 @@ private:
     search.params.th = r.th;
     search.params.far_distance = Rig::rectified ? r.far_distance : 0;
     search.seen = seen_;
+    search.centres = centres_;
     return search;
   }
 
@@ -317,12 +327,14 @@ private:
   search_windows_view windows_;
   search_workspace work_;
   pose* poses_ = nullptr;  ///< expected, last frame's, optimised
+  vec3<float>* centres_ = nullptr;  ///< of the cameras
   int* slot_count_ = nullptr;
   int* slots_ = nullptr;
   visibility* seen_ = nullptr;
   int* listed_ = nullptr;  ///< points in view
   recorded_window* windows_recorded_ = nullptr;
   pose* staged_poses_ = nullptr;
+  vec3<float>* staged_centres_ = nullptr;
   int* staged_count_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;

@@ -147,6 +147,7 @@ struct last_frame_request {
 struct local_map_request {
   int buffer = 0;
   transform T_cw;
+  float centres[2][3] = {};  ///< of the left and the right camera in the world, metres
   bounds image{};
   int points = 0;             ///< slots in local_slots(), -1 = not tested
   bool slots_changed = true;  ///< since the last request

@@ -39,6 +39,7 @@ inline std::ostream& operator<<(std::ostream& out, difference const& d) {
 struct tolerances {
   double pixels = 4e-3;  ///< of projections and right columns
   double depth = 1e-3;   ///< metres, and relative to a depth
+  double cosine = 1e-5;  ///< of viewing angles
   double pose = 1e-4;    ///< of each entry
 };
 
@@ -380,6 +381,7 @@ private:
   void compare_tracked(frame_type const& frame, long at, tracked const& a, tracked const& b,
                        tracked const& g) {
     double const pixels = tolerances_.pixels;
+    bool const two_cameras = frame.Nleft != -1;
     compare(frame, "point in view", at, a.in_view, b.in_view, g.in_view);
     compare(frame, "point in right view", at, a.in_view_right, b.in_view_right, g.in_view_right);
     if (a.in_view && g.in_view) {
@@ -387,11 +389,17 @@ private:
       compare(frame, "x of point", at, a.x, b.x, g.x, pixels);
       compare(frame, "y of point", at, a.y, b.y, g.y, pixels);
       compare(frame, "distance of point", at, a.depth, b.depth, g.depth, tolerances_.depth);
+      compare(frame, "cosine of point", at, a.cosine, b.cosine, g.cosine, tolerances_.cosine);
+      if (!two_cameras) {
+        compare(frame, "right column of point", at, a.right_x, b.right_x, g.right_x, pixels);
+      }
     }
     if (a.in_view_right && g.in_view_right) {
       compare(frame, "right octave of point", at, a.level_right, b.level_right, g.level_right);
       compare(frame, "right x of point", at, a.right_x, b.right_x, g.right_x, pixels);
       compare(frame, "right y of point", at, a.right_y, b.right_y, g.right_y, pixels);
+      compare(frame, "right distance of point", at, a.depth_right, b.depth_right, g.depth_right, tolerances_.depth);
+      compare(frame, "right cosine of point", at, a.cosine_right, b.cosine_right, g.cosine_right, tolerances_.cosine);
     }
   }
 

@@ -54,7 +54,7 @@ struct look {
   FT_HOST_DEVICE void operator()(Group, scratch&, int slot, Camera const& camera,
                                  ft::pose const& T_cw, ft::map_points_view const& map, float bf,
                                  ft::frustum_params const& params, ft::visibility* out) const {
-    out[slot] = ft::test_visibility(camera, T_cw, map, slot, bf, params);
+    out[slot] = ft::test_visibility(camera, ft::viewpoint::of(T_cw), map, slot, bf, params);
   }
 };
 

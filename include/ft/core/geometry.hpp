@@ -24,7 +24,7 @@ struct vec3 {
 
 template <typename S>
 FT_HOST_DEVICE S dot(vec3<S> a, vec3<S> b) {
-  return a.x * b.x + a.y * b.y + a.z * b.z;
+  return a.x * b.x + (a.y * b.y + a.z * b.z);
 }
 template <typename S>
 FT_HOST_DEVICE vec3<S> cross(vec3<S> a, vec3<S> b) {
@@ -43,15 +43,16 @@ struct mat3 {
     return {{m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]}};
   }
   friend FT_HOST_DEVICE vec3<S> operator*(mat3 const& a, vec3<S> v) {
-    return {a.m[0] * v.x + a.m[1] * v.y + a.m[2] * v.z, a.m[3] * v.x + a.m[4] * v.y + a.m[5] * v.z,
-            a.m[6] * v.x + a.m[7] * v.y + a.m[8] * v.z};
+    return {a.m[0] * v.x + (a.m[1] * v.y + a.m[2] * v.z),
+            a.m[3] * v.x + (a.m[4] * v.y + a.m[5] * v.z),
+            a.m[6] * v.x + (a.m[7] * v.y + a.m[8] * v.z)};
   }
   friend FT_HOST_DEVICE mat3 operator*(mat3 const& a, mat3 const& b) {
     mat3 c;
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) {
         c.m[3 * i + j] =
-            a.m[3 * i] * b.m[j] + a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j];
+            a.m[3 * i] * b.m[j] + (a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j]);
       }
     }
     return c;

@@ -183,6 +183,7 @@ public:
     send_holders(request.last, last, true);
     mirror_.flush();
     request.T_cw = transform_of(current.GetPose());
+    rotation_of(current.GetPose(), request.rotation);
     request.T_lw = transform_of(last.GetPose());
     request.image = frames_.bounds_of(current);
     request.th = th;

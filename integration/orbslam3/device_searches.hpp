@@ -113,7 +113,18 @@ class device_searches {
   static constexpr int searched = Rig::rectified ? 1 : 2;
   static constexpr int no_slot_yet = -2;  ///< differs from what any caller writes
 
+  /// Poses and rotations of a call, uploaded together.
+  struct call_inputs {
+    pose T_cw;                   ///< expected
+    pose T_lw;                   ///< last frame's
+    vec3<float> centres[2];      ///< of the cameras
+    quaternion<float> rotation;  ///< of T_cw
+    int slots;                   ///< of the local map
+  };
+
 public:
+  static constexpr std::size_t input_bytes = sizeof(call_inputs);
+
   /// What a call needs besides.
   struct context {
     frame_view frame;
@@ -127,14 +138,12 @@ public:
     int const numbers = 2 * keypoints;
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, numbers, 1);
-      poses_ = c.take<pose>(3);
-      centres_ = c.take<vec3<float>>(2);
-      slot_count_ = c.take<int>(1);
+      inputs_ = c.take<call_inputs>(1);
+      optimized_ = c.take<pose>(1);
     });
     host_memory_ = arena<staging>([&](carver& c) {
-      staged_poses_ = c.take<pose>(3);
-      staged_centres_ = c.take<vec3<float>>(2);
-      staged_count_ = c.take<int>(1);
+      staged_ = c.take<call_inputs>(1);
+      staged_optimized_ = c.take<pose>(1);
       found_ = c.take<int>(2);
       in_view_ = c.take<int>(1);
     });
@@ -184,16 +193,19 @@ public:
 
   // ---- inputs: staged here, uploaded by the first launch of what is queued
 
-  void set_poses(transform const& T_cw, transform const& T_lw) {
-    staged_poses_[0] = to_pose(T_cw);
-    staged_poses_[1] = to_pose(T_lw);
+  void set_pose(transform const& T_cw) { staged_->T_cw = to_pose(T_cw); }
+  void set_last_frame(last_frame_request const& r) {
+    set_pose(r.T_cw);
+    staged_->T_lw = to_pose(r.T_lw);
+    staged_->rotation = {r.rotation[0], r.rotation[1], r.rotation[2], r.rotation[3]};
   }
-  /// Slots and recorded windows; into the upload ahead of the search where there are any.
+  /// Slots and recorded windows go into `up`, which precedes the search.
   void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
                      pyramid_geometry const& geometry) {
-    *staged_count_ = r.points;
+    set_pose(r.T_cw);
+    staged_->slots = r.points;
     for (int i = 0; i < 2; ++i) {
-      staged_centres_[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
+      staged_->centres[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
     }
     if (r.slots_changed) { up.add(exec, slots_, staged_slots_, r.points); }
     for (int i = 0; i < r.recorded; ++i) {
@@ -208,14 +220,9 @@ public:
     }
     up.add(exec, windows_recorded_, staged_windows_, r.recorded);
   }
-  /// @param local also what a search of the local map needs
-  void upload(Exec const& exec, int poses, bool local) {
+  void upload(Exec const& exec) {
     word_mover<Exec> up;
-    up.add(exec, poses_, staged_poses_, poses);
-    if (local) {
-      up.add(exec, centres_, staged_centres_, searched);
-      up.add(exec, slot_count_, staged_count_, 1);
-    }
+    up.add(exec, inputs_, staged_, 1);
     up.flush(exec);
   }
 
@@ -233,9 +240,10 @@ public:
     params.max_x = r.image.max_x;
     params.max_y = r.image.max_y;
     windows_.capacity = searched * keypoints_;
-    ft::search_last_frame(exec, rig_, poses_, poses_ + 1, c.frame,
-                          last_frame_view{last.keypoints, 2, searched, last.holder}, c.map, params,
-                          c.geometry, windows_, work_);
+    last_frame_view const from{last.keypoints, 2, searched, last.holder};
+    last_search<Rig> const search{rig_, &inputs_->T_cw, &inputs_->T_lw,
+                                  from, params,         &inputs_->rotation};
+    ft::search_last_frame(exec, search, c.frame, c.map, c.geometry, windows_, work_);
   }
 
   /// The frustum test, candidates, and the points in view down.
@@ -247,10 +255,10 @@ public:
     } else {
       find_visible_points(exec, search_of(r), c.map, c.geometry, windows_);
     }
-    for_each_item<per_block<1024>>(exec, 1, list_points_in_view{},
-                                   static_cast<visibility const*>(seen_), searched,
-                                   windows_.capacity, static_cast<int const*>(slot_count_), listed_,
-                                   in_view_, staged_index_, staged_sights_, local_capacity_);
+    for_each_item<per_block<1024>>(
+        exec, 1, list_points_in_view{}, static_cast<visibility const*>(seen_), searched,
+        windows_.capacity, static_cast<int const*>(&inputs_->slots), listed_, in_view_,
+        staged_index_, staged_sights_, local_capacity_);
   }
   /// The rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
@@ -271,7 +279,7 @@ public:
 
   void queue_pose(Exec const& exec, context const& c) {
     optimize_frame_poses(exec, rig_, {c.frame, c.map, c.geometry},
-                         {poses_, poses_ + 2, observations_});
+                         {&inputs_->T_cw, optimized_, observations_});
   }
 
   // ---- results: queued down by the last launch, valid after exec.wait()
@@ -284,13 +292,13 @@ public:
   }
   void download_pose(Exec const& exec, int* holder, frame_view const& frame) {
     word_mover<Exec> down;
-    down.add(exec, staged_poses_ + 2, poses_ + 2, 1);
+    down.add(exec, staged_optimized_, optimized_, 1);
     down.add(exec, found_ + 1, observations_.inliers, 1);
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
   int matches() const { return found_[0]; }
-  pose_result optimized() const { return {to_transform(staged_poses_[2]), found_[1]}; }
+  pose_result optimized() const { return {to_transform(*staged_optimized_), found_[1]}; }
   points_in_view in_view() const {
     static_assert(sizeof(sight) == sizeof(visibility), "the same fields in the same order");
     auto const* const sights = reinterpret_cast<sight const*>(staged_sights_);
@@ -303,9 +311,9 @@ private:
   local_search<Rig> search_of(local_map_request const& r) const {
     local_search<Rig> search;
     search.rig = rig_;
-    search.poses = poses_;
+    search.poses = &inputs_->T_cw;
     search.slots = slots_;
-    search.slot_count = slot_count_;
+    search.slot_count = &inputs_->slots;
     search.frustum.min_x = r.image.min_x;
     search.frustum.min_y = r.image.min_y;
     search.frustum.max_x = r.image.max_x;
@@ -315,7 +323,7 @@ private:
     search.params.th = r.th;
     search.params.far_distance = Rig::rectified ? r.far_distance : 0;
     search.seen = seen_;
-    search.centres = centres_;
+    search.centres = inputs_->centres;
     return search;
   }
 
@@ -326,16 +334,14 @@ private:
   observations_view observations_;
   search_windows_view windows_;
   search_workspace work_;
-  pose* poses_ = nullptr;  ///< expected, last frame's, optimised
-  vec3<float>* centres_ = nullptr;  ///< of the cameras
-  int* slot_count_ = nullptr;
+  call_inputs* inputs_ = nullptr;
+  pose* optimized_ = nullptr;
   int* slots_ = nullptr;
   visibility* seen_ = nullptr;
   int* listed_ = nullptr;  ///< points in view
   recorded_window* windows_recorded_ = nullptr;
-  pose* staged_poses_ = nullptr;
-  vec3<float>* staged_centres_ = nullptr;
-  int* staged_count_ = nullptr;
+  call_inputs* staged_ = nullptr;
+  pose* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;
   int* staged_slots_ = nullptr;

@@ -137,7 +137,8 @@ struct recorded_sight {
 struct last_frame_request {
   int current = 0;  ///< buffers
   int last = 0;
-  transform T_cw;  ///< expected
+  transform T_cw;          ///< expected
+  float rotation[4] = {};  ///< of T_cw, as a unit quaternion: x, y, z, w
   transform T_lw;
   bounds image{};
   float th = 7;

@@ -398,8 +398,10 @@ private:
       compare(frame, "right octave of point", at, a.level_right, b.level_right, g.level_right);
       compare(frame, "right x of point", at, a.right_x, b.right_x, g.right_x, pixels);
       compare(frame, "right y of point", at, a.right_y, b.right_y, g.right_y, pixels);
-      compare(frame, "right distance of point", at, a.depth_right, b.depth_right, g.depth_right, tolerances_.depth);
-      compare(frame, "right cosine of point", at, a.cosine_right, b.cosine_right, g.cosine_right, tolerances_.cosine);
+      compare(frame, "right distance of point", at, a.depth_right, b.depth_right, g.depth_right,
+              tolerances_.depth);
+      compare(frame, "right cosine of point", at, a.cosine_right, b.cosine_right, g.cosine_right,
+              tolerances_.cosine);
     }
   }
 

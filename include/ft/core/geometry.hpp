@@ -22,6 +22,8 @@ struct vec3 {
   friend FT_HOST_DEVICE vec3 operator-(vec3 a) { return {-a.x, -a.y, -a.z}; }
 };
 
+/// Sums of three products are x0 + (x1 + x2) here and below, as in Eigen: systems that use Eigen
+/// without fused multiply-add compute the same bits.
 template <typename S>
 FT_HOST_DEVICE S dot(vec3<S> a, vec3<S> b) {
   return a.x * b.x + (a.y * b.y + a.z * b.z);
@@ -30,6 +32,20 @@ template <typename S>
 FT_HOST_DEVICE vec3<S> cross(vec3<S> a, vec3<S> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
+
+/// A rotation. Of unit length.
+template <typename S>
+struct quaternion {
+  S x, y, z, w;
+
+  /// v rotated: v + 2 w (q x v) + 2 q x (q x v), in this order, as in Sophus.
+  friend FT_HOST_DEVICE vec3<S> operator*(quaternion const& q, vec3<S> v) {
+    vec3<S> const axis{q.x, q.y, q.z};
+    vec3<S> const half = cross(axis, v);
+    vec3<S> const turned = half + half;
+    return v + vec3<S>{q.w * turned.x, q.w * turned.y, q.w * turned.z} + cross(axis, turned);
+  }
+};
 
 /// 3 x 3, row-major.
 template <typename S>

@@ -69,7 +69,8 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const&
       !(x >= params.min_x && x <= params.max_x && y >= params.min_y && y <= params.max_y)) {
     return none;
   }
-  vec3<strict_float> const view = P - vec3<strict_float>{from.centre.x, from.centre.y, from.centre.z};
+  vec3<strict_float> const view =
+      P - vec3<strict_float>{from.centre.x, from.centre.y, from.centre.z};
   strict_float const distance = scalar::sqrt(dot(view, view));
   float const max_distance = get<field::max_distance>(map, slot);
   if (!(distance >= strict_float(0.8f) * get<field::min_distance>(map, slot) &&
@@ -127,7 +128,8 @@ struct local_search {
   local_search_params params;
   visibility* seen = nullptr;  ///< [cameras][batch][windows' capacity], or null
   /// [batch][cameras] centres of the cameras in the world, metres; null: from the poses. A system
-  /// that stores rotations as quaternions has centres that differ from the matrix's in the last bit.
+  /// that stores rotations as quaternions has centres that differ from the matrix's in the last
+  /// bit.
   vec3<float> const* centres = nullptr;
 };
 

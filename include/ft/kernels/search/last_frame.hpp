@@ -173,16 +173,12 @@ private:
 /// Search from the last frame: windows, candidates, assignment, orientation check. Starts from
 /// empty holders. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param exec its launch order applies to the first of the two only
-/// @param poses,last_poses [batch] T_cw predicted for the current frame, and of the last frame
 /// @param listed called as listed(exec) between the two launches; may enqueue what fills right_x
 template <typename Exec, typename Rig, typename Listed>
-void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
-                       frame_view const& frame, last_frame_view const& last,
-                       map_points_view const& map, last_search_params const& params,
-                       pyramid_geometry const& geometry, search_windows_view const& windows,
-                       search_workspace const& work, point_stamps const& stamps,
-                       Listed const& listed) {
-  last_search<Rig> const input{rig, poses, last_poses, last, params};
+void search_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
+                       map_points_view const& map, pyramid_geometry const& geometry,
+                       search_windows_view const& windows, search_workspace const& work,
+                       point_stamps const& stamps, Listed const& listed) {
   search_params search;
   search.kind = search_kind::last_frame;
   search.from_empty = true;
@@ -194,6 +190,27 @@ void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose
       detail::with_order(exec, detail::launch_order::serial), frame.batch,
       detail::assign_last_points<Rig, Exec::asynchronous>{}, input, frame, map, geometry, search,
       stamps, windows, work);
+}
+
+/// The same for a frame whose right_x is valid before the call, and no stamps.
+template <typename Exec, typename Rig>
+void search_last_frame(Exec const& exec, last_search<Rig> const& input, frame_view const& frame,
+                       map_points_view const& map, pyramid_geometry const& geometry,
+                       search_windows_view const& windows, search_workspace const& work) {
+  search_last_frame(exec, input, frame, map, geometry, windows, work, {}, [](Exec const&) {});
+}
+
+/// The same without a last_search at hand.
+/// @param poses,last_poses [batch] T_cw predicted for the current frame, and of the last frame
+template <typename Exec, typename Rig, typename Listed>
+void search_last_frame(Exec const& exec, Rig const& rig, pose const* poses, pose const* last_poses,
+                       frame_view const& frame, last_frame_view const& last,
+                       map_points_view const& map, last_search_params const& params,
+                       pyramid_geometry const& geometry, search_windows_view const& windows,
+                       search_workspace const& work, point_stamps const& stamps,
+                       Listed const& listed) {
+  search_last_frame(exec, last_search<Rig>{rig, poses, last_poses, last, params}, frame, map,
+                    geometry, windows, work, stamps, listed);
 }
 
 /// The same for a frame whose right_x is valid before the call.

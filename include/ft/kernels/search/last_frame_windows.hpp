@@ -56,6 +56,9 @@ struct last_search {
   pose const* last_poses;  ///< [batch] T_cw of the last frame
   last_frame_view last;
   last_search_params params;
+  /// [batch] rotations of `poses` as unit quaternions, or null. Where given, they rotate the points
+  /// in place of the matrices, whose result differs in the last bit.
+  quaternion<float> const* rotations = nullptr;
 };
 
 namespace detail {
@@ -117,7 +120,8 @@ private:
     auto const T_cw = search.poses[b].template cast<strict_float>();
     auto const T_lw = search.last_poses[b].template cast<strict_float>();
     vec3<float> const world = get<field::position>(points, slot);
-    vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
+    vec3<strict_float> Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
+    if (search.rotations != nullptr) { Pc = rotated(search.rotations[b], world) + T_cw.t; }
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
     if (!(inv_z >= 0.0f)) { return out; }
     int const octave = get<field::octave>(last.keypoints.slice(last.keypoint_step * b + c_last), k);
@@ -155,6 +159,9 @@ private:
     return out;
   }
 
+  FT_HOST_DEVICE static vec3<strict_float> rotated(quaternion<float> q, vec3<float> v) {
+    return quaternion<strict_float>{q.x, q.y, q.z, q.w} * vec3<strict_float>{v.x, v.y, v.z};
+  }
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,
                                        last_search_params const& b) {
     return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&

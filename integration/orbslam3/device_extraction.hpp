@@ -247,12 +247,8 @@ private:
       feature_grid_view grids = f.grids;
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
       keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
-      if constexpr (Rig::rectified) {
-        extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, all_grids);
-      } else {
-        extractor_.receive_and_extract(exec, sources, {}, {}, detail::clear_partners{f.fisheye},
-                                       all_grids);
-      }
+      if constexpr (!Rig::rectified) { clear_fisheye_matches(exec, f.fisheye); }
+      extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, all_grids);
     } else {
       extractor_.receive_and_extract(exec, sources, {}, {}, no_items{}, no_grids{});
     }

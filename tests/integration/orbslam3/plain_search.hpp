@@ -97,12 +97,12 @@ public:
       if (far_points && p->mTrackDepth > far_threshold) { continue; }
       bool refused = false;
       if (p->mbTrackInView) {
-        float const factor = (p->mTrackViewCos > 0.998f ? 2.5f : 4.0f) * th;
+        float const factor = (static_cast<double>(p->mTrackViewCos) > 0.998 ? 2.5f : 4.0f) * th;
         matches += take(f, *p, 0, left, p->mTrackProjX, p->mTrackProjY, p->mTrackProjXR,
                         factor * scale(p->mnTrackScaleLevel), p->mnTrackScaleLevel, refused);
       }
       if (!refused && f.Nleft != -1 && p->mbTrackInViewR) {
-        float const factor = p->mTrackViewCosR > 0.998f ? 2.5f : 4.0f;
+        float const factor = static_cast<double>(p->mTrackViewCosR) > 0.998 ? 2.5f : 4.0f;
         matches += take(f, *p, 1, right, p->mTrackProjXR, p->mTrackProjYR, 0,
                         factor * scale(p->mnTrackScaleLevelR), p->mnTrackScaleLevelR, refused);
       }

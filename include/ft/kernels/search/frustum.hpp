@@ -101,7 +101,8 @@ struct local_search_params {
 /// @param right_column whether to compare columns in the right image
 FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float th,
                                               bool right_column, pyramid_geometry const& geometry) {
-  strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
+  // The reference compares with the double 0.998, which the float nearest to it exceeds.
+  strict_float const base = v.cosine >= 0.998f ? 2.5f : 4.0f;
   float const radius = (base * th * geometry.scale[v.level]).value;
   search_window w{};
   w.x = v.x;

@@ -183,6 +183,7 @@ public:
     send_holders(request.last, last, true);
     mirror_.flush();
     request.T_cw = transform_of(current.GetPose());
+    rotation_of(current.GetPose(), request.rotation);
     request.T_lw = transform_of(last.GetPose());
     request.image = frames_.bounds_of(current);
     request.window_radius = th;
@@ -209,6 +210,7 @@ public:
     mirror_.flush();
     if (tested == 0) { return 0; }
     request.T_cw = transform_of(frame.GetPose());
+    centres_of(frame, device_->cameras(), request.centres);
     request.image = frames_.bounds_of(frame);
     request.radius_factor = th;
     request.max_distance = far_points ? far_threshold : 0.0f;

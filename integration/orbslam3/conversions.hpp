@@ -37,6 +37,27 @@ transform transform_of(Pose const& pose) {
   }
   return T;
 }
+/// Of a Sophus::SE3f: x, y, z, w.
+template <typename Pose>
+void rotation_of(Pose const& pose, float (&rotation)[4]) {
+  Eigen::Quaternionf const q = pose.unit_quaternion();
+  for (int i = 0; i < 4; ++i) { rotation[i] = q.coeffs()(i); }
+}
+/// The centres of a frame's cameras in the world, as the frame computes them: the left one by the
+/// pose's quaternion, whose result differs from the matrix's in the last bit.
+template <typename Frame>
+void centres_of(Frame& frame, int cameras, float (&centres)[2][3]) {
+  auto const T_wc = frame.GetPose().inverse();
+  Eigen::Vector3f const left = T_wc.translation();
+  Eigen::Vector3f right = left;
+  if (cameras == 2) {
+    right = T_wc.rotationMatrix() * frame.GetRelativePoseTlr().translation() + left;
+  }
+  for (int i = 0; i < 3; ++i) {
+    centres[0][i] = left(i);
+    centres[1][i] = right(i);
+  }
+}
 /// To a Sophus::SE3f, through a unit quaternion.
 template <typename Pose>
 Pose pose_of(transform const& T) {

@@ -113,7 +113,18 @@ class device_searches {
   static constexpr int searched = Rig::rectified ? 1 : 2;
   static constexpr int no_slot_yet = -2;  ///< differs from what any caller writes
 
+  /// Poses and rotations of a call, uploaded together.
+  struct call_inputs {
+    pose T_cw;                   ///< expected
+    pose T_lw;                   ///< last frame's
+    vec3<float> centres[2];      ///< of the cameras
+    quaternion<float> rotation;  ///< of T_cw
+    int slots;                   ///< of the local map
+  };
+
 public:
+  static constexpr std::size_t input_bytes = sizeof(call_inputs);
+
   /// What a call needs besides.
   struct context {
     frame_view frame;
@@ -127,12 +138,12 @@ public:
     int const numbers = 2 * keypoints;
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, numbers, 1);
-      poses_ = c.take<pose>(3);
-      slot_count_ = c.take<int>(1);
+      inputs_ = c.take<call_inputs>(1);
+      optimized_ = c.take<pose>(1);
     });
     host_memory_ = arena<staging>([&](carver& c) {
-      staged_poses_ = c.take<pose>(3);
-      staged_count_ = c.take<int>(1);
+      staged_ = c.take<call_inputs>(1);
+      staged_optimized_ = c.take<pose>(1);
       found_ = c.take<int>(2);
       in_view_ = c.take<int>(1);
     });
@@ -182,14 +193,20 @@ public:
 
   // ---- inputs: staged here, uploaded by the first launch of what is queued
 
-  void set_poses(transform const& T_cw, transform const& T_lw) {
-    staged_poses_[0] = to_pose(T_cw);
-    staged_poses_[1] = to_pose(T_lw);
+  void set_pose(transform const& T_cw) { staged_->T_cw = to_pose(T_cw); }
+  void set_last_frame(last_frame_request const& r) {
+    set_pose(r.T_cw);
+    staged_->T_lw = to_pose(r.T_lw);
+    staged_->rotation = {r.rotation[0], r.rotation[1], r.rotation[2], r.rotation[3]};
   }
-  /// Slots and recorded windows; into the upload ahead of the search where there are any.
+  /// Slots and recorded windows go into `up`, which precedes the search.
   void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
                      pyramid_geometry const& geometry) {
-    *staged_count_ = r.points;
+    set_pose(r.T_cw);
+    staged_->slots = r.points;
+    for (int i = 0; i < 2; ++i) {
+      staged_->centres[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
+    }
     if (r.slots_changed) { up.add(exec, slots_, staged_slots_, r.points); }
     for (int i = 0; i < r.recorded; ++i) {
       recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
@@ -204,10 +221,9 @@ public:
     }
     up.add(exec, windows_recorded_, staged_windows_, r.recorded);
   }
-  void upload(Exec const& exec, int poses, bool slot_count) {
+  void upload(Exec const& exec) {
     word_mover<Exec> up;
-    up.add(exec, poses_, staged_poses_, poses);
-    if (slot_count) { up.add(exec, slot_count_, staged_count_, 1); }
+    up.add(exec, inputs_, staged_, 1);
     up.flush(exec);
   }
 
@@ -217,8 +233,9 @@ public:
                         device_frame const& last) {
     last_search<Rig> search;
     search.rig = rig_;
-    search.T_cw = poses_;
-    search.last_T_cw = poses_ + 1;
+    search.T_cw = &inputs_->T_cw;
+    search.last_T_cw = &inputs_->T_lw;
+    search.rotations = &inputs_->rotation;
     search.last = {last.keypoints, 2, searched, last.holder};
     search.geometry = c.geometry;
     search.params.window_radius = r.window_radius;
@@ -243,7 +260,7 @@ public:
     }
     for_each_item<per_block<1024>>(
         exec, 1, list_points_in_view{}, static_cast<visibility const*>(seen_), searched,
-        buffers_.windows.capacity, static_cast<int const*>(slot_count_), listed_, in_view_,
+        buffers_.windows.capacity, static_cast<int const*>(&inputs_->slots), listed_, in_view_,
         staged_index_, staged_sights_, local_capacity_);
   }
   /// The rest of the search.
@@ -266,7 +283,7 @@ public:
 
   void queue_pose(Exec const& exec, context const& c) {
     optimize_frame_poses(exec, rig_, {c.frame, c.map, c.geometry},
-                         {poses_, poses_ + 2, observations_});
+                         {&inputs_->T_cw, optimized_, observations_});
   }
 
   // ---- results: queued down by the last launch, valid after exec.wait()
@@ -279,13 +296,13 @@ public:
   }
   void download_pose(Exec const& exec, int* holder, frame_view const& frame) {
     word_mover<Exec> down;
-    down.add(exec, staged_poses_ + 2, poses_ + 2, 1);
+    down.add(exec, staged_optimized_, optimized_, 1);
     down.add(exec, found_ + 1, observations_.inliers, 1);
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
   int matches() const { return found_[0]; }
-  pose_result optimized() const { return {to_transform(staged_poses_[2]), found_[1]}; }
+  pose_result optimized() const { return {to_transform(*staged_optimized_), found_[1]}; }
   points_in_view in_view() const {
     static_assert(sizeof(sight) == sizeof(visibility), "the same fields in the same order");
     auto const* const sights = reinterpret_cast<sight const*>(staged_sights_);
@@ -298,9 +315,9 @@ private:
   local_search<Rig> search_of(local_map_request const& r, pyramid_geometry const& geometry) const {
     local_search<Rig> search;
     search.rig = rig_;
-    search.T_cw = poses_;
+    search.T_cw = &inputs_->T_cw;
     search.slots = slots_;
-    search.slot_count = slot_count_;
+    search.slot_count = &inputs_->slots;
     search.frustum.min_x = r.image.min_x;
     search.frustum.min_y = r.image.min_y;
     search.frustum.max_x = r.image.max_x;
@@ -311,6 +328,7 @@ private:
     search.params.radius_factor = r.radius_factor;
     search.params.max_distance = Rig::rectified ? r.max_distance : 0;
     search.seen = seen_;
+    search.centres = inputs_->centres;
     return search;
   }
 
@@ -320,14 +338,14 @@ private:
   int local_capacity_ = 0;
   observations_view observations_;
   search_buffers buffers_;
-  pose* poses_ = nullptr;  ///< expected, last frame's, optimised
-  int* slot_count_ = nullptr;
+  call_inputs* inputs_ = nullptr;
+  pose* optimized_ = nullptr;
   int* slots_ = nullptr;
   visibility* seen_ = nullptr;
   int* listed_ = nullptr;  ///< points in view
   recorded_window* windows_recorded_ = nullptr;
-  pose* staged_poses_ = nullptr;
-  int* staged_count_ = nullptr;
+  call_inputs* staged_ = nullptr;
+  pose* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;
   int* staged_slots_ = nullptr;

@@ -147,14 +147,14 @@ public:
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
   int search_last_frame(last_frame_request const& r) override {
-    searches_.set_poses(r.T_cw, r.T_lw);
-    begin(2 * sizeof(pose));
+    searches_.set_last_frame(r);
+    begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.current, r.image);
     auto const call = context_of(r.current);
     replay(
         key_of(1, r.current, 0, r.image, r.window_radius, r.ignore_motion_direction ? 1.0f : 0.0f),
         [&](Exec const& exec) {
-          searches_.upload(exec, 2, false);
+          searches_.upload(exec);
           clock_.mark(exec, 1);
           searches_.queue_last_frame(exec, call, r, frames_[r.last]);
           clock_.mark(exec, 2);
@@ -165,14 +165,13 @@ public:
   }
 
   points_in_view search_local_map(local_map_request const& r) override {
-    searches_.set_poses(r.T_cw, {});
     searches_.set_local_map(exec_, up_, r, extraction_.geometry());
     times_ = {};
-    begin(sizeof(pose) + sizeof(int));
+    begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.buffer, r.image);
     auto const call = context_of(r.buffer);
     auto const lists = [&](Exec const& exec) {
-      searches_.upload(exec, 1, true);
+      searches_.upload(exec);
       clock_.mark(exec, 1);
       searches_.queue_local_lists(exec, call, r);
     };
@@ -208,11 +207,11 @@ public:
   }
 
   pose_result optimize_pose(int buffer, transform const& T_cw) override {
-    searches_.set_poses(T_cw, {});
-    begin(sizeof(pose));
+    searches_.set_pose(T_cw);
+    begin(searches_.input_bytes);
     auto const call = context_of(buffer);
     replay(key_of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
-      searches_.upload(exec, 1, false);
+      searches_.upload(exec);
       clock_.mark(exec, 1);
       searches_.queue_pose(exec, call);
       clock_.mark(exec, 2);

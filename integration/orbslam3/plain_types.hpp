@@ -136,7 +136,8 @@ struct recorded_sight {
 struct last_frame_request {
   int current = 0;  ///< buffers
   int last = 0;
-  transform T_cw;  ///< expected
+  transform T_cw;          ///< expected
+  float rotation[4] = {};  ///< of T_cw, as a unit quaternion: x, y, z, w
   transform T_lw;
   bounds image{};
   float window_radius = 7;  ///< half side of a window at scale 1, pixels
@@ -146,6 +147,7 @@ struct last_frame_request {
 struct local_map_request {
   int buffer = 0;
   transform T_cw;
+  float centres[2][3] = {};  ///< of the left and the right camera in the world, metres
   bounds image{};
   int points = 0;             ///< slots in local_slots(), -1 = not tested
   bool slots_changed = true;  ///< since the last request

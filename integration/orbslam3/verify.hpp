@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file CPU and GPU side by side on each frame, and every difference between them.
+/// @file CPU and GPU side by side on each frame.
 #pragma once
 
-#include <array>
 #include <cmath>
 #include <cstddef>
-#include <functional>
 #include <ostream>
 #include <type_traits>
 #include <utility>
@@ -13,34 +11,10 @@
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/keypoint_sets.hpp"
+#include "integration/orbslam3/verify_report.hpp"
 
 namespace ft {
 namespace orbslam3 {
-
-/// One value that differs, or the number of keypoints of a set that have other places.
-struct difference {
-  stage where;
-  unsigned long frame;  ///< Frame::mnId
-  char const* what;     ///< such as "map point", "octave"
-  long index;           ///< of the keypoint or the local map's point; -1 = of the frame
-  double cpu;           ///< map points by mnId, -1 = none
-  double gpu;
-  bool number = false;  ///< `gpu` alone says it
-};
-
-inline std::ostream& operator<<(std::ostream& out, difference const& d) {
-  out << "frame " << d.frame << ", " << name_of(d.where) << ": " << d.what;
-  if (d.number) { return out << ": " << d.gpu; }
-  if (d.index >= 0) { out << " " << d.index; }
-  return out << ": CPU " << d.cpu << ", GPU " << d.gpu;
-}
-
-/// Differences that are none: the two round differently.
-struct tolerances {
-  double pixels = 4e-3;  ///< of projections and right columns
-  double depth = 1e-3;   ///< metres, and relative to a depth
-  double pose = 1e-4;    ///< of each entry
-};
 
 /// Makes each call by the CPU's own code and, from the same state, by the accelerator, whose answer
 /// stays. For finding faults, not for speed.
@@ -52,27 +26,17 @@ class verifier {
 public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
-  using report = std::function<void(difference const&)>;
+  using report = difference_log::report;
 
   /// @param to called with every difference; may be empty
   verifier(accelerator<Types>& gpu, report to, tolerances const& t = {})
-      : gpu_(&gpu), report_(std::move(to)), tolerances_(t) {}
+      : gpu_(&gpu), log_(std::move(to)), tolerances_(t) {}
 
-  long differences() const { return differences_; }
+  long differences() const { return log_.differences(); }
   /// A line for each frame from now on, with the first difference of each stage.
-  void print_frames(std::ostream& out) { lines_ = &out; }
-
+  void print_frames(std::ostream& out) { log_.print_frames(out); }
   /// Ends the last frame's line; frames and calls so far, and those with differences.
-  void summary(std::ostream& out) {
-    end_frame();
-    out << "verify: " << frames_ << " frames, " << frames_that_differ_ << " with differences\n";
-    for (int i = 0; i < stage_count; ++i) {
-      tally const& t = tallies_[static_cast<std::size_t>(i)];
-      if (t.calls == 0) { continue; }
-      out << "verify: " << name_of(static_cast<stage>(i)) << ": " << t.calls << " calls, "
-          << t.calls_that_differ << " with differences, " << t.differences << " in all\n";
-    }
-  }
+  void summary(std::ostream& out) { log_.summary(out); }
 
   /// Image features of a frame: compared as sets first, then in order. @param cpu fills the frame
   /// as Frame::ExtractORB of all images does
@@ -86,12 +50,12 @@ public:
     auto const right_rows = frame.mDescriptorsRight.clone();
     int const mono = frame.monoLeft;
     gpu_->extract(images..., frame);
-    compare(frame, "keypoints outside of the overlap", -1, mono, frame.monoLeft);
-    compare_features(frame, "left keypoints: same set, other order", left, frame.mvKeys, left_rows,
+    log_.compare("keypoints outside of the overlap", -1, mono, frame.monoLeft);
+    compare_features("left keypoints: same set, other order", left, frame.mvKeys, left_rows,
                      frame.mDescriptors);
     if (sizeof...(images) < 2) { return; }
-    compare_features(frame, "right keypoints: same set, other order", right, frame.mvKeysRight,
-                     right_rows, frame.mDescriptorsRight);
+    compare_features("right keypoints: same set, other order", right, frame.mvKeysRight, right_rows,
+                     frame.mDescriptorsRight);
   }
 
   /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches, @param gpu the
@@ -105,12 +69,12 @@ public:
     auto const left_to_right = frame.mvLeftToRightMatch;
     auto const right_to_left = frame.mvRightToLeftMatch;
     gpu();
-    compare_numbers(frame, "right column", right_x, frame.mvuRight, tolerances_.pixels, 0);
-    compare_numbers(frame, "depth", depth, frame.mvDepth, tolerances_.depth, tolerances_.depth);
-    compare_numbers(frame, "right partner of left keypoint", left_to_right,
-                    frame.mvLeftToRightMatch, 0, 0);
-    compare_numbers(frame, "left partner of right keypoint", right_to_left,
-                    frame.mvRightToLeftMatch, 0, 0);
+    compare_numbers("right column", right_x, frame.mvuRight, tolerances_.pixels, 0);
+    compare_numbers("depth", depth, frame.mvDepth, tolerances_.depth, tolerances_.depth);
+    compare_numbers("right partner of left keypoint", left_to_right, frame.mvLeftToRightMatch, 0,
+                    0);
+    compare_numbers("left partner of right keypoint", right_to_left, frame.mvRightToLeftMatch, 0,
+                    0);
   }
 
   /// @param cpu ORBmatcher::SearchByProjection of the same arguments; returns its matches
@@ -127,7 +91,7 @@ public:
     matched gpu = run([&] { return gpu_->search_by_projection(current, last, th, mono); });
     matched const cpu_again = run(cpu);
     current.mvpMapPoints = gpu.points;
-    compare_matches(current, cpu_first, cpu_again, gpu);
+    compare_matches(cpu_first, cpu_again, gpu);
     return gpu.matches;
   }
 
@@ -165,9 +129,9 @@ public:
     local_state const cpu_again = run(cpu);
     put(gpu);
     count_visible(gpu, 1);
-    compare_matches(frame, cpu_first.held, cpu_again.held, gpu.held);
+    compare_matches(cpu_first.held, cpu_again.held, gpu.held);
     for (std::size_t i = 0; i < points.size(); ++i) {
-      compare_tracked(frame, static_cast<long>(i), cpu_first.seen[i], cpu_again.seen[i],
+      compare_tracked(static_cast<long>(i), frame.Nleft != -1, cpu_first.seen[i], cpu_again.seen[i],
                       gpu.seen[i]);
     }
     return gpu.held.matches;
@@ -191,20 +155,20 @@ public:
     auto const cpu_again = run(cpu);
     frame.SetPose(gpu.pose);
     frame.mvbOutlier = gpu.outliers;
-    compare(frame, "inliers", -1, cpu_first.inliers, cpu_again.inliers, gpu.inliers);
+    log_.compare("inliers", -1, cpu_first.inliers, cpu_again.inliers, gpu.inliers);
     for (std::size_t i = 0; i < outliers.size(); ++i) {
       if (frame.mvpMapPoints[i] == nullptr) { continue; }
-      compare(frame, "outlier", static_cast<long>(i), cpu_first.outliers[i], cpu_again.outliers[i],
-              gpu.outliers[i]);
+      log_.compare("outlier", static_cast<long>(i), cpu_first.outliers[i], cpu_again.outliers[i],
+                   gpu.outliers[i]);
     }
     transform const a = transform_of(cpu_first.pose);
     transform const b = transform_of(cpu_again.pose);
     transform const g = transform_of(gpu.pose);
     for (int i = 0; i < 9; ++i) {
-      compare(frame, "rotation entry", i, a.R[i], b.R[i], g.R[i], tolerances_.pose);
+      log_.compare("rotation entry", i, a.R[i], b.R[i], g.R[i], tolerances_.pose);
     }
     for (int i = 0; i < 3; ++i) {
-      compare(frame, "translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
+      log_.compare("translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
     }
     return gpu.inliers;
   }
@@ -270,145 +234,80 @@ private:
     Pose pose;
     std::vector<bool> outliers;
   };
-  struct tally {
-    long calls = 0;
-    long calls_that_differ = 0;
-    long differences = 0;
-  };
-
-  // ---- frames
-
-  void begin(frame_type const& frame, stage s) {
-    if (!in_frame_ || frame.mnId != frame_) {
-      end_frame();
-      in_frame_ = true;
-      frame_ = frame.mnId;
-      ++frames_;
-      before_frame_ = differences_;
-    }
-    stage_ = s;
-    ++tallies_[static_cast<std::size_t>(s)].calls;
-    before_call_ = differences_;
-  }
-  void end_frame() {
-    if (!in_frame_) { return; }
-    in_frame_ = false;
-    long const n = differences_ - before_frame_;
-    frames_that_differ_ += static_cast<long>(n > 0);
-    if (lines_ == nullptr) { return; }
-    *lines_ << "verify: frame " << frame_ << ": " << n << " differences";
-    for (difference const& d : first_) { *lines_ << "; " << d; }
-    *lines_ << "\n";
-    first_.clear();
-  }
-  void add(difference const& d) {
-    tally& t = tallies_[static_cast<std::size_t>(stage_)];
-    if (differences_ == before_call_) {
-      ++t.calls_that_differ;
-      if (lines_ != nullptr) { first_.push_back(d); }
-    }
-    ++t.differences;
-    ++differences_;
-    if (report_) { report_(d); }
-  }
-
-  // ---- values
-
-  static bool near(double a, double b, double allowed) {
-    return std::abs(a - b) <= allowed || (std::isnan(a) && std::isnan(b));
-  }
-  /// Reports a value that is further from both than allowed; a NaN equals a NaN.
-  template <typename A, typename B>
-  void compare(frame_type const& frame, char const* what, long index, A cpu, A cpu_again, B gpu,
-               double allowed = 0) {
-    auto const a = static_cast<double>(cpu);
-    auto const b = static_cast<double>(gpu);
-    if (near(a, b, allowed) || near(static_cast<double>(cpu_again), b, allowed)) { return; }
-    add({stage_, frame.mnId, what, index, a, b});
-  }
-  template <typename A, typename B>
-  void compare(frame_type const& frame, char const* what, long index, A cpu, B gpu) {
-    compare(frame, what, index, cpu, cpu, gpu);
-  }
+  void begin(frame_type const& frame, stage s) { log_.begin(frame.mnId, s); }
   template <typename T>
-  void compare_numbers(frame_type const& frame, char const* what, std::vector<T> const& cpu,
-                       std::vector<T> const& gpu, double allowed, double relative) {
-    compare(frame, what, -1, cpu.size(), gpu.size());
+  void compare_numbers(char const* what, std::vector<T> const& cpu, std::vector<T> const& gpu,
+                       double allowed, double relative) {
+    log_.compare(what, -1, cpu.size(), gpu.size());
     for (std::size_t i = 0; i < cpu.size() && i < gpu.size(); ++i) {
       auto const size = static_cast<double>(cpu[i]);
       // A match against none is no matter of rounding.
       double const limit = (cpu[i] < 0) != (gpu[i] < 0) ? 0 : allowed + relative * std::abs(size);
-      compare(frame, what, static_cast<long>(i), cpu[i], cpu[i], gpu[i], limit);
+      log_.compare(what, static_cast<long>(i), cpu[i], cpu[i], gpu[i], limit);
     }
   }
   template <typename Keypoint, typename Matrix>
-  void compare_features(frame_type const& frame, char const* order,
-                        std::vector<Keypoint> const& cpu, std::vector<Keypoint> const& gpu,
-                        Matrix const& cpu_rows, Matrix const& gpu_rows) {
-    compare(frame, "number of keypoints", -1, cpu.size(), gpu.size());
+  void compare_features(char const* order, std::vector<Keypoint> const& cpu,
+                        std::vector<Keypoint> const& gpu, Matrix const& cpu_rows,
+                        Matrix const& gpu_rows) {
+    log_.compare("number of keypoints", -1, cpu.size(), gpu.size());
     keypoint_pairs const pairs = pair_keypoints(cpu, gpu);
     for (std::size_t const i : pairs.first_alone) {
-      compare(frame, "keypoint of the CPU alone", static_cast<long>(i), 1, 0);
+      log_.compare("keypoint of the CPU alone", static_cast<long>(i), 1, 0);
     }
     for (std::size_t const i : pairs.second_alone) {
-      compare(frame, "keypoint of the GPU alone", static_cast<long>(i), 0, 1);
+      log_.compare("keypoint of the GPU alone", static_cast<long>(i), 0, 1);
     }
     long moved = 0;
     for (auto const& [i, j] : pairs.common) {
       auto const at = static_cast<long>(i);
       moved += static_cast<long>(i != j);
-      compare(frame, "angle of keypoint", at, cpu[i].angle, gpu[j].angle);
-      compare(frame, "response of keypoint", at, cpu[i].response, gpu[j].response);
-      compare(frame, "descriptor bits of keypoint", at, 0, other_bits(cpu_rows, i, gpu_rows, j));
+      log_.compare("angle of keypoint", at, cpu[i].angle, gpu[j].angle);
+      log_.compare("response of keypoint", at, cpu[i].response, gpu[j].response);
+      log_.compare("descriptor bits of keypoint", at, 0, other_bits(cpu_rows, i, gpu_rows, j));
     }
     bool const same_set = pairs.first_alone.empty() && pairs.second_alone.empty();
-    if (same_set && moved > 0) {
-      add({stage_, frame.mnId, order, -1, 0, static_cast<double>(moved), true});
-    }
+    if (same_set && moved > 0) { log_.add_number(order, moved); }
   }
-  void compare_matches(frame_type const& frame, matched const& cpu, matched const& again,
-                       matched const& gpu) {
+  void compare_matches(matched const& cpu, matched const& again, matched const& gpu) {
     auto const id = [](map_point const* p) {
       return p == nullptr ? -1.0 : static_cast<double>(p->mnId);
     };
-    compare(frame, "matches", -1, cpu.matches, again.matches, gpu.matches);
+    log_.compare("matches", -1, cpu.matches, again.matches, gpu.matches);
     for (std::size_t i = 0; i < cpu.points.size(); ++i) {
-      compare(frame, "map point of keypoint", static_cast<long>(i), id(cpu.points[i]),
-              id(again.points[i]), id(gpu.points[i]));
+      log_.compare("map point of keypoint", static_cast<long>(i), id(cpu.points[i]),
+                   id(again.points[i]), id(gpu.points[i]));
     }
   }
-  void compare_tracked(frame_type const& frame, long at, tracked const& a, tracked const& b,
+  void compare_tracked(long at, bool two_cameras, tracked const& a, tracked const& b,
                        tracked const& g) {
     double const pixels = tolerances_.pixels;
-    compare(frame, "point in view", at, a.in_view, b.in_view, g.in_view);
-    compare(frame, "point in right view", at, a.in_view_right, b.in_view_right, g.in_view_right);
+    log_.compare("point in view", at, a.in_view, b.in_view, g.in_view);
+    log_.compare("point in right view", at, a.in_view_right, b.in_view_right, g.in_view_right);
     if (a.in_view && g.in_view) {
-      compare(frame, "octave of point", at, a.level, b.level, g.level);
-      compare(frame, "x of point", at, a.x, b.x, g.x, pixels);
-      compare(frame, "y of point", at, a.y, b.y, g.y, pixels);
-      compare(frame, "distance of point", at, a.depth, b.depth, g.depth, tolerances_.depth);
+      log_.compare("octave of point", at, a.level, b.level, g.level);
+      log_.compare("x of point", at, a.x, b.x, g.x, pixels);
+      log_.compare("y of point", at, a.y, b.y, g.y, pixels);
+      log_.compare("distance of point", at, a.depth, b.depth, g.depth, tolerances_.depth);
+      log_.compare("cosine of point", at, a.cosine, b.cosine, g.cosine, tolerances_.cosine);
+      if (!two_cameras) {
+        log_.compare("right column of point", at, a.right_x, b.right_x, g.right_x, pixels);
+      }
     }
     if (a.in_view_right && g.in_view_right) {
-      compare(frame, "right octave of point", at, a.level_right, b.level_right, g.level_right);
-      compare(frame, "right x of point", at, a.right_x, b.right_x, g.right_x, pixels);
-      compare(frame, "right y of point", at, a.right_y, b.right_y, g.right_y, pixels);
+      log_.compare("right octave of point", at, a.level_right, b.level_right, g.level_right);
+      log_.compare("right x of point", at, a.right_x, b.right_x, g.right_x, pixels);
+      log_.compare("right y of point", at, a.right_y, b.right_y, g.right_y, pixels);
+      log_.compare("right distance of point", at, a.depth_right, b.depth_right, g.depth_right,
+                   tolerances_.depth);
+      log_.compare("right cosine of point", at, a.cosine_right, b.cosine_right, g.cosine_right,
+                   tolerances_.cosine);
     }
   }
 
   accelerator<Types>* gpu_;
-  report report_;
+  difference_log log_;
   tolerances tolerances_;
-  std::ostream* lines_ = nullptr;
-  std::array<tally, stage_count> tallies_{};
-  std::vector<difference> first_;  ///< of this frame's calls
-  stage stage_ = stage::extract;
-  unsigned long frame_ = 0;
-  bool in_frame_ = false;
-  long frames_ = 0;
-  long frames_that_differ_ = 0;
-  long differences_ = 0;
-  long before_frame_ = 0;
-  long before_call_ = 0;
 };
 
 }  // namespace orbslam3

@@ -54,7 +54,7 @@ struct look {
   FT_HOST_DEVICE void operator()(Group, scratch&, int slot, Camera const& camera,
                                  ft::pose const& T_cw, ft::map_points_view const& map, float bf,
                                  ft::frustum_params const& params, ft::visibility* out) const {
-    out[slot] = ft::test_visibility(camera, T_cw, map, slot, bf, params);
+    out[slot] = ft::test_visibility(camera, ft::viewpoint::of(T_cw), map, slot, bf, params);
   }
 };
 
@@ -249,7 +249,7 @@ TEST(window_of_unit, radius_levels_and_slot) {
   EXPECT_EQ(w.max_level, 3);
   EXPECT_EQ(w.slot, 17);
   EXPECT_TRUE(w.check_right);
-  v.cosine = 0.998f;  // not above the limit
+  v.cosine = std::nextafter(0.998f, 0.0f);  // not above the limit
   w = ft::window_of(v, 0, 3, false, g);
   EXPECT_EQ(w.radius, 4.0f * 3.0f * g.scale[3]);
   EXPECT_FALSE(w.check_right);
@@ -320,6 +320,15 @@ struct local_map_run {
                                          i)];
   }
 };
+
+/// 0.998 as a double lies between these two floats.
+TEST(window_of_a_visible_point, is_small_from_a_cosine_of_0_998_as_a_double) {
+  auto const g = ft::pyramid_geometry::make(width, height, 8, 1.2f);
+  ft::visibility v{100, 100, 90, 0.998f, 5, 0};
+  EXPECT_EQ(ft::window_of(v, 0, 1, true, g).radius, 2.5f);
+  v.cosine = std::nextafter(0.998f, 0.0f);
+  EXPECT_EQ(ft::window_of(v, 0, 1, true, g).radius, 4.0f);
+}
 
 TYPED_TEST(frustum_unit, windows_of_a_local_map) {
   auto const& exec = this->backend.exec;

@@ -42,6 +42,8 @@ struct scene {
   float ahead = 0;              ///< the last camera sees the current one so far ahead, metres
   int retry_below = 0;          ///< see last_search_params
   bool from_last_frame = true;  ///< or in the local map
+  bool turned = false;          ///< last_search::rotations say half a turn about the axis
+  float centre_z = 0;           ///< of local_search::centres
 
   void add(float offset, int level) {
     auto const i = static_cast<int>(x.size());
@@ -122,7 +124,10 @@ std::vector<bool> search(Exec const& exec, scene const& s) {
     search.params.retry_below = s.retry_below;
     search.params.max_x = width;
     search.params.max_y = height;
+    auto const half_turn = test::to_exec(exec, std::vector<ft::quaternion<float>>{{0, 0, 1, 0}});
+    if (s.turned) { search.rotations = half_turn.data(); }
     ft::search_last_frame(exec, search, frame, map.view(), buffers);
+    exec.wait();
   } else {
     ft::local_search<ft::rectified_rig> local;
     local.rig = rig();
@@ -134,7 +139,10 @@ std::vector<bool> search(Exec const& exec, scene const& s) {
     local.frustum.log_scale_factor = ft::log_rounded(1.2f);
     local.frustum.levels = levels;
     local.geometry = g;
+    auto const centre = test::to_exec(exec, std::vector<ft::vec3<float>>{{0, 0, s.centre_z}});
+    local.centres = centre.data();
     ft::search_local_map(exec, local, frame, map.view(), buffers);
+    exec.wait();
   }
   auto const holder = test::from_exec(exec, static_cast<int const*>(d_holder.data()), size);
   std::vector<bool> found;
@@ -171,6 +179,29 @@ TYPED_TEST(search_rules, the_local_map_looks_at_the_predicted_octave_and_the_fin
     // For a level of 0 or 1 nothing lies below; without a lower limit the upper one still holds.
     expect_octaves(this->backend.exec, s, level - 1, level);
   }
+}
+
+TYPED_TEST(search_rules, points_of_the_last_frame_are_rotated_by_quaternions_where_given) {
+  scene s;
+  s.x = {100, 320};
+  s.y = {100, 240};  // the second one is on the axis
+  s.aside = {0, 0};
+  s.octave = {0, 0};
+  EXPECT_EQ(search(this->backend.exec, s), (std::vector<bool>{true, true}));
+  s.turned = true;
+  EXPECT_EQ(search(this->backend.exec, s), (std::vector<bool>{false, true}));
+  s.aside[0] = 640 - 2 * s.x[0];  // where half a turn takes it
+  s.y[0] = 240;
+  EXPECT_EQ(search(this->backend.exec, s), (std::vector<bool>{true, true}));
+}
+
+TYPED_TEST(search_rules, distances_are_from_the_callers_centre_of_the_camera) {
+  scene s;
+  s.from_last_frame = false;
+  s.add(0, 0);
+  EXPECT_EQ(search(this->backend.exec, s), std::vector<bool>{true});
+  s.centre_z = -4 * depth;  // beyond 1.2 times the longest distance
+  EXPECT_EQ(search(this->backend.exec, s), std::vector<bool>{false});
 }
 
 TYPED_TEST(search_rules, forward_is_farther_than_the_baseline) {

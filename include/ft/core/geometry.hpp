@@ -22,14 +22,30 @@ struct vec3 {
   friend FT_HOST_DEVICE vec3 operator-(vec3 a) { return {-a.x, -a.y, -a.z}; }
 };
 
+/// Sums of three products are x0 + (x1 + x2) here and below, as in Eigen: systems that use Eigen
+/// without fused multiply-add compute the same bits.
 template <typename S>
 FT_HOST_DEVICE S dot(vec3<S> a, vec3<S> b) {
-  return a.x * b.x + a.y * b.y + a.z * b.z;
+  return a.x * b.x + (a.y * b.y + a.z * b.z);
 }
 template <typename S>
 FT_HOST_DEVICE vec3<S> cross(vec3<S> a, vec3<S> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
+
+/// A rotation. Of unit length.
+template <typename S>
+struct quaternion {
+  S x, y, z, w;
+
+  /// v rotated: v + 2 w (q x v) + 2 q x (q x v), in this order, as in Sophus.
+  friend FT_HOST_DEVICE vec3<S> operator*(quaternion const& q, vec3<S> v) {
+    vec3<S> const axis{q.x, q.y, q.z};
+    vec3<S> const half = cross(axis, v);
+    vec3<S> const turned = half + half;
+    return v + vec3<S>{q.w * turned.x, q.w * turned.y, q.w * turned.z} + cross(axis, turned);
+  }
+};
 
 /// 3 x 3, row-major.
 template <typename S>
@@ -43,15 +59,16 @@ struct mat3 {
     return {{m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]}};
   }
   friend FT_HOST_DEVICE vec3<S> operator*(mat3 const& a, vec3<S> v) {
-    return {a.m[0] * v.x + a.m[1] * v.y + a.m[2] * v.z, a.m[3] * v.x + a.m[4] * v.y + a.m[5] * v.z,
-            a.m[6] * v.x + a.m[7] * v.y + a.m[8] * v.z};
+    return {a.m[0] * v.x + (a.m[1] * v.y + a.m[2] * v.z),
+            a.m[3] * v.x + (a.m[4] * v.y + a.m[5] * v.z),
+            a.m[6] * v.x + (a.m[7] * v.y + a.m[8] * v.z)};
   }
   friend FT_HOST_DEVICE mat3 operator*(mat3 const& a, mat3 const& b) {
     mat3 c;
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) {
         c.m[3 * i + j] =
-            a.m[3 * i] * b.m[j] + a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j];
+            a.m[3 * i] * b.m[j] + (a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j]);
       }
     }
     return c;

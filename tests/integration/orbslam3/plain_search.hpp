@@ -47,7 +47,8 @@ public:
   /// Section 8 for one point; returns whether a camera sees it.
   bool in_frustum(stand_in::frame const& f, stand_in::map_point& p) const {
     p.mbTrackInView = p.mbTrackInViewR = false;
-    sight const left = see(f, p, R(f), t(f), s_.left);
+    stand_in::se3 const T_wc = f.GetPose().inverse();
+    sight const left = see(f, p, {R(f), t(f), T_wc.translation()}, s_.left);
     if (left.level >= 0) {
       p.mbTrackInView = true;
       p.mTrackProjX = left.x;
@@ -55,12 +56,14 @@ public:
       p.mTrackDepth = left.distance;
       p.mnTrackScaleLevel = left.level;
       p.mTrackViewCos = left.cosine;
-      if (f.Nleft == -1) { p.mTrackProjXR = left.x - s_.bf / left.z; }
+      if (f.Nleft == -1) { p.mTrackProjXR = left.x - s_.bf * (1.0f / left.z); }
     }
     if (f.Nleft == -1) { return p.mbTrackInView; }
     Eigen::Matrix3f const R_rw = R_rl() * R(f);
     Eigen::Vector3f const t_rw = R_rl() * t(f) + t_rl();
-    sight const right = see(f, p, R_rw, t_rw, s_.right);
+    Eigen::Vector3f const right_centre =
+        T_wc.rotationMatrix() * f.T_lr.translation() + T_wc.translation();
+    sight const right = see(f, p, {R_rw, t_rw, right_centre}, s_.right);
     if (right.level >= 0) {
       p.mbTrackInViewR = true;
       p.mTrackProjXR = right.x;
@@ -94,12 +97,12 @@ public:
       if (far_points && p->mTrackDepth > far_threshold) { continue; }
       bool refused = false;
       if (p->mbTrackInView) {
-        float const factor = (p->mTrackViewCos > 0.998f ? 2.5f : 4.0f) * th;
+        float const factor = (static_cast<double>(p->mTrackViewCos) > 0.998 ? 2.5f : 4.0f) * th;
         matches += take(f, *p, 0, left, p->mTrackProjX, p->mTrackProjY, p->mTrackProjXR,
                         factor * scale(p->mnTrackScaleLevel), p->mnTrackScaleLevel, refused);
       }
       if (!refused && f.Nleft != -1 && p->mbTrackInViewR) {
-        float const factor = p->mTrackViewCosR > 0.998f ? 2.5f : 4.0f;
+        float const factor = static_cast<double>(p->mTrackViewCosR) > 0.998 ? 2.5f : 4.0f;
         matches += take(f, *p, 1, right, p->mTrackProjXR, p->mTrackProjYR, 0,
                         factor * scale(p->mnTrackScaleLevelR), p->mnTrackScaleLevelR, refused);
       }
@@ -112,7 +115,7 @@ public:
     bool const two = f.Nleft != -1;
     cells const left(f, keys(f, 0));
     cells const right(f, f.mvKeysRight);
-    Eigen::Vector3f const centre = -(R(f).transpose() * t(f));
+    Eigen::Vector3f const centre = f.GetPose().inverse().translation();
     float const ahead = (R(last) * centre + t(last)).z();
     float const baseline = two ? t_rl().norm() : s_.bf / s_.left.values[0];
     bool const forward = !mono && ahead > baseline;
@@ -121,7 +124,7 @@ public:
     for (int i = 0; i < last.N; ++i) {
       auto* const p = last.mvpMapPoints[static_cast<std::size_t>(i)];
       if (p == nullptr || last.mvbOutlier[static_cast<std::size_t>(i)]) { continue; }
-      Eigen::Vector3f const Pc = R(f) * p->GetWorldPos() + t(f);
+      Eigen::Vector3f const Pc = f.GetPose() * p->GetWorldPos();
       float const inv_z = 1.0f / Pc.z();
       if (!(inv_z >= 0)) { continue; }
       auto const uv = project(s_.left, Pc);
@@ -169,15 +172,20 @@ private:
   static bool inside(stand_in::frame const& f, Eigen::Vector2f const& uv) {
     return uv.x() >= f.mnMinX && uv.x() <= f.mnMaxX && uv.y() >= f.mnMinY && uv.y() <= f.mnMaxY;
   }
-  sight see(stand_in::frame const& f, stand_in::map_point& p, Eigen::Matrix3f const& R_cw,
-            Eigen::Vector3f const& t_cw, ft::orbslam3::camera_parameters const& camera) const {
+  struct viewpoint {
+    Eigen::Matrix3f R_cw;
+    Eigen::Vector3f t_cw;
+    Eigen::Vector3f centre;
+  };
+  sight see(stand_in::frame const& f, stand_in::map_point& p, viewpoint const& from,
+            ft::orbslam3::camera_parameters const& camera) const {
     sight const none{0, 0, 0, 0, 0, -1};
     Eigen::Vector3f const P = p.GetWorldPos();
-    Eigen::Vector3f const Pc = R_cw * P + t_cw;
+    Eigen::Vector3f const Pc = from.R_cw * P + from.t_cw;
     if (!(Pc.z() >= 0)) { return none; }
     auto const uv = project(camera, Pc);
     if (!inside(f, uv)) { return none; }
-    Eigen::Vector3f const view = P + R_cw.transpose() * t_cw;
+    Eigen::Vector3f const view = P - from.centre;
     float const distance = view.norm();
     if (distance < p.GetMinDistanceInvariance() || distance > p.GetMaxDistanceInvariance()) {
       return none;
@@ -186,7 +194,7 @@ private:
     if (!(cosine >= 0.5f)) { return none; }
     float const ratio = p.raw_max_distance() / distance;
     int const level = static_cast<int>(std::ceil(std::log(ratio) / std::log(s_.scale_factor)));
-    return {uv.x(), uv.y(), Pc.z(), distance, cosine, std::clamp(level, 0, s_.levels - 1)};
+    return {uv.x(), uv.y(), Pc.z(), Pc.norm(), cosine, std::clamp(level, 0, s_.levels - 1)};
   }
 
   /// Section 7.

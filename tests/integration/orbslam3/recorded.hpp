@@ -118,6 +118,7 @@ public:
     f.N = static_cast<int>(f.mvKeys.size());
     stand_in::set_no_pair(f);
     if (fisheye()) {
+      f.T_lr = right_in_left();
       f.Nleft = f.N;
       f.Nright = static_cast<int>(f.mvKeysRight.size());
       f.N += f.Nright;
@@ -188,6 +189,14 @@ public:
   }
 
 private:
+  stand_in::se3 right_in_left() const {
+    std::vector<float> const T = json_["Tlr_rowmajor"];
+    Eigen::Matrix3f R;
+    for (int i = 0; i < 9; ++i) {
+      R(i / 3, i % 3) = T[static_cast<std::size_t>(i / 3 * 4 + i % 3)];
+    }
+    return {R, Eigen::Vector3f(T[3], T[7], T[11])};
+  }
   std::string path(char const* kind, int k, std::string const& name) const {
     char number[16];
     std::snprintf(number, sizeof number, "_%03d/", k);

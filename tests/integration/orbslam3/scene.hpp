@@ -201,6 +201,7 @@ private:
       for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = settings.T_rl.R[i]; }
       Eigen::Vector3f const t_rl(settings.T_rl.t[0], settings.T_rl.t[1], settings.T_rl.t[2]);
       right = see(R_rl * R, R_rl * t + t_rl, settings.right);
+      f.T_lr = stand_in::se3(R_rl, t_rl).inverse();
     }
     f.mvKeysUn = left.keypoints;
     f.mvKeys = left.keypoints;

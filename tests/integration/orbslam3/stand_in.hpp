@@ -68,20 +68,31 @@ struct keypoint {
 };
 #endif
 
-/// Of Sophus::SE3f. Keeps the matrix, so that recorded poses pass through unchanged.
+/// Of Sophus::SE3f, which stores a quaternion and rotates points by it. Keeps the matrix as well,
+/// so that recorded poses pass through unchanged.
 class se3 {
 public:
   se3() = default;
-  se3(Eigen::Quaternionf const& q, Eigen::Vector3f const& t) : R_(q.toRotationMatrix()), t_(t) {}
-  se3(Eigen::Matrix3f const& R, Eigen::Vector3f const& t) : R_(R), t_(t) {}
+  se3(Eigen::Quaternionf const& q, Eigen::Vector3f const& t)
+      : q_(q), R_(q.toRotationMatrix()), t_(t) {}
+  se3(Eigen::Matrix3f const& R, Eigen::Vector3f const& t)
+      : q_(Eigen::Quaternionf(R).normalized()), R_(R), t_(t) {}
+  Eigen::Quaternionf unit_quaternion() const { return q_; }
   Eigen::Matrix3f rotationMatrix() const { return R_; }
   Eigen::Vector3f translation() const { return t_; }
   se3 inverse() const {
-    Eigen::Matrix3f const R = R_.transpose();
-    return {R, Eigen::Vector3f(-(R * t_))};
+    se3 const back(q_.conjugate(), Eigen::Vector3f::Zero());
+    return {q_.conjugate(), back * Eigen::Vector3f(t_ * -1.0f)};
+  }
+  Eigen::Vector3f operator*(Eigen::Vector3f const& p) const {
+    Eigen::Vector3f turned = q_.vec().cross(p);
+    turned += turned;
+    Eigen::Vector3f const rotated = p + q_.w() * turned + q_.vec().cross(turned);
+    return rotated + t_;
   }
 
 private:
+  Eigen::Quaternionf q_ = Eigen::Quaternionf::Identity();
   Eigen::Matrix3f R_ = Eigen::Matrix3f::Identity();
   Eigen::Vector3f t_ = Eigen::Vector3f::Zero();
 };
@@ -276,8 +287,10 @@ struct frame {
 
   se3 GetPose() const { return T_cw; }
   void SetPose(se3 const& T) { T_cw = T; }
+  se3 GetRelativePoseTlr() { return T_lr; }
 
   se3 T_cw;
+  se3 T_lr;  ///< right camera to left camera, of a fisheye pair
 };
 
 struct types {

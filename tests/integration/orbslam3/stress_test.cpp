@@ -4,6 +4,7 @@
 // depends on when; what is found once they rest does not.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <memory>
 #include <mutex>
@@ -31,7 +32,8 @@ struct push_changes final : stand_in::hooks {
   void changed(stand_in::map_point* point) override { gpu->map_point_changed(point); }
 };
 
-/// ORB-SLAM3's map: a list under a lock, and every point there ever was.
+/// A map: a list under a lock, and every point that is not deleted. Points that left the list are
+/// deleted by the mapping thread once tracking has let go of them.
 class living_map {
 public:
   living_map(std::vector<std::unique_ptr<stand_in::map_point>> points, stand_in::hooks& hooks)
@@ -46,6 +48,35 @@ public:
   std::vector<stand_in::map_point*> list() {
     std::lock_guard<std::mutex> const lock(mutex_);
     return listed_;
+  }
+
+  /// By the tracker where it holds no points but those of its last frame: lets go of those that
+  /// left the list.
+  void release(stand_in::frame& last) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    for (stand_in::map_point* const p : retired_) {
+      std::replace(last.mvpMapPoints.begin(), last.mvpMapPoints.end(), p,
+                   static_cast<stand_in::map_point*>(nullptr));
+      unused_.push_back(p);
+    }
+    retired_.clear();
+  }
+  /// By the mapping thread. Returns the number of points.
+  int delete_unused(accelerator& gpu) {
+    std::vector<stand_in::map_point*> unused;
+    {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      unused.swap(unused_);
+    }
+    for (stand_in::map_point* const p : unused) { destroy(p, gpu); }
+    return static_cast<int>(unused.size());
+  }
+  /// By the mapping thread: a point that nobody lists, changed and deleted at once.
+  void make_temporary(std::mt19937& random, accelerator& gpu) {
+    add(*any(random), random, false);
+    stand_in::map_point* const p = all_.back().get();
+    p->SetWorldPos(p->GetWorldPos());
+    destroy(p, gpu);
   }
 
   /// One thing that the mapping thread does.
@@ -86,7 +117,14 @@ private:
     std::lock_guard<std::mutex> const lock(mutex_);
     return listed_[random() % listed_.size()];
   }
-  void add(stand_in::map_point& like, std::mt19937& random) {
+  void destroy(stand_in::map_point const* p, accelerator& gpu) {
+    gpu.forget(p);
+    auto const at =
+        std::find_if(all_.begin(), all_.end(), [p](auto const& q) { return q.get() == p; });
+    std::swap(*at, all_.back());
+    all_.pop_back();
+  }
+  void add(stand_in::map_point& like, std::mt19937& random, bool listed = true) {
     auto p = std::make_unique<stand_in::map_point>();
     p->observer = hooks_;
     p->SetWorldPos(like.GetWorldPos() + Eigen::Vector3f(0.02f, 0, 0));
@@ -96,16 +134,17 @@ private:
     p->set_observations(static_cast<int>(random() % 4));
     std::lock_guard<std::mutex> const lock(mutex_);
     p->mnId = next_id_++;
-    listed_.push_back(p.get());
+    if (listed) { listed_.push_back(p.get()); }
     all_.push_back(std::move(p));
   }
-  void erase(stand_in::map_point const* p) {
+  void erase(stand_in::map_point* p) {
     std::lock_guard<std::mutex> const lock(mutex_);
     if (listed_.size() < 100) { return; }
     for (auto& listed : listed_) {
       if (listed != p) { continue; }
       listed = listed_.back();
       listed_.pop_back();
+      retired_.push_back(p);
       return;
     }
   }
@@ -114,6 +153,8 @@ private:
   stand_in::hooks* hooks_;
   std::vector<std::unique_ptr<stand_in::map_point>> all_;
   std::vector<stand_in::map_point*> listed_;
+  std::vector<stand_in::map_point*> retired_;  ///< not listed; tracking may hold them
+  std::vector<stand_in::map_point*> unused_;
   unsigned long next_id_ = 0;
 };
 
@@ -151,10 +192,13 @@ protected:
     living_map map(std::move(s.map), hooks);
     std::atomic<bool> stop{false};
     std::atomic<long> changes{0};
+    std::atomic<long> deleted{0};
     std::thread mapping([&] {
       std::mt19937 random(11);
       while (!stop) {
         map.change(random);
+        if (changes % 4 == 0) { map.make_temporary(random, gpu); }
+        deleted += map.delete_unused(gpu);
         ++changes;
       }
     });
@@ -164,6 +208,7 @@ protected:
       stand_in::frame f = s.current;
       f.mnId = static_cast<unsigned long>(100 + k);
       follow_replaced(last);
+      map.release(last);
       matches += gpu.search_by_projection(f, last, 15, false);
       gpu.pose_optimization(f, stage::pose_last_frame);
       mark_own(f);
@@ -181,6 +226,7 @@ protected:
     }
     stop = true;
     mapping.join();
+    EXPECT_GT(deleted, 20);
     EXPECT_GT(matches, frames);
 
     // At rest: what a plain loop finds, and nothing is left to send.

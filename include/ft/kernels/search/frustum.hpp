@@ -24,7 +24,7 @@ struct visibility {
   float x, y;      ///< projection, pixels
   float right_x;   ///< in the right image of a rectified pair
   float cosine;    ///< of the angle between viewing direction and the point's normal
-  float distance;  ///< from the camera's centre, metres
+  float distance;  ///< from the camera's centre, metres: the length in the camera frame
   int level;       ///< predicted octave; -1 = not visible
 };
 
@@ -40,15 +40,25 @@ FT_HOST_DEVICE inline float log_rounded(float v) {
   return static_cast<float>(::log(static_cast<double>(v)));
 }
 
+/// Where a camera is.
+struct viewpoint {
+  pose T_cw;           ///< world to this camera
+  vec3<float> centre;  ///< of this camera in the world, metres
+
+  FT_HOST_DEVICE static viewpoint of(pose const& T_cw) {
+    auto const c = T_cw.cast<strict_float>().centre();
+    return {T_cw, {c.x.value, c.y.value, c.z.value}};
+  }
+};
+
 /// Tests one map point against one camera.
-/// @param T_cw world to this camera
 /// @param bf baseline times focal length; 0 if there is no column in a right image
 template <typename Camera>
-FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw,
+FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const& from,
                                           map_points_view const& map, int slot, float bf,
                                           frustum_params const& params) {
   visibility none{0, 0, 0, 0, 0, -1};
-  auto const T = T_cw.cast<strict_float>();
+  auto const T = from.T_cw.cast<strict_float>();
   vec3<float> const world = get<field::position>(map, slot);
   vec3<strict_float> const P{world.x, world.y, world.z};
   vec3<strict_float> const Pc = T * P;
@@ -60,7 +70,8 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
       !(x >= params.min_x && x <= params.max_x && y >= params.min_y && y <= params.max_y)) {
     return none;
   }
-  vec3<strict_float> const view = P - T.centre();
+  vec3<strict_float> const view =
+      P - vec3<strict_float>{from.centre.x, from.centre.y, from.centre.z};
   strict_float const distance = scalar::sqrt(dot(view, view));
   float const max_distance = get<field::max_distance>(map, slot);
   if (!(distance >= strict_float(0.8f) * get<field::min_distance>(map, slot) &&
@@ -75,9 +86,9 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, pose const& T_cw
       ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
   return {x,
           y,
-          (seen.pixel.x - bf / Pc.z).value,
+          (seen.pixel.x - bf * (strict_float(1.0f) / Pc.z)).value,
           cosine.value,
-          distance.value,
+          scalar::sqrt(dot(Pc, Pc)).value,
           static_cast<int>(clamp(level, 0.0f, static_cast<float>(params.levels - 1)))};
 }
 
@@ -93,7 +104,8 @@ struct local_search_params {
 /// @param right_column whether to compare columns in the right image
 FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float radius_factor,
                                               bool right_column, pyramid_geometry const& geometry) {
-  strict_float const base = v.cosine > 0.998f ? 2.5f : 4.0f;
+  // The reference compares with the double 0.998, which the float nearest to it exceeds.
+  strict_float const base = v.cosine >= 0.998f ? 2.5f : 4.0f;
   float const radius = (base * radius_factor * geometry.scale[v.level]).value;
   search_window w{};
   w.x = v.x;
@@ -120,6 +132,10 @@ struct local_search {
   pyramid_geometry geometry;
   local_search_params params;
   visibility* seen = nullptr;  ///< output, [cameras][batch][windows' capacity]; may be null
+  /// [batch][cameras] centres of the cameras in the world, metres; null: from the poses. A system
+  /// that stores rotations as quaternions has centres that differ from the matrix's in the last
+  /// bit.
+  vec3<float> const* centres = nullptr;
 
   FT_HOST_DEVICE search_params matching() const {
     search_params p;
@@ -156,7 +172,7 @@ struct local_map_windows {
     FT_UNROLL
     for (int c = 0; c < cameras; ++c) {
       visibility v{0, 0, 0, 0, 0, -1};
-      if (!skip) { v = see(in, in.T_cw[b], points, slot, c); }
+      if (!skip) { v = see(in, b, points, slot, c); }
       float const most = in.params.max_distance;
       if (v.level >= 0 && !(most > 0 && v.distance > most)) {
         float const factor = c == 0 ? in.params.radius_factor : 1.0f;
@@ -168,18 +184,26 @@ struct local_map_windows {
   }
 
 private:
-  FT_HOST_DEVICE static visibility see(search const& in, pose const& T_cw,
-                                       map_points_view const& points, int slot, int camera) {
+  FT_HOST_DEVICE static visibility see(search const& in, int b, map_points_view const& points,
+                                       int slot, int camera) {
     Rig const& rig = in.rig;
+    pose const T_cw = in.T_cw[b];
     if constexpr (Rig::rectified) {
       static_cast<void>(camera);
-      return test_visibility(rig.camera, T_cw, points, slot, rig.bf(), in.frustum);
+      return test_visibility(rig.camera, from(in, b, 0, T_cw), points, slot, rig.bf(), in.frustum);
     } else {
-      if (camera == 0) { return test_visibility(rig.left, T_cw, points, slot, 0.0f, in.frustum); }
+      if (camera == 0) {
+        return test_visibility(rig.left, from(in, b, 0, T_cw), points, slot, 0.0f, in.frustum);
+      }
       pose const T_rw = (rig.T_rl.template cast<strict_float>() * T_cw.cast<strict_float>())
                             .template cast<float>();
-      return test_visibility(rig.right, T_rw, points, slot, 0.0f, in.frustum);
+      return test_visibility(rig.right, from(in, b, 1, T_rw), points, slot, 0.0f, in.frustum);
     }
+  }
+  /// Camera number `camera` of batch entry b. @param T world to this camera
+  FT_HOST_DEVICE static viewpoint from(search const& in, int b, int camera, pose const& T) {
+    if (in.centres == nullptr) { return viewpoint::of(T); }
+    return {T, in.centres[b * cameras + camera]};
   }
 };
 

@@ -52,6 +52,9 @@ struct last_search {
   pyramid_geometry geometry;
   last_search_params params;
   point_stamps stamps;  ///< gets the matched points; may be without arrays
+  /// [batch] rotations of `T_cw` as unit quaternions, or null. Where given, they rotate the points
+  /// in place of the matrices, whose result differs in the last bit.
+  quaternion<float> const* rotations = nullptr;
 
   /// All but one member are known at compile time, which saves registers.
   FT_HOST_DEVICE search_params matching() const {
@@ -96,7 +99,8 @@ struct last_frame_windows {
 
     auto const T_cw = in.T_cw[b].template cast<strict_float>();
     vec3<float> const world = get<field::position>(points, from.slot);
-    vec3<strict_float> const Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
+    vec3<strict_float> Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
+    if (in.rotations != nullptr) { Pc = rotated(in.rotations[b], world) + T_cw.t; }
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
     if (!(inv_z >= 0.0f)) { return out; }
     search_window w = without_centre(in, T_cw, b, from, radius);
@@ -162,6 +166,9 @@ private:
     return w;
   }
 
+  FT_HOST_DEVICE static vec3<strict_float> rotated(quaternion<float> q, vec3<float> v) {
+    return quaternion<strict_float>{q.x, q.y, q.z, q.w} * vec3<strict_float>{v.x, v.y, v.z};
+  }
   FT_HOST_DEVICE static bool in_bounds(projection<strict_float> const& p,
                                        last_search_params const& b) {
     return p.valid && p.pixel.x >= b.min_x && p.pixel.x <= b.max_x && p.pixel.y >= b.min_y &&

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Differences between CPU and GPU: what one is, and a log of them by frame and stage.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <functional>
+#include <ostream>
+#include <utility>
+#include <vector>
+
+#include "integration/orbslam3/options.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// One value that differs, or the number of keypoints of a set that have other places.
+struct difference {
+  stage where;
+  unsigned long frame;  ///< Frame::mnId
+  char const* what;     ///< such as "map point", "octave"
+  long index;           ///< of the keypoint or the local map's point; -1 = of the frame
+  double cpu;           ///< map points by mnId, -1 = none
+  double gpu;
+  bool number = false;  ///< `gpu` alone says it
+};
+
+inline std::ostream& operator<<(std::ostream& out, difference const& d) {
+  out << "frame " << d.frame << ", " << name_of(d.where) << ": " << d.what;
+  if (d.number) { return out << ": " << d.gpu; }
+  if (d.index >= 0) { out << " " << d.index; }
+  return out << ": CPU " << d.cpu << ", GPU " << d.gpu;
+}
+
+/// Differences that are none: the two round differently.
+struct tolerances {
+  double pixels = 4e-3;  ///< of projections and right columns
+  double depth = 1e-3;   ///< metres, and relative to a depth
+  double cosine = 1e-5;  ///< of viewing angles
+  double pose = 1e-4;    ///< of each entry
+};
+
+/// Counts and prints differences. Of one thread.
+class difference_log {
+public:
+  using report = std::function<void(difference const&)>;
+
+  /// @param to called with every difference; may be empty
+  explicit difference_log(report to) : report_(std::move(to)) {}
+
+  long differences() const { return differences_; }
+  /// A line for each frame from now on, with the first difference of each stage.
+  void print_frames(std::ostream& out) { lines_ = &out; }
+
+  /// A call of stage `s` in frame `id` begins.
+  void begin(unsigned long id, stage s) {
+    if (!in_frame_ || id != frame_) {
+      end_frame();
+      in_frame_ = true;
+      frame_ = id;
+      ++frames_;
+      before_frame_ = differences_;
+    }
+    stage_ = s;
+    ++tallies_[static_cast<std::size_t>(s)].calls;
+    before_call_ = differences_;
+  }
+  /// Adds a value that is further from both of the CPU's than allowed; a NaN equals a NaN.
+  template <typename A, typename B>
+  void compare(char const* what, long index, A cpu, A cpu_again, B gpu, double allowed = 0) {
+    auto const a = static_cast<double>(cpu);
+    auto const b = static_cast<double>(gpu);
+    if (near(a, b, allowed) || near(static_cast<double>(cpu_again), b, allowed)) { return; }
+    add({stage_, frame_, what, index, a, b});
+  }
+  /// The same of a stage that reads no map, which the CPU runs once.
+  template <typename A, typename B>
+  void compare(char const* what, long index, A cpu, B gpu) {
+    compare(what, index, cpu, cpu, gpu);
+  }
+  /// Adds a number that is no pair of values, such as of keypoints in another order.
+  void add_number(char const* what, long number) {
+    add({stage_, frame_, what, -1, 0, static_cast<double>(number), true});
+  }
+
+  /// Ends the last frame's line; frames and calls so far, and those with differences.
+  void summary(std::ostream& out) {
+    end_frame();
+    out << "verify: " << frames_ << " frames, " << frames_that_differ_ << " with differences\n";
+    for (int i = 0; i < stage_count; ++i) {
+      tally const& t = tallies_[static_cast<std::size_t>(i)];
+      if (t.calls == 0) { continue; }
+      out << "verify: " << name_of(static_cast<stage>(i)) << ": " << t.calls << " calls, "
+          << t.calls_that_differ << " with differences, " << t.differences << " in all\n";
+    }
+  }
+
+private:
+  struct tally {
+    long calls = 0;
+    long calls_that_differ = 0;
+    long differences = 0;
+  };
+
+  void end_frame() {
+    if (!in_frame_) { return; }
+    in_frame_ = false;
+    long const n = differences_ - before_frame_;
+    frames_that_differ_ += static_cast<long>(n > 0);
+    if (lines_ == nullptr) { return; }
+    *lines_ << "verify: frame " << frame_ << ": " << n << " differences";
+    for (difference const& d : first_) { *lines_ << "; " << d; }
+    *lines_ << "\n";
+    first_.clear();
+  }
+  void add(difference const& d) {
+    tally& t = tallies_[static_cast<std::size_t>(stage_)];
+    if (differences_ == before_call_) {
+      ++t.calls_that_differ;
+      if (lines_ != nullptr) { first_.push_back(d); }
+    }
+    ++t.differences;
+    ++differences_;
+    if (report_) { report_(d); }
+  }
+  static bool near(double a, double b, double allowed) {
+    return std::abs(a - b) <= allowed || (std::isnan(a) && std::isnan(b));
+  }
+
+  report report_;
+  std::ostream* lines_ = nullptr;
+  std::array<tally, stage_count> tallies_{};
+  std::vector<difference> first_;  ///< of this frame's calls
+  stage stage_ = stage::extract;
+  unsigned long frame_ = 0;
+  bool in_frame_ = false;
+  long frames_ = 0;
+  long frames_that_differ_ = 0;
+  long differences_ = 0;
+  long before_frame_ = 0;
+  long before_call_ = 0;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-# Compiles each public header alone, as C++ and, with CUDA, as CUDA for one architecture. As C++ only where
-# it is asked for (the target header_check_host): scripts/test.sh has clang++ do the same where there is one.
+# Compiles each public header alone as C++: the target header_check_host, built on request, since scripts/test.sh
+# has clang++ do the same where there is one. With CUDA those headers which nvcc reads differently, and ft.hpp, are
+# also compiled alone as CUDA, for one architecture: for nvcc the others have the same text as for a C++ compiler.
 
 file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/include
      ${PROJECT_SOURCE_DIR}/include/ft/*.hpp)
@@ -37,7 +38,15 @@ if(TARGET header_check_host)
   set_target_properties(header_check_host PROPERTIES EXCLUDE_FROM_ALL ON)
 endif()
 if(FT_HAS_CUDA)
-  ft_add_header_check(header_check_cuda cu ${headers})
+  set(cuda_headers)
+  foreach(header IN LISTS headers)
+    file(STRINGS ${PROJECT_SOURCE_DIR}/include/${header} cuda_lines LIMIT_COUNT 1
+         REGEX "__CUDA|include [<\"](cuda|cub|thrust|cooperative)")
+    if(cuda_lines OR header MATCHES "^ft/(ft\\.hpp|interop/.*)$")
+      list(APPEND cuda_headers ${header})
+    endif()
+  endforeach()
+  ft_add_header_check(header_check_cuda cu ${cuda_headers})
   if(TARGET header_check_cuda)
     target_link_libraries(header_check_cuda PRIVATE ft::cuda)
     list(GET CMAKE_CUDA_ARCHITECTURES -1 architecture)

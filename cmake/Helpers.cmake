@@ -5,8 +5,18 @@ include(GoogleTest)
 
 add_custom_target(ft_host_tests)
 
-# Warnings, sanitizers and language settings of one of our targets.
+if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+  include(CheckCompilerFlag)
+  check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_FAST_COMPILE)  # CUDA 12.9 and newer
+endif()
+
+# Warnings, sanitizers and language settings of one of our targets. One with OPTIMIZED_DEVICE_CODE has it whatever
+# FT_FAST_DEVICE_CODE says.
 function(ft_target_defaults target)
+  cmake_parse_arguments(PARSE_ARGV 1 arg "OPTIMIZED_DEVICE_CODE" "" "")
+  if(FT_HAS_FAST_COMPILE AND NOT arg_OPTIMIZED_DEVICE_CODE)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--Ofast-compile=max>)
+  endif()
   set(warnings -Wall -Wextra -Wshadow -Wconversion)
   set(host_warnings ${warnings} -Wpedantic)
   # nvcc writes line directives and extensions into what the host compiler sees: no -Wpedantic there.

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Builds the fuzzers of tests/fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run, as many
 # at a time as FT_JOBS says:
-#   scripts/fuzz.sh [SECONDS]     the sum over all of them; 60 without the argument
+#   scripts/fuzz.sh [SECONDS]     the sum over all of them; 60 without the argument. The images get two shares of
+#                                 five: an execution there takes a thousand times as long as elsewhere
 # Each begins with tests/fuzz/corpus/NAME and what earlier runs found (build-fuzz/corpus/NAME). It ends with
 # an error where a fuzzer finds one; the input is then in build-fuzz/NAME.
 # Without a clang++ that has libFuzzer it says so and ends with 77.
@@ -55,8 +56,10 @@ link() {
 
 run() {
   local name=$1 status=0 log=$folder/$1.log
+  local shares=1
+  if [[ $name == images ]]; then shares=2; fi
   mkdir -p "$folder/$name" "$folder/corpus/$name"
-  "$folder/${name}_fuzz" -max_total_time=$((seconds / ${#fuzzers[@]} + 1)) -max_len=2048 -timeout=20 \
+  "$folder/${name}_fuzz" -max_total_time=$((seconds * shares / (${#fuzzers[@]} + 1) + 1)) -max_len=2048 -timeout=20 \
     -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix="$folder/$name/" \
     "$folder/corpus/$name" "tests/fuzz/corpus/$name" >"$log" 2>&1 || status=$?
   if ((status != 0)); then

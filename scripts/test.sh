@@ -11,7 +11,8 @@ usage() {
 usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
-  --quick   without the sanitizers and the consumer projects
+  --quick   without the sanitizers, the fuzzers, the consumer projects and the benches; of CUDA only the
+            conformance program, track_sequence and the headers
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
 EOF
@@ -95,8 +96,8 @@ run_ctest() {
 }
 
 check_includes() {
-  python3 scripts/check_includes.py --self-test
-  python3 scripts/check_includes.py
+  python3 tests/checks/includes.py --self-test
+  python3 tests/checks/includes.py
 }
 
 # Skipped, and said so, where clang++ has no libFuzzer.
@@ -122,11 +123,16 @@ test_architecture() {
   fi
 }
 
+# Without a GPU device code is only compiled, not run: fast, but for the conformance program.
+fast_device_code() {
+  if nvidia-smi -L 2>/dev/null | grep -q '^GPU'; then echo OFF; else echo ON; fi
+}
+
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
     -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=6 \
-    -DFT_TEST_CUDA_ARCHITECTURES="$(test_architecture)"
+    -DFT_TEST_CUDA_ARCHITECTURES="$(test_architecture)" -DFT_FAST_DEVICE_CODE="$(fast_device_code)"
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests
@@ -157,7 +163,7 @@ ft_find_nvcc || have_cuda=0
 
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes
-step "Documentation" scripts/docs.sh "$build/docs"
+step "Documentation" docs/build.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
 step "Host: tests" run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$'
@@ -166,12 +172,16 @@ if command -v clang++ >/dev/null; then
 else
   step "Host: headers" cmake --build "$build" --parallel "$jobs" --target header_check_host
 fi
-if ((have_cuda)); then
+if ((have_cuda && quick)); then
+  step "CUDA: build a part" cmake --build "$build" --parallel "$jobs" \
+    --target conformance track_sequence header_check_cuda
+  step "CUDA: conformance, skipped without a device" run_ctest cuda "$build" -R conformance_cuda
+elif ((have_cuda)); then
   step "CUDA, examples, benches: build" build_all "$build"
   step "CUDA: tests, skipped without a device" run_ctest cuda "$build" -L 'gpu|cuda'
 else
   printf '\nno CUDA toolkit found: nothing of CUDA is built\n'
-  step "Examples, benches: build" build_all "$build"
+  if ((!quick)); then step "Examples, benches: build" build_all "$build"; fi
 fi
 if ((!quick)); then
   step "Sanitizers: configure" cmake --preset host-asan
@@ -182,5 +192,5 @@ if ((!quick)); then
   step "ThreadSanitizer: the shim beside a mapping thread" \
     run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
   step "Fuzzers" fuzz
-  step "Consumers" scripts/test_consumers.sh "$build"
+  step "Consumers" tests/consumers/run.sh "$build"
 fi

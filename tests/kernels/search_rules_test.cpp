@@ -215,7 +215,7 @@ TYPED_TEST(search_rules, forward_is_farther_than_the_baseline) {
     SCOPED_TRACE(std::to_string(e.share) + " baselines ahead");
     scene s;
     s.last_octave = 3;
-    s.ahead = e.share * rig().baseline;
+    s.ahead = e.share * rig().baseline_length().value;
     expect_octaves(this->backend.exec, s, e.low, e.high);
   }
 }

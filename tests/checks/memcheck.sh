@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Tests of limits, lifetimes and trackers on the host under a slow checker (not in scripts/test.sh):
-#   scripts/memcheck.sh            valgrind's memcheck: memory that is read before it is written, leaks, bounds; about 10 minutes
-#   scripts/memcheck.sh threads    ThreadSanitizer; about 5 minutes
+#   tests/checks/memcheck.sh            valgrind's memcheck: memory that is read before it is written, leaks, bounds; about 10 minutes
+#   tests/checks/memcheck.sh threads    ThreadSanitizer; about 5 minutes
 # Ends with 1 where one of them reports anything. Nothing is suppressed.
 set -euo pipefail
-ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 # shellcheck source=scripts/deps.sh
 source "$ft_root/scripts/deps.sh"
 cd "$ft_root"

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 # Uses ft as strangers do: installed, as a subdirectory, fetched, as plain headers without CMake, by
 # pkg-config, by the recipes of cmake/packaging/; in C++17 and C++20, in several units and shared libraries.
-#   scripts/test_consumers.sh [BUILD_DIR]
+#   tests/consumers/run.sh [BUILD_DIR]
 # BUILD_DIR (default build) is a configured build of ft, which is installed from there into a temporary
 # prefix. With nvcc each consumer is built as CUDA as well; without a GPU the CUDA programs use none.
 # The example project of docs/extending.md is one of them; it needs GoogleTest. As many at a time as
 # FT_JOBS says.
 set -euo pipefail
-ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 # shellcheck source=scripts/deps.sh
 source "$ft_root/scripts/deps.sh"
 
@@ -149,4 +149,4 @@ fi
 ft_wait
 
 heading "packaging: recipes say the version of the headers"
-python3 "$ft_root/scripts/check_packaging.py"
+python3 "$ft_root/cmake/packaging/check.py"

@@ -3,11 +3,11 @@
 # Compiles a unit with all stages of a frame against another CUDA toolkit, with clang++ as the CUDA
 # compiler: device code for each architecture, assembled by the toolkit's ptxas, and the host half.
 # Nothing is run; no GPU is needed. What docs/support.md says was found with it.
-#   scripts/check_toolkit.sh VERSION|FOLDER [ARCHITECTURE...]
+#   tests/consumers/other_toolkit.sh VERSION|FOLDER [ARCHITECTURE...]
 # VERSION, as 12.6, takes headers, libdevice and ptxas from NVIDIA's Python packages (pip); FOLDER is a
 # toolkit. Architectures are sm_72 sm_87 if none is given. CLANG names the compiler (clang++-16).
 set -euo pipefail
-ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+ft_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 if (($# < 1)); then
   sed -n '3,9s/^# \{0,1\}//p' "$0" >&2
   exit 2

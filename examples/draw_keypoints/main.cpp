@@ -27,10 +27,10 @@ int draw(Exec const& exec, demo::grey_image const& image, std::string const& pat
   auto const keypoints = found.view();
   int per_level[ft::max_levels] = {};
   for (int i = 0; i < *keypoints.count; ++i) {
-    float const x = ft::get<ft::field::x>(keypoints, i);
-    float const y = ft::get<ft::field::y>(keypoints, i);
-    int const octave = ft::get<ft::field::octave>(keypoints, i);
-    float const angle = ft::get<ft::field::angle>(keypoints, i) * 3.14159265f / 180;
+    float const x = keypoints.x(i);
+    float const y = keypoints.y(i);
+    int const octave = keypoints.octave(i);
+    float const angle = keypoints.angle(i) * 3.14159265f / 180;
     float const radius = 0.25f * static_cast<float>(orb.geometry().patch_size(octave));
     demo::colour const c = demo::rainbow(static_cast<float>(octave) / 7);
     picture.circle(x, y, radius, c);

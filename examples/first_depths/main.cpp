@@ -21,7 +21,7 @@ int print_depths(Exec const& exec, ft::gray_view left, ft::gray_view right) {
   auto const matches = ft::download(exec, stereo.matches());  // waits
   int matched = 0;
   for (int i = 0; i < *matches.view().count; ++i) {
-    float const depth = ft::get<ft::field::depth>(matches.view(), i);
+    float const depth = matches.view().depth(i);
     if (depth > 0) { std::printf("keypoint %d is %.2f m away\n", i, static_cast<double>(depth)); }
     matched += depth > 0;
   }

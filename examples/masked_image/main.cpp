@@ -52,12 +52,12 @@ int extract(Exec const& exec, demo::grey_image const& image, std::string const& 
   picture.shade(allowed, {200, 0, 0});
   int outside = 0;
   for (int i = 0; i < *found.view().count; ++i) {
-    float const x = ft::get<ft::field::x>(found.view(), i);
-    float const y = ft::get<ft::field::y>(found.view(), i);
+    float const x = found.view().x(i);
+    float const y = found.view().y(i);
     picture.disc(x, y, 2, {0, 255, 0});
     // A keypoint of a coarse level stands for a pixel as large as its scale: only those of the
     // finest level are exact.
-    if (ft::get<ft::field::octave>(found.view(), i) == 0) {
+    if (found.view().octave(i) == 0) {
       outside += static_cast<int>(
           allowed[static_cast<std::size_t>(y) * static_cast<std::size_t>(image.width) +
                   static_cast<std::size_t>(x)] == 0);

@@ -81,9 +81,8 @@ std::vector<keypoint_depth> depths(Exec const& exec, fisheye_pair const& cameras
   exec.wait();
   std::vector<keypoint_depth> found;
   for (int i = 0; i < keypoints.view().count[0]; ++i) {
-    found.push_back({ft::get<ft::field::x>(keypoints.view(), i),
-                     ft::get<ft::field::y>(keypoints.view(), i),
-                     depth[static_cast<std::size_t>(i)]});
+    found.push_back(
+        {keypoints.view().x(i), keypoints.view().y(i), depth[static_cast<std::size_t>(i)]});
   }
   return found;
 }

@@ -14,10 +14,8 @@
 #include "ft/interop/thrust.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
-/// A field is a type with a `type`. It names a column; the container holds one array of each.
-struct tile {  ///< number of the image's tile, row by row
-  using type = int;
-};
+/// A field names a column and the type of its elements; the container holds one array of each.
+FT_FIELD(tile, int);  ///< number of the image's tile, row by row
 using tiled_view = ft::soa_view<ft::field::x, ft::field::y, ft::field::response, tile>;
 template <ft::memory_space Space>
 using tiled_keypoints = ft::soa<Space, ft::field::x, ft::field::y, ft::field::response, tile>;
@@ -31,9 +29,9 @@ struct assign_tile {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, tiled_view const& keypoints,
                                  int tiles_per_row) const {
-    int const column = static_cast<int>(ft::get<ft::field::x>(keypoints, i)) / tile_size;
-    int const row = static_cast<int>(ft::get<ft::field::y>(keypoints, i)) / tile_size;
-    ft::get<tile>(keypoints, i) = row * tiles_per_row + column;
+    int const column = static_cast<int>(keypoints.x(i)) / tile_size;
+    int const row = static_cast<int>(keypoints.y(i)) / tile_size;
+    keypoints.tile(i) = row * tiles_per_row + column;
   }
 };
 
@@ -87,9 +85,8 @@ double strongest_of_tiles(Exec const& exec, demo::grey_image const& image) {
   double sum = 0;
   bool rising = true;
   for (int i = 0; i < kept; ++i) {
-    sum += static_cast<double>(ft::get<ft::field::response>(found.view(), i));
-    rising =
-        rising && (i == 0 || ft::get<tile>(found.view(), i - 1) < ft::get<tile>(found.view(), i));
+    sum += static_cast<double>(found.view().response(i));
+    rising = rising && (i == 0 || found.view().tile(i - 1) < found.view().tile(i));
   }
   std::printf("%d keypoints, the strongest of %d tiles, responses add up to %.0f\n", count, kept,
               sum);

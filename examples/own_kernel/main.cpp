@@ -25,15 +25,12 @@ FT_HOST_DEVICE match nearest(ft::pinhole<float> const& camera, ft::keypoints_vie
                              ft::keypoints_view const& right, int i) {
   match best{-1, 257, 0};
   for (int j = 0; j < *right.count; ++j) {
-    int const distance =
-        ft::hamming(ft::get<ft::field::orb>(left, i), ft::get<ft::field::orb>(right, j));
+    int const distance = ft::hamming(left.orb(i), right.orb(j));
     if (distance < best.distance) { best = {j, distance, 0}; }
   }
   if (best.right < 0) { return best; }
   auto const ray = [&](ft::keypoints_view const& keypoints, int k) {
-    return camera.cast<strict>()
-        .unproject({ft::get<ft::field::x>(keypoints, k), ft::get<ft::field::y>(keypoints, k)})
-        .direction;
+    return camera.cast<strict>().unproject({keypoints.x(k), keypoints.y(k)}).direction;
   };
   auto const a = ray(left, i);
   auto const b = ray(right, best.right);

@@ -40,10 +40,10 @@ int match(Exec const& exec, demo::scene const& scene, std::string const& path) {
   std::vector<float> errors;
   auto const left = keypoints.view().slice(0);
   for (int i = 0; i < *left.count; ++i) {
-    float const depth = ft::get<ft::field::depth>(matches.view(), i);
+    float const depth = matches.view().depth(i);
     if (!(depth > 0)) { continue; }  // -1 = no match
-    float const x = ft::get<ft::field::x>(left, i);
-    float const y = ft::get<ft::field::y>(left, i);
+    float const x = left.x(i);
+    float const y = left.y(i);
     picture.disc(x, y, 4, demo::by_depth(depth, 2, 10));
     float const truth =
         static_cast<float>(scene.depth(frame, static_cast<double>(x), static_cast<double>(y)));

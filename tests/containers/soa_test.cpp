@@ -40,6 +40,29 @@ static_assert(!std::is_convertible<ft::stereo_matches_view, position_view>::valu
 static_assert(!std::is_copy_constructible<labelled<ft::memory_space::host>>::value, "move-only");
 static_assert(!std::is_copy_assignable<labelled<ft::memory_space::host>>::value, "move-only");
 
+FT_FIELD(weight, double);
+using weighted_view = ft::soa_view<ft::field::x, weight, landmark_id>;
+static_assert(sizeof(weighted_view) == 3 * sizeof(void*) + 2 * sizeof(int) + sizeof(int*),
+              "accessors take no space");
+
+TEST(soa_fields, have_accessors_of_their_names) {
+  ft::soa<ft::memory_space::host, ft::field::x, weight, landmark_id> const owner(5, 2);
+  weighted_view const v = owner.view();
+  for (int i = 0; i < 10; ++i) {
+    v.x(i) = static_cast<float>(i);
+    v.weight(i) = i + 0.5;
+    ft::get<landmark_id>(v, i) = 7 * i;  // a tag with a type alone
+  }
+  for (int i = 0; i < 10; ++i) {
+    EXPECT_EQ(ft::get<ft::field::x>(v, i), static_cast<float>(i));
+    EXPECT_EQ(ft::array_of<weight>(v)[i], i + 0.5);
+    EXPECT_EQ(&v.weight(i), &ft::get<weight>(v, i));
+  }
+  EXPECT_EQ(v.slice(1).x(2), 7.0f);
+  ft::soa_view<weight> const fewer = v;
+  EXPECT_EQ(&fewer.weight(3), &v.weight(3));
+}
+
 /// Writes to every entry through a view of two fields and a slice.
 struct write_positions {
   using scratch = ft::no_scratch;

@@ -35,24 +35,12 @@ FT_HOST_DEVICE inline int hamming(descriptor const& a, descriptor const& b) {
 }
 
 namespace field {
-struct x {  ///< column in the input image, pixels
-  using type = float;
-};
-struct y {  ///< row in the input image, pixels
-  using type = float;
-};
-struct angle {  ///< degrees, [0, 360)
-  using type = float;
-};
-struct response {  ///< corner score
-  using type = float;
-};
-struct octave {  ///< pyramid level
-  using type = int;
-};
-struct orb {  ///< descriptor
-  using type = ft::descriptor;
-};
+FT_FIELD(x, float);             ///< column in the input image, pixels
+FT_FIELD(y, float);             ///< row in the input image, pixels
+FT_FIELD(angle, float);         ///< degrees, [0, 360)
+FT_FIELD(response, float);      ///< corner score
+FT_FIELD(octave, int);          ///< pyramid level
+FT_FIELD(orb, ft::descriptor);  ///< descriptor
 }  // namespace field
 
 using keypoints_view =

@@ -10,22 +10,13 @@
 namespace ft {
 inline namespace FT_ABI {
 namespace field {
-struct position {  ///< world frame, metres
-  using type = vec3<float>;
-};
-struct normal {  ///< mean viewing direction, unit length, from the cameras to the point
-  using type = vec3<float>;
-};
-struct min_distance {  ///< raw, metres; searches accept points from 0.8 times this on
-  using type = float;
-};
-struct max_distance {  ///< raw, metres; searches accept points up to 1.2 times this
-  using type = float;
-};
-struct observations {  ///< number of observations; a point without any does not exclude others from
-                       ///< its keypoint
-  using type = int;
-};
+FT_FIELD(position, vec3<float>);  ///< world frame, metres
+FT_FIELD(normal,
+         vec3<float>);  ///< mean viewing direction, unit length, from the cameras to the point
+FT_FIELD(min_distance, float);  ///< raw, metres; searches accept points from 0.8 times this on
+FT_FIELD(max_distance, float);  ///< raw, metres; searches accept points up to 1.2 times this
+FT_FIELD(observations, int);    ///< number of observations; a point without any does not exclude
+                                ///< others from its keypoint
 }  // namespace field
 
 using map_points_view = soa_view<field::position, field::normal, field::min_distance,

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Structure of arrays with named fields, a batch axis and a count per batch entry.
 ///
-/// A field is a tag type with `using type = ...`. `soa<Space, Fields...>` owns one array per field;
-/// `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so a
-/// container with a field of one's own goes wherever the plain one is asked for:
+/// A field is a tag type, declared by FT_FIELD(name, type). `soa<Space, Fields...>` owns one array
+/// per field; `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so
+/// a container with a field of one's own can be passed wherever the plain one is expected:
 ///
-///     struct landmark_id { using type = int; };
+///     FT_FIELD(landmark_id, int);
 ///     ft::soa<ft::memory_space::host, ft::field::x, ft::field::y, landmark_id> mine(1000);
-///     ft::get<landmark_id>(mine.view(), 3) = 7;
+///     mine.view().landmark_id(3) = 7;
+///
+/// `get<Field>(view, i)` is the same element, for generic code.
 #pragma once
 
 #include <cstddef>
@@ -21,8 +23,30 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// Declares a field: a tag type NAME with the type of its elements, and the accessor NAME(i) of
+/// every view with that field.
+#define FT_FIELD(NAME, ...)                                                                        \
+  struct NAME {                                                                                    \
+    using type = __VA_ARGS__;                                                                      \
+    template <typename Column>                                                                     \
+    struct accessor {                                                                              \
+      FT_HOST_DEVICE type& NAME(int i) const { return static_cast<Column const*>(this)->data[i]; } \
+    };                                                                                             \
+  }
+
+namespace detail {
+
+/// A field's accessor, if it has one: a tag with a `type` alone is a field, too.
+template <typename Column, typename Field, typename = void>
+struct accessor_of {};
+template <typename Column, typename Field>
+struct accessor_of<Column, Field, std::void_t<typename Field::template accessor<Column>>>
+    : Field::template accessor<Column> {};
+
+}  // namespace detail
+
 template <typename Field>
-struct column {
+struct column : detail::accessor_of<column<Field>, Field> {
   typename Field::type* data = nullptr;
 };
 

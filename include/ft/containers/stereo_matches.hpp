@@ -8,15 +8,9 @@
 namespace ft {
 inline namespace FT_ABI {
 namespace field {
-struct right_x {  ///< column in the right image, pixels; -1 = no match
-  using type = float;
-};
-struct depth {  ///< metres along the left camera's axis; -1 = no match
-  using type = float;
-};
-struct score {  ///< sum of absolute differences of the refinement; -1 = no match
-  using type = int;
-};
+FT_FIELD(right_x, float);  ///< column in the right image, pixels; -1 = no match
+FT_FIELD(depth, float);    ///< metres along the left camera's axis; -1 = no match
+FT_FIELD(score, int);      ///< sum of absolute differences of the refinement; -1 = no match
 }  // namespace field
 
 using stereo_matches_view = soa_view<field::right_x, field::depth, field::score>;

@@ -7,12 +7,17 @@ file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/inclu
      ${PROJECT_SOURCE_DIR}/include/ft/*.hpp)
 list(FILTER headers EXCLUDE REGEX "/detail/")
 
-# Headers of interop need their third party: Thrust comes with CUDA, OpenCV is optional.
+# Headers of interop need their third party: Thrust comes with CUDA, OpenCV and Eigen are optional.
 set(host_headers ${headers})
 list(FILTER host_headers EXCLUDE REGEX "^ft/interop/thrust.hpp$")
 if(NOT OpenCV_FOUND)
   list(FILTER headers EXCLUDE REGEX "^ft/interop/opencv.hpp$")
   list(FILTER host_headers EXCLUDE REGEX "^ft/interop/opencv.hpp$")
+endif()
+find_package(Eigen3 3.3 QUIET NO_MODULE)
+if(NOT TARGET Eigen3::Eigen)
+  list(FILTER headers EXCLUDE REGEX "^ft/interop/eigen.hpp$")
+  list(FILTER host_headers EXCLUDE REGEX "^ft/interop/eigen.hpp$")
 endif()
 
 function(ft_add_header_check target extension)
@@ -28,6 +33,9 @@ function(ft_add_header_check target extension)
     ft_target_defaults(${target})
     if(OpenCV_FOUND)
       target_link_libraries(${target} PRIVATE ${OpenCV_LIBS})
+    endif()
+    if(TARGET Eigen3::Eigen)
+      target_link_libraries(${target} PRIVATE Eigen3::Eigen)
     endif()
   endif()
 endfunction()

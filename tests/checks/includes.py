@@ -31,11 +31,11 @@ VERSION = "ft/version.hpp"
 GUARDED = {
     "OpenCV": (re.compile(r"opencv2?/"), "ft/interop/opencv.hpp"),
     "Thrust": (re.compile(r"thrust/"), "ft/interop/thrust.hpp"),
+    "Eigen": (re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"), "ft/interop/eigen.hpp"),
     "CUB": (re.compile(r"cub/"), "ft/core/detail/cuda_groups.hpp"),
     "libcu++": (re.compile(r"cuda/"), "ft/core/detail/cuda_atomics.hpp"),
 }
 FORBIDDEN = {
-    "Eigen": re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"),
     "the support library": re.compile(r"examples/sequence/"),
     "an example": re.compile(r"examples/(?!sequence/)"),
     "a test": re.compile(r"(tests|bench|gtest|gmock|benchmark)/"),
@@ -193,6 +193,7 @@ CLEAN = {
     "include/ft/pipelines/tracker.hpp": '#include "ft/kernels/blur.hpp"\n#include "ft/version.hpp"',
     "include/ft/interop/opencv.hpp": '#include <opencv2/core.hpp>\n#include "ft/containers/soa.hpp"',
     "include/ft/interop/thrust.hpp": "#include <thrust/sort.h>",
+    "include/ft/interop/eigen.hpp": "#include <Eigen/Geometry>",
     "examples/sequence/reader.cpp": '#include "examples/sequence/detail/text.hpp"\n#include <Eigen/Core>',
     "tests/kernels/blur_test.cpp": '#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
     "tests/examples/text_test.cpp": '#include "examples/sequence/detail/text.hpp"',

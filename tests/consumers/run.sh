@@ -90,6 +90,11 @@ by_pkg_config() {
   run "$work/consumer_pc"
 }
 
+components() {
+  heading "find_package with components that there are not"
+  quietly cmake -DCMAKE_PREFIX_PATH="$prefix" -DOUT="$work/components" -P "$consumers/components.cmake"
+}
+
 vcpkg_port() {
   heading "cmake/packaging/vcpkg, its port run by CMake with stand-ins for vcpkg's functions"
   quietly cmake -DPORT="$ft_root/cmake/packaging/vcpkg/ft" -DOUT="$work/vcpkg" \
@@ -140,6 +145,7 @@ consume cmake_consumer fetch_content "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"  # th
 consume plain_include
 if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
 if command -v pkg-config >/dev/null; then consume by_pkg_config; fi
+consume components
 consume vcpkg_port
 if command -v conan >/dev/null; then
   consume conan_recipe

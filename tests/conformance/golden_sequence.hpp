@@ -126,7 +126,6 @@ private:
       exec_.wait();
     }
     orb_.extract(exec_);
-    orb_.list_corners(exec_);
     exec_.wait();
     auto const pyramid_bytes = static_cast<std::size_t>(orb_.geometry().bytes) * 2;
     auto const pyramid = get_array<std::uint8_t>(orb_.pyramid().data, pyramid_bytes);

@@ -90,7 +90,6 @@ protected:
       backend.exec.wait();
     }
     orb.extract(backend.exec);
-    orb.list_corners(backend.exec);
     backend.exec.wait();
   }
   /// Corners of a level, in the level's order.

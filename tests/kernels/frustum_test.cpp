@@ -409,13 +409,13 @@ TYPED_TEST(frustum_unit, the_right_fisheye_camera_has_its_own_view) {
     EXPECT_EQ(w.slot, by_right[at].level >= 0 ? i : -1);
     if (w.slot >= 0) {  // the factor is the left camera's
       EXPECT_EQ(w.radius,
-                (by_right[at].cosine > 0.998f ? 2.5f : 4.0f) * g.scale[by_right[at].level]);
+                (by_right[at].cosine >= 0.998f ? 2.5f : 4.0f) * g.scale[by_right[at].level]);
       EXPECT_FALSE(w.check_right);
     }
     auto const& l = run.window(0, 0, i);
     if (l.slot >= 0) {
       EXPECT_FLOAT_EQ(l.radius,
-                      (by_left[at].cosine > 0.998f ? 7.5f : 12.0f) * g.scale[by_left[at].level]);
+                      (by_left[at].cosine >= 0.998f ? 7.5f : 12.0f) * g.scale[by_left[at].level]);
     }
   }
   EXPECT_GT(different, 10) << "the cameras must not see the same";

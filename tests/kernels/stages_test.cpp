@@ -37,6 +37,7 @@
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
+#include "tests/support/tracking.hpp"
 
 namespace stages_parity {
 
@@ -276,7 +277,6 @@ record extract(Exec const& exec, feature_case const& c, feature_totals& totals) 
     orb.upload(exec, i, {c.images[at(i)].data(), p.width, p.height, p.width});
   }
   orb.extract(exec);
-  orb.list_corners(exec);
   add_pyramid(r, exec, "pyramid", orb.pyramid());
   add_pyramid(r, exec, "blur", orb.blurred());
   auto const corners = orb.corners();

@@ -1100,7 +1100,7 @@ search_answer search_local_plainly(search_scene const& s, ft::rectified_rig cons
           std::clamp(static_cast<int>(std::ceil(std::log(s.max_distance[at(slot)] / distance) /
                                                 std::log(g.scale_factor))),
                      0, g.levels - 1);
-      w.radius = (cosine > 0.998f ? 2.5f : 4.0f) * th * g.scale[level];
+      w.radius = (cosine >= 0.998f ? 2.5f : 4.0f) * th * g.scale[level];
       w.low = level - 1;
       w.high = level;
       w.slot = seen ? slot : -1;

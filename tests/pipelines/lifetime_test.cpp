@@ -73,7 +73,6 @@ protected:
     EXPECT_THROW(orb.upload(exec(), 0, view), ft::bad_argument);
     EXPECT_THROW(orb.set_mask(exec(), 0, view), ft::bad_argument);
     EXPECT_THROW(orb.extract(exec()), ft::bad_argument);
-    EXPECT_THROW(orb.list_corners(exec()), ft::bad_argument);
     EXPECT_THROW(orb.build_levels(exec()), ft::bad_argument);
     EXPECT_THROW(orb.build_pyramids(exec()), ft::bad_argument);
     EXPECT_THROW(orb.describe_keypoints(exec(), ft::described_view{}), ft::bad_argument);

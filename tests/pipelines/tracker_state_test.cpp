@@ -400,8 +400,8 @@ TYPED_TEST(tracker_state_test, parameters_of_relocalize_are_of_that_call_alone) 
     p.use_graphs = use_graphs;
     tracked_walk<typename TestFixture::exec_type, ft::rectified_rig> walk(exec, rig(), p);
     ft::local_search_params wide;
-    wide.th = 6;
-    wide.far_distance = 4;
+    wide.radius_factor = 6;
+    wide.max_distance = 4;
     ft::frame_input const input{walk.first_pose(), walk.slots};
     auto const relocalized = [&](auto const&... search) {
       walk.see(1);

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the tables of README.md and docs/ from the measurements in bench/results/.
+"""Writes the tables of docs/ and bench/results/README.md from the measurements in bench/results/.
 
 Each table stands between the lines <!-- NAME begins --> and <!-- NAME ends -->.
   update_results.py              rewrites them
@@ -250,7 +250,6 @@ def conformance():
 TABLES = {
     "docs/performance.md": {"frames": frames, "recorded frames": recorded, "recorded stages": recorded_stages,
                             "host against OpenCV": host_stages},
-    "docs/reference_behaviour.md": {"conformance": conformance},
     "bench/results/README.md": {
         "counts": counts,
         "stage chart": stage_chart,
@@ -261,6 +260,7 @@ TABLES = {
         "cameras": cameras,
         "graph": graph,
         "kernels": kernels,
+        "conformance": conformance,
     },
 }
 

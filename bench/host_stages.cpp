@@ -184,9 +184,12 @@ private:
                                                mono_count,
                                                place_.data(),
                                                {}});
-    ft::describe_corners(exec_, extractor_.pyramid(), extractor_.blurred(),
-                         extractor_.distribution(), ft::detail::orb_pattern, place_.data(),
-                         extractor_.keypoints());
+    ft::description_source const from{extractor_.pyramid(), extractor_.blurred(),
+                                      ft::detail::orb_pattern};
+    ft::describe_corners(
+        exec_,
+        ft::describing_view{
+            from, extractor_.distribution(), place_.data(), extractor_.keypoints(), {}, nullptr});
   }
 
   scene const& scene_;

@@ -85,9 +85,13 @@ protected:
     ft::distribute_corners(exec, corners, kept);
     run(version::plain, pyramid.batch, ft::detail::order_image<ft::detail::no_filler>{},
         ft::ordering_view{g, kept, overlaps.data(), keypoints, mono.data(), place.data(), {}});
-    run(v, pyramid.batch * kept.layout.total, ft::detail::describe_corner{}, pyramid, blurred, kept,
-        static_cast<ft::pattern_pair const*>(ft::detail::orb_pattern),
-        static_cast<int const*>(place.data()), keypoints, ft::frame_arrivals{});
+    run(v, pyramid.batch * kept.layout.total, ft::detail::describe_corner{},
+        ft::describing_view{{pyramid, blurred, ft::detail::orb_pattern},
+                            kept,
+                            place.data(),
+                            keypoints,
+                            {},
+                            nullptr});
 
     bytes all;
     append_pixels(all, pyramid);

@@ -168,7 +168,7 @@ public:
   void describe_keypoints(Exec const& exec, described_view const& keypoints) const {
     batch_.require_made("extractor");
     detail::require_range("batch of keypoints", keypoints.batch, batch(), batch());
-    ft::describe_keypoints(exec, stages_.pyramid, stages_.blurred, stages_.pattern, keypoints);
+    ft::describe_keypoints(exec, stages_.described_in(), keypoints);
   }
 
   /// Queues the pyramids of the uploaded images alone, for callers with keypoints of their own.

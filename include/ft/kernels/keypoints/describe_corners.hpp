@@ -20,12 +20,24 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// What the description of the kept corners of a batch of images reads and writes, all in executor
+/// memory. Its last four members are those of order_corners().
+struct describing_view {
+  description_source from;
+  distribution_view kept;
+  int const* place = nullptr;  ///< [batch][kept.layout.total] place of each corner's keypoint
+  keypoints_view out;          ///< only angles and descriptors are written
+  /// Of a concurrent order_corners(): which images have their places.
+  frame_arrivals arrivals;
+  /// [batch] Where a whole image is inside or outside of its overlap, places are computed rather
+  /// than awaited. Without overlaps they are read. Required with `arrivals`.
+  stereo_overlap const* overlaps = nullptr;
+};
+
 namespace detail {
 
 /// One kept corner: the angle and descriptor of its keypoint.
 struct describe_corner {
-  /// [batch] the overlaps of order_image; required if the launches are concurrent
-  stereo_overlap const* overlaps = nullptr;
   static constexpr bool wide_on_host = true;
   static constexpr int window = 2 * pattern_radius + 1;
   static constexpr int window_words = (window + 3 + 3) / 4;
@@ -34,19 +46,16 @@ struct describe_corner {
   };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, image_pyramid_view const& pyramid,
-                                 image_pyramid_view const& blurred, distribution_view const& kept,
-                                 pattern_pair const* pattern, int const* place,
-                                 keypoints_view const& out, frame_arrivals const& arrivals) const {
-    distribution_layout const& layout = kept.layout;
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, describing_view const& v) const {
+    distribution_layout const& layout = v.kept.layout;
     int const image = item / layout.total;
     int const slot = item % layout.total;
     // All loads are in flight together; a slot without a corner holds stale but readable data.
-    corner const c = kept.kept[item];
-    int const* const counts = kept.kept_count + image * layout.levels;
+    corner const c = v.kept.kept[item];
+    int const* const counts = v.kept.kept_count + image * layout.levels;
     [[maybe_unused]] level_count const own(g, counts, layout.levels);
     [[maybe_unused]] stereo_overlap const overlap =
-        Group::max_threads > 1 && overlaps != nullptr ? overlaps[image] : unknown_overlap();
+        Group::max_threads > 1 && v.overlaps != nullptr ? v.overlaps[image] : unknown_overlap();
     int const l = level_of(layout, slot);
     int const count = Group::max_threads > 1 ? g.shuffle(own.count, l) : counts[l];
     g.sync();
@@ -54,37 +63,37 @@ struct describe_corner {
 
     int const x = c.x + corner_border;
     int const y = c.y + corner_border;
-    gray_view const sharp = pyramid.level(image, l);
-    gray_view const level = blurred.level(image, l);
-    int to = image * out.capacity;
+    gray_view const sharp = v.from.pyramid.level(image, l);
+    gray_view const level = v.from.blurred.level(image, l);
+    int to = image * v.out.capacity;
     float angle = 0;
     if constexpr (Group::max_threads > 1) {
-      lane_tests<Group> const tests(g, pattern);
+      lane_tests<Group> const tests(g, v.from.pattern);
       angle = stage_and_turn(g, sharp, level, x, y, s.pixels);
       g.sync();
       rotation const turn = rotation_by(angle);
-      int const width = pyramid.geometry.width[0];
+      int const width = v.from.pyramid.geometry.width[0];
       bool const none = overlap.has_none(width);
       if (none || overlap.has_all(width)) {
         int const rank = own.below(g, l) + slot - layout.first[l];
         to += none ? rank : own.all(g) - 1 - rank;
       } else {
-        arrivals.await_placed(g, image);
-        to += place[item];
+        v.arrivals.await_placed(g, image);
+        to += v.place[item];
       }
       auto const* const centre = reinterpret_cast<std::uint8_t const*>(s.pixels) +
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
       auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-      describe_by_warp(g, at, turn, tests, get<field::orb>(out, to));
+      describe_by_warp(g, at, turn, tests, get<field::orb>(v.out, to));
     } else {
       fetch_window(level, x, y);
       angle = orientation(g, sharp, x, y);
       rotation const turn = rotation_by(angle);
-      to += place[item];
-      describe_alone(level, x, y, turn, pattern, get<field::orb>(out, to));
+      to += v.place[item];
+      describe_alone(level, x, y, turn, v.from.pattern, get<field::orb>(v.out, to));
     }
-    if (g.rank() == 0) { get<field::angle>(out, to) = angle; }
+    if (g.rank() == 0) { get<field::angle>(v.out, to) = angle; }
   }
 
 private:
@@ -151,24 +160,13 @@ private:
 }  // namespace detail
 
 /// Computes angles and descriptors of ordered keypoints. Asynchronous on `exec`; allocates nothing;
-/// one launch.
-/// @param pattern [256] points within `pattern_radius` @param place from order_corners()
-/// @param arrivals those of order_corners(), if this launch is concurrent with it
-/// @param overlaps those of order_corners(). Where a whole image is inside or outside of its
-/// overlap
-///   places are computed rather than awaited; without overlaps they are read
-/// @throws bad_argument for arrivals without overlaps
+/// one launch. @throws bad_argument for arrivals without overlaps
 template <typename Exec>
-void describe_corners(Exec const& exec, image_pyramid_view const& pyramid,
-                      image_pyramid_view const& blurred, distribution_view const& kept,
-                      pattern_pair const* pattern, int const* place, keypoints_view const& out,
-                      frame_arrivals const& arrivals = {},
-                      stereo_overlap const* overlaps = nullptr) {
-  detail::require(!arrivals.overlapping() || overlaps != nullptr,
-                  "descriptors beside the order need its overlaps");
-  for_each_item<per_warp>(exec, pyramid.batch * kept.layout.total,
-                          detail::describe_corner{overlaps}, pyramid, blurred, kept, pattern, place,
-                          out, arrivals);
+void describe_corners(Exec const& exec, describing_view const& v) {
+  detail::require(!v.arrivals.overlapping() || v.overlaps != nullptr,
+                  "descriptors concurrent with the order need its overlaps");
+  for_each_item<per_warp>(exec, v.from.pyramid.batch * v.kept.layout.total,
+                          detail::describe_corner{}, v);
 }
 
 }  // namespace FT_ABI

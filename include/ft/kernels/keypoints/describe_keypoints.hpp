@@ -26,28 +26,27 @@ struct describe_keypoint {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
-                                 image_pyramid_view const& blurred, pattern_pair const* pattern,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, description_source const& from,
                                  described_view const& keypoints) const {
     int const image = item / keypoints.capacity;
     if (item % keypoints.capacity >= keypoints.count[image]) { return; }
     descriptor& orb = get<field::orb>(keypoints, item);
     int const l = get<field::octave>(keypoints, item);
-    pixel const at = nearest_pixel(pyramid.geometry, get<field::x>(keypoints, item),
+    pixel const at = nearest_pixel(from.pyramid.geometry, get<field::x>(keypoints, item),
                                    get<field::y>(keypoints, item), l);
     if (!at.valid) {
       if (g.rank() == 0) { get<field::angle>(keypoints, item) = -1; }
       for (int i = g.rank(); i < 8; i += g.size()) { orb.words[i] = 0; }
       return;
     }
-    float const angle = orientation(g, pyramid.level(image, l), at.x, at.y);
+    float const angle = orientation(g, from.pyramid.level(image, l), at.x, at.y);
     rotation const turn = rotation_by(angle);
-    gray_view const level = blurred.level(image, l);
+    gray_view const level = from.blurred.level(image, l);
     if constexpr (Group::max_threads > 1) {
       auto const sample = [&](int dx, int dy) { return level(at.x + dx, at.y + dy); };
-      describe_by_warp(g, sample, turn, lane_tests<Group>(g, pattern), orb);
+      describe_by_warp(g, sample, turn, lane_tests<Group>(g, from.pattern), orb);
     } else {
-      describe_alone(level, at.x, at.y, turn, pattern, orb);
+      describe_alone(level, at.x, at.y, turn, from.pattern, orb);
     }
     if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
   }
@@ -79,13 +78,11 @@ private:
 /// than 18 pixels of its level from the border, is not finite, or has no octave of the pyramid.
 /// Asynchronous on `exec`; allocates nothing; one launch.
 /// @param keypoints one batch entry per image of the pyramid; all in executor memory
-/// @param pattern [256], points within `pattern_radius`
 template <typename Exec>
-void describe_keypoints(Exec const& exec, image_pyramid_view const& pyramid,
-                        image_pyramid_view const& blurred, pattern_pair const* pattern,
+void describe_keypoints(Exec const& exec, description_source const& from,
                         described_view const& keypoints) {
   for_each_item<per_warp>(exec, keypoints.batch * keypoints.capacity, detail::describe_keypoint{},
-                          pyramid, blurred, pattern, keypoints);
+                          from, keypoints);
 }
 
 }  // namespace FT_ABI

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -17,6 +18,13 @@ inline namespace FT_ABI {
 
 /// Largest distance of a pattern point from the keypoint along an axis, rotated and rounded.
 inline constexpr int pattern_radius = 18;
+
+/// The images that keypoints are described in, and the pattern; all in executor memory.
+struct description_source {
+  image_pyramid_view pyramid;             ///< for the angles
+  image_pyramid_view blurred;             ///< of `pyramid`, for the descriptors
+  pattern_pair const* pattern = nullptr;  ///< [256] points within `pattern_radius`
+};
 
 namespace detail {
 

@@ -49,6 +49,7 @@ struct extraction {
   int* mono_count = nullptr;
   frame_arrivals arrivals;
 
+  description_source described_in() const { return {pyramid, blurred, pattern}; }
   bool has_masks() const { return masks.data != nullptr; }
   /// Whether tiles of the pyramid wait for the rows that they are made of while later ones arrive.
   bool pyramid_overlaps_upload() const { return Exec::asynchronous && tiles.groups == 1; }
@@ -87,7 +88,8 @@ struct extraction {
   }
   void order(Exec const& exec) const { order(exec, no_grids{}); }
   void describe(Exec const& exec) const {
-    describe_corners(exec, pyramid, blurred, kept, pattern, place, keypoints, arrivals, overlaps);
+    describe_corners(exec,
+                     describing_view{described_in(), kept, place, keypoints, arrivals, overlaps});
   }
 
   /// Sets what is read before the first image has written it.

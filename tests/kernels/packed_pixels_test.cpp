@@ -171,7 +171,7 @@ struct stage_and_copy {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int, ft::gray_view from, rectangle const& r,
                                  std::uint8_t* to) const {
-    ft::detail::stage_rectangle(g, from, r.x, r.y, r.w, r.h, s.words, r.pitch);
+    ft::detail::stage_rectangle(g, from, {r.x, r.y, r.w, r.h}, s.words, r.pitch);
     g.sync();
     auto const* const bytes = reinterpret_cast<std::uint8_t const*>(s.words);
     for (int i = g.rank(); i < r.w * r.h; i += g.size()) {

@@ -73,8 +73,6 @@ struct blur_tile {
     auto const out = to.level(image, l);
     int const x0 = (tile - layout.first[l]) % layout.cols[l] * tw;
     int const y0 = (tile - layout.first[l]) / layout.cols[l] * th;
-    int const w = min_of(tw, in.width - x0);
-    int const h = min_of(th, in.height - y0);
     if (g.size() > 1 && can_use_strips(in, out)) {
       constexpr int columns = tw / 4;
       static_assert(32 % columns == 0, "a warp's strips lie in one tile");
@@ -92,10 +90,13 @@ struct blur_tile {
           blur_strip<false>(in, out, x, y);
         }
       }
-    } else if constexpr (Group::max_threads == 1) {
-      blur_alone(s, in, out, x0, y0, w, h);
     } else {
-      blur_rows(g, s, in, out, x0, y0, w, h);
+      pixel_rectangle const part{x0, y0, min_of(tw, in.width - x0), min_of(th, in.height - y0)};
+      if constexpr (Group::max_threads == 1) {
+        blur_alone(s, in, out, part);
+      } else {
+        blur_rows(g, s, in, out, part);
+      }
     }
   }
 
@@ -241,9 +242,13 @@ private:
 
   /// By a single thread. Loops run over the whole width of a tile: a constant length vectorises.
   FT_HOST_DEVICE FT_INLINE static void blur_alone(scratch& s, gray_view in,
-                                                  image_view<std::uint8_t> out, int x0, int y0,
-                                                  int w, int h) {
+                                                  image_view<std::uint8_t> out,
+                                                  pixel_rectangle const& part) {
     constexpr int tw = blur_layout::tile_width;
+    int const x0 = part.x;
+    int const y0 = part.y;
+    int const w = part.w;
+    int const h = part.h;
     int const first = x0 - radius;  // column of pixels[0]
     bool const inner = first >= 0 && w == tw && x0 + tw + radius <= in.width;
     std::uint8_t mirrored[tw + 2 * radius] = {};
@@ -289,8 +294,12 @@ private:
   /// By several threads, row by row in scratch: for images that are small or not aligned to words.
   template <typename Group>
   FT_HOST_DEVICE static void blur_rows(Group g, scratch& s, gray_view in,
-                                       image_view<std::uint8_t> out, int x0, int y0, int w, int h) {
+                                       image_view<std::uint8_t> out, pixel_rectangle const& part) {
     constexpr int tw = blur_layout::tile_width;
+    int const x0 = part.x;
+    int const y0 = part.y;
+    int const w = part.w;
+    int const h = part.h;
     bool const inner = x0 >= radius && x0 + w + radius <= in.width;
 
     for (int r = 0; r < h + 2 * radius; ++r) {

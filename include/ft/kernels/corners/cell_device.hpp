@@ -37,7 +37,7 @@ inline constexpr int score_offset = -2 * cell_pitch;
 template <typename Group>
 FT_HOST_DEVICE void stage_cell(Group g, cell_scratch& s, gray_view level, cell_place const& in,
                                cell_inner const& inner) {
-  stage_rectangle<6>(g, level, in.x0, in.y0, in.patch_w, in.patch_h, s.pixels, cell_pitch / 4);
+  stage_rectangle<6>(g, level, {in.x0, in.y0, in.patch_w, in.patch_h}, s.pixels, cell_pitch / 4);
   for (int i = g.rank(); i < (inner.h + 2) * cell_pitch / 16; i += g.size()) { s.scores[i] = {}; }
   if (g.rank() == 0) {
     s.candidate_count[0] = 0;

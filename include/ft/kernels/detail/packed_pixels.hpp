@@ -163,74 +163,89 @@ FT_HOST_DEVICE bool has_word_rows(image_view<T> const& image) {
           3u) == 0;
 }
 
-/// Copies the pixels [x0, x0 + w) x [y0, y0 + h) of an image into words of scratch. Call sync()
-/// afterwards. Pixel (x0 + i, y0 + r) becomes byte (x0 & 3) + i of the row that starts at word
-/// r * pitch. Other bytes of the touched words are undefined.
+/// The pixels [x, x + w) x [y, y + h) of an image.
+struct pixel_rectangle {
+  int x, y, w, h;
+};
+
+/// stage_rectangle() of aligned rows of whole words, by several threads.
+template <int InFlight, typename Group>
+FT_HOST_DEVICE void stage_words(Group g, gray_view from, std::uint32_t* words, int pitch) {
+  int const n = from.width / 4;
+  int const h = from.height;
+  if (g.size() >= 128 && n <= 32) {
+    // A power of two of threads per row; some of them are idle.
+    int const lanes = n <= 16 ? 4 : 5;
+    int const c = g.rank() & ((1 << lanes) - 1);
+    int const rows = g.size() >> lanes;
+    int r = g.rank() >> lanes;
+    if (c >= n) { return; }
+    std::uint8_t const* at = from.data + r * from.stride + 4 * c;
+    std::uint32_t* to = words + r * pitch + c;
+    for (; r < h; r += InFlight * rows) {
+      std::uint32_t word[InFlight];
+      FT_UNROLL
+      for (int k = 0; k < InFlight; ++k) {
+        if (r + k * rows < h) { word[k] = load_word(at + k * rows * from.stride); }
+      }
+      FT_UNROLL
+      for (int k = 0; k < InFlight; ++k) {
+        if (r + k * rows < h) { to[k * rows * pitch] = word[k]; }
+      }
+      at += InFlight * rows * from.stride;
+      to += InFlight * rows * pitch;
+    }
+    return;
+  }
+  small_divider const row_of(n);
+  for (int base = g.rank(); base < n * h; base += InFlight * g.size()) {
+    std::uint32_t word[InFlight];
+    int to[InFlight];
+    FT_UNROLL
+    for (int k = 0; k < InFlight; ++k) {
+      int const i = base + k * g.size();
+      int const r = row_of(i);
+      int const c = i - r * n;
+      to[k] = r * pitch + c;
+      if (i < n * h) { word[k] = load_word(from.data + r * from.stride + 4 * c); }
+    }
+    FT_UNROLL
+    for (int k = 0; k < InFlight; ++k) {
+      if (base + k * g.size() < n * h) { words[to[k]] = word[k]; }
+    }
+  }
+}
+
+/// Copies a rectangle of an image into words of scratch. Call sync() afterwards. Pixel
+/// (from.x + i, from.y + r) becomes byte (from.x & 3) + i of the row that starts at word r * pitch.
+/// Other bytes of the touched words are undefined.
 /// @tparam InFlight loads of a thread before its first store
-/// @param pitch words from row to row, enough for (x0 & 3) + w bytes
+/// @param pitch words from row to row, enough for (from.x & 3) + from.w bytes
 template <int InFlight = 4, typename Group>
-FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, int x0, int y0, int w, int h,
+FT_HOST_DEVICE void stage_rectangle(Group g, gray_view image, pixel_rectangle const& from,
                                     std::uint32_t* words, int pitch) {
+  int const w = from.w;
+  int const h = from.h;
   if (w <= 0 || h <= 0) { return; }
-  int const skew = x0 & 3;
+  int const skew = from.x & 3;
   if (g.size() > 1 && has_word_rows(image)) {
     int const n = (skew + w + 3) / 4;
-    std::uint8_t const* const from = image.row(y0) + (x0 - skew);
-    if (g.size() >= 128 && n <= 32) {
-      // A power of two of threads per row; some of them are idle.
-      int const lanes = n <= 16 ? 4 : 5;
-      int const c = g.rank() & ((1 << lanes) - 1);
-      int const rows = g.size() >> lanes;
-      int r = g.rank() >> lanes;
-      if (c >= n) { return; }
-      std::uint8_t const* at = from + r * image.stride + 4 * c;
-      std::uint32_t* to = words + r * pitch + c;
-      for (; r < h; r += InFlight * rows) {
-        std::uint32_t word[InFlight];
-        FT_UNROLL
-        for (int k = 0; k < InFlight; ++k) {
-          if (r + k * rows < h) { word[k] = load_word(at + k * rows * image.stride); }
-        }
-        FT_UNROLL
-        for (int k = 0; k < InFlight; ++k) {
-          if (r + k * rows < h) { to[k * rows * pitch] = word[k]; }
-        }
-        at += InFlight * rows * image.stride;
-        to += InFlight * rows * pitch;
-      }
-      return;
-    }
-    small_divider const row_of(n);
-    for (int base = g.rank(); base < n * h; base += InFlight * g.size()) {
-      std::uint32_t word[InFlight];
-      int to[InFlight];
-      FT_UNROLL
-      for (int k = 0; k < InFlight; ++k) {
-        int const i = base + k * g.size();
-        int const r = row_of(i);
-        int const c = i - r * n;
-        to[k] = r * pitch + c;
-        if (i < n * h) { word[k] = load_word(from + r * image.stride + 4 * c); }
-      }
-      FT_UNROLL
-      for (int k = 0; k < InFlight; ++k) {
-        if (base + k * g.size() < n * h) { words[to[k]] = word[k]; }
-      }
-    }
+    gray_view const rows{image.row(from.y) + (from.x - skew), 4 * n, h, image.stride};
+    stage_words<InFlight>(g, rows, words, pitch);
     return;
   }
   auto* const bytes = reinterpret_cast<std::uint8_t*>(words) + skew;
   if (g.size() == 1) {
     for (int r = 0; r < h; ++r) {
-      std::memcpy(bytes + static_cast<std::ptrdiff_t>(r) * 4 * pitch, image.row(y0 + r) + x0,
-                  static_cast<std::size_t>(w));
+      std::memcpy(bytes + static_cast<std::ptrdiff_t>(r) * 4 * pitch,
+                  image.row(from.y + r) + from.x, static_cast<std::size_t>(w));
     }
     return;
   }
   small_divider const row_of(w);
   for (int i = g.rank(); i < w * h; i += g.size()) {
     int const r = row_of(i);
-    bytes[r * 4 * pitch + (i - r * w)] = image.row(y0 + r)[x0 + i - r * w];
+    bytes[r * 4 * pitch + (i - r * w)] = image.row(from.y + r)[from.x + i - r * w];
   }
 }
 

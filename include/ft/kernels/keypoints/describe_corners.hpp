@@ -135,7 +135,7 @@ private:
     bool const words = Group::max_threads >= 32 && has_word_rows(sharp);
     disc_words<Group> disc;
     if (words) { disc = disc_words<Group>(g, sharp, x, y); }
-    stage_rectangle<12>(g, level, x - pattern_radius, y - pattern_radius, window, window, pixels,
+    stage_rectangle<12>(g, level, {x - pattern_radius, y - pattern_radius, window, window}, pixels,
                         window_words);
     if (!words) { return orientation(g, sharp, x, y); }
     moments const m = disc.sums(g);

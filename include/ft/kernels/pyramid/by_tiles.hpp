@@ -74,8 +74,8 @@ struct resize_tile {
     int const row = in_image / group.columns;
     int const levels = group.last - group.first + 1;
     if (g.part_index() == 0) {
-      plan_levels(g.part(), s, pyramid, image, tiles.spans + group.spans, group,
-                  in_image - row * group.columns, row);
+      tile_place const at{image, in_image - row * group.columns, row};
+      plan_levels(g.part(), s, pyramid, tiles.spans + group.spans, group, at);
     }
     g.sync();
     stage_taps(g, s, pyramid.geometry, all_taps, group.first, levels);
@@ -83,9 +83,9 @@ struct resize_tile {
     if (arrivals.overlapping()) {
       arrivals.await_rows(g, image, source.y.need_begin, source.y.need_end);
     }
-    stage_rectangle(g, pyramid.level(image, group.first - 1), source.x.need_begin,
-                    source.y.need_begin, source.x.need_end - source.x.need_begin, source.height,
-                    s.pixels[0], source.words);
+    pixel_rectangle const needed{source.x.need_begin, source.y.need_begin,
+                                 source.x.need_end - source.x.need_begin, source.height};
+    stage_rectangle(g, pyramid.level(image, group.first - 1), needed, s.pixels[0], source.words);
     g.sync();
     for (int i = 1; i <= levels; ++i) {
       level_plan const plan = s.level[i];
@@ -100,11 +100,15 @@ struct resize_tile {
   }
 
 private:
-  /// Computes the plans of all levels, by one warp.
+  struct tile_place {
+    int image, column, row;
+  };
+
+  /// Computes the plans of all levels, by one warp. @param spans of the group
   template <typename Part>
   FT_HOST_DEVICE static void plan_levels(Part part, scratch& s, image_pyramid_view const& pyramid,
-                                         int image, tile_span const* spans, tile_group const& group,
-                                         int column, int row) {
+                                         tile_span const* spans, tile_group const& group,
+                                         tile_place const& at) {
     int const levels = group.last - group.first + 1;
     int words_before = 0;
     int rows_before = 0;
@@ -113,9 +117,9 @@ private:
       level_plan plan{};
       if (i <= levels) {
         tile_span const* const of_level = spans + i * (group.columns + group.rows);
-        plan.x = of_level[column];
-        plan.y = of_level[group.columns + row];
-        auto const level = pyramid.level(image, group.first - 1 + i);
+        plan.x = of_level[at.column];
+        plan.y = of_level[group.columns + at.row];
+        auto const level = pyramid.level(at.image, group.first - 1 + i);
         plan.pixels = level.data;
         plan.stride = level.stride;
         plan.whole_words = static_cast<int>(has_word_rows(level));

@@ -185,6 +185,8 @@ bool reaches_heap_sort(std::vector<element> a) {
   auto const n = static_cast<int>(a.size());
   std::vector<int> left(a.size());
   std::vector<int> right(a.size());
+  ft::detail::introsort_workspace<open_range, int> const w{nullptr, left.data(), right.data(),
+                                                           nullptr};
   int levels = 0;
   for (int m = n; m > 1; m /= 2) { levels += 2; }
   for (std::vector<open_range> open{{0, n, levels}}; !open.empty();) {
@@ -193,7 +195,7 @@ bool reaches_heap_sort(std::vector<element> a) {
     if (r.end - r.begin <= ft::detail::introsort_leaf) { continue; }
     if (r.levels == 0) { return true; }
     int const cut = ft::detail::partition_by_median(ft::single_group{}, a.data(), r.begin, r.end,
-                                                    key_less{}, left.data(), right.data());
+                                                    key_less{}, w);
     open.push_back({r.begin, cut, r.levels - 1});
     open.push_back({cut, r.end, r.levels - 1});
   }

@@ -103,17 +103,17 @@ FT_HOST_DEVICE void heap_sort(Array a, int begin, int end, Less less) {
 
 /// Partitions a[begin, end), more than 3 elements, by the median of the second, the middle and the
 /// last, which goes to the front. Returns where the right part begins.
-/// @param part a warp, or one thread @param left, right as long as `a`; used in [begin, end)
-template <typename Part, typename Array, typename Less, typename Position>
+/// @param part a warp, or one thread @param w `left` and `right` are used, in [begin, end)
+template <typename Part, typename Array, typename Less, typename Range, typename Position>
 FT_HOST_DEVICE int partition_by_median(Part part, Array a, int begin, int end, Less less,
-                                       Position* left, Position* right) {
+                                       introsort_workspace<Range, Position> const& w) {
   int const median = median_of_three(a, begin + 1, begin + (end - begin) / 2, end - 1, less);
   auto const pivot = a[median];
   part.sync();
   if (part.rank() == 0) { exchange(a, begin, median); }
   part.sync();
-  left += begin;
-  right += begin;
+  Position* const left = w.left + begin;
+  Position* const right = w.right + begin;
   int lefts = 0;
   int rights = 0;
   for (int base = begin + 1; base < end; base += part.size()) {
@@ -187,7 +187,7 @@ FT_HOST_DEVICE void introsort_partitions(Group g, Array a, int n, Less less,
         if (part.rank() == 0) { heap_sort(a, begin, end, less); }
         continue;
       }
-      int const cut = partition_by_median(part, a, begin, end, less, w.left, w.right);
+      int const cut = partition_by_median(part, a, begin, end, less, w);
       if (part.rank() != 0) { continue; }
       auto const add = [&](int from, int to) {
         if (to - from <= introsort_leaf) { return; }

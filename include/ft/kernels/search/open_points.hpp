@@ -22,6 +22,7 @@ struct open_points {
   static constexpr int any_right = 1 << 27;
   int* list;  ///< index of the point and the bits above
   int count;
+  int points;  ///< that are searched, open or not
   int cameras_;
   int partners_;
 
@@ -95,15 +96,16 @@ FT_HOST_DEVICE void each_write(assignment_context<Single> const& ctx,
   }
 }
 
-/// Lists the open points among the first n in order, and calls visit(p, stored choice) for each.
+/// Lists the open points in order, and calls visit(p, stored choice) for each.
 /// @param held as in has_candidates()
 template <typename Group, bool Single, typename Visit>
 FT_HOST_DEVICE void list_open(Group g, assign_scratch& s, assignment_context<Single> const& ctx,
-                              int n, open_points<Single>& open, bool held, Visit const& visit) {
+                              open_points<Single>& open, bool held, Visit const& visit) {
   // Neighbouring threads read neighbouring points. Each reads several at a time, so that their
   // loads overlap and one scan serves all of them.
   constexpr int steps = 4;
   auto const part = g.part();
+  int const n = open.points;
   open.count = 0;
   for (int first = 0; first < n; first += steps * g.size()) {
     int const begin = first + steps * part.size() * g.part_index() + part.rank();

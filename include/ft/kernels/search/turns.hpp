@@ -96,8 +96,8 @@ FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Si
   int const n = ctx.windows.count[ctx.b];
   std::ptrdiff_t const at = ctx.b;
   open_points<Single> open{
-      n <= assign_scratch::size ? s.open : ctx.work.open + at * ctx.work.capacity, 0, ctx.cameras(),
-      ctx.partners() ? 1 : 0};
+      n <= assign_scratch::size ? s.open : ctx.work.open + at * ctx.work.capacity, 0, n,
+      ctx.cameras(), ctx.partners() ? 1 : 0};
   int* const writer = owner_table(s, ctx);
   first_writes firsts(writer, second_table(s, ctx), numbers, n * open.writes());
   if (g.rank() == 0) { ctx.work.matches[ctx.b] = 0; }
@@ -107,9 +107,9 @@ FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Si
     if constexpr (Single) {
       if (take_packed_turns(g, s, ctx, n)) { return; }
     }
-    list_open(g, s, ctx, n, open, false, [](int, point_choice const&) {});
+    list_open(g, s, ctx, open, false, [](int, point_choice const&) {});
   } else {
-    list_open(g, s, ctx, n, open, false, [&](int p, point_choice const& first) {
+    list_open(g, s, ctx, open, false, [&](int p, point_choice const& first) {
       each_write(ctx, open, p, first, [&](int, int number, int w) { firsts.add(number, w); });
     });
   }
@@ -119,7 +119,7 @@ FT_HOST_DEVICE void take_turns(Group g, assign_scratch& s, assignment_context<Si
     run_turns(g, s, ctx, open, firsts);
   } else {
     if (open.cameras() == 2) {
-      list_open(g, s, ctx, n, open, true, [](int, point_choice const&) {});
+      list_open(g, s, ctx, open, true, [](int, point_choice const&) {});
     }
     write_chains const chains{
         writer,

@@ -56,15 +56,14 @@ struct match_left_keypoint {
     }
     if (i >= count) { return; }
 
-    float const u = mine.x;
     int const octave = mine.octave;
     feature_grid_view const rows = right_rows.slice(pair);
     int const row = row_cell::of(rows.geometry, 0, mine.y);
-    if (row < 0 || u < 0) { return; }
+    if (row < 0 || mine.x < 0) { return; }
     auto const level_l = pyramid.level(2 * pair, octave);
     auto const level_r = pyramid.level(2 * pair + 1, octave);
     float const inv = pyramid.geometry.inv_scale[octave];
-    int const ul = round_away(mul(u, inv));
+    int const ul = round_away(mul(mine.x, inv));
     int const vl = round_away(mul(mine.y, inv));
     // Extracted keypoints are at least 19 pixels inside; a caller's own may be anywhere.
     if (ul < window_half || ul + window_half >= level_l.width || vl < window_half ||
@@ -78,7 +77,8 @@ struct match_left_keypoint {
     window_part const part(g, level_l, ul, vl);  // in flight while candidates are compared
     g.sync();  // keeps the compiler from making these loads wait for those of the rows
     span<int const> const listed{rows.indices + begin, end - begin};
-    int const j = nearest(g, pyramid.geometry, mine, row, right, listed, params);
+    candidate_band const band(pyramid.geometry, mine, row, params);
+    int const j = nearest(g, mine.orb, band, right, listed, params.hamming_limit);
     if (j < 0) { return; }
     int const ur = round_away(mul(get<field::x>(right, j), inv));
     if (ur < 2 * window_half || ur + window_side >= level_r.width) { return; }  // as above
@@ -179,13 +179,12 @@ private:
     }
   };
 
-  /// Index of the right keypoint with the nearest descriptor, the first of equals; -1 if none is
-  /// near enough.
+  /// Index of the listed right keypoint with the nearest descriptor, the first of equals; -1 if
+  /// none is near enough.
   template <typename Group>
-  FT_HOST_DEVICE static int nearest(Group g, pyramid_geometry const& geometry, feature const& mine,
-                                    int row, keypoints_view const& right, span<int const> listed,
-                                    stereo_params const& params) {
-    candidate_band const is_candidate(geometry, mine, row, params);
+  FT_HOST_DEVICE static int nearest(Group g, descriptor const& mine,
+                                    candidate_band const& is_candidate, keypoints_view const& right,
+                                    span<int const> listed, int hamming_limit) {
     // Candidates per thread whose loads are in flight together. The last one may be loaded again.
     constexpr int together = Group::max_threads == 1 ? 1 : 3;
     unsigned long long best = ~0ull;
@@ -217,13 +216,13 @@ private:
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
         if (!near[n]) { continue; }
-        int const distance = hamming(mine.orb, theirs[n]);
+        int const distance = hamming(mine, theirs[n]);
         best = min_of(
             best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j[n]));
       }
     }
     best = g.reduce(best, min_op{});
-    return static_cast<int>(best >> 32) < params.hamming_limit && best != ~0ull
+    return static_cast<int>(best >> 32) < hamming_limit && best != ~0ull
                ? static_cast<int>(best & 0xffffffffu)
                : -1;
   }

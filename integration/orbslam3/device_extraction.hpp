@@ -177,8 +177,8 @@ public:
   void build_pyramids(Exec const& exec, grey_image const& left, grey_image const& right) {
     stage_image(0, left);
     stage_image(1, right);
-    copy_rows(exec, extractor_.pyramid().data,
-              static_cast<std::size_t>(extractor_.geometry().bytes), images_, image_bytes(),
+    auto const pyramid_bytes = static_cast<std::size_t>(geometry().bytes);
+    copy_rows(exec, {extractor_.pyramid().data, pyramid_bytes}, {images_, image_bytes()},
               image_bytes(), settings_.images);
     extractor_.build_pyramids(exec);
   }

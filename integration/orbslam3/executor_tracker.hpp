@@ -107,7 +107,7 @@ public:
     detail::require_range("image", image, 0, settings_.images - 1);
     detail::require_range("pyramid level", level, 0, settings_.levels - 1);
     auto const from = extraction_.extractor().pyramid().level(image, level);
-    copy_rows(exec_, to, stride, from.data, static_cast<std::size_t>(from.stride),
+    copy_rows(exec_, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)},
               static_cast<std::size_t>(from.width), from.height);
     wait();
     bytes_.results += static_cast<std::size_t>(from.width) * static_cast<std::size_t>(from.height);

@@ -191,9 +191,7 @@ protected:
 
   void set_level_0(pyramid const& p, int b, image const& pixels) {
     auto const to = p.view().level(b, 0);
-    auto const row = static_cast<std::size_t>(to.width);
-    ft::copy_rows(backend.exec, to.data, static_cast<std::size_t>(to.stride), pixels.data(), row,
-                  row, to.height);
+    ft::copy_image(backend.exec, to, {pixels.data(), to.width, to.height, to.width});
     backend.exec.wait();
   }
   image level_of(pyramid const& p, int b, int l) {

@@ -102,8 +102,7 @@ TYPED_TEST(memory_unit, copies_and_fills_reach_every_byte) {
   ft::fill_bytes(exec, b.data(), 0xa5, 100);
   std::vector<unsigned char> rows(5 * 7);
   for (std::size_t i = 0; i < rows.size(); ++i) { rows[i] = static_cast<unsigned char>(i); }
-  ft::copy_rows(exec, b.data() + 10, 13, rows.data(), 7, 4,
-                5);  // 5 rows of 4 bytes, pitch 7 to pitch 13
+  ft::copy_rows(exec, {b.data() + 10, 13}, {rows.data(), 7}, 4, 5);  // 5 rows of 4 bytes
   auto const got = test::from_exec(exec, static_cast<unsigned char const*>(b.data()), 100);
   std::vector<unsigned char> want(100, 0xa5);
   for (std::size_t y = 0; y < 5; ++y) {

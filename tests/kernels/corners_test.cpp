@@ -209,10 +209,8 @@ protected:
     ft::arena<Backend::exec_type::space> const memory(
         [&](ft::carver& c) { ft::carve(c, view, ft::corner_layout::make(g), batch); });
     for (int b = 0; b < batch; ++b) {
-      auto const to = pyramid.view().level(b, 0);
-      ft::copy_rows(exec, to.data, static_cast<std::size_t>(to.stride),
-                    images[static_cast<std::size_t>(b)].data(), static_cast<std::size_t>(w),
-                    static_cast<std::size_t>(w), h);
+      ft::copy_image(exec, pyramid.view().level(b, 0),
+                     {images[static_cast<std::size_t>(b)].data(), w, h, w});
       exec.wait();
     }
     ft::clear_corners(exec, view);

@@ -238,10 +238,8 @@ TYPED_TEST(rectify_unit, a_pyramids_level_0_can_be_the_target) {
   for (int b = 0; b < batch; ++b) {
     images.push_back(
         test::random_image(z.source_width, z.source_height, 50u + static_cast<unsigned>(b)));
-    auto const to = raw.view().level(b, 0);
-    auto const row = static_cast<std::size_t>(z.source_width);
-    ft::copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), images.back().data(), row,
-                  row, z.source_height);
+    ft::copy_image(exec, raw.view().level(b, 0),
+                   {images.back().data(), z.source_width, z.source_height, z.source_width});
   }
   typename TestFixture::table_owner const table(z, 2);  // left and right of every pair
   table_content const maps[2] = {random_table(z, 60), random_table(z, 61)};

@@ -499,9 +499,8 @@ TEST_F(stage_parity, rectified_stereo_of_any_keypoints) {
       kp.upload(exec, keypoints.view());
       ft::image_pyramid<space> pyramid(geometry, 2 * pairs);
       for (int i = 0; i < 2 * pairs; ++i) {
-        auto const level = pyramid.view().level(i, 0);
-        ft::copy_rows(exec, level.data, at(level.stride), images[at(i)].data(), at(width),
-                      at(width), height);
+        ft::copy_image(exec, pyramid.view().level(i, 0),
+                       {images[at(i)].data(), width, height, width});
       }
       auto const d_taps = test::to_exec(exec, taps);
       ft::build_pyramid(exec, pyramid.view(), d_taps.data());

@@ -394,8 +394,7 @@ TYPED_TEST(rgbd_test, rectified_images_go_straight_into_the_extractor) {
 
   // Per frame: raw images up, through the maps into level 0, features, stereo.
   for (int i = 0; i < 2; ++i) {
-    ft::copy_rows(exec, source[i].data, at(source.stride), images[i].grey.data(), at(width),
-                  at(width), height);
+    ft::copy_image(exec, source[i], {images[i].grey.data(), width, height, width});
   }
   ft::rectify(exec, source, maps.view(), ft::level_images(extractor.pyramid(), 0));
   extractor.extract(exec);

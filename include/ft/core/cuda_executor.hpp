@@ -15,6 +15,7 @@
 #include "ft/core/launch_order.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
+#include "ft/core/views.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -111,9 +112,9 @@ inline void copy_bytes(cuda_exec const& exec, void* to, void const* from, std::s
                    "cudaMemcpyAsync");
   }
 }
-inline void copy_rows(cuda_exec const& exec, void* to, std::size_t to_pitch, void const* from,
-                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
-  throw_on_error(cudaMemcpy2DAsync(to, to_pitch, from, from_pitch, row_bytes,
+inline void copy_rows(cuda_exec const& exec, pitched_rows<void> to, pitched_rows<void const> from,
+                      std::size_t row_bytes, int rows) {
+  throw_on_error(cudaMemcpy2DAsync(to.data, to.pitch, from.data, from.pitch, row_bytes,
                                    static_cast<std::size_t>(rows), cudaMemcpyDefault, exec.stream),
                  "cudaMemcpy2DAsync");
 }

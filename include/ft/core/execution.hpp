@@ -4,12 +4,14 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_executor.hpp"
 #include "ft/core/host_executor.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
+#include "ft/core/views.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -18,6 +20,15 @@ inline namespace FT_ABI {
 template <typename Exec, typename T>
 void copy(Exec const& exec, T* to, T const* from, std::size_t count) {
   copy_bytes(exec, to, from, count * sizeof(T));
+}
+
+/// The pixels of an image into another one of the same size. Asynchronous where the executor is;
+/// allocates nothing.
+template <typename Exec>
+void copy_image(Exec const& exec, image_view<std::uint8_t> const& to, gray_view const& from) {
+  copy_rows(exec, {to.data, static_cast<std::size_t>(to.stride)},
+            {from.data, static_cast<std::size_t>(from.stride)},
+            static_cast<std::size_t>(from.width), from.height);
 }
 
 /// The host memory in which copies to and from an executor are prepared: pinned next to a device,

@@ -16,6 +16,7 @@
 #include "ft/core/launch_order.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
+#include "ft/core/views.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -122,12 +123,12 @@ std::size_t extra_scratch(host_exec const&, int /*items*/) {
 inline void copy_bytes(host_exec const&, void* to, void const* from, std::size_t bytes) {
   if (bytes != 0) { std::memcpy(to, from, bytes); }
 }
-inline void copy_rows(host_exec const&, void* to, std::size_t to_pitch, void const* from,
-                      std::size_t from_pitch, std::size_t row_bytes, int rows) {
+inline void copy_rows(host_exec const&, pitched_rows<void> to, pitched_rows<void const> from,
+                      std::size_t row_bytes, int rows) {
   for (int y = 0; y < rows; ++y) {
     auto const row = static_cast<std::size_t>(y);
-    std::memcpy(static_cast<unsigned char*>(to) + row * to_pitch,
-                static_cast<unsigned char const*>(from) + row * from_pitch, row_bytes);
+    std::memcpy(static_cast<unsigned char*>(to.data) + row * to.pitch,
+                static_cast<unsigned char const*>(from.data) + row * from.pitch, row_bytes);
   }
 }
 inline void fill_bytes(host_exec const&, void* to, int value, std::size_t bytes) {

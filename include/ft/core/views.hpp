@@ -22,6 +22,13 @@ struct span {
   FT_HOST_DEVICE T* end() const { return data + size; }
 };
 
+/// Rows of bytes whose starts are `pitch` bytes apart. @tparam T void or void const
+template <typename T>
+struct pitched_rows {
+  T* data;
+  std::size_t pitch;
+};
+
 /// A row-major image. `stride` is the distance between rows, in elements.
 template <typename T>
 struct image_view {

@@ -106,10 +106,7 @@ public:
     detail::require_range("image index", i, 0, batch() - 1);
     detail::require(image.data != nullptr, "the image is null");
     require_size("image", image, params_.width, params_.height);
-    auto const to = stages_.pyramid.level(i, 0);
-    copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), image.data,
-              static_cast<std::size_t>(image.stride), static_cast<std::size_t>(image.width),
-              image.height);
+    copy_image(exec, stages_.pyramid.level(i, 0), image);
   }
 
   /// Queues the copy of the mask of image `i`, which holds until the next one: keypoints come from
@@ -123,10 +120,7 @@ public:
     detail::require(has_masks(), "the extractor was made without masks: its mask_width is 0");
     detail::require(mask.data != nullptr, "the mask is null");
     require_size("mask", mask, stages_.masks.width, stages_.masks.height);
-    auto const to = stages_.masks.mask(i);
-    copy_rows(exec, to.data, static_cast<std::size_t>(to.stride), mask.data,
-              static_cast<std::size_t>(mask.stride), static_cast<std::size_t>(mask.width),
-              mask.height);
+    copy_image(exec, stages_.masks.mask(i), mask);
   }
 
   /// Queues all stages over the uploaded images.

@@ -63,42 +63,52 @@ struct leave_out_far_point {
   }
 };
 
-/// The points in view, in the order of the local map, where the host reads them.
+/// What list_points_in_view reads in executor memory, and writes.
+struct in_view_listing {
+  visibility const* seen;  ///< [cameras][capacity]
+  int cameras;
+  int capacity;
+  int const* points;  ///< of the local map
+  int* listed;        ///< [capacity] executor memory
+  int* count;         ///< host memory, like the following
+  int* index;         ///< [stride]
+  visibility* to;     ///< [cameras][stride]
+  int stride;
+};
+
+/// The points in view, in the order of the local map, where the host reads them. Written word after
+/// word: what threads write in pieces goes over the bus in pieces.
 struct list_points_in_view {
   using scratch = no_scratch;
 
-  /// @param seen [cameras][capacity] @param listed [capacity] executor memory
-  /// @param to [cameras][stride] host memory, as `count` and `index` are: written word after word,
-  /// since what threads write in pieces goes over the bus in pieces
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int, visibility const* seen, int cameras,
-                                 int capacity, int const* points, int* listed, int* count,
-                                 int* index, visibility* to, int stride) const {
-    int const n = *points;
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int, in_view_listing const& v) const {
+    int const n = *v.points;
     int so_far = 0;
     for (int base = 0; base < n; base += g.size()) {
       int const i = base + g.rank();
       bool in_view = false;
-      for (int c = 0; c < cameras && i < n; ++c) {
-        in_view = in_view || seen[c * capacity + i].level >= 0;
+      for (int c = 0; c < v.cameras && i < n; ++c) {
+        in_view = in_view || v.seen[c * v.capacity + i].level >= 0;
       }
       int total = 0;
       int const at = so_far + g.exclusive_scan(static_cast<int>(in_view), total);
-      if (in_view) { listed[at] = i; }
+      if (in_view) { v.listed[at] = i; }
       so_far += total;
     }
     g.sync();
-    if (g.rank() == 0) { *count = so_far; }
-    for (int k = g.rank(); k < so_far; k += g.size()) { index[k] = listed[k]; }
-    for (int c = 0; c < cameras; ++c) {
-      visibility const* const from = seen + c * capacity;
+    if (g.rank() == 0) { *v.count = so_far; }
+    for (int k = g.rank(); k < so_far; k += g.size()) { v.index[k] = v.listed[k]; }
+    for (int c = 0; c < v.cameras; ++c) {
+      visibility const* const from = v.seen + c * v.capacity;
+      visibility* const to = v.to + c * v.stride;
       if constexpr (Group::max_threads == 1) {
-        for (int k = 0; k < so_far; ++k) { to[c * stride + k] = from[listed[k]]; }
+        for (int k = 0; k < so_far; ++k) { to[k] = from[v.listed[k]]; }
       } else {
         constexpr int words = sizeof(visibility) / 4;
-        auto* const out = reinterpret_cast<std::uint32_t*>(to + c * stride);
+        auto* const out = reinterpret_cast<std::uint32_t*>(to);
         for (int w = g.rank(); w < so_far * words; w += g.size()) {
-          out[w] = reinterpret_cast<std::uint32_t const*>(from + listed[w / words])[w % words];
+          out[w] = reinterpret_cast<std::uint32_t const*>(from + v.listed[w / words])[w % words];
         }
       }
     }
@@ -259,9 +269,9 @@ public:
       find_visible_points(exec, search_of(r, c.geometry), c.map, buffers_.windows);
     }
     for_each_item<per_block<1024>>(
-        exec, 1, list_points_in_view{}, static_cast<visibility const*>(seen_), searched,
-        buffers_.windows.capacity, static_cast<int const*>(&inputs_->slots), listed_, in_view_,
-        staged_index_, staged_sights_, local_capacity_);
+        exec, 1, list_points_in_view{},
+        in_view_listing{seen_, searched, buffers_.windows.capacity, &inputs_->slots, listed_,
+                        in_view_, staged_index_, staged_sights_, local_capacity_});
   }
   /// The rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {

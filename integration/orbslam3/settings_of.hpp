@@ -27,15 +27,24 @@ inline sensor_kind sensor_of(int number) {
   return static_cast<sensor_kind>(number % 3);
 }
 
-/// @param image the first one, for its size @param sensor System::eSensor as a number @param bf
-/// Tracking's mbf, unused for monocular @param camera2 Tracking's mpCamera2 and
-/// @param T_lr its mTlr: right camera to left, used for two fisheye cameras alone
+/// Tracking's mpCamera, mpCamera2 and mTlr. The last two are used for two fisheye cameras alone.
+template <typename Camera, typename Pose>
+struct tracking_cameras {
+  Camera* left;
+  Camera* right;
+  Pose const& T_lr;  ///< right camera to left
+
+  tracking_cameras(Camera* a, Camera* b, Pose const& b_to_a) : left(a), right(b), T_lr(b_to_a) {}
+};
+
+/// @param image the first one, for its size @param sensor System::eSensor as a number
+/// @param bf Tracking's mbf, unused for monocular
 /// @tparam Types with fisheye_camera: ORB_SLAM3::KannalaBrandt8
 /// @throws bad_argument
 template <typename Types, typename Image, typename Camera, typename Pose>
 settings settings_of(extractor_parameters const& features, int sensor, Image const& image, float bf,
-                     Camera* camera, Camera* camera2, Pose const& T_lr) {
-  detail::require(camera != nullptr, "there is no camera yet");
+                     tracking_cameras<Camera, Pose> const& cameras) {
+  detail::require(cameras.left != nullptr, "there is no camera yet");
   settings s;
   s.width = image.cols;
   s.height = image.rows;
@@ -44,7 +53,7 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   s.levels = features.levels;
   s.ini_threshold = features.ini_threshold;
   s.min_threshold = features.min_threshold;
-  s.left = parameters_of(*camera);
+  s.left = parameters_of(*cameras.left);
   sensor_kind const kind = sensor_of(sensor);
   s.images = kind == sensor_kind::stereo ? 2 : 1;
   if (kind == sensor_kind::monocular) {
@@ -54,12 +63,12 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   }
   s.bf = bf;
   if (kind == sensor_kind::rgbd || s.left.kind == lens::pinhole) { return s; }
-  detail::require(camera2 != nullptr, "a fisheye pair needs its second camera");
-  s.right = parameters_of(*camera2);
-  s.T_rl = transform_of(T_lr.inverse());
+  detail::require(cameras.right != nullptr, "a fisheye pair needs its second camera");
+  s.right = parameters_of(*cameras.right);
+  s.T_rl = transform_of(cameras.T_lr.inverse());
   for (int i = 0; i < 2; ++i) {
     auto const& fisheye =
-        static_cast<typename Types::fisheye_camera const&>(i == 0 ? *camera : *camera2);
+        static_cast<typename Types::fisheye_camera const&>(i == 0 ? *cameras.left : *cameras.right);
     for (unsigned end = 0; end < 2; ++end) {
       s.overlap[i][end] = static_cast<float>(fisheye.mvLappingArea.at(end));
     }

@@ -23,9 +23,10 @@ int track_one_frame() {
   ft::orbslam3::extractor_parameters const features{1000, 1.2f, 8, 20, 7};
   auto const gpu = std::make_unique<Gpu>(
       [&] {
-        return ft::orbslam3::settings_of<stand_in::types>(features, 1, image, 50.0f, &camera,
-                                                          static_cast<stand_in::camera*>(nullptr),
-                                                          stand_in::se3());
+        stand_in::camera* const none = nullptr;
+        stand_in::se3 const T_lr;
+        ft::orbslam3::tracking_cameras const cameras(&camera, none, T_lr);
+        return ft::orbslam3::settings_of<stand_in::types>(features, 1, image, 50.0f, cameras);
       },
       ft::orbslam3::change_detection::hooks);
   stand_in::frame frame;

@@ -299,9 +299,9 @@ protected:
 
   template <typename Camera>
   ft::orbslam3::settings of(int sensor, Camera* left, Camera* right = nullptr) {
-    return ft::orbslam3::settings_of<stand_in::types>(features, sensor, image, 45.8f,
-                                                      static_cast<stand_in::camera*>(left),
-                                                      static_cast<stand_in::camera*>(right), T_lr);
+    ft::orbslam3::tracking_cameras const cameras(static_cast<stand_in::camera*>(left),
+                                                 static_cast<stand_in::camera*>(right), T_lr);
+    return ft::orbslam3::settings_of<stand_in::types>(features, sensor, image, 45.8f, cameras);
   }
 };
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Pipeline: the tracking of stereo frames against a map, on memory taken once.
+/// @file Pipeline: tracks stereo frames against a map, in memory allocated once.
 #pragma once
 
 #include <algorithm>
@@ -36,21 +36,21 @@ inline namespace FT_ABI {
 ///
 ///     set_image() or borrow_image() -> track(exec, {T_predicted, local map}) -> wait -> frame(b)
 ///
-/// or, where the local map depends on what the frame finds first, two:
+/// or two calls, if the local map depends on the matches of the first search:
 ///
 ///     track_motion(exec, T_predicted) -> wait, choose the local map -> track_local(exec, slots)
 ///
-/// extract() only finds keypoints: for a frame without a map. What one frame leaves for the next
-/// one (its pose and the slots that its keypoints hold) stays in executor memory; set_last()
-/// replaces it. All memory is taken by the constructor. Calls are asynchronous on the executor,
-/// allocate nothing and never wait. Results are valid after exec.wait(), and the next call may
-/// only be made then, because it reuses the memory of inputs and results. Counts stay in executor
-/// memory: launches are sized by capacity. On a device a call replays a graph that the constructor
+/// extract() computes keypoints and stereo only, for frames without a map. The pose of a frame and
+/// the slots that its keypoints hold stay in executor memory for the next frame; set_last()
+/// replaces them. The constructor allocates all memory. Calls are asynchronous on the executor,
+/// allocate nothing and never wait. Results are valid after exec.wait(). The next call must follow
+/// that wait, because it reuses the memory of inputs and results. Counts stay in executor memory:
+/// launches are sized by capacity. On a device each call replays a graph that the constructor
 /// recorded.
 ///
-/// Move-only; one that was moved from refuses every call with bad_argument, and its views are no
-/// longer its own. Not thread-safe; instances are independent.
-/// @tparam Rig rectified_rig, or stereo_rig of any two cameras: then both images are searched
+/// Move-only. A moved-from tracker refuses every call with bad_argument, and its views must not be
+/// used. Not thread-safe; instances are independent.
+/// @tparam Rig rectified_rig, or stereo_rig of any two cameras, whose images are both searched
 template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
   using stages_type = detail::frame_stages<Exec, Rig>;
@@ -61,8 +61,9 @@ public:
   static constexpr int cameras = stages_type::cameras;  ///< whose keypoints are searched
 
   frame_tracker() = default;
-  /// @param batch camera pairs. Waits for its own set-up. @throws bad_argument, std::bad_alloc,
-  /// cuda_error
+  /// Waits for its own set-up.
+  /// @param batch camera pairs
+  /// @throws bad_argument, std::bad_alloc, cuda_error
   frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1)
       : batch_(checked(rig, params, batch)) {
     auto& s = stages_;
@@ -94,32 +95,34 @@ public:
 
   // ---- images
 
-  /// Copies an image to where uploads start. @param camera 0 left, 1 right of pair `b`
+  /// Copies an image into the staging memory that uploads read.
+  /// @param camera 0 left, 1 right of pair `b`
   /// @throws bad_argument as orb_extractor::upload
   void set_image(int b, int camera, gray_view image) { images_.set(b, camera, image); }
-  /// Frames take an image from where it lies, without a copy by the host: a camera's buffer. Until
-  /// the next call for this camera, or set_image() or staged_image(); it must stay as it is while a
-  /// frame is in flight. @param image rows of `stride` readable bytes, address and stride multiples
-  /// of 16; next to a device in memory that it reads: cudaMallocHost, cudaHostRegister
-  /// @throws bad_argument as set_image(), and for memory that cannot be read in this way
+  /// Makes frames read an image in place, such as a camera's buffer, without a copy by the host.
+  /// Holds until the next call for this camera, set_image() or staged_image(). The image must not
+  /// change while a frame is in flight.
+  /// @param image rows of `stride` readable bytes; address and stride are multiples of 16. Next to
+  ///   a device the memory must be readable by it: cudaMallocHost, cudaHostRegister
+  /// @throws bad_argument as set_image(), and for memory that the executor cannot read
   void borrow_image(int b, int camera, gray_view image) { images_.borrow(b, camera, image); }
-  /// For callers that decode straight into the staging memory: height rows of staged_stride()
-  /// bytes, from where frames take the image from now on. @throws bad_argument for a camera that
-  /// there is not
+  /// Staging memory of an image, for callers that decode straight into it: height rows of
+  /// staged_stride() bytes. Frames read the image from there from now on.
+  /// @throws bad_argument for a camera that does not exist
   std::uint8_t* staged_image(int b, int camera) { return images_.staged(b, camera); }
   int staged_stride() const { return geometry().stride[0]; }
-  /// Queues the copy of a camera's mask: keypoints come from where it is not 0, until the next
-  /// mask. Not while a frame is in flight on another stream. @throws bad_argument as
-  /// orb_extractor::set_mask
+  /// Enqueues the copy of a camera's mask, which holds until the next one. Keypoints come from
+  /// where it is not 0. Must not be called while a frame is in flight on another stream.
+  /// @throws bad_argument as orb_extractor::set_mask
   void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
     images_.require_camera(b, camera);
     stages_.extractor.set_mask(exec, 2 * b + camera, mask);
   }
 
-  // ---- the map, and what the last frame left
+  // ---- the map, and the state after the last frame
 
-  /// Queues the writing of map points, each slot at most once. Must not follow another one before
-  /// exec.wait().
+  /// Enqueues the writing of map points, each slot at most once. Two calls need an exec.wait() in
+  /// between.
   /// @param updates in host memory
   /// @throws bad_argument for more than params().updates points, a slot outside the map, or a NaN
   void update_map(Exec const& exec, int b, point_update const* updates, int count) {
@@ -135,9 +138,9 @@ public:
     for_each_item<per_thread>(exec, count, apply_updates{},
                               static_cast<point_update const*>(updates_.data()), map().slice(b));
   }
-  /// Replaces what the last frame of pair b left: for points that were made of its keypoints, or a
-  /// pose that was corrected since. Queues two copies. Must not follow another one before
-  /// exec.wait().
+  /// Replaces the state after the last frame of pair b: when map points were created from its
+  /// keypoints, or its pose was corrected. Enqueues two copies. Two calls need an exec.wait() in
+  /// between.
   /// @param holders [cameras * capacity()] slot of each keypoint's map point, -1 = none
   /// @throws bad_argument for a pose that is not finite or another number of holders
   void set_last(Exec const& exec, int b, pose const& T_cw, slot_list holders) {
@@ -150,19 +153,20 @@ public:
 
   // ---- the frame
 
-  /// Queues keypoints and stereo of the current images. Nothing is held; the last pose stays.
-  /// @throws bad_argument where a camera was never given an image
+  /// Enqueues keypoints and stereo of the current images. No keypoint holds a map point afterwards;
+  /// the last pose is kept.
+  /// @throws bad_argument if a camera has no image yet
   void extract(Exec const& exec) {
     images_.require_given();
     run(exec, calls_[extracting]);
   }
 
-  /// Queues a whole frame: keypoints, stereo, search from the last frame (repeated with twice the
-  /// radius where it finds too little), pose, search in the local map, pose.
-  /// @param inputs [batch] frame_input. A template here and below, so that {} is an input and no
-  /// null array
-  /// @throws bad_argument where a camera was never given an image, for a predicted pose that is not
-  /// finite, or for more local points than params().local_points
+  /// Enqueues a whole frame: keypoints, stereo, search from the last frame (repeated with twice the
+  /// radius if it finds too few matches), pose, search in the local map, pose.
+  /// @param inputs [batch] frame_input. Templates, here and below, so that {} is one input and not
+  ///   a null array
+  /// @throws bad_argument if a camera has no image yet, for a predicted pose that is not finite, or
+  ///   for more local points than params().local_points
   template <typename Input>
   void track(Exec const& exec, Input const* inputs) {
     images_.require_given();
@@ -175,7 +179,7 @@ public:
     track(exec, &input);
   }
 
-  /// Queues the first half of track(), up to the first pose. @param T_predicted [batch]
+  /// Enqueues the first half of track(), up to the first pose. @param T_predicted [batch]
   template <typename Pose>
   void track_motion(Exec const& exec, Pose const* T_predicted) {
     images_.require_given();
@@ -187,7 +191,7 @@ public:
     track_motion(exec, &T_predicted);
   }
 
-  /// Queues the second half: search in the local map, from the first half's pose, and pose.
+  /// Enqueues the second half: search in the local map, from the first half's pose, and pose.
   /// @param local_slots [batch]
   template <typename Slots>
   void track_local(Exec const& exec, Slots const* local_slots) {
@@ -200,10 +204,11 @@ public:
     track_local(exec, &local_slots);
   }
 
-  /// Queues a search in the local map and a pose optimisation for keypoints that are there, from
-  /// the given pose: after extract(), or for another try after a search that failed. What the
-  /// keypoints hold is forgotten.
-  /// @param inputs [batch] @param search of this call alone
+  /// Enqueues a search in the local map and a pose optimisation for the current keypoints, from a
+  /// given pose: after extract(), or to retry after a search that failed. Forgets what the
+  /// keypoints hold.
+  /// @param inputs [batch]
+  /// @param search parameters of this call only
   template <typename Input>
   void relocalize(Exec const& exec, Input const* inputs, local_search_params const& search = {}) {
     batch_.require_made("tracker");
@@ -220,23 +225,26 @@ public:
 
   // ---- results: valid after exec.wait(), until the next call
 
-  /// The result of pair b. @throws bad_argument for a pair that there is not
+  /// The result of pair b. @throws bad_argument for a pair that does not exist
   tracked_frame frame(int b = 0) const {
     detail::require_range("camera pair", b, 0, batch() - 1);
     return {result(), b};
   }
   /// The same as arrays, in host memory.
   tracked_frame_view const& result() const { return stages_.memory.result; }
-  /// Time of each stage of the last call; empty before any. Stages overlap: a time is what the
-  /// stage adds. Allocates. @throws bad_argument without params().measure_stages
+  /// Time of each stage of the last call; empty before the first. Stages overlap, so each time is
+  /// what the stage adds to the frame. Allocates.
+  /// @throws bad_argument without params().measure_stages
   std::vector<stage_time> stage_times() const {
     batch_.require_made("tracker");
     detail::require(params().measure_stages, "stage times need tracker_params::measure_stages");
     if (last_call_ == call_count) { return {}; }
     return calls_[last_call_].clock.times();
   }
-  /// Queues a copy of the left descriptors of pair b. @param to host memory @param count how many,
-  /// as in result().keypoints @throws bad_argument for more than capacity()
+  /// Enqueues a copy of the left descriptors of pair b.
+  /// @param to host memory
+  /// @param count number of descriptors, as in result().keypoints
+  /// @throws bad_argument for more than capacity()
   void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
     detail::require_range("camera pair", b, 0, batch() - 1);
     detail::require_range("descriptors", count, 0, capacity());
@@ -246,7 +254,7 @@ public:
 
   int capacity() const { return stages_.extractor.capacity(); }
   int batch() const { return batch_; }
-  /// That track() fetches from the host for a frame of all pairs.
+  /// Bytes that track() fetches from the host for a frame of all pairs.
   std::size_t input_bytes() const {
     return images_.bytes() + stages_.memory.motion.host_memory.bytes() +
            stages_.memory.local.host_memory.bytes();
@@ -256,13 +264,13 @@ public:
   pyramid_geometry const& geometry() const { return stages_.extractor.geometry(); }
   orb_extractor<Exec> const& extractor() const { return stages_.extractor; }
   stereo_matcher<Exec, Rig> const& matcher() const { return stages_.matcher; }
-  /// Executor memory, for stages of one's own: the map, and the current frame.
+  /// Executor memory, for user-defined stages: the map, and the current frame.
   map_points_view map() const { return stages_.memory.map; }
   frame_view const& features() const { return stages_.memory.frame; }
 
 private:
   enum call_number { extracting, motion, local, whole, restart, call_count };
-  /// A call: how it is enqueued, its graph, its stages' times.
+  /// A call: the function that enqueues it, its graph, its stages' times.
   struct call {
     call_number number = extracting;
     recording<Exec> graph;
@@ -289,7 +297,7 @@ private:
     last_call_ = c.number;
     c.graph.replay(exec, [&](Exec const& e) { queue(e, c); });
   }
-  /// Without the graph, which has the usual parameters.
+  /// Enqueues a call launch by launch. Its recorded graph has the default parameters.
   void enqueue(Exec const& exec, call& c) {
     last_call_ = c.number;
     queue(exec, c);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Pipeline: ORB keypoints and descriptors of a batch of images, on memory taken once.
+/// @file Pipeline: ORB keypoints and descriptors of a batch of images, in memory allocated once.
 #pragma once
 
 #include <cstddef>
@@ -26,35 +26,35 @@ inline namespace FT_ABI {
 struct orb_params {
   int width = 0;  ///< of every image, pixels
   int height = 0;
-  int features = 1200;  ///< wanted per image; a few more may come
+  int features = 1200;  ///< wanted per image; the result may have a few more
   int levels = 8;
   float scale_factor = 1.2f;
   int ini_threshold = 20;  ///< corner threshold, grey levels
   int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
-  /// Pixels of a mask, any size up to 16384 a side: it is stretched over its image. 0 = no masks
+  /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
   int mask_width = 0;
   int mask_height = 0;
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
 };
 
-/// Extracts ORB features of `batch` images at once. All memory is taken by the constructor;
-/// extract() is asynchronous on the executor, allocates nothing and never waits. Not thread-safe;
-/// any number of instances may work side by side. Move-only; one that was moved from refuses every
-/// call with bad_argument, and its views are no longer its own.
+/// Extracts ORB features of `batch` images at once. The constructor allocates all memory. extract()
+/// is asynchronous on the executor, allocates nothing and never waits. Not thread-safe; instances
+/// are independent. Move-only. A moved-from extractor refuses every call with bad_argument, and its
+/// views must not be used.
 template <typename Exec>
 class orb_extractor {
 public:
   static constexpr memory_space space = Exec::space;
 
   orb_extractor() = default;
+  /// Waits for the upload of its tables.
   /// @param batch images per call
   /// @param overlaps one per image (fisheye pairs), or none. Columns in pixels, both ends included,
-  ///   infinity allowed; keypoints inside come last, mono_count() counts the others. An overlap may
-  ///   reach beyond the image; one that lies outside of it holds no keypoint
-  /// Waits for the upload of its tables. @throws bad_argument naming the value and the limit, also
-  ///   for an overlap with a NaN or with its left end right of its right one; std::bad_alloc or
-  ///   cuda_error where memory is short
+  ///   infinity allowed. Keypoints inside come last; mono_count() counts the others. An overlap may
+  ///   reach beyond the image; one outside the image holds no keypoint
+  /// @throws bad_argument naming the value and the limit, also for an overlap with a NaN or with
+  ///   its left end right of its right one; std::bad_alloc or cuda_error if memory is short
   orb_extractor(Exec const& exec, orb_params const& params, int batch,
                 std::vector<stereo_overlap> const& overlaps = {})
       : params_(checked(params, batch, overlaps)), batch_(batch) {
@@ -100,7 +100,7 @@ public:
     exec.wait();
   }
 
-  /// Queues the copy of image `i` into the pyramid's level 0. Pinned memory makes it asynchronous.
+  /// Enqueues the copy of image `i` into the pyramid's level 0. Asynchronous for pinned memory.
   /// @throws bad_argument for a null image, another size or a stride below the width
   void upload(Exec const& exec, int i, gray_view image) {
     detail::require_range("image index", i, 0, batch() - 1);
@@ -109,12 +109,12 @@ public:
     copy_image(exec, stages_.pyramid.level(i, 0), image);
   }
 
-  /// Queues the copy of the mask of image `i`, which holds until the next one: keypoints come from
-  /// where it is not 0. At first everything is allowed. See corner_masks_view for how a mask meets
-  /// the pyramid's levels. Pinned memory makes it asynchronous; allocates nothing.
+  /// Enqueues the copy of the mask of image `i`, which holds until the next one. Keypoints come
+  /// from where the mask is not 0; without a mask, from everywhere. See corner_masks_view for masks
+  /// and pyramid levels. Asynchronous for pinned memory; allocates nothing.
   /// @param mask of params().mask_width x mask_height pixels
-  /// @throws bad_argument for a null mask, another size, a stride below the width, or where the
-  /// extractor was made without masks
+  /// @throws bad_argument for a null mask, another size, a stride below the width, or an extractor
+  ///   made without masks
   void set_mask(Exec const& exec, int i, gray_view mask) {
     detail::require_range("image index", i, 0, batch() - 1);
     detail::require(has_masks(), "the extractor was made without masks: its mask_width is 0");
@@ -123,7 +123,7 @@ public:
     copy_image(exec, stages_.masks.mask(i), mask);
   }
 
-  /// Queues all stages over the uploaded images.
+  /// Enqueues all stages over the uploaded images.
   void extract(Exec const& exec) {
     batch_.require_made("extractor");
     detail::stage_line<Exec> line(exec, clock_);
@@ -131,9 +131,9 @@ public:
     detail::queue_features(line, stages_);
     line.end();
   }
-  /// Queues the upload of all images, overlapped with their pyramids, and all stages.
-  /// @param sources [batch] in host memory that the executor's threads can read: addresses and
-  ///   strides of the images. Read when the launches run
+  /// Enqueues the upload of all images, concurrent with their pyramids, and all stages.
+  /// @param sources [batch] addresses and strides of the images, in host memory that the executor's
+  ///   threads can read. Read when the launches run
   void extract_from(Exec const& exec, image_source const* sources) {
     extract_from(exec, sources, no_grids{});
   }
@@ -146,26 +146,27 @@ public:
                          false);
     line.end();
   }
-  /// The keypoints in memory that the host reads. Waits, and allocates.
+  /// A copy of the keypoints in memory that the host reads. Waits, and allocates.
   /// @throws std::bad_alloc, cuda_error
   auto download(Exec const& exec) const { return ft::download(exec, keypoints()); }
 
-  /// Queues the pyramid and its blur alone, for describe_keypoints() of images of which no
-  /// keypoints are wanted.
+  /// Enqueues only the pyramid and its blur: for describe_keypoints() in images whose own keypoints
+  /// are not needed.
   void build_levels(Exec const& exec) {
     build_pyramids(exec);
     stages_.blur(exec);
   }
-  /// Queues the description of keypoints from elsewhere, as the function of that name, in the
-  /// images of the last extract() or build_levels(). @param keypoints executor memory, one batch
-  /// entry per image, any capacity @throws bad_argument for another batch
+  /// Enqueues the description of keypoints from elsewhere in the images of the last extract() or
+  /// build_levels(), as the function describe_keypoints() does.
+  /// @param keypoints executor memory, one batch entry per image, any capacity
+  /// @throws bad_argument for another batch
   void describe_keypoints(Exec const& exec, described_view const& keypoints) const {
     batch_.require_made("extractor");
     detail::require_range("batch of keypoints", keypoints.batch, batch(), batch());
     ft::describe_keypoints(exec, stages_.described_in(), keypoints);
   }
 
-  /// Queues the pyramids of the uploaded images alone, for callers with keypoints of their own.
+  /// Enqueues only the pyramids of the uploaded images, for callers with keypoints of their own.
   void build_pyramids(Exec const& exec) {
     batch_.require_made("extractor");
     stages_.build_levels(exec);

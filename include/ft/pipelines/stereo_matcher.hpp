@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Pipeline: depth of the left keypoints of a batch of stereo pairs, on memory taken once.
+/// @file Pipeline: depth of the left keypoints of a batch of stereo pairs, in memory allocated
+/// once.
 #pragma once
 
 #include <cstddef>
@@ -19,19 +20,19 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the
-/// executor, allocates nothing and never waits. Move-only; one that was moved from refuses every
-/// call with bad_argument. Not thread-safe; instances are independent.
+/// executor, allocates nothing and never waits. Move-only. A moved-from matcher refuses every call
+/// with bad_argument. Not thread-safe; instances are independent.
 /// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap,
-/// triangulated)
+///   triangulated)
 template <typename Exec, typename Rig = rectified_rig>
 class stereo_matcher {
 public:
   static constexpr memory_space space = Exec::space;
 
   stereo_matcher() = default;
-  /// @throws bad_argument for a rig that cannot be, cameras that cannot be inverted in their images
-  /// (see require_invertible; a quarter of the pixels must have a ray), or an extractor with an odd
-  /// batch
+  /// @throws bad_argument for an invalid rig, cameras that cannot be inverted in their images (see
+  ///   require_invertible; a quarter of the pixels must have a ray), or an extractor with an odd
+  ///   batch
   stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor) : rig_(rig) {
     rig.check();
     detail::require(extractor.batch() >= 2 && extractor.batch() % 2 == 0,
@@ -61,14 +62,15 @@ public:
     });
   }
 
-  /// Queues the matching of the extractor's current images. @throws bad_argument, as
-  /// match_sorted(), for an extractor of another shape than the one that the matcher was made with
+  /// Enqueues the matching of the extractor's current images.
+  /// @throws bad_argument, as match_sorted(), for an extractor of another shape than the
+  ///   constructor's
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) { sort_right_rows(exec, extractor.keypoints(), right_rows_); }
     match_sorted(detail::with_order(exec, detail::launch_order::serial), extractor);
   }
-  /// The same, if another stage has sorted the right keypoints of rectified pairs into
+  /// The same if another stage has already sorted the right keypoints of rectified pairs into
   /// right_rows(). Only the first launch is concurrent with its predecessor if `exec` says so.
   void match_sorted(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What goes into a frame_tracker and what comes out of it.
+/// @file Inputs and outputs of a frame_tracker.
 #pragma once
 
 #include <cstddef>
@@ -21,11 +21,11 @@ struct tracker_params {
   int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
   bool optimize_last = true;    ///< pose optimisation after the search from the last frame
   bool optimize_local = true;   ///< and after the search in the local map
-  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue launch by launch
+  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;  ///< record stage_times()
-  /// Columns of the left and the right image that see the same, as orb_extractor takes them: pairs
-  /// that are not rectified only. The default is the whole image; where one of the two lies outside
-  /// its image no keypoint has a stereo partner.
+  /// Columns of the left and the right image that see the same part of the scene, as in
+  /// orb_extractor; for pairs that are not rectified. The default is the whole image. If one of the
+  /// two lies outside its image, no keypoint has a stereo partner.
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
 };
 
@@ -41,13 +41,13 @@ struct slot_list {
       : data(slots.data()), count(static_cast<int>(slots.size())) {}
 };
 
-/// What a frame of one camera pair is tracked with.
+/// Inputs for one frame of one camera pair.
 struct frame_input {
-  /// T_cw expected for this frame, from a motion model or an IMU. Must be finite. Whether it is a
-  /// rotation is not looked at.
+  /// T_cw expected for this frame, from a motion model or an IMU. Must be finite. Not checked to be
+  /// a rotation.
   pose T_predicted = pose::identity();
-  /// The local map, in search order, at most tracker_params::local_points slots. A slot outside the
-  /// map, or one that was never written, is not in view.
+  /// The local map, in search order, at most tracker_params::local_points slots. A slot that is
+  /// outside the map or was never written is not in view.
   slot_list local_slots{};
 };
 
@@ -58,23 +58,23 @@ struct tracked_keypoint {
   int octave;
   int slot;           ///< of the map point matched to it, an inlier; -1 = none
   float depth;        ///< metres, -1 = no stereo match; of left keypoints
-  vec3<float> point;  ///< in the left camera's frame, metres; 0 without depth; of left keypoints
+  vec3<float> point;  ///< left camera's frame, metres; 0 without depth; of left keypoints
   int partner;        ///< number of its stereo partner in the other image, of unrectified pairs;
                       ///< -1 = none
 };
 
-/// What the host reads after a frame. Keypoints are left ones, for two unrectified cameras followed
-/// by right ones: keypoint k of camera c has number c * capacity + k.
+/// Results in host memory. Keypoints are left ones; for two unrectified cameras the right ones
+/// follow. Keypoint k of camera c has number c * capacity + k.
 struct tracked_frame_view {
   int* keypoints = nullptr;  ///< [batch][cameras]
   pose* T_cw = nullptr;      ///< [batch]
-  int* matches = nullptr;    ///< [batch] keypoints given a point by the last search
-  int* inliers = nullptr;  ///< [batch] of the last pose optimisation; matches where there was none
-  float* x = nullptr;      ///< [batch][cameras * capacity] pixels
-  float* y = nullptr;      ///< likewise
-  int* octave = nullptr;   ///< likewise
-  int* holder = nullptr;   ///< likewise: slot of the map point held, -1 = none
-  float* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
+  int* matches = nullptr;    ///< [batch] keypoints that the last search matched to a map point
+  int* inliers = nullptr;    ///< [batch] of the last pose optimisation; matches if there was none
+  float* x = nullptr;        ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;        ///< likewise
+  int* octave = nullptr;     ///< likewise
+  int* holder = nullptr;     ///< likewise: slot of the map point held, -1 = none
+  float* depth = nullptr;    ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
   vec3<float>* point =
       nullptr;             ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
   int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
@@ -150,11 +150,11 @@ public:
   tracked_frame(tracked_frame_view const& result, int b) : r_(result), b_(b) {}
 
   pose const& T_cw() const { return r_.T_cw[b_]; }
-  int matches() const { return r_.matches[b_]; }  ///< keypoints given a point by the last search
-  /// Of the last pose optimisation; matches() where there was none.
+  int matches() const { return r_.matches[b_]; }  ///< keypoints matched by the last search
+  /// Of the last pose optimisation; matches() if there was none.
   int inliers() const { return r_.inliers[b_]; }
   tracked_keypoints left() const { return {r_, b_, 0}; }
-  /// Empty for a rectified pair, of which only left keypoints are tracked.
+  /// Empty for a rectified pair, whose right keypoints are not tracked.
   tracked_keypoints right() const { return {r_, b_, 1}; }
   /// Whether entry i of the local map passed the frustum test.
   bool in_view(int i) const {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The stages of ORB extraction on the memory of an orb_extractor. What runs concurrently is
-/// said in frame_schedule.hpp.
+/// @file The stages of ORB extraction on the memory of an orb_extractor. frame_schedule.hpp defines
+/// which of them run concurrently.
 #pragma once
 
 #include <cstddef>
@@ -51,10 +51,10 @@ struct extraction {
 
   description_source described_in() const { return {pyramid, blurred, pattern}; }
   bool has_masks() const { return masks.data != nullptr; }
-  /// Whether tiles of the pyramid wait for the rows that they are made of while later ones arrive.
+  /// Whether tiles of the pyramid wait for their rows while later rows are still being uploaded.
   bool pyramid_overlaps_upload() const { return Exec::asynchronous && tiles.groups == 1; }
 
-  /// Images and two blocks from host memory.
+  /// Uploads images and two blocks from host memory.
   void upload(Exec const& exec, image_source const* sources, block_source const& first,
               block_source const& second) const {
     receive_images(exec, sources, pyramid, first, second,
@@ -64,8 +64,8 @@ struct extraction {
   void pyramid_of_upload(Exec const& exec) const {
     build_pyramid(exec, pyramid, taps, tiles, arrivals);
   }
-  /// The pyramid of images that are there. Both forms give the same pixels. Long rows suit a
-  /// processor, few launches a device.
+  /// The pyramid of uploaded images. Both forms give the same pixels. Long rows suit a CPU, few
+  /// launches suit a device.
   void build_levels(Exec const& exec) const {
     if constexpr (Exec::asynchronous) {
       build_pyramid(exec, pyramid, taps, tiles);
@@ -79,7 +79,8 @@ struct extraction {
   }
   void distribute(Exec const& exec) const { distribute_corners(exec, corners, kept, ties); }
   void blur(Exec const& exec) const { blur_pyramid(exec, pyramid, blurred, blur_tiles); }
-  /// Places of the keypoints. @param grids that they are sorted into: keypoint_grids or no_grids
+  /// Orders the keypoints and writes their positions.
+  /// @param grids into which they are sorted: keypoint_grids or no_grids
   template <typename Grids>
   void order(Exec const& exec, Grids const& grids) const {
     order_corners(exec,
@@ -92,14 +93,14 @@ struct extraction {
                      describing_view{described_in(), kept, place, keypoints, arrivals, overlaps});
   }
 
-  /// Sets what is read before the first image has written it.
+  /// Initialises memory that is read before the first image has written it.
   void initialize(Exec const& exec) const {
     auto const b = static_cast<std::size_t>(pyramid.batch);
     auto const bytes = static_cast<std::size_t>(geometry.bytes) * b;
-    // Padding at the ends of rows is read with whole words.
+    // Whole words are read, including the padding at the ends of rows.
     fill_bytes(exec, pyramid.data, 0, bytes);
     fill_bytes(exec, blurred.data, 0, bytes);
-    // All stages prefetch corners and keypoints before they know how many there are.
+    // All stages prefetch corners and keypoints before their count is known.
     fill(exec, keypoints, 0);
     clear_corners(exec, corners);
     fill_bytes(exec, kept.kept, 0,
@@ -112,7 +113,7 @@ struct extraction {
   }
 };
 
-/// The stages with images from host memory and grids of a caller's.
+/// The stages with images from host memory and the caller's grids.
 template <typename Exec, typename Grids>
 struct extraction_with {
   extraction<Exec> const& stages;

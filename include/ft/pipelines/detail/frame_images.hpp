@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Where the images of a tracker's next frame lie in host memory.
+/// @file Addresses of the images of a tracker's next frame in host memory.
 #pragma once
 
 #include <cstddef>
@@ -20,8 +20,8 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Staging memory for the images of camera pairs, and for each camera the address that frames fetch
-/// its image from: that memory, or a buffer of the caller's.
+/// Staging memory for the images of camera pairs, and the address from which frames fetch each
+/// image: that memory, or a buffer of the caller.
 template <typename Exec>
 class frame_images {
 public:
@@ -71,7 +71,7 @@ public:
     require_range("camera pair", b, 0, batch_ - 1);
     require_range("camera", camera, 0, 1);
   }
-  /// @throws bad_argument where a camera was never given an image
+  /// @throws bad_argument if a camera has no image yet
   void require_given() const {
     require(batch_ > 0, "the tracker was never made, or was moved from");
     for (std::size_t i = 0; i < given_.size(); ++i) {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The memory of a tracker: what stages of a frame work on, inputs from the host, and
-/// results.
+/// @file The memory of a tracker: working memory of the stages, inputs from the host, and results.
 #pragma once
 
 #include <algorithm>
@@ -45,7 +44,7 @@ inline void carve(carver& c, tracked_frame_view& v, int batch) {
   v.in_view = c.take<unsigned char>(checked_mul(b, static_cast<std::size_t>(v.local_points)));
 }
 
-/// What the host gives for the search from the last frame.
+/// Host inputs of the search from the last frame.
 struct motion_input {
   pose* predicted = nullptr;  ///< [batch] T_cw
   int* stamp = nullptr;       ///< [batch] number of this frame
@@ -56,7 +55,7 @@ inline void carve(carver& c, motion_input& v, int batch) {
   v.stamp = c.take<int>(static_cast<std::size_t>(batch));
 }
 
-/// And for the search in the local map.
+/// Host inputs of the search in the local map.
 struct local_input {
   int* count = nullptr;  ///< [batch]
   int* slots = nullptr;  ///< [batch][points]
@@ -68,7 +67,7 @@ inline void carve(carver& c, local_input& v, int batch, int points) {
   v.slots = c.take<int>(b * static_cast<std::size_t>(points));
 }
 
-/// What a frame leaves for the next one, in executor memory.
+/// State that a frame leaves in executor memory for the next one.
 struct last_state {
   pose* T_cw = nullptr;   ///< [batch]
   int* holder = nullptr;  ///< [batch][cameras * capacity] slots of inliers
@@ -82,7 +81,7 @@ inline void carve(carver& c, last_state& v, int capacity, int batch, int cameras
   carve(c, v.keypoints, capacity, 2 * batch);
 }
 
-/// A layout in executor memory with its twin in staging memory. They are moved as one block.
+/// A layout in executor memory with its copy in staging memory. Both are transferred as one block.
 template <typename View, memory_space Device, memory_space Host>
 struct twin {
   View device;
@@ -98,7 +97,7 @@ struct twin {
     std::memset(host_memory.data(), 0, host_memory.bytes());
   }
   block_source source() const {
-    // An arena is longer than what is carved from it, by more than the quad that is cut off.
+    // The padding of an arena exceeds the partial quad that the transfer cuts off.
     static_assert(alignment >= 2 * sizeof(receive_parts::quad), "all that is carved is copied");
     return {device_memory.data(), host_memory.data(),
             static_cast<int>(host_memory.bytes() / sizeof(receive_parts::quad))};
@@ -126,7 +125,7 @@ struct frame_memory {
   search_windows_view last_windows;
   search_windows_view local_windows;
   search_workspace last_work;
-  search_workspace local_work;  ///< last_work, unless the local map is listed early
+  search_workspace local_work;  ///< last_work, unless the local map's candidates are listed early
   observations_view observations;
   int* stamps = nullptr;          ///< [batch][map slots]
   pose* poses = nullptr;          ///< [batch] optimised
@@ -135,8 +134,8 @@ struct frame_memory {
   twin<local_input, space, staging> local;
   tracked_frame_view result;  ///< staging memory, to which a device writes directly
 
-  /// @param early whether both searches are in flight at once @throws bad_argument, std::bad_alloc,
-  /// cuda_error
+  /// @param early whether both searches are in flight at once
+  /// @throws bad_argument, std::bad_alloc, cuda_error
   void take(frame_shape const& shape, tracker_params const& p, bool early) {
     auto const b = static_cast<std::size_t>(shape.batch);
     require_items("keypoints of a batch", 2 * b, static_cast<std::size_t>(shape.capacity));
@@ -158,13 +157,13 @@ struct frame_memory {
     local = twin<local_input, space, staging>(shape.batch, p.local_points);
   }
 
-  /// Before any frame: empty grids, no motion, nothing held.
+  /// State before the first frame: empty grids, no motion, no holders.
   void initialize(Exec const& exec) {
     auto const b = static_cast<std::size_t>(frame.batch);
     auto const numbers = b * static_cast<std::size_t>(result.numbers());
     auto const slots = b * static_cast<std::size_t>(map.capacity);
     auto const grids = b * static_cast<std::size_t>(frame.cameras);
-    // A map point that was never written has NaN for a position, and no camera sees it.
+    // The position of a map point that was never written is NaN, so no camera sees it.
     fill_bytes(exec, array_of<field::position>(map), 0xff, slots * sizeof(vec3<float>));
     forget_stamps(exec);
     fill_bytes(exec, frame.grids.start, 0,
@@ -182,7 +181,7 @@ struct frame_memory {
     fill_bytes(exec, local_work.list, 0xff, local_work.list_bytes());
   }
 
-  /// Queues the copy of what a frame of pair b would have left. @param holders [numbers]
+  /// Enqueues the copy of the state after the last frame of pair b. @param holders [numbers]
   void set_last(Exec const& exec, int b, pose const& T_cw, int const* holders) {
     auto const first = static_cast<std::ptrdiff_t>(b) * result.numbers();
     staged_T_cw_[b] = T_cw;
@@ -191,7 +190,7 @@ struct frame_memory {
     copy(exec, last.holder + first, static_cast<int const*>(staged_holder_) + first,
          static_cast<std::size_t>(result.numbers()));
   }
-  /// No map point was matched in any frame; 0 is no frame's number.
+  /// Forgets in which frames map points were matched. No frame has the number 0.
   void forget_stamps(Exec const& exec) const {
     fill_bytes(exec, stamps, 0,
                static_cast<std::size_t>(frame.batch) * static_cast<std::size_t>(map.capacity) *

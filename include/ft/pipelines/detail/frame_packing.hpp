@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Writes the result of a frame where the host reads it, and what the next frame needs of it.
+/// @file Writes the result of a frame to host memory, and the state for the next frame.
 #pragma once
 
 #include <cstddef>
@@ -26,11 +26,11 @@ namespace detail {
 struct frame_outcome {
   pose const* T_cw = nullptr;    ///< [batch]
   int const* matches = nullptr;  ///< [batch]
-  int const* inliers = nullptr;  ///< [batch]; null where no pose was optimised
+  int const* inliers = nullptr;  ///< [batch]; null without pose optimisation
 };
 
-/// Item: a keypoint number of a batch entry. Writes matches and poses where the host reads them,
-/// and keeps them for the next frame.
+/// Item: a keypoint number of a batch entry. Writes matches and poses to host memory, and keeps
+/// them for the next frame.
 struct pack_matches {
   using scratch = no_scratch;
 
@@ -55,8 +55,8 @@ struct pack_matches {
   }
 };
 
-/// Item: a keypoint number of a batch entry. Writes keypoints where the host reads them, and keeps
-/// what the next frame's search needs of them.
+/// Item: a keypoint number of a batch entry. Writes keypoints to host memory, and keeps those
+/// columns that the next frame's search needs.
 template <typename Rig>
 struct pack_keypoints {
   using scratch = no_scratch;
@@ -99,7 +99,7 @@ struct pack_keypoints {
   }
 };
 
-/// Item: an entry of the local map of a batch entry. Writes whether a camera has it in view.
+/// Item: an entry of the local map of a batch entry. Writes whether a camera sees it.
 struct pack_visibility {
   using scratch = no_scratch;
 

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The order of launches of a frame, and which of them run concurrently. This is the only
-/// place that says so.
+/// @file The order of launches of a frame, and which of them run concurrently. No other file
+/// decides that.
 ///
 /// Every line enqueues one stage. `line.then(name)` is the executor for a launch that runs when the
-/// preceding launch has completed. `line.with(name)` is the executor for one that starts when the
-/// preceding launch has started, and that needs nothing of it but what the two signal to each
-/// other. A launch after the two waits for both. Names are those of stage_times(). On the host all
-/// run in the order of the lines.
+/// preceding grid has completed. `line.with(name)` is the executor for a launch that starts when
+/// the preceding grid has started; the two share data only through signals. The launch after such a
+/// pair waits for both. Names are those of stage_times(). On the host all stages run in the order
+/// of the lines.
 ///
-/// Why stages overlap: the pyramid is made of rows that have arrived, and the bus is the bottleneck
-/// meanwhile; the distribution and the order have one block an image and level, which leaves most
-/// of a device idle; lists of candidates need no stereo matches, the choice from them does.
+/// Why stages overlap: the pyramid is computed from the rows that have arrived while the bus is the
+/// bottleneck; distribution and ordering have one block per image and level, which leaves most of a
+/// device idle; listing candidates needs no stereo matches, choosing from them does.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -22,7 +22,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Gives stages their executors and marks their ends.
+/// Selects the executors of stages and marks the ends of stages.
 template <typename Exec>
 class stage_line {
 public:
@@ -37,13 +37,13 @@ public:
     end_stage(stage);
     return with_order(exec_, launch_order::concurrent);
   }
-  /// An executor for launches that run concurrently with all that follow, until join().
+  /// An executor for launches that run concurrently with all later ones, until join().
   Exec fork(side_branch<Exec>& branch) {
     fork_ = end_stage(nullptr);
     return branch.fork(exec_);
   }
-  /// The branch's executor for a stage there. Ends the preceding stage, which on the host is what
-  /// came before it.
+  /// The branch's executor for a stage. Ends the preceding stage, which on the host is the one
+  /// enqueued before it.
   Exec const& on(Exec const& branch) {
     end_stage(nullptr);
     return branch;
@@ -57,7 +57,7 @@ public:
   void end() { end_stage(nullptr); }
 
 private:
-  /// Marks the end of the stage before. @return the mark
+  /// Marks the end of the preceding stage. @return the mark
   int end_stage(char const* next) {
     if (stage_ != nullptr) { last_ = clock_.mark(exec_, stage_); }
     stage_ = next;
@@ -72,7 +72,7 @@ private:
 };
 
 /// Keypoints of images whose pyramids are enqueued.
-/// @param f an extraction, or what has its stages
+/// @param f an extraction, or a type with the same stages
 template <typename Line, typename Features>
 void queue_features(Line& line, Features const& f) {
   f.detect(line.then("corners"));
@@ -82,8 +82,7 @@ void queue_features(Line& line, Features const& f) {
   f.describe(line.with("descriptors"));
 }
 
-/// Images and inputs of a frame, and its keypoints. @param with_local the local map is uploaded,
-/// too
+/// Images and inputs of a frame, and its keypoints. @param with_local also uploads the local map
 template <typename Line, typename Stages>
 void queue_images(Line& line, Stages const& s, bool with_local) {
   s.upload(line.then("upload"), with_local);
@@ -130,7 +129,7 @@ void queue_motion(Line& line, Stages& s, bool local_follows) {
 
 /// The search in the local map and its pose, and the result.
 /// @param early the preceding launch is the choice of the search from the last frame: a prologue
-///   lists the local map's candidates while it runs
+///   lists the local map's candidates concurrently
 template <typename Line, typename Stages>
 void queue_local(Line& line, Stages& s, bool early) {
   if (early) {
@@ -165,7 +164,8 @@ void queue_track(Line& line, Stages& s) {
   queue_local(line, s, s.lists_local_early());
 }
 
-/// The local map alone: of a frame that queue_track_motion() has enqueued, or from a pose.
+/// Only the search in the local map: of a frame that queue_track_motion() has enqueued, or from a
+/// pose.
 template <typename Line, typename Stages>
 void queue_track_local(Line& line, Stages& s, bool restart) {
   s.upload_local(line.then("upload"), restart);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The stages of a tracked frame on the memory of a frame_tracker. What runs concurrently is
-/// said in frame_schedule.hpp.
+/// @file The stages of a tracked frame on the memory of a frame_tracker. frame_schedule.hpp defines
+/// which of them run concurrently.
 #pragma once
 
 #include <cstddef>
@@ -33,7 +33,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// A function that enqueues each stage of a frame. All are asynchronous on their executor and
+/// One function per stage of a frame, which enqueues it. All are asynchronous on their executor and
 /// allocate nothing.
 template <typename Exec, typename Rig>
 class frame_stages {
@@ -55,7 +55,7 @@ public:
 
   // ---- images and keypoints
 
-  /// Images, motion and, on request, the local map.
+  /// Uploads images, motion and, on request, the local map.
   void upload(Exec const& exec, bool with_local) const {
     features().upload(exec, sources, memory.motion.source(),
                       with_local ? memory.local.source() : block_source{});
@@ -95,7 +95,7 @@ public:
   // ---- search in the local map
 
   /// Whether the search in the local map begins at the predicted pose, as the search from the last
-  /// frame does. Then its candidates are listed while that one chooses.
+  /// frame does. Then its candidates are listed concurrently with that search's choice.
   bool lists_local_early() const { return !params.optimize_last; }
   void list_local_map(Exec const& exec) const {
     ft::list_local_map(exec, local_input(), memory.frame, memory.map, local_buffers());
@@ -108,7 +108,7 @@ public:
   }
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
-  /// The local map, and for a restart the motion, which then decides where it begins.
+  /// Uploads the local map and, for a restart, the motion, which then gives the initial pose.
   void upload_local(Exec const& exec, bool restart) const {
     image_pyramid_view none = extractor.pyramid();
     none.batch = 0;
@@ -137,7 +137,7 @@ public:
                               static_cast<int const*>(memory.local.device.count), batch,
                               int{cameras}, memory.result);
   }
-  /// @param outcome of the call
+  /// @param outcome result of the call's last search
   void pack_matches(Exec const& exec, frame_outcome const& outcome) const {
     for_each_item<per_thread>(exec, batch * memory.frame.numbers(), detail::pack_matches{},
                               memory.frame, outcome, memory.result, memory.last);

@@ -10,17 +10,19 @@
 ///
 /// It is computed in parallel, because
 /// - nodes are halved at fixed places, so that the path of a point does not depend on other points.
-///   It is a code of two bits per depth (node_codes.hpp). Once the points are sorted by code
+///   The path is a code of two bits per depth (node_codes.hpp). Once the points are sorted by code
 ///   (sort_by_code.hpp), every node of every depth is a range of them;
 /// - every round but the last splits every node with more than one point. So the length of the list
 ///   after round k is the number of nodes at depth k, and all lengths are known before any node is
-///   split. They are counted in rows of bits that mark where nodes begin (node_ranks.hpp);
+///   split. They are counted in rows of bits that mark the first point of each node
+///   (node_ranks.hpp);
 /// - pushing to the front reverses the order. With the bits of every other depth inverted, the
 ///   nodes of a round are in ascending or descending order of their codes. So the list after the
 ///   rounds that split every node is written at once (whole_rounds.hpp).
-/// Only the rounds that split node by node are made one by one (last_rounds.hpp), and each of them
-/// decides all nodes at once by ranks. docs/architecture.md says why the result is that of the
-/// loop.
+///
+/// Only the rounds that split node by node run one after the other (last_rounds.hpp), and each of
+/// them decides all nodes at once by ranks. docs/architecture.md explains why the result is that of
+/// the loop.
 ///
 /// A block takes a level. If its points fit, they are in shared memory; otherwise the same code
 /// works in the workspace.
@@ -47,8 +49,8 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// How the dynamic shared memory of a block is divided: 8 bytes a point for keys, in whose place
-/// the rows are later, then 4 bytes a point for `order`.
+/// Layout of the dynamic shared memory of a block: 8 bytes a point for keys, later reused for the
+/// rows, then 4 bytes a point for `order`.
 struct level_memory {
   int points = 0;  ///< most points of a level in shared memory; 0 = all levels in the workspace
 
@@ -59,9 +61,9 @@ struct level_memory {
     return {enough ? static_cast<int>(points) : 0};
   }
   std::size_t bytes() const { return static_cast<std::size_t>(points) * quadtree::bytes_per_point; }
-  /// Whether there is room for `more_bins`, as there is if a block has a multiprocessor to itself.
+  /// Whether `more_bins` fit, which they do if a block has a multiprocessor to itself.
   FT_HOST_DEVICE bool has_more_bins() const { return points > quadtree::more_bins / 2; }
-  /// Points whose keys leave room for `more_bins` behind them.
+  /// Largest number of points whose keys leave room for `more_bins` after them.
   FT_HOST_DEVICE int points_with_more_bins() const { return points - quadtree::more_bins / 2; }
   FT_HOST_DEVICE int* more_bins(unsigned char* memory) const {
     return reinterpret_cast<int*>(memory + 8 * points_with_more_bins());
@@ -201,7 +203,7 @@ private:
     return t;
   }
 
-  /// Leaves the nodes of a level in `t.list`. @param points the first points of each thread
+  /// Writes the nodes of a level to `t.list`. @param points the first points of each thread
   /// @return number of nodes
   template <int Held, typename Group, typename Index>
   FT_HOST_DEVICE static int make_nodes(Group g, scratch& s, quadtree::level_tree<Index>& t,

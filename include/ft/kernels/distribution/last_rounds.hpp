@@ -16,8 +16,8 @@ namespace detail::quadtree {
 inline constexpr int key_place_end = 24;  ///< bits of place and gain in a key
 
 /// The key of a node; nodes are split in ascending order of their keys. From the top: 26 bits of
-/// points and 14 of the left edge, both inverted, 22 of `place`, which decides ties, 2 of the gain,
-/// the number of nodes by which the split lengthens the list.
+/// points and 14 of the left edge, both inverted, 22 of `place`, which breaks ties, and 2 of the
+/// gain, the number of nodes that the split adds to the list.
 template <typename Group, typename Index>
 FT_HOST_DEVICE unsigned long long split_key(level_work<Group, Index> const& work, int depth,
                                             node_range<Index> node, int place) {
@@ -32,7 +32,7 @@ FT_HOST_DEVICE unsigned long long split_key(level_work<Group, Index> const& work
 }
 
 /// Fills the keys of the first `children` nodes. Place and index of a key are those of its node in
-/// the list: a node created later is nearer to the front. Nodes of one point come last.
+/// the list: later nodes are nearer to the front. Nodes of one point come last.
 template <typename Group, typename Index>
 FT_HOST_DEVICE void make_stable_keys(level_work<Group, Index> const& work, int depth,
                                      int children) {
@@ -202,7 +202,7 @@ FT_HOST_DEVICE void split_nodes(level_work<Group, Index> const& work, int depth,
     sort_splits<Ties>(g, t, keys);
   }
   g.sync();
-  // The last node to be split knows how many nodes are created.
+  // The last node to be split gives the number of nodes created.
   for (int i = g.rank(); i < list.children; i += g.size()) {
     if (!is_split(t, i, list, wanted)) { continue; }
     int const gained = t.gain_before[i] + children_of(t, t.list[i], row, heads) - 1;

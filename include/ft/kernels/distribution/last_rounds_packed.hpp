@@ -72,8 +72,8 @@ FT_HOST_DEVICE own_node<Index> take_own_node(level_work<Group, Index> const& wor
   return own;
 }
 
-/// Writes the keys of the candidates to shared memory, padded to whole quads. They contain their
-/// nodes' places, so that they may lie in any order. Ends with a sync().
+/// Writes the keys of the candidates to shared memory, padded to whole quads. Keys contain their
+/// nodes' places, so they may be in any order. Ends with a sync().
 /// @return false if a node has too many points for a key
 template <tie_rule Ties, typename Group, typename Index>
 FT_HOST_DEVICE bool write_packed_keys(level_work<Group, Index> const& work,
@@ -126,8 +126,8 @@ FT_HOST_DEVICE void place_as_std_sort(level_work<Group, Index> const& work, int 
   g.sync();
 }
 
-/// Sums for each key what precedes it: splits, and in the lower half the gain. A warp compares 32
-/// keys with a part of all keys.
+/// For each key: sums the splits that precede it and, in the lower half, their gain. A warp
+/// compares 32 keys with a part of all keys.
 template <typename Group>
 FT_HOST_DEVICE void rank_packed(Group g, scratch& s, int n) {
   struct alignas(16) quad {
@@ -161,7 +161,8 @@ FT_HOST_DEVICE void rank_packed(Group g, scratch& s, int n) {
 }
 
 /// One round, in place. Advances `list`.
-/// @return false if the list has too many nodes or a node too many points; nothing has changed then
+/// @return false, with nothing changed, if the list has too many nodes or a node has too many
+///   points
 template <tie_rule Ties, typename Group, typename Index>
 FT_HOST_DEVICE bool split_packed(level_work<Group, Index> const& work, int depth, int wanted,
                                  list_state& list) {
@@ -183,7 +184,7 @@ FT_HOST_DEVICE bool split_packed(level_work<Group, Index> const& work, int depth
   }
   rank_packed(g, s, candidates);
   g.sync();
-  // The last node to be split knows how many nodes are created.
+  // The last node to be split gives the number of nodes created.
   int const* const before = s.b.packed.before;
   int const splits_before = i < size ? before[place] >> 16 : 0;
   int const gain_before = i < size ? before[place] & 0xffff : 0;

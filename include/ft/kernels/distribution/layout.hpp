@@ -16,8 +16,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Which of two nodes is split first if they have the same number of points and the same left edge,
-/// in the rounds that split node by node. Source: specification section 3.
+/// The node that is split first of two with the same number of points and the same left edge, in
+/// the rounds that split node by node. Source: specification section 3.
 enum class tie_rule {
   stable,   ///< the one that was created last
   std_sort  ///< as libstdc++'s std::sort orders them, whatever library the program uses
@@ -27,7 +27,7 @@ enum class tie_rule {
 struct distribution_layout {
   int levels = 0;
   int wanted[max_levels] = {};    ///< features of a level
-  int roots[max_levels] = {};     ///< root nodes, side by side
+  int roots[max_levels] = {};     ///< root nodes, next to each other in x
   int width[max_levels] = {};     ///< of the work area, pixels
   int height[max_levels] = {};    ///< likewise
   int capacity[max_levels] = {};  ///< most nodes, and so most kept corners, of a level

@@ -40,7 +40,7 @@ struct scratch {
   struct packed_store {
     unsigned keys[scratch_nodes];
     int before[scratch_nodes];
-    std::uint16_t left[scratch_nodes];  ///< of introsort; then the place of each node's key
+    std::uint16_t left[scratch_nodes];  ///< for introsort; then the place of each node's key
     std::uint16_t right[scratch_nodes];
   };
   union {
@@ -53,7 +53,7 @@ struct scratch {
   int candidates;            ///< keys of split_packed() so far
   union {
     unsigned crowded;  ///< 1 = a bin has more than crowded_bin points; during the sort
-    int open[2];       ///< of introsort
+    int open[2];       ///< for introsort
   };
 };
 
@@ -71,7 +71,7 @@ struct level_tree {
   corner const* points;
   int n;                     ///< points
   int words;                 ///< of a row
-  corner* copy = nullptr;    ///< where points are copied at their first use; null = nowhere
+  corner* copy = nullptr;    ///< points are copied there at their first use; null = not copied
   unsigned long long* keys;  ///< code << 32 | index
   unsigned* order;           ///< [n] by code: parting depth from the predecessor, and index
   int order_size;            ///< at least n
@@ -84,7 +84,7 @@ struct level_tree {
   node_range<Index>* next;
   unsigned long long* node_keys;
   int* splits_before;  ///< per node: number of nodes that are split before it
-  int* gain_before;    ///< per node: by how much these splits lengthen the list
+  int* gain_before;    ///< per node: number of nodes that these splits add to the list
 
   /// First depth at which the point at position p is not in the node of its predecessor.
   FT_HOST_DEVICE int depth_at(int p) const {
@@ -132,7 +132,7 @@ struct level_tree {
   }
 };
 
-/// What the steps of a level work on.
+/// The state that the steps of a level share.
 template <typename Group, typename Index>
 struct level_work {
   Group g;
@@ -141,7 +141,7 @@ struct level_work {
   node_codes const& codes;
 };
 
-/// A corner as one word. It is unpacked as late as possible, because that waits for the load.
+/// A corner as one word. Unpacking waits for the load, so it is done as late as possible.
 using corner_word = unsigned long long;
 static_assert(sizeof(corner) == sizeof(corner_word) && alignof(corner) == sizeof(corner_word),
               "one load");

@@ -9,7 +9,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail::quadtree {
 
-/// Where the nodes of a level are split. This depends on the size of the level alone.
+/// Positions at which the nodes of a level are split. They depend on the size of the level only.
 ///
 /// The code of a point is the number of its root, followed by two bits for each depth from 1 to
 /// `depths`: bit 0 is set in the right half of the parent, bit 1 in the lower half. The bits of
@@ -29,8 +29,8 @@ struct node_codes {
   int bin_shift;  ///< bits of a code below those
   unsigned flip;  ///< the inverted bits
 
-  /// @param points of the level, from which the number of bins follows
-  /// @param most_depths limit of `depths`; fewer if they are complete with fewer
+  /// @param points of the level, which determine the number of bins
+  /// @param most_depths limit of `depths`; fewer if they are already complete
   FT_HOST_DEVICE node_codes(int w, int h, int root_count, int points, int most_depths,
                             int most_bins)
       : width(w),

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the rounds that split node by node have in common.
+/// @file Shared parts of the rounds that split node by node.
 ///
-/// Such a round splits the nodes created in the round before that have more than one point: the
-/// fullest first, among these the one furthest right, among these by the tie rule; until the list
-/// has as many nodes as wanted. The number of splits and of additional nodes before each candidate
-/// are sums over the candidates with smaller keys, so all candidates are decided at once.
+/// Such a round splits the nodes of the preceding round that have more than one point, until the
+/// list has the wanted number of nodes. The fullest node is first; of equals the one furthest
+/// right; of equals again the tie rule decides. The number of splits and of additional nodes before
+/// each candidate are sums over the candidates with smaller keys, so all candidates are decided at
+/// once.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -14,7 +15,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail::quadtree {
 
-/// The list between two rounds that split node by node.
+/// The state of the list between two rounds that split node by node.
 struct list_state {
   int children;  ///< nodes created in the last round; they are at the front
   int size;
@@ -37,8 +38,7 @@ FT_HOST_DEVICE int children_of(level_tree<Index> const& t, node_range<Index> nod
   return end - t.rank(row, node.begin);
 }
 
-/// Where the quadrants of a node go. The one that is created last goes to place
-/// `last - (count - 1)`.
+/// Places of the quadrants of a node. The last one created gets place `last - (count - 1)`.
 struct quadrant_places {
   int depth;
   int count;

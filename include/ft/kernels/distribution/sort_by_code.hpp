@@ -46,8 +46,8 @@ struct held_codes {
   }
 };
 
-/// Counts the held points into their bins. The loops are separate, so that no point waits for what
-/// another one needs.
+/// Counts the held points into their bins. The loops are separate, so that no point waits for the
+/// loads of another.
 template <int Held, typename Group, typename Index>
 FT_HOST_DEVICE void count_held(level_work<Group, Index> const& work,
                                held_points<Held> const& points, held_codes<Held>& held) {
@@ -194,7 +194,8 @@ FT_HOST_DEVICE void sort_by_code(level_work<Group, Index> const& work,
   Group const g = work.g;
   level_tree<Index>& t = work.t;
   node_codes const& codes = work.codes;
-  // Tables of codes lie where `order` is filled later. They pay unless there are few points.
+  // Tables of codes occupy the memory of `order`, which is filled later. They are worthwhile unless
+  // there are few points.
   int const sides = codes.width + codes.height;
   bool const tables = sides <= t.order_size && (t.prepared || sides < 2 * t.n);
   if (!t.prepared) {

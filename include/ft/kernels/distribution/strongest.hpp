@@ -35,7 +35,7 @@ FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size
     int strongest = 0;
     if (i < size) {
       node_range<Index> const node = t.list[i];
-      // Past the end the last point is read again, so that no load depends on a branch.
+      // Reads past the end repeat the last point, so that no load depends on a branch.
       for (int first = node.begin + lane; first < node.end; first += batch * lanes) {
         int index[batch];
         unsigned long long strength[batch];

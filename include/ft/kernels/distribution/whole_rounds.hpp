@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The rounds that split every node: how many there are, and the list that they leave.
+/// @file The rounds that split every node: their number, and the resulting list.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"
@@ -10,14 +10,14 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail::quadtree {
 
-/// Numbers of rounds, from 1.
+/// Numbers of rounds, counted from 1.
 struct round_counts {
-  int whole;  ///< up to this one, a round splits every node in list order
-  int last;   ///< the last one; those after `whole` split node by node. 0 = more depths are needed
+  int whole;  ///< last round that splits every node in list order
+  int last;   ///< last round; those after `whole` split node by node. 0 = more depths are needed
 };
 
-/// The length of the list after a round is the number of nodes at its depth, because every round
-/// but the last splits every node with more than one point, also if it goes node by node.
+/// The length of the list after a round is the number of nodes at its depth: every round but the
+/// last splits every node with more than one point, even if it goes node by node.
 /// @param totals bits of the rows, from count_heads()
 FT_HOST_DEVICE inline round_counts count_rounds(node_codes const& codes, int const* totals,
                                                 int wanted) {
@@ -35,8 +35,8 @@ FT_HOST_DEVICE inline round_counts count_rounds(node_codes const& codes, int con
   return {0, 0};
 }
 
-/// Writes the list after `whole` rounds that split every node; a thread per node. First come the
-/// nodes created in the last round, then the nodes of one point created in the round before, and so
+/// Writes the list after `whole` rounds that split every node; a thread per node. The nodes created
+/// in the last round come first, then the nodes of one point created in the preceding round, and so
 /// on. Nodes of one round are in the order of their codes, descending if the round is odd.
 /// @return number of nodes created in the last round
 template <typename Group, typename Index>

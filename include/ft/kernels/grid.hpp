@@ -39,7 +39,7 @@ struct row_cell {
 
 namespace detail {
 
-/// Scratch of fill_grid, for grids of less than `size` cells and images of up to `size` keypoints.
+/// Scratch of fill_grid, for grids of fewer than `size` cells and images of up to `size` keypoints.
 struct grid_scratch {
   static constexpr int size = 4096;
   static constexpr std::uint32_t nowhere = 0xffffffffu;
@@ -56,8 +56,8 @@ struct grid_scratch {
 
 /// The grid of one image: counts per cell, their prefix sum, then the keypoints of each cell.
 ///
-/// Several threads fill a cell in any order. The number of lower keypoints in the same cell is then
-/// a keypoint's place. So nothing is sorted, and all executors give the same lists.
+/// Several threads fill a cell in any order. A keypoint's place is then the number of lower
+/// keypoints in the same cell. No sort is needed, and all executors give the same lists.
 /// @tparam Cell nearest_cell or row_cell
 template <typename Cell>
 struct fill_grid {
@@ -106,7 +106,7 @@ struct fill_grid {
   }
 
 private:
-  static constexpr int together = 2;  ///< keypoints per thread whose loads are in flight together
+  static constexpr int together = 2;  ///< keypoints per thread whose loads are in flight at once
 
   /// From counts to starts, in scratch and in the grid. Each thread scans consecutive cells.
   template <typename Group>
@@ -180,7 +180,7 @@ private:
         FT_NO_UNROLL
         for (int at = from[k]; at < to[k]; at += 4) {
           FT_UNROLL
-          for (int m = 0; m < 4; ++m) {  // past the end, the last one again
+          for (int m = 0; m < 4; ++m) {  // past the end: repeats the last one
             int const other = s.list[min_of(at + m, to[k] - 1)];
             lower += static_cast<int>((at + m < to[k]) & (other < i));
           }
@@ -190,7 +190,8 @@ private:
     }
   }
 
-  /// The grid without scratch. Loops are not unrolled, which keeps this rare path's code small.
+  /// The grid without scratch. Loops are not unrolled, which keeps the code of this rare path
+  /// small.
   template <typename Group>
   FT_HOST_DEVICE static void in_memory(Group g, keypoints_view const& kp, int n,
                                        feature_grid_view const& grid) {
@@ -224,7 +225,7 @@ private:
       before += here;
     }
     g.sync();
-    // start[c] advances while cell c fills, and ends as the start of the next cell.
+    // start[c] advances while cell c fills, and ends at the start of the next cell.
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
       int const c = cell(i);
@@ -245,7 +246,8 @@ private:
     g.sync();
     shift_starts(g, start, cells);
   }
-  /// Moves the starts up by one cell, from the last cell down: no later step reads what is written.
+  /// Moves the starts up by one cell, from the last cell down, so that nothing is read after it was
+  /// overwritten.
   template <typename Group>
   FT_HOST_DEVICE static void shift_starts(Group g, int* start, int cells) {
     FT_NO_UNROLL
@@ -261,7 +263,7 @@ private:
 
 }  // namespace detail
 
-/// Builds the grids of the images first, first + step, ... of a batch of keypoints. Asynchronous on
+/// Builds the grids of images first, first + step, ... of a batch of keypoints. Asynchronous on
 /// `exec`; allocates nothing; one launch.
 /// @tparam Cell nearest_cell (search windows) or row_cell (rectified stereo)
 template <typename Cell, typename Exec>
@@ -286,7 +288,7 @@ struct cell_window {
   }
 
 private:
-  /// A conversion that is defined for all values, far outside and NaN included.
+  /// A conversion that is defined for all values, including NaN and values far outside.
   FT_HOST_DEVICE static int to_cell(float v, int n) {
     return v >= -1.0f ? static_cast<int>(min_of(v, static_cast<float>(n))) : -1;  // NaN, too
   }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: rectification. The bilinear lookup through a fixed-point map: the pixels of
+/// @file Stage: rectification by bilinear lookup through a fixed-point map. Gives the pixels of
 /// cv::remap(CV_16SC2 + CV_16UC1, INTER_LINEAR, BORDER_CONSTANT) on 8-bit images.
 #pragma once
 
@@ -99,8 +99,9 @@ private:
     return mixed(p00, p10, p01, p11, fx, fy);
   }
 
-  /// Bilinear interpolation with weights that sum to 1024. OpenCV's are these times 32, one of them
-  /// less by 1 at whole pixels, which never changes the rounded result.
+  /// Bilinear interpolation with weights that sum to 1024. OpenCV's weights are these times 32,
+  /// except that one of them is smaller by 1 at whole pixels; this never changes the rounded
+  /// result.
   FT_HOST_DEVICE FT_INLINE static std::uint8_t mixed(int p00, int p10, int p01, int p11, int fx,
                                                      int fy) {
     int const upper = p00 * (32 - fx) + p10 * fx;
@@ -120,7 +121,7 @@ private:
     return outside >= 0 && from.stride <= 1 << 16;  // offsets fit into an int
   }
 
-  /// The pixels of an inner run. All but the loads vectorises.
+  /// The pixels of an inner run. Everything but the loads vectorises.
   FT_HOST_DEVICE FT_INLINE static void inner_run(gray_view from, remap_position const* positions,
                                                  std::uint16_t const* fractions,
                                                  std::uint8_t* out) {

@@ -22,14 +22,14 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Positions alone. Any container with field::x and field::y converts to it, keypoints included.
+/// Only positions. Any container with field::x and field::y converts to it, keypoints included.
 using pixels_view = soa_view<field::x, field::y>;
 template <memory_space Space>
 using pixels = soa<Space, field::x, field::y>;
 
 /// Output of undistort_keypoints().
 struct undistorted_view {
-  pixels_view positions;          ///< of the shape of the input, which it may be; gets the counts
+  pixels_view positions;          ///< same shape as the input, may alias it; gets the counts
   std::uint8_t* valid = nullptr;  ///< [batch][capacity] 1 or 0; may be null
 };
 
@@ -88,10 +88,10 @@ struct undistort_keypoint {
 
 }  // namespace detail
 
-/// Computes where keypoints would be in an image of the camera `target`: rotates each one's ray by
-/// `R_target_source` and projects it.
+/// Computes where keypoints would be in an image of the camera `target`: rotates the ray of each
+/// keypoint by `R_target_source` and projects it.
 ///
-/// Computed in double and rounded to float once, so that host and device agree; the rounding also
+/// Computed in double and rounded to float once, so that host and device agree. The rounding also
 /// hides the last bit of an arc tangent or tangent in a model. A keypoint that has no ray in
 /// `camera` or no projection in `target` keeps its raw position and is marked invalid. Entries past
 /// a count are not written. Asynchronous on `exec`; allocates nothing; one launch.

@@ -112,7 +112,7 @@ struct assignment_context {
 
 /// Whether a window has candidates.
 /// @param count as in search_workspace::list_count
-/// @param held candidates omitted because they are held count, too
+/// @param held whether candidates omitted because they are held count, too
 FT_HOST_DEVICE inline bool has_candidates(int count, bool held) {
   constexpr int some = search_workspace::counted | search_workspace::unlisted;
   return (count & (some | (held ? search_workspace::left_out : 0))) != 0;

@@ -22,7 +22,7 @@ struct list_candidates {
   static constexpr int quads = search_workspace::list_size / 4;
   struct scratch {
     candidate_quad list[2][quads];
-    // Kept by list_all() for write_free():
+    // Written by list_all() for write_free():
     int found[2];
     bool observed[2];  ///< of the map point
   };
@@ -49,7 +49,7 @@ struct list_candidates {
                 });
   }
 
-  /// Lists all candidates of a point in scratch, before it is known which keypoints are held.
+  /// Lists all candidates of a point in scratch, before the held keypoints are known.
   template <typename Group>
   FT_HOST_DEVICE static void list_all(Group g, scratch& s, frame_search const& in,
                                       window_pair const& windows) {
@@ -111,8 +111,8 @@ private:
   FT_HOST_DEVICE static int const* holders(frame_search const& in) {
     return in.params.from_empty ? nullptr : in.holder();
   }
-  /// Whether the point in a slot, -1 = none, is observed and so keeps its keypoints. The exception
-  /// is a keypoint that an unobserved point takes over as a stereo partner.
+  /// Whether the point in a slot, -1 = none, is observed and so keeps its keypoints. Exception: a
+  /// keypoint that an unobserved point takes over as a stereo partner.
   FT_HOST_DEVICE static bool keeps(map_points_view const& points, int slot) {
     return slot >= 0 && get<field::observations>(points, slot) > 0;
   }

@@ -25,7 +25,7 @@ struct window_list {
   candidate_quad nearest{};
 
   /// @param any whether the window has candidates
-  /// @param held_may_be_free a keypoint held before the search may have become free
+  /// @param held_may_be_free whether a keypoint held before the search may have become free
   template <bool Single>
   FT_HOST_DEVICE window_list(assignment_context<Single> const& ctx, int c, int i, bool any,
                              bool held_may_be_free) {
@@ -105,7 +105,7 @@ FT_HOST_DEVICE void choose_from_grid(assignment_context<Single> const& ctx, int 
 }
 
 /// The keypoint that window i of camera c takes, -1 = none.
-/// @param refused set if the left window fails the ratio test; the point then takes nothing at all
+/// @param refused set if the left window fails the ratio test; the point then takes no keypoint
 /// @param taken taken(number, listed): whether an earlier point has the keypoint
 template <bool Single, typename Taken>
 FT_HOST_DEVICE int choose_keypoint(assignment_context<Single> const& ctx, int c, int i,

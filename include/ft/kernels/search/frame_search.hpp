@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file One frame of a search: what every step of it reads and writes.
+/// @file The inputs and outputs of a search in one frame, shared by its steps.
 #pragma once
 
 #include <cstddef>
@@ -20,8 +20,9 @@ struct frame_search {
   map_points_view const& map;  ///< of all batch entries
   search_params const& params;
   search_buffers const& buffers;
-  /// Whether this step compares columns in the right image. One step of a search does: listing in
-  /// the local map; the assignment from the last frame, whose listing needs no stereo matches.
+  /// Whether this step compares columns in the right image. Only one step of a search does: for the
+  /// local map the listing, from the last frame the assignment, so that its listing needs no stereo
+  /// matches.
   bool compares_columns;
 
   /// Holders of this frame.

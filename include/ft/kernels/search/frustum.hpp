@@ -40,7 +40,7 @@ FT_HOST_DEVICE inline float log_rounded(float v) {
   return static_cast<float>(::log(static_cast<double>(v)));
 }
 
-/// Where a camera is.
+/// Pose and centre of a camera.
 struct viewpoint {
   pose T_cw;           ///< world to this camera
   vec3<float> centre;  ///< of this camera in the world, metres
@@ -104,7 +104,7 @@ struct local_search_params {
 /// @param right_column whether to compare columns in the right image
 FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, float radius_factor,
                                               bool right_column, pyramid_geometry const& geometry) {
-  // The reference compares with the double 0.998, which the float nearest to it exceeds.
+  // The reference compares with the double 0.998, which is less than the nearest float.
   strict_float const base = v.cosine >= 0.998f ? 2.5f : 4.0f;
   float const radius = (base * radius_factor * geometry.scale[v.level]).value;
   search_window w{};
@@ -149,7 +149,7 @@ struct local_search {
 namespace detail {
 
 /// The windows of a search in the local map; see list_point.
-/// @tparam Stamped whether the points matched in the current frame are known, and skipped
+/// @tparam Stamped whether the points matched in the current frame are known, and so skipped
 template <typename Rig, bool Stamped = true>
 struct local_map_windows {
   using search = local_search<Rig>;

@@ -109,7 +109,7 @@ private:
   };
 
   /// Writes the matches that pass the orientation check.
-  /// @return false, with nothing written, if they are fewer than `least`
+  /// @return false, with nothing written, if fewer than `least` pass
   template <bool Single, typename Group>
   FT_HOST_DEVICE static bool write_owned(Group g, scratch& s, owned_keypoints const& owned,
                                          int least, stamp_writer const& stamp) {
@@ -163,7 +163,7 @@ private:
     return true;
   }
 
-  /// Drops matches by their orientation, and stamps the others if they are enough.
+  /// Drops matches by their orientation. Stamps the others if there are enough.
   /// @return whether there are at least `least`
   template <typename Group>
   FT_HOST_DEVICE static bool check_matches(Group g, scratch& s, last_search<Rig> const& search,
@@ -213,9 +213,9 @@ void list_last_frame(Exec const& exec, last_search<Rig> const& search, frame_vie
                           buffers);
 }
 
-/// Second step: assignment and orientation check, repeated with twice the radius where there are
-/// too few matches. Writes `frame.holder`, `work.match`, `work.matches` and the stamps.
-/// Asynchronous on `exec`; allocates nothing; one launch.
+/// Second step: assignment and orientation check, repeated with twice the radius if there are too
+/// few matches. Writes `frame.holder`, `work.match`, `work.matches` and the stamps. Asynchronous on
+/// `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void assign_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,
                        map_points_view const& map, search_buffers const& buffers) {
@@ -225,7 +225,7 @@ void assign_last_frame(Exec const& exec, last_search<Rig> const& search, frame_v
 }
 
 /// Search from the last frame: list_last_frame(), then assign_last_frame(). Ignores the frame's
-/// holders from before. Asynchronous on `exec`; allocates nothing; two launches, of which only the
+/// previous holders. Asynchronous on `exec`; allocates nothing; two launches, of which only the
 /// first is concurrent with its predecessor if `exec` says so.
 template <typename Exec, typename Rig>
 void search_last_frame(Exec const& exec, last_search<Rig> const& search, frame_view const& frame,

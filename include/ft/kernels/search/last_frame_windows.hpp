@@ -16,8 +16,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The last frame, as far as the search needs it: keypoints of the left camera and, in a fisheye
-/// pair, of the right one. Laid out as in frame_view.
+/// The parts of the last frame that the search needs: keypoints of the left camera and, in a
+/// fisheye pair, of the right one. Laid out as in frame_view.
 struct last_frame_view {
   soa_view<field::angle, field::octave> keypoints;
   int keypoint_step = 2;
@@ -29,7 +29,7 @@ struct last_frame_view {
 struct last_search_params {
   /// Half side of a window at scale 1, pixels.
   float window_radius = 7;
-  /// Searches all neighbouring octaves, whether the camera moves forwards, backwards or neither.
+  /// Searches all neighbouring octaves, regardless of the camera's direction of motion.
   bool ignore_motion_direction = false;
   /// Largest Hamming distance of a match, bits.
   int max_hamming = 100;
@@ -52,8 +52,8 @@ struct last_search {
   pyramid_geometry geometry;
   last_search_params params;
   point_stamps stamps;  ///< gets the matched points; may be without arrays
-  /// [batch] rotations of `T_cw` as unit quaternions, or null. Where given, they rotate the points
-  /// in place of the matrices, whose result differs in the last bit.
+  /// [batch] rotations of `T_cw` as unit quaternions, or null. If given, they rotate the points
+  /// instead of the matrices, whose result differs in the last bit.
   quaternion<float> const* rotations = nullptr;
 
   /// All but one member are known at compile time, which saves registers.

@@ -65,7 +65,7 @@ struct list_local_point_early {
   }
 
 private:
-  /// Makes a point that is matched already invisible to a camera.
+  /// Makes an already matched point invisible to a camera.
   FT_HOST_DEVICE static void hide(int c, int b, int i, local_search<Rig> const& search,
                                   search_buffers const& buffers) {
     search_windows_view const& windows = buffers.windows;
@@ -82,8 +82,8 @@ private:
 
 }  // namespace detail
 
-/// First step of search_local_map(): which points are in view, their windows and candidates.
-/// Asynchronous on `exec`; allocates nothing; one launch.
+/// First step of search_local_map(): visible points, their windows and candidates. Asynchronous on
+/// `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void list_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
                     map_points_view const& map, search_buffers const& buffers) {

@@ -13,7 +13,7 @@ namespace detail {
 /// The points that have candidates, renumbered in search order.
 ///
 /// A point writes the keypoints it takes, each followed by its stereo partner. The writes of point
-/// p are numbered from writes() * p on.
+/// p have the numbers from writes() * p.
 template <bool Single>
 struct open_points {
   static constexpr int observed_left = 1 << 30;

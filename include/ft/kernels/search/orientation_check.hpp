@@ -38,11 +38,11 @@ struct rotations {
     return r == bins ? 0 : clamp(r, 0, bins - 1);
   }
 
-  /// The three fullest bins. Of equals the lower index comes first. Bins with less than a tenth of
-  /// the first do not count.
+  /// The three fullest bins; ties go to the lower index. Bins with less than a tenth of the fullest
+  /// one do not count.
   struct most_frequent {
     int bin[3];   ///< -1 = none
-    int matches;  ///< in all of them
+    int matches;  ///< in all three bins
 
     FT_HOST_DEVICE bool has(int r) const { return r == bin[0] || r == bin[1] || r == bin[2]; }
   };

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The greedy assignment by proposals, for searches without a ratio test.
 ///
-/// Every window wants the nearest keypoint that it can have, and every keypoint prefers the lowest
-/// window. That is a stable matching with one solution, so windows may propose in any order and
-/// concurrently (Gale and Shapley, "College admissions and the stability of marriage", 1962).
+/// Every window prefers the nearest keypoint, and every keypoint prefers the lowest window. This is
+/// a stable matching with one solution, so windows may propose in any order and concurrently (Gale
+/// and Shapley, "College admissions and the stability of marriage", 1962).
 #pragma once
 
 #include <cmath>
@@ -49,7 +49,8 @@ struct proposal {
   }
 };
 
-/// Proposes for window i until it has a keypoint. A displaced window is continued in its place.
+/// Proposes for window i until it has a keypoint. When it displaces a window, the thread continues
+/// with that one.
 template <bool Single>
 FT_HOST_DEVICE void propose(assign_scratch& s, assignment_context<Single> const& ctx, int c, int i,
                             proposal now, int* owner) {
@@ -107,10 +108,10 @@ FT_HOST_DEVICE void propose_all(Group g, assign_scratch& s, assignment_context<S
       });
 }
 
-/// Fills the owner table. @return false if a list was exhausted, and the table is of no use
+/// Fills the owner table. @return false if a list was exhausted; the table is then invalid
 template <typename Group, bool Single>
 FT_HOST_DEVICE bool propose_all(Group g, assign_scratch& s, assignment_context<Single> const& ctx) {
-  // Two calls, so that the compiler knows in one of them that the table is in shared memory.
+  // Two calls, so that the compiler knows that the table of one of them is in shared memory.
   if (in_scratch(ctx.frame)) {
     propose_all(g, s, ctx, s.writer);
   } else {

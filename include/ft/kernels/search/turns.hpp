@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The greedy assignment by turns, for any search.
 ///
-/// In each turn every point chooses as if all lower points had made their last choice for good,
-/// until nothing changes. Point 0 is right at once. If all points below i are right and do not
-/// change, i is right after the next turn. So the turns end, and they can end only in the result of
-/// the loop. Four turns were typical on recorded frames; the worst case takes a turn per point.
+/// In each turn every point chooses as if the choices of all lower points were final, until nothing
+/// changes. Point 0 is right at once. If all points below i are right and do not change, i is right
+/// after the next turn. So the turns end, and the only state in which they can end is the result of
+/// the loop. Four turns were typical on recorded frames; the worst case takes one turn per point.
 #pragma once
 
 #include <cstddef>

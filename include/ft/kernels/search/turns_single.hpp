@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The assignment by turns for one camera without stereo partners, and observed points only.
+/// @file The assignment by turns for one camera without stereo partners, if all points are
+/// observed.
 ///
 /// The same as turns.hpp with fewer instructions, which matters because later stages wait for this
 /// single block.
@@ -166,7 +167,7 @@ FT_HOST_DEVICE void write_packed(Group g, assign_scratch& s, assignment_context<
 }
 
 /// The turns if all points are observed. The number of a write is the index of its point, so the
-/// points need no order.
+/// points may be listed in any order.
 /// @param n points, at most assign_scratch::size, as are the keypoints
 /// @return false, with nothing written, if a point is not observed
 template <typename Group>

@@ -23,7 +23,7 @@ struct search_window {
   int min_level;     ///< 0 or below: no lower limit
   int max_level;     ///< below 0: no upper limit
   int slot;          ///< map point; -1 = the window is not searched
-  bool check_right;  ///< compare columns in the right image where a keypoint has one
+  bool check_right;  ///< compare columns in the right image, for keypoints that have one
 
   FT_HOST_DEVICE static search_window none() { return {0, 0, 0, 0, 0, 0, -1, false}; }
 };
@@ -75,7 +75,7 @@ FT_HOST_DEVICE void store(search_windows_view const& to, int b, int i, window_pa
   if constexpr (Cameras == 2) { to.at(1, b, i) = pair.of[1]; }
 }
 
-/// Computes the windows of the point that an item stands for, and writes them to `to`.
+/// Computes the windows of an item's point, and writes them to `to`.
 /// @tparam Windows see list_point
 /// @param item b * capacity + i for point i of batch entry b
 /// @return false, with nothing written, if the frame has fewer points
@@ -117,7 +117,7 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
     int const before = g.exclusive_scan(length, total);
     for (int base = 0; base < total; base += g.size()) {
       int const at = base + g.rank();
-      int run = 0;  // the last run that begins at or before `at`
+      int run = 0;  // last run that begins at or before `at`
       int run_before = 0;
       for (int c = 0; c < here; ++c) {
         int const that = g.shuffle(before, c);

@@ -29,7 +29,7 @@ struct search_params {
   /// Ratio test: largest distance of the best candidate over that of the second best, applied if
   /// both have the same octave. Local map only.
   float ratio = 0.8f;
-  /// Ignores and overwrites the holders from before the search.
+  /// Ignores and overwrites the holders of the frame before the search.
   bool from_empty = false;
 };
 
@@ -58,7 +58,7 @@ struct search_workspace {
   /// even the nearest candidate is too far.
   int* list_count = nullptr;
   /// [cameras][batch][capacity] keypoint matched to each window, -1 = none. In a search of the
-  /// local map, listing stores the choice that the window would make alone.
+  /// local map, the listing stores the choice that the window would make without the others.
   int* match = nullptr;
   /// [batch][capacity] points that have candidates.
   int* open = nullptr;
@@ -68,7 +68,7 @@ struct search_workspace {
   int* before = nullptr;
   /// [batch][numbers] 1 = held by an observed point since before the search.
   std::uint8_t* held = nullptr;
-  /// [batch] number of keypoints that were given a map point.
+  /// [batch] number of keypoints matched to a map point.
   int* matches = nullptr;
   int capacity = 0;  ///< windows per camera and batch entry
   int links = 0;
@@ -84,7 +84,7 @@ struct search_workspace {
   }
 };
 
-/// What a search writes, apart from the holders of the frame.
+/// What a search writes besides the holders of the frame.
 struct search_buffers {
   search_windows_view windows;
   search_workspace work;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Records of which points wrote which keypoints in a turn: two forms with one interface.
+/// @file Records of the keypoints that points wrote in a turn: two forms with one interface.
 #pragma once
 
 #include <cstdint>

@@ -54,7 +54,8 @@ struct symmetric_4 {
   FT_HOST_DEVICE strict_double& at(int i, int j) { return i <= j ? m[i][j] : m[j][i]; }
   FT_HOST_DEVICE strict_double const& at(int i, int j) const { return i <= j ? m[i][j] : m[j][i]; }
   FT_HOST_DEVICE strict_double trace() const { return (m[0][0] + m[1][1]) + (m[2][2] + m[3][3]); }
-  /// The inverse times the determinant. Needs no division, and exists for singular matrices, too.
+  /// The inverse times the determinant. Needs no division, and exists for singular matrices as
+  /// well.
   FT_HOST_DEVICE symmetric_4 adjugate() const {
     strict_double const a = m[0][0], b = m[0][1], c = m[0][2], d = m[0][3];
     strict_double const e = m[1][1], f = m[1][2], g = m[1][3];
@@ -106,16 +107,16 @@ struct symmetric_4 {
   }
 };
 
-/// Eigenvector of the smallest eigenvalue of a positive semi-definite matrix. It belongs to the
-/// largest eigenvalue of the adjugate, which repeated squaring isolates. False if rounding errors
-/// could be visible in a float.
+/// Eigenvector of the smallest eigenvalue of a positive semi-definite matrix: that of the largest
+/// eigenvalue of the adjugate, which repeated squaring isolates. False if rounding errors could be
+/// visible in a float.
 FT_HOST_DEVICE inline bool smallest_eigenvector_by_squares(symmetric_4 const& a,
                                                            strict_double (&v)[4]) {
   constexpr double converged = 1.0 - 1.0 / (1 << 24);  // the next square also squares the rest
   constexpr int most = 20;
   symmetric_4 power = a.adjugate();
   strict_double trace = power.trace();
-  // Bound on the products of three entries that make up an entry of the adjugate.
+  // Bound on each of the products of three entries that form an entry of the adjugate.
   strict_double const products = a.m[0][0] * a.m[1][1] * (a.m[2][2] + a.m[3][3]) +
                                  a.m[2][2] * a.m[3][3] * (a.m[0][0] + a.m[1][1]);
   constexpr double most_lost = 1.0 / (1 << 20);
@@ -123,7 +124,7 @@ FT_HOST_DEVICE inline bool smallest_eigenvector_by_squares(symmetric_4 const& a,
   bool done = false;
   FT_NO_UNROLL
   for (int k = 0; k < most && !done; ++k) {
-    // Any factor near 1 / trace does: computed in float.
+    // The factor only has to be near 1 / trace, so a float is enough.
     strict_double const factor = static_cast<double>(reciprocal(static_cast<float>(trace.value)));
     power = power.scaled(factor);
     strict_double const before = trace * factor;

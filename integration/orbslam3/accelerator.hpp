@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The shim between ORB-SLAM3's tracking and ft.
 ///
-/// A template over the system's own types, compiled inside it; see README.md beside this file.
+/// A template over the system's own types, compiled inside it; see README.md in this folder.
 #pragma once
 
 #include <cstddef>
@@ -25,10 +25,10 @@
 namespace ft {
 namespace orbslam3 {
 
-/// The stages of one tracker. Made once; belongs to the tracking thread, but for
-/// map_point_changed(), which any thread may call. Several may exist. All calls wait for their
-/// results. What the device has of a frame from an earlier call is not sent again; a frame that was
-/// extracted by the CPU is sent at its first use.
+/// The stages of one tracker. Constructed once. Only the tracking thread may use it, except for
+/// map_point_changed() and forget(), which any thread may call. Several may exist. All calls wait
+/// for their results. Data of a frame that an earlier call left on the device are not sent again. A
+/// frame that the CPU extracted is sent at its first use.
 /// @tparam Types with `frame` and `map_point`: ORB_SLAM3::Frame, ORB_SLAM3::MapPoint
 template <typename Types>
 class accelerator {
@@ -47,14 +47,15 @@ public:
     held_before_.reserve(2 * static_cast<std::size_t>(device_->capacity()));
   }
 
-  /// Whether a stage is the accelerator's; where not, ORB-SLAM3's own code is called.
+  /// Whether the accelerator computes a stage; otherwise ORB-SLAM3's own code is called.
   bool uses(stage s) const { return options_[s] != stage_mode::host; }
   options const& chosen() const { return options_; }
 
   // ---- features
 
-  /// Two images in; keypoints, descriptors, counts and scale tables of the frame. Needs
-  /// frame.mnId. @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
+  /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
+  /// frame.mnId.
+  /// @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
   /// @throws bad_argument for an image of another size
   template <typename Image>
   void extract(Image const& left, Image const& right, frame_type& frame) {
@@ -81,7 +82,7 @@ public:
     }
   }
 
-  /// Whether the frame is the one that extract() has filled last.
+  /// Whether the frame is the last one that extract() filled.
   bool extracted(frame_type const& frame) const { return frames_.is_extracted(frame); }
 
   // ---- stereo
@@ -126,8 +127,8 @@ public:
     frames_.fill_fisheye_stereo(b, frame);
   }
 
-  /// Frame::ComputeStereoFromRGBD: mvuRight and mvDepth by the depth image. On the host: it reads a
-  /// pixel per keypoint, and sending the image would take longer.
+  /// Frame::ComputeStereoFromRGBD: mvuRight and mvDepth from the depth image. Runs on the host: it
+  /// reads one pixel per keypoint, and sending the image would take longer.
   /// @param depth metres, CV_32F
   template <typename Image>
   void compute_stereo_from_depth(frame_type& frame, Image const& depth) {
@@ -167,9 +168,9 @@ public:
 
   // ---- tracking
 
-  /// ORBmatcher(0.9, true).SearchByProjection(current, last, th, mono): map points of the last
-  /// frame's inliers in the current one. Returns the number of matches.
-  /// @throws bad_argument where the current frame holds map points: ORB-SLAM3 clears them first
+  /// ORBmatcher(0.9, true).SearchByProjection(current, last, th, mono): searches the map points of
+  /// the last frame's inliers in the current frame. Returns the number of matches.
+  /// @throws bad_argument if the current frame holds map points: ORB-SLAM3 clears them first
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono) {
     stage_timer timer(sums(stage::search_last_frame), *device_);
     for (map_point const* const held : current.mvpMapPoints) {
@@ -193,11 +194,11 @@ public:
     return matches;
   }
 
-  /// The rest of Tracking::SearchLocalPoints after its loop over the frame's own points: frustum of
-  /// all `points` that are neither bad nor seen in this frame, IncreaseVisible() and tracked values
-  /// of those in view, then ORBmatcher(0.8).SearchByProjection(frame, points, th, far_points,
-  /// far_threshold). Returns the number of matches: 0, and nothing is searched, where no point
-  /// came into view.
+  /// The rest of Tracking::SearchLocalPoints after its loop over the frame's own points: tests all
+  /// `points` that are neither bad nor seen in this frame against the frustum, calls
+  /// IncreaseVisible() and stores the tracked values of those in view, then does
+  /// ORBmatcher(0.8).SearchByProjection(frame, points, th, far_points, far_threshold). Returns the
+  /// number of matches. If no point is in view, nothing is searched and the result is 0.
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
     stage_timer timer(sums(stage::search_local_map), *device_);
@@ -217,15 +218,15 @@ public:
     auto const seen = timer.on_device([&] { return device_->search_local_map(request); });
     local_.write_sights(frame, points, seen);
     int const matches = timer.on_device([&] { return device_->local_matches(); });
-    // The original searches nothing then, not even points that it was to leave alone.
+    // The original then searches nothing, not even the points that skip the frustum test.
     if (seen.count == 0) { return 0; }
     write_matches(request.buffer, frame);
     return matches;
   }
 
   /// Optimizer::PoseOptimization(&frame): pose, mvbOutlier; returns the number of inliers.
-  /// @param which the stage that it is: pose_last_frame, pose_local_map (which options may bypass),
-  /// pose_reference_keyframe or pose_relocalization
+  /// @param which stage this call is: pose_last_frame, pose_local_map (which options may bypass),
+  ///   pose_reference_keyframe or pose_relocalization
   int pose_optimization(frame_type& frame, stage which) {
     stage_timer timer(sums(which), *device_);
     int held = 0;
@@ -240,7 +241,8 @@ public:
     bool changed = false;
     map_call_end const end(mirror_);
     {
-      // As the original: points rest while they are read. The device is not waited for meanwhile.
+      // As in the original, map points are locked while they are read. The lock is not held while
+      // waiting for the device.
       std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
       mirror_.begin_call();
       changed = gather_holders(b, frame, false);
@@ -262,23 +264,23 @@ public:
 
   // ---- map
 
-  /// For the hooks: `point` has new values, which its lock shows. From any thread.
+  /// For the hooks: `point` has new values, which are visible under its lock. From any thread.
   void map_point_changed(map_point* point) { mirror_.changes().push(point); }
-  /// What to push to, for code that should not see the accelerator.
+  /// The queue of changed points, for code that does not include the accelerator.
   change_queue<map_point>& changes() { return mirror_.changes(); }
 
-  /// Before a map point is deleted, such as the temporary ones of Tracking's localisation mode; not
-  /// under its locks. From any thread.
+  /// Must be called before a map point is deleted, such as the temporary ones of Tracking's
+  /// localisation mode, and not under its locks. From any thread.
   void forget(map_point const* point) { mirror_.forget(point); }
 
-  /// Forgets frames and map points. For Tracking::Reset and ResetActiveMap, which begin to number
-  /// frames anew.
+  /// Forgets frames and map points. For Tracking::Reset and ResetActiveMap, which restart the
+  /// numbers of frames.
   void reset() {
     frames_.clear();
     mirror_.clear();
   }
 
-  // ---- what it takes
+  // ---- inputs and outputs of frames
 
   statistics const& times() const { return statistics_; }
   void reset_times() { statistics_ = {}; }
@@ -313,8 +315,8 @@ private:
     frames_.took(b, frame);
   }
 
-  /// The slots of the points that a frame's keypoints hold. @return whether they are others than
-  /// before
+  /// Collects the slots of the points that a frame's keypoints hold.
+  /// @return whether they have changed
   bool gather_holders(int b, frame_type const& frame, bool inliers_only) {
     frame_arrays const& a = device_->frame(b);
     bool changed = false;
@@ -329,7 +331,7 @@ private:
   void send_holders(int b, frame_type const& frame, bool inliers_only) {
     if (gather_holders(b, frame, inliers_only)) { device_->send(b, frame_part::holder); }
   }
-  /// What the device gave to the frame's keypoints.
+  /// Copies the device's matches to the frame's keypoints.
   void write_matches(int b, frame_type& frame) const {
     frame_arrays const& a = device_->frame(b);
     frames_.for_each_number(frame, [&](std::size_t i, int number) {

@@ -13,7 +13,7 @@ namespace orbslam3 {
 inline namespace FT_ABI {
 
 /// Marks in the order begin, uploaded, computed, downloaded; read after the executor's wait().
-/// Without measure(true) a mark is a test of a flag.
+/// Without measure(true) a mark only tests a flag.
 template <typename Exec>
 class call_clock {
 public:
@@ -35,7 +35,7 @@ private:
 };
 
 #if defined(__CUDACC__)
-/// By events on the stream, which exist from the first measure(true) on.
+/// With events on the stream, which the first measure(true) creates.
 template <>
 class call_clock<cuda_exec> {
 public:

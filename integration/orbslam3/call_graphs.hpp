@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Recordings of calls that are made again and again with the same parameters.
+/// @file Recordings of calls that are repeated with the same parameters.
 #pragma once
 
 #include <array>
@@ -13,7 +13,7 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// What the launches of a call depend on, beside what lies in memory.
+/// The parameters of a call's launches, apart from data in memory.
 struct call_key {
   int call = 0;
   int buffer = 0;
@@ -26,8 +26,8 @@ struct call_key {
   }
 };
 
-/// Replays a call by its key; records it where that key is new. Where there are more keys than
-/// places, which in tracking there are not, calls are queued launch by launch.
+/// Replays the call of a key, and records it when the key is new. If there are more keys than
+/// entries, which does not happen in tracking, calls are enqueued launch by launch.
 template <typename Exec>
 class call_graphs {
 public:
@@ -49,7 +49,7 @@ public:
     ++count_;
     e.graph.replay(exec, queue);
   }
-  /// For when the memory that the calls use has moved.
+  /// To be called when the memory that the calls use has moved.
   void clear() { count_ = 0; }
 
 private:

@@ -11,12 +11,12 @@
 namespace ft {
 namespace orbslam3 {
 
-/// push() from any thread, also under the locks of a map point: it takes one more, and calls
-/// nothing. Map points are not looked at here.
+/// push() may be called from any thread, also under the locks of a map point: it takes one more
+/// lock and calls nothing else. Map points are not dereferenced here.
 template <typename MapPoint>
 class change_queue {
 public:
-  /// `point` has changed, and its lock shows the new values to whoever takes it after.
+  /// `point` has changed. Threads that lock it after this call see the new values.
   void push(MapPoint* point) {
     std::lock_guard<std::mutex> const lock(mutex_);
     if (closed_) { return; }
@@ -26,7 +26,8 @@ public:
       pushed_.notify_one();
     }
   }
-  /// The first `most` of those that were pushed and not taken yet, in order, repeated ones too.
+  /// Takes the first `most` points that were pushed and not yet taken, in order, repeated ones
+  /// included.
   void take(std::vector<MapPoint*>& into, std::size_t most) {
     into.clear();
     std::lock_guard<std::mutex> const lock(mutex_);
@@ -38,13 +39,13 @@ public:
     changed_.clear();
     first_ = 0;
   }
-  /// Takes `point` out, which is about to be deleted.
+  /// Removes `point`, which is about to be deleted.
   void forget(MapPoint const* point) {
     std::lock_guard<std::mutex> const lock(mutex_);
     auto const from = changed_.begin() + static_cast<std::ptrdiff_t>(first_);
     changed_.erase(std::remove(from, changed_.end(), point), changed_.end());
   }
-  /// Blocks until there is something to take. False after stop().
+  /// Blocks until the queue has a point. Returns false after stop().
   bool await() {
     std::unique_lock<std::mutex> lock(mutex_);
     while (first_ == changed_.size() && !stopped_) {
@@ -58,14 +59,14 @@ public:
     stopped_ = true;
     pushed_.notify_all();
   }
-  /// From now on nothing is kept: for a tracker that takes no more.
+  /// Ignores all later pushes: for a tracker that takes no more points.
   void close() {
     std::lock_guard<std::mutex> const lock(mutex_);
     closed_ = true;
     changed_ = {};
     first_ = 0;
   }
-  /// Points that wait to be taken.
+  /// Number of points not yet taken.
   std::size_t size() {
     std::lock_guard<std::mutex> const lock(mutex_);
     return changed_.size() - first_;

@@ -11,8 +11,8 @@
 namespace ft {
 namespace orbslam3 {
 
-/// Of a GeometricCamera: GetType() 0 is a pinhole, 1 Kannala-Brandt. @throws bad_argument for
-/// others
+/// Parameters of a GeometricCamera: GetType() 0 is a pinhole, 1 Kannala-Brandt.
+/// @throws bad_argument for others
 template <typename Camera>
 camera_parameters parameters_of(Camera& camera) {
   auto const type = camera.GetType();
@@ -25,7 +25,7 @@ camera_parameters parameters_of(Camera& camera) {
   return p;
 }
 
-/// Of a Sophus::SE3f.
+/// The transform of a Sophus::SE3f.
 template <typename Pose>
 transform transform_of(Pose const& pose) {
   Eigen::Matrix3f const R = pose.rotationMatrix();
@@ -37,13 +37,13 @@ transform transform_of(Pose const& pose) {
   }
   return T;
 }
-/// Of a Sophus::SE3f: x, y, z, w.
+/// The rotation of a Sophus::SE3f: x, y, z, w.
 template <typename Pose>
 void rotation_of(Pose const& pose, float (&rotation)[4]) {
   Eigen::Quaternionf const q = pose.unit_quaternion();
   for (int i = 0; i < 4; ++i) { rotation[i] = q.coeffs()(i); }
 }
-/// The centres of a frame's cameras in the world, as the frame computes them: the left one by the
+/// The centres of a frame's cameras in the world, computed as the frame does: the left one by the
 /// pose's quaternion, whose result differs from the matrix's in the last bit.
 template <typename Frame>
 void centres_of(Frame& frame, int cameras, float (&centres)[2][3]) {
@@ -58,7 +58,7 @@ void centres_of(Frame& frame, int cameras, float (&centres)[2][3]) {
     centres[1][i] = right(i);
   }
 }
-/// To a Sophus::SE3f, through a unit quaternion.
+/// A Sophus::SE3f, through a unit quaternion.
 template <typename Pose>
 Pose pose_of(transform const& T) {
   Eigen::Matrix3f R;

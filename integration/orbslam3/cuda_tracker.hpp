@@ -38,7 +38,7 @@ private:
   cudaStream_t stream_ = nullptr;
 };
 
-/// The stream comes first, so that it goes last.
+/// The stream is declared first, so that it is destroyed last.
 template <typename Rig>
 class streaming_tracker final : owned_stream, public executor_tracker<cuda_exec, Rig> {
 public:
@@ -48,8 +48,8 @@ public:
 
 }  // namespace stream_detail
 
-/// On the current device and a stream of its own. @throws bad_argument for settings that cannot be,
-/// cuda_error without a device or memory
+/// On the current device, with a stream of its own.
+/// @throws bad_argument for invalid settings, cuda_error without a device or memory
 inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s) {
   if (s.left.kind == lens::pinhole) {
     return std::make_unique<stream_detail::streaming_tracker<rectified_rig>>(s);
@@ -57,7 +57,7 @@ inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s) {
   return std::make_unique<stream_detail::streaming_tracker<fisheye_rig>>(s);
 }
 
-/// On a stream of the caller's, which outlives the tracker.
+/// On a stream of the caller, which must outlive the tracker.
 inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s, cudaStream_t stream) {
   return make_tracker_on(cuda_exec(stream), s);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Images up, keypoints and stereo down: the extraction of a frame on an executor.
+/// @file The extraction of a frame on an executor: uploads images, downloads keypoints and stereo.
 #pragma once
 
 #include <algorithm>
@@ -28,7 +28,7 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// Copies what was extracted into a frame, and to where the host reads it.
+/// Copies extracted keypoints into a frame and to host memory.
 struct store_keypoint {
   using scratch = no_scratch;
 
@@ -64,7 +64,7 @@ public:
   static constexpr memory_space staging = staging_space<Exec>;
   static constexpr int buffers = device_tracker::buffers;
 
-  /// Takes all memory; waits. @throws bad_argument
+  /// Allocates all memory; waits. @throws bad_argument
   device_extraction(Exec const& exec, Rig const& rig, settings const& s, helper_threads& helpers)
       : settings_(s), helpers_(helpers), rig_(rig) {
     orb_params params;
@@ -85,7 +85,7 @@ public:
     }
     extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
     stereo_.bf = s.bf;
-    stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf over Frame::mb
+    stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf / Frame::mb
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = s.height;
@@ -100,7 +100,7 @@ public:
     int const stride = extractor_.geometry().stride[0];
     for (int i = 0; i < 2; ++i) {
       all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
-      // The first image of a pair is fetched while the host copies the second.
+      // The first image of a pair is transferred while the host copies the second.
       sources_[i] = pair() && i == 0 ? image_source{nullptr, stride} : all_sources_[i];
       no_sources_[i] = {nullptr, stride};
     }
@@ -108,14 +108,14 @@ public:
     exec.wait();
   }
 
-  /// Keypoints of an image that a frame has room for.
+  /// Keypoints per image for which a frame has room.
   int capacity() const { return std::max(extractor_.capacity(), settings_.most_keypoints); }
   orb_extractor<Exec>& extractor() { return extractor_; }
   pyramid_geometry const& geometry() const { return extractor_.geometry(); }
   std::size_t images_bytes() const {
     return static_cast<std::size_t>(settings_.images) * image_bytes();
   }
-  /// Of the results of extract().
+  /// Bytes of the results of extract().
   std::size_t result_bytes() const {
     auto const n = static_cast<std::size_t>(extractor_.capacity());
     std::size_t const features =
@@ -126,10 +126,10 @@ public:
     auto const n = static_cast<std::size_t>(capacity());
     return Rig::rectified ? n * 8 : n * (8 + 4 + 12);
   }
-  /// Whether extract() queues the stereo matches as well.
+  /// Whether extract() enqueues the stereo matches, too.
   bool stereo_at_once() const { return pair() && settings_.stereo_with_extraction; }
 
-  /// Records what extract() queues for each of `frames`, which stay where they are.
+  /// Records the launches of extract() for each of `frames`, which must not move.
   void record(Exec const& exec, device_frames<Exec, Rig>& frames) {
     for (int b = 0; b < buffers; ++b) {
       feature_recordings_[b].record(exec,
@@ -140,7 +140,7 @@ public:
     features_there_.make();
   }
 
-  /// Queues everything, and waits for the keypoints; stereo matches may still be in flight.
+  /// Enqueues all stages and waits for the keypoints; stereo matches may still be in flight.
   void extract(Exec const& exec, device_frames<Exec, Rig>& frames, int b, grey_image const& left,
                grey_image const& right) {
     stage_image(0, left);
@@ -159,7 +159,7 @@ public:
     took_grid(frames, b);
     features_there_.wait();
   }
-  /// Queues the same launch by launch, with marks of the clock.
+  /// Enqueues the same launch by launch, with marks of the clock.
   void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
                         grey_image const& left, grey_image const& right, call_clock<Exec>& clock) {
     stage_image(0, left);
@@ -173,7 +173,7 @@ public:
     took_grid(frames, b);
   }
 
-  /// Queues the pyramids of two images.
+  /// Enqueues the pyramids of two images.
   void build_pyramids(Exec const& exec, grey_image const& left, grey_image const& right) {
     stage_image(0, left);
     stage_image(1, right);
@@ -182,7 +182,8 @@ public:
               image_bytes(), settings_.images);
     extractor_.build_pyramids(exec);
   }
-  /// Queues the stereo matches of a frame's keypoints by the pyramids, and their way to the host.
+  /// Enqueues the stereo matching of a frame's keypoints from the pyramids, and the download of the
+  /// matches.
   /// @param sorted the extraction has sorted the right keypoints by rows
   void queue_stereo(Exec const& exec, device_frames<Exec, Rig>& frames, int b, bool sorted) {
     device_frame& f = frames[b];
@@ -216,7 +217,8 @@ private:
            static_cast<std::size_t>(settings_.height);
   }
 
-  /// Copies an image to where the executor fetches it, in parts that the helpers share.
+  /// Copies an image to the staging memory that the executor reads, in parts shared among the
+  /// helper threads.
   void stage_image(int i, grey_image const& image) {
     detail::require(image.data != nullptr, "the image is null");
     if (image.width != settings_.width || image.height != settings_.height) {
@@ -237,8 +239,8 @@ private:
     });
   }
 
-  /// Keypoints into the frame and to the host. Of a pair, whose keypoints are searched where they
-  /// were found, the grid as well.
+  /// Copies keypoints into the frame and to the host. For a pair, whose keypoints are searched at
+  /// their extracted positions, builds the grid, too.
   void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
                       image_source const* sources) {
     device_frame& f = frames[b];
@@ -269,7 +271,7 @@ private:
   stereo_params stereo_;
   feature_grid_view right_rows_;
   std::uint8_t* images_ = nullptr;
-  image_source* sources_ = nullptr;  ///< [2] of the recordings
+  image_source* sources_ = nullptr;  ///< [2] that the recordings read
   image_source* all_sources_ = nullptr;
   image_source* no_sources_ = nullptr;
   arena<space> memory_;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The frames that the executor has, and their twins in host memory.
+/// @file Frames in executor memory, and their copies in host memory.
 #pragma once
 
 #include <cstddef>
@@ -40,7 +40,7 @@ public:
   static constexpr int searched = Rig::rectified ? 1 : 2;  ///< cameras
 
   device_frames() = default;
-  /// @param keypoints that an image may have. Queues the initial zeros.
+  /// Enqueues the initial zeros. @param keypoints most per image
   device_frames(Exec const& exec, settings const& s, int keypoints) : capacity_(keypoints) {
     has_right_ = s.bf != 0;
     memory_ = arena<Exec::space>([&](carver& c) {
@@ -66,7 +66,7 @@ public:
   device_frame const& operator[](int b) const { return frames_[b]; }
   frame_arrays const& arrays(int b) const { return arrays_[b]; }
 
-  /// Collects a part of the host's twin for the next upload.
+  /// Adds a part of the host's copy to the next upload.
   void send(Exec const& exec, word_mover<Exec>& up, int b, frame_part part) {
     device_frame& f = frames_[b];
     frame_arrays const& a = arrays_[b];
@@ -129,14 +129,14 @@ public:
   bool needs_grid(int b, bounds const& image) const {
     return !frames_[b].grid_made || !(frames_[b].grid_bounds == image);
   }
-  /// The grid of frame `b` is over `image` from now on.
+  /// States that the grid of frame `b` now covers `image`.
   void has_grid(int b, bounds const& image) {
     device_frame& f = frames_[b];
     f.grids.geometry = cells(image);
     f.grid_bounds = image;
     f.grid_made = true;
   }
-  /// Queues the grid where it is not there yet.
+  /// Enqueues the grid unless it is already built.
   void make_grid(Exec const& exec, int b, bounds const& image) {
     if (!needs_grid(b, image)) { return; }
     has_grid(b, image);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The map points that the executor has, by slot: changes and growth.
+/// @file Map points in executor memory, by slot: changes and growth.
 #pragma once
 
 #include <cstddef>
@@ -61,7 +61,7 @@ private:
   }
 };
 
-/// Memory for a map, and for one change of all of its points.
+/// Memory of a map, and of one change of all its points.
 template <typename Exec>
 class device_map {
   static constexpr memory_space space = Exec::space;
@@ -71,7 +71,7 @@ public:
   map_points_view const& view() const { return blocks_.map; }
   int capacity() const { return blocks_.map.capacity; }
 
-  /// Takes the memory for `slots` points, which the next reserve() will use. From any thread.
+  /// Allocates the memory for `slots` points that the next reserve() will use. From any thread.
   void prepare(int slots) {
     detail::require_range("map points", slots, 1, 1 << 26);
     blocks taken(slots);
@@ -79,8 +79,8 @@ public:
     retired_ = {};
     if (slots > next_.map.capacity) { next_ = std::move(taken); }
   }
-  /// Makes room for `slots` points; those there stay. Queues their copy. The old memory stays until
-  /// the next prepare() or reserve(). Returns whether view() is another one.
+  /// Makes room for `slots` points and keeps the current ones. Enqueues their copy. The old memory
+  /// stays until the next prepare() or reserve(). Returns whether view() has changed.
   bool reserve(Exec const& exec, int slots) {
     if (slots <= capacity()) { return false; }
     std::unique_lock<std::mutex> lock(mutex_);
@@ -95,7 +95,7 @@ public:
     return true;
   }
 
-  /// Queues a change. Must not follow another one before exec.wait().
+  /// Enqueues a change. Two changes need an exec.wait() in between.
   void change(Exec const& exec, map_change const& change, std::uint32_t const* words) {
     std::size_t const n = change.words();
     detail::require(n <= blocks_.staged.size(), "a change has one record a field and slot at most");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Searches and pose optimisation over an executor's frames and map: their memory, and what
-/// they queue.
+/// @file Searches and pose optimisation over an executor's frames and map: their memory and their
+/// launches.
 #pragma once
 
 #include <algorithm>
@@ -27,14 +27,14 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// A window that the host made.
+/// A window computed by the host.
 struct recorded_window {
   int index;
   int camera;
   search_window window;
 };
 
-/// Puts recorded windows in their places.
+/// Writes recorded windows to their places.
 struct place_recorded_window {
   using scratch = no_scratch;
 
@@ -49,7 +49,7 @@ struct place_recorded_window {
   }
 };
 
-/// A point that the left camera sees beyond the limit is searched in neither camera.
+/// Excludes points from both cameras if the left camera sees them beyond the limit.
 struct leave_out_far_point {
   using scratch = no_scratch;
 
@@ -76,8 +76,8 @@ struct in_view_listing {
   int stride;
 };
 
-/// The points in view, in the order of the local map, where the host reads them. Written word after
-/// word: what threads write in pieces goes over the bus in pieces.
+/// Writes the points in view to host memory, in the order of the local map. Written in order of
+/// words, because scattered writes of threads cross the bus in pieces.
 struct list_points_in_view {
   using scratch = no_scratch;
 
@@ -121,28 +121,28 @@ class device_searches {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
   static constexpr int searched = Rig::rectified ? 1 : 2;
-  static constexpr int no_slot_yet = -2;  ///< differs from what any caller writes
+  static constexpr int no_slot_yet = -2;  ///< differs from every value that callers write
 
   /// Poses and rotations of a call, uploaded together.
   struct call_inputs {
-    pose T_cw;                   ///< expected
-    pose T_lw;                   ///< last frame's
+    pose T_cw;                   ///< predicted
+    pose T_lw;                   ///< of the last frame
     vec3<float> centres[2];      ///< of the cameras
     quaternion<float> rotation;  ///< of T_cw
-    int slots;                   ///< of the local map
+    int slots;                   ///< in the local map
   };
 
 public:
   static constexpr std::size_t input_bytes = sizeof(call_inputs);
 
-  /// What a call needs besides.
+  /// Further arguments of a call.
   struct context {
     frame_view frame;
     map_points_view map;
     pyramid_geometry geometry;
   };
 
-  /// Takes memory; queues its first values. @param keypoints of an image
+  /// Allocates memory and enqueues its initial values. @param keypoints per image
   device_searches(Exec const& exec, Rig const& rig, settings const& s, int keypoints)
       : settings_(s), rig_(rig), keypoints_(keypoints) {
     int const numbers = 2 * keypoints;
@@ -161,7 +161,7 @@ public:
     reserve_local(exec, s.local_points);
   }
 
-  /// Room for a local map; waits where it takes memory. Returns whether it did.
+  /// Makes room for a local map. Waits if it has to allocate. Returns whether it did.
   bool reserve_local(Exec const& exec, int points) {
     if (points <= local_capacity_) { return false; }
     int const n = size_of(std::max(points, local_capacity_ + 1));
@@ -183,7 +183,7 @@ public:
       staged_windows_ = c.take<recorded_window>(searched * all);
     });
     std::fill_n(staged_slots_, n, no_slot_yet);
-    // Candidates are loaded together with their number.
+    // Candidates are prefetched before their count is known.
     fill_bytes(exec, buffers_.work.list, 0xff, buffers_.work.list_bytes());
     local_capacity_ = n;
     return true;
@@ -193,15 +193,15 @@ public:
     recorded_.resize(static_cast<std::size_t>(count));
     return recorded_.data();
   }
-  /// Launches for a local map of `points` are for so many: a power of two, so that a recording
-  /// serves frame after frame.
+  /// Items of the launches for a local map of `points`: rounded up to a power of two, so that one
+  /// recording serves many frames.
   static int size_of(int points) {
     int n = 1024;
     while (n < points) { n *= 2; }
     return n;
   }
 
-  // ---- inputs: staged here, uploaded by the first launch of what is queued
+  // ---- inputs: staged here, uploaded by the first launch of a call
 
   void set_pose(transform const& T_cw) { staged_->T_cw = to_pose(T_cw); }
   void set_last_frame(last_frame_request const& r) {
@@ -209,7 +209,7 @@ public:
     staged_->T_lw = to_pose(r.T_lw);
     staged_->rotation = {r.rotation[0], r.rotation[1], r.rotation[2], r.rotation[3]};
   }
-  /// Slots and recorded windows go into `up`, which precedes the search.
+  /// Adds slots and recorded windows to `up`, which precedes the search.
   void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
                      pyramid_geometry const& geometry) {
     set_pose(r.T_cw);
@@ -237,7 +237,7 @@ public:
     up.flush(exec);
   }
 
-  // ---- what is queued, after upload()
+  // ---- stages, enqueued after upload()
 
   void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
                         device_frame const& last) {
@@ -260,7 +260,7 @@ public:
     ft::search_last_frame(exec, search, c.frame, c.map, buffers_);
   }
 
-  /// The frustum test, candidates, and the points in view down.
+  /// Enqueues the frustum test, the candidates, and the download of the points in view.
   void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
     buffers_.windows.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
@@ -273,7 +273,7 @@ public:
         in_view_listing{seen_, searched, buffers_.windows.capacity, &inputs_->slots, listed_,
                         in_view_, staged_index_, staged_sights_, local_capacity_});
   }
-  /// The rest of the search.
+  /// Enqueues the rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
     buffers_.windows.capacity = size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
@@ -296,7 +296,7 @@ public:
                          {&inputs_->T_cw, optimized_, observations_});
   }
 
-  // ---- results: queued down by the last launch, valid after exec.wait()
+  // ---- results: downloaded by the last launch, valid after exec.wait()
 
   void download_matches(Exec const& exec, int* holder, frame_view const& frame) {
     word_mover<Exec> down;

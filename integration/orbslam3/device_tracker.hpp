@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The device's side of the shim, as the units that include ORB-SLAM3 see it.
+/// @file The interface of the device, for the units that include ORB-SLAM3.
 #pragma once
 
 #include <cstddef>
@@ -11,13 +11,13 @@
 namespace ft {
 namespace orbslam3 {
 
-/// Two frames and a map on an executor, and the stages over them. Knows nothing of ORB-SLAM3: its
-/// implementation is executor_tracker.hpp, compiled where the executor is (by nvcc for CUDA).
+/// Two frames and a map on an executor, and the stages over them. Independent of ORB-SLAM3: its
+/// implementation is executor_tracker.hpp, compiled by the executor's compiler (nvcc for CUDA).
 ///
-/// Calls that return results wait for them; send() and change_map() queue. Arrays from frame(),
-/// local_slots() and recorded_sights() may be written whenever no call is queued, which is between
-/// a call that waits and the next send(). One thread at a time, but for prepare_map(). All throw
-/// ft::error (bad_argument, cuda_error) where it goes wrong.
+/// Calls that return results wait for them; send() and change_map() are asynchronous. Arrays from
+/// frame(), local_slots() and recorded_sights() may be written while nothing is enqueued, which is
+/// between a call that waits and the next send(). One thread at a time, except for prepare_map().
+/// All throw ft::error (bad_argument, cuda_error).
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -27,60 +27,62 @@ public:
   device_tracker& operator=(device_tracker const&) = delete;
   virtual ~device_tracker() = default;
 
-  /// Threads that share the host's work in a call; they belong to the thread that makes calls.
+  /// Threads that share the host's work in a call; only the calling thread may use them.
   virtual helper_threads& helpers() = 0;
-  /// Keypoints that an image of a frame may have.
+  /// Most keypoints per image of a frame.
   virtual int capacity() const = 0;
   /// Cameras whose keypoints are searched: 2 for a kannala_brandt pair.
   virtual int cameras() const = 0;
   virtual frame_arrays const& frame(int buffer) = 0;
 
-  /// Images up, keypoints down into frame(buffer). Where the settings ask for it stereo is queued
-  /// as well: frame(buffer).right_x, depth, partner and point belong to the device until
-  /// match_stereo() or settle().
+  /// Extracts images into frame(buffer). If the settings say so, stereo is enqueued as well: the
+  /// device then owns frame(buffer).right_x, depth, partner and point until match_stereo() or
+  /// settle().
   virtual void extract(int buffer, grey_image const& left, grey_image const& right) = 0;
-  /// The pyramids of two images, for match_stereo() of keypoints that were extracted elsewhere.
+  /// Builds the pyramids of two images, for match_stereo() of keypoints that were extracted
+  /// elsewhere.
   virtual void build_pyramids(grey_image const& left, grey_image const& right) = 0;
-  /// Stereo of the keypoints in a buffer by the pyramids at hand, down into frame(buffer). Waits
-  /// for it where extract() has queued it.
+  /// Matches the keypoints of a buffer in the current pyramids and downloads the result into
+  /// frame(buffer). If extract() has enqueued that, only waits.
   virtual void match_stereo(int buffer) = 0;
-  /// Waits for what an earlier call has left in flight.
+  /// Waits for work that an earlier call left in flight.
   virtual void settle() = 0;
-  /// A level of an image's pyramid down. @param to rows of `stride` bytes
+  /// Downloads a level of an image's pyramid. @param to rows of `stride` bytes
   virtual void download_level(int image, int level, unsigned char* to, std::size_t stride) = 0;
   virtual int level_width(int level) const = 0;
   virtual int level_height(int level) const = 0;
 
-  /// Queues a part of frame(buffer) for the device.
+  /// Enqueues the upload of a part of frame(buffer).
   virtual void send(int buffer, frame_part part) = 0;
 
-  /// Takes the memory that reserve_map(slots) will use. From any thread.
+  /// Allocates the memory that reserve_map(slots) will use. From any thread.
   virtual void prepare_map(int slots) = 0;
-  /// Makes room for `slots` map points; those there stay. Takes memory where it was not prepared.
+  /// Makes room for `slots` map points and keeps the current ones. Allocates unless prepared.
   virtual void reserve_map(int slots) = 0;
-  /// Queues changes of map points. @param words as map_change says; free on return
+  /// Enqueues changes of map points.
+  /// @param words in the format of map_change; may be reused on return
   virtual void change_map(map_change const& change, std::uint32_t const* words) = 0;
-  /// Slots of a local map of up to `points`, to be filled in by the caller: those of the last
-  /// request until then; grows where necessary.
+  /// Slots of a local map of up to `points`, to be filled in by the caller. They keep the values of
+  /// the last request. Grows if necessary.
   virtual int* local_slots(int points) = 0;
-  /// Room for `count` of them.
+  /// Room for `count` recorded sights.
   virtual recorded_sight* recorded_sights(int count) = 0;
 
-  /// From empty holders; fills frame(current).holder. Returns the number of matches.
+  /// Starts without holders; fills frame(current).holder. Returns the number of matches.
   virtual int search_last_frame(last_frame_request const& request) = 0;
-  /// From the holders in the buffer. Returns the points in view while the search goes on:
-  /// local_matches() follows.
+  /// Starts from the holders in the buffer. Returns the points in view while the search is still in
+  /// flight; local_matches() must follow.
   virtual points_in_view search_local_map(local_map_request const& request) = 0;
   /// Waits for the search, which fills the holders. Returns the number of matches.
   virtual int local_matches() = 0;
-  /// From the holders in the buffer; those of outliers become -1.
+  /// Starts from the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;
-  /// Measure device times from now on. Off, nothing is measured.
+  /// Turns the measurement of device times on or off.
   virtual void measure(bool on) = 0;
-  /// Of the last call that waited.
+  /// Times of the last call that waited.
   virtual device_times times() const = 0;
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The device's side of the shim on an executor: ft's stages over two frames and a map.
-/// Compiled by nvcc for CUDA, by the host compiler otherwise; includes nothing of ORB-SLAM3.
+/// @file The device's part of the shim on an executor: ft's stages over two frames and a map.
+/// Compiled by nvcc for CUDA, else by the host compiler; includes nothing of ORB-SLAM3.
 #pragma once
 
 #include <cstddef>
@@ -26,15 +26,15 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// Calls that come every frame are recorded at their first time and replayed, one launch each; with
-/// measure(true) they are queued launch by launch.
+/// Calls of every frame are recorded the first time and then replayed, one graph launch each; with
+/// measure(true) they are enqueued launch by launch.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
 class executor_tracker : public device_tracker {
   static constexpr int searched = Rig::rectified ? 1 : 2;
 
 public:
-  /// Takes all memory, waits. @throws bad_argument naming the setting
+  /// Allocates all memory, waits. @throws bad_argument naming the setting
   executor_tracker(Exec exec, settings const& s)
       : exec_(std::move(exec)),
         settings_(checked<Rig>(s)),
@@ -47,11 +47,11 @@ public:
     extraction_.record(exec_, frames_);
     sights_there_.make();
   }
-  /// What is queued uses memory of this object.
+  /// Waits, because enqueued work uses memory of this object.
   ~executor_tracker() override {
     try {
       exec_.wait();
-    } catch (error const&) {  // the device is gone, and what was queued with it
+    } catch (error const&) {  // the device is lost, and so is the work on it
     }
   }
 
@@ -88,7 +88,7 @@ public:
 
   void match_stereo(int buffer) override {
     detail::require(settings_.images == 2, "stereo needs settings with two images");
-    if (stereo_of_ == buffer) {  // queued by the extraction
+    if (stereo_of_ == buffer) {  // enqueued by the extraction
       settle();
       times_ = {};
       stereo_of_ = -1;
@@ -253,13 +253,13 @@ private:
     }
   }
 
-  /// The first thing that a call queues begins its time.
+  /// Marks the start of a call, before its first launch.
   void start() {
     settle();
     if (!started_) { clock_.mark(exec_, 0); }
     started_ = true;
   }
-  /// What was collected goes up. @param staged bytes that the call's own first launch fetches
+  /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
   void begin(std::size_t staged = 0) {
     start();
     bool const collected = up_.flush(exec_) > 0;
@@ -267,7 +267,7 @@ private:
     bytes_.frame += up_.take_bytes() + staged;
     if (staged == 0) { clock_.mark(exec_, 1); }
   }
-  /// @param bytes on their way down
+  /// @param bytes that are being downloaded
   void finish(std::size_t bytes) {
     ++bytes_.downloads;
     bytes_.results += bytes;
@@ -294,15 +294,15 @@ private:
   stream_mark<Exec> sights_there_;
   word_mover<Exec> up_;
   call_clock<Exec> clock_;
-  int stereo_of_ = -1;      ///< the buffer whose stereo matches the extraction has queued
-  bool in_flight_ = false;  ///< something that the last call did not wait for
+  int stereo_of_ = -1;      ///< buffer whose stereo matches the extraction has enqueued
+  bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
   bool started_ = false;
   traffic bytes_;
   device_times times_;
 };
 
-/// The tracker of the settings' kind of cameras.
+/// The tracker for the kind of cameras in the settings.
 template <typename Exec>
 std::unique_ptr<device_tracker> make_tracker_on(Exec const& exec, settings const& s) {
   if (s.left.kind == lens::pinhole) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Frames between ORB-SLAM3 and the device: which buffer has which, what is sent of them, and
-/// what an extraction and a stereo match leave in them.
+/// @file Frames between ORB-SLAM3 and the device: which buffer holds which frame, what is sent, and
+/// how results of extraction and stereo get into a frame.
 #pragma once
 
 #include <cmath>
@@ -21,7 +21,7 @@ namespace orbslam3 {
 
 inline constexpr int grey_type = 0;  ///< CV_8UC1
 
-/// Replaces a value. @param changed set where the value was another
+/// Replaces a value. @param changed set if the value was different
 template <typename T>
 inline void replace(T& value, T const& now, bool& changed) {
   if (std::memcmp(&value, &now, sizeof now) == 0) { return; }
@@ -29,7 +29,7 @@ inline void replace(T& value, T const& now, bool& changed) {
   changed = true;
 }
 
-/// The device's buffers and the frames that they have.
+/// The device's buffers and the frames in them.
 template <typename Frame>
 class frame_exchange {
 public:
@@ -38,10 +38,10 @@ public:
   static bounds bounds_of(Frame const& frame) {
     return {frame.mnMinX, frame.mnMinY, frame.mnMaxX, frame.mnMaxY};
   }
-  /// Whether frames have keypoints of two cameras that are searched. By the settings: a frame's
+  /// Whether the keypoints of two cameras are searched. Decided by the settings: a frame's
   /// constructor calls stereo before it sets Nleft.
   bool two_cameras() const { return device_->cameras() == 2; }
-  /// Positions that are searched.
+  /// The keypoints with the positions that are searched.
   auto const& keys(Frame const& frame, int camera) const {
     return camera == 1 ? frame.mvKeysRight : two_cameras() ? frame.mvKeys : frame.mvKeysUn;
   }
@@ -60,13 +60,13 @@ public:
     }
   }
 
-  /// The buffer that the next extraction fills; nothing is in it until took().
+  /// The buffer that the next extraction fills. It holds no frame until took().
   int begin_extraction() {
     int const b = 1 - newest_;
     resident_[b] = {};
     return b;
   }
-  /// The device has extracted into buffer `b`: fills the frame.
+  /// Fills the frame with what the device has extracted into buffer `b`.
   void took(int b, Frame& frame) {
     resident& r = resident_[b];
     r.there = r.extracted = r.full = true;
@@ -98,7 +98,7 @@ public:
     fill_scale_tables(frame);
   }
 
-  /// The buffer that has a frame, -1 = none.
+  /// The buffer that holds a frame, -1 = none.
   int find(Frame const& frame) const {
     for (int const b : {newest_, 1 - newest_}) {
       resident const& r = resident_[b];
@@ -106,7 +106,7 @@ public:
     }
     return -1;
   }
-  /// Numbers of frames begin anew with each reset, so that the number alone does not tell.
+  /// Frame numbers restart with each reset, so the number alone does not identify a frame.
   bool looks_like(int b, Frame const& frame) const {
     frame_arrays const& a = device_->frame(b);
     int const n = count(frame, 0);
@@ -129,14 +129,14 @@ public:
     return b;
   }
 
-  /// The buffer with all of a frame. @param keep a buffer that stays as it is, -1 = none
+  /// The buffer with all of a frame. @param keep a buffer that must not be reused, -1 = none
   int bind(Frame const& frame, int keep) {
     int b = find(frame);
     if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(), keep); }
     if (!resident_[b].checked) { check(b, frame); }
     return b;
   }
-  /// The buffer with what the search needs of a last frame.
+  /// The buffer with those parts of a last frame that the search needs.
   int bind_last(Frame const& frame, int keep) {
     int b = find(frame);
     if (b >= 0 && b != keep) { return b; }
@@ -153,8 +153,9 @@ public:
     return b;
   }
 
-  /// Sends a frame that was not extracted here. @param left keypoints of the left image: as
-  /// extracted for stereo, undistorted for the searches @param right with those of the right one
+  /// Sends a frame that was not extracted here.
+  /// @param left keypoints of the left image: as extracted for stereo, undistorted for the searches
+  /// @param right keypoints of the right image
   template <typename Keypoints>
   int load(Frame const& frame, Keypoints const& left, bool right, int keep) {
     int const there = find(frame);
@@ -163,7 +164,7 @@ public:
     frame_arrays const& a = device_->frame(b);
     put_keypoints(a, 0, left, frame.mDescriptors, 0);
     if (right) {
-      // Frame's constructor puts both into one matrix after stereo.
+      // The constructor of Frame puts both into one matrix after stereo.
       int const n = static_cast<int>(left.size());
       bool const joined = two_cameras() &&
                           frame.mDescriptors.rows == n + static_cast<int>(frame.mvKeysRight.size());
@@ -206,7 +207,7 @@ public:
       frame.mvStereo3Dpoints[at] =
           typename std::decay_t<decltype(frame.mvStereo3Dpoints)>::value_type(p[0], p[1], p[2]);
     }
-    frame.mnCloseMPs = 0;  // as the original's, which counts none
+    frame.mnCloseMPs = 0;  // the original's value: it counts none
     frame.mvRightToLeftMatch.assign(a.partner + a.capacity, a.partner + a.capacity + a.count[1]);
   }
 
@@ -216,8 +217,8 @@ private:
     unsigned long id = 0;
     bool extracted = false;  ///< by extract()
     bool stereo = false;     ///< computed on the device
-    bool full = false;       ///< positions and descriptors, not only what a last frame needs
-    bool checked = false;    ///< positions and stereo are those of the frame
+    bool full = false;       ///< positions and descriptors, not only the parts of a last frame
+    bool checked = false;    ///< positions and stereo are equal to the frame's
   };
 
   template <typename Keypoint>
@@ -297,7 +298,7 @@ private:
     }
   }
 
-  /// Sends what the CPU has computed differently: undistorted positions, stereo.
+  /// Sends the values that the CPU has computed differently: undistorted positions, stereo.
   void check(int b, Frame const& frame) {
     if (!resident_[b].stereo) { device_->settle(); }
     frame_arrays const& a = device_->frame(b);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What ORB-SLAM3's files call: each stage by the accelerator where it is in use, by
-/// ORB-SLAM3's own code where it is not, by both where they are to be compared.
+/// @file The functions that ORB-SLAM3's files call. Each stage runs on the accelerator, in
+/// ORB-SLAM3's own code, or in both to compare them.
 #pragma once
 
 #include <exception>
@@ -23,9 +23,10 @@ namespace orbslam3 {
 /// Defined by the unit that includes make_tracker.hpp.
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
-/// Every call takes the CPU's own code as a callable, `cpu`, which leaves the same answer behind.
-/// Nothing is thrown on: what fails is said once on stderr, and from then on all stages are the
-/// CPU's. Made late, at the first image, where all that settings_of() takes is known.
+/// Every call takes the CPU's own code as a callable, `cpu`, which must give the same result. No
+/// exception leaves these functions: the first failure is printed on stderr, and from then on the
+/// CPU runs all stages. Constructed at the first image, when everything that settings_of() takes is
+/// known.
 /// @tparam Types with frame, map_point and, for settings_of(), fisheye_camera
 template <typename Types>
 class front_end {
@@ -33,8 +34,9 @@ public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
-  /// @param make_settings called for the settings @param detection hooks where they are in,
-  /// unless FT_ORBSLAM3_COMPARE=1; the other options come from the environment
+  /// @param make_settings called for the settings
+  /// @param detection hooks if they are compiled in, unless FT_ORBSLAM3_COMPARE=1; the other
+  ///   options come from the environment
   template <typename MakeSettings>
   front_end(MakeSettings const& make_settings, change_detection detection) {
     attempt([&] {
@@ -45,16 +47,16 @@ public:
       start(make_tracker(s), s, o);
     });
   }
-  /// With a tracker and options of the caller's.
+  /// With a given tracker and options.
   front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
     attempt([&] { start(std::move(device), s, o); });
   }
   front_end(front_end const&) = delete;
   front_end& operator=(front_end const&) = delete;
 
-  /// Whether a stage is the accelerator's.
+  /// Whether the accelerator runs a stage.
   bool uses(stage s) const { return works_ && gpu_->uses(s); }
-  /// For the hooks; nullptr where nothing is to be pushed. Stays valid as long as this.
+  /// For the hooks; nullptr if no changes need to be pushed. Valid as long as this object.
   change_queue<map_point>* changes() { return works_ ? &gpu_->changes() : nullptr; }
 
   // ---- in the constructors of Frame
@@ -79,7 +81,7 @@ public:
   template <typename Cpu, typename Image>
   void stereo(frame_type& frame, Cpu const& cpu, std::vector<Image>& left,
               std::vector<Image>& right) {
-    // The CPU's pyramids are those of this frame where the CPU has extracted it as well.
+    // The CPU's pyramids are those of this frame if the CPU has extracted it as well.
     bool const here = works_ && gpu_->extracted(frame);
     bool const pyramids = !here || both_ != nullptr;
     auto const on_gpu = [&] {
@@ -98,7 +100,7 @@ public:
       cpu();
       return;
     }
-    // The accelerator has failed between the two: one frame without stereo.
+    // The accelerator has failed in between: one frame without stereo.
     frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
     frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
   }
@@ -111,9 +113,9 @@ public:
     cpu();
   }
 
-  // ---- in Tracking; each returns what `cpu` does
+  // ---- in Tracking; each returns the value of `cpu`
 
-  /// @param cpu ORBmatcher::SearchByProjection of these arguments
+  /// @param cpu ORBmatcher::SearchByProjection with these arguments
   template <typename Cpu>
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
                            Cpu const& cpu) {
@@ -123,7 +125,7 @@ public:
         [&] { return both_->search_by_projection(current, last, th, mono, cpu); });
   }
 
-  /// @param cpu the frustum test of all points and ORBmatcher::SearchByProjection of those in view
+  /// @param cpu frustum test of all points and ORBmatcher::SearchByProjection of those in view
   template <typename Cpu>
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points, float far_threshold, Cpu const& cpu) {
@@ -143,7 +145,7 @@ public:
         [&] { return both_->pose_optimization(frame, which, cpu); });
   }
 
-  /// Before a map point is deleted.
+  /// To be called before a map point is deleted.
   void forget(map_point const* point) {
     if (works_) { gpu_->forget(point); }
   }
@@ -152,7 +154,7 @@ public:
     if (works_) { gpu_->reset(); }
   }
 
-  /// Statistics and the summary of verify, where they were chosen: at the end.
+  /// Prints statistics and the summary of verify, if enabled; at the end.
   void print(std::ostream& out) {
     if (gpu_ != nullptr && gpu_->chosen().statistics) { orbslam3::print(out, gpu_->times()); }
     if (both_ != nullptr) { both_->summary(out); }
@@ -167,7 +169,7 @@ private:
     }
     works_ = true;
   }
-  /// @return whether it went well
+  /// @return whether it succeeded
   template <typename Call>
   bool attempt(Call const& call) {
     try {
@@ -196,13 +198,13 @@ private:
     return done ? answer : cpu();
   }
 
-  std::unique_ptr<accelerator<Types>> gpu_;  ///< stays after a failure: the hooks have its queue
+  std::unique_ptr<accelerator<Types>> gpu_;  ///< kept after a failure: the hooks use its queue
   std::unique_ptr<verifier<Types>> both_;
   bool works_ = false;
 };
 
-// The calls in the constructors of Frame, which have a pointer: nullptr leaves all to the CPU, as
-// for the frames that monocular systems begin with.
+// The calls in the constructors of Frame take a pointer. With nullptr the CPU does everything, as
+// for the first frames of a monocular system.
 
 template <typename Types, typename Cpu, typename... Images>
 void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Threads that take a share of short work.
+/// @file Threads that share short pieces of work.
 #pragma once
 
 #include <algorithm>
@@ -13,8 +13,8 @@
 namespace ft {
 namespace orbslam3 {
 
-/// share() is for one thread at a time. The caller works from the beginning: a helper that wakes up
-/// late finds less to do, or nothing.
+/// share() may be called by one thread at a time. The caller takes parts from the beginning, so a
+/// helper that wakes up late finds less work, or none.
 class helper_threads {
 public:
   /// @param wanted threads; -1: a quarter of the machine's, 3 at most
@@ -39,8 +39,9 @@ public:
     for (std::thread& t : threads_) { t.join(); }
   }
 
-  /// Calls part(i) for all i in [0, parts), each once, on any of the threads; returns when all are
-  /// done. @throws what the last one that failed has thrown
+  /// Calls part(i) once for every i in [0, parts), on any of the threads; returns when all are
+  /// done.
+  /// @throws the last exception thrown by a part
   template <typename Part>
   void share(int parts, Part const& part) {
     if (threads_.empty() || parts < 2) {
@@ -55,7 +56,7 @@ public:
     begun_.notify_all();
     work(lock);
     while (working_ > 0) {
-      // Microseconds: not worth a sleep.
+      // The rest takes microseconds: too short for a sleep.
       lock.unlock();
       std::this_thread::yield();
       lock.lock();
@@ -65,7 +66,7 @@ public:
   }
 
 private:
-  /// Takes parts until there are none. @param lock held; not while a part is done
+  /// Runs parts until none is left. @param lock held on entry; released while a part runs
   void work(std::unique_lock<std::mutex>& lock) {
     while (next_ < parts_) {
       int const i = next_++;
@@ -99,7 +100,7 @@ private:
   std::exception_ptr failure_;
   int next_ = 0;
   int parts_ = 0;
-  int working_ = 0;  ///< helpers
+  int working_ = 0;  ///< busy helpers
   bool ended_ = false;
 };
 

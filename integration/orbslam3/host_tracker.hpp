@@ -10,8 +10,8 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// @param threads as host_exec takes them; 0 = all. @throws bad_argument for settings that cannot
-/// be
+/// @param threads as in host_exec; 0 = all
+/// @throws bad_argument for invalid settings
 inline std::unique_ptr<device_tracker> make_host_tracker(settings const& s, int threads = 0) {
   return make_tracker_on(host_exec(threads), s);
 }

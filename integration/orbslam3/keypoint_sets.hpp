@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Keypoints of two extractions of one image as sets: which are in both, which in one alone.
+/// @file Two extractions of one image as sets of keypoints: those in both, and those in only one.
 #pragma once
 
 #include <algorithm>
@@ -14,12 +14,12 @@ namespace ft {
 namespace orbslam3 {
 
 struct keypoint_pairs {
-  std::vector<std::pair<std::size_t, std::size_t>> common;  ///< by the first's index
+  std::vector<std::pair<std::size_t, std::size_t>> common;  ///< index pairs, sorted by the first
   std::vector<std::size_t> first_alone;
   std::vector<std::size_t> second_alone;
 };
 
-/// Keypoints are the same where position and octave are.
+/// Keypoints are the same if position and octave are.
 template <typename Keypoint>
 keypoint_pairs pair_keypoints(std::vector<Keypoint> const& first,
                               std::vector<Keypoint> const& second) {
@@ -53,7 +53,7 @@ keypoint_pairs pair_keypoints(std::vector<Keypoint> const& first,
   return pairs;
 }
 
-/// Bits in which two descriptors differ: row `i` of one matrix and row `j` of another.
+/// Number of differing bits of two descriptors: row `i` of one matrix and row `j` of another.
 template <typename Matrix>
 int other_bits(Matrix const& a, std::size_t i, Matrix const& b, std::size_t j) {
   unsigned char const* const p = a.data + i * static_cast<std::size_t>(a.step);

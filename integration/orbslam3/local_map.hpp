@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The local map of a frame: its points as slots of the mirror, and what the frustum test
-/// leaves in them.
+/// @file The local map of a frame: the slots of its points, and the results of the frustum test.
 #pragma once
 
 #include <algorithm>
@@ -26,12 +25,12 @@ public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
-  /// @param draws whether Frame::mmProjectPoints is filled
+  /// @param draws whether to fill Frame::mmProjectPoints
   local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
       : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), draws_(draws) {}
 
-  /// The request of a search in `points`; their slots are with the device.
-  /// @return points that are tested
+  /// Fills the request of a search for `points`, and their slots on the device.
+  /// @return number of points that are tested
   int gather(local_map_request& request, frame_type const& frame,
              std::vector<map_point*> const& points, bool far_points, float far_threshold) {
     int const n = static_cast<int>(points.size());
@@ -47,7 +46,7 @@ public:
       slot = mirror_->visit(point, slot);
       bool const bad = mirror_->bad(slot);
       bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
-      if (tested) {  // until the device says otherwise
+      if (tested) {  // until the result of the device
         point->mbTrackInView = false;
         point->mbTrackInViewR = false;
       }
@@ -69,11 +68,11 @@ public:
     return tested_points;
   }
 
-  /// The tracked values of the points in view, and what counts them.
+  /// Writes the tracked values of the points in view, and their counters.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
     constexpr int at_a_time = 256;
-    int const drawn = draws_ ? 1 : 0;  // the longest part, which comes first
+    int const drawn = draws_ ? 1 : 0;  // the longest part is started first
     int const parts = (seen.count + at_a_time - 1) / at_a_time;
     device_->helpers().share(drawn + parts, [&](int part) {
       if (part < drawn) {
@@ -116,7 +115,7 @@ private:
       p.IncreaseVisible(1);
     }
   }
-  /// A point that is not tested, but was seen by an earlier test and is searched there.
+  /// Records a point that is not tested, but was seen by an earlier test and is searched there.
   void record(map_point const& p, int index, int slot) {
     if (p.mbTrackInView) {
       recorded_.push_back({index,
@@ -133,7 +132,7 @@ private:
                             p.mnTrackScaleLevelR}});
     }
   }
-  /// In the order of the map, where a node goes in next to the one before.
+  /// Inserts in the order of the map, so that each node is inserted next to the preceding one.
   void draw(frame_type& frame, std::vector<map_point*> const& points, points_in_view const& seen) {
     using place = typename std::decay_t<decltype(frame.mmProjectPoints)>::mapped_type;
     drawn_.clear();
@@ -147,7 +146,7 @@ private:
       map.insert_or_assign(map.end(), id, place(seen.by[0][k].x, seen.by[0][k].y));
     }
   }
-  /// By 11 bits at a time from the lowest: a few passes over what fits into a cache.
+  /// Radix sort by 11 bits, lowest first: a few passes over data that fit into a cache.
   void sort_by_id() {
     unsigned long highest = 0;
     for (auto const& d : drawn_) { highest = std::max(highest, d.first); }
@@ -162,7 +161,7 @@ private:
       std::swap(drawn_, other_);
     }
   }
-  /// Map points lie all over the heap: the one that comes soon is fetched while this one is read.
+  /// Map points are scattered over the heap: prefetches a later one while this one is read.
   static void prefetch(std::vector<map_point*> const& points, int i) {
 #if defined(__GNUC__)
     auto const soon = static_cast<std::size_t>(i) + 8;
@@ -175,7 +174,8 @@ private:
     static_cast<void>(i);
 #endif
   }
-  /// Likewise of those in view: also the object's end, where the original has its locks.
+  /// Likewise for points in view: also prefetches the end of the object, where the original keeps
+  /// its locks.
   static void prefetch_seen(std::vector<map_point*> const& points, points_in_view const& seen,
                             int k) {
 #if defined(__GNUC__)
@@ -197,7 +197,7 @@ private:
   bool quirks_;
   bool draws_;
   int* slots_ = nullptr;
-  std::vector<int> likely_;  ///< slots of the last local map: most are in the same place again
+  std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;
   /// Map point, place among those in view.
   std::vector<std::pair<unsigned long, int>> drawn_;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Defines ft::orbslam3::make_tracker(), which front_end.hpp calls. Included in one unit of
-/// the program, which has nothing else: a .cu file for CUDA, a .cpp file without.
+/// the program that contains nothing else: a .cu file for CUDA, a .cpp file without.
 #pragma once
 
 #include <cstdlib>
@@ -19,10 +19,9 @@ namespace orbslam3 {
 
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
-/// On the current GPU; on host threads where there is none, where it fails, where the unit was
-/// compiled without CUDA, or with FT_ORBSLAM3_DEVICE=host. Says which on stderr.
-/// @throws bad_argument for settings that cannot be; to units of another compiler a
-/// std::runtime_error
+/// On the current GPU. On host threads if there is no GPU, if it fails, if the unit was compiled
+/// without CUDA, or with FT_ORBSLAM3_DEVICE=host. Prints the choice on stderr.
+/// @throws bad_argument for invalid settings; for units of another compiler, a std::runtime_error
 std::unique_ptr<device_tracker> make_tracker(settings const& s) {
   char const* const chosen = std::getenv("FT_ORBSLAM3_DEVICE");
   std::string reason = "FT_ORBSLAM3_DEVICE=host";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The map points that the device knows: which slot each has, what was sent of it, what has
-/// changed since.
+/// @file The map points on the device: the slot of each, the values that were sent, and the changes
+/// since.
 #pragma once
 
 #include <algorithm>
@@ -26,16 +26,16 @@ namespace orbslam3 {
 
 /// How changes of map points are found.
 enum class change_detection {
-  compare,  ///< every point of a call is read and compared with what was sent
-  hooks,    ///< points pushed into the change_queue are read, others not
+  compare,  ///< every point of a call is read and compared with the values sent
+  hooks,    ///< only points pushed into the change_queue are read
 };
 
-/// An array that grows by blocks: what it has stays where it is.
+/// An array that grows by blocks: its elements never move.
 template <typename T>
 class block_array {
 public:
   block_array() { blocks_.reserve(most / per_block); }
-  /// At least `size` elements from now on. @param initial of new ones
+  /// Grows to at least `size` elements. @param initial value of new ones
   void reserve(std::size_t size, T const& initial) {
     detail::require(size <= most, "more map points than the shim can number");
     while (this->size() < size) {
@@ -53,12 +53,12 @@ private:
   std::vector<std::unique_ptr<T[]>> blocks_;
 };
 
-/// Reads map points through their own locked functions. With hooks a thread of the mirror does so
-/// while tracking is elsewhere, also for points that tracking has not met yet; it makes room
-/// for more as well. A call of tracking, begin_call() to flush(), reads what is left.
+/// Reads map points through their own locked functions. With hooks, a thread of the mirror does so
+/// while tracking does other work, also for points that tracking has not met yet; it makes room for
+/// more as well. Each call of tracking, from begin_call() to flush(), reads the remaining ones.
 ///
-/// Map points live until forget() or clear(). Calls of tracking are for one thread; changes() and
-/// forget() for any.
+/// Map points live until forget() or clear(). Only the tracking thread may make calls; changes()
+/// and forget() may be called from any thread.
 template <typename MapPoint>
 class map_mirror {
 public:
@@ -80,7 +80,7 @@ public:
 
   change_queue<MapPoint>& changes() { return changes_; }
 
-  /// Ends a call that flush() has not ended.
+  /// Ends a call whose flush() was not reached.
   class call_end {
   public:
     explicit call_end(map_mirror& mirror) : mirror_(&mirror) {}
@@ -92,7 +92,7 @@ public:
     map_mirror* mirror_;
   };
 
-  /// Before the points of a call are visited. With hooks: reads those that have changed.
+  /// To be called before the points of a call are visited. With hooks: reads the changed points.
   void begin_call() {
     in_call_ = lock_first();
     ++call_;
@@ -104,7 +104,7 @@ public:
     }
   }
 
-  /// The slot of a point of this call; what has changed of it is noted for flush().
+  /// The slot of a point of this call. Its changes are noted for flush().
   /// @param likely a slot that it may have
   int visit(MapPoint* point, int likely = -1) {
     int slot = holds(likely, point) ? likely : find(point);
@@ -119,10 +119,10 @@ public:
   }
   /// After visit(): whether the point was bad when it was read.
   bool bad(int slot) const { return entries_[index(slot)].bad; }
-  /// Of a slot that the last call has visited.
+  /// The point in a slot that the last call has visited.
   MapPoint* owner(int slot) const { return entries_[index(slot)].owner; }
 
-  /// Queues what has changed for the device, and ends the call.
+  /// Enqueues the upload of the changes, and ends the call.
   void flush() {
     if (on_device_ < capacity_) {
       device_->reserve_map(capacity_);
@@ -132,8 +132,8 @@ public:
     end_call();
   }
 
-  /// Forgets a point that is about to be deleted; not under its locks. It is not read any more when
-  /// this returns.
+  /// Forgets a point that is about to be deleted. Must not be called under its locks. The point is
+  /// not read after the return.
   void forget(MapPoint const* point) {
     auto const lock = lock_first();
     changes_.forget(point);
@@ -142,7 +142,7 @@ public:
     if (known != slot_by_address_.end()) { release(known->second); }
   }
 
-  /// Forgets all points, for a system that was reset.
+  /// Forgets all points; for a system reset.
   void clear() {
     auto const lock = lock_first();
     changes_.take(taken_, std::numeric_limits<std::size_t>::max());
@@ -165,31 +165,31 @@ public:
 private:
   static constexpr std::size_t no_id = std::numeric_limits<std::size_t>::max();
 
-  /// What every call looks at: small, so that those of a local map stay in a cache.
+  /// Read by every call: small, so that the entries of a local map stay in a cache.
   struct entry {
     MapPoint* owner = nullptr;
     std::size_t id = no_id;     ///< mnId; no_id until tracking meets the point
-    std::uint32_t used_in = 0;  ///< call
+    std::uint32_t used_in = 0;  ///< last call
     bool bad = false;
   };
-  /// What is looked at where a point is read.
+  /// Read when a point is read.
   struct record {
     std::uint32_t read_in = 0;  ///< round
     point_fields sent{};
   };
-  /// Of calls that a point was in none of, before its slot is given away: the first one that yields
-  /// enough slots.
+  /// A slot is freed if the last so many calls have not used its point; the first of these limits
+  /// that frees enough slots is taken.
   static constexpr std::uint32_t keep_unused[] = {1000, 100, 12};
-  /// Points that the reader reads while tracking waits for it at most.
+  /// Most points that the reader thread reads while tracking waits for the lock.
   static constexpr std::size_t at_a_time = 16;
-  static constexpr int evicted_at_a_time = 2048;  ///< slots looked at
+  static constexpr int evicted_at_a_time = 2048;  ///< slots examined
 
   static std::size_t index(int slot) { return static_cast<std::size_t>(slot); }
 
   void end_call() {
     if (in_call_.owns_lock()) { in_call_.unlock(); }
   }
-  /// Before the reader, which else might take the lock again and again.
+  /// Takes the lock before the reader thread, which otherwise might take it again and again.
   std::unique_lock<std::mutex> lock_first() {
     ++wanted_;
     std::unique_lock<std::mutex> lock(mutex_);
@@ -199,7 +199,7 @@ private:
 
   bool holds(int slot, MapPoint const* point) const {
     if (slot < 0 || slot >= capacity_) { return false; }
-    // By number as well: another point may live where one was deleted.
+    // Compares the number, too: another point may have the address of a deleted one.
     entry const& e = entries_[index(slot)];
     return e.owner == point && e.id == point->mnId;
   }
@@ -207,7 +207,7 @@ private:
     std::size_t const id = point->mnId;
     int const slot = id < ids_.size() ? ids_[id] : -1;
     if (holds(slot, point)) { return slot; }
-    // The reader knows it by its address.
+    // The reader thread knows the point by its address.
     auto const known = slot_by_address_.find(point);
     if (known == slot_by_address_.end()) { return -1; }
     if (entries_[index(known->second)].id != no_id) {  // that one was deleted
@@ -262,17 +262,17 @@ private:
 
   // ---- changes
 
-  /// Reads the first `most` points that were pushed.
+  /// Reads the first `most` pushed points.
   void look_at_changes(std::size_t most) {
     changes_.take(taken_, most);
     for (MapPoint* const point : taken_) {
       auto const known = slot_by_address_.find(point);
       if (known != slot_by_address_.end()) {
-        // Pushed twice: read once.
+        // Points that were pushed twice are read once.
         if (records_[index(known->second)].read_in != round_) { refresh(known->second); }
       } else if (!pushed_once_.insert(point).second) {
-        // The first push may come from the constructor, which is still at work then. One after it
-        // comes from the same thread once it is done, or from one that was given the point.
+        // The first push may come from the constructor, before the point is complete. A later one
+        // comes from the same thread after construction, or from a thread that was given the point.
         pushed_once_.erase(point);
         add(point);
       }
@@ -303,8 +303,8 @@ private:
     slot_by_address_.reserve(index(capacity_));
     for (int slot = capacity_ - 1; slot >= first; --slot) { free_.push_back(slot); }
   }
-  /// Gives slots in [first, last) away: of bad points and of those that no call had for long. Never
-  /// one of this call.
+  /// Frees slots in [first, last): of bad points and of points unused for long. Never those of this
+  /// call.
   void evict(int first, int last, std::uint32_t keep) {
     for (int slot = first; slot < last; ++slot) {
       entry const& e = entries_[index(slot)];
@@ -314,7 +314,7 @@ private:
   }
   bool has_room(int share) const { return free_.size() > entries() / index(share); }
   std::size_t entries() const { return index(capacity_); }
-  /// Within a call. The device's memory grows with flush().
+  /// Within a call. The device's memory grows in flush().
   void make_room() {
     for (std::uint32_t const keep : keep_unused) {
       evict(0, capacity_, keep);
@@ -322,7 +322,8 @@ private:
     }
     add_slots(capacity_);
   }
-  /// By the reader: a quarter of all slots is free, or will be. Little at a time under the lock.
+  /// Called by the reader thread: keeps a quarter of all slots free. Holds the lock for short times
+  /// only.
   void keep_room() {
     for (std::uint32_t const keep : keep_unused) {
       for (int first = 0;; first += evicted_at_a_time) {
@@ -342,14 +343,14 @@ private:
       device_->prepare_map(wanted);
       std::lock_guard<std::mutex> const lock(mutex_);
       if (capacity_ < wanted) { add_slots(wanted - capacity_); }
-    } catch (std::exception const&) {  // the call that needs the memory tries again, and says so
+    } catch (std::exception const&) {  // the call that needs it retries and throws
     }
   }
 
   device_tracker* device_;
   change_detection detection_;
   change_queue<MapPoint> changes_;
-  mutable std::mutex mutex_;  ///< of all that follows; taken before map points' own
+  mutable std::mutex mutex_;  ///< guards all members below; taken before the locks of map points
   std::unique_lock<std::mutex> in_call_;
   std::atomic<int> wanted_{0};
   std::vector<MapPoint*> taken_;

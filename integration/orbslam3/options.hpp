@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the shim does and what it leaves to the CPU: chosen in code, changed from outside.
+/// @file Choice of the stages that the shim runs: made in code, changed by the environment.
 #pragma once
 
 #include <algorithm>
@@ -34,9 +34,9 @@ inline char const* name_of(stage s) {
 }
 
 enum class stage_mode {
-  device,  ///< by the accelerator
-  host,    ///< by ORB-SLAM3's own code: the call sites ask accelerator::uses()
-  bypass,  ///< pose optimisation only: the pose stays as it is, nothing is an outlier
+  device,  ///< run by the accelerator
+  host,    ///< run by ORB-SLAM3's own code: the call sites check accelerator::uses()
+  bypass,  ///< pose optimisation only: keeps the pose, no outliers
 };
 
 struct options {
@@ -51,14 +51,15 @@ struct options {
   stage_mode operator[](stage s) const { return modes[static_cast<std::size_t>(s)]; }
 };
 
-/// Whether a stage may be left out: a pose optimisation after which another one follows or tracking
-/// goes on with the pose that it has.
+/// Whether a stage may be bypassed: a pose optimisation that is followed by another one, or after
+/// which tracking can continue with the current pose.
 inline bool may_bypass(stage s) {
   return s == stage::pose_last_frame || s == stage::pose_local_map;
 }
 
-/// Sets the mode of the stages in a list such as "extract,stereo"; "all" is all that can have it.
-/// @throws bad_argument for a name that is none, or a stage that cannot be left out
+/// Sets the mode of the stages in a list such as "extract,stereo"; "all" means all stages that can
+/// have it.
+/// @throws bad_argument for an unknown name, or a stage that cannot be bypassed
 inline void set_modes(options& o, std::string const& list, stage_mode mode) {
   for (std::size_t begin = 0; begin < list.size();) {
     std::size_t const end = std::min(list.find(',', begin), list.size());
@@ -84,9 +85,10 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
   }
 }
 
-/// `o` as the environment changes it: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of stages,
-/// FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds changes of
-/// map points by comparing. @throws bad_argument as set_modes()
+/// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
+/// stages, FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds
+/// changes of map points by comparing.
+/// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
   auto const text = [](char const* name) {
     char const* const value = std::getenv(name);

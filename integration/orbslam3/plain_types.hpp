@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What passes between the units that know ORB-SLAM3's types and those that know the device:
-/// plain structures, the same for every compiler.
+/// @file Types shared by the units that include ORB-SLAM3 and those that include the device: plain
+/// structures, the same for every compiler.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@ struct transform {
   float t[3] = {};
 };
 
-/// What the pipelines are made from, once.
+/// Parameters of the pipelines, fixed at construction.
 struct settings {
   int width = 0;  ///< of every image given to extract(), pixels
   int height = 0;
@@ -37,32 +37,33 @@ struct settings {
   camera_parameters right;  ///< of a kannala_brandt pair
   transform T_rl;           ///< left camera to right camera, of a kannala_brandt pair
   float bf = 0;             ///< baseline times fx, Frame::mbf; virtual for RGB-D, 0 for monocular
-  /// First and last column of the left and of the right image that see the same; pairs of
-  /// kannala_brandt cameras only.
+  /// First and last column of the left and of the right image that see the same part of the scene;
+  /// only for pairs of kannala_brandt cameras.
   float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};
-  /// Of a monocular image (one image and bf 0): keypoints from the first to the last column come
-  /// last, in reverse, and Frame::monoLeft counts the others. The default is what the original's
-  /// monocular constructor gives; RGB-D has none.
+  /// For monocular images (one image and bf 0): keypoints from the first to the last column come
+  /// last, in reverse, and Frame::monoLeft counts the others. The default is the value of the
+  /// original's monocular constructor; RGB-D has none.
   float monocular_overlap[2] = {0, 1000};
   /// Keypoints in the order of a build with libstdc++ (tie_rule::std_sort); false:
   /// tie_rule::stable.
   bool std_sort_ties = true;
-  /// Keypoints that a frame extracted elsewhere may have in an image; 0: as many as extract()
+  /// Most keypoints per image of a frame that was extracted elsewhere; 0: as many as extract()
   /// yields. Monocular initialisation extracts five times as many.
   int most_keypoints = 0;
-  /// Map points at a time: of the local maps of the last frames and of what mapping has made since.
-  /// More make the memory grow.
+  /// Map points on the device at a time: those of recent local maps and those that mapping has
+  /// created since. With more, the memory grows.
   int map_points = 1 << 15;
-  int local_points = 1 << 14;  ///< of a local map; more make the memory grow, which waits
+  int local_points = 1 << 14;  ///< of a local map; with more, the memory grows, which waits
   /// Threads that share the host's part of a call: copies of images, filling a frame, counting
-  /// points in view. They sleep in between. -1: a quarter of the machine's, 3 at most.
+  /// points in view. They sleep between calls. -1: a quarter of the machine's, 3 at most.
   int helpers = -1;
-  /// Search as the original does where it slips: the right fisheye camera by the left one's model,
-  /// points that were refused in this frame where an earlier frame saw them.
+  /// Reproduces two errors of the original's searches: it projects into the right fisheye camera
+  /// with the left one's model, and it searches points rejected in this frame at their positions in
+  /// an earlier frame.
   bool reference_quirks = true;
-  /// Stereo is computed with the extraction, without a wait in between.
+  /// Enqueues stereo with the extraction, without a wait in between.
   bool stereo_with_extraction = true;
-  bool orientation_check = true;  ///< of the search in the last frame
+  bool orientation_check = true;  ///< of the search from the last frame
 };
 
 /// An 8-bit grey image; stride in bytes.
@@ -82,12 +83,12 @@ struct bounds {
   }
 };
 
-/// A frame's arrays beside the host, a twin of those on the device. Keypoint k of image c is at
-/// c * capacity + k, which is also its number in `partner` and `holder`.
+/// Arrays of a frame in host memory, a copy of those on the device. Keypoint k of image c is at c *
+/// capacity + k, which is also its number in `partner` and `holder`.
 struct frame_arrays {
   int capacity = 0;
   int* count = nullptr;                 ///< [2]
-  int* mono = nullptr;                  ///< [2] keypoints before those of the stereo overlap
+  int* mono = nullptr;                  ///< [2] keypoints before those in the stereo overlap
   float* x = nullptr;                   ///< [2][capacity] pixels, without distortion
   float* y = nullptr;                   ///< likewise
   float* angle = nullptr;               ///< likewise, degrees
@@ -104,39 +105,38 @@ struct frame_arrays {
 /// Parts of a frame that are sent together.
 enum class frame_part { keypoints, positions, octaves, right_x, partner, holder };
 
-/// What the frustum test found for a point in a camera.
+/// Result of the frustum test of a point in a camera.
 struct sight {
   float x, y;      ///< pixels
   float right_x;   ///< pixels
   float cosine;    ///< of the viewing angle
   float distance;  ///< metres
-  int level;       ///< octave expected; -1 = not in view
+  int level;       ///< predicted octave; -1 = not in view
 };
 
-/// The points of a local map that a camera has in view, in its order.
+/// The points of a local map that a camera sees, in the order of the map.
 struct points_in_view {
   int count = 0;
   int const* index = nullptr;  ///< [count] in the local map
-  /// [count] by the left and the right camera; the latter for kannala_brandt pairs only.
+  /// [count] seen by the left and the right camera; the latter only for kannala_brandt pairs.
   sight const* by[2] = {};
 };
 
-/// A point that is searched where an earlier test saw it.
+/// A point that is searched at its position from an earlier test.
 struct recorded_sight {
   int index;   ///< in the local map
   int camera;  ///< 0 left, 1 right, or not_right_alone
   int slot;
   sight seen;
 
-  /// In place of a camera: the point is tested, and not searched where the right camera alone sees
-  /// it.
+  /// Instead of a camera: the point is tested, and not searched if only the right camera sees it.
   static constexpr int not_right_alone = 2;
 };
 
 struct last_frame_request {
   int current = 0;  ///< buffers
   int last = 0;
-  transform T_cw;          ///< expected
+  transform T_cw;          ///< predicted
   float rotation[4] = {};  ///< of T_cw, as a unit quaternion: x, y, z, w
   transform T_lw;
   bounds image{};
@@ -161,13 +161,13 @@ struct pose_result {
   int inliers = 0;
 };
 
-/// Counts of the records of a map change, which follow each other in this order as 32-bit words:
-/// slot, then the values.
+/// Numbers of records in a map change. They follow each other in this order as 32-bit words: slot,
+/// then the values.
 struct map_change {
   int positions = 0;     ///< slot, x, y, z
   int views = 0;         ///< slot, normal, lowest distance, highest distance
   int descriptors = 0;   ///< slot, 8 words
-  int observations = 0;  ///< slot, 1 or 0: whether anyone observes the point
+  int observations = 0;  ///< slot, 1 or 0: whether the point is observed
 
   static constexpr int position_words = 4;
   static constexpr int view_words = 6;
@@ -191,7 +191,7 @@ struct traffic {
   std::size_t frame = 0;    ///< up: keypoints, stereo, holders, poses, requests
   std::size_t map = 0;      ///< up: map points
   std::size_t results = 0;  ///< down
-  int uploads = 0;          ///< copies and launches that move something up
+  int uploads = 0;          ///< copies and launches that upload something
   int downloads = 0;
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the device has of a map point: read through the point's own functions, noted for the
-/// next upload.
+/// @file The fields of a map point on the device: read through the point's own functions, noted for
+/// the next upload.
 #pragma once
 
 #include <cmath>
@@ -16,13 +16,13 @@
 namespace ft {
 namespace orbslam3 {
 
-/// The float that gives `scaled` when multiplied by `factor`, where there is one near
-/// scaled / factor; that quotient otherwise.
+/// The float near scaled / factor whose product with `factor` is `scaled`; without one, that
+/// quotient.
 ///
-/// MapPoint shows its limits of distance times 0.8 and 1.2. Range tests multiply again and get
-/// exactly what it shows. Two limits next to each other may be shown as one number (for 1.2 where
-/// the product passes a power of two; there, the lower is taken), so what is recovered is the
-/// stored one or its neighbour: 2^-23 off at most.
+/// MapPoint returns its distance limits times 0.8 and 1.2. Range tests multiply again and get
+/// exactly these values. Two adjacent limits may have the same product (for 1.2, where it passes a
+/// power of two; the lower limit is taken). So the result is the stored limit or its neighbour: at
+/// most 2^-23 off.
 inline float unscaled(float scaled, float factor) {
   float const quotient = scaled / factor;
   if (!std::isfinite(quotient)) { return quotient; }
@@ -42,20 +42,20 @@ inline float unscaled(float scaled, float factor) {
 struct point_fields {
   float position[3];
   float normal[3];
-  float shown[2];   ///< limits of distance as the map point shows them
+  float shown[2];   ///< distance limits as the map point returns them
   float limits[2];  ///< lowest and highest distance, raw, metres
   std::uint32_t descriptor[8];
   bool observed;
 };
 
-/// In any bit: a NaN that stays is no change.
+/// Whether any bit differs, so that an unchanged NaN is no change.
 template <typename T, std::size_t N>
 bool differ(T const (&a)[N], T const (&b)[N]) {
   return std::memcmp(a, b, sizeof a) != 0;
 }
 
 /// Reads a point by the functions that the system's own code calls, each with its lock.
-/// @param f as they were before, or zeros @return whether the point is bad
+/// @param f previous values, or zeros @return whether the point is bad
 template <typename MapPoint>
 bool read_fields(MapPoint& p, point_fields& f) {
   auto const position = p.GetWorldPos();
@@ -65,7 +65,7 @@ bool read_fields(MapPoint& p, point_fields& f) {
     f.normal[i] = normal(i);
   }
   float const shown[2] = {p.GetMinDistanceInvariance(), p.GetMaxDistanceInvariance()};
-  // Divided again only where it has changed.
+  // The limits are computed again only after a change.
   if (differ(f.shown, shown)) {
     std::memcpy(f.shown, shown, sizeof shown);
     f.limits[0] = unscaled(shown[0], 0.8f);
@@ -79,10 +79,10 @@ bool read_fields(MapPoint& p, point_fields& f) {
   return p.isBad();
 }
 
-/// Records of the next map change, by field: of a slot that is noted again the last one counts.
+/// Records of the next map change, by field. Of several records of a slot the last one counts.
 class noted_changes {
 public:
-  /// Takes memory for all of `slots`.
+  /// Allocates memory for all of `slots`.
   void reserve(int slots) {
     for (field_records& field : fields_) {
       field.place.resize(static_cast<std::size_t>(slots), -1);
@@ -106,7 +106,7 @@ public:
     note_observed(slot, f);
   }
 
-  /// What is noted goes to the device.
+  /// Sends the noted changes to the device.
   void flush(device_tracker& device) {
     map_change change;
     change.positions = fields_[0].count();

@@ -28,13 +28,14 @@ inline transform to_transform(pose const& p) {
   return T;
 }
 
-/// The settings' cameras. A single kannala_brandt camera is a pair without baseline whose right one
-/// has no keypoints. @throws bad_argument
+/// The cameras of the settings. A single kannala_brandt camera becomes a pair without baseline
+/// whose right camera has no keypoints.
+/// @throws bad_argument
 template <typename Rig>
 Rig rig_of(settings const& s) {
   float const* const l = s.left.values;
   if constexpr (Rig::rectified) {
-    // As rectified_rig::from_bf(), and 0 for a monocular camera.
+    // As rectified_rig::from_bf(), but 0 is allowed, for a monocular camera.
     rectified_rig const rig{{l[0], l[1], l[2], l[3]},
                             static_cast<double>(s.bf) / static_cast<double>(l[0])};
     rig.camera.check();

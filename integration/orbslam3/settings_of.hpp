@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The shim's settings from what ORB-SLAM3's Tracking has, in one call.
+/// @file The shim's settings from the members of ORB-SLAM3's Tracking, in one call.
 #pragma once
 
 #include "ft/core/error.hpp"
@@ -9,7 +9,7 @@
 namespace ft {
 namespace orbslam3 {
 
-/// What Tracking has where it makes an ORBextractor, in the order of that constructor.
+/// The arguments that Tracking gives to the constructor of ORBextractor, in the same order.
 struct extractor_parameters {
   int features = 0;
   float scale_factor = 0;
@@ -18,10 +18,10 @@ struct extractor_parameters {
   int min_threshold = 0;
 };
 
-/// Of System::eSensor, which Tracking has as mSensor.
+/// System::eSensor without the inertial variants; Tracking keeps it as mSensor.
 enum class sensor_kind { monocular, stereo, rgbd };
 
-/// @throws bad_argument for a number that is none of the six
+/// @throws bad_argument for a number other than the six
 inline sensor_kind sensor_of(int number) {
   detail::require_range("sensor", number, 0, 5);  // the inertial ones follow in the same order
   return static_cast<sensor_kind>(number % 3);
@@ -58,7 +58,7 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   s.images = kind == sensor_kind::stereo ? 2 : 1;
   if (kind == sensor_kind::monocular) {
     s.most_keypoints =
-        6 * features.features;  // initial frames, of the CPU, have five times as many
+        6 * features.features;  // initial frames, extracted by the CPU, have five times as many
     return s;
   }
   s.bf = bf;

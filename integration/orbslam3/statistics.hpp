@@ -17,8 +17,8 @@
 namespace ft {
 namespace orbslam3 {
 
-/// How often which time was taken, in 16 classes for each power of two: percentiles to 3 %, without
-/// an allocation.
+/// Histogram of times with 16 classes for each power of two: percentiles to 3 %, without an
+/// allocation.
 class time_histogram {
 public:
   void add(double microseconds) {
@@ -26,7 +26,7 @@ public:
     ++all_;
     maximum_ = std::max(maximum_, microseconds);
   }
-  /// @param share 0.5 for the median. Microseconds: the middle of the class that has it.
+  /// Microseconds: the middle of the percentile's class. @param share 0.5 for the median
   double percentile(double share) const {
     auto const wanted = static_cast<long>(std::ceil(share * static_cast<double>(all_)));
     long below = 0;
@@ -52,7 +52,7 @@ private:
   double maximum_ = 0;
 };
 
-/// Over the calls of one stage, microseconds.
+/// Of all calls of one stage, microseconds.
 struct stage_statistics {
   long calls = 0;
   double kernel = 0;
@@ -79,7 +79,7 @@ inline std::ostream& print(std::ostream& out, statistics const& all) {
   return out;
 }
 
-/// Times one call of a stage; without statistics it reads no clock.
+/// Times one call of a stage. Without statistics it reads no clock.
 class stage_timer {
 public:
   stage_timer(stage_statistics* sums, device_tracker& device) : sums_(sums), device_(&device) {
@@ -96,7 +96,7 @@ public:
     sums_->wrap += total - on_device_;
   }
 
-  /// Makes a call of the device that waits.
+  /// Runs a device call that waits.
   template <typename Call>
   auto on_device(Call const& call) {
     struct span {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file A place in an executor's queue that the host can wait for while what follows goes on; and
-/// the device that a thread works with.
+/// @file A mark in a stream that the host can wait for while later work goes on, and the device of
+/// a thread.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -10,7 +10,7 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// On the host everything is done when a call returns.
+/// On the host all work is done when a call returns.
 template <typename Exec>
 class stream_mark {
 public:
@@ -19,7 +19,7 @@ public:
   void wait() const {}
 };
 
-/// The device of the thread that made the object, for other threads.
+/// The device of the thread that constructed the object, for other threads.
 template <typename Exec>
 class thread_device {
 public:
@@ -45,7 +45,7 @@ public:
   void set(cuda_exec const& exec) {
     ft::throw_on_error(cudaEventRecord(event_, exec.stream), "cudaEventRecord");
   }
-  /// Until what was queued before set() is done. @throws cuda_error
+  /// Waits for the work that was enqueued before set(). @throws cuda_error
   void wait() const { ft::throw_on_error(cudaEventSynchronize(event_), "cudaEventSynchronize"); }
 
 private:
@@ -56,7 +56,7 @@ template <>
 class thread_device<cuda_exec> {
 public:
   thread_device() { ft::throw_on_error(cudaGetDevice(&device_), "cudaGetDevice"); }
-  /// The calling thread works with that device from now on.
+  /// Makes this the current device of the calling thread.
   void enter() const { ft::throw_on_error(cudaSetDevice(device_), "cudaSetDevice"); }
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file CPU and GPU side by side on each frame.
+/// @file Compares CPU and GPU on each frame.
 #pragma once
 
 #include <cmath>
@@ -16,11 +16,11 @@
 namespace ft {
 namespace orbslam3 {
 
-/// Makes each call by the CPU's own code and, from the same state, by the accelerator, whose answer
-/// stays. For finding faults, not for speed.
+/// Makes each call in the CPU's own code and, from the same state, on the accelerator, whose result
+/// is kept. For finding errors, not for speed.
 ///
-/// Mapping changes points meanwhile. What reads the map is therefore run by the CPU once more after
-/// the accelerator, and only what differs from both of the CPU's answers counts.
+/// Mapping changes points concurrently. Stages that read the map are therefore run by the CPU once
+/// more after the accelerator. Only values that differ from both of the CPU's results count.
 template <typename Types>
 class verifier {
 public:
@@ -33,13 +33,14 @@ public:
       : gpu_(&gpu), log_(std::move(to)), tolerances_(t) {}
 
   long differences() const { return log_.differences(); }
-  /// A line for each frame from now on, with the first difference of each stage.
+  /// Prints a line for each later frame, with the first difference of each stage.
   void print_frames(std::ostream& out) { log_.print_frames(out); }
-  /// Ends the last frame's line; frames and calls so far, and those with differences.
+  /// Ends the last frame's line and prints the number of frames and calls, and of those with
+  /// differences.
   void summary(std::ostream& out) { log_.summary(out); }
 
-  /// Image features of a frame: compared as sets first, then in order. @param cpu fills the frame
-  /// as Frame::ExtractORB of all images does
+  /// Image features of a frame: compared as sets first, then in order.
+  /// @param cpu fills the frame as Frame::ExtractORB of all images does
   template <typename Cpu, typename... Images>
   void extract(frame_type& frame, Cpu const& cpu, Images const&... images) {
     begin(frame, stage::extract);
@@ -58,8 +59,8 @@ public:
                      frame.mDescriptorsRight);
   }
 
-  /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches, @param gpu the
-  /// accelerator's call of that name
+  /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches
+  /// @param gpu the accelerator's function for the same
   template <typename Cpu, typename Gpu>
   void stereo(frame_type& frame, Cpu const& cpu, Gpu const& gpu) {
     begin(frame, stage::stereo);
@@ -77,7 +78,7 @@ public:
                     0);
   }
 
-  /// @param cpu ORBmatcher::SearchByProjection of the same arguments; returns its matches
+  /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
   template <typename Cpu>
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
                            Cpu const& cpu) {
@@ -241,7 +242,7 @@ private:
     log_.compare(what, -1, cpu.size(), gpu.size());
     for (std::size_t i = 0; i < cpu.size() && i < gpu.size(); ++i) {
       auto const size = static_cast<double>(cpu[i]);
-      // A match against none is no matter of rounding.
+      // A value that only one of them has is not a rounding difference.
       double const limit = (cpu[i] < 0) != (gpu[i] < 0) ? 0 : allowed + relative * std::abs(size);
       log_.compare(what, static_cast<long>(i), cpu[i], cpu[i], gpu[i], limit);
     }

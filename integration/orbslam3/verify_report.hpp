@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Differences between CPU and GPU: what one is, and a log of them by frame and stage.
+/// @file Differences between CPU and GPU, and a log of them by frame and stage.
 #pragma once
 
 #include <array>
@@ -15,15 +15,15 @@
 namespace ft {
 namespace orbslam3 {
 
-/// One value that differs, or the number of keypoints of a set that have other places.
+/// One value that differs, or a number of keypoints at other places of the same set.
 struct difference {
   stage where;
   unsigned long frame;  ///< Frame::mnId
   char const* what;     ///< such as "map point", "octave"
-  long index;           ///< of the keypoint or the local map's point; -1 = of the frame
+  long index;           ///< of the keypoint, or of the point in the local map; -1 = of the frame
   double cpu;           ///< map points by mnId, -1 = none
   double gpu;
-  bool number = false;  ///< `gpu` alone says it
+  bool number = false;  ///< only `gpu` is set, to a number
 };
 
 inline std::ostream& operator<<(std::ostream& out, difference const& d) {
@@ -33,7 +33,7 @@ inline std::ostream& operator<<(std::ostream& out, difference const& d) {
   return out << ": CPU " << d.cpu << ", GPU " << d.gpu;
 }
 
-/// Differences that are none: the two round differently.
+/// Differences that are accepted, because the two round differently.
 struct tolerances {
   double pixels = 4e-3;  ///< of projections and right columns
   double depth = 1e-3;   ///< metres, and relative to a depth
@@ -41,7 +41,7 @@ struct tolerances {
   double pose = 1e-4;    ///< of each entry
 };
 
-/// Counts and prints differences. Of one thread.
+/// Counts and prints differences. For one thread.
 class difference_log {
 public:
   using report = std::function<void(difference const&)>;
@@ -50,7 +50,7 @@ public:
   explicit difference_log(report to) : report_(std::move(to)) {}
 
   long differences() const { return differences_; }
-  /// A line for each frame from now on, with the first difference of each stage.
+  /// Prints a line for each later frame, with the first difference of each stage.
   void print_frames(std::ostream& out) { lines_ = &out; }
 
   /// A call of stage `s` in frame `id` begins.
@@ -66,7 +66,7 @@ public:
     ++tallies_[static_cast<std::size_t>(s)].calls;
     before_call_ = differences_;
   }
-  /// Adds a value that is further from both of the CPU's than allowed; a NaN equals a NaN.
+  /// Adds a value that is farther from both of the CPU's than allowed; two NaNs are equal.
   template <typename A, typename B>
   void compare(char const* what, long index, A cpu, A cpu_again, B gpu, double allowed = 0) {
     auto const a = static_cast<double>(cpu);
@@ -74,17 +74,18 @@ public:
     if (near(a, b, allowed) || near(static_cast<double>(cpu_again), b, allowed)) { return; }
     add({stage_, frame_, what, index, a, b});
   }
-  /// The same of a stage that reads no map, which the CPU runs once.
+  /// The same for a stage that does not read the map and that the CPU runs once.
   template <typename A, typename B>
   void compare(char const* what, long index, A cpu, B gpu) {
     compare(what, index, cpu, cpu, gpu);
   }
-  /// Adds a number that is no pair of values, such as of keypoints in another order.
+  /// Adds a number instead of a pair of values, such as the number of keypoints in another order.
   void add_number(char const* what, long number) {
     add({stage_, frame_, what, -1, 0, static_cast<double>(number), true});
   }
 
-  /// Ends the last frame's line; frames and calls so far, and those with differences.
+  /// Ends the last frame's line and prints the number of frames and calls, and of those with
+  /// differences.
   void summary(std::ostream& out) {
     end_frame();
     out << "verify: " << frames_ << " frames, " << frames_that_differ_ << " with differences\n";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Many small arrays in one go between staging memory and the executor's.
+/// @file Copies many small arrays at once between staging memory and executor memory.
 #pragma once
 
 #include <cstddef>
@@ -43,8 +43,8 @@ struct move_word {
   }
 };
 
-/// Collects copies and makes them together: on a device one launch, which reads and writes pinned
-/// memory, on the host plain copies.
+/// Collects copies and makes them together: on a device by one launch, which reads and writes
+/// pinned memory; on the host by plain copies.
 template <typename Exec>
 class word_mover {
 public:

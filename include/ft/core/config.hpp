@@ -6,9 +6,9 @@
 #error "ft needs C++17 or newer: compile with -std=c++17"
 #endif
 
-// Such arithmetic knows no NaN, which ft's tests rely on, and orders sums as it likes: every search
-// may find nothing without a word. nvcc defines no macro for its own --use_fast_math, which breaks
-// the same promises.
+// Fast-math arithmetic ignores NaN, which ft's tests rely on, and reorders sums: every search may
+// silently find nothing. nvcc defines no macro for its own --use_fast_math, which breaks the same
+// rules.
 #if !defined(FT_ALLOW_FAST_MATH) &&                                                       \
     (defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || \
      defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__))
@@ -20,10 +20,10 @@
 #error "ft needs compute capability 7.0 or newer: its kernels load and add with acquire and release"
 #endif
 
-/// Marks a function that runs on both executors. Empty where the compiler is not a CUDA compiler.
+/// Marks a function that runs on both executors. Empty unless the compiler is a CUDA compiler.
 /// FT_ABI names the inline namespace: a host unit and a CUDA unit of one program keep separate
-/// instantiations, so neither breaks the other's one-definition rule.
-/// FT_HIDDEN keeps kernels and what launches them private to each shared library.
+/// instantiations, so neither breaks the other's one-definition rule. FT_HIDDEN keeps kernels and
+/// the functions that launch them private to each shared library.
 #if defined(__CUDACC__)
 #define FT_HOST_DEVICE __host__ __device__
 #define FT_ABI v0_cuda
@@ -38,9 +38,9 @@
 #define FT_HIDDEN
 #endif
 
-/// FT_WIDE marks a host function that is compiled, with all that it calls, for AVX2 and POPCNT in
-/// programs that are built for older processors; FT_HAS_WIDE says whether there is such a thing.
-/// What it computes stays the same: no fused products come with these instructions.
+/// FT_WIDE marks a host function that is compiled, with everything it calls, for AVX2 and POPCNT in
+/// programs that are built for older processors. FT_HAS_WIDE tells whether the compiler supports
+/// that. Results stay the same: no fused products come with these instructions.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__AVX2__)
 #define FT_WIDE __attribute__((target("avx2,popcnt"), flatten))
 #define FT_HAS_WIDE 1
@@ -49,8 +49,8 @@
 #define FT_HAS_WIDE 0
 #endif
 
-/// Marks what such a stage spends its time in: inlined on the host, so that it is compiled for wide
-/// vectors with the stage. Compilers that do as FT_WIDE says need no such mark.
+/// Marks the inner functions of such a stage: inlined on the host, so that they are compiled for
+/// wide vectors with the stage. Compilers without FT_WIDE need no such mark.
 #if defined(__GNUC__) && !defined(__CUDA_ARCH__)
 #define FT_INLINE inline __attribute__((always_inline))
 #else

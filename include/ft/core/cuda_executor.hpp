@@ -24,8 +24,8 @@ namespace detail {
 struct launch_access;
 }  // namespace detail
 
-/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream.
-/// Nothing here synchronises but wait().
+/// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream. Only
+/// wait() synchronises.
 class cuda_exec {
 public:
   static constexpr memory_space space = memory_space::device;
@@ -34,14 +34,13 @@ public:
   cudaStream_t stream;
 
   explicit cuda_exec(cudaStream_t s) : stream(s) {}
-  /// Blocks until everything queued on the stream is done. @throws cuda_error
+  /// Blocks until all work enqueued on the stream is done. @throws cuda_error
   void wait() const { throw_on_error(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
   /// The address through which stages can read host pointer `p`, in pinned, registered, managed or
-  /// device memory; null if they cannot. Leaves the calling thread's current context as it is.
+  /// device memory; null if they cannot. Does not change the calling thread's current context.
   static void const* host_address(void const* p) {
-    // A thread without a context gets no answer about memory. This call gives it the current
-    // device's; a context that the caller has made current stays, which cudaSetDevice would
-    // replace.
+    // The query needs a current context. This call makes that of the current device current, but
+    // unlike cudaSetDevice keeps a context that the caller has made current.
     int least = 0;
     int greatest = 0;
     throw_on_error(cudaDeviceGetStreamPriorityRange(&least, &greatest),
@@ -82,7 +81,7 @@ inline cuda_exec with_order(cuda_exec const& exec, launch_order order) {
 
 }  // namespace detail
 
-/// Queues op(group, scratch, item, args...) for every item in [0, items). Items are independent.
+/// Enqueues op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
 FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
   if (items > 0) {
@@ -92,7 +91,8 @@ FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Arg
   }
 }
 
-/// As much as a multiprocessor has where no two blocks share one, else what lets several do.
+/// All shared memory of a multiprocessor if each block has one to itself, else a share that leaves
+/// room for several blocks.
 /// @throws cuda_error
 template <int Threads, typename Op>
 FT_HIDDEN std::size_t extra_scratch(cuda_exec const&, int items) {

@@ -17,7 +17,8 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Turns a status of the CUDA runtime into an exception, and clears the runtime's last error.
-/// @param call named in the message @throws cuda_error with CUDA's own words
+/// @param call named in the message
+/// @throws cuda_error with CUDA's description
 inline void throw_on_error(cudaError_t status, char const* call) {
   if (status != cudaSuccess) {
     cudaGetLastError();
@@ -27,7 +28,7 @@ inline void throw_on_error(cudaError_t status, char const* call) {
 }
 
 /// Owns a stream of the current device that does not synchronise with the default stream.
-/// Move-only; one that was moved from holds null. The destructor does not wait for the stream.
+/// Move-only; a moved-from stream holds null. The destructor does not wait for the stream.
 class stream {
 public:
   /// @throws cuda_error
@@ -51,7 +52,7 @@ private:
   cudaStream_t stream_ = nullptr;
 };
 
-/// Owns an event of the current device; move-only, one that was moved from holds null.
+/// Owns an event of the current device. Move-only; a moved-from event holds null.
 class event {
 public:
   /// @param flags as cudaEventCreateWithFlags takes them: cudaEventDefault for one that is timed

@@ -14,11 +14,12 @@ enum class launch_order {
   /// Waits for the preceding grid before it touches memory. In a recording the kernel is set up
   /// while that grid still runs (programmatic dependent launch), which saves about a microsecond.
   serial,
-  /// Needs nothing of the preceding grid, and runs concurrently with it: only what that grid waited
-  /// for is complete. All blocks of that grid have started, so a concurrent launch may also wait
-  /// for parts of its output (containers/frame_arrivals.hpp). It does not complete before that grid
-  /// has: what waits for the concurrent launch waits for both. A side_branch does the same for more
-  /// than one launch, but what joins one was seen to start two microseconds late.
+  /// Uses no output of the preceding grid except by signals, and runs concurrently with it: only
+  /// grids that the preceding one waited for are complete. All blocks of that grid have started, so
+  /// a concurrent launch may also wait for parts of its output (containers/frame_arrivals.hpp). It
+  /// does not complete before that grid has, so a launch that waits for it waits for both. A
+  /// side_branch does the same for more than one launch, but a launch that joins one was measured
+  /// to start two microseconds late.
   concurrent,
   /// Starts when the preceding grid has completed. For grids of one full wave: an early launch
   /// would spread their blocks unevenly over the multiprocessors.

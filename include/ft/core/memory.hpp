@@ -28,8 +28,8 @@ namespace detail {
 inline constexpr std::size_t alignment = 256;
 
 #if defined(FT_NEW_MEMORY_SEED)
-/// Pseudo-random words (splitmix64), others for every allocation of a thread and the same on every
-/// run.
+/// Pseudo-random words (splitmix64), different for every allocation of a thread and the same on
+/// every run.
 class garbage {
 public:
   garbage() {
@@ -53,8 +53,8 @@ private:
 #endif
 
 /// With FT_NEW_MEMORY_SEED defined (a debugging aid, for a whole program) new memory is filled with
-/// pseudo-random bytes: what is read before it is written is then wrong, in the same way on every
-/// run. Not one byte throughout: then two reads of such memory would still agree with each other.
+/// pseudo-random bytes. This makes reads of uninitialised memory reproducible. A constant byte
+/// would not do: two such reads would still agree with each other.
 template <memory_space Space>
 void* fill_new(void* p, std::size_t bytes) {
 #if defined(FT_NEW_MEMORY_SEED)

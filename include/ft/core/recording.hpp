@@ -12,12 +12,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// On the host there is nothing to record: replay() makes the calls.
+/// The host has no graphs: replay() makes the calls.
 template <typename Exec>
 class recording {
 public:
-  /// The second argument is called with an executor. The memory that its launches use must not
-  /// move.
+  /// Calls the second argument with an executor. The memory that its launches use must not move.
   template <typename Queue>
   void record(Exec const&, Queue const&) {}
   template <typename Queue>

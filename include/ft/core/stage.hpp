@@ -56,8 +56,8 @@ struct no_scratch {};
 
 namespace detail {
 
-/// names_NAME<Op>: whether Op has a member of that name, whatever it is: with one, the name is
-/// ambiguous in a type that inherits another one.
+/// names_NAME<Op>: whether Op has a member of that name, of any kind: if it has, the name is
+/// ambiguous in a type that also inherits another one.
 #define FT_NAMES_MEMBER(NAME)                \
   struct has_##NAME {                        \
     int NAME;                                \
@@ -76,7 +76,7 @@ FT_NAMES_MEMBER(extra_bytes)
 FT_NAMES_MEMBER(wide_on_host)
 FT_NAMES_MEMBER(resident_blocks)
 FT_NAMES_MEMBER(prefers_shared)
-// Names that are likely to be meant for a hook.
+// Names that are probably misspelt hooks.
 FT_NAMES_MEMBER(prolog)
 FT_NAMES_MEMBER(prepares)
 FT_NAMES_MEMBER(begins_beside)

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Time of each stage of enqueued work: the wall clock on the host, events on a device.
 ///
-/// In a recording the events are nodes of the graph. They hang from the launches whose end they
-/// record, and no launch depends on them: the same launches run, in the same order, timed or not.
+/// In a recording the events are nodes of the graph. They depend on the launches whose end they
+/// record, and no launch depends on them: with and without timing, the same launches run in the
+/// same order.
 #pragma once
 
 #include <algorithm>
@@ -23,9 +24,9 @@ inline namespace FT_ABI {
 /// The time of one stage.
 struct stage_time {
   char const* name;
-  /// From the end of all stages before it to its own end, microseconds, summed over the launches of
-  /// this name; 0 where it ended while a stage before it still ran. For a stage on a side branch of
-  /// a device: from the branch's fork.
+  /// From the end of all preceding stages to its own end, microseconds, summed over the launches of
+  /// this name; 0 if it ended while a preceding stage still ran. For a stage on a side branch of a
+  /// device: from the branch's fork.
   double us;
 };
 
@@ -45,11 +46,11 @@ public:
     marks_[static_cast<std::size_t>(used_)] = {name, since};
     return used_++;
   }
-  /// @param end_of end_of(i): when mark i was, microseconds after the first one
+  /// @param end_of end_of(i): time of mark i, microseconds after the first one
   template <typename EndOf>
   std::vector<stage_time> times(EndOf const& end_of) const {
     std::vector<stage_time> all;
-    double latest = 0;  // end of what the main line has done so far
+    double latest = 0;  // latest end of the main line
     for (int i = 1; i < used_; ++i) {
       auto const& m = marks_[static_cast<std::size_t>(i)];
       double const end = end_of(i);

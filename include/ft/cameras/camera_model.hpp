@@ -67,8 +67,7 @@ struct projection_with_jacobian {
 
 // ---- parameters
 
-/// A parameter of a camera model and its limits, which are included. The default is any finite
-/// value.
+/// A parameter of a camera model and its limits, inclusive. By default, any finite value.
 struct camera_parameter {
   char const* name = "";
   double low = -std::numeric_limits<double>::infinity();
@@ -99,7 +98,7 @@ constexpr camera_parameter_list<4 + More> camera_parameters(camera_parameter con
 template <typename Camera>
 inline constexpr int num_params_v = std::decay_t<decltype(Camera::parameters)>::count;
 
-/// A camera whose parameters are those of `from` in another scalar. For cast() of a model.
+/// A camera with the parameters of `from` in another scalar. For cast() of a model.
 template <typename To, typename From>
 FT_HOST_DEVICE To cast_camera(From const& from) {
   using scalar_to = typename To::scalar_type;
@@ -118,7 +117,7 @@ FT_HOST_DEVICE To cast_camera(From const& from) {
 }
 
 /// Checks the parameters of a model against their limits. For check() of a model; host only.
-/// @throws bad_argument naming the first parameter that is not finite or out of its limits
+/// @throws bad_argument naming the first parameter that is not finite or outside its limits
 template <typename Camera>
 void check_camera(Camera const& camera) {
   auto const numbers = camera.template cast<double>();
@@ -183,7 +182,7 @@ inline constexpr bool is_camera_model_v =
             detail::gives<detail::camera_unproject, ray, C>&& detail::is_expression<
                 detail::camera_cast, C>&& detail::is_expression<detail::camera_check, C>;
 
-/// Instantiate it to have the compiler name the part of the contract that a type misses.
+/// Instantiating it makes the compiler name the part of the contract that a type misses.
 template <typename C>
 struct assert_camera_model {
   static_assert(detail::is_expression<detail::camera_names, C>,
@@ -201,7 +200,7 @@ struct assert_camera_model {
                 "a camera model needs: template <typename U> my_camera<U> cast() const");
   static_assert(detail::is_expression<detail::camera_check, C>,
                 "a camera model needs: void check() const");
-  /// True in any case: where the contract is missed, the assertions above are the error.
+  /// Always true: if the contract is not met, the assertions above are the error.
   static constexpr bool value = true;
 };
 

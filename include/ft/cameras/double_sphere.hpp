@@ -35,7 +35,7 @@ struct double_sphere {
   static constexpr auto parameters = camera_parameters({{"xi", -1, 1}, {"alpha", 0, 1}});
   Scalar fx, fy, cx, cy, xi, alpha;
 
-  /// @throws bad_argument for a value out of the limits of `parameters`
+  /// @throws bad_argument for a value outside the limits of `parameters`
   void check() const {
     check_camera(*this);
     detail::require(xi > Scalar(-1), "camera xi is -1, must be in (-1, 1]");

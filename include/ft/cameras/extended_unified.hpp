@@ -11,16 +11,16 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// A point is projected on an ellipsoid round the axis, from there by a shifted pinhole. With
+/// A point is projected on an ellipsoid around the axis, and from there by a shifted pinhole. With
 /// d = sqrt(beta (x^2 + y^2) + z^2) and s = alpha d + (1 - alpha) z:
 ///
 ///     u = fx x / s + cx,   v = fy y / s + cy
 ///
-/// Domain of project: z > -w d, with w = alpha / (1 - alpha) for alpha <= 0.5, else
-/// (1 - alpha) / alpha; there the mapping is one-to-one. It reaches behind the camera (z < 0).
-/// Outside: the principal point, invalid.
-/// Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every pixel for alpha <= 0.5, else
-/// (2 alpha - 1) beta |m|^2 < 1. Rays have length 1 and may have z <= 0.
+/// Domain of project: z > -w d, with w = alpha / (1 - alpha) for alpha <= 0.5, else (1 - alpha) /
+/// alpha; there the mapping is one-to-one. It reaches behind the camera (z < 0). Outside: the
+/// principal point, invalid. Domain of unproject: with m = ((u - cx) / fx, (v - cy) / fy), every
+/// pixel for alpha <= 0.5, else (2 alpha - 1) beta |m|^2 < 1. Rays have length 1 and may have z <=
+/// 0.
 ///
 /// Source: Khomutenko, Garcia and Martinet, "An enhanced unified camera model", RA-L 2016; the
 /// domain as in section 2 of Usenko, Demmel and Cremers, 3DV 2018.
@@ -31,7 +31,7 @@ struct extended_unified {
   static constexpr auto parameters = camera_parameters({{"alpha", 0, 1}, {"beta", 1e-6, 1e6}});
   Scalar fx, fy, cx, cy, alpha, beta;
 
-  /// @throws bad_argument for a value out of the limits of `parameters`
+  /// @throws bad_argument for a value outside the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

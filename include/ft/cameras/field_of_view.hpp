@@ -34,7 +34,7 @@ struct field_of_view {
   static constexpr auto parameters = camera_parameters({{"omega", 0, 3.14}});
   Scalar fx, fy, cx, cy, omega;
 
-  /// @throws bad_argument for a value out of the limits of `parameters`
+  /// @throws bad_argument for a value outside the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
@@ -94,7 +94,7 @@ private:
   /// r_d / r.
   FT_HOST_DEVICE Scalar enlargement(Scalar r, Scalar z) const {
     if (is_pinhole()) { return Scalar(1) / z; }
-    if (!(r > Scalar(0))) { return slope() / (omega * z) + r; }  // + r: a NaN stays one
+    if (!(r > Scalar(0))) { return slope() / (omega * z) + r; }  // + r keeps a NaN
     return scalar::atan2(slope() * r, z) / (omega * r);
   }
 };

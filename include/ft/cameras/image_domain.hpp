@@ -22,8 +22,8 @@ struct image_domain {
   int with_ray = 0;  ///< of `pixels`: unproject() gives a valid ray
   /// Of `with_ray`: the ray's projection is valid and within `tolerance` of the pixel.
   int returned = 0;
-  /// Largest distance between a pixel and its ray's projection, pixels; infinity where a valid ray
-  /// has no valid projection.
+  /// Largest distance between a pixel and its ray's projection, pixels; infinity if a valid ray has
+  /// no valid projection.
   double worst_error = 0;
   double worst_x = 0;  ///< the pixel of worst_error
   double worst_y = 0;
@@ -33,7 +33,7 @@ struct image_domain {
 };
 
 /// Unprojects and projects, in double, a grid of at most 65 x 65 pixels evenly spread over the
-/// image, its first and last rows and columns included. Host; allocates nothing.
+/// image, including its first and last rows and columns. Host; allocates nothing.
 /// @param width,height pixels, in [1, 16384]
 /// @throws bad_argument for a calibration that its check() rejects, or a size out of range
 template <typename Camera>

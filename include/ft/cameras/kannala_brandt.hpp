@@ -30,7 +30,7 @@ struct kannala_brandt {
   Scalar fx, fy, cx, cy, k1, k2, k3, k4;
 
   /// Larger coefficients could make the polynomial overflow.
-  /// @throws bad_argument for a value out of the limits of `parameters`
+  /// @throws bad_argument for a value outside the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {
@@ -39,8 +39,8 @@ struct kannala_brandt {
     return project_at(p, radius, distorted(scalar::atan2(radius, p.z)));
   }
 
-  /// The ray with z = 1: (x, y) tan(theta) / theta_d. More than 90 degrees off the axis the result
-  /// is the opposite ray, and invalid. Solves for theta by at most 10 Newton steps, until a step is
+  /// The ray with z = 1: (x, y) tan(theta) / theta_d. More than 90 degrees off the axis, the result
+  /// is the opposite ray and invalid. Solves for theta by at most 10 Newton steps, until a step is
   /// below 1e-6; theta_d is clamped to [-pi/2, pi/2].
   FT_HOST_DEVICE ray<Scalar> unproject(vec2<Scalar> pixel) const {
     Scalar const half_pi = Scalar(static_cast<plain_scalar_t<Scalar>>(1.5707963267948966));
@@ -87,8 +87,8 @@ struct kannala_brandt {
     Scalar const dr =
         Scalar(1) + t2 * (Scalar(3) * k1 +
                           t2 * (Scalar(5) * k2 + t2 * (Scalar(7) * k3 + t2 * (Scalar(9) * k4))));
-    // (c, s) is the direction in the image plane. Per metre, r changes by `along` along it, and the
-    // image moves by `across` perpendicular to it.
+    // (c, s) is the direction in the image plane. Per metre, `along` is the change of r along it,
+    // and `across` is the motion of the image perpendicular to it.
     Scalar const c = p.x / radius;
     Scalar const s = p.y / radius;
     Scalar const across = r / radius;

@@ -15,12 +15,12 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// Whether c[0] + c[1] s + ... + c[Degree] s^Degree > 0 for every s in [0, end]. Apart from
-/// rounding it is never wrongly true. It is false if 32 intervals do not decide, which happens
-/// where the polynomial almost touches zero.
+/// rounding it is never wrongly true. It is false if 32 intervals do not decide, which happens if
+/// the polynomial almost touches zero.
 ///
 /// The negative terms alone, which decrease with s, decide most points. Otherwise it proceeds by
-/// intervals from 0: on an interval the polynomial is bounded below by its smallest Bernstein
-/// coefficient, and the last of these is its value at the interval's end.
+/// intervals from 0. On an interval, the smallest Bernstein coefficient is a lower bound of the
+/// polynomial, and the last coefficient is its value at the interval's end.
 template <int Degree, typename Scalar>
 FT_HOST_DEVICE bool stays_positive(Scalar const (&c)[Degree + 1], Scalar end) {
   Scalar low = Scalar(0);
@@ -116,14 +116,14 @@ struct radtan_distortion {
             c + twice * p.y * p.y + Scalar(6) * k[2] * p.y + Scalar(2) * k[3] * p.x};
   }
 
-  /// Whether the distortion is one-to-one on the disc of squared radius `r2`. True for a disc
-  /// implies true for smaller ones. With rho(r) = r * numerator / denominator and p = sqrt(p1^2 +
+  /// Whether the distortion is one-to-one on the disc of squared radius `r2`. If true for a disc,
+  /// it is true for smaller ones. With rho(r) = r * numerator / denominator and p = sqrt(p1^2 +
   /// p2^2), the condition is rho' > 6 p r and a positive denominator on all of [0, r].
   ///
-  /// Why: the Jacobian is the radial part, with the eigenvalues rho' and rho / r, which is a mean
-  /// of rho', plus the tangential part, whose eigenvalues are at most 6 p r in size. So it is
-  /// positive definite on the disc; it is symmetric, the distortion is the gradient of a function,
-  /// and that function is strictly convex there: no two points share a gradient. Without tangential
+  /// Why: the Jacobian has a radial part, with the eigenvalues rho' and rho / r, which is a mean of
+  /// rho', and a tangential part, whose eigenvalues are at most 6 p r in size. So it is positive
+  /// definite on the disc. It is symmetric, so the distortion is the gradient of a function. That
+  /// function is strictly convex on the disc, so no two points share a gradient. Without tangential
   /// terms the rule is exact. With them it is conservative: it excludes a ring where rho grows by
   /// less than 6 p r.
   FT_HOST_DEVICE bool one_to_one(Scalar r2) const {
@@ -155,8 +155,8 @@ struct radtan_distortion {
   /// The point that is distorted to `target`, by Newton's method from `target` itself, in the
   /// region where the distortion is one-to-one. A step that leaves the region or brings no gain is
   /// halved. Valid if the remaining distance is below 8 roundings of the scalar. Close to a pole of
-  /// the denominator a rounding of the point moves its image further than that: no point is valid
-  /// there.
+  /// the denominator no point is valid, because a rounding of the point moves its image farther
+  /// than that.
   FT_HOST_DEVICE plane_point<Scalar> undistort(vec2<Scalar> target) const {
     using P = plain_scalar_t<Scalar>;
     P const rounding = std::is_same<P, float>::value ? P(1.2e-7) : P(2.2e-16);

@@ -17,8 +17,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Takes the place of a type that misses the camera contract, so that the assertion which says so
-/// is the only error.
+/// Replaces a type that misses the camera contract, so that the assertion about it is the only
+/// error.
 template <typename Scalar>
 struct stand_in_camera : pinhole<Scalar> {
   stand_in_camera() = default;
@@ -71,10 +71,11 @@ struct stereo_rig {
   }
 };
 
-/// A rectified pair: one pinhole, rows correspond, the right camera `baseline` metres to the right.
+/// A rectified pair: one pinhole, rows correspond, the right camera is `baseline` metres to the
+/// right.
 ///
-/// The baseline is a double, so that both ways to state it are exact: a float baseline b gives
-/// bf() = b * fx rounded once, and from_bf() gives back its float bf, to the bit.
+/// The baseline is a double, so that both ways to state it are exact: a float baseline b gives bf()
+/// = b * fx rounded once, and a float bf given to from_bf() is returned by bf() to the bit.
 struct rectified_rig {
   static constexpr bool rectified = true;
   pinhole<float> camera;

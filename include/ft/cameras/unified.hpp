@@ -37,7 +37,7 @@ struct unified {
   Scalar fx, fy, cx, cy, xi;
   Scalar distortion[4];  ///< k1, k2, p1, p2
 
-  /// @throws bad_argument for a value out of the limits of `parameters`
+  /// @throws bad_argument for a value outside the limits of `parameters`
   void check() const { check_camera(*this); }
 
   FT_HOST_DEVICE projection<Scalar> project(vec3<Scalar> p) const {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What camera models share: the intrinsics fx, fy, cx and cy, and results out of the domain.
+/// @file Shared by the camera models: the intrinsics fx, fy, cx and cy, and results outside the
+/// domain.
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"

@@ -26,8 +26,8 @@ inline constexpr int max_cell_side = 69;     ///< in a level with a single cell
 inline constexpr int corner_margin = 3;      ///< of a patch around the pixels of its cell
 inline constexpr int max_patch_side = max_cell_side + 2 * corner_margin;
 
-/// The order of the corners of a level: cell by cell, row by row within a cell. That is the order
-/// in which the sequential rule lists them; of equal corners, the quadtree keeps the first.
+/// The order of the corners of a level: cell by cell, row by row within a cell. The sequential rule
+/// lists them in this order. Of equal corners, the quadtree keeps the first one.
 struct corner_order {
   int cols = 0;
   int cell_width = 0;
@@ -103,15 +103,15 @@ struct corner_layout {
   }
 };
 
-/// Corners of a batch of images, per level in any order. See corner_order for the order that they
-/// are in where it matters.
+/// Corners of a batch of images, per level in any order. Stages that depend on an order use
+/// corner_order.
 struct corners_view {
   corner_layout layout;
   int batch = 0;
   corner* list = nullptr;     ///< [batch][total_slots] per level
   int* list_count = nullptr;  ///< [batch][levels]
-  /// [batch][levels] progress of a running detection: finished cells << 32 | their corners.
-  /// 0 before and after
+  /// [batch][levels] progress of a running detection: finished cells << 32 | their corners. 0
+  /// before and after the detection
   unsigned long long* progress = nullptr;
 
   FT_HOST_DEVICE std::ptrdiff_t level_slot(int image, int l) const {

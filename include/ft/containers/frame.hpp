@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The current frame, as searches and pose optimisation use it.
+/// @file The current frame, the input of searches and pose optimisation.
 #pragma once
 
 #include <cstddef>
@@ -37,12 +37,12 @@ struct frame_view {
   }
 };
 
-/// The frame in which each map point was matched last. The search from the last frame writes it,
+/// The last frame in which each map point was matched. The search from the last frame writes it,
 /// and the search in the local map skips the points of the current frame.
 struct point_stamps {
   /// [batch] number of the current frame.
   int const* frame = nullptr;
-  /// [batch][map slots] number of the frame that matched a point last. May be null.
+  /// [batch][map slots] number of the last frame that matched a point. May be null.
   int* seen = nullptr;
 
   /// Whether a slot of batch entry b was matched in the current frame.

@@ -24,7 +24,7 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// Increments a counter with release semantics, after all earlier writes of the group.
-/// @param rank of the thread that does it
+/// @param rank of the thread that increments
 template <typename Group>
 FT_HOST_DEVICE void arrive(Group const& g, unsigned* counter, int rank = 0) {
   g.sync();
@@ -44,7 +44,7 @@ FT_HOST_DEVICE void reset(Group const& g, unsigned* counters, int first, int end
 }
 
 /// Waits until each of `count` counters is at least `n`, with acquire semantics. On the host
-/// nothing runs concurrently, and they always are.
+/// nothing runs concurrently, so the counters have reached it already.
 template <typename Group>
 FT_HOST_DEVICE void await(Group const& g, unsigned const* counters, int count, int n) {
 #if defined(__CUDA_ARCH__)

@@ -14,7 +14,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Equally sized images at equal distances, which are counted in elements.
+/// Equally sized images at equal distances, measured in elements.
 template <typename T>
 struct image_batch_view {
   T* data = nullptr;
@@ -37,8 +37,8 @@ struct image_batch_view {
 static_assert(std::is_trivially_copyable<image_batch_view<std::uint8_t>>::value,
               "passed to kernels");
 
-/// One level of every image of a pyramid. Rectified images are written to level 0 for extraction. A
-/// pyramid of one level serves as owner of a batch of images.
+/// One level of every image of a pyramid. Rectification writes level 0 for extraction. A pyramid of
+/// one level owns a batch of images.
 inline image_batch_view<std::uint8_t> level_images(image_pyramid_view const& pyramid, int level) {
   detail::require_range("pyramid level", level, 0, pyramid.geometry.levels - 1);
   auto const first = pyramid.level(0, level);

@@ -13,7 +13,7 @@ namespace field {
 FT_FIELD(position, vec3<float>);  ///< world frame, metres
 FT_FIELD(normal,
          vec3<float>);  ///< mean viewing direction, unit length, from the cameras to the point
-FT_FIELD(min_distance, float);  ///< raw, metres; searches accept points from 0.8 times this on
+FT_FIELD(min_distance, float);  ///< raw, metres; searches accept points from 0.8 times this
 FT_FIELD(max_distance, float);  ///< raw, metres; searches accept points up to 1.2 times this
 FT_FIELD(observations, int);    ///< number of observations; a point without any does not exclude
                                 ///< others from its keypoint

@@ -2,8 +2,9 @@
 /// @file Structure of arrays with named fields, a batch axis and a count per batch entry.
 ///
 /// A field is a tag type, declared by FT_FIELD(name, type). `soa<Space, Fields...>` owns one array
-/// per field; `soa_view<Fields...>` is what kernels get. Views convert to views of fewer fields, so
-/// a container with a field of one's own can be passed wherever the plain one is expected:
+/// per field; `soa_view<Fields...>` is its view for kernels. Views convert to views of fewer
+/// fields, so a container with an additional user-defined field can be passed wherever the plain
+/// one is expected:
 ///
 ///     FT_FIELD(landmark_id, int);
 ///     ft::soa<ft::memory_space::host, ft::field::x, ft::field::y, landmark_id> mine(1000);
@@ -36,7 +37,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// A field's accessor, if it has one: a tag with a `type` alone is a field, too.
+/// The accessor of a field, if it has one. A tag with only a `type` is a field, too.
 template <typename Column, typename Field, typename = void>
 struct accessor_of {};
 template <typename Column, typename Field>
@@ -68,7 +69,7 @@ struct soa_view : column<Fields>... {
         batch(other.batch),
         count(other.count) {}
 
-  /// Batch entry b alone.
+  /// Only batch entry b.
   FT_HOST_DEVICE soa_view slice(int b) const {
     soa_view r(*this);
     std::ptrdiff_t const offset = static_cast<std::ptrdiff_t>(b) * capacity;
@@ -90,9 +91,9 @@ FT_HOST_DEVICE typename Field::type* array_of(soa_view<Fields...> const& v) {
   return static_cast<column<Field> const&>(v).data;
 }
 
-/// `base` with the columns of `other` in place of its own: keypoints with undistorted positions,
-/// for example. Nothing is copied; counts are those of `base`. @throws bad_argument for different
-/// shapes
+/// `base` with the columns of `other` instead of its own, such as keypoints with undistorted
+/// positions. Copies nothing; counts are those of `base`.
+/// @throws bad_argument for different shapes
 template <typename... Fields, typename... Others>
 soa_view<Fields...> with_columns(soa_view<Fields...> base, soa_view<Others...> const& other) {
   static_assert((std::is_base_of<column<Others>, soa_view<Fields...>>::value && ...),
@@ -114,7 +115,7 @@ void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {
   v.batch = batch;
 }
 
-/// Owner of the arrays; move-only. Elements are not initialised; counts neither.
+/// Owner of the arrays; move-only. Elements and counts are not initialised.
 template <memory_space Space, typename... Fields>
 class soa {
 public:
@@ -146,7 +147,7 @@ private:
   arena<Space> arena_;
 };
 
-/// Sets all bytes of all columns and counts. Asynchronous where the executor is.
+/// Sets all bytes of all columns and counts. Asynchronous if the executor is.
 template <typename Exec, typename... Fields>
 void fill(Exec const& exec, soa_view<Fields...> const& to, int value) {
   std::size_t const n = static_cast<std::size_t>(to.capacity) * static_cast<std::size_t>(to.batch);
@@ -154,8 +155,9 @@ void fill(Exec const& exec, soa_view<Fields...> const& to, int value) {
   fill_bytes(exec, to.count, value, static_cast<std::size_t>(to.batch) * sizeof(int));
 }
 
-/// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous
-/// where the executor is; allocates nothing. @throws bad_argument for different shapes
+/// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous if
+/// the executor is; allocates nothing.
+/// @throws bad_argument for different shapes
 template <typename Exec, typename... Fields>
 void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> const& from) {
   detail::require(to.capacity == from.capacity && to.batch == from.batch,
@@ -169,8 +171,8 @@ void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> c
 }
 
 /// A copy of a container in memory that the host reads: pinned next to a device, plain otherwise.
-/// Waits for the executor, and allocates: for results that are looked at now and then, not for
-/// every frame. @throws std::bad_alloc, cuda_error
+/// Waits for the executor, and allocates: for occasional results, not for every frame.
+/// @throws std::bad_alloc, cuda_error
 template <typename Exec, typename... Fields>
 soa<staging_space<Exec>, Fields...> download(Exec const& exec, soa_view<Fields...> const& from) {
   soa<staging_space<Exec>, Fields...> to(from.capacity, from.batch);

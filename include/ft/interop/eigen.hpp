@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Vectors, matrices and poses to and from Eigen's types, and Sophus-like SE3 by template;
-/// the only header that includes Eigen. For scalars float and double: Eigen sums in another order
-/// than ft, so `strict` scalars stay outside it.
+/// @file Vectors, matrices and poses to and from Eigen's types, and SE3 groups like Sophus' by
+/// template; the only header that includes Eigen. For scalars float and double: Eigen sums in
+/// another order than ft, so `strict` scalars are not supported.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,8 +14,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The same memory as Eigen's column vector or row-major matrix; without a copy, to read or write.
-/// Valid as long as the argument. Arrays of ft's types map in the same way.
+/// A view of the same memory as Eigen's column vector or row-major matrix, to read or write. Valid
+/// as long as the argument. Arrays of ft's types map in the same way.
 template <typename S>
 auto as_eigen(vec3<S>& v) {
   static_assert(std::is_floating_point<S>::value && sizeof v == 3 * sizeof(S), "no padding");
@@ -59,8 +59,8 @@ mat3<S> mat3_from_eigen(Eigen::MatrixBase<Derived> const& m) {
   return r;
 }
 
-/// A rigid motion as Eigen's isometry, and back. The entries are copied as they are: a rotation
-/// that is not orthonormal stays so. To change the scalar: `T.cast<double>()`, on either side.
+/// A rigid motion as Eigen's isometry, and back. The entries are copied unchanged: a rotation that
+/// is not orthonormal stays so. To change the scalar: `T.cast<double>()`, on either side.
 template <typename S>
 Eigen::Transform<S, 3, Eigen::Isometry> to_isometry(rigid<S> const& T) {
   Eigen::Transform<S, 3, Eigen::Isometry> r = Eigen::Transform<S, 3, Eigen::Isometry>::Identity();

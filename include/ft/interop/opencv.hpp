@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Bridges to OpenCV's types; the only header that includes OpenCV. Host memory only.
+/// @file Conversions to and from OpenCV's types; the only header that includes OpenCV. Host memory
+/// only.
 #pragma once
 
 #include <cstddef>
@@ -16,13 +17,13 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The pixels of an 8-bit grey matrix, without a copy. @throws bad_argument for another type
+/// A view of the pixels of an 8-bit grey matrix. @throws bad_argument for another type
 inline gray_view as_view(cv::Mat const& image) {
   detail::require(image.type() == CV_8UC1 && image.dims == 2, "an 8-bit grey cv::Mat is needed");
   return {image.data, image.cols, image.rows, static_cast<int>(image.step)};
 }
 
-/// The keypoints of one image as OpenCV has them. @param keypoints one batch entry, host memory
+/// The keypoints of one image as cv::KeyPoint. @param keypoints one batch entry, host memory
 inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints,
                                            pyramid_geometry const& geometry) {
   std::vector<cv::KeyPoint> all;
@@ -45,8 +46,9 @@ inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
   return rows;
 }
 
-/// Writes OpenCV's keypoints into one batch entry: position, angle, response, octave as they are,
-/// and the count. Descriptors are not touched. @param to host memory
+/// Writes OpenCV's keypoints into one batch entry: position, angle, response and octave unchanged,
+/// and the count. Does not write descriptors.
+/// @param to host memory
 /// @throws bad_argument for more keypoints than its capacity
 inline void from_opencv(std::vector<cv::KeyPoint> const& keypoints, keypoints_view const& to) {
   detail::require_range("number of keypoints", keypoints.size(), std::size_t{0},

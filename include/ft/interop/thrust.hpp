@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Containers for Thrust's algorithms; the only header that includes Thrust.
+/// @file Columns of containers as iterators for Thrust's algorithms; the only header that includes
+/// Thrust.
 #pragma once
 
 #include <thrust/iterator/zip_iterator.h>

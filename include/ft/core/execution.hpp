@@ -16,7 +16,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Elements rather than bytes. Asynchronous where the executor is; allocates nothing.
+/// Copies elements rather than bytes. Asynchronous if the executor is; allocates nothing.
 template <typename Exec, typename T>
 void copy(Exec const& exec, T* to, T const* from, std::size_t count) {
   copy_bytes(exec, to, from, count * sizeof(T));
@@ -31,7 +31,7 @@ void copy_image(Exec const& exec, image_view<std::uint8_t> const& to, gray_view 
             static_cast<std::size_t>(from.width), from.height);
 }
 
-/// The host memory in which copies to and from an executor are prepared: pinned next to a device,
+/// The memory space of staging memory, which transfers of an executor use: pinned next to a device,
 /// plain otherwise.
 template <typename Exec>
 inline constexpr memory_space staging_space =

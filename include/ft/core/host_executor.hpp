@@ -59,7 +59,7 @@ public:
   static constexpr memory_space space = memory_space::host;
   static constexpr bool asynchronous = false;
 
-  /// @param threads how many to use, the caller's included; 0 = all that the machine has
+  /// @param threads to use, including the caller's; 0 = as many as the machine has
   /// @throws bad_argument outside [0, 4096]
   explicit host_exec(int threads = 0) {
     detail::require_range("host threads", threads, 0, 4096);
@@ -86,7 +86,7 @@ public:
     }
   }
 
-  /// Everything is done already when a call returns.
+  /// Returns at once: all calls are synchronous.
   void wait() const {}
   /// The address through which stages can read host pointer `p`; null if they cannot.
   static void const* host_address(void const* p) { return p; }
@@ -114,7 +114,7 @@ inline host_exec const& with_order(host_exec const& exec, launch_order) { return
 
 }  // namespace detail
 
-/// How much extra scratch each of `items` blocks of `Threads` threads may have, bytes.
+/// Extra scratch that each of `items` blocks of `Threads` threads may have, bytes.
 template <int Threads, typename Op>
 std::size_t extra_scratch(host_exec const&, int /*items*/) {
   return 0;

@@ -63,7 +63,7 @@ void* fill_new(void* p, std::size_t bytes) {
     words.write(p, bytes);
   } else {
 #if defined(__CUDACC__)
-    // On a stream of the thread's own: another thread may be recording a graph.
+    // On a stream of its own, because another thread may be recording a graph.
     unsigned char some[1 << 14];
     for (std::size_t at = 0; at < bytes; at += sizeof some) {
       std::size_t const size = bytes - at < sizeof some ? bytes - at : sizeof some;
@@ -100,7 +100,7 @@ void* allocate(std::size_t bytes) {
   }
 }
 
-/// Never throws: a runtime that is already unloaded is left alone.
+/// Never throws: tolerates a runtime that is already unloaded.
 template <memory_space Space>
 void deallocate(void* p) noexcept {
   if (p == nullptr) { return; }
@@ -117,7 +117,8 @@ void deallocate(void* p) noexcept {
   }
 }
 
-/// A count that is 0 in an object that was not made yet or was moved from: how a pipeline knows.
+/// A count that is 0 in an object that is not yet constructed or was moved from, so that pipelines
+/// can refuse calls.
 class moved_count {
 public:
   moved_count() = default;

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The groups of a device: a warp and a block.
 ///
-/// Scans of a warp are CUB's. What is kept by hand, because CUB or cooperative groups do worse:
-/// - reductions: cub::WarpReduce leaves the result in one lane and every caller needs it in all;
-///   cooperative groups' reduce exchanges both words of a 64-bit minimum in each step, which makes
-///   match_left_keypoint 7 % longer than two `redux` instructions do;
-/// - the block's scan: cub::BlockScan adds up all warps' sums in each thread, which makes
+/// Scans of a warp are CUB's. Other collectives are written by hand, because those of CUB or
+/// cooperative groups are slower here:
+/// - reductions: cub::WarpReduce leaves the result in one lane, but every caller needs it in all
+///   lanes. The reduce of cooperative groups exchanges both words of a 64-bit minimum in each step,
+///   which makes match_left_keypoint 7 % longer than two `redux` instructions do;
+/// - the block's scan: in cub::BlockScan each thread adds up the sums of all warps, which makes
 ///   order_image with its 32 warps a fifth longer; its raking variants need more barriers;
-/// - counts of flags: a ballot and a bit count, in place of the scan of a 0 or 1;
+/// - counts of flags: a ballot and a bit count instead of the scan of a 0 or 1;
 /// - bitonic_sort: CUB's sorts need the keys in registers, and a bound on their number at compile
 ///   time.
 #pragma once

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The one place where kernels are launched. Included by core/cuda_executor.hpp.
+/// @file Launches of kernels; no other file launches any. Included by core/cuda_executor.hpp.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -19,9 +19,10 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// First in every kernel. Waits for the preceding grid, unless the launch is concurrent with it,
-/// and lets the next kernel start. @param concurrent the preceding grid has waited for the one
-/// before it; the fence makes visible what that wrote
+/// First call of every kernel. Waits for the preceding grid, unless the launch is concurrent with
+/// it, and lets the next kernel start.
+/// @param concurrent the preceding grid has waited for the one before it; the fence makes the
+///   writes of that one visible
 __device__ inline void begin_launch(bool concurrent) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
   if (concurrent) {
@@ -40,7 +41,8 @@ __device__ inline void wait_for_preceding_grid() {
   cudaGridDependencySynchronize();
 #endif
 }
-/// Last in every kernel: what waits for a concurrent launch waits for its preceding grid, too.
+/// Last call of every kernel. A grid that waits for a concurrent launch thereby waits for its
+/// preceding grid, too.
 __device__ inline void end_launch(bool concurrent) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900 && CUDART_VERSION >= 12030
   if (concurrent && blockIdx.x == 0) { cudaGridDependencySynchronize(); }
@@ -85,7 +87,7 @@ FT_HIDDEN void prefer_shared_memory(void (*kernel)(Params...)) {
                  "cudaFuncSetAttribute");
 }
 
-/// Where a launch goes, and how it is ordered.
+/// The stream of a launch, and its order.
 struct launch_target {
   cudaStream_t stream;
   bool programmatic;  ///< programmatic dependent launches are allowed
@@ -139,8 +141,8 @@ FT_HIDDEN __global__ void __launch_bounds__(Threads)
 template <int Warps, typename Op, typename... Args>
 FT_HIDDEN __global__ void __launch_bounds__(Warps * 32)
     per_warp_kernel(bool concurrent, int items, Op op, Args... args) {
-  // A prologue must not wait, and other warps need not wait for what only one of them needs: each
-  // waits for itself.
+  // A prologue must not wait. Only the warps that need the preceding grid wait for it, each for
+  // itself.
   constexpr bool early = stage_traits<Op>::has_prologue;
   static_assert(std::is_trivially_default_constructible<typename Op::scratch>::value,
                 "shared memory is not initialised");

@@ -224,9 +224,10 @@ private:
                          permute_bytes(pixel[2], pixel[3], 0x0062), 0x5410);
   }
 
-  /// Selectors of a strip with less than 8 columns of the image left. The mirror image of column
+  /// Selectors of a strip with fewer than 8 columns of the image left. The mirror image of column
   /// rest - 1 + k is rest - 1 - k.
-  /// @param own selects the strip's columns @param beyond selects the 4 columns after them
+  /// @param own selects the strip's columns
+  /// @param beyond selects the 4 columns after them
   FT_HOST_DEVICE static void mirror(int rest, std::uint32_t& own, std::uint32_t& beyond) {
     int const origin =
         rest > 4 ? 0 : 4;  // byte of column 0 in the words that `beyond` selects from
@@ -277,7 +278,7 @@ private:
   }
 
   /// Weighted sum of 7 sums along rows, rounded to a pixel, in 16-bit arithmetic. Each sum is split
-  /// into 256 * high + low, where low = 0 if high = 255. Then no step overflows. Nothing is lost,
+  /// into 256 * high + low, where low = 0 if high = 255, so that no step overflows. This is exact,
   /// because only multiples of 256 of the sum of the low parts count.
   FT_HOST_DEVICE FT_INLINE static std::uint8_t blurred_pixel(std::uint16_t const* p) {
     constexpr int tw = blur_layout::tile_width;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: map points that the host sends, written into the map.
+/// @file Stage: writes map points from the host into the map.
 #pragma once
 
 #include <cmath>
@@ -13,7 +13,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// One map point as the host sends it.
+/// One map point from the host.
 struct point_update {
   int slot;
   int observations;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stage: copies images and other inputs from host memory into executor memory.
 ///
-/// Threads do it, not a copy engine. A copy engine is no faster for a pair of images, makes one
-/// copy after the other, and has its addresses fixed when a graph is recorded.
+/// Threads copy, not a copy engine. A copy engine is no faster for a pair of images, makes one copy
+/// after the other, and has its addresses fixed when a graph is recorded.
 #pragma once
 
 #include <cstddef>
@@ -19,7 +19,7 @@ inline namespace FT_ABI {
 
 /// An image in host memory that the executor's threads can read.
 struct alignas(16) image_source {
-  /// A multiple of 16, rows of `stride` readable bytes; null where the image was fetched before.
+  /// A multiple of 16, rows of `stride` readable bytes; null if the image was uploaded before.
   std::uint8_t const* data = nullptr;
   int stride = 0;  ///< a multiple of 16, at least the width
 };
@@ -36,12 +36,13 @@ namespace detail {
 /// Block k of n copies chunks k, k + n, ... of the inputs: images first, then the two blocks.
 struct receive_parts {
   static constexpr int quads = frame_arrivals::quads_of_part;
-  /// Blocks of the launch. Concurrent reads of host memory complete in any order. Few enough chunks
-  /// are in flight that upper rows arrive before lower ones, and enough to keep the bus busy.
+  /// Blocks of the launch. Concurrent reads of host memory complete in any order. With few chunks
+  /// in flight, upper rows arrive before lower ones; this number still keeps the bus busy.
   static constexpr int fetchers = 24;
   static constexpr int in_flight = 2;       ///< chunks per block
   static constexpr int sources_held = 128;  ///< image sources in scratch at a time
-  /// One thread a quad, and a warp that signals what has arrived while the others wait for more.
+  /// One thread per quad, and a warp that signals the chunks that have arrived while the other
+  /// warps wait for more.
   static constexpr int threads = quads + 32;
   struct alignas(16) quad {
     std::uint32_t words[4];
@@ -103,7 +104,7 @@ private:
     block_source const& second;
     int of_image;   ///< chunks of an image
     int of_images;  ///< chunks of all images
-    int held = -1;  ///< which sources are in scratch, in units of sources_held
+    int held = -1;  ///< index of the sources in scratch, in units of sources_held
 
     /// Quad i of a chunk.
     FT_HOST_DEVICE route route_of(int part, int i) const {
@@ -183,7 +184,7 @@ private:
 /// @param sources [to.batch] in host memory that the executor's threads can read; read when the
 ///   launch runs
 /// @param to must have a geometry even if its batch is 0
-/// @param arrivals signals concurrent launches what has arrived
+/// @param arrivals signals finished chunks to concurrent launches
 template <typename Exec>
 void receive_images(Exec const& exec, image_source const* sources, image_pyramid_view const& to,
                     block_source const& first = {}, block_source const& second = {},

@@ -20,9 +20,10 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Appends place(k) to `list` for every bit k of a thread's `flags`, in any order. What exceeds the
-/// capacity is counted but not written. All threads of a warp must call it equally often.
-/// @param place called with an unsigned bit number @param count in scratch
+/// Appends place(k) to `list` for every bit k of a thread's `flags`, in any order. Entries beyond
+/// the capacity are counted but not written. All threads of a warp must call it equally often.
+/// @param place called with an unsigned bit number
+/// @param count in scratch
 template <typename Group, typename Place>
 FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, std::uint16_t* list,
                                    int capacity, int* count) {
@@ -50,9 +51,10 @@ FT_HOST_DEVICE void append_flagged(Group, unsigned flags, Place const& place, st
   }
 }
 
-/// Compares four differences with a threshold: the highest bit of each byte tells whether it is
-/// exceeded, the other bits are undefined. A byte may carry into the next one, where a difference
-/// equal to the threshold then passes, too. @param rest from threshold_rest()
+/// Compares four differences with a threshold. The highest bit of each byte is set if its
+/// difference is larger; the other bits are undefined. A byte may carry into the next one, which
+/// then also passes with a difference equal to the threshold.
+/// @param rest from threshold_rest()
 FT_HOST_DEVICE inline std::uint32_t exceeding(std::uint32_t differences, std::uint32_t rest) {
   return (differences + rest) | differences;
 }

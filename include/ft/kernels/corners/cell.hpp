@@ -47,7 +47,7 @@ struct cell_scratch {
   int candidate_count[2];
   int kept;                               ///< number of corners
   int first;                              ///< index of the first one in the level's list
-  std::uint32_t lenient[max_word_items];  ///< flags of pixels for the lenient threshold alone
+  std::uint32_t lenient[max_word_items];  ///< flags of pixels for the lenient threshold only
 
   /// Places of the corners. They overwrite the pixels, which are all scored by then.
   FT_HOST_DEVICE std::uint16_t* kept_places() { return reinterpret_cast<std::uint16_t*>(pixels); }

@@ -42,7 +42,7 @@ FT_HOST_DEVICE FT_INLINE std::uint8_t best_arc(std::uint8_t const (&p)[16], Alon
                 across(across(arcs(4), arcs(5)), across(arcs(6), arcs(7))));
 }
 
-/// Corner scores of the pixels c[0, run_pixels), as fast_score_of_pairs() gives them.
+/// Corner scores of the pixels c[0, run_pixels), equal to those of fast_score_of_pairs().
 /// @param stride of the image
 /// @pre 3 pixels around the run can be read, in its row and in the 3 rows above and below
 FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t stride,
@@ -111,7 +111,7 @@ inline constexpr int score_margin = 4;
 static_assert(score_margin + max_cell_side < cell_pitch && score_margin + run_pixels < cell_pitch,
               "rows have a rim");
 
-/// Scores of all pixels of a cell straight from the image, with a rim of zeros.
+/// Scores of all pixels of a cell, read from the image, with a rim of zeros.
 FT_HOST_DEVICE FT_INLINE void score_cell(gray_view level, cell_place const& in,
                                          cell_inner const& inner, std::uint8_t threshold,
                                          std::uint8_t* scores) {
@@ -153,8 +153,8 @@ FT_HOST_DEVICE FT_INLINE int suppress_cell(cell_inner const& inner, std::uint8_t
   return strongest;
 }
 
-/// Lists the places of the scores from a threshold on, row * cell_pitch + column, in raster order.
-/// Returns their number.
+/// Lists the places of the scores of at least a threshold, row * cell_pitch + column, in raster
+/// order. Returns their number.
 FT_HOST_DEVICE FT_INLINE int list_scores(cell_inner const& inner, std::uint8_t const* kept,
                                          int threshold, std::uint16_t* places) {
   row_runs const runs{inner.w};
@@ -173,8 +173,8 @@ FT_HOST_DEVICE FT_INLINE int list_scores(cell_inner const& inner, std::uint8_t c
 
 /// Detects the corners of a cell by a single thread.
 ///
-/// Scores do not depend on the threshold. What survives suppression at the lenient threshold and
-/// passes the strict one is what the strict one alone gives, so the threshold is chosen last.
+/// Scores do not depend on the threshold. The corners of the strict threshold are those of the
+/// lenient one whose score reaches it, so the threshold is chosen last.
 FT_HOST_DEVICE FT_INLINE void detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
                                            corner_params const& params, level_list const& list) {
   cell_inner const inner{0, in.patch_w - 6, in.patch_h - 6};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: corners. FAST-9/16 with non-maximum suppression per cell, a strict threshold first
-/// and a lenient one where a cell would stay empty. Source: specification section 2; Rosten and
+/// @file Stage: corners. FAST-9/16 with non-maximum suppression per cell: a strict threshold first,
+/// and a lenient one for cells that would stay empty. Source: specification section 2; Rosten and
 /// Drummond, "Machine learning for high-speed corner detection", ECCV 2006.
 #pragma once
 
@@ -61,9 +61,9 @@ struct detect_cell {
 
 }  // namespace detail
 
-/// Clears all arrays; once, before the first detect_corners(). Levels without cells keep the count
-/// of 0 that they get here, and stages read the lists beyond their counts. Asynchronous on `exec`;
-/// allocates nothing.
+/// Clears all arrays; once, before the first detect_corners(). It sets the count of levels without
+/// cells, which detection never writes. It also makes reads beyond the counts of lists defined.
+/// Asynchronous on `exec`; allocates nothing.
 template <typename Exec>
 void clear_corners(Exec const& exec, corners_view const& corners) {
   auto const batch = static_cast<std::size_t>(corners.batch);
@@ -76,7 +76,7 @@ void clear_corners(Exec const& exec, corners_view const& corners) {
 
 /// Detects the corners of all images into `out.list` and `out.list_count`, per level in any order.
 /// Asynchronous on `exec`; allocates nothing; one launch.
-/// @pre clear_corners() was called once for `out`; every call leaves `out.progress` at 0
+/// @pre clear_corners() was called once for `out`; every call resets `out.progress` to 0
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,
                     corner_params const& params, corners_view const& out) {

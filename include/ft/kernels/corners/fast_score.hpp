@@ -26,8 +26,9 @@ struct fast_circle {
 
 /// The largest threshold at which the pixel is a corner; 0 if that is below `threshold`.
 ///
-/// It is the smallest difference of the best of the 16 arcs of 9 pixels, less one. Computed with
-/// packed 16-bit minima and maxima, for which a device has instructions. @param threshold >= 0
+/// It is the smallest difference of the best of the 16 arcs of 9 pixels, minus one. Computed with
+/// packed 16-bit minima and maxima, for which a device has instructions.
+/// @param threshold >= 0
 FT_HOST_DEVICE inline int fast_score_of_pairs(std::uint8_t const* center, fast_circle const& circle,
                                               int threshold) {
   std::uint32_t p[8];  // opposite pixels of the circle: k, and k + 8 in the high half

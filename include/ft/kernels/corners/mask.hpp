@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: drops the corners that a mask excludes, before the others are distributed.
+/// @file Stage: drops the corners that a mask excludes, before the distribution of the others.
 #pragma once
 
 #include <cstddef>
@@ -25,14 +25,14 @@ struct corner_masks_view {
     return {data + static_cast<std::ptrdiff_t>(image) * width * height, width, height, width};
   }
   /// The mask pixel nearest to the centre of pixel (x, y) of a level of w x h pixels. Every level
-  /// reads the mask itself, so levels agree.
+  /// samples the full mask, so levels agree.
   FT_HOST_DEVICE bool allows(int image, int x, int y, int w, int h) const {
     return mask(image)((2 * x + 1) * width / (2 * w), (2 * y + 1) * height / (2 * h)) != 0;
   }
 };
 static_assert(std::is_trivially_copyable<corner_masks_view>::value, "passed to kernels");
 
-/// Places the masks into an arena; none where width or height is 0.
+/// Places the masks into an arena; none if width or height is 0.
 inline void carve(carver& c, corner_masks_view& v, int width, int height, int batch) {
   if (width == 0 || height == 0) { return; }
   v.width = width;
@@ -77,7 +77,7 @@ struct mask_level {
 }  // namespace detail
 
 /// Drops the corners that the masks exclude from `corners.list`. A mask changes neither detection
-/// nor a cell's choice of threshold: the result is a subset of what is found without it.
+/// nor a cell's choice of threshold: the result is a subset of the corners found without it.
 /// Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void mask_corners(Exec const& exec, pyramid_geometry const& geometry,

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The order in which introsort leaves equal elements, found by the threads of a group.
+/// @file The order in which introsort leaves equal elements, computed by the threads of a group.
 ///
-/// Introsort (Musser, 1997) is quicksort by medians of three. Ranges that are still long after
-/// 2 * floor(log2(n)) partitions in a row are sorted by heap sort, ranges of up to 16 elements are
-/// left as they are; at the end one insertion sort goes over everything. That last sort is stable.
-/// So what the algorithm does to equal elements is decided by the partitions and the heap sorts
-/// alone: this file makes those, and any stable sort of what they leave is the result. The details
-/// that a result depends on are those of std::sort in libstdc++, which serves as the oracle in
+/// Introsort (Musser, 1997) is quicksort by medians of three. Ranges that are still long after 2 *
+/// floor(log2(n)) successive partitions are sorted by heap sort. Ranges of up to 16 elements are
+/// left unsorted. At the end one insertion sort runs over everything. That last sort is stable, so
+/// only the partitions and the heap sorts decide the order of equal elements. This file performs
+/// those; any stable sort of their result gives the result of introsort. The details on which a
+/// result depends are those of std::sort in libstdc++, which is the oracle in
 /// tests/kernels/introsort_test.cpp.
 ///
 /// A partition exchanges the i-th element from the left that is not below the pivot with the i-th
-/// from the right that is not above it, for as long as the first lies before the second. Which
-/// elements these are does not depend on earlier exchanges, so they are all found at once. Ranges
-/// with the same number of partitions before them are independent of each other: a warp takes one.
+/// from the right that is not above it, as long as the first precedes the second. Earlier exchanges
+/// do not change which elements these are, so all pairs are found at once. Ranges with the same
+/// number of partitions before them are independent of each other: a warp takes one.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"
@@ -25,10 +25,10 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Ranges of up to so many elements are not partitioned.
+/// Ranges of up to this many elements are not partitioned.
 inline constexpr int introsort_leaf = 16;
 
-/// What introsort needs besides n elements.
+/// Workspace of introsort in addition to n elements.
 /// @tparam Range a pair of members `begin` and `end` that hold 0 to n
 /// @tparam Position an integer that holds 0 to n
 template <typename Range, typename Position>
@@ -36,7 +36,7 @@ struct introsort_workspace {
   Range* ranges;    ///< n: ranges of even levels from the front, of odd levels from the back
   Position* left;   ///< n
   Position* right;  ///< n
-  int* open;        ///< 2: how many ranges of even and of odd levels there are so far
+  int* open;        ///< 2: numbers of ranges of even and of odd levels so far
 };
 
 /// An array whose elements are in memory from the last to the first.
@@ -55,8 +55,8 @@ FT_HOST_DEVICE void exchange(Array a, int i, int j) {
   a[j] = value;
 }
 
-/// Where the median of a[i], a[j] and a[k] is. Of equals it is the one that three comparisons in
-/// this order end at.
+/// Position of the median of a[i], a[j] and a[k]. Of equals, the one with which three comparisons
+/// in this order end.
 template <typename Array, typename Less>
 FT_HOST_DEVICE int median_of_three(Array a, int i, int j, int k, Less less) {
   bool const rising = less(a[i], a[j]);
@@ -66,9 +66,9 @@ FT_HOST_DEVICE int median_of_three(Array a, int i, int j, int k, Less less) {
   return less(a[low], a[k]) ? k : low;
 }
 
-/// Puts `value` into the heap a[begin, begin + n) from the hole at `at`, whose subtrees are heaps:
-/// the hole moves down to a leaf along the larger children, the right one of equals, then `value`
-/// rises from there, at most to where the hole was.
+/// Puts `value` into the heap a[begin, begin + n) at the hole `at`, whose subtrees are heaps. The
+/// hole moves down to a leaf along the larger children, the right one of equals. Then `value` rises
+/// from there, at most to the hole's first position.
 template <typename Array, typename Value, typename Less>
 FT_HOST_DEVICE void sift(Array a, int begin, int n, int at, Value value, Less less) {
   int hole = at;
@@ -145,7 +145,7 @@ FT_HOST_DEVICE int partition_by_median(Part part, Array a, int begin, int end, L
   }
   exchanges = part.reduce(exchanges, sum_op{});
   // The scan from the left ends at the next element that is not below the pivot, at the latest at
-  // the one that was exchanged last.
+  // the last one exchanged.
   int cut = end;
   if (exchanges < lefts) { cut = static_cast<int>(left[exchanges]); }
   if (exchanges > 0) { cut = min_of(cut, static_cast<int>(right[rights - exchanges])); }
@@ -153,10 +153,10 @@ FT_HOST_DEVICE int partition_by_median(Part part, Array a, int begin, int end, L
 }
 
 /// Permutes n elements as introsort does before its last insertion sort: a stable sort of the
-/// result is the result of introsort. Every thread of the group calls it, with the same arguments;
-/// what threads wrote before the call is seen, what the call writes may be read after a sync().
-/// O(n log n).
-/// @param a array by index, in memory that all threads of the group see
+/// result is the result of introsort. Every thread of the group must call it, with the same
+/// arguments. Writes of the threads before the call are visible in it; its result may be read after
+/// a sync(). O(n log n).
+/// @param a array by index, in memory that all threads of the group access
 /// @param less strict weak order
 template <typename Group, typename Array, typename Less, typename Range, typename Position>
 FT_HOST_DEVICE void introsort_partitions(Group g, Array a, int n, Less less,
@@ -173,7 +173,7 @@ FT_HOST_DEVICE void introsort_partitions(Group g, Array a, int n, Less less,
   auto const part = g.part();
   int levels = 0;
   while (2 << levels / 2 <= n) { levels += 2; }
-  // Fewer than n ranges are partitioned in all: places are not used twice, and counts only grow.
+  // Fewer than n ranges are partitioned in total, so places are not reused and counts only grow.
   int first = 0;
   int first_of_next = 0;
   for (int level = 0;; ++level) {

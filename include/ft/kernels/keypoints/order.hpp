@@ -36,7 +36,7 @@ struct stereo_overlap {
   }
 };
 
-/// What the ordering of a batch of images reads and writes, all in executor memory.
+/// Inputs and outputs of the ordering of a batch of images, all in executor memory.
 struct ordering_view {
   pyramid_geometry geometry;
   distribution_view kept;
@@ -44,8 +44,8 @@ struct ordering_view {
   keypoints_view out;                        ///< angles and descriptors are not written
   int* mono_count = nullptr;  ///< [batch] gets the number of keypoints outside the overlap
   int* place = nullptr;  ///< [batch][kept.layout.total] gets the place of each corner's keypoint
-  /// Signals a concurrent describe_corners() which images have their places. Only images whose
-  /// overlap is neither empty nor the whole image are signalled.
+  /// Signals a concurrent describe_corners() that the places of an image are written. Only images
+  /// whose overlap is neither empty nor the whole image are signalled.
   frame_arrivals arrivals;
 };
 
@@ -54,8 +54,8 @@ struct no_grids {};
 
 namespace detail {
 
-/// What a group does with the keypoints of its image while it orders them: nothing. Another filler
-/// of order_image has the same members.
+/// Work that a group does with the keypoints of its image while it orders them: here none. Other
+/// fillers of order_image have the same members.
 struct no_filler {
   using scratch = no_scratch;
 
@@ -77,18 +77,19 @@ struct no_filler {
 
 /// One image: writes its keypoints, except angles and descriptors. Keypoints outside the overlap
 /// come first, level by level in list order. Those inside fill the array from its end backwards.
-/// @tparam Filler what else the group does with them, see no_filler
+/// @tparam Filler further work on them, see no_filler
 template <typename Filler>
 struct order_image {
   Filler filler;
-  std::size_t extra = 0;              ///< unused shared memory that keeps other blocks away
+  std::size_t extra = 0;              ///< unused shared memory that keeps other blocks off the SM
   static constexpr int known = 2048;  ///< slots whose levels are computed in the prologue
   struct scratch {
     typename Filler::scratch filler;
     int before[max_levels + 1];  ///< corners on lower levels
     std::uint8_t level[known];   ///< of a slot; read by the thread that wrote it
   };
-  /// Blocks per multiprocessor. There is one block an image; more would only cost registers.
+  /// Blocks per multiprocessor. The launch has one block per image; a limit for more would only
+  /// cost registers.
   static constexpr int resident_blocks = 1;
 
   std::size_t extra_bytes() const { return extra; }
@@ -143,8 +144,8 @@ struct order_image {
       v.out.count[image] = all;
       v.mono_count[image] = all - stereo;
     }
-    // In all other images describe_corner computes the places itself: a signal has to wait for this
-    // group's stores.
+    // For all other images describe_corner computes the places itself: a signal has to wait for
+    // this group's stores.
     int const width = v.geometry.width[0];
     if (!overlap.has_none(width) && !overlap.has_all(width)) { v.arrivals.tell_placed(g, image); }
     filler.fill(g, s.filler, image, v.out, all);
@@ -160,7 +161,7 @@ private:
     int rank = 0;  ///< among all corners of the image
     bool valid = false;
     bool inside = false;  ///< the overlap
-    /// The corner as loaded. It is unpacked as late as possible, because that waits for the load.
+    /// The corner as loaded. Unpacking waits for the load, so it is done as late as possible.
     std::uint64_t word = 0;
     corner c{};
     float x = 0;
@@ -198,7 +199,7 @@ private:
     for (int k = 0; k < together; ++k) {
       int const slot = base + k * g.size() + g.rank();
       of[k] = slot_place(slot);
-      // Past the end the last slot is loaded again, so no load depends on a branch.
+      // Slots past the end repeat the last one, so that no load depends on a branch.
       int const held = max_of(min_of(slot, layout.total - 1), 0);
       of[k].word = corner_word(kept.kept + image * layout.total + held);
       bool const precomputed = Group::max_threads > 1 && slot < known;

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Stage: the order of keypoints, and their feature grids, in one launch.
 ///
-/// The group that orders the keypoints of an image has their coordinates in registers when it knows
-/// their places. It counts them into the cells of the image's grid on the way, and lists the cells
-/// at the end: a launch less than order_corners() followed by build_grid(), with the same results.
-/// Sources: specification sections 4 and 7.
+/// The group that orders the keypoints of an image has their coordinates in registers when it
+/// computes their places. In the same pass it counts them into the cells of the image's grid, and
+/// it lists the cells at the end. This saves a launch compared with order_corners() followed by
+/// build_grid(), with the same results. Sources: specification sections 4 and 7.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The grids that the keypoints of stereo pairs go to. Image 2b is the left one of pair b.
+/// The grids into which the keypoints of stereo pairs are sorted. Image 2b is the left one of pair
+/// b.
 /// @tparam Rectified left images go to `cells`, one grid a pair, right ones to `right_rows`;
 ///   otherwise image i goes to grid i of `cells`
 template <bool Rectified>
@@ -66,8 +67,7 @@ struct grid_filler {
   }
 
 private:
-  /// Calls f(fill_grid, the image's grid, whether scratch has room for all that the image may
-  /// have).
+  /// Calls f(fill_grid, the image's grid, whether all keypoints of the image fit into scratch).
   template <typename Group, typename F>
   FT_HOST_DEVICE void with_grid(int image, keypoints_view const& all, F const& f) const {
     auto const call = [&](auto fill, feature_grid_view const& grid) {

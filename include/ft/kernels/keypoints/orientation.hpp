@@ -56,7 +56,7 @@ struct moments {
 };
 
 /// The disc around (x, y) by words, for groups of whole warps. Eight threads read a row, so loads
-/// coalesce. The constructor loads and sums() computes: loads that the caller makes in between are
+/// coalesce. The constructor loads and sums() computes, so that loads of the caller in between are
 /// in flight together with these. @pre has_word_rows(level)
 template <typename Group>
 class disc_words {
@@ -106,7 +106,7 @@ private:
   }
 };
 
-/// The moments of the disc around (x, y), by a single thread. Sums up columns over the rows of the
+/// The moments of the disc around (x, y), by a single thread. Adds columns over the rows of the
 /// disc, in loops that vectorise. @pre column x + 16 is in the level, too
 FT_HOST_DEVICE FT_INLINE moments moments_by_columns(gray_view level, int x, int y) {
   constexpr int radius = orientation_radius;

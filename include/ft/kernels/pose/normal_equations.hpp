@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file An observation's part of the normal equations of a pose.
 ///
-/// A small twist (w, t) moves the point p by w x p + t. With the derivative P of the prediction by
-/// p, the weights W and the error e, let M = P^T W P and f = P^T W e. Then the blocks of the
-/// curvature are [p]x M [p]x^T, [p]x M and M, and those of the gradient p x f and f.
+/// A small twist (w, t) moves the point p by w x p + t. Let P be the derivative of the prediction
+/// by p, W the weights, e the error, M = P^T W P and f = P^T W e. Then the blocks of the curvature
+/// are [p]x M [p]x^T, [p]x M and M, and those of the gradient are p x f and f.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"

@@ -28,7 +28,7 @@ struct frames_in_map {
   pyramid_geometry geometry;  ///< the weight of a keypoint depends on its octave
 };
 
-/// What optimize_frame_poses() starts from and writes, in the executor's memory.
+/// Inputs and outputs of optimize_frame_poses(), in the executor's memory.
 struct frame_poses {
   pose const* start;               ///< [batch] T_cw
   pose* result;                    ///< [batch] T_cw; may be `start`
@@ -90,8 +90,8 @@ struct optimize_frame {
   }
 
 private:
-  /// Lists the numbers of the keypoints that hold a point, in scratch and in `listed`. Returns how
-  /// many there are.
+  /// Lists the numbers of the keypoints that hold a point, in scratch and in `listed`. Returns
+  /// their number.
   template <typename Group>
   FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int b, frame_view const& frame,
                                               int* listed) {
@@ -133,7 +133,7 @@ private:
 }  // namespace detail
 
 /// Pose of every frame from the map points that its keypoints hold. A keypoint releases its point
-/// where that is an outlier. Asynchronous on `exec`; allocates nothing; one launch.
+/// if it is an outlier. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param in `holder` of the frame is read and written
 template <typename Exec, typename Rig>
 void optimize_frame_poses(Exec const& exec, Rig const& rig, frames_in_map const& in,

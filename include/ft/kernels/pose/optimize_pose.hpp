@@ -97,8 +97,7 @@ private:
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
   /// @param first whether the trial is the identity
   FT_HOST_DEVICE void advance(bool first) const {
-    // Works on copies: scratch is then loaded at once, and not one word after another between
-    // stores.
+    // Works on copies, so that scratch is loaded at once and not word by word between stores.
     damped_descent next = s.descent;
     sum_terms<pose_terms> sums = s.sums.total;
     bool better = true;
@@ -169,7 +168,7 @@ private:
     return before != after;
   }
 
-  /// @param enough whether there were observations enough for a pose
+  /// @param enough whether there were enough observations for a pose
   FT_HOST_DEVICE void write_result(bool enough) const {
     int good = 0;
     FT_NO_UNROLL

@@ -22,7 +22,7 @@ struct pose_params {
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
 
-/// The observations of one camera pose, and where its results go.
+/// The observations of one camera pose, and its results.
 struct pose_problem {
   observation const* observations;
   int count;

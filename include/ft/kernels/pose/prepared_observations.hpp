@@ -13,9 +13,9 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// Observations with their points in the camera's frame at the start, and their flags. The first
-/// 1024 are kept in block scratch; those beyond are computed again on every access, with their
-/// flags in the problem's `outlier`. Only the thread of observation i, which is i modulo the
-/// group's size, accesses it.
+/// 1024 are kept in block scratch. Those beyond are recomputed on every access, and their flags are
+/// in the problem's `outlier`. Only the thread of observation i, which is i modulo the group's
+/// size, accesses it.
 struct prepared_observations {
   static constexpr int size = 1024;
 

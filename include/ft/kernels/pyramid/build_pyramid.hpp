@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: scale pyramid. Each level is the bilinear resize of the one before it,
+/// @file Stage: scale pyramid. Each level is the bilinear resize of the preceding one,
 /// bit-identical to cv::resize(INTER_LINEAR) on 8-bit images. Source: specification section 1.
 #pragma once
 
@@ -17,7 +17,8 @@ inline namespace FT_ABI {
 
 /// Computes levels 1.. of every image from its level 0, by bands of rows. For the host: a band is
 /// the work of one thread. Devices use tiles. Asynchronous on `exec`; allocates nothing; one launch
-/// per level, for the whole batch. @param taps from make_resize_taps, executor memory
+/// per level, for the whole batch.
+/// @param taps from make_resize_taps, executor memory
 template <typename Exec>
 void build_pyramid(Exec const& exec, image_pyramid_view const& pyramid, resize_tap const* taps) {
   for (int l = 1; l < pyramid.geometry.levels; ++l) {

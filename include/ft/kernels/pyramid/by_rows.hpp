@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Resizing by bands of rows, one thread a band: the form of the host.
+/// @file Resizing by bands of rows, one thread per band: the form for the host.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Resizing by tiles, several levels in one launch: the form of a device.
+/// @file Resizing by tiles, several levels in one launch: the form for a device.
 #pragma once
 
 #include <cstdint>
@@ -225,7 +225,7 @@ private:
   }
 
   /// Interpolates four pixels between two rows. Only the high halves of the products count, two of
-  /// them a word.
+  /// them per word.
   FT_HOST_DEVICE static std::uint32_t mix_rows(row_sums const& above, row_sums const& below,
                                                row_tap const& v) {
     constexpr std::uint32_t high_halves = 0x7632;
@@ -286,7 +286,7 @@ private:
     int const at_y = plan.y.need_begin + row;
     if (at_y < plan.y.own_begin || at_y >= plan.y.own_end) { return; }
     int const at_x = 4 * (plan.first_word + word);
-    // 32 bits are enough: a level has less than 2^32 pixels.
+    // 32 bits are enough: a level has fewer than 2^32 pixels.
     std::uint8_t* const to =
         plan.pixels + (static_cast<unsigned>(at_y) * static_cast<unsigned>(plan.stride) +
                        static_cast<unsigned>(at_x));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Tables of bilinear resizing: which pixels each column and row of a level reads, and their
-/// weights. Source: specification section 1.
+/// @file Tables of bilinear resizing: the source pixels of each column and row of a level, and
+/// their weights. Source: specification section 1.
 #pragma once
 
 #include <cmath>

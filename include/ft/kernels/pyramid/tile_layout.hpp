@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Tiles and groups of levels of a pyramid.
 ///
-/// A block owns the same part of every level of a group. It recomputes what it needs of its
-/// neighbours' parts, so no level waits for the whole level below.
+/// A block owns the same part of every level of a group. It recomputes the parts of its neighbours
+/// that it needs, so no level waits for the whole level below.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@ struct tile_span {
   std::int16_t need_begin, need_end;
 };
 
-/// Levels first..last, made from level first - 1 in one launch.
+/// Levels first..last, computed from level first - 1 in one launch.
 struct tile_group {
   int first = 0;
   int last = 0;

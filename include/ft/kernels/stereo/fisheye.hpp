@@ -72,7 +72,7 @@ struct match_fisheye_keypoint {
     int const i = item % out.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
-    // Loads in flight together, although the entry may turn out to be past the count.
+    // Loaded together, although the entry may turn out to be past the count.
     int const count = *left.count;
     int const first = stereo.mono_count[2 * pair];
     int const right_first = stereo.mono_count[2 * pair + 1];
@@ -162,7 +162,7 @@ private:
     strict_float const cosine =
         dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
     if (!(cosine <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
-    // Scaled to z = 1. Rays of some models have that already, and do not change.
+    // Scaled to z = 1. Rays of some models already have z = 1 and do not change.
     point = triangulate({(l.x / l.z).value, (l.y / l.z).value, 1.0f},
                         {(r.x / r.z).value, (r.y / r.z).value, 1.0f}, rig.T_rl);
     vec3<strict_float> const in_l{point.x, point.y, point.z};

@@ -44,7 +44,7 @@ struct match_left_keypoint {
     int const i = item % keypoints.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
-    // Loads in flight together, although the entry may turn out to be past the count.
+    // Loaded together, although the entry may turn out to be past the count.
     int const count = *left.count;
     feature const mine{get<field::x>(left, i), get<field::y>(left, i), get<field::octave>(left, i),
                        get<field::orb>(left, i)};
@@ -65,7 +65,7 @@ struct match_left_keypoint {
     float const inv = pyramid.geometry.inv_scale[octave];
     int const ul = round_away(mul(mine.x, inv));
     int const vl = round_away(mul(mine.y, inv));
-    // Extracted keypoints are at least 19 pixels inside; a caller's own may be anywhere.
+    // Extracted keypoints are at least 19 pixels inside; a caller's own keypoints may be anywhere.
     if (ul < window_half || ul + window_half >= level_l.width || vl < window_half ||
         vl + window_half >= level_l.height) {
       return;
@@ -167,7 +167,7 @@ private:
           finer(2.0f * geometry.scale[max_of(octave - 1, 0)]),
           same(2.0f * geometry.scale[octave]),
           coarser(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) {}
-    /// Without branches, so no load waits for another one's value.
+    /// Without branches, so that no load waits for the value of another.
     FT_HOST_DEVICE bool operator()(float x, float y, int o) const {
       float const b = o == octave ? same : (o < octave ? finer : coarser);
       bool const on_octave = (o >= octave - 1) & (o <= octave + 1);

@@ -100,7 +100,7 @@ private:
     return g.rank() % 2 == 0 ? 0xffffu : 0xffu;
   }
 
-  /// The words as loaded. They are shifted as late as possible, because that waits for the loads.
+  /// The words as loaded. Shifting waits for the loads, so it is done as late as possible.
   std::uint32_t words_[3];
   int skew_;
 };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Coloured pictures: a grey image, darkened to 16 levels, with circles and lines on it,
-/// written as PNG.
+/// @file Coloured pictures: a grey image, darkened to 16 levels, with circles and lines drawn on
+/// it, written as PNG.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ struct colour {
 
 /// From red (0) through yellow, green and cyan to blue (1).
 colour rainbow(float share);
-/// Red is near, blue is far; even in the inverse of the depth, as disparities are.
+/// Near is red, far is blue. Linear in the inverse of the depth, as disparities are.
 colour by_depth(float depth, float near, float far);
 
 class picture {
@@ -27,7 +27,7 @@ public:
   void line(float x0, float y0, float x1, float y1, colour c);
   void circle(float x, float y, float radius, colour c);
   void disc(float x, float y, float radius, colour c);
-  /// Mixes the pixels for which `where` is 0 with a colour. @param where one value a pixel
+  /// Mixes the pixels for which `where` is 0 with a colour. @param where one value per pixel
   void shade(std::vector<std::uint8_t> const& where, colour c);
   /// @throws std::runtime_error naming the file
   void write_png(std::string const& path) const;

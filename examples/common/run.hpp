@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the examples share: the executor they run on, and small conversions. The same source
-/// runs on the host where a C++ compiler makes the program, and on a GPU where nvcc does.
+/// @file Shared by the examples: their executor, and small conversions. The same source runs on the
+/// host if a C++ compiler compiles it, and on a GPU if nvcc does.
 #pragma once
 
 #include <cstdio>
@@ -16,7 +16,7 @@
 
 namespace demo {
 
-/// The exit status that says "skipped" to ctest.
+/// The exit status that ctest takes as "skipped".
 constexpr int skipped = 77;
 
 inline ft::gray_view view(grey_image const& image) {
@@ -37,7 +37,7 @@ inline bool has_device() {
   return cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
 }
 
-/// Says so. @return skipped; a failure where FT_REQUIRE_GPU=1 asks for a device
+/// Prints that no device was found. @return skipped; a failure if FT_REQUIRE_GPU=1
 inline int no_device() {
   std::puts("no CUDA device was found: nothing was run");
   char const* const required = std::getenv("FT_REQUIRE_GPU");
@@ -46,7 +46,7 @@ inline int no_device() {
 
 #endif
 
-/// Runs the body of an example and says what it throws. @return the program's exit status
+/// Runs the body of an example and prints its exceptions. @return the program's exit status
 template <typename Body>
 int guarded(Body const& body) {
   try {
@@ -57,7 +57,7 @@ int guarded(Body const& body) {
   }
 }
 
-/// Calls work(executor): a stream of a GPU where this is compiled as CUDA, else the host's threads.
+/// Calls work(executor): a stream of a GPU if compiled as CUDA, else the host's threads.
 template <typename Work>
 int run(Work const& work) {
   return guarded([&] {
@@ -71,7 +71,7 @@ int run(Work const& work) {
   });
 }
 
-/// Says whether an example found what it should. @return the program's exit status
+/// Prints whether an example got the expected result. @return the program's exit status
 inline int verdict(bool good) {
   if (!good) { std::puts("that is not what was expected"); }
   return good ? EXIT_SUCCESS : EXIT_FAILURE;

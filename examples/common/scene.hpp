@@ -21,7 +21,7 @@ struct image_pair {
   grey_image left, right;
 };
 
-/// A rectified pair of cameras that goes through a room. The same images on every run.
+/// A rectified pair of cameras that moves through a room. The same images on every run.
 class scene {
 public:
   /// @param frames rendered on demand @param width pixels; the height follows
@@ -36,7 +36,7 @@ public:
   std::array<float, 4> intrinsics() const;  ///< fx, fy, cx, cy, pixels
   float baseline() const;                   ///< metres
   image_pair render(int frame) const;
-  /// True depth of what the left camera sees at (u, v), metres.
+  /// True depth of the surface that the left camera sees at (u, v), metres.
   double depth(int frame, double u, double v) const;
   /// True centre of the left camera in the frame of the first one, metres.
   std::array<double, 3> centre(int frame) const;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The least that follows a stereo camera with ft::frame_tracker: points of stereo depth,
-/// searched in every frame, and new ones where tracking runs short. No keyframe graph, no
-/// adjustment: examples/track_sequence has more.
+/// @file A minimal stereo odometry with ft::frame_tracker. Points with stereo depth are searched in
+/// every frame, and new ones are added when too few are found. It has no keyframe graph and no
+/// bundle adjustment; see examples/track_sequence for those.
 #pragma once
 
 #include <algorithm>
@@ -23,18 +23,18 @@ public:
   simple_odometry(Exec const& exec, scene const& scene)
       : exec_(exec), tracker_(exec, rig_of(scene), params_of(scene)) {}
 
-  /// Waits for the frame's result. The world is the first frame's left camera.
-  /// @return map points that agree with the pose; the first frame: points made
+  /// Tracks a frame and waits for its result. The world is the first frame's left camera.
+  /// @return number of inliers; for the first frame, number of new points
   int track(image_pair const& images) {
     tracker_.set_image(0, 0, view(images.left));
     tracker_.set_image(0, 1, view(images.right));
     if (points_ == 0) {
-      tracker_.extract(exec_);  // there is nothing to search for yet
+      tracker_.extract(exec_);  // no points to search for yet
       exec_.wait();
       return add_points();
     }
 
-    // The newest points, of which some may be in view.
+    // The newest points, some of which may be in view.
     std::vector<int> local(
         static_cast<std::size_t>(std::min(points_, tracker_.params().local_points)));
     std::iota(local.begin(), local.end(), points_ - static_cast<int>(local.size()));
@@ -44,7 +44,7 @@ public:
     exec_.wait();
 
     auto const frame = tracker_.frame();
-    ft::pose const T_cw = frame.T_cw().orthonormalized();  // or rounding errors double each frame
+    ft::pose const T_cw = frame.T_cw().orthonormalized();  // else rounding errors grow
     velocity_ = (T_cw * T_cw_.inverse()).orthonormalized();
     T_cw_ = T_cw;
     if (frame.inliers() < enough_inliers) { add_points(); }
@@ -56,7 +56,7 @@ public:
 
 private:
   static constexpr int enough_inliers = 250;  ///< with fewer, points are added
-  static constexpr float far = 6;             ///< metres: stereo depth grows unreliable beyond
+  static constexpr float far = 6;             ///< metres: beyond, stereo depth is unreliable
 
   static ft::rectified_rig rig_of(scene const& scene) {
     auto const [fx, fy, cx, cy] = scene.intrinsics();
@@ -71,7 +71,7 @@ private:
     return params;
   }
 
-  /// A map point of every near keypoint that holds none.
+  /// Creates a map point for every near keypoint that holds none.
   int add_points() {
     auto const keypoints = tracker_.frame().left();
     std::vector<ft::descriptor> descriptors(static_cast<std::size_t>(keypoints.size()));
@@ -94,14 +94,14 @@ private:
       auto const ray = u.position - T_cw_.centre();
       float const distance = std::sqrt(ft::dot(ray, ray));
       u.normal = {ray.x / distance, ray.y / distance, ray.z / distance};
-      // Where the pyramid has a level at which the point looks as it does here.
+      // The distances at which some level of the pyramid shows the point as it looks here.
       u.max_distance = distance * geometry.scale[k.octave];
       u.min_distance = u.max_distance / geometry.scale[geometry.levels - 1];
       u.orb = descriptors[static_cast<std::size_t>(k.number)];
       made.push_back(u);
     }
     tracker_.update_map(exec_, 0, made.data(), static_cast<int>(made.size()));
-    tracker_.set_last(exec_, 0, T_cw_, held);  // the next frame looks for the new points, too
+    tracker_.set_last(exec_, 0, T_cw_, held);  // the next frame searches for the new points, too
     exec_.wait();
     return static_cast<int>(made.size());
   }
@@ -109,7 +109,7 @@ private:
   Exec exec_;
   ft::frame_tracker<Exec> tracker_;
   ft::pose T_cw_ = ft::pose::identity();
-  ft::pose velocity_ = ft::pose::identity();  ///< T_cw of a frame times the inverse of the last
+  ft::pose velocity_ = ft::pose::identity();  ///< T_cw of a frame times the inverse of the last one
   int points_ = 0;
 };
 

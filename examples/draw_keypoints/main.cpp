@@ -13,7 +13,7 @@
 
 template <typename Exec>
 int draw(Exec const& exec, demo::grey_image const& image, std::string const& path) {
-  // All memory is taken here, for one image of this size; extract() takes none.
+  // All memory is allocated here, for one image of this size; extract() allocates none.
   ft::orb_params params = demo::params_for(image);
   params.features = 500;
   ft::orb_extractor<Exec> orb(exec, params, 1);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file A child process that is asked, not waited for, whether it has ended.
+/// @file A child process whose end is polled, without waiting.
 #pragma once
 
 #include <sys/prctl.h>
@@ -17,10 +17,10 @@ namespace app {
 
 constexpr int cannot_start = 127;  ///< as a shell's status
 
-/// Started when made. It is ended with this process, however that ends (Linux).
+/// Starts the process. It is killed when this process ends, for whatever reason (Linux).
 class child {
 public:
-  /// @throws std::system_error where there can be no more processes
+  /// @throws std::system_error if no process can be started
   explicit child(std::vector<std::string> const& command) {
     std::vector<char*> arguments;
     for (auto const& word : command) { arguments.push_back(const_cast<char*>(word.c_str())); }
@@ -34,8 +34,8 @@ public:
     }
   }
 
-  /// Nothing while it runs; else its exit status, 128 and the signal where one ended it. Not to be
-  /// asked again after that.
+  /// Nothing while the process runs; else its exit status, or 128 plus the signal that ended it.
+  /// Must not be called again after that.
   std::optional<int> status() const {
     int status = 0;
     if (waitpid(pid_, &status, WNOHANG) == 0) { return std::nullopt; }

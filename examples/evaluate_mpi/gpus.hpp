@@ -13,7 +13,7 @@
 
 namespace app {
 
-/// How many device files of NVIDIA's driver there are: /dev/nvidia0, /dev/nvidia1, ...
+/// Number of device files of NVIDIA's driver: /dev/nvidia0, /dev/nvidia1, ...
 inline int count_gpus() {
   int count = 0;
   std::error_code failure;
@@ -28,8 +28,9 @@ inline int count_gpus() {
   return count;
 }
 
-/// Names for CUDA_VISIBLE_DEVICES, one a GPU: those of that variable where a scheduler has set it,
-/// else 0, 1, ... @param gpus how many there are; below 0: found out
+/// Names for CUDA_VISIBLE_DEVICES, one per GPU: the entries of that variable if a scheduler has set
+/// it, else 0, 1, ...
+/// @param gpus number of GPUs; below 0: counted
 inline std::vector<std::string> visible_gpus(int gpus) {
   std::vector<std::string> names;
   if (char const* given = std::getenv("CUDA_VISIBLE_DEVICES"); given != nullptr && gpus < 0) {

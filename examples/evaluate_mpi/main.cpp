@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Hands the jobs of a plan out to MPI ranks, one after the other to whichever is free. A
-/// job is a command, run as a child process; rank 0 runs jobs as well. tools/evaluation/evaluate.sh
-/// --mpi writes such plans; tools/evaluation/README.md says how to use it on several hosts.
+/// @file Distributes the jobs of a plan over MPI ranks: a free rank gets the next job. A job is a
+/// command, run as a child process; rank 0 runs jobs as well. `tools/evaluation/evaluate.sh --mpi`
+/// writes such plans; tools/evaluation/README.md describes the use on several hosts.
 #include <mpi.h>
 
 #include <CLI/CLI.hpp>

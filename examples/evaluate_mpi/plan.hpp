@@ -12,11 +12,11 @@
 namespace app {
 
 struct job {
-  std::string name;                  ///< as progress shows it
+  std::string name;                  ///< shown in progress messages
   std::vector<std::string> command;  ///< program and arguments
 };
 
-/// @throws std::runtime_error with the file's name and what is wrong with it
+/// @throws std::runtime_error naming the file and the error
 inline std::vector<job> read_plan(std::string const& path) {
   std::ifstream file(path);
   if (!file) { throw std::runtime_error(path + ": cannot be read"); }

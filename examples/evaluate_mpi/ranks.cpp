@@ -17,12 +17,13 @@ namespace app {
 namespace {
 
 constexpr int no_job = -1;
-constexpr int ended_tag = 1;  ///< to rank 0: a job and its status; no_job: only asks for one
+constexpr int ended_tag = 1;  ///< to rank 0: a job and its status; no_job: only asks for a job
 constexpr int job_tag = 2;    ///< from rank 0: the next job, or no_job
 
 using ended_job = std::array<int, 2>;
 
-/// MPI's own waiting keeps a core busy, which jobs on this machine are measured on.
+/// Sleeps between polls. MPI's own waiting keeps a core busy, which would disturb the jobs'
+/// timings.
 void rest() { std::this_thread::sleep_for(std::chrono::milliseconds(5)); }
 
 bool has_come(int source, int tag, MPI_Status& status) {
@@ -37,7 +38,7 @@ int ranks_in_all() {
   return ranks;
 }
 
-/// What rank 0 knows of the whole.
+/// Rank 0's state of all jobs.
 class dispatcher {
 public:
   explicit dispatcher(std::vector<job> const& jobs) : jobs_(jobs), waiting_(ranks_in_all() - 1) {}
@@ -55,7 +56,7 @@ public:
 private:
   int next_job() { return next_ < jobs_.size() ? static_cast<int>(next_++) : no_job; }
 
-  /// A rank that has ended a job, or asks for its first. @return whether there was one
+  /// Serves a rank that has ended a job, or asks for its first. @return whether there was one
   bool answer_a_rank() {
     MPI_Status from;
     if (!has_come(MPI_ANY_SOURCE, ended_tag, from)) { return false; }
@@ -99,7 +100,7 @@ private:
   }
 
   std::vector<job> const& jobs_;
-  int waiting_;  ///< other ranks that have not been told that there is no more
+  int waiting_;  ///< other ranks that do not know yet that no job is left
   std::size_t next_ = 0;
   std::size_t done_ = 0;
   int failed_ = 0;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Renders a textured room seen from a moving stereo pair and writes it in EuRoC (ASL)
-/// layout, with IMU samples and exact ground truth: a sequence to track where no data set is at
-/// hand.
+/// layout, with IMU samples and exact ground truth: a test sequence that needs no download.
 #include "examples/sequence/asl_writer.hpp"
 #include "examples/sequence/generator.hpp"
 #include "examples/sequence/report.hpp"

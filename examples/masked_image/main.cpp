@@ -13,7 +13,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
-/// 0 in the lower fifth, where a robot sees itself, and in a box; elsewhere 255.
+/// 0 in the lower fifth, where a robot sees itself, and in a box; 255 elsewhere.
 demo::grey_image make_mask(int width, int height) {
   demo::grey_image mask{width, height, {}};
   for (int y = 0; y < height; ++y) {
@@ -30,7 +30,7 @@ template <typename Exec>
 int extract(Exec const& exec, demo::grey_image const& image, std::string const& path) {
   demo::grey_image const mask = make_mask(94, 60);
 
-  // The size of the masks is said beforehand, so that their memory is there.
+  // The size of the masks is a parameter, so that their memory is allocated at construction.
   ft::orb_params params = demo::params_for(image);
   params.mask_width = mask.width;
   params.mask_height = mask.height;
@@ -40,7 +40,7 @@ int extract(Exec const& exec, demo::grey_image const& image, std::string const& 
   orb.extract(exec);
   auto const found = ft::download(exec, orb.keypoints());
 
-  // The mask as large as the image, to draw and to check.
+  // The mask at the size of the image, to draw and to check.
   std::vector<std::uint8_t> allowed;
   for (int y = 0; y < image.height; ++y) {
     for (int x = 0; x < image.width; ++x) {
@@ -55,8 +55,8 @@ int extract(Exec const& exec, demo::grey_image const& image, std::string const& 
     float const x = found.view().x(i);
     float const y = found.view().y(i);
     picture.disc(x, y, 2, {0, 255, 0});
-    // A keypoint of a coarse level stands for a pixel as large as its scale: only those of the
-    // finest level are exact.
+    // A keypoint of a coarse level covers as many pixels as its scale: only those of the finest
+    // level are exact.
     if (found.view().octave(i) == 0) {
       outside += static_cast<int>(
           allowed[static_cast<std::size_t>(y) * static_cast<std::size_t>(image.width) +

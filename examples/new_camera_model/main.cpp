@@ -22,7 +22,8 @@ using direction = ft::vec3<float>;
 constexpr int width = 640;
 constexpr int height = 640;
 
-/// The inside of a ball of 2.5 m round (0, 0, 1): distance along a ray of length 1 from `from`.
+/// The inside of a ball of radius 2.5 m around (0, 0, 1): distance along a ray of length 1 from
+/// `from`.
 float distance(direction from, direction ray) {
   direction const c{from.x, from.y, from.z - 1};
   float const along = ft::dot(c, ray);
@@ -65,7 +66,7 @@ std::vector<keypoint_depth> depths(Exec const& exec, fisheye_pair const& cameras
   ft::orb_params params;
   params.width = width;
   params.height = height;
-  // The columns of each image that both cameras see: here all.
+  // The columns of each image that both cameras see: here all of them.
   ft::stereo_overlap const whole{0, width};
   ft::orb_extractor<Exec> orb(exec, params, 2, {whole, whole});
   ft::stereo_matcher<Exec, fisheye_pair> stereo(cameras, orb);
@@ -89,7 +90,7 @@ std::vector<keypoint_depth> depths(Exec const& exec, fisheye_pair const& cameras
 
 int main() {
   stereographic<float> const camera{134.1f, 134.3f, 319.2f, 320.9f};
-  // The right camera stands 0.4 m to the right and looks 2 degrees to the left.
+  // The right camera is 0.4 m to the right and looks 2 degrees to the left.
   float const c = std::cos(0.035f);
   float const s = std::sin(0.035f);
   ft::mat3<float> const R{{c, 0, s, 0, 1, 0, -s, 0, c}};

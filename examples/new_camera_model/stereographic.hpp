@@ -12,8 +12,9 @@
 ///
 ///     u = fx 2 x / s + cx,   v = fy 2 y / s + cy
 ///
-/// Domain of project: every direction but straight behind, where s is 0. Outside: the principal
-/// point, not valid. Domain of unproject: every pixel. Rays have length 1 and may have z <= 0.
+/// Domain of project: every direction except straight backwards, where s is 0. Outside: the
+/// principal point, invalid. Domain of unproject: every pixel. Rays have length 1 and may have z <=
+/// 0.
 template <typename Scalar>
 struct stereographic {
   using scalar_type = Scalar;

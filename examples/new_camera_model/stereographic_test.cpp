@@ -18,7 +18,7 @@ struct stereographic_lens : camera_contract::description<stereographic> {
 
 FT_CAMERA_CONTRACT(stereographic, stereographic_lens);
 
-// The contract does not know the formula. One test does: angles off the axis against trigonometry.
+// The contract does not know the formula. This test compares angles off the axis with trigonometry.
 TEST(stereographic_test, the_radius_is_twice_the_tangent_of_half_the_angle) {
   stereographic<double> const c{100, 200, 10, 20};
   for (double const angle : {0.1, 0.8, 1.5, 2.4}) {

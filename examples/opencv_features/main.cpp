@@ -29,14 +29,14 @@ features described_by_ft(ft::host_exec const& exec, extractor& orb, cv::Mat cons
 
   ft::keypoints<ft::memory_space::host> keypoints(1000);
   ft::from_opencv(from_opencv, keypoints.view());
-  orb.upload(exec, 0, ft::as_view(image));  // the pixels of the cv::Mat, without a copy of it
-  orb.build_levels(exec);                   // no need to look for corners
+  orb.upload(exec, 0, ft::as_view(image));  // the pixels of the cv::Mat, in place
+  orb.build_levels(exec);                   // no corners are needed
   orb.describe_keypoints(exec, keypoints.view());
   return {ft::to_opencv(keypoints.view(), orb.geometry()),
           ft::descriptors_to_opencv(keypoints.view())};
 }
 
-/// ft's keypoints as OpenCV has them.
+/// ft's keypoints as types of OpenCV.
 features extracted_by_ft(ft::host_exec const& exec, extractor& orb, cv::Mat const& image) {
   orb.upload(exec, 0, ft::as_view(image));
   orb.extract(exec);
@@ -44,7 +44,7 @@ features extracted_by_ft(ft::host_exec const& exec, extractor& orb, cv::Mat cons
   return {ft::to_opencv(keypoints, orb.geometry()), ft::descriptors_to_opencv(keypoints)};
 }
 
-/// Matches, and says how many lie in the same row. @return whether most do
+/// Matches, and prints how many matches lie in the same row. @return whether most do
 bool match(char const* name, features const& left, features const& right) {
   std::vector<cv::DMatch> matches;
   cv::BFMatcher(cv::NORM_HAMMING, true).match(left.descriptors, right.descriptors, matches);

@@ -14,7 +14,7 @@
 #include "ft/interop/thrust.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 
-/// A field names a column and the type of its elements; the container holds one array of each.
+/// A field names a column and the type of its elements; the container has one array for each field.
 FT_FIELD(tile, int);  ///< number of the image's tile, row by row
 using tiled_view = ft::soa_view<ft::field::x, ft::field::y, ft::field::response, tile>;
 template <ft::memory_space Space>
@@ -22,7 +22,7 @@ using tiled_keypoints = ft::soa<Space, ft::field::x, ft::field::y, ft::field::re
 
 constexpr int tile_size = 80;  // pixels
 
-/// A stage: what is done to one item. The executor runs it for all, on threads or on a GPU.
+/// A stage: the work for one item. The executor runs it for all items, on threads or on a GPU.
 struct assign_tile {
   using scratch = ft::no_scratch;
 
@@ -38,7 +38,7 @@ struct assign_tile {
 auto thrust_policy(ft::host_exec const&) { return thrust::host; }
 auto thrust_policy(ft::cuda_exec const& exec) { return thrust::cuda::par.on(exec.stream); }
 
-/// By tile, in a tile the strongest first; equals by place, so that the order is the same anywhere.
+/// By tile, then the strongest first, then by position, so that the order is the same everywhere.
 struct in_front {
   template <typename A, typename B>  // tuples of values or of references
   FT_HOST_DEVICE bool operator()(A const& a, B const& b) const {
@@ -55,19 +55,19 @@ struct same_tile {
   }
 };
 
-/// @return the sum of the responses kept, or -1 where something is wrong
+/// @return the sum of the responses kept, or -1 on an error
 template <typename Exec>
 double strongest_of_tiles(Exec const& exec, demo::grey_image const& image) {
   ft::orb_extractor<Exec> orb(exec, demo::params_for(image), 1);
   orb.upload(exec, 0, demo::view(image));
   orb.extract(exec);
 
-  // A view of fewer fields is made from one of more, so the plain columns can be copied over.
+  // A view of more fields converts to one of fewer, so the plain columns can be copied.
   using plain = ft::soa_view<ft::field::x, ft::field::y, ft::field::response>;
   tiled_keypoints<Exec::space> const mine(orb.capacity());
   ft::copy(exec, plain(mine.view()), plain(orb.keypoints()));
 
-  int count = 0;  // Thrust wants to know on the host how many there are
+  int count = 0;  // Thrust needs the count on the host
   ft::copy(exec, &count, mine.view().count, 1);
   exec.wait();
   ft::for_each_item<ft::per_thread>(exec, count, assign_tile{}, mine.view(),

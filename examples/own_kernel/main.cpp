@@ -13,14 +13,14 @@
 #include "ft/pipelines/orb_extractor.hpp"
 
 struct match {
-  int right;     ///< index of the keypoint, -1 where there is none
+  int right;     ///< index of the keypoint, -1 = none
   int distance;  ///< differing bits
   float cosine;  ///< of the angle between the two rays
 };
 
 using strict = ft::strict_float;  // products are never fused with sums: equal bits everywhere
 
-/// All that is called in here is ft's and marked FT_HOST_DEVICE.
+/// All functions called here are ft's and marked FT_HOST_DEVICE.
 FT_HOST_DEVICE match nearest(ft::pinhole<float> const& camera, ft::keypoints_view const& left,
                              ft::keypoints_view const& right, int i) {
   match best{-1, 257, 0};
@@ -55,8 +55,8 @@ int main() {
     orb.upload(exec, 1, demo::view(images.right));
     orb.extract(exec);
 
-    // The kernel follows on the same stream. It is launched for as many keypoints as there may be,
-    // so that the host need not wait for their number.
+    // The kernel follows on the same stream. It is launched for the capacity, so that the host need
+    // not wait for the number of keypoints.
     auto const n = static_cast<std::size_t>(orb.capacity());
     ft::buffer<match, ft::memory_space::device> const matches(n);
     auto const left = orb.keypoints().slice(0);

@@ -18,7 +18,7 @@ __global__ void brighten(std::uint8_t const* from, std::uint8_t* to, int pixels,
   if (i < pixels) { to[i] = static_cast<std::uint8_t>(from[i] + by < 255 ? from[i] + by : 255); }
 }
 
-/// Something else to do, for a while.
+/// Some other work that keeps a stream busy.
 __global__ void other_work(float* values, int steps) {
   int const i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   float v = values[i];
@@ -26,8 +26,8 @@ __global__ void other_work(float* values, int steps) {
   values[i] = v;
 }
 
-/// Keypoints of `images` images, each brighter than the one before.
-/// @param beside called after each image is queued
+/// Keypoints of `images` images, each brighter than the preceding one.
+/// @param beside called after each image is enqueued
 template <typename Beside>
 std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image const& image,
                                  Beside const& beside) {
@@ -43,15 +43,15 @@ std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image con
   ft::copy(ft::cuda_exec(source.get()), original.data(), image.pixels.data(), bytes);
 
   for (int k = 0; k < images; ++k) {
-    // The kernel must not write before ft has taken the image before.
+    // The kernel must not write before ft has read the preceding image.
     taken.make_wait(source.get());
     brighten<<<(pixels + 255) / 256, 256, 0, source.get()>>>(original.data(), bright.data(), pixels,
                                                              4 * k);
     ft::throw_on_error(cudaGetLastError(), "brighten");
     ready.record(source.get());
 
-    // What is queued on ft's stream from here on comes after the kernel. An image may be in device
-    // memory: the copy is then from device to device.
+    // Later work on ft's stream runs after the kernel. An image may be in device memory: the copy
+    // is then from device to device.
     ready.make_wait(exec.stream);
     orb.upload(exec, 0, {bright.data(), image.width, image.height, image.width});
     taken.record(exec.stream);
@@ -59,7 +59,7 @@ std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image con
     ft::copy(exec, counts.data() + k, static_cast<int const*>(orb.keypoints().count), 1);
     beside();
   }
-  exec.wait();  // for ft's stream alone
+  exec.wait();  // waits only for ft's stream
   return std::vector<int>(counts.data(), counts.data() + images);
 }
 

@@ -220,7 +220,7 @@ void write_asl(generator const& source, std::string const& directory, asl_option
   make_folder(partial);
   try {
     write_all(source, partial, options, progress);
-    fs::rename(partial, target, code);  // takes the place of an empty folder
+    fs::rename(partial, target, code);  // replaces an empty folder
     if (code) { throw error(target.string() + ": cannot rename to it: " + code.message()); }
   } catch (...) {
     fs::remove_all(partial, code);

@@ -10,7 +10,7 @@
 namespace seq {
 
 struct asl_options {
-  int threads = 0;          ///< that render and write, 1 to 256; 0 = as many as the machine has
+  int threads = 0;          ///< threads that render and write, 1 to 256; 0 = all of the machine
   int png_compression = 1;  ///< zlib level 0 to 9
 };
 

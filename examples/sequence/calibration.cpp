@@ -52,7 +52,7 @@ void check_number(double value, limits const& range, std::string const& path,
   if (!low_enough || value > range.high) { throw error(where + describe(range)); }
 }
 
-/// The closest rotation. @throws seq::error when `m` is farther than 1e-3 from every rotation
+/// The closest rotation. @throws seq::error if `m` is farther than 1e-3 from every rotation
 Eigen::Matrix3d checked_rotation(Eigen::Matrix3d const& m, std::string const& path,
                                  std::string const& key) {
   double const residual = (m * m.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
@@ -94,7 +94,7 @@ public:
   explicit yaml_file(std::string const& path) : path_(path) {
     std::string text;
     for (detail::text_line const& line : detail::read_lines(path)) {
-      // OpenCV writes "%YAML:1.0", which is no YAML directive.
+      // OpenCV writes "%YAML:1.0", which is not a valid YAML directive.
       bool const directive = line.text.compare(0, 5, "%YAML") == 0;
       text += directive ? "#" : line.text;
       text += '\n';
@@ -113,14 +113,14 @@ public:
     return node.IsDefined() && !node.IsNull();
   }
 
-  /// @throws seq::error when missing, not a number, not finite or out of range
+  /// @throws seq::error if missing, not a number, not finite or out of range
   double number(std::string const& key, limits const& range) const {
     return to_checked(required(key), key, range);
   }
   double number_or(std::string const& key, limits const& range, double otherwise) const {
     return has(key) ? number(key, range) : otherwise;
   }
-  /// A whole number, however formatted ("20", "20.0", "2e1").
+  /// A whole number, in any format ("20", "20.0", "2e1").
   int integer(std::string const& key, limits const& range) const {
     double const value = number(key, range);
     if (value != std::floor(value)) {
@@ -213,8 +213,8 @@ private:
   YAML::Node root_;
 };
 
-/// All coefficients zero: the model is a plain pinhole (not so for Kannala-Brandt, r = f theta
-/// there).
+/// If all coefficients are zero, the model becomes a plain pinhole (except Kannala-Brandt, where r
+/// = f theta then).
 void drop_zero_distortion(camera_intrinsics& camera) {
   bool const zero = std::all_of(camera.distortion.begin(), camera.distortion.end(),
                                 [](double k) { return k == 0; });
@@ -287,7 +287,7 @@ void read_projection(yaml_file const& file, std::string const& prefix, camera_in
   camera.cy = file.number(prefix + "cy", centre_limits);
 }
 
-/// Keys `prefix`k1, k2, p1, p2 and k3 where given; none at all is a pinhole.
+/// Keys `prefix`k1, k2, p1, p2 and, if given, k3; without any, a pinhole.
 void read_radial_tangential(yaml_file const& file, std::string const& prefix,
                             camera_intrinsics& camera) {
   camera.model = lens::pinhole;
@@ -388,8 +388,8 @@ void read_old_settings(yaml_file const& file, stereo_rig& rig) {
                 ": must be PinHole, Rectified or KannalaBrandt8");
   }
   if (file.has("LEFT.K")) {
-    // Raw cameras, and the rectification that the reference applies: x_rectified = R x_raw, and in
-    // the rectified frames the right camera lies at (b, 0, 0), P_right = [f 0 cx -f b; ...].
+    // Raw cameras, and the rectification that the reference applies: x_rectified = R x_raw. In the
+    // rectified frames the right camera is at (b, 0, 0), P_right = [f 0 cx -f b; ...].
     read_raw_camera(file, "LEFT", rig.left);
     read_raw_camera(file, "RIGHT", rig.right);
     Eigen::Matrix3d const R_left = read_rotation(file, "LEFT.R");

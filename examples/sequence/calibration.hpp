@@ -3,8 +3,8 @@
 /// settings.
 ///
 /// Every value read is checked (finite, focal lengths above 0, sizes 1 to 16384, baseline above 0,
-/// rotations orthonormal); an error names file, key, value and limit. A radial-tangential camera
-/// whose coefficients are all zero comes out as a pinhole.
+/// rotations orthonormal). An error names file, key, value and limit. A radial-tangential camera
+/// whose coefficients are all zero becomes a pinhole.
 #pragma once
 
 #include <string>
@@ -14,7 +14,7 @@
 
 namespace seq {
 
-/// What a calibration file gives.
+/// The content of a calibration file.
 struct calibration {
   stereo_rig rig;
   orb_settings settings;        ///< ORB-SLAM3 settings files only
@@ -26,7 +26,7 @@ struct calibration {
 /// @throws seq::error
 calibration read_euroc_calibration(std::string const& mav0);
 
-/// T_BS of `mav0`/cam0/sensor.yaml alone: maps points of the raw left camera into the body, metres.
+/// Only T_BS of `mav0`/cam0/sensor.yaml: maps points of the raw left camera into the body, metres.
 /// @throws seq::error
 Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0);
 
@@ -40,17 +40,18 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
 /// camera 1) or `Stereo.b`; and the older `Camera.fx` with `Camera.bf`, `LEFT.K` .. `RIGHT.P`, or
 /// `Tlr`. IMU.T_b_c1 or Tbc gives the body frame. Camera.newWidth and newHeight (a scaling) are not
 /// applied.
-/// @param width,height size to assume where the file gives none; 0 = then the file must give it
+/// @param width,height size to assume if the file gives none; 0 = the file must give it
 /// @throws seq::error
 calibration read_orb_slam3_settings(std::string const& path, int width = 0, int height = 0);
 
-/// Any of these: a folder (`mav0`, or one that holds `mav0` or calib.txt), a cam0/sensor.yaml, a
-/// KITTI calib.txt or an ORB-SLAM3 settings file, told apart by content.
+/// Any of these: a folder (`mav0`, or one that contains `mav0` or calib.txt), a cam0/sensor.yaml, a
+/// KITTI calib.txt or an ORB-SLAM3 settings file; recognised by content.
 /// @param width,height the images' size, for files that do not give it; 0 = unknown
 /// @throws seq::error
 calibration read_calibration(std::string const& path, int width = 0, int height = 0);
 
-/// @param source file to name in the message @throws seq::error where the rig is not usable
+/// @param source file to name in the message
+/// @throws seq::error if the rig is not usable
 void check_rig(stereo_rig const& rig, std::string const& source);
 
 }  // namespace seq

@@ -15,17 +15,18 @@
 namespace seq {
 namespace {
 
-/// An estimated pose and the ground truth at its instant.
+/// An estimated pose and the ground truth at the same time.
 struct matched_pose {
   std::int64_t time_ns = 0;
   Eigen::Isometry3d truth = Eigen::Isometry3d::Identity();
   Eigen::Isometry3d estimate = Eigen::Isometry3d::Identity();
 };
 
-/// Share of the RPE interval by which the time between two poses may differ from it.
+/// Largest difference between the RPE interval and the time between two poses, as a share of the
+/// interval.
 constexpr double interval_tolerance = 0.1;
 
-/// Closest rotation in the least-squares sense; the identity where `m` says nothing.
+/// Closest rotation in the least-squares sense; the identity if `m` does not determine it.
 Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
   Eigen::JacobiSVD<Eigen::Matrix3d> const svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
   if (!(svd.singularValues()(1) > 1e-9)) { return Eigen::Matrix3d::Identity(); }
@@ -37,8 +38,8 @@ Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
 /// Rotation R that maximises sum truth_i . R estimate_i over centred points (Kabsch, Umeyama).
 ///
 /// @param covariance sum of truth_i estimate_i^T, m^2
-/// @param prior what decides where the points do not: about the line of collinear points, and for
-///   points that all coincide
+/// @param prior used for what the points do not determine: the rotation about the line of collinear
+///   points, or all of it for points that coincide
 Eigen::Matrix3d best_rotation(Eigen::Matrix3d const& covariance, double count,
                               Eigen::Matrix3d const& prior) {
   constexpr double coincident = 1e-12;  // m^2: all within a micrometre
@@ -93,7 +94,8 @@ std::optional<double> relative_error(std::vector<matched_pose> const& pairs, boo
       return std::fabs(static_cast<double>(pairs[k].time_ns - wanted));
     };
     while (j + 1 < pairs.size() && distance(j + 1) <= distance(j)) { ++j; }
-    // At the end of the path the nearest pose is always the last one: not so for shorter intervals.
+    // At the end of the path the nearest pose is always the last one; for shorter intervals it is
+    // not.
     bool const past_end =
         j + 1 == pairs.size() && wanted > pairs[j].time_ns && distance(j) > 0.1 * tolerance;
     if (distance(j) > tolerance || past_end) { continue; }

@@ -14,8 +14,8 @@ namespace seq {
 trajectory read_tum(std::string const& path);
 void write_tum(std::string const& path, trajectory const& poses);
 
-/// Position (and orientation by slerp) of `reference` at `time_ns`, linear between neighbours;
-/// nothing outside its range or inside a gap longer than `max_gap_ns`.
+/// Position (and orientation by slerp) of `reference` at `time_ns`, linear between neighbours.
+/// Nothing outside its range or inside a gap longer than `max_gap_ns`.
 std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::int64_t time_ns,
                                              std::int64_t max_gap_ns = 500'000'000);
 

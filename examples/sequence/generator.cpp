@@ -56,7 +56,7 @@ private:
 struct mip_level {
   int width = 0;
   int height = 0;
-  std::size_t stride = 0;  // width + 1: last column and row are doubled for bilinear reads
+  std::size_t stride = 0;  // width + 1: last column and row are repeated for bilinear reads
   std::vector<std::uint8_t> texels;
 
   std::uint8_t* row(int y) { return texels.data() + static_cast<std::size_t>(y) * stride; }
@@ -89,7 +89,7 @@ struct mip_level {
   }
 };
 
-// Where and how wide to read a texture; computed once for a few neighbouring pixels.
+// Position and width of a texture read; computed once for a few neighbouring pixels.
 struct footprint {
   int level = 0;
   float blend = 0;  // towards level + 1
@@ -134,7 +134,7 @@ struct texture {
     f.taps = std::max(f.taps, 1);
     f.step_x = (a_longer ? ax : bx) / static_cast<float>(f.taps);
     f.step_y = (a_longer ? ay : by) / static_cast<float>(f.taps);
-    // a little sharper than the textbook's choice, which blurs
+    // a little sharper than the usual choice, which blurs
     float const lod = std::log2(major / static_cast<float>(f.taps)) - 0.3f;
     float const top = static_cast<float>(levels.size() - 1);
     float const clamped = std::min(std::max(lod, 0.0f), top);
@@ -208,8 +208,8 @@ private:
   std::vector<float> lattice_;
 };
 
-// Rectangles and triangles of sizes from a metre down to two centimetres, the smaller on top of the
-// larger, so that there are corners to find from every distance.
+// Rectangles and triangles from a metre down to two centimetres, the smaller ones on top, so that
+// corners are visible from every distance.
 texture paint(std::uint64_t seed, double width_m, double height_m, double texels_per_m,
               double brightness) {
   random_stream random(seed);
@@ -235,8 +235,7 @@ texture paint(std::uint64_t seed, double width_m, double height_m, double texels
                                               {0.011, 0.05, 165}}};
   for (auto const& o : octaves) {
     double const size = o.size_m * texels_per_m;
-    // always drawn from its own stream, so that the coarse picture does not depend on the
-    // resolution
+    // drawn from a stream of its own, so that the coarse picture does not depend on the resolution
     random_stream shapes(random.next());
     if (size < 3.5) { continue; }
     int const count =
@@ -250,7 +249,7 @@ texture paint(std::uint64_t seed, double width_m, double height_m, double texels
       double const turn = kind < 4 ? 0.0 : shapes.uniform(0, 2 * pi);
       auto const c = static_cast<float>(std::cos(turn));
       auto const s = static_cast<float>(std::sin(turn));
-      // dark or light, seldom between: strong edges
+      // dark or light, rarely in between: strong edges
       int const grey = static_cast<int>(shapes.below(5) == 0   ? shapes.uniform(80, 150)
                                         : shapes.below(2) == 0 ? shapes.uniform(15, 85)
                                                                : shapes.uniform(145, 215));
@@ -268,7 +267,7 @@ texture paint(std::uint64_t seed, double width_m, double height_m, double texels
   value_noise const light(random, base.width, base.height, static_cast<float>(1.6 * texels_per_m));
   value_noise const dirt(random, base.width, base.height,
                          std::max(2.0f, static_cast<float>(0.09 * texels_per_m)));
-  // [1 2 1] both ways: takes the stairs off the polygons' edges
+  // [1 2 1] both ways: smooths the stairs of the polygons' edges
   mip_level smooth;
   smooth.resize(base.width, base.height);
   std::vector<int> line(static_cast<std::size_t>(base.width) + 2);
@@ -299,7 +298,7 @@ texture paint(std::uint64_t seed, double width_m, double height_m, double texels
     mip_level to;
     to.resize((from.width + 1) / 2, (from.height + 1) / 2);
     for (int y = 0; y < to.height; ++y) {
-      std::uint8_t const* p = from.row(2 * y);  // the doubled borders make odd sizes safe
+      std::uint8_t const* p = from.row(2 * y);  // the repeated borders make odd sizes safe
       std::uint8_t const* q = from.row(2 * y + 1);
       std::uint8_t* t = to.row(y);
       for (int x = 0; x < to.width; ++x) {
@@ -379,7 +378,7 @@ void add_panel(std::vector<surface>& to, random_stream& random, double x, double
 std::vector<surface> furnish(std::uint64_t seed) {
   random_stream random(seed);
   std::vector<surface> out;
-  // nearer things first: the renderer rejects what lies behind sooner
+  // nearer surfaces first: the renderer rejects hidden ones sooner
   add_panel(out, random, 0.4, -1.5, 1.2, 0.0, 1.8, 8);
   add_panel(out, random, -1.8, 0.5, 1.1, 0.0, 2.0, 78);
   add_panel(out, random, 1.9, 1.2, 1.1, 0.0, 1.9, 130);
@@ -432,7 +431,7 @@ double ease5(double t) {
   return t * t * t * (10.0 + t * (6.0 * t - 15.0));
 }
 
-// From standing to standing: cubic ramps of `ramp` seconds, constant speed between.
+// From rest to rest: cubic ramps of `ramp` seconds, constant speed in between.
 struct dash {
   double begin_s, end_s, from_m, to_m;
   static constexpr double ramp = 0.7;
@@ -506,7 +505,7 @@ private:
   std::vector<double> table_;
 };
 
-// Uniform cubic B-spline over time: continuous acceleration, and it stays where its control points
+// Uniform cubic B-spline over time: continuous acceleration, and constant where its control points
 // are.
 class spline {
 public:
@@ -585,7 +584,7 @@ spline plan_route(std::uint64_t seed, double duration_s) {
     for (auto const& r : turns) {
       yaw += r.degrees * ease5((u - r.begin_s) / (r.end_s - r.begin_s));
     }
-    // a hand that carries the cameras, quiet when it stands still
+    // shaking of a hand-held camera, none at rest
     double const shake = speed / 2.0;
     auto const wave = [&](std::size_t n, double hertz) {
       return shake * std::sin(2 * pi * hertz * t + phase[n]);
@@ -671,8 +670,8 @@ struct tile {
 struct view {
   camera_intrinsics camera;
   Eigen::Isometry3d T_left_this = Eigen::Isometry3d::Identity();
-  std::vector<Eigen::Vector3f> rays;  // any length; zero where the lens shows nothing
-  std::vector<float> light;           // factor by vignetting; 0 where the lens shows nothing
+  std::vector<Eigen::Vector3f> rays;  // any length; zero outside the lens' range
+  std::vector<float> light;           // factor by vignetting; 0 outside the lens' range
   std::vector<tile> tiles;
 };
 
@@ -895,7 +894,7 @@ std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
   auto const at = [w](int x, int y) {
     return static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
   };
-  // one pixel away in x and y, inwards at the end of the image and of the lens
+  // one pixel away in x and y, inwards at the border of the image and of the lens
   auto const neighbour = [&](int x, int y, int dx, int dy) {
     Eigen::Vector3f const& here = v.rays[at(x, y)];
     if (x + dx < w && y + dy < h && v.rays[at(x + dx, y + dy)].squaredNorm() > 0) {
@@ -933,7 +932,7 @@ std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
     }
   }
 
-  // outlines: four samples a pixel where neighbours see different surfaces
+  // outlines: four samples a pixel if neighbours see different surfaces
   for (tile const& t : v.tiles) {
     bool ready = false;
     for (int y = t.y0; y < t.y1; ++y) {
@@ -1152,7 +1151,7 @@ generator::generator(generator_options const& options) : impl_(std::make_unique<
   double const detail = std::clamp(m.rig.left.fx / 435.0, 0.2, 1.5);
   int const count = static_cast<int>(m.surfaces.size());
   parallel_for(count, o.threads, [&](int k) {
-    // the largest surfaces come last in the list: begin there
+    // the largest surfaces come last in the list: start with them
     auto const i = static_cast<std::size_t>(count - 1 - k);
     surface& s = m.surfaces[i];
     s.skin = paint(key(o.seed, 4, i), s.width, s.height, s.texels_per_m * detail, s.brightness);

@@ -3,9 +3,9 @@
 /// truth.
 ///
 /// World frame: z up, metres, gravity (0, 0, -9.81). Camera frame: x right, y down, z forward.
-/// Pixel centres have integer coordinates. One lap of the route takes 19.2 s, starts standing
-/// still, stops twice, turns at about 90 deg/s, and passes a wall at about 0.8 m; longer sequences
-/// go round again.
+/// Pixel centres have integer coordinates. One lap of the route takes 19.2 s, starts from rest,
+/// stops twice, turns at about 90 deg/s, and passes a wall at about 0.8 m. Longer sequences repeat
+/// the lap.
 #pragma once
 
 #include <array>
@@ -26,13 +26,13 @@ enum class rig_kind {
 
 struct generator_options {
   rig_kind rig = rig_kind::pinhole;
-  /// Pixels, 32 to 4096; 0 = the rig's own, or following the other side with the rig's aspect
-  /// ratio. The focal length follows the width.
+  /// Pixels, 32 to 4096; 0 = the rig's own, or computed from the other side with the rig's aspect
+  /// ratio. The focal length scales with the width.
   int width = 0;
   int height = 0;
   int frames = 300;        ///< 1 to 100000
   double fps = 20;         ///< 1 to 1000
-  std::uint64_t seed = 1;  ///< decides textures, details of route and room, noise
+  std::uint64_t seed = 1;  ///< determines textures, details of route and room, noise
   double noise_sigma = 2;  ///< grey levels, 0 to 50
   bool exposure_change =
       true;                    ///< gain between 0.8 and 1.2, smooth over time, equal left and right
@@ -40,7 +40,7 @@ struct generator_options {
   double baseline = 0;         ///< metres, 0.02 to 0.3; 0 = the rig's own (0.11 and 0.101)
   double imu_rate = 200;       ///< Hz, 10 to 10000
   double imu_noise_scale = 1;  ///< times the densities of generator::imu_noise, 0 to 100; 0 = ideal
-  int threads = 0;  ///< for building the textures, 1 to 256; 0 = as many as the machine has
+  int threads = 0;             ///< for building the textures, 1 to 256; 0 = all of the machine
 };
 
 /// State of the body (IMU) at an instant.
@@ -52,8 +52,8 @@ struct body_state {
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< m/s^2
 };
 
-/// The whole sequence, rendered on demand. Everything is a function of the options (`threads`
-/// excepted): the same bytes on every run. Immutable after construction: all members may be called
+/// The whole sequence, rendered on demand. Everything is a function of the options (except
+/// `threads`): the same bytes on every run. Immutable after construction: all members may be called
 /// from several threads at once. Movable.
 class generator {
 public:
@@ -73,7 +73,7 @@ public:
   std::int64_t time_ns(int i) const;
   /// Left camera.
   Eigen::Isometry3d T_world_camera(int i) const;
-  /// Both images of frame i; one thread's work.
+  /// Renders both images of frame i on the calling thread.
   stereo_frame render(int i) const;
 
   /// One pose of the left camera per frame.

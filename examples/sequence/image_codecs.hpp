@@ -12,7 +12,7 @@ namespace seq::detail {
 
 constexpr int max_side = 16384;
 
-/// Whether the content begins like one.
+/// Whether the content begins with the format's signature.
 bool is_png(std::vector<std::uint8_t> const& bytes);
 bool is_jpeg(std::vector<std::uint8_t> const& bytes);
 
@@ -20,7 +20,7 @@ bool is_jpeg(std::vector<std::uint8_t> const& bytes);
 image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_jpeg(std::string const& path, std::vector<std::uint8_t> const& bytes);
 
-/// From the header alone. @throws seq::error
+/// Reads only the header. @throws seq::error
 void read_png_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
                    int& height);
 void read_jpeg_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
@@ -33,7 +33,7 @@ std::vector<std::uint8_t> write_jpeg(std::string const& name, image const& pictu
 [[noreturn]] void fail(std::string const& path, std::string const& reason);
 /// @throws seq::error for a side of 0 or above max_side
 void check_side(std::string const& path, unsigned long width, unsigned long height);
-/// @throws seq::error where the sides cannot be written or do not fit the number of pixels
+/// @throws seq::error if the sides cannot be written or do not fit the number of pixels
 void check_picture(std::string const& name, image const& picture);
 
 }  // namespace seq::detail

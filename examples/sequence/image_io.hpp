@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Image files in and out, through libpng and libjpeg.
+/// @file Reads and writes image files with libpng and libjpeg.
 #pragma once
 
 #include <cstdint>
@@ -10,12 +10,12 @@
 
 namespace seq {
 
-/// Reads a PNG or JPEG (recognised by content) as 8-bit grey: colour is decoded to RGB and
+/// Reads a PNG or JPEG (recognised by content) as 8-bit grey. Colour is decoded to RGB and
 /// converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples keep their high byte,
-/// alpha is ignored. Bytes behind the end of a JPEG, and bytes that it has between its segments,
-/// are skipped.
+/// alpha is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are
+/// skipped.
 /// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than
-/// 16384 a side
+///   16384 a side
 image read_image(std::string const& path);
 
 /// Width and height without decoding the pixels. @throws seq::error

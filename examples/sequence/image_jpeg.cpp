@@ -12,9 +12,9 @@
 #include "examples/sequence/grey.hpp"
 #include "examples/sequence/image_codecs.hpp"
 
-// libjpeg reports errors by longjmp. Every function here that calls setjmp therefore holds plain
-// data only: the vectors live in its caller and are passed as pointers, so that no destructor is
-// jumped over.
+// libjpeg reports errors by longjmp. Every function here that calls setjmp therefore contains plain
+// data only. The vectors live in its caller and are passed as pointers, so that no destructor is
+// skipped.
 
 namespace seq::detail {
 namespace {
@@ -22,14 +22,14 @@ namespace {
 // ---- in
 
 struct jpeg_errors {
-  jpeg_error_mgr base;  // first: libjpeg hands back a pointer to it
+  jpeg_error_mgr base;  // first, because libjpeg returns a pointer to it
   std::jmp_buf jump;
   char message[JMSG_LENGTH_MAX];
-  std::size_t size;  // of the file that is read
+  std::size_t size;  // of the input file
 };
 
-// Of the bytes that JWRN_EXTRANEOUS_DATA is about: whether the decoder should have used them. A
-// restart marker follows its interval at once, and only image data has a 0xff with a 0 after it.
+// For the bytes reported by JWRN_EXTRANEOUS_DATA: whether the decoder should have used them. A
+// restart marker follows its interval at once, and only image data contain a 0xff followed by a 0.
 bool jpeg_skips_image_data(j_decompress_ptr info) {
   int const marker = info->err->msg_parm.i[1];
   if (marker >= 0xd0 && marker <= 0xd7) { return true; }
@@ -49,10 +49,9 @@ static void ft_seq_jpeg_exit(j_common_ptr info) {
   std::longjmp(errors->jump, 1);
 }
 
-// Most warnings say that decoded pixels are made up (premature end, bad codes, lost markers): the
-// picture is refused. Harmless are two that concern header fields nothing here depends on, and
-// bytes that are skipped in front of a marker, as some cameras pad with, unless they are left of
-// the image data.
+// Most warnings mean that decoded pixels are invented (premature end, bad codes, lost markers): the
+// picture is rejected. Harmless are two warnings about unused header fields, and bytes skipped
+// before a marker, with which some cameras pad, unless they belong to the image data.
 static void ft_seq_jpeg_message(j_common_ptr info, int level) {
   if (level >= 0) { return; }
   int const code = info->err->msg_code;

@@ -11,9 +11,9 @@
 #include "examples/sequence/grey.hpp"
 #include "examples/sequence/image_codecs.hpp"
 
-// libpng reports errors by longjmp. Every function here that calls setjmp therefore holds plain
-// data only: the vectors live in its caller and are passed as pointers, so that no destructor is
-// jumped over.
+// libpng reports errors by longjmp. Every function here that calls setjmp therefore contains plain
+// data only. The vectors live in its caller and are passed as pointers, so that no destructor is
+// skipped.
 
 namespace seq::detail {
 namespace {
@@ -65,13 +65,13 @@ bool png_open(png_source* s) {
   if (setjmp(png_jmpbuf(s->png)) != 0) { return false; }
   s->info = png_create_info_struct(s->png);
   if (s->info == nullptr) { return false; }
-  png_set_user_limits(s->png, 0x7fffffff, 0x7fffffff);  // sides are checked by check_side
+  png_set_user_limits(s->png, 0x7fffffff, 0x7fffffff);  // check_side() checks the sides
   png_set_read_fn(s->png, s, ft_seq_png_read);
   png_read_info(s->png, s->info);
   return true;
 }
 
-// Asks for 8 bits a sample, no palette, no alpha.
+// Requests 8 bits a sample, no palette, no alpha.
 bool png_prepare(png_source* s, int* passes, int* channels, std::size_t* row_bytes) {
   if (setjmp(png_jmpbuf(s->png)) != 0) { return false; }
   int const depth = png_get_bit_depth(s->png, s->info);
@@ -163,7 +163,7 @@ bool png_encode(png_sink* s, std::uint8_t const* pixels, int width, int height, 
                PNG_FILTER_TYPE_DEFAULT);
   png_set_compression_level(s->png, compression);
   if (compression <= 2) {
-    // camera pictures are noisy: string matches cost time and find next to nothing
+    // camera pictures are noisy: string matching costs time and finds almost nothing
     png_set_filter(s->png, PNG_FILTER_TYPE_BASE, PNG_FILTER_SUB);
     png_set_compression_strategy(s->png, Z_RLE);
   } else if (compression < 6) {
@@ -202,8 +202,8 @@ image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes) 
   out.height = static_cast<int>(png_get_image_height(source.png, source.info));
   auto const width = static_cast<std::size_t>(out.width);
   auto const height = static_cast<std::size_t>(out.height);
-  // deflate cannot shrink by more than 1032, so a short file that claims a huge image is caught
-  // before its memory is taken
+  // deflate shrinks by at most 1032, so a short file that claims a huge image is rejected before
+  // memory is allocated
   if (png_get_rowbytes(source.png, source.info) * height / 1040 > bytes.size()) {
     fail(path, "broken PNG: file is too short for its size of " + std::to_string(out.width) +
                    " x " + std::to_string(out.height));

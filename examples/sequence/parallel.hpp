@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Work spread over threads.
+/// @file Runs tasks on several threads.
 #pragma once
 
 #include <algorithm>
@@ -12,10 +12,10 @@
 
 namespace seq {
 
-/// Calls task(i) once for every i in [0, count), in no fixed order, from `threads` threads (the
-/// caller's included); returns when all are done. After an exception no new task begins, and the
-/// first exception is thrown on. Fewer threads are used where the system refuses more.
-/// @param threads 0 = as many as the machine has
+/// Calls task(i) once for every i in [0, count), in no fixed order, on `threads` threads including
+/// the caller's; returns when all are done. After an exception no new task begins, and the first
+/// exception is rethrown. Uses fewer threads if the system refuses more.
+/// @param threads 0 = all of the machine
 template <typename Task>
 void parallel_for(int count, int threads, Task const& task) {
   if (threads <= 0) {
@@ -38,7 +38,7 @@ void parallel_for(int count, int threads, Task const& task) {
   std::vector<std::thread> pool;
   try {
     for (int i = 1; i < std::min(threads, count); ++i) { pool.emplace_back(work); }
-  } catch (std::system_error const&) {}  // the ones there are will do
+  } catch (std::system_error const&) {}  // continue with fewer threads
   work();
   for (auto& thread : pool) { thread.join(); }
   if (failure) { std::rethrow_exception(failure); }

@@ -32,7 +32,7 @@ struct pair_files {
   std::string right;
 };
 
-/// Poses as the file has them: of the body or of the raw left camera.
+/// Poses in the file's frame: of the body or of the raw left camera.
 struct raw_ground_truth {
   trajectory poses;
   bool body = false;
@@ -43,7 +43,7 @@ std::string size_text(int width, int height) {
   return std::to_string(width) + " x " + std::to_string(height);
 }
 
-/// `folder`/`name`, or the same stem with another image extension; empty where there is none.
+/// `folder`/`name`, or the same stem with another image extension; empty if neither exists.
 std::string find_image(fs::path const& folder, std::string const& name) {
   fs::path const listed = folder / name;
   if (detail::is_file(listed.string())) { return listed.string(); }
@@ -103,7 +103,7 @@ std::vector<pair_files> find_euroc_pairs(fs::path const& mav0) {
   return pairs;
 }
 
-/// frame number -> file, of a folder of numbered images; other files are left alone.
+/// frame number -> file, of a folder of numbered images; other files are ignored.
 std::map<int, std::string> list_numbered_images(fs::path const& folder) {
   std::map<int, std::string> images;
   std::error_code failure;
@@ -170,8 +170,8 @@ std::vector<pair_files> find_kitti_pairs(fs::path const& root,
   return pairs;
 }
 
-/// EuRoC state_groundtruth_estimate0 and TUM-VI mocap0: time, position, quaternion w x y z, more
-/// that is not read.
+/// EuRoC state_groundtruth_estimate0 and TUM-VI mocap0: time, position, quaternion w x y z; further
+/// columns are ignored.
 trajectory read_euroc_truth(std::string const& path) {
   trajectory poses;
   for (detail::text_line const& line : detail::read_lines(path)) {
@@ -302,7 +302,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
 
   fs::path mav0;
-  std::vector<std::int64_t> times;  // of all frames, where poses.txt has its own
+  std::vector<std::int64_t> times;  // of all frames, for poses.txt
   if (detail::is_directory((root / "mav0").string())) {
     mav0 = root / "mav0";
   } else if (detail::is_directory((root / "cam0").string())) {
@@ -330,7 +330,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
     calib = read_calibration(options.calibration, width, height);
     if (!calib.has_body_frame && !mav0.empty() &&
         detail::is_file((mav0 / "cam0" / "sensor.yaml").string())) {
-      // The replacement says nothing of the body, which the ground truth needs.
+      // The replacement does not contain the body frame, which the ground truth needs.
       calib.rig.T_body_left = read_euroc_body_frame(mav0.string());
     }
   } else if (!mav0.empty()) {
@@ -362,7 +362,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   raw_ground_truth truth = find_ground_truth(root, mav0, times);
   p->has_orientation = truth.orientation;
   if (truth.orientation) {
-    // rig.T_body_left holds the rectifying rotation already.
+    // rig.T_body_left already contains the rectifying rotation.
     Eigen::Isometry3d const T_given_camera = truth.body ? p->rig.T_body_left : T_raw_loaded;
     for (stamped_pose& pose : truth.poses) {
       pose.T_world_camera = pose.T_world_camera * T_given_camera;

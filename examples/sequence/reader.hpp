@@ -21,13 +21,13 @@ struct orb_settings {
 };
 
 struct open_options {
-  /// Calibration file to use in place of the folder's own: sensor.yaml's parent `mav0`, a KITTI
+  /// Calibration file to use instead of the folder's own: sensor.yaml's parent `mav0`, a KITTI
   /// calib.txt, or an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8). Empty = the
   /// folder's.
   std::string calibration;
-  /// Keep fisheye (Kannala-Brandt) pairs as they are; otherwise every pair is rectified on load.
+  /// Keeps fisheye (Kannala-Brandt) pairs as they are; otherwise every pair is rectified on load.
   bool keep_fisheye = true;
-  /// Read at most this many frames; 0 = all.
+  /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
 };
 
@@ -45,19 +45,19 @@ public:
 
   std::string const& name() const;    ///< the folder's name
   std::string const& layout() const;  ///< "euroc" or "kitti"
-  /// The rig as the frames come out of load(): rectified pinholes, or the fisheye pair.
+  /// The rig of the frames that load() returns: rectified pinholes, or the fisheye pair.
   stereo_rig const& rig() const;
   bool fisheye() const;
   orb_settings const& settings() const;  ///< empty unless an ORB-SLAM3 settings file was given
   int size() const;                      ///< stereo pairs
   std::int64_t time_ns(int i) const;
-  /// Decodes (and rectifies where needed) pair i. @throws seq::error on a broken file or a size
-  /// that differs from the calibration's
+  /// Decodes pair i, and rectifies it if needed.
+  /// @throws seq::error for a broken file or a size that differs from the calibration's
   stereo_frame load(int i) const;
   /// Ground truth of the left camera (the body's moved by T_body_left and by the rectifying
-  /// rotation), sorted by time; empty where there is none.
+  /// rotation), sorted by time; empty if the sequence has none.
   trajectory const& ground_truth() const;
-  /// False where ground truth gives positions only (all orientations identity).
+  /// False if ground truth gives positions only (all orientations identity).
   bool ground_truth_has_orientation() const;
 
 private:

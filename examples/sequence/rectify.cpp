@@ -46,8 +46,9 @@ struct field {
   double left = -max_tangent, right = max_tangent, top = -max_tangent, bottom = max_tangent;
 };
 
-/// Direction in the rectified frame of a raw pixel, which moves towards the principal point until
-/// it has one. @return false where none is found, or where it is 84 degrees and more off the axis
+/// Direction in the rectified frame of a raw pixel. The pixel moves towards the principal point
+/// until it has a direction.
+/// @return false if none is found, or if it is 84 degrees and more off the axis
 bool rectified_direction(lens_projection const& lens, Eigen::Vector2d const& centre,
                          Eigen::Vector2d const& pixel, Eigen::Matrix3d const& rotation,
                          Eigen::Vector2d& direction) {
@@ -63,7 +64,7 @@ bool rectified_direction(lens_projection const& lens, Eigen::Vector2d const& cen
   return false;
 }
 
-/// Shrinks `inner` to directions that the camera sees: no border pixel's direction lies inside.
+/// Shrinks `inner` to directions that the camera sees: no border pixel's direction is inside.
 void shrink_to_view(camera_intrinsics const& camera, Eigen::Matrix3d const& rotation,
                     field& inner) {
   constexpr int samples = 64;  // per side
@@ -89,7 +90,7 @@ void shrink_to_view(camera_intrinsics const& camera, Eigen::Matrix3d const& rota
   }
 }
 
-/// Principal point nearest to `wanted` for which pixels 0..last see directions low..high only.
+/// Principal point nearest to `wanted` with which pixels 0..last see only directions low..high.
 double principal_point(double wanted, double focal, double last, double low, double high) {
   double const smallest = last - focal * high;
   double const largest = -focal * low;
@@ -257,7 +258,8 @@ remap_table::remap_table(pixel_map const& map, int source_width, int source_heig
       continue;
     }
     ++valid;
-    // Up to half a pixel outside takes the border's value; the last pixel is "32/32 of the next".
+    // Positions up to half a pixel outside take the border's value; the last pixel is "32/32 of the
+    // next".
     int const fixed_x =
         std::clamp(static_cast<int>(std::lround(x * 32)), 0, 32 * (source_width - 1));
     int const fixed_y =
@@ -305,11 +307,11 @@ rectifier::rectifier(stereo_rig const& raw) {
     throw error("rectification: cameras differ by " + std::to_string(turn.angle() * degrees) +
                 " degrees, at most 60 allowed");
   }
-  // With x_left = R x_right + t, both turn into the frame half-way between.
+  // With x_left = R x_right + t, both are rotated into the frame half-way between.
   Eigen::Matrix3d const half = Eigen::AngleAxisd(0.5 * turn.angle(), turn.axis()).matrix();
   Eigen::Vector3d const baseline = half.transpose() * raw.T_left_right.translation();
   double const off_axis =
-      std::atan2(baseline.tail<2>().norm(), baseline.x());  // pi where left and right are swapped
+      std::atan2(baseline.tail<2>().norm(), baseline.x());  // pi if left and right are swapped
   if (!(off_axis <= 45 / degrees)) {
     throw error("rectification: baseline " + std::to_string(off_axis * degrees) +
                 " degrees off the x axis, at most 45 allowed (left and right swapped, or one above "
@@ -331,8 +333,8 @@ rectifier::rectifier(stereo_rig const& raw) {
   if (overlap) {
     focal = std::max({focal, w / (inner.right - inner.left), h / (inner.bottom - inner.top)});
   }
-  // A narrow overlap must not turn into a telescope: beyond twice the raw focal length the margins
-  // stay empty instead.
+  // With a narrow overlap the focal length would become very long: beyond twice the raw one the
+  // margins stay empty instead.
   focal = overlap ? std::min(focal, 2 * raw_focal) : raw_focal;
   camera_intrinsics rectified;
   rectified.width = raw.left.width;

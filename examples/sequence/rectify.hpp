@@ -26,8 +26,8 @@ class lens_projection {
 public:
   explicit lens_projection(camera_intrinsics const& camera);
   projected_pixel operator()(Eigen::Vector3d const& point) const;
-  /// Direction of a pixel as (x/z, y/z), by Newton's method; not valid outside the domain, where
-  /// the iteration does not converge to 1e-9, or for directions 84 degrees and more off the axis.
+  /// Direction of a pixel as (x/z, y/z), by Newton's method. Invalid outside the domain, if the
+  /// iteration does not converge to 1e-9, or for directions 84 degrees and more off the axis.
   projected_pixel unproject(Eigen::Vector2d const& pixel) const;
 
 private:
@@ -39,7 +39,7 @@ private:
   double limit_ = 0;  ///< largest radius (radial-tangential) or angle (Kannala-Brandt)
 };
 
-/// Source pixel of every pixel; -1, -1 where there is none.
+/// Source pixel of every pixel; -1, -1 for none.
 struct pixel_map {
   int width = 0;
   int height = 0;
@@ -57,7 +57,7 @@ public:
 
   /// Bilinear; 0 where the map points more than half a pixel outside the source. Allocates the
   /// result.
-  /// @throws seq::error when the source has another size
+  /// @throws seq::error if the source has another size
   image apply(image const& source) const;
   /// Share of pixels with a source, 0..1.
   double valid_fraction() const { return valid_fraction_; }
@@ -75,27 +75,27 @@ private:
   std::vector<entry> entries_;
 };
 
-/// The rectification of a raw pair: each camera turned by half of their relative rotation, then
-/// both so that x runs along the baseline (Bouguet). One focal length and principal point for both,
-/// chosen so that every pixel has a source in both cameras, except that the focal length does not
-/// fall below 0.75 of the raw ones (wide lenses lose their margins). The image size is kept.
+/// The rectification of a raw pair: each camera is rotated by half of their relative rotation, then
+/// both so that x is along the baseline (Bouguet). Both get one focal length and principal point,
+/// chosen so that every pixel has a source in both cameras. Exception: the focal length is at least
+/// 0.75 of the raw ones, so wide lenses lose their margins. The image size is kept.
 class rectifier {
 public:
   /// @param raw checked rig (see check_rig)
-  /// @throws seq::error when the pair cannot be rectified in rows: the right camera is not to the
-  /// right
-  ///   (the baseline is more than 45 degrees off x), or the cameras diverge by more than 60 degrees
+  /// @throws seq::error if the pair cannot be rectified in rows: the right camera is not to the
+  ///   right (the baseline is more than 45 degrees off x), or the cameras diverge by more than 60
+  ///   degrees
   explicit rectifier(stereo_rig const& raw);
 
   /// Two equal pinholes; T_body_left is that of the rectified left camera.
   stereo_rig const& rig() const { return rig_; }
-  /// Turns points of the raw left camera into the rectified left camera.
+  /// Rotates points of the raw left camera into the rectified left camera.
   Eigen::Matrix3d const& left_rotation() const { return left_rotation_; }
   Eigen::Matrix3d const& right_rotation() const { return right_rotation_; }
   pixel_map const& left_map() const { return left_map_; }
   pixel_map const& right_map() const { return right_map_; }
 
-  /// @throws seq::error when `raw` is not of the rig's size
+  /// @throws seq::error if `raw` does not have the rig's size
   image left(image const& raw) const { return left_table_.apply(raw); }
   image right(image const& raw) const { return right_table_.apply(raw); }
   /// Share of rectified pixels with a source, the smaller of both cameras, 0..1.

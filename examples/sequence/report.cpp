@@ -33,7 +33,7 @@ std::string fixed(double value, int digits) {
   out.precision(digits);
   out << value;
   std::string text = out.str();
-  // "-0.00" says nothing that "0.00" does not
+  // writes "-0.00" as "0.00"
   if (text.front() == '-' && text.find_first_not_of("-0.") == std::string::npos) {
     text.erase(0, 1);
   }
@@ -50,7 +50,7 @@ void write_text(std::string const& path, std::string const& text) {
   std::ofstream out(path, std::ios::binary | std::ios::trunc);
   if (out) {
     out.write(text.data(), static_cast<std::streamsize>(text.size()));
-    out.close();  // the buffer is written here at the latest: check after it
+    out.close();  // flushes the buffer, so that the check sees all errors
   }
   if (!out) {
     std::string const reason =
@@ -288,7 +288,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   json options = json::object();
   for (auto const& [name, value] : report.options) { options[name] = value; }
   root["options"] = std::move(options);
-  // names come from the command line: bytes that are not UTF-8 must not cost the whole summary
+  // names come from the command line: bytes that are not UTF-8 must not prevent the summary
   detail::write_text(path, root.dump(2, ' ', false, json::error_handler_t::replace) + '\n');
 }
 
@@ -305,7 +305,7 @@ std::string csv_field(std::string const& text) {
   return quoted + '"';
 }
 
-/// All nine decimals, which a double would round away for a time since 1970.
+/// All nine decimals, which a double would lose for times since 1970.
 std::string seconds(std::int64_t time_ns) {
   bool const negative = time_ns < 0;
   std::uint64_t const ns =
@@ -386,7 +386,7 @@ void progress::step(int done, std::string const& note) {
   }
   if (!note.empty()) { text += "  " + note; }
   if (terminal_) {
-    out_ << '\r' << text << "\x1b[K" << std::flush;  // erases what a longer line left behind
+    out_ << '\r' << text << "\x1b[K" << std::flush;  // erases the rest of a longer line
   } else {
     out_ << text << '\n' << std::flush;
   }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What a tracking run leaves behind: printed table, summary.json, times.csv, report.html.
+/// @file The results of a tracking run: printed table, summary.json, times.csv, report.html.
 #pragma once
 
 #include <iosfwd>
@@ -16,7 +16,7 @@ namespace seq {
 struct statistics {
   double mean = 0, std = 0, p50 = 0, p99 = 0, max = 0;
 };
-/// Population standard deviation; percentiles by nearest rank. All zero for no samples.
+/// Population standard deviation; percentiles by nearest rank. All zero without samples.
 statistics summarise(std::vector<double> samples);
 
 /// One processed frame.
@@ -27,12 +27,12 @@ struct frame_record {
   bool keyframe = false;
   int keypoints = 0;  ///< left image
   int stereo_matches = 0;
-  int inliers = 0;  ///< keypoints matched to the map as it was before this frame's new points
+  int inliers = 0;  ///< keypoints matched to map points from before this frame
   int local_points = 0;
   std::vector<double> stage_ms;  ///< same order as run_report::stages
 };
 
-/// Drawn in the report.
+/// A frame drawn in the report.
 struct sample_frame {
   int index = 0;
   image picture;  ///< left image
@@ -42,7 +42,7 @@ struct sample_frame {
     float depth = -1;      ///< metres, -1 = no stereo match
     bool matched = false;  ///< one of frame_record::inliers
     float from_x = -1,
-          from_y = -1;  ///< where the same map point was seen in the frame before, -1 = not
+          from_y = -1;  ///< position of the same map point in the preceding frame, -1 = none
   };
   std::vector<keypoint> keypoints;
 };
@@ -52,10 +52,10 @@ struct run_report {
   std::string sequence;
   std::string backend;                         ///< "host" or "cuda"
   std::string device;                          ///< processor or GPU name
-  std::map<std::string, std::string> options;  ///< as given, for the record
+  std::map<std::string, std::string> options;  ///< as given on the command line
   int image_width = 0, image_height = 0;
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
-  int maps = 0;                     ///< begun; more than one after a long loss
+  int maps = 0;                     ///< maps begun; more than one after a long loss
   std::vector<std::string> stages;  ///< names; the last one is "total"
   std::vector<frame_record> records;
   trajectory estimate;  ///< tracked frames only
@@ -71,12 +71,12 @@ void print_summary(std::ostream& out, run_report const& report);
 /// max_ms, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
-/// One self-contained file: no script, style or picture from elsewhere. @throws seq::error where it
-/// cannot be written, or where there are more stages than colours (report_palette.hpp)
+/// One self-contained file: no script, style or picture from elsewhere.
+/// @throws seq::error if it cannot be written, or for more stages than colours (report_palette.hpp)
 void write_html(std::string const& path, run_report const& report);
 
 /// A one-line progress display ("track  132/300  44 %  31.2 frames/s  ETA 5 s"); a plain line every
-/// 10 % where `out` is not a terminal.
+/// 10 % if `out` is not a terminal.
 class progress {
 public:
   progress(std::ostream& out, bool terminal, std::string label, int total);

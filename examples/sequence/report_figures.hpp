@@ -12,7 +12,7 @@
 
 namespace seq::detail {
 
-/// Statistics of one stage; `count` is the number of frames that have a time for it.
+/// Statistics of one stage; `count` is the number of frames with a time for it.
 struct stage_figures {
   std::string name;
   int count = 0;
@@ -20,7 +20,7 @@ struct stage_figures {
   statistics ms;
 };
 
-/// What the writers print, derived once from a report; empty optionals where nothing was measured.
+/// The printed figures, derived once from a report; optionals are empty if nothing was measured.
 struct run_figures {
   bool has_truth = false;
   double path_m = 0;
@@ -37,15 +37,14 @@ struct run_figures {
 
 run_figures figures_of(run_report const& report);
 
-/// Milliseconds of stage `s`; nothing where the record has no such entry or it is not a finite
-/// number.
+/// Milliseconds of stage `s`; nothing if the record has no such entry or it is not a finite number.
 std::optional<double> stage_time(frame_record const& record, std::size_t s);
 
 /// Nearest rank: the smallest sample that at least `percent` of all samples do not exceed.
 /// @pre sorted is not empty and ascending
 double percentile(std::vector<double> const& sorted, double percent);
 
-/// Decimal number, point as separator whatever the locale; "n/a" where it is not finite.
+/// Decimal number with a point in any locale; "n/a" if it is not finite.
 std::string fixed(double value, int digits);
 std::string fixed(std::optional<double> const& value, int digits, char const* unit = "");
 

@@ -9,8 +9,8 @@
 #include "examples/sequence/report_sections.hpp"
 
 // The report is one HTML file without scripts: figures are inline SVG, pictures base64 JPEG.
-// Colours of charts are CSS classes, so that dark mode and print only redefine variables. The
-// markup is written so that every element but <meta> and <br> is closed, which the test checks.
+// Colours of charts are CSS classes, so that dark mode and print only redefine variables. Every
+// element except <meta> and <br> is closed, which the test checks.
 
 namespace seq {
 namespace {
@@ -41,7 +41,7 @@ std::string cards(run_report const& r, run_figures const& f) {
                       : *f.tracked_ratio > 0.98 ? "good"
                       : *f.tracked_ratio > 0.8  ? "fair"
                                                 : "bad";
-  // rounded down: 100 % is for all of them
+  // rounded down: 100 % means all of them
   std::string const share =
       f.tracked_ratio ? fixed(std::floor(*f.tracked_ratio * 1000) / 10, 1) : "n/a";
   out += card("Tracked", share, "%",

@@ -8,7 +8,7 @@
 namespace seq::detail {
 namespace {
 
-/// 1, 2 or 5 times a power of ten, so that about `count` steps fill `span`.
+/// 1, 2 or 5 times a power of ten, so that about `count` steps cover `span`.
 double nice_step(double span, double count) {
   double const raw = span / std::max(count, 1.0);
   if (!(raw > 0) || !std::isfinite(raw)) { return 1; }
@@ -22,8 +22,8 @@ std::string tick_text(double value, double step) {
   return fixed(value, std::min(digits, 6));
 }
 
-/// Multiples of `step` within the axis. At most a hundred: an axis far from zero and short (a run
-/// that diverged) may be below the resolution of its numbers.
+/// Multiples of `step` within the axis, at most a hundred. On a short axis far from zero (a run
+/// that diverged) the step may be below the resolution of its numbers.
 std::vector<double> ticks(range const& axis, double step) {
   std::vector<double> out;
   double const first = std::ceil(axis.low / step - 1e-9) * step;

@@ -17,7 +17,8 @@ namespace seq::detail {
 /// Text as HTML: markup characters are escaped, control characters become spaces.
 std::string escape(std::string const& text);
 
-/// One decimal, the shortest text; what is not finite becomes 0, so no attribute can hold "nan".
+/// One decimal, the shortest text. Numbers that are not finite become 0, so that no attribute
+/// contains "nan".
 std::string coordinate(double value);
 
 std::string attribute(char const* name, double value);
@@ -35,7 +36,7 @@ struct range {
   double span() const { return high - low; }
 };
 
-/// An SVG path; nothing where there is no data.
+/// An SVG path; nothing without data.
 std::string path(std::string const& style, std::string const& data);
 
 /// A drawing area with linear axes; everything in units of the SVG's view box.
@@ -67,7 +68,7 @@ public:
   }
 };
 
-/// Path data of lines; starts a new one after cut(), and leaves out points closer than half a unit.
+/// Path data of lines. Starts a new line after cut(), and omits points closer than half a unit.
 class pen {
 public:
   void to(double x, double y) {
@@ -106,12 +107,12 @@ private:
 
 enum class mark { line, area, dot, tick };
 
-/// One entry of a legend: a sample of the class's colour, then the words.
+/// One entry of a legend: a sample of the class's colour, then the text.
 std::string legend_entry(std::string const& style, mark shape, std::string const& words);
 
 std::string section_open(std::string const& title, std::string const& caption);
 
-/// A sentence in place of a chart.
+/// A sentence instead of a chart.
 std::string nothing(std::string const& words);
 
 /// Consecutive records drawn as one point, so that long sequences stay small.

@@ -12,11 +12,11 @@ struct page_colour {
   char const* dark;
 };
 
-/// What charts are drawn on.
+/// Background of charts.
 constexpr page_colour panel_colour = {"#ffffff", "#181e27"};
 
-/// One a stage, in their order. Any two differ by at least 20 in CIEDE2000, neighbours in the stack
-/// by 40, and each has a contrast of at least 3 to the panel.
+/// One per stage, in their order. Any two differ by at least 20 in CIEDE2000, neighbours in the
+/// stack by 40, and each has a contrast of at least 3 to the panel.
 constexpr std::array<page_colour, 16> stage_palette = {{
     {"#bb1144", "#886666"},
     {"#0077dd", "#55bb00"},

@@ -17,7 +17,8 @@ namespace {
 constexpr int depth_colours = 24;
 
 /// Near is red, far is blue: the polynomial approximation of the "turbo" map (A. Mikhailov,
-/// Google), run backwards and without its dark ends. @param t 0 (near) to 1 (far)
+/// Google), reversed and without its dark ends.
+/// @param t 0 (near) to 1 (far)
 std::string depth_colour(double t) {
   double const x = 0.92 - 0.84 * std::clamp(t, 0.0, 1.0);
   auto const poly = [x](std::array<double, 6> const& k) {
@@ -85,7 +86,7 @@ image halved(image const& in) {
   return out;
 }
 
-/// A JPEG of at most `budget` bytes where a quality above poor allows it.
+/// A JPEG of at most `budget` bytes if an acceptable quality allows it.
 std::vector<std::uint8_t> jpeg_within(image const& picture, std::size_t budget) {
   constexpr int widest = 1600;
   image small;
@@ -125,7 +126,7 @@ std::string depth_bar(depth_scale const& scale) {
 std::string sample_figure(sample_frame const& s, depth_scale const& scale, double zoom,
                           std::size_t budget) {
   double const width = s.picture.width, height = s.picture.height;
-  // marks keep about the same size on paper, whatever the picture's
+  // marks have about the same size on paper for every picture size
   double const unit = zoom * std::clamp(width / 1000, 0.2, 4.0);
   float least_size = std::numeric_limits<float>::max();
   for (auto const& k : s.keypoints) {
@@ -210,7 +211,7 @@ std::string sample_section(run_report const& r) {
                    "Left image. A ring's size is its pyramid level's, its colour the "
                    "stereo depth; a line leads from where the same map point was seen "
                    "in the frame before.");
-  // the rings are drawn on dark: their colours are made for the pictures, not for the page
+  // the rings are drawn on dark: their colours are chosen for the pictures, not for the page
   out += "<div class=\"legend\">\n<span class=\"key\">depth " + depth_bar(scale) + "</span>\n";
   auto const ring = [&](char const* colour, char const* stroke, char const* words) {
     out += std::string(

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The sections of the HTML report, each a file. Not API: included by report_html.cpp and the
-/// sections only.
+/// @file The sections of the HTML report, one file each. Not API: included by report_html.cpp and
+/// the sections only.
 #pragma once
 
 #include <string>
@@ -18,7 +18,7 @@ std::string time_section(run_report const& r, run_figures const& f);
 /// @pre as time_section
 std::string stage_table(run_figures const& f);
 std::string counts_section(run_report const& r);
-/// Pictures with keypoints; empty where there are none.
+/// Pictures with keypoints; empty without samples.
 std::string sample_section(run_report const& r);
 
 /// All of the page's CSS: colours are variables, which dark mode redefines.

@@ -13,7 +13,7 @@ namespace {
 
 std::string stage_style(std::size_t s) { return "s" + std::to_string(s); }
 
-/// Upper end of the time axis: all of it, unless a few outliers would flatten the rest.
+/// Upper end of the time axis: the maximum, unless a few outliers would flatten the rest.
 double time_limit(std::vector<double> const& sorted) {
   double const largest = sorted.back(), median = percentile(sorted, 50);
   if (largest <= 3 * median) { return largest * 1.08; }

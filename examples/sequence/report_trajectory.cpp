@@ -25,7 +25,7 @@ positions finite_positions(trajectory const& poses, Eigen::Isometry3d const& tra
   return out;
 }
 
-/// Longest step in time that a line still bridges: tracking was lost across anything longer.
+/// Longest time step that a line bridges: tracking was lost during anything longer.
 std::int64_t bridged_gap(positions const& points) {
   std::vector<std::int64_t> steps;
   for (std::size_t i = 1; i < points.size(); ++i) {
@@ -37,7 +37,7 @@ std::int64_t bridged_gap(positions const& points) {
   return *middle * 5 / 2;
 }
 
-/// The part of the truth that the run covers; all of it where the run has no frames.
+/// The part of the truth that the run covers; all of it if the run has no frames.
 trajectory covered(trajectory const& truth, std::vector<frame_record> const& records) {
   if (records.empty()) { return truth; }
   auto const [first, last] = std::minmax_element(
@@ -50,7 +50,7 @@ trajectory covered(trajectory const& truth, std::vector<frame_record> const& rec
   return out.empty() ? truth : out;
 }
 
-/// One axis of the world, maybe against its direction.
+/// One axis of the world, possibly reversed.
 struct signed_axis {
   int index = 0;
   double sign = 1;
@@ -66,8 +66,8 @@ struct view_plane {
 };
 
 /// The two axes of largest extent. Without ground truth the world is the first camera's frame (y
-/// down), so "from above" is x-z with z upwards on paper, and y is drawn against its sign. A tall
-/// shape is turned by a quarter, clockwise, because paper and screens are wide.
+/// down), so "from above" is x-z with z upwards on paper, and y is drawn reversed. A tall shape is
+/// rotated clockwise by a quarter turn, because paper and screens are wide.
 view_plane choose_plane(positions const& points, bool truth) {
   Eigen::Vector3d low = points.front().second, high = low;
   for (auto const& p : points) {
@@ -116,7 +116,7 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
       c.y = {std::min(c.y.low, up(p.second)), std::max(c.y.high, up(p.second))};
     }
   }
-  // equal scale: the height follows the shape within bounds, then the shorter axis is widened
+  // equal scale: the height follows the shape within bounds, then the shorter axis is extended
   double const margin = 0.05 * std::max({c.x.span(), c.y.span(), 0.2});
   c.x = {c.x.low - margin, c.x.high + margin};
   c.y = {c.y.low - margin, c.y.high + margin};

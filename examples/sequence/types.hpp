@@ -11,7 +11,7 @@
 
 namespace seq {
 
-/// What any function of this room throws on bad input: the message names the file and the reason.
+/// Thrown by all functions of this folder for bad input: the message names the file and the reason.
 struct error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -42,7 +42,7 @@ struct camera_intrinsics {
   int width = 0;
   int height = 0;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
-  std::vector<double> distortion;         ///< as `model` says; empty for a pinhole
+  std::vector<double> distortion;         ///< in the order of `model`; empty for a pinhole
 };
 
 /// A calibrated pair. Camera frames: x right, y down, z forward; metres.
@@ -56,8 +56,8 @@ struct stereo_rig {
   double fps = 0;                     ///< 0 = unknown
 
   double baseline() const { return T_left_right.translation().norm(); }
-  /// True where rows of both images correspond: two equal pinholes, T_left_right a translation
-  /// along x.
+  /// True if rows of both images correspond: two equal pinholes, T_left_right a translation along
+  /// x.
   bool rectified() const;
 };
 

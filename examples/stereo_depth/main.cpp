@@ -24,8 +24,8 @@ int match(Exec const& exec, demo::scene const& scene, std::string const& path) {
   auto const [fx, fy, cx, cy] = scene.intrinsics();
   auto const rig = ft::rectified_rig::make({fx, fy, cx, cy}, scene.baseline());
 
-  // A batch of two images: 0 is the left one of the pair, 1 the right one. Both are extracted by
-  // the same launches.
+  // A batch of two images: 0 is the left one of the pair, 1 the right one. The same launches
+  // extract both.
   ft::orb_extractor<Exec> orb(exec, demo::params_for(images.left), 2);
   ft::stereo_matcher<Exec> stereo(rig, orb);
   orb.upload(exec, 0, demo::view(images.left));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The odometry's options and poses as ft has them.
+/// @file The odometry's options and poses as types of ft.
 #pragma once
 
 #include <algorithm>
@@ -29,7 +29,7 @@ inline rigid_pose from_ft(ft::pose const& p) {
 
 using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
 
-/// The options' rig as ft has it.
+/// The options' rig as a type of ft.
 template <typename Rig>
 Rig rig_of(odometry_options const& o) {
   auto const f = [](double v) { return static_cast<float>(v); };

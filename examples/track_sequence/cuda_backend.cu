@@ -5,7 +5,7 @@ namespace app {
 
 namespace {
 
-/// A stream that outlives what runs on it.
+/// A stream that is destroyed after all users of it.
 class owned_stream {
 public:
   owned_stream() {

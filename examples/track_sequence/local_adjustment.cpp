@@ -106,16 +106,16 @@ private:
   double bf_;
 };
 
-/// The sums of a linearization that one point takes part in.
+/// The sums of a linearisation that belong to one point.
 struct point_terms {
   Eigen::Matrix3d H = Eigen::Matrix3d::Zero();
   Eigen::Vector3d b = Eigen::Vector3d::Zero();
-  std::size_t first = 0, last = 0;  ///< in solver::links
+  std::size_t first = 0, last = 0;  ///< range in solver::links
 };
 
-/// A point and a view that moves.
+/// A point and a view that is not fixed.
 struct link {
-  std::size_t view;  ///< counted from the first that moves
+  std::size_t view;  ///< counted from the first view that is not fixed
   matrix63 W;
 };
 
@@ -189,7 +189,8 @@ private:
     return view.R * Eigen::Map<Eigen::Vector3d const>(point.data()) + view.t;
   }
 
-  /// @param x in the left camera's frame @param e pixels, projected less seen
+  /// @param x in the left camera's frame
+  /// @param e pixels, projected minus measured
   bool error(sighting const& s, Eigen::Vector3d const& x, Eigen::Vector2d& e) const {
     bool const valid = rig_.project(s.camera, x, e);
     e -= Eigen::Vector2d(s.u, s.v);
@@ -257,7 +258,7 @@ private:
       for (std::size_t i = t.first; i < t.last; ++i) {
         matrix63 const Y = links_[i].W * inverses_[p];
         r.segment<6>(at(links_[i].view)) -= Y * t.b;
-        for (std::size_t k = t.first; k <= i; ++k) {  // views rise: the lower triangle
+        for (std::size_t k = t.first; k <= i; ++k) {  // views ascend: the lower triangle
           S.block<6, 6>(at(links_[i].view), at(links_[k].view)).noalias() -=
               Y * links_[k].W.transpose();
         }

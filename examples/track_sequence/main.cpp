@@ -81,7 +81,7 @@ int parse(int argc, char** argv, arguments& a) {
   app.add_flag("--quiet", a.quiet, "no progress display");
   try {
     app.parse(argc, argv);
-    if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // NaN neither
+    if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // rejects NaN
       throw CLI::ValidationError("--near", "must be above 0 and at most 1e6");
     }
   } catch (CLI::ParseError const& e) { return app.exit(e) == 0 ? -1 : 2; }
@@ -125,7 +125,7 @@ app::odometry_options options_of(arguments const& a, seq::sequence const& sequen
   o.ini_threshold = settings.ini_threshold.value_or(o.ini_threshold);
   o.min_threshold = settings.min_threshold.value_or(o.min_threshold);
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
-  // TBB starts no more threads than there are cores, and warns on stderr where asked for more.
+  // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   o.optimize = a.optimize == "both"  ? app::pose_optimization::both
                : a.optimize == "off" ? app::pose_optimization::off
@@ -143,7 +143,7 @@ std::unique_ptr<app::odometry> make_odometry(arguments const& a, app::odometry_o
   backend = gpu.empty() ? "host" : "cuda";
   try {
     return gpu.empty() ? app::make_host_odometry(o) : app::make_cuda_odometry(o);
-  } catch (std::exception const& e) {  // what does not fit together came from there
+  } catch (std::exception const& e) {  // options that contradict each other
     throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
   }
 }
@@ -161,7 +161,7 @@ seq::stamped_pose stamped(std::int64_t time_ns, app::rigid_pose const& T_cw) {
   return s;
 }
 
-/// Picks frames for the report: spread over the run.
+/// Selects frames for the report, spread over the run.
 bool is_sample(int i, int frames) {
   constexpr int samples = 6;
   if (frames <= samples) { return true; }
@@ -238,7 +238,7 @@ int run(arguments const& a) {
   for (int i = 0; i < sequence.size(); ++i) {
     double const arrival_ms = static_cast<double>(sequence.time_ns(i) - sequence.time_ns(0)) / 1e6;
     if (a.realtime && arrival_ms < busy_until_ms) {
-      // It came while another was being processed; the last one to come is taken when that is done.
+      // The frame came while another was processed. Only the last such frame is taken.
       bool const newest =
           i + 1 >= sequence.size() ||
           static_cast<double>(sequence.time_ns(i + 1) - sequence.time_ns(0)) / 1e6 > busy_until_ms;

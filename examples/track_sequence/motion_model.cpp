@@ -13,10 +13,11 @@ namespace {
 
 using rotation = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-/// t = V u, for a turn by the vector w at the speed u: the integral of exp(x w) over x in [0, 1].
+/// t = V u, for a rotation by the vector w at the velocity u: the integral of exp(x w) over x in
+/// [0, 1].
 Eigen::Matrix3d integral_of_turn(Eigen::Vector3d const& w) {
   double const angle = w.norm();
-  bool const small = angle < 1e-4;  // there the next terms of the series are below rounding
+  bool const small = angle < 1e-4;  // below, the next terms of the series are below rounding
   double const a = small ? 0.5 : (1 - std::cos(angle)) / (angle * angle);
   double const b = small ? 1.0 / 6 : (angle - std::sin(angle)) / (angle * angle * angle);
   Eigen::Matrix3d cross;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stereo visual odometry behind an interface of plain types, so that the host and the CUDA
-/// version live in one program.
+/// @file Stereo visual odometry behind an interface of plain types, so that one program can have
+/// the host and the CUDA version.
 #pragma once
 
 #include <array>
@@ -19,7 +19,7 @@ struct rigid_pose {
   std::array<double, 3> operator*(std::array<double, 3> const& p) const;
   rigid_pose operator*(rigid_pose const& other) const;
   rigid_pose inverse() const;
-  /// The nearest rotation, after many products.
+  /// Replaces R by the nearest rotation, after many products.
   void orthonormalize();
 };
 
@@ -49,7 +49,7 @@ struct seen_keypoint {
   int octave;
   float depth;   ///< metres, -1 = no stereo match
   int point;     ///< map point held, -1 = none
-  bool matched;  ///< to a map point that was there before this frame's new points
+  bool matched;  ///< matched to a map point from before this frame
 };
 
 struct frame_outcome {
@@ -58,7 +58,7 @@ struct frame_outcome {
   rigid_pose T_cw;  ///< world to left camera
   int keypoints = 0;
   int stereo_matches = 0;
-  int inliers = 0;  ///< points of the map that were matched, without this frame's new ones
+  int inliers = 0;  ///< matched map points, without this frame's new ones
   int local_points = 0;
   std::vector<double> stage_ms;  ///< one per stage_names()
 };
@@ -67,8 +67,8 @@ struct frame_outcome {
 class odometry {
 public:
   virtual ~odometry() = default;
-  /// @param time_ns when the pair was taken; its distance to the last one scales the predicted
-  /// motion
+  /// @param time_ns when the pair was taken; the time since the last pair scales the predicted
+  ///   motion
   /// @param left,right width x height bytes without padding
   virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                               std::uint8_t const* right) = 0;
@@ -76,13 +76,13 @@ public:
   virtual std::vector<seen_keypoint> keypoints() const = 0;         ///< of the last frame
   virtual int keyframes() const = 0;
   virtual int map_points() const = 0;
-  virtual int maps() const = 0;  ///< begun: more than one where the camera was lost for long
+  virtual int maps() const = 0;  ///< maps begun: more than one if the camera was lost for long
   virtual std::string device() const = 0;
 };
 
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options);
 
-/// Empty where there is no usable CUDA device, else its name.
+/// Name of the CUDA device; empty if there is no usable one.
 std::string cuda_device_name();
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options);
 

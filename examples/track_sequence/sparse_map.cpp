@@ -13,11 +13,11 @@ constexpr std::size_t descriptors_kept = 8;
 constexpr std::size_t local_keyframes = 30;
 constexpr int cull_after_frames = 10;
 constexpr double cull_ratio = 0.25;
-constexpr int moving_keyframes = 8;      // of an adjustment, the newest
-constexpr int fixed_keyframes = 5;       // before them
-constexpr int adjustment_steps = 3;      // the next keyframe goes on from there
-constexpr double disparity_weight = 16;  // sub-pixel, where keypoints are whole pixels
-constexpr double trusted_factor = 2;     // on a point's distance: more than that is chance
+constexpr int moving_keyframes = 8;      // newest ones, adjusted
+constexpr int fixed_keyframes = 5;       // preceding ones, constant
+constexpr int adjustment_steps = 3;      // the next keyframe continues from there
+constexpr double disparity_weight = 16;  // sub-pixel, while keypoints are whole pixels
+constexpr double trusted_factor = 2;     // on a point's distance: a larger change is chance
 constexpr double outlier2 = 9.21;        // 99 % of 2 degrees of freedom
 
 int hamming(orb_words const& a, orb_words const& b) {
@@ -193,7 +193,7 @@ void sparse_map::insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& f
   int made = 0;
   for (auto const& [depth, i] : candidates) {
     if (depth > near && made >= at_least) { break; }
-    ++made;  // points that exist already count, too
+    ++made;  // existing points count, too
     auto& f = features[i];
     if (f.slot >= 0) { continue; }
     int const slot = take_slot();
@@ -215,7 +215,7 @@ void sparse_map::adjust(odometry_options const& rig, std::vector<seen_point> see
   for (auto& s : seen) { s.number = point(s.slot).number; }
   keyframes_.back().seen = std::move(seen);
   int const end = keyframe_count();
-  int const moving = std::max(1, end - moving_keyframes);  // the first keyframe is the world
+  int const moving = std::max(1, end - moving_keyframes);  // the first keyframe defines the world
   int const begin = std::max(0, moving - fixed_keyframes);
   if (begin > 0) { keyframes_[static_cast<std::size_t>(begin - 1)].seen = {}; }
   if (end < 2) { return; }
@@ -276,7 +276,7 @@ void sparse_map::adjust(odometry_options const& rig, std::vector<seen_point> see
     double const before = distance();
     for (std::size_t k = 0; k < 3; ++k) { p.position[k] = static_cast<float>(a.points[i][k]); }
     double const factor = distance() / before;
-    if (!(factor > 1 / trusted_factor && factor < trusted_factor)) {  // NaN neither
+    if (!(factor > 1 / trusted_factor && factor < trusted_factor)) {  // also rejects NaN
       p.position = position;
       continue;
     }
@@ -317,7 +317,7 @@ std::vector<int> sparse_map::local_points(std::vector<int> const& held, int most
     if (ids.size() >= local_keyframes) { break; }
     ids.push_back(r.second);
   }
-  // The newest keyframe's points are the likeliest to be in view.
+  // The newest keyframe's points are most likely to be in view.
   if (!keyframes_.empty() && std::find(ids.begin(), ids.end(), keyframe_count() - 1) == ids.end()) {
     ids.push_back(keyframe_count() - 1);
   }

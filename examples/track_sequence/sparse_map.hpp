@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The host's map: points in slots, keyframes, which keyframe sees which point.
+/// @file The host's map: points in slots, keyframes, and the observations between them.
 #pragma once
 
 #include <array>
@@ -18,12 +18,12 @@ struct map_point {
   std::array<float, 3> normal{};    ///< mean viewing direction, unit length
   float min_distance = 0, max_distance = 0;
   orb_words orb{};
-  int visible = 1;  ///< frames in whose view it was
-  int found = 1;    ///< frames that matched it
+  int visible = 1;  ///< number of frames that had it in view
+  int found = 1;    ///< number of frames that matched it
   bool alive = false;
-  int number = 0;                 ///< no other point has had it, whatever its slot
-  std::vector<int> keyframes;     ///< that see it, oldest first
-  std::vector<orb_words> recent;  ///< descriptors of the last few of them
+  int number = 0;                 ///< unique over all points, whatever their slots
+  std::vector<int> keyframes;     ///< keyframes that see it, oldest first
+  std::vector<orb_words> recent;  ///< descriptors in the last few of them
 };
 
 /// A map point at a keypoint: see sighting.
@@ -32,13 +32,13 @@ struct seen_point {
   int camera;
   double u, v;
   int octave;
-  int number = 0;  ///< of the point: its slot may since have another
+  int number = 0;  ///< of the point, because its slot may be reused
 };
 
 struct keyframe {
   rigid_pose T_cw;
   std::vector<int> points;       ///< slots seen
-  std::vector<seen_point> seen;  ///< while it takes part in adjustments
+  std::vector<seen_point> seen;  ///< kept while it takes part in adjustments
 };
 
 /// One keypoint of a new keyframe.
@@ -49,21 +49,21 @@ struct keyframe_feature {
   orb_words orb;
 };
 
-/// Slots are handed out again after their point is gone. When all are in use the points of the
-/// oldest keyframes make room.
+/// Slots are reused after their point is deleted. When all are in use, the points of the oldest
+/// keyframes are deleted.
 class sparse_map {
 public:
   /// @param scales of the pyramid's levels
   sparse_map(int slots, std::vector<float> scales);
 
   void clear();
-  /// Adds a keyframe: matched features get an observation, near unmatched ones become points.
-  /// Their slots are updated. @param near metres; with fewer than `at_least` near points the
-  /// nearest are taken
+  /// Adds a keyframe: matched features become observations, near unmatched ones become points.
+  /// Updates the features' slots.
+  /// @param near metres; with fewer than `at_least` near points the nearest are taken
   void insert(rigid_pose const& T_cw, std::vector<keyframe_feature>& features, double near,
               int at_least);
-  /// Refines the newest keyframes and their points by what both cameras saw of them. @param seen
-  /// by the newest one
+  /// Refines the newest keyframes and their points from the observations of both cameras.
+  /// @param seen by the newest one
   void adjust(odometry_options const& rig, std::vector<seen_point> seen);
   /// Slots of the keyframes that share points with a frame, the best keyframes first.
   std::vector<int> local_points(std::vector<int> const& held, int most) const;
@@ -76,7 +76,7 @@ public:
 
   bool alive(int slot) const { return slot >= 0 && points_[static_cast<std::size_t>(slot)].alive; }
   map_point const& point(int slot) const { return points_[static_cast<std::size_t>(slot)]; }
-  /// Slots whose point is new or changed since the last call.
+  /// Slots of points that are new or have changed since the last call.
   std::vector<int> take_changes();
   int keyframe_count() const { return static_cast<int>(keyframes_.size()); }
   rigid_pose const& last_keyframe_pose() const { return keyframes_.back().T_cw; }
@@ -97,7 +97,7 @@ private:
   std::vector<int> changed_;
   std::vector<unsigned char> is_changed_;
   int points_made_ = 0;
-  int oldest_ = 0;  ///< first keyframe whose points may still be there
+  int oldest_ = 0;  ///< first keyframe whose points may still exist
   int alive_ = 0;
 };
 

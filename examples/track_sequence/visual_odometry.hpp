@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stereo visual odometry from ft stages alone, for either executor and either kind of rig.
+/// @file Stereo visual odometry built from ft's stages, for either executor and either kind of rig.
 ///
-/// Per frame: predict with constant velocity over the time that has passed -> features, stereo,
-/// search from the last frame, pose
-/// -> local map of the keyframes that share points (chosen on the host) -> frustum, search, pose ->
-/// a keyframe where too few points are left, and an adjustment of the newest keyframes and points
-/// (on the host). A frame that is not found so is looked for around the
-/// last poses with a wide search; where that fails for long, a new map is begun.
+/// Per frame:
+/// - predict the pose with constant velocity over the elapsed time;
+/// - features, stereo, search from the last frame, pose;
+/// - local map of the keyframes that share points (chosen on the host), frustum, search, pose;
+/// - if too few points are left: a new keyframe, and a bundle adjustment of the newest keyframes
+///   and points (on the host).
+///
+/// A lost camera is searched for around the last poses with a wide search. If that fails for long,
+/// a new map is begun.
 #pragma once
 
 #include <algorithm>
@@ -35,9 +38,9 @@ constexpr int min_motion_inliers = 10;   ///< to trust the pose from the last fr
 constexpr int min_recovered = 30;        ///< to call a lost camera found
 constexpr float wide_searches[]{6, 20};  ///< factors on the local search's radius when lost
 constexpr int patience = 5;              ///< lost frames with features before a new map is begun
-constexpr int wanted_near_points = 100;  ///< a keyframe has at least as many near points
-constexpr int new_near_points = 70;      ///< and is made where so many could be added
-constexpr double keep_share = 0.75;      ///< of the last keyframe's tracked points
+constexpr int wanted_near_points = 100;  ///< near points that a keyframe should have at least
+constexpr int new_near_points = 70;      ///< a keyframe is made if this many could be added
+constexpr double keep_share = 0.75;      ///< minimal share of the last keyframe's tracked points
 
 }  // namespace vo
 
@@ -103,7 +106,7 @@ public:
   std::string device() const override { return device_; }
 
 private:
-  /// Queues a call of the tracker and waits for its result.
+  /// Enqueues a call of the tracker and waits for its result.
   template <typename Call>
   void run(Call const& call) {
     call();
@@ -132,7 +135,7 @@ private:
     timed("update local map",
           [&] { local_ = map_.local_points(held, tracker_.params().local_points); });
     run([&] { tracker_.track_local(exec_, local_); });
-    // Points matched from the last frame were not tested again: they are in view.
+    // Points matched from the last frame are not tested again: they are in view.
     for (int slot : held) { map_.count_visible(slot); }
     count_in_view();
     out.local_points = static_cast<int>(local_.size());
@@ -140,7 +143,7 @@ private:
     return out.inliers >= vo::min_inliers;
   }
 
-  /// A wide search around poses where the camera may be.
+  /// Wide searches around poses where the camera may be.
   bool recover(frame_outcome& out) {
     std::vector<rigid_pose> const guesses{motion_.predict(T_cw_, interval_ns_), T_cw_,
                                           map_.last_keyframe_pose()};
@@ -152,7 +155,7 @@ private:
     return false;
   }
 
-  /// Whether a search in the newest points finds the camera around there.
+  /// Whether a search for the newest points finds the camera near a pose.
   bool is_at(rigid_pose const& guess, float width, frame_outcome& out) {
     timed("update local map", [&] { local_ = map_.recent_points(tracker_.params().local_points); });
     ft::local_search_params wide;
@@ -210,7 +213,7 @@ private:
       int const depths = count([&](int i) { return r.depth[i] > 0; });
       bool const usable = depths >= vo::min_stereo_points;
       if (has_map) {
-        T_cw_ = motion_.predict(T_cw_, interval_ns_);  // the best guess, slower and slower
+        T_cw_ = motion_.predict(T_cw_, interval_ns_);  // the best guess: the motion slows down
         motion_.slow_down();
         lost_frames_ += 1;
         lost_with_features_ = usable ? lost_with_features_ + 1 : 0;
@@ -225,7 +228,7 @@ private:
         });
         ++maps_;
         out.keyframe = true;
-        out.tracked = !has_map;  // a later map hangs on a guessed pose
+        out.tracked = !has_map;  // a later map starts at a guessed pose
       }
     }
     out.T_cw = T_cw_;
@@ -351,13 +354,13 @@ private:
   sparse_map map_;
   stage_sums sums_;
   std::vector<ft::descriptor> descriptors_;
-  std::vector<int> held_;  ///< slot of each keypoint of the last frame, new points among them
-  std::vector<unsigned char> matched_;  ///< whether it was matched to a point of the map before
+  std::vector<int> held_;  ///< slot of each keypoint of the last frame, including new points
+  std::vector<unsigned char> matched_;  ///< whether it was matched to an older map point
   std::vector<int> local_;              ///< slots of the local map
   rigid_pose T_cw_;
   motion_model motion_;
   std::int64_t time_ns_ = 0;      ///< of the last frame
-  std::int64_t interval_ns_ = 0;  ///< to it from the one before
+  std::int64_t interval_ns_ = 0;  ///< time from the preceding frame to it
   int lost_frames_ = 0;
   int lost_with_features_ = 0;
   int reference_tracked_ = 0;

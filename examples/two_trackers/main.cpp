@@ -13,7 +13,7 @@
 
 constexpr int frames = 12;
 
-/// What one of the trackers sees.
+/// The input of one tracker.
 struct sequence {
   demo::scene scene;
   std::vector<demo::image_pair> images;
@@ -32,7 +32,7 @@ void track(Exec const& exec, sequence const& seen, std::vector<ft::pose>& poses)
   }
 }
 
-/// A thread's whole work; what it throws is kept for the thread that joins.
+/// The work of a thread; its exception is kept for the thread that joins it.
 struct worker {
   std::vector<ft::pose> poses;
   std::exception_ptr error;
@@ -43,7 +43,7 @@ struct worker {
       ft::stream const mine;
       track(ft::cuda_exec(mine.get()), seen, poses);
 #else
-      track(ft::host_exec(1), seen, poses);  // one thread each: they do not share a pool
+      track(ft::host_exec(1), seen, poses);  // one thread each, without a shared pool
 #endif
     } catch (...) { error = std::current_exception(); }
   }

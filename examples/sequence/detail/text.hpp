@@ -63,13 +63,14 @@ inline std::vector<text_line> read_lines(std::string const& path) {
   return lines;
 }
 
-/// True for a line that holds nothing, or a comment starting with #.
+/// True for a line that is empty, or a comment starting with #.
 inline bool is_blank_or_comment(std::string const& text) {
   std::size_t const first = text.find_first_not_of(" \t");
   return first == std::string::npos || text[first] == '#';
 }
 
-/// The parts of `text` between any of `separators`; with `merge`, runs of separators count as one.
+/// The parts of `text` between any of `separators`; with `merge`, consecutive separators count as
+/// one.
 inline std::vector<std::string> split(std::string const& text, char const* separators, bool merge) {
   std::vector<std::string> parts;
   std::size_t begin = 0;
@@ -89,7 +90,7 @@ inline std::string trim(std::string const& text) {
   return text.substr(first, text.find_last_not_of(" \t\r\n") - first + 1);
 }
 
-/// Reads the whole of `text` as a number. @return false where it is not one (NaN and infinity are)
+/// Reads the whole of `text` as a number. @return false if it is not one (NaN and infinity are)
 inline bool to_number(std::string const& text, double& value) {
   std::string const word = trim(text);
   char* end = nullptr;

@@ -52,7 +52,7 @@ TEST(plan, batches_get_fewer_calls_the_larger_they_are) {
   EXPECT_EQ(bench::calls_of_batch(250, 16), 250);
   EXPECT_EQ(bench::calls_of_batch(250, 64), 62);
   EXPECT_EQ(bench::calls_of_batch(250, 256), 24);
-  EXPECT_EQ(bench::calls_of_batch(4, 256), 4);  // never more than one pair has
+  EXPECT_EQ(bench::calls_of_batch(4, 256), 4);  // never more calls than for one pair
   EXPECT_EQ(bench::calls_of_batch(1 << 24, 1), 1 << 24);
 }
 

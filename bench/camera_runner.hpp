@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The camera runner, once for every executor: each model's functions over arrays of points.
+/// @file The camera runner, instantiated once per executor: each model's functions over arrays of
+/// points.
 #pragma once
 
 #include <cmath>
@@ -79,7 +80,7 @@ struct unproject_points {
   }
 };
 
-/// The memory traffic of project_points and nothing else.
+/// Only the memory traffic of project_points.
 struct copy_points {
   using scratch = ft::no_scratch;
   template <typename Group>
@@ -99,7 +100,7 @@ struct lens<ft::pinhole> {
   static ft::pinhole<double> camera() { return {435.0, 435.0, 367.2, 252.2}; }
 };
 template <>
-struct lens<ft::kannala_brandt> {  // TUM-VI, and so are the double sphere and the extended unified
+struct lens<ft::kannala_brandt> {  // TUM-VI, like the double sphere and the extended unified
   static constexpr int width = 512, height = 512;
   static ft::kannala_brandt<double> camera() {
     return {190.978, 190.973, 254.932, 256.897, 0.003482, 0.000715, -0.002053, 0.000203};
@@ -158,7 +159,7 @@ struct lens<ft::field_of_view> {
   static ft::field_of_view<double> camera() { return {223.6, 223.4, 316.1, 255.9, 0.9335}; }
 };
 
-/// Uniform in [0, 1): the same for the same numbers.
+/// Uniform in [0, 1): the same for the same arguments.
 inline double uniform(std::uint64_t point, std::uint64_t draw) {
   std::uint64_t v = point * 0x9e3779b97f4a7c15u + draw * 0xd1b54a32d192ed03u;
   v = (v ^ (v >> 30)) * 0xbf58476d1ce4e5b9u;
@@ -167,8 +168,9 @@ inline double uniform(std::uint64_t point, std::uint64_t draw) {
   return static_cast<double>(v >> 11) * 0x1p-53;
 }
 
-/// `count` points that the camera sees, at 0.5 to 20 m: pixels spread evenly over the image, those
-/// without a ray drawn again. @param columns [5][count]
+/// `count` points that the camera sees, at 0.5 to 20 m: pixels uniform over the image, drawn again
+/// if they have no ray.
+/// @param columns [5][count]
 template <template <typename> class Model>
 void draw_points(std::size_t count, float* columns) {
   auto const exact = lens<Model>::camera();
@@ -198,7 +200,7 @@ void draw_points(std::size_t count, float* columns) {
   }
 }
 
-/// Time of what is queued between the two calls, microseconds.
+/// Time of the work enqueued between the two calls, microseconds.
 template <typename Exec>
 class interval;
 template <>
@@ -258,7 +260,7 @@ public:
     selected_ = static_cast<std::size_t>(number);
     auto const draw = steps_[selected_].draw;
     if (draw != drawn_) {
-      // A set is a stretch of all points.
+      // A set is a range of all points.
       draw(all(), host_in_.data());
       ft::copy(owned_.exec, in_.data(), static_cast<float const*>(host_in_.data()), 5 * all());
       owned_.exec.wait();

@@ -6,15 +6,14 @@
 
 namespace bench {
 
-/// Of a steady clock, microseconds.
+/// Time of a steady clock, microseconds.
 inline double now_us() {
   return std::chrono::duration<double, std::micro>(
              std::chrono::steady_clock::now().time_since_epoch())
       .count();
 }
 
-/// Processor time of the calling thread, microseconds: what others do on the machine does not
-/// count.
+/// Processor time of the calling thread, microseconds: independent of other work on the machine.
 inline double thread_us() {
   std::timespec t{};
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);

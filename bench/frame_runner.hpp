@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The frame runner, once for every executor and rig.
+/// @file The frame runner, instantiated once per executor and rig.
 #pragma once
 
 #include <algorithm>
@@ -64,7 +64,7 @@ public:
   void prepare(int i) override {
     for (int b = 0; b < batch_; ++b) {
       set_images(b, frame_of(i, b));
-      // The prediction is off by a little, as a motion model's is.
+      // The prediction has a small error, like that of a motion model.
       ft::pose T = pose_of(frame(frame_of(i, b)).T_cw);
       T.t.x += 0.01f;
       T.t.z -= 0.01f;
@@ -96,7 +96,7 @@ public:
     auto const n = static_cast<std::size_t>(std::min(count, map_points()));
     if (positions_.size() == 0) { positions_ = staged<ft::vec3<float>>(points_.size()); }
     for (std::size_t i = 0; i < n; ++i) { positions_.data()[i] = points_[i].position; }
-    // Slots are the numbers of the points: the positions lie one after the other.
+    // Slots are the numbers of the points, so the positions are contiguous.
     ft::copy(exec(), ft::array_of<ft::field::position>(tracker_.map()),
              static_cast<ft::vec3<float> const*>(positions_.data()), n);
   }
@@ -186,7 +186,8 @@ private:
     std::vector<ft::slot_list> const slots(inputs_.size(), slots_);
     tracker_.track_local(exec(), slots.data());
   }
-  /// Before the first frame the cameras stand where the frame before it was seen. Nothing is held.
+  /// State before the first frame: the cameras have the pose of the preceding frame, and no map
+  /// point is held.
   void begin_walk() {
     std::vector<int> const none(
         static_cast<std::size_t>(decltype(tracker_)::cameras * tracker_.capacity()), -1);
@@ -250,8 +251,8 @@ private:
     }
   }
 
-  /// Points seen with depth in all of the scene's frames, up to the wanted number: each frame gives
-  /// its share, and frames with more to give make up for those with less.
+  /// Points seen with depth in all of the scene's frames, up to the wanted number. Each frame gives
+  /// its share; frames with more points make up for those with fewer.
   void build_map() {
     std::vector<ft::descriptor> orb(static_cast<std::size_t>(tracker_.capacity()));
     auto const n = static_cast<int>(scene_.frames.size());
@@ -333,7 +334,7 @@ std::unique_ptr<frame_runner> make_runner_of(scene const& s, frame_options const
 
 }  // namespace FT_ABI
 
-// One function a unit: what is instantiated where, see *_rectified.* and *_fisheye.*.
+// One function per unit, for its instantiations: see *_rectified.* and *_fisheye.*.
 std::unique_ptr<frame_runner> make_host_rectified(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What a captured frame is made of: nodes by type, bytes copied, resources of its kernels.
+/// @file The contents of a captured frame: nodes by type, bytes copied, resources of its kernels.
 #pragma once
 
 #if defined(__CUDACC__)
@@ -21,7 +21,7 @@
 namespace bench {
 inline namespace FT_ABI {
 
-/// A graph captured from `queue(exec)`, to be looked at and never run.
+/// A graph captured from `queue(exec)`, for inspection only.
 class captured {
 public:
   template <typename Queue>

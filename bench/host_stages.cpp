@@ -65,7 +65,7 @@ public:
   }
 
 private:
-  /// A target camera as the scene's, a source with a wide lens that is turned a little.
+  /// A target camera equal to the scene's, and a slightly rotated source camera with a wide lens.
   void make_maps() {
     auto const& c = scene_.left;
     ft::remap_sizes const sizes{scene_.width, scene_.height, scene_.width, scene_.height};
@@ -83,7 +83,7 @@ private:
   }
 
   void make_memory() {
-    // All of both images is seen by both: every keypoint is compared with every other.
+    // Both cameras see all of both images: every keypoint is compared with every other.
     extractor_ = {exec_, orb_, 2, {{0, 1e9f}, {0, 1e9f}}};
     auto const& c = scene_.left;
     ft::pinhole<float> const camera{c.fx, c.fy, c.cx, c.cy};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The host executor's stages on one thread, each beside what OpenCV has nearest to it.
+/// @file The host executor's stages on one thread, each next to OpenCV's nearest counterpart.
 #pragma once
 
 #include <cstdint>
@@ -22,9 +22,9 @@ struct plain_keypoint {
   int level = 0;
 };
 
-/// What stages read and write of one image, in ft's memory; OpenCV reads the same.
+/// Inputs and outputs of the stages for one image, in ft's memory; OpenCV reads the same.
 struct host_stage_image {
-  plain_image captured;             ///< what rectification reads
+  plain_image captured;             ///< input of rectification
   std::vector<plain_image> levels;  ///< of the pyramid
   std::vector<plain_keypoint> keypoints;
   std::uint8_t const* descriptors = nullptr;  ///< 32 bytes a keypoint
@@ -42,10 +42,10 @@ struct host_stage_input {
 
 struct host_stage {
   std::string name;
-  std::string counterpart;  ///< in OpenCV; empty where there is none
-  std::string difference;   ///< what OpenCV does more, less or otherwise
+  std::string counterpart;  ///< in OpenCV; empty without one
+  std::string difference;   ///< differences of OpenCV's function
   std::function<void()> ours;
-  std::function<void()> theirs;  ///< empty where there is none, and in builds without OpenCV
+  std::function<void()> theirs;  ///< empty without a counterpart, and in builds without OpenCV
 };
 
 /// The stages over pairs of a rectified scene.
@@ -56,8 +56,8 @@ public:
   host_stages& operator=(host_stages const&) = delete;
   virtual ~host_stages() = default;
   virtual std::vector<host_stage> const& all() const = 0;
-  /// Computes everything of pair `i`, in the same memory as of the pair before: as in a tracker, a
-  /// stage finds its input in the caches.
+  /// Computes all inputs of pair `i`, in the memory of the preceding pair: as in a tracker, a stage
+  /// finds its input in the caches.
   virtual void prepare(int i) = 0;
 };
 
@@ -65,14 +65,14 @@ std::unique_ptr<host_stages> make_host_stages(scene const& s);
 
 /// OpenCV's side, on one thread.
 struct opencv_side {
-  std::vector<host_stage> stages;  ///< one for each name that it has; none without OpenCV
+  std::vector<host_stage> stages;  ///< one per name it supports; none without OpenCV
   std::function<void()> prepare;   ///< to be called after the input has changed
 };
-/// @param input outlives the calls
+/// @param input must outlive the calls
 opencv_side make_opencv_side(host_stage_input const& input);
 /// "OpenCV 4.x.y"; empty in builds without it.
 std::string opencv_description();
-/// The instruction set that this program was compiled for, as far as the compiler tells.
+/// The instruction set that this program was compiled for, as far as the compiler reports it.
 std::string instruction_set();
 
 }  // namespace bench

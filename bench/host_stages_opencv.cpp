@@ -74,7 +74,7 @@ public:
       }
     });
   }
-  /// Cells as ft's: the strict threshold, and the lenient one where that finds nothing.
+  /// The same cells as ft's: the strict threshold, and the lenient one if that finds nothing.
   void corners_by_cells() {
     for_each_side([&](host_stage_image const& image, std::size_t) {
       for (auto const& level : image.levels) {

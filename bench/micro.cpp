@@ -38,7 +38,7 @@ struct point {
   }
 };
 
-/// What the last benchmarks ran on; benchmarks are registered so that neighbours share it.
+/// The runner of the last benchmarks. Benchmarks are registered so that neighbours share it.
 class workshop {
 public:
   /// @throws bench::no_memory, std::runtime_error
@@ -121,7 +121,7 @@ void run_camera(benchmark::State& state, bench::camera_runner& runner, int numbe
   } catch (std::exception const& e) { state.SkipWithError(e.what()); }
 }
 
-/// Takes "--ft_NAME=VALUE" out of the arguments.
+/// Removes "--ft_NAME=VALUE" from the arguments.
 int take_option(int& argc, char** argv, std::string const& name, int value) {
   std::string const start = "--ft_" + name + "=";
   for (int i = 1; i < argc; ++i) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Names of kernels as people read them.
+/// @file Readable names of kernels.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@ namespace bench {
 ///
 ///     void ft::v0_cuda::detail::per_block_kernel<512, ft::v0_cuda::check<3>, int>(...)
 ///
-/// gives "check<3> (per_block)". Anything else comes back as it is.
+/// gives "check<3> (per_block)". Other names are returned unchanged.
 inline std::string short_kernel_name(std::string const& demangled) {
   std::string const marker = "_kernel<";
   std::size_t const at = demangled.find(marker);
@@ -20,8 +20,7 @@ inline std::string short_kernel_name(std::string const& demangled) {
   std::string const shape =
       demangled.substr(shape_begin == std::string::npos ? 0 : shape_begin + 1,
                        at - (shape_begin == std::string::npos ? 0 : shape_begin + 1));
-  // The template's arguments at depth 1: the functor is the first, after a number where there is
-  // one.
+  // The template's arguments at depth 1: the functor is the first, or follows a number.
   std::string op;
   int depth = 1;
   for (std::size_t i = at + marker.size(); i < demangled.size() && depth > 0; ++i) {

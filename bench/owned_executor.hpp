@@ -6,7 +6,7 @@
 namespace bench {
 inline namespace FT_ABI {
 
-/// The executor of a runner, with the stream where there is one.
+/// The executor of a runner, with its stream on a device.
 template <typename Exec>
 struct owned_executor;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What is measured, how often, and which share of the trackers a thread has.
+/// @file The plan of a run: sections, repetitions, and the trackers of each thread.
 #pragma once
 
 #include <algorithm>
@@ -20,7 +20,7 @@ inline std::vector<std::string> const& all_sections() {
 }
 
 /// Names, in several strings or one with commas, to a set; none = all.
-/// @throws std::runtime_error for a name that is none, with those there are
+/// @throws std::runtime_error for an unknown name, with the list of known ones
 inline std::set<std::string> parse_sections(std::vector<std::string> const& given) {
   auto const& all = all_sections();
   if (given.empty()) { return {all.begin(), all.end()}; }
@@ -41,14 +41,14 @@ inline std::set<std::string> parse_sections(std::vector<std::string> const& give
   return chosen;
 }
 
-/// How many calls time a batch: those of one pair for small ones, fewer for large ones, so that the
-/// frames stay within 16 times those of one pair; at least 24 where one pair has that many.
+/// Number of calls that time a batch: those of one pair for small batches, fewer for large ones, so
+/// that the frames stay within 16 times those of one pair. At least 24, unless one pair has fewer.
 inline int calls_of_batch(int calls_of_one, int batch) {
   int const fair = static_cast<int>(16LL * calls_of_one / std::max(1, batch));
   return std::max(1, std::min(calls_of_one, std::max(24, fair)));
 }
 
-/// First item and one past the last of part `part` of `parts`: sizes differ by one at most.
+/// First item of part `part` of `parts`, and the first after it: sizes differ by at most one.
 inline std::pair<int, int> share_of(int items, int parts, int part) {
   auto const at = [&](int p) {
     return static_cast<int>(static_cast<long long>(items) * p / parts);
@@ -56,15 +56,16 @@ inline std::pair<int, int> share_of(int items, int parts, int part) {
   return {at(part), at(part + 1)};
 }
 
-/// One frame of many trackers: when it was done and how long it took, microseconds.
+/// One frame of many trackers: its end and its duration, microseconds.
 struct finished_frame {
   double end = 0;
   double took = 0;
 };
 
-/// Of frames that trackers finished one after the other: the rate, and what each took. The first
-/// fifth is left out, as warm-up. @param[in,out] frames gets sorted by their ends
-/// @return frames per second; 0 where fewer than two frames are left
+/// The rate of frames that trackers finished one after the other, and the duration of each. Omits
+/// the first fifth as warm-up.
+/// @param[in,out] frames gets sorted by their ends
+/// @return frames per second; 0 if fewer than two frames are left
 inline double steady_rate(std::vector<finished_frame>& frames, std::vector<double>& took) {
   std::sort(frames.begin(), frames.end(),
             [](finished_frame const& a, finished_frame const& b) { return a.end < b.end; });

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the sections of the bench measure, without the types of ft in it: the templates are
-/// instantiated behind these interfaces, once per executor and rig.
+/// @file Interfaces of the measurements, without types of ft. The templates are instantiated behind
+/// them, once per executor and rig.
 #pragma once
 
 #include <cstddef>
@@ -19,7 +19,7 @@ inline char const* name_of(rig_type r) {
   return r == rig_type::rectified ? "rectified" : "fisheye";
 }
 
-/// There is not enough memory for what is to be measured.
+/// The memory is too small for a measurement.
 struct no_memory : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -33,14 +33,14 @@ struct frame_options {
   bool optimize_last = true;
   bool optimize_local = true;
   bool std_sort_ties = false;  ///< of the quadtree
-  bool use_graphs = true;      ///< false: launch after launch
+  bool use_graphs = true;      ///< false: enqueue each launch
   bool measure_stages = false;
 };
 
 /// How a frame is enqueued.
 enum class call_type {
   whole,       ///< one call, on a device one graph
-  two_halves,  ///< the host waits in between, where it would choose the local map
+  two_halves,  ///< two calls; the host waits in between, as if to choose the local map
 };
 
 /// Means over the scene's frames, of the batch's first pair.
@@ -48,14 +48,14 @@ struct frame_counts {
   double keypoints = 0;       ///< of the left image
   double stereo_matches = 0;  ///< left keypoints with a depth
   double last_matches = 0;    ///< of the search from the last frame
-  double last_inliers = 0;    ///< of its pose optimisation; the matches where there is none
+  double last_inliers = 0;    ///< of its pose optimisation; the matches if there is none
   double local_matches = 0;   ///< of the search in the local map
-  double inliers = 0;         ///< of the second pose optimisation; the matches where there is none
+  double inliers = 0;         ///< of the second pose optimisation; the matches if there is none
   double position_error = 0;  ///< of the frame's camera centre, metres
   int map_points = 0;
 };
 
-/// What a recorded frame is made of. All zero on the host.
+/// Contents of a recorded frame. All zero on the host.
 struct graph_counts {
   int kernels = 0, copies = 0, fills = 0, others = 0;
   std::size_t bytes_up = 0;      ///< copied from host memory
@@ -73,8 +73,8 @@ struct kernel_facts {
   int registers = 0;        ///< per thread
   std::size_t shared = 0;   ///< static, bytes per block
   std::size_t local = 0;    ///< bytes per thread: spills and arrays
-  int threads_per_sm = 0;   ///< that fit at a time
-  int most_threads_sm = 0;  ///< that the device could hold
+  int threads_per_sm = 0;   ///< most resident threads of this kernel
+  int most_threads_sm = 0;  ///< most resident threads of the device
 };
 
 /// Time of a stage, microseconds.
@@ -83,9 +83,9 @@ struct stage_us {
   double us;
 };
 
-/// A tracker over a batch of pairs that see the scene's frames, each pair a frame further on than
-/// the one before it, against a map of points of all frames. Order of calls per frame: prepare,
-/// launch, wait (or done until it says true).
+/// A tracker over a batch of pairs that see the scene's frames, against a map of points of all
+/// frames. Each pair is one frame ahead of the preceding pair. Order of calls per frame: prepare,
+/// launch, wait (or poll done()).
 class frame_runner {
 public:
   frame_runner() = default;
@@ -93,28 +93,32 @@ public:
   frame_runner& operator=(frame_runner const&) = delete;
   virtual ~frame_runner() = default;
 
-  /// Puts images, prediction and last frame of frame `i` where the executor fetches them.
+  /// Writes images, prediction and last frame of frame `i` to memory from which the executor reads
+  /// them.
   virtual void prepare(int i) = 0;
-  /// True, as at first: images lie in pinned memory, as a camera leaves them, and prepare() has
-  /// them borrowed. False: it copies them to the tracker's, where they wait in the caches of its
-  /// core.
+  /// True (the default): images are in pinned memory, like those of a camera, and prepare() borrows
+  /// them. False: prepare() copies them to the tracker's staging memory, so they are in the caches
+  /// of its core.
   virtual void borrow_images(bool borrow) = 0;
-  /// Queues the frame; on the host all is done on return.
+  /// Enqueues the frame. On the host, returns when it is done.
   virtual void launch(call_type how) = 0;
   virtual bool done() = 0;
   virtual void wait() = 0;
-  /// Queues the writing of the first `count` map points, of pair 0; waits for an earlier one.
+  /// Enqueues the writing of the first `count` map points of pair 0. Waits for the preceding
+  /// update.
   virtual void update_map(int count) = 0;
-  /// Queues the writing of the positions alone of the first `count` map points, of pair 0: one
-  /// copy. Waits for an earlier one.
+  /// Enqueues the writing of only the positions of the first `count` map points of pair 0: one
+  /// copy. Waits for the preceding update.
   virtual void update_positions(int count) = 0;
   virtual int map_points() const = 0;
 
-  /// Runs every frame of the scene in two halves and looks at the results.
+  /// Runs every frame of the scene in two halves and counts its results.
   virtual frame_counts counts() = 0;
-  /// One frame; what each stage adds to it, in order. Needs frame_options::measure_stages.
+  /// Runs one frame; returns the time that each stage adds to it, in order. Needs
+  /// frame_options::measure_stages.
   virtual std::vector<stage_us> stage_times(int i) = 0;
-  /// Need frame_options::use_graphs to be off: what is captured is what the recorded graph has.
+  /// Both need frame_options::use_graphs to be off: they capture the launches that the recorded
+  /// graph has.
   virtual graph_counts graph() = 0;
   virtual std::vector<kernel_facts> kernels() = 0;
 };
@@ -139,16 +143,17 @@ public:
   virtual ~camera_runner() = default;
 
   virtual std::vector<camera_case> const& cases() const = 0;
-  /// Makes the points for a case, where the last one had another model.
+  /// Creates the points for a case, unless the preceding case had the same model.
   virtual void select(int number) = 0;
-  /// Time of `launches` launches of the selected case, over the sets in turn from `first` on;
-  /// microseconds for all.
+  /// Time of `launches` launches of the selected case, over the sets in turn beginning with
+  /// `first`; microseconds for all.
   virtual double run(int first, int launches) = 0;
-  /// Share of the points for which the selected case said that the result is valid, last launch.
+  /// Share of the points with a valid result in the last launch of the selected case.
   virtual double valid_share() = 0;
 };
 
-/// @param points per set @param sets of points
+/// @param points per set
+/// @param sets number of sets
 std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host_threads,
                                                   int points, int sets);
 

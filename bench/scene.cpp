@@ -34,7 +34,7 @@ plain_camera plain(seq::camera_intrinsics const& c) {
   return p;
 }
 
-/// Without frames.
+/// A scene without frames.
 scene scene_of(seq::stereo_rig const& rig, int features, int local_points) {
   scene s;
   s.width = rig.left.width;

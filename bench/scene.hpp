@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the benches run on, as plain types: images of a generated room, cameras, poses.
+/// @file The input of the benches, as plain types: images of a generated room, cameras, poses.
 #pragma once
 
 #include <cstdint>
@@ -28,20 +28,21 @@ enum class rig_type { rectified, fisheye };
 struct scene {
   rig_type rig = rig_type::rectified;
   int width = 0, height = 0;
-  plain_camera left, right;  ///< of a rectified pair the left one is both
+  plain_camera left, right;  ///< a rectified pair has the same camera twice
   plain_pose T_rl;           ///< left camera to right camera
   float baseline = 0;        ///< metres
   int features = 1200;       ///< keypoints per image
   int local_points = 3000;
-  std::vector<scene_frame> frames;  ///< neighbours in time
+  std::vector<scene_frame> frames;  ///< consecutive in time
 };
 
 /// Renders `images` consecutive stereo frames of the generator's route, in motion, on all threads.
-/// @param width,height 0 = the rig's own @throws seq::error
+/// @param width,height 0 = the rig's own
+/// @throws seq::error
 scene make_scene(rig_type rig, int width, int height, int images, int features, int local_points);
 
 /// The first stereo frames of a recorded sequence (EuRoC or KITTI layout), rectified.
-/// @throws seq::error where it cannot be read, or has no ground truth with orientations
+/// @throws seq::error if it cannot be read, or has no ground truth with orientations
 scene read_scene(std::string const& folder, int images, int features, int local_points);
 
 }  // namespace bench

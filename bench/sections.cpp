@@ -49,7 +49,7 @@ void print_head(char const* title) {
               "calls", "mean us", "std us", "p50 us", "p99 us", "frames/s");
 }
 
-/// Prints a row of times and gives it as JSON, in the form that the oldest results have.
+/// Prints a row of times and returns it as JSON, in the format of the oldest results.
 json row_of(std::string const& name, backend_type b, int batch, std::vector<double> const& us) {
   auto const s = seq::summarise(us);
   double const rate = s.p50 > 0 ? batch * 1e6 / s.p50 : 0;
@@ -67,13 +67,13 @@ void add_counts(json& row, frame_counts const& c) {
   row["counts"] = counts_json(c);
 }
 
-/// What is sent of the map before each frame, as part of the time.
+/// The map updates before each frame, as part of its time.
 struct map_traffic {
-  int whole_points = 0;  ///< every field of so many
-  int positions = 0;     ///< this field alone
+  int whole_points = 0;  ///< points sent with all fields
+  int positions = 0;     ///< points of which only the position is sent
 };
 
-/// Microseconds a frame, from all input in pinned memory to the result in host memory.
+/// Microseconds per frame, from all input in pinned memory to the result in host memory.
 std::vector<double> time_frames(frame_runner& r, call_type how, int warm_up, int frames,
                                 map_traffic const& sent = {}) {
   std::vector<double> us;
@@ -239,8 +239,8 @@ void batch_section(context const& c, backend_type b) {
 
 namespace {
 
-/// All trackers get a frame at the same time, and the next when all are done. The images are in
-/// pinned memory before.
+/// All trackers start a frame at the same time, and the next one when all are done. The images are
+/// already in pinned memory.
 void all_at_once(std::vector<std::unique_ptr<frame_runner>>& trackers, int rounds, int warm_up,
                  std::vector<double>& latency, std::vector<double>& round_us) {
   auto const n = trackers.size();
@@ -268,9 +268,8 @@ void all_at_once(std::vector<std::unique_ptr<frame_runner>>& trackers, int round
   }
 }
 
-/// Each thread drives its trackers round robin until all together have finished `target` frames: as
-/// soon as a tracker is done it is given the next images, copied to staging memory by the thread,
-/// and launched.
+/// Each thread drives its trackers round robin until all together have finished `target` frames.
+/// When a tracker is done, the thread copies the next images to staging memory and launches.
 std::vector<finished_frame> without_pause(std::vector<std::unique_ptr<frame_runner>>& trackers,
                                           int threads, int target) {
   std::mutex guard;
@@ -388,7 +387,7 @@ void streams_section(context const& c, backend_type b) {
   }
 }
 
-// ---- what a frame is made of ------------------------------------------------------------------
+// ---- contents of a frame ---------------------------------------------------------------------
 
 void graph_section(context const& c, backend_type b) {
   std::printf("\nA recorded frame, with pose optimisation\n");
@@ -519,7 +518,7 @@ void ablation_section(context const& c, backend_type b, bool with_host) {
   }
 }
 
-// ---- one host thread beside OpenCV ------------------------------------------------------------
+// ---- one host thread next to OpenCV -----------------------------------------------------------
 
 namespace {
 
@@ -552,7 +551,7 @@ void host_stages_section(context const& c) {
     std::vector<double> ours, theirs;
     for (int i = 0; i < warm_up + calls; ++i) {
       stages->prepare(i % pairs);
-      // In turn, so that both find the caches as the other leaves them.
+      // In turn, so that each finds the caches as the other leaves them.
       auto const time = [&](std::function<void()> const& call, std::vector<double>& us) {
         double const start = thread_us();
         call();

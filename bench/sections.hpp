@@ -20,7 +20,7 @@ struct settings {
   std::vector<int> batches;
   std::vector<int> streams;
   int images = 16;
-  std::string sequence;  ///< recorded frames in place of generated ones for the rectified pair
+  std::string sequence;  ///< recorded frames, instead of generated ones
   int features = 1200;
   int fisheye_features = 1000;
   int local_points = 3000;
@@ -34,7 +34,7 @@ struct settings {
   }
 };
 
-/// Scenes are rendered when first asked for.
+/// Scenes are rendered at their first use.
 class scenes {
 public:
   explicit scenes(settings const& how) : how_(how) {}
@@ -59,12 +59,12 @@ void batch_section(context const& c, backend_type b);
 void streams_section(context const& c, backend_type b);
 void graph_section(context const& c, backend_type b);
 void kernels_section(context const& c, backend_type b);
-/// @param with_host also measure the frame on the host, beside a device
+/// @param with_host also measures the frame on the host, next to a device
 void ablation_section(context const& c, backend_type b, bool with_host);
-/// Frames by either tie rule of the quadtree, in turn: array "tie_rules".
+/// Frames with either tie rule of the quadtree, in turn: array "tie_rules".
 void tie_rules_section(context const& c, backend_type b);
 
-/// The host executor's stages on one thread beside OpenCV's: array "host_stages".
+/// The host executor's stages on one thread next to OpenCV's: array "host_stages".
 void host_stages_section(context const& c);
 
 }  // namespace bench

@@ -18,10 +18,10 @@ namespace {
 constexpr int rules = 2;
 constexpr char const* rule_names[rules] = {"stable", "std_sort"};
 
-/// Of one rule, microseconds.
+/// Times of one rule, microseconds.
 struct rule_times {
   std::vector<double> frame;         ///< in one call
-  std::vector<double> distribution;  ///< the stage alone
+  std::vector<double> distribution;  ///< only that stage
 };
 
 double time_frame(frame_runner& r, int i) {
@@ -46,7 +46,7 @@ std::vector<rule_times> time_rules(scene const& s, backend_type b, int warm_up, 
   std::vector<rule_times> times(rules);
   for (int i = 0; i < warm_up + frames; ++i) {
     for (int k = 0; k < rules; ++k) {
-      auto const rule = static_cast<std::size_t>((i + k) % rules);  // either one goes first
+      auto const rule = static_cast<std::size_t>((i + k) % rules);  // each of them is first in turn
       double const us = time_frame(*runners[rule], i);
       if (i >= warm_up) { times[rule].frame.push_back(us); }
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The shim's calls frame by frame while a mapper adds and moves points: how long each call
-/// takes, and what of it is kernels, transfers, and the host's own work.
+/// @file The shim's calls frame by frame while a mapper adds and moves points: the time of each
+/// call, and its share of kernels, transfers, and the host's own work.
 #pragma once
 
 #include <Eigen/Core>
@@ -26,8 +26,8 @@ struct live_options {
   int points = 4000;  ///< of the local map
   int frames = 300;
   int keyframe_every = 10;
-  int new_points = 300;     ///< of a keyframe; half of them are held by the next frame's last one
-  int moved_points = 2000;  ///< by local bundle adjustment, of a keyframe
+  int new_points = 300;     ///< per keyframe; half of them are held by the next frame's last one
+  int moved_points = 2000;  ///< per keyframe, by local bundle adjustment
   int pause_us = 3000;      ///< between frames
   bool projections = true;
 };
@@ -116,7 +116,7 @@ private:
     return c;
   }
 
-  /// Calls f and notes its time, and the parts of it that the accelerator tells.
+  /// Calls f and notes its time, and its parts as the accelerator reports them.
   template <typename F>
   auto timed(stage s, F const& f) {
     gpu_.reset_times();
@@ -183,8 +183,8 @@ private:
                               [](auto const* p) { return p->mbTrackInView; });
   }
 
-  /// What a keyframe brings: new points for the last frame and the local map, whose oldest go, and
-  /// moved ones.
+  /// The changes of a keyframe: new points for the last frame and the local map, whose oldest
+  /// points are removed, and moved points.
   void make_keyframe(scattered_map& map, stand_in::frame& last) {
     auto const fresh = std::min(static_cast<std::size_t>(options_.new_points), map.local.size());
     std::size_t holders = fresh / 2;
@@ -229,7 +229,8 @@ private:
   std::map<std::string, std::vector<double>> parts_;
 };
 
-/// Runs twice, the first time without the accelerator's statistics, and prints what calls took.
+/// Runs twice, the first time without the accelerator's statistics, and prints the times of the
+/// calls.
 /// @param make a device for settings
 template <typename Make>
 nlohmann::json run_live(live_options const& o, Make const& make) {

@@ -52,8 +52,8 @@ double quantile(std::vector<double> v, double q) {
   return v.empty() ? 0 : v[static_cast<std::size_t>(q * static_cast<double>(v.size() - 1))];
 }
 
-/// What ORB-SLAM3's own loop does for points in view, whoever finds them: counters and the places
-/// that the viewer draws.
+/// The work of ORB-SLAM3's own loop for points in view, which is the same on CPU and GPU: counters,
+/// and the positions that the viewer draws.
 double bookkeeping_us(std::vector<stand_in::map_point*> const& local, bool projections) {
   std::map<unsigned long, stand_in::point2f> drawn;
   double const begin = now_us();
@@ -161,7 +161,7 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
     in_view += std::count_if(map.local.begin(), map.local.end(),
                              [](auto const* p) { return p->mbTrackInView; });
   }
-  // The CPU's own search of the same points, for the size of what is replaced.
+  // The CPU's own search of the same points, to compare with.
   orbslam3_test::plain_search const plain(s);
   for (int k = 0; k < 20; ++k) {
     stand_in::frame f = last;
@@ -192,7 +192,7 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
   return out;
 }
 
-/// Nothing for an empty name.
+/// Does nothing for an empty name.
 void write(std::string const& name, nlohmann::json const& out) {
   if (name.empty()) { return; }
   std::ofstream file(name);

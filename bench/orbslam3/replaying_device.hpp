@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file A device that answers from memory: what is left of a call is the shim's own work.
+/// @file A device that returns recorded answers, so that only the shim's own work remains in a
+/// call.
 #pragma once
 
 #include <cstddef>
@@ -13,10 +14,10 @@
 
 namespace bench {
 
-/// Passes calls on to a device and notes the answers, frame by frame; from replay() on gives those
-/// of the last `period` frames again, in turn, and computes nothing: caches are as the shim leaves
-/// them, not as kernels on this processor would. `period` is even, since frames use two buffers in
-/// turn.
+/// Passes calls on to a device and records the answers, frame by frame. After replay() it repeats
+/// those of the last `period` frames, in turn, and computes nothing, so that the caches are as the
+/// shim leaves them and not as kernels on this processor would. `period` is even, since frames use
+/// two buffers in turn.
 class replaying_device final : public ft::orbslam3::device_tracker {
 public:
   replaying_device(std::unique_ptr<ft::orbslam3::device_tracker> device, std::size_t period)
@@ -33,7 +34,7 @@ public:
                ft::orbslam3::grey_image const& right) override {
     at_ = (at_ + 1) % frames_.size();
     next_ = 0;
-    if (replaying_) { return; }  // frames take turns like buffers: the arrays are still there
+    if (replaying_) { return; }  // frames alternate like buffers: the arrays are still valid
     frames_[at_] = {};
     device_->extract(buffer, left, right);
   }
@@ -112,7 +113,7 @@ private:
 
   static ft::orbslam3::pose_result counted(int n) { return {{}, n}; }
 
-  /// The next answer of this frame: computed and noted, or from memory.
+  /// The next answer of this frame: computed and recorded, or replayed.
   template <typename Compute>
   ft::orbslam3::pose_result answer(int buffer, Compute const& compute) {
     ft::orbslam3::frame_arrays const& a = device_->frame(buffer);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the shim is measured on: settings, images, and a map whose points lie scattered over
-/// the heap, as ORB-SLAM3's do.
+/// @file The input of the shim's bench: settings, images, and a map whose points are scattered over
+/// the heap, like ORB-SLAM3's.
 #pragma once
 
 #include <Eigen/Core>
@@ -37,7 +37,7 @@ inline ft::orbslam3::settings kitti() {
   return s;
 }
 
-/// Boxes at random, all of them moved to the left by `shift` pixels.
+/// Random boxes, all of them moved to the left by `shift` pixels.
 inline stand_in::matrix picture(ft::orbslam3::settings const& s, int shift) {
   std::mt19937 random(1);
   stand_in::matrix m;
@@ -60,10 +60,11 @@ inline stand_in::matrix picture(ft::orbslam3::settings const& s, int shift) {
   return m;
 }
 
-/// Points that the first frame's keypoints see, and others around, allocated among other things.
+/// Points that the first frame's keypoints see, and others around them, allocated between other
+/// objects.
 class scattered_map {
 public:
-  /// @param depth of the points that keypoints see, metres; 0 = at random
+  /// @param depth of the points that keypoints see, metres; 0 = random
   scattered_map(stand_in::frame const& f, ft::orbslam3::settings const& s, int count,
                 float depth = 0) {
     std::uniform_real_distribution<float> any_depth(2, 10);
@@ -86,7 +87,7 @@ public:
   stand_in::map_point* operator[](std::size_t i) const { return points_[i].get(); }
   std::size_t size() const { return points_.size(); }
 
-  /// A new point; `hooks` hears of it from the beginning.
+  /// A new point; its changes are pushed to `hooks` from the beginning.
   stand_in::map_point* add(Eigen::Vector3f const& P, unsigned char const* descriptor,
                            stand_in::hooks* hooks = nullptr) {
     filler_.push_back(std::make_unique<unsigned char[]>(200 + random_() % 1500));

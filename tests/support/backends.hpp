@@ -31,14 +31,14 @@ struct cuda_backend {
   static constexpr char const* name = "cuda";
   exec_type exec;
 
-  /// Without a device there is no stream: such a backend may exist, for tests that skip.
+  /// Without a device there is no stream: such a backend exists only for tests that skip.
   cuda_backend() : exec(make()) {}
   cuda_backend(cuda_backend const&) = delete;
   cuda_backend& operator=(cuda_backend const&) = delete;
   ~cuda_backend() {
     if (exec.stream != nullptr) { cudaStreamDestroy(exec.stream); }
   }
-  /// Without a device: false, so that the test skips; with FT_REQUIRE_GPU=1 that is a failure.
+  /// False without a device, so that the test skips; with FT_REQUIRE_GPU=1 that is a failure.
   static bool available() {
     char const* const require = std::getenv("FT_REQUIRE_GPU");
     if (!device_found() && require != nullptr && std::string(require) == "1") {
@@ -63,7 +63,7 @@ private:
     return ft::cuda_exec(stream);
   }
 };
-/// The host's side of the same tests is the program that the C++ compiler makes.
+/// The program of the C++ compiler runs the same tests on the host.
 using backends = ::testing::Types<cuda_backend>;
 #else
 using backends = ::testing::Types<host_backend>;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Brings the corners of a level, which detection lists in any order, into theirs.
+/// @file Sorts the corners of a level, which detection lists in any order.
 #pragma once
 
 #include <algorithm>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file How much of a long test to run.
+/// @file The share of a long test to run.
 #pragma once
 
 #include <algorithm>
@@ -7,7 +7,7 @@
 
 namespace test {
 
-/// `count` repetitions, or the share of them that FT_TEST_EFFORT (percent, 1 to 100) asks for: slow
+/// `count` repetitions, or the share of them given by FT_TEST_EFFORT (percent, 1 to 100): slow
 /// checkers need fewer.
 inline int effort(int count) {
   char const* const percent = std::getenv("FT_TEST_EFFORT");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file A reader of .npy 1.0 arrays (little endian, C order): what the golden files are.
+/// @file A reader of .npy 1.0 arrays (little endian, C order), the format of the golden files.
 #pragma once
 
 #include <cstdint>

@@ -17,7 +17,7 @@
 
 namespace test::room {
 
-// ---- a room to look at ------------------------------------------------------------------------
+// ---- a room ------------------------------------------------------------------------------------
 
 constexpr int width = 480;
 constexpr int height = 360;
@@ -53,7 +53,7 @@ using image = std::vector<std::uint8_t>;
 
 inline ft::gray_view view(image const& i) { return {i.data(), width, height, width}; }
 
-/// Where a ray meets the inside of the box.
+/// Intersection of a ray with the inside of the box.
 struct hit {
   int wall;
   ft::vec3<double> point;  ///< world
@@ -81,7 +81,7 @@ hit look(Camera const& camera, ft::pose const& T_wc, float u, float v) {
            origin[2] + nearest * direction[2]}};
 }
 
-/// What a camera at T_cw sees, a texture on each wall.
+/// The image of a camera at T_cw, with a texture on each wall.
 template <typename Camera>
 image render(Camera const& camera, std::vector<image> const& walls, int texture_side,
              ft::pose const& T_cw) {
@@ -153,7 +153,7 @@ using test::expect_same;
 using test::same_bits;
 using test::snapshot;
 
-/// @param local with what was in view
+/// @param local whether to copy in_view, too
 template <typename Tracker>
 snapshot take(Tracker const& tracker, int b, bool local) {
   return test::take(tracker, b, local ? tracker.result().local_points : 0);
@@ -209,16 +209,16 @@ void set_images(Tracker& tracker, int b, stereo_frame const& f) {
   tracker.set_image(b, 1, view(f.right));
 }
 
-/// How a frame is tracked: by two calls or one.
+/// Whether a frame is tracked by two calls or by one.
 enum class calls { halves, whole };
 
 struct walk_options {
   calls by = calls::halves;
-  int guests = 0;  ///< every so many points of the map are not observed, 0 = none
-  int kept = 1;    ///< every so many keypoints of the last frame tell what they hold
+  int guests = 0;  ///< every guests-th point of the map is not observed, 0 = none
+  int kept = 1;    ///< every kept-th keypoint of the last frame has a holder
 };
 
-/// The first frame makes the map: what its keypoints hold, and the local map.
+/// The first frame creates the map: the holders of its keypoints, and the local map.
 template <typename Exec, typename Rig>
 void make_map(test::frame_inputs<ft::frame_tracker<Exec, Rig>>& in, Exec const& exec, int b,
               int guests) {
@@ -244,10 +244,10 @@ void make_map(test::frame_inputs<ft::frame_tracker<Exec, Rig>>& in, Exec const& 
   in.last_pose[at(b)] = in.predicted[at(b)];
 }
 
-/// The first frame makes the map, the others are tracked against the frame before and against the
-/// map. What the last frame left is given with each call.
-/// @param in of the tracker @param give called with batch entry, number and frame before each:
-/// hands over its images
+/// The first frame creates the map. The others are tracked against the preceding frame and against
+/// the map. The state after the last frame is given with each call.
+/// @param in of the tracker
+/// @param give called before each frame with batch entry, number and frame; sets its images
 /// @return per frame, step and batch entry
 template <typename Exec, typename Rig, typename Give>
 std::vector<snapshot> track(test::frame_inputs<ft::frame_tracker<Exec, Rig>>& in, Exec const& exec,

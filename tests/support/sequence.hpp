@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Temporary folders, text files, test calibrations and the place of real data, for the
+/// @file Temporary folders, text files, test calibrations and the folder of real data, for the
 /// tests.
 #pragma once
 
@@ -35,7 +35,7 @@ public:
 
   std::string path() const { return path_.string(); }
   std::string path(std::string const& name) const { return (path_ / name).string(); }
-  /// Writes a file, making the folders that it needs. @return its path
+  /// Writes a file, and creates its folders. @return its path
   std::string write(std::string const& name, std::string const& text) const {
     std::filesystem::create_directories((path_ / name).parent_path());
     std::ofstream(path_ / name, std::ios::binary) << text;
@@ -46,8 +46,8 @@ private:
   std::filesystem::path path_;
 };
 
-/// The folder with `data` and `golden`: FT_DATA, or `shared` next to the project; empty where
-/// neither.
+/// The folder with `data` and `golden`: FT_DATA, or `shared` next to the project; empty without
+/// either.
 inline std::string shared_folder() {
   namespace fs = std::filesystem;
   if (char const* given = std::getenv("FT_DATA")) { return given; }
@@ -66,7 +66,7 @@ inline std::string replaced(std::string text, std::string const& from, std::stri
   return text.replace(at, from.size(), to);
 }
 
-/// What `function` throws as seq::error; empty, and a test failure, where it does not.
+/// The message of the seq::error that `function` throws. Without one: empty, and a test failure.
 template <typename F>
 std::string message_of(F const& function) {
   try {
@@ -82,7 +82,7 @@ inline bool contains(std::string const& text, std::string const& part) {
 
 }  // namespace seq_test
 
-/// Skips where the real data are not on this machine.
+/// Skips if the real data are not on this machine.
 #define SEQ_TEST_SHARED_OR_SKIP(name)                                      \
   std::string const name = seq_test::shared_folder();                      \
   if (name.empty())                                                        \

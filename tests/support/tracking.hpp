@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Copies of what a tracker found, and textures for what it looks at.
+/// @file Copies of a tracker's results, and textures for its images.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -43,7 +43,7 @@ struct snapshot {
   std::vector<unsigned char> in_view;
 };
 
-/// @param local_points how many entries of in_view to copy
+/// @param local_points number of entries of in_view to copy
 template <typename Tracker>
 snapshot take(Tracker const& tracker, int b, int local_points) {
   auto const& r = tracker.result();
@@ -68,8 +68,8 @@ snapshot take(Tracker const& tracker, int b, int local_points) {
   return s;
 }
 
-/// All that a frame of a tracker depends on, given anew for every call: what the last frame left as
-/// well, which the tracker keeps by itself otherwise. One call at a time: wait between two.
+/// All inputs of a frame of a tracker, given with every call. These include the state after the
+/// last frame, which the tracker otherwise keeps by itself. One call at a time: wait between two.
 template <typename Tracker>
 struct frame_inputs {
   Tracker& tracker;

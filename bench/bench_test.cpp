@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The bench's own rules, and that what it times is real work: frames in which keypoints are matched
-// and poses found, points that the cameras see.
+// Tests the bench's own rules, and that it times real work: frames whose keypoints are matched and
+// whose poses are found, points that the cameras see.
 #include <gtest/gtest.h>
 
 #include <cstdlib>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenCV's side of host_stages.hpp. Output images and lists are kept between calls, as ft's are.
+// OpenCV's side of host_stages.hpp. Output images and lists are kept between calls, like ft's.
 #include <array>
 #include <cstddef>
 #include <memory>

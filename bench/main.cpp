@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Times whole frames, their stages, batches, streams and camera models over rotating generated
-// images; medians and 99th percentiles. bench/README.md says what each section measures.
+// images; prints medians and 99th percentiles. bench/README.md describes each section.
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <ctime>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Single stages on Google Benchmark, over image size x features x batch x executor, and the camera
-// models over their functions. Times are manual: wall clock on the host; on a device of events that
-// are nodes of a recorded graph. Each iteration has other images, and the whole frame before.
+// models over their functions. Times are manual: the wall clock on the host, events that are nodes
+// of a recorded graph on a device. Each iteration uses other images and runs the whole frame before
+// the stage.
 #include <benchmark/benchmark.h>
 
 #include <algorithm>

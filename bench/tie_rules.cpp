@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the quadtree's tie rule std_sort costs: frames by either rule in turn.
+// The cost of the quadtree's tie rule std_sort: frames with each rule in turn.
 #include <algorithm>
 #include <cstddef>
 #include <cstdio>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the shim adds on the host, frame by frame: the time in its calls outside of the device's,
-// with types of ORB-SLAM3's shape whose map points lie scattered over the heap, as that system's
-// do.
+// The shim's cost on the host, frame by frame: the time in its calls outside of the device's. The
+// types have the shape of ORB-SLAM3's, and their map points are scattered over the heap, as in that
+// system.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>

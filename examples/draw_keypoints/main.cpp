@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Extracts the ORB keypoints of an image and draws them: circles as large as the described patch,
 // with a line in the direction of the orientation.
-//   draw_keypoints [IMAGE [OUT.png]]       without an image one of a generated room is taken
+//   draw_keypoints [IMAGE [OUT.png]]       without IMAGE, one of a generated room
 #include <cmath>
 #include <cstdio>
 #include <string>

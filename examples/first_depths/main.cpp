@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The program of the README: depths of the keypoints of a rectified stereo pair. It needs nothing
-// but ft's headers; g++ makes the host's version of this file, nvcc the GPU's.
+// The program of the README: depths of the keypoints of a rectified stereo pair. It needs only ft's
+// headers. g++ compiles this file for the host, nvcc for the GPU.
 #include <ft/ft.hpp>
 
 #include <cstdio>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps keypoints out of a part of the image. The mask is small, as a segmentation network gives
-// it: it is stretched over the image. It may be another one for every image.
+// Keeps keypoints out of a part of the image. The mask is small, like the output of a segmentation
+// network, and is stretched over the image. Every image may have a different mask.
 //   masked_image [OUT.png]
 #include <cstddef>
 #include <cstdint>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renders a pair of images of a textured wall and its surroundings as two stereographic cameras see
-// them, extracts keypoints, matches them, and compares the points with the scene. On a GPU where
-// the program is compiled as CUDA and finds one, else on the host.
+// them, extracts keypoints, matches them, and compares the points with the scene. Runs on a GPU if
+// compiled as CUDA and a device is found, else on the host.
 #include <ft/cameras/stereo_rig.hpp>
 #include <ft/pipelines/orb_extractor.hpp>
 #include <ft/pipelines/stereo_matcher.hpp>

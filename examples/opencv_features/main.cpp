@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// ft and OpenCV together, both ways: corners of cv::goodFeaturesToTrack get ft's descriptors, and
-// ft's own keypoints become cv::KeyPoint with a matrix of descriptors. cv::BFMatcher matches both
-// kinds between the images of a rectified pair, where the right answer lies in the same row.
+// ft and OpenCV together, in both directions: corners of cv::goodFeaturesToTrack get ft's
+// descriptors, and ft's own keypoints become cv::KeyPoint with a matrix of descriptors.
+// cv::BFMatcher matches both kinds between the images of a rectified pair, where correct matches
+// lie in the same row.
 #include <cmath>
 #include <cstdio>
 #include <opencv2/features2d.hpp>

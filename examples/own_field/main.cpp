@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A container with a field of one's own, filled by a stage of one's own and sorted by Thrust: the
-// strongest keypoint of each tile of the image. Thrust comes with the CUDA toolkit, so this one is
-// compiled by nvcc alone; it runs on the host, and on a GPU where there is one.
+// A container with a user-defined field, filled by a user-defined stage and sorted by Thrust: the
+// strongest keypoint of each tile of the image. Thrust comes with the CUDA toolkit, so only nvcc
+// compiles this example. It runs on the host, and on a GPU if one is found.
 #include <thrust/execution_policy.h>
 #include <thrust/sort.h>
 #include <thrust/unique.h>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// ft's device functions in a kernel of one's own: views go to it by value, cameras and descriptors
-// are used inside. The kernel matches every left keypoint with the right one whose descriptor is
-// nearest, and gives the angle between their rays. The same function runs on the host to compare.
+// ft's device functions in a user-defined kernel: views are passed to it by value, cameras and
+// descriptors are used inside. The kernel matches every left keypoint with the right one whose
+// descriptor is nearest, and computes the angle between their rays. The same function runs on the
+// host to compare.
 #include <cmath>
 #include <cstdio>
 #include <vector>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ft on one's own stream, between and beside other work on the GPU: one stream makes the images (a
-// kernel brightens them), ft extracts on a second one, an event between them, and a third stream is
-// busy with something else all the time. ft waits for nothing but what its stream waits for.
+// ft on a user's stream, concurrent with other work on the GPU. One stream makes the images (a
+// kernel brightens them), ft extracts on a second one, an event orders the two, and a third stream
+// is busy all the time. ft waits only for work on its own stream.
 #include <cstdint>
 #include <cstdio>
 #include <vector>

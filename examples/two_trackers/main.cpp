@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Two trackers in two threads, each with an executor of its own (on a GPU: a stream). They share
-// nothing, so their results are those of the same trackers one after the other, bit for bit.
+// nothing, so their results are bit-identical to those of the same trackers run one after the
+// other.
 #include <cstdio>
 #include <cstring>
 #include <exception>

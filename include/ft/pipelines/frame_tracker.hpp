@@ -179,7 +179,8 @@ public:
     track(exec, &input);
   }
 
-  /// Enqueues the first half of track(), up to the first pose. @param T_predicted [batch]
+  /// Enqueues the first half of track(), up to the first pose. Its result is the last state from
+  /// then on: to try the same frame again, use relocalize(). @param T_predicted [batch]
   template <typename Pose>
   void track_motion(Exec const& exec, Pose const* T_predicted) {
     images_.require_given();
@@ -215,7 +216,6 @@ public:
     set_inputs(exec, inputs);
     stages_.local_params = search;
     enqueue(exec, calls_[restart]);
-    stages_.local_params = {};
   }
   void relocalize(Exec const& exec, frame_input const& input,
                   local_search_params const& search = {}) {
@@ -295,6 +295,7 @@ private:
   }
   void run(Exec const& exec, call& c) {
     last_call_ = c.number;
+    stages_.local_params = {};  // those of an earlier relocalize()
     c.graph.replay(exec, [&](Exec const& e) { queue(e, c); });
   }
   /// Enqueues a call launch by launch. Its recorded graph has the default parameters.

@@ -29,7 +29,8 @@ struct tracker_params {
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
 };
 
-/// Slots of map points in host memory. Converts from anything with data() and size().
+/// Slots of map points in host memory. Converts from anything with data() and size(), which must
+/// live until the call that takes the slots returns.
 struct slot_list {
   int const* data = nullptr;
   int count = 0;

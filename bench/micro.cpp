@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Single stages on Google Benchmark, over image size x features x batch x executor, and the camera
 // models over their functions. Times are manual: the wall clock on the host, events that are nodes
-// of a recorded graph on a device. Each iteration uses other images and runs the whole frame before
-// the stage.
+// of a recorded graph on a device. Each iteration runs a whole frame, with other images than
+// the preceding one.
 #include <benchmark/benchmark.h>
 
 #include <algorithm>

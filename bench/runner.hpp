@@ -84,8 +84,8 @@ struct stage_us {
 };
 
 /// A tracker over a batch of pairs that see the scene's frames, against a map of points of all
-/// frames. Each pair is one frame ahead of the preceding pair. Order of calls per frame: prepare,
-/// launch, wait (or poll done()).
+/// frames. Each pair sees the frame after that of the preceding pair. Order of calls per frame:
+/// prepare, launch, wait (or poll done()).
 class frame_runner {
 public:
   frame_runner() = default;

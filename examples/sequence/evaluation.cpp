@@ -38,8 +38,8 @@ Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
 /// Rotation R that maximises sum truth_i . R estimate_i over centred points (Kabsch, Umeyama).
 ///
 /// @param covariance sum of truth_i estimate_i^T, m^2
-/// @param prior used for what the points do not determine: the rotation about the line of collinear
-///   points, or all of it for points that coincide
+/// @param prior fixes the degrees of freedom that the points leave open: the rotation about the
+///   line of collinear points, or all of it for points that coincide
 Eigen::Matrix3d best_rotation(Eigen::Matrix3d const& covariance, double count,
                               Eigen::Matrix3d const& prior) {
   constexpr double coincident = 1e-12;  // m^2: all within a micrometre

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file All of ft but the bridges to other libraries (ft/interop).
+/// @file All of ft except the conversions for other libraries (ft/interop).
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"

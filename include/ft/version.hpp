@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The version. CMake reads it from here, so this is the only place to change it.
+/// @file The version. CMake reads it from here, so it is changed only here.
 #pragma once
 
 #define FT_VERSION_MAJOR 0

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Frames between ORB-SLAM3 and the device: which buffer holds which frame, what is sent, and
-/// how results of extraction and stereo get into a frame.
+/// @file Frames between ORB-SLAM3 and the device: the buffers and the frames in them, the data to
+/// send, and the transfer of extraction and stereo results into a frame.
 #pragma once
 
 #include <cmath>
@@ -66,7 +66,7 @@ public:
     resident_[b] = {};
     return b;
   }
-  /// Fills the frame with what the device has extracted into buffer `b`.
+  /// Fills the frame from the extraction in buffer `b`.
   void took(int b, Frame& frame) {
     resident& r = resident_[b];
     r.there = r.extracted = r.full = true;

@@ -48,7 +48,7 @@ struct point_fields {
   bool observed;
 };
 
-/// Whether any bit differs, so that an unchanged NaN is no change.
+/// Whether any bit differs, so that an unchanged NaN does not count.
 template <typename T, std::size_t N>
 bool differ(T const (&a)[N], T const (&b)[N]) {
   return std::memcmp(a, b, sizeof a) != 0;

@@ -175,7 +175,7 @@ public:
   }
 
 private:
-  /// What the frustum test writes into a map point.
+  /// The values that the frustum test writes into a map point.
   struct tracked {
     bool in_view, in_view_right;
     int level, level_right;

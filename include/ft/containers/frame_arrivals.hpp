@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Container: progress of a frame. It counts the chunks of the images that have been
-/// uploaded, and tells which images have their keypoints in place. A concurrent launch waits for
-/// these parts rather than for the whole preceding grid.
+/// @file Container: progress of a frame. It counts the uploaded chunks of the images, and flags
+/// images whose keypoints have their places. A concurrent launch waits for these parts rather than
+/// for the whole preceding grid.
 ///
-/// Such a launch has launch_order::concurrent. All blocks of that grid have started by
-/// then, so it makes progress whatever else runs on the device. For launches in stream order every
-/// wait is already satisfied.
+/// Such a launch has launch_order::concurrent. All blocks of the preceding grid have started by
+/// then, so it makes progress even if other work runs on the device. For launches in stream order
+/// every wait is already satisfied.
 #pragma once
 
 #include <cstddef>

@@ -72,11 +72,11 @@ public:
   }
   cudaEvent_t get() const { return event_; }
 
-  /// Marks what is enqueued on `stream` so far. Asynchronous. @throws cuda_error
+  /// Marks the work enqueued on `stream` so far. Asynchronous. @throws cuda_error
   void record(cudaStream_t stream) const {
     throw_on_error(cudaEventRecord(event_, stream), "cudaEventRecord");
   }
-  /// Makes what is enqueued on `stream` from now on wait for the last record(). Asynchronous.
+  /// Makes later work on `stream` wait for the last record(). Asynchronous.
   /// @throws cuda_error
   void make_wait(cudaStream_t stream) const {
     throw_on_error(cudaStreamWaitEvent(stream, event_, 0), "cudaStreamWaitEvent");

@@ -13,8 +13,8 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// fork() returns an executor for work that may run concurrently with later work of the main line.
-/// join() makes later work of the main line wait for it. Both can be recorded in a graph. A single
-/// launch needs no branch; see launch_order::concurrent.
+/// join() makes later work of the main line wait for it. Both can be recorded in a graph. For a
+/// single launch use launch_order::concurrent instead.
 template <typename Exec>
 class side_branch {
 public:

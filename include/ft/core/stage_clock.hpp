@@ -32,7 +32,7 @@ struct stage_time {
 
 namespace detail {
 
-/// The names and order of marks, which both clocks share.
+/// The names and order of marks, shared by both clocks.
 class stage_marks {
 public:
   static constexpr int most = 32;
@@ -119,7 +119,7 @@ private:
 namespace detail {
 
 /// Records an event on a stream. While the stream is captured: adds a node that records it to the
-/// graph, which depends on what was captured last and on which nothing depends.
+/// graph. The node depends on the last captured work, and nothing depends on the node.
 inline void record_beside_capture(cudaEvent_t event, cudaStream_t stream) {
   cudaStreamCaptureStatus status = cudaStreamCaptureStatusNone;
   cudaGraph_t graph = nullptr;

@@ -160,8 +160,7 @@ FT_HOST_DEVICE void list_candidates_of_cell(Group g, cell_scratch& s, cell_inner
     append(g, s, item, flags.strict, 0, &s.candidate_count[0]);
   }
 }
-/// Lists the candidates noted in `s.lenient` behind the others. The threads read what they have
-/// written themselves.
+/// Appends the candidates noted in `s.lenient` to the list. Each thread reads only its own notes.
 template <typename Group>
 FT_HOST_DEVICE void list_lenient_candidates(Group g, cell_scratch& s, cell_inner const& inner) {
   word_items const items(inner);

@@ -3,8 +3,8 @@
 ///
 /// A counting sort by the leading bits of the codes, then a rank within each bin by counting the
 /// smaller keys of the bin. Keys are (code, index), so they are distinct. A level with a crowded
-/// bin is sorted by comparison. Kept by hand: the number of points, 0 to about 18,000, is known at
-/// run time only, and the library sorts of a block have a fixed size.
+/// bin is sorted by comparison. Written by hand: the number of points, 0 to about 18,000, is known
+/// only at run time, but the library sorts of a block have a fixed size.
 #pragma once
 
 #include <cstdint>
@@ -30,7 +30,7 @@ FT_HOST_DEVICE void fill_code_table(Group g, node_codes const& codes, unsigned* 
 
 inline constexpr int rank_bits = 12;  ///< of a point's rank in its bin, below its code
 
-/// What a thread keeps of its held points: code << rank_bits | rank in the bin.
+/// State of a thread's held points: code << rank_bits | rank in the bin.
 template <int Held>
 struct held_codes {
   unsigned of[max_of(Held, 1)];

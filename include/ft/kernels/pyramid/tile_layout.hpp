@@ -51,8 +51,8 @@ struct axis_tiles {
   int computed = 0;              ///< most columns or rows of a tile, over all levels but the source
 };
 
-/// Spans of levels first - 1 to last, from the last one down: each level needs its own part and
-/// what the level above reads.
+/// Spans of levels first - 1 to last, from the last one down: each level computes its own part and
+/// the pixels that the level above reads.
 inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int first, int last,
                             int tiles) {
   int const levels = last - first + 2;  // with the source
@@ -65,7 +65,7 @@ inline axis_tiles tile_axis(resize_tap const* const* taps, int const* size, int 
     for (int l = last; l >= first - 1; --l) {
       int const own_begin = l < first ? 0 : static_cast<int>(std::int64_t{t} * size[l] / tiles);
       int const own_end = l < first ? 0 : static_cast<int>(std::int64_t{t + 1} * size[l] / tiles);
-      if (l < last) {  // what the level above reads
+      if (l < last) {  // pixels that the level above reads
         if (begin < end) {
           resize_tap const& a = taps[l + 1][begin];
           resize_tap const& b = taps[l + 1][end - 1];
@@ -112,7 +112,8 @@ inline pyramid_tiles make_pyramid_tiles(pyramid_geometry const& g, resize_tap co
     tile_group made;
     detail::axis_tiles across;
     detail::axis_tiles down;
-    // As many levels as fit with tiles of about that size. If not even one fits, smaller tiles.
+    // Takes as many levels as fit with tiles of about that size. If not even one fits, takes
+    // smaller tiles.
     for (int last = g.levels - 1; made.columns == 0; --last) {
       int const least = last > first ? side : 1;
       for (int s = side; s >= least && made.columns == 0; s /= 2) {

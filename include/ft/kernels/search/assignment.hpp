@@ -25,7 +25,7 @@ namespace detail {
 /// Threads of the block that assigns the keypoints of a frame.
 inline constexpr int assign_threads = 1024;
 
-/// Item: a frame. Assigns its keypoints; assignment_context.hpp has the contract.
+/// Item: a frame. Assigns its keypoints, by the contract of assignment_context.hpp.
 /// @tparam Turns true: the parallel forms; false: the loop, for groups of one thread
 /// @tparam Single one camera and no stereo partners; selected by assign()
 template <bool Turns, bool Single = false>
@@ -52,9 +52,9 @@ struct assign_keypoints {
 
   /// Assigns the keypoints of a frame.
   ///
-  /// After proposals from empty holders, if all points are observed, write(single, owners) may
-  /// write the result in place of this function. `single` is the constant `Single`. `owners` is the
-  /// owner table, in block scratch. The rest of `s` may be overwritten.
+  /// After proposals that start without holders, if all points are observed, write(single, owners)
+  /// may write the result instead of this function. `single` is the constant `Single`. `owners` is
+  /// the owner table, in block scratch. The rest of `s` may be overwritten.
   /// @param prepared the tables are cleared
   /// @param write returns whether it wrote the result
   /// @return whether `write` did

@@ -27,7 +27,7 @@ FT_HOST_DEVICE inline bool misses_right(search_window const& w, float r) {
   return w.check_right && r > 0 && ::fabsf(w.right_x - r) > w.radius;
 }
 
-/// Descriptor distance of keypoint k, -1 if it is no candidate. Ignores its holder.
+/// Descriptor distance of keypoint k, -1 if it is not a candidate. Ignores its holder.
 FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_view const& kp,
                                              float const* right_x, descriptor const& wanted, int k,
                                              int limit) {

@@ -61,8 +61,8 @@ struct list_candidates {
                 });
   }
 
-  /// Which candidates that list_all() listed are held by observed points: bit 16 * camera + place.
-  /// A warp looks all of them up at once.
+  /// The candidates of list_all() that observed points hold: bit 16 * camera + place. The lanes of
+  /// a warp look them up in parallel.
   template <typename Group>
   FT_HOST_DEVICE static unsigned held(Group g, scratch const& s, frame_search const& in) {
     constexpr int size = search_workspace::list_size;
@@ -81,7 +81,7 @@ struct list_candidates {
     return bits;
   }
 
-  /// Writes what list_all() listed, without the candidates that are held.
+  /// Writes the lists of list_all() without the held candidates.
   /// @param taken_bits result of held()
   template <typename Group>
   FT_HOST_DEVICE static void write_free(Group g, scratch& s, frame_search const& in, int i,
@@ -95,7 +95,7 @@ struct list_candidates {
   }
 
 private:
-  /// What a thread found in a window.
+  /// A thread's results in a window.
   struct listing {
     bool observed = false;   ///< the window's map point is observed
     bool left_out = false;   ///< this thread omitted a held candidate
@@ -193,8 +193,8 @@ private:
 };
 
 /// Item: a point of a search. Computes its windows and lists their candidates.
-/// @tparam Windows last_frame_windows or local_map_windows: how many points a frame has, and the
-///   windows of one
+/// @tparam Windows last_frame_windows or local_map_windows: gives the number of points of a frame,
+///   and the windows of a point
 template <typename Windows>
 struct list_point {
   using scratch = list_candidates::scratch;

@@ -52,7 +52,7 @@ struct viewpoint {
 };
 
 /// Tests one map point against one camera.
-/// @param bf baseline times focal length; 0 if there is no column in a right image
+/// @param bf baseline times focal length; 0 without a column in a right image
 template <typename Camera>
 FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const& from,
                                           map_points_view const& map, int slot, float bf,

@@ -20,7 +20,7 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// What a window needs to propose to one candidate, loaded together.
+/// The data with which a window proposes to one candidate, loaded together.
 struct proposal {
   int count;            ///< as in search_workspace
   std::uint32_t entry;  ///< packed candidate

@@ -84,7 +84,7 @@ struct search_workspace {
   }
 };
 
-/// What a search writes besides the holders of the frame.
+/// Outputs of a search, except the holders of the frame.
 struct search_buffers {
   search_windows_view windows;
   search_workspace work;

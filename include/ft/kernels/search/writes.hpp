@@ -14,8 +14,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// What the points wrote in the previous turn, if all open points are observed. A keypoint is taken
-/// from its first write on, so only the first write is kept.
+/// The writes of the previous turn, if all open points are observed. A keypoint is taken from its
+/// first write on, so only the first write is kept.
 ///
 /// `last` holds the writes of the previous turn and `now` collects those of the current one. Each
 /// turn's keys are smaller than all earlier ones, so stale entries lose every minimum and no

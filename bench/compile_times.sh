@@ -30,7 +30,7 @@ compiler=${CXX:-g++}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-# seconds COMMAND...: how long it took, or "failed"
+# seconds COMMAND...: its duration, or "failed"
 seconds() {
   local begin end
   begin=$(date +%s%N)

@@ -36,16 +36,16 @@ int main(int argc, char** argv) {
   std::vector<std::string> only;
   bench::settings how;
   CLI::App app(
-      "Times ft's stereo frame (images staged, pinned beside a device, to result read), its parts, "
-      "batches, streams and camera models, over generated images in turn.");
+      "Times ft's stereo frame (from images in staging memory to the result in host memory), its "
+      "parts, batches, streams and camera models, over generated images in turn.");
   app.add_option("--only", only,
                  "sections, with commas between: cameras, frame, fisheye, stages, batch, streams, "
                  "graph (launches and bytes a frame), kernels (their registers and memory), "
                  "ablation (one choice switched at a time), tie_rules (of the quadtree), "
-                 "host_stages (one host thread, beside OpenCV). Default: all");
+                 "host_stages (one host thread, next to OpenCV). Default: all");
   app.add_option("--json", json_path, "write all figures to this file");
   app.add_option("--backend", backend,
-                 "auto (a device where there is one, else the host), host, cuda or both")
+                 "auto (a device if one is found, else the host), host, cuda or both")
       ->check(CLI::IsMember({"auto", "host", "cuda", "both"}))
       ->capture_default_str();
   app.add_option("--frames", how.frames,

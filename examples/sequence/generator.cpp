@@ -104,10 +104,10 @@ struct texture {
   // x, y in texels of level 0, from the texture's corner
   float sample(float x, float y, footprint const& f) const {
     float sum = 0;
-    float const half = 0.5f * static_cast<float>(f.taps - 1);
+    float const halved = 0.5f * static_cast<float>(f.taps - 1);
     float const scale = 1.0f / static_cast<float>(1 << f.level);
     for (int i = 0; i < f.taps; ++i) {
-      float const offset = static_cast<float>(i) - half;
+      float const offset = static_cast<float>(i) - halved;
       float const tx = (x + offset * f.step_x) * scale;
       float const ty = (y + offset * f.step_y) * scale;
       auto const level = static_cast<std::size_t>(f.level);

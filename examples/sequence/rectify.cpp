@@ -308,8 +308,8 @@ rectifier::rectifier(stereo_rig const& raw) {
                 " degrees, at most 60 allowed");
   }
   // With x_left = R x_right + t, both are rotated into the frame half-way between.
-  Eigen::Matrix3d const half = Eigen::AngleAxisd(0.5 * turn.angle(), turn.axis()).matrix();
-  Eigen::Vector3d const baseline = half.transpose() * raw.T_left_right.translation();
+  Eigen::Matrix3d const halved = Eigen::AngleAxisd(0.5 * turn.angle(), turn.axis()).matrix();
+  Eigen::Vector3d const baseline = halved.transpose() * raw.T_left_right.translation();
   double const off_axis =
       std::atan2(baseline.tail<2>().norm(), baseline.x());  // pi if left and right are swapped
   if (!(off_axis <= 45 / degrees)) {
@@ -319,8 +319,8 @@ rectifier::rectifier(stereo_rig const& raw) {
   }
   Eigen::Matrix3d const align =
       Eigen::Quaterniond::FromTwoVectors(baseline, Eigen::Vector3d::UnitX()).toRotationMatrix();
-  left_rotation_ = align * half.transpose();
-  right_rotation_ = align * half;
+  left_rotation_ = align * halved.transpose();
+  right_rotation_ = align * halved;
 
   field inner;
   shrink_to_view(raw.left, left_rotation_, inner);

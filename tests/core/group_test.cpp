@@ -242,9 +242,9 @@ Number sum_in_order(double const* data, int n) {
     std::vector<Number> rest(lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp),
                              lanes.begin() + static_cast<std::ptrdiff_t>(32 * warp + 32));
     while (rest.size() > 1) {
-      std::size_t const half = rest.size() / 2;
-      for (std::size_t i = 0; i < half; ++i) { rest[i] += rest[i + half]; }
-      rest.resize(half);
+      std::size_t const halved = rest.size() / 2;
+      for (std::size_t i = 0; i < halved; ++i) { rest[i] += rest[i + halved]; }
+      rest.resize(halved);
     }
     total = warp == 0 ? rest[0] : total + rest[0];
   }

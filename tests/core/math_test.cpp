@@ -264,9 +264,9 @@ TYPED_TEST(math_unit, roundings_are_those_of_the_standard_library) {
   std::vector<float> values{0.0f,        -0.0f,       0.49999997f,   -0.49999997f,   8388607.5f,
                             -8388607.5f, 16777216.0f, 2147483520.0f, -2147483520.0f, 1e-40f};
   for (int i = -2000; i <= 2000; ++i) {
-    float const half = static_cast<float>(i) + 0.5f;
-    values.insert(values.end(), {half, std::nextafter(half, -1e9f), std::nextafter(half, 1e9f),
-                                 static_cast<float>(i)});
+    float const halved = static_cast<float>(i) + 0.5f;
+    values.insert(values.end(), {halved, std::nextafter(halved, -1e9f),
+                                 std::nextafter(halved, 1e9f), static_cast<float>(i)});
   }
   std::mt19937 random(5);
   for (int i = 0; i < 2000; ++i) {

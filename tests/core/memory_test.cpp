@@ -196,13 +196,13 @@ TEST(carver_unit, rounding_up_at_the_end_of_an_address_space_throws) {
 }
 
 TEST(checked_mul_unit, refuses_what_overflows_and_nothing_else) {
-  std::size_t const half = std::size_t{1} << 32;
+  std::size_t const halved = std::size_t{1} << 32;
   EXPECT_EQ(ft::detail::checked_mul(0, largest), 0u);
   EXPECT_EQ(ft::detail::checked_mul(largest, 0), 0u);
   EXPECT_EQ(ft::detail::checked_mul(1, largest), largest);
   EXPECT_EQ(ft::detail::checked_mul(largest, 1), largest);
-  EXPECT_EQ(ft::detail::checked_mul(half, half - 1), half * (half - 1));
-  EXPECT_THROW(ft::detail::checked_mul(half, half), ft::bad_argument);
+  EXPECT_EQ(ft::detail::checked_mul(halved, halved - 1), halved * (halved - 1));
+  EXPECT_THROW(ft::detail::checked_mul(halved, halved), ft::bad_argument);
   EXPECT_THROW(ft::detail::checked_mul(largest / 2 + 1, 2), ft::bad_argument);
   EXPECT_THROW(ft::detail::checked_mul(largest, largest), ft::bad_argument);
 }

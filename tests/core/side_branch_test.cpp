@@ -105,7 +105,7 @@ TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_wa
   buffer const ahead(count);
   buffer const first(count);
   buffer const second(count);
-  buffer const half(count);
+  buffer const halved(count);
   buffer const joined(count);
   auto const add = TestFixture::add;
   // 3 v; 9 v + v; concurrently 15 v + v and 21 v + v; all that the last launches waited for.
@@ -116,14 +116,14 @@ TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_wa
     auto const concurrent = ft::detail::with_order(e, order::concurrent);
     add(concurrent, 5, begun, values, first);
     add(concurrent, 7, begun, values, second);
-    add(ft::detail::with_order(concurrent, order::serial), 1, ahead, first, half);
-    add(e, 1, half, second, joined);
+    add(ft::detail::with_order(concurrent, order::serial), 1, ahead, first, halved);
+    add(e, 1, halved, second, joined);
   };
   ft::recording<executor> recorded;
   recorded.record(exec, queue);
   for (int round = 0; round < 20; ++round) {
     for (int i = 0; i < length; ++i) { input.data()[i] = (i * 7 + round * 1000) % 100003; }
-    for (buffer const* m : {&begun, &ahead, &first, &second, &half, &joined}) {
+    for (buffer const* m : {&begun, &ahead, &first, &second, &halved, &joined}) {
       ft::fill_bytes(exec, m->data(), 0x5a, m->bytes());
     }
     if (round % 4 == 0) {

@@ -109,8 +109,8 @@ TEST(MotionModel, GoesOnByTheTimeThatPassed) {
     moving const m(seed);
     EXPECT_LT(difference(m.model.predict(m.to, 100 * ms), m.step * m.step * m.to), 1e-9);
     EXPECT_LT(difference(m.model.predict(m.to, 150 * ms), m.step * m.step * m.step * m.to), 1e-9);
-    rigid_pose const half = m.model.predict(still(), 25 * ms);
-    EXPECT_LT(difference(half * half, m.step), 1e-9);
+    rigid_pose const halved = m.model.predict(still(), 25 * ms);
+    EXPECT_LT(difference(halved * halved, m.step), 1e-9);
   }
 }
 

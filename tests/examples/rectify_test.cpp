@@ -320,11 +320,11 @@ TEST(rectifier_real, calibrations_of_real_rigs) {
 
 /// Correlation of two 15x15 windows, -1..1, whatever their brightness and contrast.
 double correlation(seq::image const& a, int ax, int ay, seq::image const& b, int bx, int by) {
-  constexpr int half = 7;
+  constexpr int halved = 7;
   int n = 0;
   double sa = 0, sb = 0, saa = 0, sbb = 0, sab = 0;
-  for (int v = -half; v <= half; ++v) {
-    for (int u = -half; u <= half; ++u, ++n) {
+  for (int v = -halved; v <= halved; ++v) {
+    for (int u = -halved; u <= halved; ++u, ++n) {
       double const p = a.row(ay + v)[ax + u];
       double const q = b.row(by + v)[bx + u];
       sa += p;

@@ -171,11 +171,11 @@ TYPED_TEST(corner_mask_unit, no_keypoint_lies_where_the_mask_is_0) {
   auto const y = test::column<ft::field::y>(this->backend.exec, orb.keypoints());
   auto const octave = test::column<ft::field::octave>(this->backend.exec, orb.keypoints());
   for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
-    float const half = 0.5f * orb.geometry().scale[octave[i]] + 1;  // of the level's pixel
-    EXPECT_GE(x[i], 90 - half);
-    EXPECT_LE(x[i], 199 + half);
-    EXPECT_GE(y[i], 60 - half);
-    EXPECT_LE(y[i], 149 + half);
+    float const halved = 0.5f * orb.geometry().scale[octave[i]] + 1;  // of the level's pixel
+    EXPECT_GE(x[i], 90 - halved);
+    EXPECT_LE(x[i], 199 + halved);
+    EXPECT_GE(y[i], 60 - halved);
+    EXPECT_LE(y[i], 149 + halved);
   }
   EXPECT_GT(n, 30);
 }
@@ -207,9 +207,11 @@ TYPED_TEST(corner_mask_unit, every_image_has_its_own_mask_until_the_next_one) {
     this->backend.exec.wait();
   };
   set(1, plain_mask(20, 20, 0));
-  auto half = plain_mask(20, 20, 0);
-  for (std::size_t i = 0; i < half.pixels.size(); ++i) { half.pixels[i] = i % 20 < 10 ? 255 : 0; }
-  set(2, half);
+  auto halved = plain_mask(20, 20, 0);
+  for (std::size_t i = 0; i < halved.pixels.size(); ++i) {
+    halved.pixels[i] = i % 20 < 10 ? 255 : 0;
+  }
+  set(2, halved);
   this->extract(orb, {image, image, image});
   EXPECT_GT(this->keypoints(orb, 0), 100) << "never set";
   EXPECT_EQ(this->keypoints(orb, 1), 0);

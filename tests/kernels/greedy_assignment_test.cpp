@@ -610,16 +610,16 @@ scene held_scene(unsigned seed, ft::search_kind kind, int guests, scene_limits c
   generator g(seed + 1000000);
   s.params.from_empty = false;
   // The first half of the map is held, the second looked for.
-  int const half = std::max(1, s.slots / 2);
+  int const halved = std::max(1, s.slots / 2);
   int const lapsed = g.below(40);
   for (int i = 0; i < s.batch * s.slots; ++i) {
-    int const unobserved = i % s.slots < half ? lapsed : guests;
+    int const unobserved = i % s.slots < halved ? lapsed : guests;
     s.observations[at(i)] = g.chance(unobserved) ? -g.below(2) : g.from_to(1, 9);
   }
   int const held = g.from_to(60, 100);
-  for (auto& h : s.holder) { h = g.chance(held) ? g.below(half) : -1; }
+  for (auto& h : s.holder) { h = g.chance(held) ? g.below(halved) : -1; }
   for (auto& w : s.window) {
-    if (w.slot >= 0 && half < s.slots) { w.slot = half + g.below(s.slots - half); }
+    if (w.slot >= 0 && halved < s.slots) { w.slot = halved + g.below(s.slots - halved); }
     if (g.chance(50)) { w.min_level = 0, w.max_level = -1; }
   }
   int const paired = g.from_to(30, 100);

@@ -81,7 +81,7 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
       test::from_exec(this->backend.exec, static_cast<results const*>(d_out.data()), in.size());
   for (std::size_t i = 0; i < in.size(); ++i) {
     auto const [a, b, c] = in[i];
-    auto const half = [](word v, int k) { return v >> (16 * k) & 0xffffu; };
+    auto const halved = [](word v, int k) { return v >> (16 * k) & 0xffffu; };
     auto const byte = [](word v, int k) { return v >> (8 * k) & 0xffu; };
     word dot4 = c >> 8;
     word permuted = 0;
@@ -91,14 +91,14 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
       permuted |= (from < 4 ? byte(a, from) : byte(b, from - 4)) << (8 * k);
     }
     EXPECT_EQ(out[i].min,
-              std::min(half(a, 0), half(b, 0)) + (std::min(half(a, 1), half(b, 1)) << 16));
+              std::min(halved(a, 0), halved(b, 0)) + (std::min(halved(a, 1), halved(b, 1)) << 16));
     EXPECT_EQ(out[i].max,
-              std::max(half(a, 0), half(b, 0)) + (std::max(half(a, 1), half(b, 1)) << 16));
-    EXPECT_EQ(out[i].swapped, half(a, 1) + (half(a, 0) << 16));
+              std::max(halved(a, 0), halved(b, 0)) + (std::max(halved(a, 1), halved(b, 1)) << 16));
+    EXPECT_EQ(out[i].swapped, halved(a, 1) + (halved(a, 0) << 16));
     EXPECT_EQ(out[i].permuted, permuted);
     EXPECT_EQ(out[i].selected, permuted);
     EXPECT_EQ(out[i].dot4, dot4);
-    EXPECT_EQ(out[i].dot2, (c >> 8) + half(a, 0) * byte(b, 0) + half(a, 1) * byte(b, 1));
+    EXPECT_EQ(out[i].dot2, (c >> 8) + halved(a, 0) * byte(b, 0) + halved(a, 1) * byte(b, 1));
     word difference = c >> 8;
     word differences = 0;
     word shifted = 0;

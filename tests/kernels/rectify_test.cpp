@@ -347,8 +347,8 @@ TYPED_TEST(rectify_unit, pixels_without_a_source_get_the_border_value) {
   ft::remap_sizes const z{60, 40, 60, 40};
   typename TestFixture::table_owner const table(z);
   ft::pinhole<double> const cam{10, 10, 30, 20};
-  double const half = 3.14159265358979323846 / 2;
-  ft::build_remap(exec, cam, turn_y(half), cam, table.view());  // left half looks backwards
+  double const halved = 3.14159265358979323846 / 2;
+  ft::build_remap(exec, cam, turn_y(halved), cam, table.view());  // left half looks backwards
   auto const got = content(exec, table.view());
   int none = 0;
   for (std::size_t i = 0; i < got.position.size(); ++i) {

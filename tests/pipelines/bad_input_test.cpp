@@ -480,12 +480,12 @@ TYPED_TEST(bad_input_test, nothing_is_matched_where_an_overlap_is_empty) {
         EXPECT_EQ(sorted(s, 1), sorted(full, 1));
       }
     }
-    auto const half = run({-inf, 200}, {80, inf});
-    EXPECT_GT(with_depth(half), 10);
-    for (std::size_t i = 0; i < half.depth.size(); ++i) {
-      if (!(half.depth[i] > 0)) { continue; }
-      EXPECT_LE(half.x[i], 200.0f);
-      EXPECT_GE(half.x[at(half.partner[i])], 80.0f);
+    auto const halved = run({-inf, 200}, {80, inf});
+    EXPECT_GT(with_depth(halved), 10);
+    for (std::size_t i = 0; i < halved.depth.size(); ++i) {
+      if (!(halved.depth[i] > 0)) { continue; }
+      EXPECT_LE(halved.x[i], 200.0f);
+      EXPECT_GE(halved.x[at(halved.partner[i])], 80.0f);
     }
   });
 }

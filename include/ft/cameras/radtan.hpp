@@ -163,11 +163,11 @@ struct radtan_distortion {
     Scalar const size = Scalar(1) + scalar::abs(target.x) + scalar::abs(target.y);
     Scalar const enough = Scalar(P(0.5) * rounding) * size;
     Scalar const most = Scalar(P(8) * rounding) * size;
-    Scalar const half = Scalar(P(0.5));
+    Scalar const one_half = Scalar(P(0.5));
     vec2<Scalar> at = target;
     bool inside = one_to_one(norm2(at));
     for (int i = 0; i < 10 && !inside; ++i) {
-      at = {at.x * half, at.y * half};
+      at = {at.x * one_half, at.y * one_half};
       inside = one_to_one(norm2(at));
     }
     if (!inside) { return {{Scalar(0), Scalar(0)}, false}; }
@@ -189,7 +189,7 @@ struct radtan_distortion {
             left = then;
           }
         }
-        step = {step.x * half, step.y * half};
+        step = {step.x * one_half, step.y * one_half};
       }
       if (!better) { break; }
     }

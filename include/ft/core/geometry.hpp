@@ -41,8 +41,8 @@ struct quaternion {
   /// v rotated: v + 2 w (q x v) + 2 q x (q x v), in this order, as in Sophus.
   friend FT_HOST_DEVICE vec3<S> operator*(quaternion const& q, vec3<S> v) {
     vec3<S> const axis{q.x, q.y, q.z};
-    vec3<S> const half = cross(axis, v);
-    vec3<S> const turned = half + half;
+    vec3<S> const halved = cross(axis, v);
+    vec3<S> const turned = halved + halved;
     return v + vec3<S>{q.w * turned.x, q.w * turned.y, q.w * turned.z} + cross(axis, turned);
   }
 };

@@ -66,11 +66,11 @@ struct node_codes {
   FT_HOST_DEVICE unsigned axis_code(int offset, int side) const {
     unsigned code = 0;
     for (int d = 0; d < depths; ++d) {
-      int const half = (side + 1) >> 1;
-      bool const second = offset >= half;
+      int const middle = (side + 1) >> 1;
+      bool const second = offset >= middle;
       code = code << 2 | static_cast<unsigned>(second);
-      offset -= second ? half : 0;
-      side = second ? side - half : half;
+      offset -= second ? middle : 0;
+      side = second ? side - middle : middle;
     }
     return code;
   }
@@ -89,10 +89,10 @@ struct node_codes {
     int edge = root_edge(root);
     int side = root_edge(root + 1) - edge;
     for (int d = 0; d < depth; ++d) {
-      int const half = (side + 1) >> 1;
-      bool const second = x - edge >= half;
-      edge += second ? half : 0;
-      side = second ? side - half : half;
+      int const middle = (side + 1) >> 1;
+      bool const second = x - edge >= middle;
+      edge += second ? middle : 0;
+      side = second ? side - middle : middle;
     }
     return edge;
   }

@@ -96,9 +96,9 @@ private:
   FT_HOST_DEVICE static int half_width(int v) { return disc_half_width(v < 0 ? -v : v); }
   FT_HOST_DEVICE static moments of_word(std::uint32_t pixels, int u, int v) {
     if (v > radius) { return {0, 0}; }
-    int const half = half_width(v);
-    int const before = min_of(max_of(-half - u, 0), 4);    // pixels outside, from the left
-    int const after = min_of(max_of(u + 3 - half, 0), 4);  // from the right
+    int const reach = half_width(v);
+    int const before = min_of(max_of(-reach - u, 0), 4);    // pixels outside, from the left
+    int const after = min_of(max_of(u + 3 - reach, 0), 4);  // from the right
     pixels &=
         static_cast<std::uint32_t>(0xffffffffull << (8 * before) & 0xffffffffull >> (8 * after));
     int const sum = static_cast<int>(dot_of_4(pixels, 0x01010101u, 0));
@@ -114,14 +114,14 @@ FT_HOST_DEVICE FT_INLINE moments moments_by_columns(gray_view level, int x, int 
   std::int16_t sums[columns] = {};
   std::int16_t firsts[columns] = {};  // sums of row * pixel: 255 * (1 + ... + 15) is below 2^15
   for (int v = 0; v <= radius; ++v) {
-    auto const half = static_cast<std::int16_t>(disc_half_width(v));
+    auto const reach = static_cast<std::int16_t>(disc_half_width(v));
     auto const row = static_cast<std::int16_t>(v);
     auto const once = static_cast<std::int16_t>(v == 0 ? 0 : -1);  // count the centre's row once
     std::uint8_t const* const above = level.row(y - v) + (x - radius);
     std::uint8_t const* const below = level.row(y + v) + (x - radius);
     for (int i = 0; i < columns; ++i) {
       auto const u = static_cast<std::int16_t>(i < radius ? radius - i : i - radius);
-      auto const inside = static_cast<std::int16_t>(u <= half ? -1 : 0);
+      auto const inside = static_cast<std::int16_t>(u <= reach ? -1 : 0);
       sums[i] = static_cast<std::int16_t>(sums[i] + (((above[i] & once) + below[i]) & inside));
       firsts[i] = static_cast<std::int16_t>(firsts[i] + row * ((below[i] - above[i]) & inside));
     }
@@ -154,10 +154,10 @@ FT_HOST_DEVICE FT_INLINE float orientation(Group g, gray_view level, int x, int 
   }
   for (int r = g.rank(); r < side; r += g.size()) {
     int const v = r - orientation_radius;
-    int const half = detail::disc_half_width(v < 0 ? -v : v);
+    int const reach = detail::disc_half_width(v < 0 ? -v : v);
     std::uint8_t const* const row = level.row(y + v) + x;
     int sum = 0;
-    for (int u = -half; u <= half; ++u) {
+    for (int u = -reach; u <= reach; ++u) {
       sum += row[u];
       m.m10 += u * row[u];
     }

@@ -34,9 +34,9 @@ FT_HOST_DEVICE rigid<Real> exp_se3(Real const (&d)[6]) {
   int halvings = 0;
   FT_NO_UNROLL
   while (theta2 > Real(plain(1) / 64) && halvings < 60) {
-    Real const half = Real(plain(1) / 2);
-    w = {w.x * half, w.y * half, w.z * half};
-    u = {u.x * half, u.y * half, u.z * half};
+    Real const one_half = Real(plain(1) / 2);
+    w = {w.x * one_half, w.y * one_half, w.z * one_half};
+    u = {u.x * one_half, u.y * one_half, u.z * one_half};
     theta2 = theta2 * Real(plain(1) / 4);
     ++halvings;
   }

@@ -256,8 +256,8 @@ private:
     static_cast<void>(spread);
     static_cast<void>(from_x);
     for (int at = g.rank(); at < items; at += g.size()) {
-      int const half = plan.row_of(at);
-      int const word = at - half * plan.words;
+      int const pair_row = plan.row_of(at);
+      int const word = at - pair_row * plan.words;
       word_taps const column = columns[word];
       auto const sums = [&](int row) {
         if constexpr (Spread) {
@@ -267,13 +267,13 @@ private:
           return sums_of_row(from + row, column);
         }
       };
-      int const last = min_of(2 * half + 1, plan.height - 1);
-      row_tap const v0 = rows[2 * half];
+      int const last = min_of(2 * pair_row + 1, plan.height - 1);
+      row_tap const v0 = rows[2 * pair_row];
       row_tap const v1 = rows[last];
       row_sums const above = sums(v0.above());
       row_sums below = sums(v0.below());
-      write_word(to, plan, 2 * half, word, mix_rows(above, below, v0));
-      if (last == 2 * half) { continue; }
+      write_word(to, plan, 2 * pair_row, word, mix_rows(above, below, v0));
+      if (last == 2 * pair_row) { continue; }
       if (v1.above() != v0.below()) { below = sums(v1.above()); }
       write_word(to, plan, last, word, mix_rows(below, sums(v1.below()), v1));
     }

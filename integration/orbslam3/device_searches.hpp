@@ -63,7 +63,7 @@ struct leave_out_far_point {
   }
 };
 
-/// What list_points_in_view reads in executor memory, and writes.
+/// Inputs of list_points_in_view in executor memory, and its outputs.
 struct in_view_listing {
   visibility const* seen;  ///< [cameras][capacity]
   int cameras;

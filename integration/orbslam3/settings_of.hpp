@@ -27,7 +27,7 @@ inline sensor_kind sensor_of(int number) {
   return static_cast<sensor_kind>(number % 3);
 }
 
-/// Tracking's mpCamera, mpCamera2 and mTlr. The last two are used for two fisheye cameras alone.
+/// Tracking's mpCamera, mpCamera2 and mTlr. The last two are used only for two fisheye cameras.
 template <typename Camera, typename Pose>
 struct tracking_cameras {
   Camera* left;
@@ -37,7 +37,8 @@ struct tracking_cameras {
   tracking_cameras(Camera* a, Camera* b, Pose const& b_to_a) : left(a), right(b), T_lr(b_to_a) {}
 };
 
-/// @param image the first one, for its size @param sensor System::eSensor as a number
+/// @param image the first one, for its size
+/// @param sensor System::eSensor as a number
 /// @param bf Tracking's mbf, unused for monocular
 /// @tparam Types with fisheye_camera: ORB_SLAM3::KannalaBrandt8
 /// @throws bad_argument

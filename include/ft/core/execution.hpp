@@ -22,7 +22,7 @@ void copy(Exec const& exec, T* to, T const* from, std::size_t count) {
   copy_bytes(exec, to, from, count * sizeof(T));
 }
 
-/// The pixels of an image into another one of the same size. Asynchronous where the executor is;
+/// Copies the pixels of an image to another one of the same size. Asynchronous if the executor is;
 /// allocates nothing.
 template <typename Exec>
 void copy_image(Exec const& exec, image_view<std::uint8_t> const& to, gray_view const& from) {

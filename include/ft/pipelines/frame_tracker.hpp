@@ -179,8 +179,8 @@ public:
     track(exec, &input);
   }
 
-  /// Enqueues the first half of track(), up to the first pose. Its result is the last state from
-  /// then on: to try the same frame again, use relocalize(). @param T_predicted [batch]
+  /// Enqueues the first half of track(), up to the first pose. Its result replaces the last state,
+  /// so use relocalize() to try the same frame again. @param T_predicted [batch]
   template <typename Pose>
   void track_motion(Exec const& exec, Pose const* T_predicted) {
     images_.require_given();

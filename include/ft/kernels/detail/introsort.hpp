@@ -103,7 +103,8 @@ FT_HOST_DEVICE void heap_sort(Array a, int begin, int end, Less less) {
 
 /// Partitions a[begin, end), more than 3 elements, by the median of the second, the middle and the
 /// last, which goes to the front. Returns where the right part begins.
-/// @param part a warp, or one thread @param w `left` and `right` are used, in [begin, end)
+/// @param part a warp, or one thread
+/// @param w `left` and `right` are used, in [begin, end)
 template <typename Part, typename Array, typename Less, typename Range, typename Position>
 FT_HOST_DEVICE int partition_by_median(Part part, Array a, int begin, int end, Less less,
                                        introsort_workspace<Range, Position> const& w) {

@@ -20,17 +20,17 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What the description of the kept corners of a batch of images reads and writes, all in executor
-/// memory. Its last four members are those of order_corners().
+/// Inputs and outputs of the description of a batch's kept corners, all in executor memory. Its
+/// last four members are those of order_corners().
 struct describing_view {
   description_source from;
   distribution_view kept;
   int const* place = nullptr;  ///< [batch][kept.layout.total] place of each corner's keypoint
   keypoints_view out;          ///< only angles and descriptors are written
-  /// Of a concurrent order_corners(): which images have their places.
+  /// Signals of a concurrent order_corners(): images whose places are written.
   frame_arrivals arrivals;
-  /// [batch] Where a whole image is inside or outside of its overlap, places are computed rather
-  /// than awaited. Without overlaps they are read. Required with `arrivals`.
+  /// [batch] For an image that is completely inside or outside its overlap, places are computed
+  /// without waiting. Without overlaps they are read. Required with `arrivals`.
   stereo_overlap const* overlaps = nullptr;
 };
 

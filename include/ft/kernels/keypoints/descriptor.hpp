@@ -19,7 +19,7 @@ inline namespace FT_ABI {
 /// Largest distance of a pattern point from the keypoint along an axis, rotated and rounded.
 inline constexpr int pattern_radius = 18;
 
-/// The images that keypoints are described in, and the pattern; all in executor memory.
+/// The images in which keypoints are described, and the pattern; all in executor memory.
 struct description_source {
   image_pyramid_view pyramid;             ///< for the angles
   image_pyramid_view blurred;             ///< of `pyramid`, for the descriptors

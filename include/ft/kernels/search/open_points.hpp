@@ -22,7 +22,7 @@ struct open_points {
   static constexpr int any_right = 1 << 27;
   int* list;  ///< index of the point and the bits above
   int count;
-  int points;  ///< that are searched, open or not
+  int points;  ///< of the search, open or not
   int cameras_;
   int partners_;
 

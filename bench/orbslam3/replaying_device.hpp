@@ -60,6 +60,8 @@ public:
   void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
     if (!replaying_) { device_->change_map(change, words); }
   }
+  int local_room() const override { return device_->local_room(); }
+  void prepare_local(int points) override { device_->prepare_local(points); }
   int* local_slots(int points) override { return device_->local_slots(points); }
   ft::orbslam3::recorded_sight* recorded_sights(int count) override {
     return device_->recorded_sights(count);

@@ -18,6 +18,7 @@
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/local_map.hpp"
+#include "integration/orbslam3/local_room.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/statistics.hpp"
@@ -199,9 +200,11 @@ public:
   /// IncreaseVisible() and stores the tracked values of those in view, then does
   /// ORBmatcher(0.8).SearchByProjection(frame, points, th, far_points, far_threshold). Returns the
   /// number of matches. If no point is in view, nothing is searched and the result is 0.
+  /// Allocates and waits if !has_room_for(points.size()).
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
     stage_timer timer(sums(stage::search_local_map), *device_);
+    room_.follow(static_cast<int>(points.size()));
     map_call_end const end(mirror_);
     mirror_.begin_call();
     local_map_request request;
@@ -223,6 +226,11 @@ public:
     write_matches(request.buffer, frame);
     return matches;
   }
+
+  /// Whether search_local_points() of so many points allocates nothing. When a local map uses more
+  /// than half of the memory, another thread doubles it. This is therefore false only for a local
+  /// map that has more than doubled at once, until that thread has finished.
+  bool has_room_for(std::size_t points) { return room_.follow(static_cast<int>(points)); }
 
   /// Optimizer::PoseOptimization(&frame): pose, mvbOutlier; returns the number of inliers.
   /// @param which stage this call is: pose_last_frame, pose_local_map (which options may bypass),
@@ -345,6 +353,7 @@ private:
   map_mirror<map_point> mirror_;
   frame_exchange<frame_type> frames_{*device_, settings_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
+  local_room room_{*device_};
   std::vector<int> held_before_;
   statistics statistics_{};
 };

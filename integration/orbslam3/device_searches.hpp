@@ -3,7 +3,6 @@
 /// launches.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -20,19 +19,13 @@
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/local_memory.hpp"
 #include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
-
-/// A window computed by the host.
-struct recorded_window {
-  int index;
-  int camera;
-  search_window window;
-};
 
 /// Writes recorded windows to their places.
 struct place_recorded_window {
@@ -121,7 +114,6 @@ class device_searches {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
   static constexpr int searched = Rig::rectified ? 1 : 2;
-  static constexpr int no_slot_yet = -2;  ///< differs from every value that callers write
 
   /// Poses and rotations of a call, uploaded together.
   struct call_inputs {
@@ -144,7 +136,7 @@ public:
 
   /// Allocates memory and enqueues its initial values. @param keypoints per image
   device_searches(Exec const& exec, Rig const& rig, settings const& s, int keypoints)
-      : settings_(s), rig_(rig), keypoints_(keypoints) {
+      : settings_(s), rig_(rig), keypoints_(keypoints), local_(keypoints, searched) {
     int const numbers = 2 * keypoints;
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, numbers, 1);
@@ -158,47 +150,15 @@ public:
       in_view_ = c.take<int>(1);
     });
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
-    reserve_local(exec, s.local_points);
+    local_.reserve(exec, s.local_points);
   }
 
-  /// Makes room for a local map. Waits if it has to allocate. Returns whether it did.
-  bool reserve_local(Exec const& exec, int points) {
-    if (points <= local_capacity_) { return false; }
-    int const n = size_of(std::max(points, local_capacity_ + 1));
-    exec.wait();
-    auto const all = static_cast<std::size_t>(n);
-    int const room = std::max(n, searched * keypoints_);
-    local_memory_ = arena<space>([&](carver& c) {
-      slots_ = c.take<int>(all);
-      seen_ = c.take<visibility>(searched * all);
-      listed_ = c.take<int>(all);
-      windows_recorded_ = c.take<recorded_window>(searched * all);
-      carve(c, buffers_.windows, room, 1, searched);
-      carve(c, buffers_.work, room, keypoints_, 1, searched);
-    });
-    local_host_memory_ = arena<staging>([&](carver& c) {
-      staged_slots_ = c.take<int>(all);
-      staged_index_ = c.take<int>(all);
-      staged_sights_ = c.take<visibility>(searched * all);
-      staged_windows_ = c.take<recorded_window>(searched * all);
-    });
-    std::fill_n(staged_slots_, n, no_slot_yet);
-    // Candidates are prefetched before their count is known.
-    fill_bytes(exec, buffers_.work.list, 0xff, buffers_.work.list_bytes());
-    local_capacity_ = n;
-    return true;
-  }
-  int* local_slots() const { return staged_slots_; }
+  /// Memory for local maps. prepare() and room() from any thread.
+  local_memory<Exec>& local() { return local_; }
+  local_memory<Exec> const& local() const { return local_; }
   recorded_sight* recorded_sights(int count) {
     recorded_.resize(static_cast<std::size_t>(count));
     return recorded_.data();
-  }
-  /// Items of the launches for a local map of `points`: rounded up to a power of two, so that one
-  /// recording serves many frames.
-  static int size_of(int points) {
-    int n = 1024;
-    while (n < points) { n *= 2; }
-    return n;
   }
 
   // ---- inputs: staged here, uploaded by the first launch of a call
@@ -217,7 +177,7 @@ public:
     for (int i = 0; i < 2; ++i) {
       staged_->centres[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
     }
-    if (r.slots_changed) { up.add(exec, slots_, staged_slots_, r.points); }
+    if (r.slots_changed) { up.add(exec, local_->slots, local_->staged_slots, r.points); }
     for (int i = 0; i < r.recorded; ++i) {
       recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
       visibility const v{s.seen.x,      s.seen.y,        s.seen.right_x,
@@ -227,9 +187,9 @@ public:
         window =
             window_of(v, s.slot, s.camera == 0 ? r.radius_factor : 1.0f, Rig::rectified, geometry);
       }
-      staged_windows_[i] = {s.index, s.camera, window};
+      local_->staged_windows[i] = {s.index, s.camera, window};
     }
-    up.add(exec, windows_recorded_, staged_windows_, r.recorded);
+    up.add(exec, local_->recorded, local_->staged_windows, r.recorded);
   }
   void upload(Exec const& exec) {
     word_mover<Exec> up;
@@ -256,39 +216,41 @@ public:
     search.params.min_y = r.image.min_y;
     search.params.max_x = r.image.max_x;
     search.params.max_y = r.image.max_y;
-    buffers_.windows.capacity = searched * keypoints_;
-    ft::search_last_frame(exec, search, c.frame, c.map, buffers_);
+    local_->buffers.windows.capacity = searched * keypoints_;
+    ft::search_last_frame(exec, search, c.frame, c.map, local_->buffers);
   }
 
   /// Enqueues the frustum test, the candidates, and the download of the points in view.
   void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
-    buffers_.windows.capacity = size_of(r.points);
+    local_->buffers.windows.capacity = local_.size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      list_local_map(exec, search_of(r, c.geometry), c.frame, c.map, buffers_);
+      list_local_map(exec, search_of(r, c.geometry), c.frame, c.map, local_->buffers);
     } else {
-      find_visible_points(exec, search_of(r, c.geometry), c.map, buffers_.windows);
+      find_visible_points(exec, search_of(r, c.geometry), c.map, local_->buffers.windows);
     }
     for_each_item<per_block<1024>>(
         exec, 1, list_points_in_view{},
-        in_view_listing{seen_, searched, buffers_.windows.capacity, &inputs_->slots, listed_,
-                        in_view_, staged_index_, staged_sights_, local_capacity_});
+        in_view_listing{local_->seen, searched, local_->buffers.windows.capacity, &inputs_->slots,
+                        local_->listed, in_view_, local_->staged_index, local_->staged_sights,
+                        local_->capacity});
   }
   /// Enqueues the rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
-    buffers_.windows.capacity = size_of(r.points);
+    local_->buffers.windows.capacity = local_.size_of(r.points);
     if (r.recorded == 0 && !by_both(r)) {
-      assign_candidates(exec, c.frame, c.map, search_params{}, buffers_);
+      assign_candidates(exec, c.frame, c.map, search_params{}, local_->buffers);
       return;
     }
     if (by_both(r)) {
       for_each_item<per_thread>(exec, r.points, leave_out_far_point{},
-                                static_cast<visibility const*>(seen_), r.max_distance,
-                                buffers_.windows);
+                                static_cast<visibility const*>(local_->seen), r.max_distance,
+                                local_->buffers.windows);
     }
     for_each_item<per_thread>(exec, r.recorded, place_recorded_window{},
-                              static_cast<recorded_window const*>(windows_recorded_),
-                              static_cast<visibility const*>(seen_), buffers_.windows);
-    search_by_projection(exec, c.frame, c.map, search_params{}, buffers_);
+                              static_cast<recorded_window const*>(local_->recorded),
+                              static_cast<visibility const*>(local_->seen),
+                              local_->buffers.windows);
+    search_by_projection(exec, c.frame, c.map, search_params{}, local_->buffers);
   }
 
   void queue_pose(Exec const& exec, context const& c) {
@@ -300,7 +262,7 @@ public:
 
   void download_matches(Exec const& exec, int* holder, frame_view const& frame) {
     word_mover<Exec> down;
-    down.add(exec, found_, buffers_.work.matches, 1);
+    down.add(exec, found_, local_->buffers.work.matches, 1);
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
@@ -315,8 +277,8 @@ public:
   pose_result optimized() const { return {to_transform(*staged_optimized_), found_[1]}; }
   points_in_view in_view() const {
     static_assert(sizeof(sight) == sizeof(visibility), "the same fields in the same order");
-    auto const* const sights = reinterpret_cast<sight const*>(staged_sights_);
-    return {*in_view_, staged_index_, {sights, sights + local_capacity_}};
+    auto const* const sights = reinterpret_cast<sight const*>(local_->staged_sights);
+    return {*in_view_, local_->staged_index, {sights, sights + local_->capacity}};
   }
 
 private:
@@ -326,7 +288,7 @@ private:
     local_search<Rig> search;
     search.rig = rig_;
     search.T_cw = &inputs_->T_cw;
-    search.slots = slots_;
+    search.slots = local_->slots;
     search.slot_count = &inputs_->slots;
     search.frustum.min_x = r.image.min_x;
     search.frustum.min_y = r.image.min_y;
@@ -337,7 +299,7 @@ private:
     search.geometry = geometry;
     search.params.radius_factor = r.radius_factor;
     search.params.max_distance = Rig::rectified ? r.max_distance : 0;
-    search.seen = seen_;
+    search.seen = local_->seen;
     search.centres = inputs_->centres;
     return search;
   }
@@ -345,28 +307,17 @@ private:
   settings settings_;
   Rig rig_;
   int keypoints_ = 0;
-  int local_capacity_ = 0;
   observations_view observations_;
-  search_buffers buffers_;
   call_inputs* inputs_ = nullptr;
   pose* optimized_ = nullptr;
-  int* slots_ = nullptr;
-  visibility* seen_ = nullptr;
-  int* listed_ = nullptr;  ///< points in view
-  recorded_window* windows_recorded_ = nullptr;
   call_inputs* staged_ = nullptr;
   pose* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;
-  int* staged_slots_ = nullptr;
-  int* staged_index_ = nullptr;
-  visibility* staged_sights_ = nullptr;
-  recorded_window* staged_windows_ = nullptr;
   std::vector<recorded_sight> recorded_;
   arena<space> memory_;
-  arena<space> local_memory_;
   arena<staging> host_memory_;
-  arena<staging> local_host_memory_;
+  local_memory<Exec> local_;  ///< its buffers also serve the search from the last frame
 };
 
 }  // namespace FT_ABI

@@ -16,8 +16,8 @@ namespace orbslam3 {
 ///
 /// Calls that return results wait for them; send() and change_map() are asynchronous. Arrays from
 /// frame(), local_slots() and recorded_sights() may be written while nothing is enqueued, which is
-/// between a call that waits and the next send(). One thread at a time, except for prepare_map().
-/// All throw ft::error (bad_argument, cuda_error).
+/// between a call that waits and the next send(). One thread at a time, except for
+/// what says otherwise. All throw ft::error (bad_argument, cuda_error).
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -62,8 +62,12 @@ public:
   /// Enqueues changes of map points.
   /// @param words in the format of map_change; may be reused on return
   virtual void change_map(map_change const& change, std::uint32_t const* words) = 0;
+  /// Points of a local map that memory is allocated for. From any thread.
+  virtual int local_room() const = 0;
+  /// Allocates the memory for a local map of `points`. From any thread.
+  virtual void prepare_local(int points) = 0;
   /// Slots of a local map of up to `points`, to be filled in by the caller. They keep the values of
-  /// the last request. Grows if necessary.
+  /// the last request. Allocates unless prepared.
   virtual int* local_slots(int points) = 0;
   /// Room for `count` recorded sights.
   virtual recorded_sight* recorded_sights(int count) = 0;

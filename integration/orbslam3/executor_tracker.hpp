@@ -140,9 +140,14 @@ public:
     ++bytes_.uploads;
   }
 
+  int local_room() const override { return searches_.local().room(); }
+  void prepare_local(int points) override {
+    device_.enter();
+    searches_.local().prepare(points);
+  }
   int* local_slots(int points) override {
-    if (searches_.reserve_local(exec_, points)) { graphs_.clear(); }
-    return searches_.local_slots();
+    if (searches_.local().reserve(exec_, points)) { graphs_.clear(); }
+    return searches_.local()->staged_slots;
   }
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
@@ -181,7 +186,7 @@ public:
       searches_.download_matches(exec, frames_.arrays(r.buffer).holder, call.frame);
     };
     if (r.recorded == 0) {
-      int const size = searches_.size_of(r.points);
+      int const size = searches_.local().size_of(r.points);
       replay(key_of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
       sights_there_.set(exec_);
       replay(key_of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);

@@ -3,6 +3,7 @@
 /// ORB-SLAM3's own code, or in both to compare them.
 #pragma once
 
+#include <cstddef>
 #include <exception>
 #include <iostream>
 #include <memory>
@@ -125,10 +126,12 @@ public:
         [&] { return both_->search_by_projection(current, last, th, mono, cpu); });
   }
 
+  /// Runs on the CPU also while memory for a larger local map is being allocated.
   /// @param cpu frustum test of all points and ORBmatcher::SearchByProjection of those in view
   template <typename Cpu>
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points, float far_threshold, Cpu const& cpu) {
+    if (uses(stage::search_local_map) && !has_room_for(points.size())) { return cpu(); }
     return either(
         stage::search_local_map, cpu,
         [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); },
@@ -182,6 +185,16 @@ private:
     if (gpu_ != nullptr) { gpu_->changes().close(); }
     return false;
   }
+  bool has_room_for(std::size_t points) {
+    bool room = false;
+    attempt([&] { room = gpu_->has_room_for(points); });
+    if (works_ && !room && points > most_told_) {
+      most_told_ = points;
+      std::cerr << "ft: ORB-SLAM3's own code searches a local map of " << points
+                << " points while memory for it is allocated (settings::local_points)\n";
+    }
+    return room;
+  }
   template <typename Cpu, typename Gpu>
   void run_stereo(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu) {
     if (both_ != nullptr) {
@@ -201,6 +214,7 @@ private:
   std::unique_ptr<accelerator<Types>> gpu_;  ///< kept after a failure: the hooks use its queue
   std::unique_ptr<verifier<Types>> both_;
   bool works_ = false;
+  std::size_t most_told_ = 0;  ///< points of a local map that had no room
 };
 
 // The calls in the constructors of Frame take a pointer. With nullptr the CPU does everything, as

@@ -53,7 +53,8 @@ struct settings {
   /// Map points on the device at a time: those of recent local maps and those that mapping has
   /// created since. With more, the memory grows.
   int map_points = 1 << 15;
-  int local_points = 1 << 14;  ///< of a local map; with more, the memory grows, which waits
+  /// Points of a local map. When more than half are used, another thread doubles the memory.
+  int local_points = 1 << 14;
   /// Threads that share the host's part of a call: copies of images, filling a frame, counting
   /// points in view. They sleep between calls. -1: a quarter of the machine's, 3 at most.
   int helpers = -1;

@@ -9,17 +9,16 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cstdlib>
-#include <iostream>
 #include <memory>
 #include <sstream>
 #include <stdexcept>
-#include <streambuf>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/constructors.hpp"
+#include "tests/integration/orbslam3/heard.hpp"
 #include "tests/integration/orbslam3/plain_search.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
@@ -34,23 +33,6 @@ using ft::orbslam3::stage_mode;
 /// As a user's header has it.
 struct shim : ft::orbslam3::front_end<stand_in::types> {
   using ft::orbslam3::front_end<stand_in::types>::front_end;
-};
-
-/// What is said on stderr meanwhile.
-class heard {
-public:
-  heard() : before_(std::cerr.rdbuf(text_.rdbuf())) {}
-  ~heard() { std::cerr.rdbuf(before_); }
-  int lines() const {
-    std::string const all = text_.str();
-    return static_cast<int>(std::count(all.begin(), all.end(), '\n'));
-  }
-  bool has(std::string const& part) const { return text_.str().find(part) != std::string::npos; }
-  std::string text() const { return text_.str(); }
-
-private:
-  std::ostringstream text_;
-  std::streambuf* before_;
 };
 
 stand_in::matrix shifted_image(int shift) {

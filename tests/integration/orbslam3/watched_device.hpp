@@ -14,7 +14,7 @@
 namespace orbslam3_test {
 
 /// Passes calls on; on_call is called with the name of each that queues work or waits.
-class watched_device final : public ft::orbslam3::device_tracker {
+class watched_device : public ft::orbslam3::device_tracker {
 public:
   std::function<void(std::string const&)> on_call = [](std::string const&) {};
 
@@ -61,6 +61,8 @@ public:
     on_call("change_map");
     to_->change_map(change, words);
   }
+  int local_room() const override { return to_->local_room(); }
+  void prepare_local(int points) override { to_->prepare_local(points); }  // from any thread
   int* local_slots(int points) override {
     on_call("local_slots");
     return to_->local_slots(points);

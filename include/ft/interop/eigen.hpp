@@ -74,12 +74,12 @@ rigid<S> from_isometry(Eigen::Transform<S, 3, Mode, Options> const& T) {
   return {mat3_from_eigen(T.linear()), vec3_from_eigen(T.translation())};
 }
 
-/// The rotation as a unit quaternion, and a rigid motion from rotation and translation.
-/// @param q is normalised; must not be zero
+/// The rotation as a unit quaternion.
 template <typename S>
 Eigen::Quaternion<S> to_quaternion(mat3<S> const& R) {
   return Eigen::Quaternion<S>(Eigen::Matrix<S, 3, 3>(as_eigen(R))).normalized();
 }
+/// A rigid motion from a rotation and a translation. @param q is normalised; must not be zero
 template <typename Rotation, typename Translation>
 rigid<typename Rotation::Scalar> from_quaternion(Eigen::QuaternionBase<Rotation> const& q,
                                                  Eigen::MatrixBase<Translation> const& t) {

@@ -5,6 +5,7 @@
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/stereo_matches.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"

@@ -344,7 +344,8 @@ points undistorted(Camera const& cam, cv::Matx33d const& R, int width, int heigh
   *p.view().count = n;
   all.valid.resize(n);
   ft::host_exec const exec(1);
-  ft::undistort_keypoints(exec, cam, wanted, forth(R), p.view(), p.view(), all.valid.data());
+  ft::undistort_keypoints(exec, cam, wanted, forth(R), p.view(),
+                          ft::undistorted_view{p.view(), all.valid.data()});
   for (int i = 0; i < n; ++i) {
     all.out.emplace_back(ft::get<ft::field::x>(p.view(), i), ft::get<ft::field::y>(p.view(), i));
   }

@@ -551,7 +551,6 @@ void prepare(tracked_walk<Exec, Rig>& walk, call c) {
 }
 
 /// Names of stages in the order of frame_schedule.hpp. @param p for optional pose optimisation
-template <typename Rig>
 std::vector<std::string> stage_names(call c, ft::tracker_params const& p) {
   std::vector<std::string> names{"upload"};
   auto const add = [&](std::initializer_list<char const*> more) {
@@ -562,8 +561,6 @@ std::vector<std::string> stage_names(call c, ft::tracker_params const& p) {
     add({"pyramid", "corners", "distribution", "blur", "order", "descriptors"});
     if (c == call::extract) {
       add({"stereo"});
-    } else if (Rig::rectified) {
-      add({"stereo", "search last frame"});
     } else {
       add({"search last frame", "stereo"});
     }
@@ -605,7 +602,7 @@ TYPED_TEST(tracker_state_test, stages_have_the_names_of_the_schedule_and_times_w
             EXPECT_LE(t.us, wall) << t.name;
             sum += t.us;
           }
-          EXPECT_EQ(names, stage_names<rig_type>(c, p));
+          EXPECT_EQ(names, stage_names(c, p));
           EXPECT_GT(sum, 0);
           // On a device the stereo matching of two cameras runs concurrently with the search.
           if (rig_type::rectified || executor::space == ft::memory_space::host) {

@@ -532,7 +532,8 @@ protected:
       for (double const value : {nan, infinity, -infinity}) { refused(i, value); }
       // The limits are in double; a float next to one is beyond it by more than a rounding.
       auto const& limits = model::parameters.of[i];
-      for (double const limit : {limits.low, limits.high}) {
+      double const both[] = {limits.low, limits.high};
+      for (double const limit : both) {
         if (!std::isfinite(limit)) { continue; }
         double const beyond = 1e-3 * (1 + std::abs(limit));
         refused(i, limit == limits.low ? limit - beyond : limit + beyond);

@@ -657,7 +657,7 @@ TYPED_TEST(tracker_state_test, stage_times_need_measuring_and_a_call) {
   tracker.extract(exec);
   exec.wait();
   auto moved = std::move(tracker);
-  EXPECT_EQ(moved.stage_times().size(), stage_names<ft::rectified_rig>(call::extract, p).size());
+  EXPECT_EQ(moved.stage_times().size(), stage_names(call::extract, p).size());
   EXPECT_THROW(tracker.stage_times(), ft::bad_argument);  // NOLINT(bugprone-use-after-move)
 }
 

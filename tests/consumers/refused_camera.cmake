@@ -26,7 +26,7 @@ int main() {
   two.check();
   ft::host_exec const exec;
   ft::frame_tracker<ft::host_exec, rig> tracker(exec, two, ft::tracker_params{});
-  tracker.track(exec);
+  tracker.extract(exec);
 }
 ]])
 

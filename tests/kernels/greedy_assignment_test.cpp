@@ -306,15 +306,15 @@ struct list_then_leave_out {
   using scratch = ft::detail::list_candidates::scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, ft::frame_view frame,
+  FT_HOST_DEVICE bool prologue(Group g, scratch& s, int item, ft::frame_view const& frame,
                                ft::map_points_view const& map, ft::search_params const& params,
                                ft::search_buffers const& buffers) const {
     int const b = item / buffers.windows.capacity;
     int const i = item % buffers.windows.capacity;
     if (i >= buffers.windows.count[b]) { return false; }
-    frame.holder = nullptr;
-    ft::detail::list_candidates::list_all(g, s, {b, frame, map, params, buffers, true},
-                                          buffers.windows.pair(b, i));
+    ft::frame_view const unheld = without_holders(frame);
+    ft::detail::frame_search const in{b, unheld, map, params, buffers, true};
+    ft::detail::list_candidates::list_all(g, s, in, buffers.windows.pair(b, i));
     return true;
   }
   template <typename Group>
@@ -325,6 +325,12 @@ struct list_then_leave_out {
     ft::detail::frame_search const in{b, frame, map, params, buffers, true};
     ft::detail::list_candidates::write_free(g, s, in, item % buffers.windows.capacity,
                                             ft::detail::list_candidates::held(g, s, in));
+  }
+
+private:
+  FT_HOST_DEVICE static ft::frame_view without_holders(ft::frame_view frame) {
+    frame.holder = nullptr;
+    return frame;
   }
 };
 

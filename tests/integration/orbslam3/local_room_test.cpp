@@ -23,7 +23,7 @@
 
 namespace orbslam3_test {
 
-using shim = ft::orbslam3::front_end<stand_in::types>;
+using grown_shim = ft::orbslam3::front_end<stand_in::types>;
 
 class local_maps_that_grow : public on_executor {};
 
@@ -63,7 +63,7 @@ TEST_P(local_maps_that_grow, have_their_memory_taken_outside_of_calls) {
   auto owned = std::make_unique<counting_device>(make(s.settings));
   counting_device& device = *owned;
   heard said;
-  shim gpu(std::move(owned), s.settings, {});
+  grown_shim gpu(std::move(owned), s.settings, {});
   auto const all = s.local_map();
   ASSERT_GT(all.size(), 2500u);
   int by_cpu = 0;
@@ -98,7 +98,7 @@ TEST_P(local_maps_that_grow, at_once_are_left_to_the_cpu_until_there_is_room) {
   auto owned = std::make_unique<counting_device>(make(s.settings));
   counting_device& device = *owned;
   heard said;
-  shim gpu(std::move(owned), s.settings, {});
+  grown_shim gpu(std::move(owned), s.settings, {});
   auto const local = s.local_map();
   auto const search = [&](stand_in::frame& f) {
     return gpu.search_local_points(f, local, 1, false, 50, [] { return -7; });

@@ -154,7 +154,7 @@ def ablation():
 
 
 def cameras():
-    rows = load("frame_h200.json").get("cameras", [])
+    rows = load("cameras_h200.json").get("cameras", [])
     if not rows:
         return NOT_YET
     # One column per executor and number of threads, in the order of the file.

@@ -27,10 +27,10 @@ __global__ void other_work(float* values, int steps) {
 }
 
 /// Keypoints of `images` images, each brighter than the preceding one.
-/// @param beside called after each image is enqueued
-template <typename Beside>
+/// @param meanwhile called after each image is enqueued
+template <typename Meanwhile>
 std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image const& image,
-                                 Beside const& beside) {
+                                 Meanwhile const& meanwhile) {
   int const pixels = image.width * image.height;
   auto const bytes = static_cast<std::size_t>(pixels);
   ft::stream const source;
@@ -57,7 +57,7 @@ std::vector<int> keypoint_counts(ft::cuda_exec const& exec, demo::grey_image con
     taken.record(exec.stream);
     orb.extract(exec);
     ft::copy(exec, counts.data() + k, static_cast<int const*>(orb.keypoints().count), 1);
-    beside();
+    meanwhile();
   }
   exec.wait();  // waits only for ft's stream
   return std::vector<int>(counts.data(), counts.data() + images);
@@ -72,7 +72,7 @@ int main() {
     constexpr int threads = 64 * 256;
     ft::buffer<float, ft::memory_space::device> const values(threads);
     ft::fill_bytes(ft::cuda_exec(busy.get()), values.data(), 0, values.bytes());
-    auto const beside = keypoint_counts(exec, image, [&] {
+    auto const concurrent = keypoint_counts(exec, image, [&] {
       other_work<<<64, 256, 0, busy.get()>>>(values.data(), 10000000);
       ft::throw_on_error(cudaGetLastError(), "other_work");
     });
@@ -82,7 +82,7 @@ int main() {
     bool same = true;
     for (int k = 0; k < images; ++k) {
       auto const i = static_cast<std::size_t>(k);
-      same = same && alone[i] == beside[i] && alone[i] > 500;
+      same = same && alone[i] == concurrent[i] && alone[i] > 500;
     }
     std::printf("%d images, keypoints %s; the other stream was %s when ft's was done\n", images,
                 same ? "as without other work" : "DIFFER", still_busy ? "still busy" : "done");

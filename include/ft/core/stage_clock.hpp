@@ -38,7 +38,6 @@ public:
   static constexpr int most = 32;
 
   void clear() { used_ = 0; }
-  int used() const { return used_; }
   /// @param since of a stage on a branch: the mark of the fork @return the new mark
   /// @throws bad_argument for more than `most` marks
   int add(char const* name, int since = -1) {
@@ -120,7 +119,7 @@ namespace detail {
 
 /// Records an event on a stream. While the stream is captured: adds a node that records it to the
 /// graph. The node depends on the last captured work, and nothing depends on the node.
-inline void record_beside_capture(cudaEvent_t event, cudaStream_t stream) {
+inline void record_event(cudaEvent_t event, cudaStream_t stream) {
   cudaStreamCaptureStatus status = cudaStreamCaptureStatusNone;
   cudaGraph_t graph = nullptr;
   cudaGraphNode_t const* last = nullptr;
@@ -166,7 +165,7 @@ public:
   int mark(cuda_exec const& exec, char const* name, int since = -1) {
     if (events_.empty()) { return -1; }
     int const i = marks_.add(name, since);
-    detail::record_beside_capture(events_[static_cast<std::size_t>(i)].get(), exec.stream);
+    detail::record_event(events_[static_cast<std::size_t>(i)].get(), exec.stream);
     return i;
   }
   /// After the executor's wait(). @throws cuda_error

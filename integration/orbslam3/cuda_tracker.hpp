@@ -12,6 +12,7 @@
 
 #include <memory>
 
+#include "ft/core/cuda_handles.hpp"
 #include "integration/orbslam3/executor_tracker.hpp"
 
 namespace ft {
@@ -20,30 +21,12 @@ inline namespace FT_ABI {
 
 namespace stream_detail {
 
-/// A stream that does not wait for the default one.
-class owned_stream {
-public:
-  owned_stream() {
-    cudaError_t const status = cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking);
-    if (status != cudaSuccess) {
-      throw cuda_error(std::string("ft: cudaStreamCreateWithFlags: ") + cudaGetErrorString(status));
-    }
-  }
-  owned_stream(owned_stream const&) = delete;
-  owned_stream& operator=(owned_stream const&) = delete;
-  ~owned_stream() { static_cast<void>(cudaStreamDestroy(stream_)); }
-  cudaStream_t get() const { return stream_; }
-
-private:
-  cudaStream_t stream_ = nullptr;
-};
-
 /// The stream is declared first, so that it is destroyed last.
 template <typename Rig>
-class streaming_tracker final : owned_stream, public executor_tracker<cuda_exec, Rig> {
+class streaming_tracker final : stream, public executor_tracker<cuda_exec, Rig> {
 public:
   explicit streaming_tracker(settings const& s)
-      : executor_tracker<cuda_exec, Rig>(cuda_exec(owned_stream::get()), s) {}
+      : executor_tracker<cuda_exec, Rig>(cuda_exec(stream::get()), s) {}
 };
 
 }  // namespace stream_detail

@@ -164,6 +164,36 @@ TYPED_TEST(memory_unit, an_arena_of_nothing_can_be_made) {
   EXPECT_EQ(static_cast<void*>(piece), static_cast<void*>(empty.data()));
 }
 
+TYPED_TEST(memory_unit, an_owner_gives_view_and_memory_away_together) {
+  struct numbers {
+    int first = 3;
+    int* data = nullptr;
+  };
+  using owner = ft::owner<numbers, TypeParam::exec_type::space>;
+  numbers initial;
+  initial.first = 7;
+  owner made([](ft::carver& c, numbers& n) { n.data = c.take<int>(10); }, initial);
+  EXPECT_EQ(made->first, 7) << "what the layout does not set";
+  int* const data = made->data;
+  EXPECT_TRUE(aligned(data));
+  EXPECT_GE(made.bytes(), 10 * sizeof(int));
+  EXPECT_NO_THROW(made.require_made("thing"));
+
+  owner taken(std::move(made));
+  // NOLINTBEGIN(bugprone-use-after-move): what is left is what is tested
+  EXPECT_EQ(made->data, nullptr);
+  EXPECT_EQ(made.view().first, 3) << "as one that was never made";
+  EXPECT_EQ(made.bytes(), 0u);
+  EXPECT_THROW(made.require_made("thing"), ft::bad_argument);
+  EXPECT_EQ(taken->data, data);
+  made = std::move(taken);
+  EXPECT_EQ(made->data, data);
+  EXPECT_EQ(made->first, 7);
+  EXPECT_THROW(taken.require_made("thing"), ft::bad_argument);
+  // NOLINTEND(bugprone-use-after-move)
+  EXPECT_THROW(owner().require_made("thing"), ft::bad_argument);
+}
+
 TEST(carver_unit, a_measuring_carver_gives_null_and_counts) {
   ft::carver carver;
   EXPECT_EQ(carver.used(), 0u);

@@ -66,27 +66,16 @@ inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry
 
 /// Owner of a grid; move-only.
 template <memory_space Space>
-class feature_grid {
+class feature_grid : public owner<feature_grid_view, Space> {
 public:
   feature_grid() = default;
   /// @throws bad_argument for a grid without cells, capacity or batch
   feature_grid(grid_geometry const& geometry, int capacity, int batch = 1)
-      : arena_(((detail::require(capacity >= 1 && batch >= 1 && geometry.cells() >= 1,
-                                 "a grid needs cells, a capacity and a batch of 1 or more")),
-                [&](carver& c) { carve(c, view_, geometry, capacity, batch); })) {}
-  feature_grid(feature_grid&& other) noexcept
-      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
-  feature_grid& operator=(feature_grid&& other) noexcept {
-    view_ = std::exchange(other.view_, {});
-    arena_ = std::move(other.arena_);
-    return *this;
-  }
-
-  feature_grid_view view() const { return view_; }  ///< empty after a move
-
-private:
-  feature_grid_view view_;
-  arena<Space> arena_;
+      : owner<feature_grid_view, Space>([&](carver& c, feature_grid_view& v) {
+          detail::require(capacity >= 1 && batch >= 1 && geometry.cells() >= 1,
+                          "a grid needs cells, a capacity and a batch of 1 or more");
+          carve(c, v, geometry, capacity, batch);
+        }) {}
 };
 
 }  // namespace FT_ABI

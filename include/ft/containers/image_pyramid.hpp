@@ -96,26 +96,15 @@ inline void carve(carver& c, image_pyramid_view& v, pyramid_geometry const& geom
 
 /// Owner of a pyramid; move-only.
 template <memory_space Space>
-class image_pyramid {
+class image_pyramid : public owner<image_pyramid_view, Space> {
 public:
   image_pyramid() = default;
   /// @throws bad_argument for a batch below 1
   explicit image_pyramid(pyramid_geometry const& geometry, int batch = 1)
-      : arena_(((detail::require(batch >= 1, "a pyramid needs a batch of 1 or more")),
-                [&](carver& c) { carve(c, view_, geometry, batch); })) {}
-  image_pyramid(image_pyramid&& other) noexcept
-      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
-  image_pyramid& operator=(image_pyramid&& other) noexcept {
-    view_ = std::exchange(other.view_, {});
-    arena_ = std::move(other.arena_);
-    return *this;
-  }
-
-  image_pyramid_view view() const { return view_; }  ///< empty after a move
-
-private:
-  image_pyramid_view view_;
-  arena<Space> arena_;
+      : owner<image_pyramid_view, Space>([&](carver& c, image_pyramid_view& v) {
+          detail::require(batch >= 1, "a pyramid needs a batch of 1 or more");
+          carve(c, v, geometry, batch);
+        }) {}
 };
 
 }  // namespace FT_ABI

@@ -122,26 +122,13 @@ inline void carve(carver& c, remap_table_view& v, remap_sizes const& sizes, int 
 
 /// Owner of a table; move-only. Entries are not initialised.
 template <memory_space Space>
-class remap_table {
+class remap_table : public owner<remap_table_view, Space> {
 public:
   remap_table() = default;
   /// @param batch maps, 1 to 4096 @throws bad_argument, std::bad_alloc, cuda_error
   explicit remap_table(remap_sizes const& sizes, int batch = 1)
-      : arena_([&](carver& c) { carve(c, view_, sizes, batch); }) {}
-  remap_table(remap_table&& other) noexcept
-      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
-  remap_table& operator=(remap_table&& other) noexcept {
-    view_ = std::exchange(other.view_, {});
-    arena_ = std::move(other.arena_);
-    return *this;
-  }
-
-  remap_table_view view() const { return view_; }
-  std::size_t bytes() const { return arena_.bytes(); }
-
-private:
-  remap_table_view view_;
-  arena<Space> arena_;
+      : owner<remap_table_view, Space>(
+            [&](carver& c, remap_table_view& v) { carve(c, v, sizes, batch); }) {}
 };
 
 }  // namespace FT_ABI

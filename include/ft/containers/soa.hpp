@@ -117,7 +117,7 @@ void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {
 
 /// Owner of the arrays; move-only. Elements and counts are not initialised.
 template <memory_space Space, typename... Fields>
-class soa {
+class soa : public owner<soa_view<Fields...>, Space> {
 public:
   using view_type = soa_view<Fields...>;
   static_assert(std::is_trivially_copyable<view_type>::value, "passed to kernels");
@@ -126,25 +126,14 @@ public:
   /// @param capacity entries per batch entry @param batch batch entries
   /// @throws bad_argument below 1, std::bad_alloc, cuda_error
   explicit soa(int capacity, int batch = 1)
-      : arena_(((detail::require(capacity >= 1 && batch >= 1,
-                                 "soa needs a capacity and a batch of 1 or more")),
-                [&](carver& c) { carve(c, view_, capacity, batch); })) {}
+      : owner<view_type, Space>([&](carver& c, view_type& v) {
+          detail::require(capacity >= 1 && batch >= 1,
+                          "soa needs a capacity and a batch of 1 or more");
+          carve(c, v, capacity, batch);
+        }) {}
 
-  soa(soa&& other) noexcept
-      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
-  soa& operator=(soa&& other) noexcept {
-    view_ = std::exchange(other.view_, {});
-    arena_ = std::move(other.arena_);
-    return *this;
-  }
-
-  view_type view() const { return view_; }
-  int capacity() const { return view_.capacity; }
-  int batch() const { return view_.batch; }
-
-private:
-  view_type view_;
-  arena<Space> arena_;
+  int capacity() const { return this->view().capacity; }
+  int batch() const { return this->view().batch; }
 };
 
 /// Sets all bytes of all columns and counts. Asynchronous if the executor is.

@@ -117,33 +117,6 @@ void deallocate(void* p) noexcept {
   }
 }
 
-/// A count that is 0 in an object that is not yet constructed or was moved from, so that pipelines
-/// can refuse calls.
-class moved_count {
-public:
-  moved_count() = default;
-  explicit moved_count(int value) : value_(value) {}
-  moved_count(moved_count&& other) noexcept : value_(std::exchange(other.value_, 0)) {}
-  moved_count& operator=(moved_count&& other) noexcept {
-    value_ = std::exchange(other.value_, 0);
-    return *this;
-  }
-  moved_count(moved_count const&) = delete;
-  moved_count& operator=(moved_count const&) = delete;
-  ~moved_count() = default;
-
-  operator int() const { return value_; }  // NOLINT(google-explicit-constructor): it is one
-  /// @throws bad_argument for 0
-  void require_made(char const* object) const {
-    if (value_ == 0) {
-      throw bad_argument(std::string("ft: the ") + object + " was never made, or was moved from");
-    }
-  }
-
-private:
-  int value_ = 0;
-};
-
 }  // namespace detail
 
 /// `size` elements of T in one space; move-only. Elements are not initialised.
@@ -226,6 +199,43 @@ public:
 
 private:
   buffer<std::byte, Space> block_;
+};
+
+/// A view, and the arena that its arrays lie in; move-only. One that was moved from has neither.
+template <typename View, memory_space Space>
+class owner {
+public:
+  owner() = default;
+  /// @param layout void(carver&, View&) that places the view's arrays; runs twice
+  /// @param view initial values of what the layout does not set
+  /// @throws std::bad_alloc, cuda_error, and what the layout throws
+  template <typename Layout>
+  explicit owner(Layout const& layout, View const& view = {})
+      : view_(view), arena_([&](carver& c) { layout(c, view_); }) {}
+  owner(owner&& other) noexcept
+      : view_(std::exchange(other.view_, {})), arena_(std::move(other.arena_)) {}
+  owner& operator=(owner&& other) noexcept {
+    view_ = std::exchange(other.view_, {});
+    arena_ = std::move(other.arena_);
+    return *this;
+  }
+  owner(owner const&) = delete;
+  owner& operator=(owner const&) = delete;
+  ~owner() = default;
+
+  View const& view() const { return view_; }  ///< empty after a move
+  View const* operator->() const { return &view_; }
+  std::size_t bytes() const { return arena_.bytes(); }
+  /// @throws bad_argument if there is no memory, so that pipelines can refuse calls
+  void require_made(char const* object) const {
+    if (bytes() == 0) {
+      throw bad_argument(std::string("ft: the ") + object + " was never made, or was moved from");
+    }
+  }
+
+private:
+  View view_;
+  arena<Space> arena_;
 };
 
 }  // namespace FT_ABI

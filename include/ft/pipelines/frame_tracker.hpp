@@ -64,8 +64,8 @@ public:
   /// Waits for its own set-up.
   /// @param batch camera pairs
   /// @throws bad_argument, std::bad_alloc, cuda_error
-  frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1)
-      : batch_(checked(rig, params, batch)) {
+  frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1) {
+    check(rig, params, batch);
     auto& s = stages_;
     s.rig = rig;
     s.params = params;
@@ -196,7 +196,7 @@ public:
   /// @param local_slots [batch]
   template <typename Slots>
   void track_local(Exec const& exec, Slots const* local_slots) {
-    batch_.require_made("tracker");
+    images_.require_made();
     set_local_slots([&](int b) -> slot_list const& { return local_slots[b]; });
     run(exec, calls_[local]);
   }
@@ -212,7 +212,7 @@ public:
   /// @param search parameters of this call only
   template <typename Input>
   void relocalize(Exec const& exec, Input const* inputs, local_search_params const& search = {}) {
-    batch_.require_made("tracker");
+    images_.require_made();
     set_inputs(exec, inputs);
     stages_.local_params = search;
     enqueue(exec, calls_[restart]);
@@ -236,7 +236,7 @@ public:
   /// what the stage adds to the frame. Allocates.
   /// @throws bad_argument without params().measure_stages
   std::vector<stage_time> stage_times() const {
-    batch_.require_made("tracker");
+    images_.require_made();
     detail::require(params().measure_stages, "stage times need tracker_params::measure_stages");
     if (last_call_ == call_count) { return {}; }
     return calls_[last_call_].clock.times();
@@ -253,7 +253,7 @@ public:
   }
 
   int capacity() const { return stages_.extractor.capacity(); }
-  int batch() const { return batch_; }
+  int batch() const { return images_.batch(); }
   /// Bytes that track() fetches from the host for a frame of all pairs.
   std::size_t input_bytes() const {
     return images_.bytes() + stages_.memory.motion.host_memory.bytes() +
@@ -311,14 +311,13 @@ private:
 
   // ---- set-up
 
-  static int checked(Rig const& rig, tracker_params const& params, int batch) {
+  static void check(Rig const& rig, tracker_params const& params, int batch) {
     rig.check();
     detail::require_range("batch of camera pairs", batch, 1, 2048);
     detail::require_range("map_slots", params.map_slots, 1, 1 << 26);
     detail::require_range("local_points", params.local_points, 1, 1 << 24);
     detail::require_range("updates", params.updates, 1, 1 << 24);
     detail::require_range("window_radius", params.window_radius, 0.1f, 1000.0f);
-    return batch;
   }
 
   // ---- inputs
@@ -329,7 +328,7 @@ private:
   }
   template <typename PoseOf>
   void set_predictions(Exec const& exec, PoseOf const& pose_of) {
-    for (int b = 0; b < batch_; ++b) {
+    for (int b = 0; b < batch(); ++b) {
       require_finite_pose("an entry of a predicted pose", pose_of(b));
     }
     if (frame_number_ == std::numeric_limits<int>::max()) {
@@ -337,18 +336,18 @@ private:
       frame_number_ = 0;
     }
     ++frame_number_;
-    for (int b = 0; b < batch_; ++b) {
+    for (int b = 0; b < batch(); ++b) {
       stages_.memory.motion.host.predicted[b] = pose_of(b);
       stages_.memory.motion.host.stamp[b] = frame_number_;
     }
   }
   template <typename SlotsOf>
   void set_local_slots(SlotsOf const& slots_of) {
-    for (int b = 0; b < batch_; ++b) {
+    for (int b = 0; b < batch(); ++b) {
       detail::require_range("local map points", slots_of(b).count, 0, params().local_points);
     }
     auto& to = stages_.memory.local.host;
-    for (int b = 0; b < batch_; ++b) {
+    for (int b = 0; b < batch(); ++b) {
       slot_list const& slots = slots_of(b);
       to.count[b] = slots.count;
       std::copy_n(slots.data, slots.count,
@@ -360,11 +359,10 @@ private:
     for (float const v : {T.t.x, T.t.y, T.t.z}) { detail::require_finite(name, v); }
   }
   void require_one() const {
-    batch_.require_made("tracker");
-    detail::require(batch_ == 1, "a tracker of several camera pairs needs an array of inputs");
+    images_.require_made();
+    detail::require(batch() == 1, "a tracker of several camera pairs needs an array of inputs");
   }
 
-  detail::moved_count batch_;
   stages_type stages_;
   call calls_[call_count];
   call_number last_call_ = call_count;  ///< none

@@ -57,8 +57,8 @@ public:
   ///   its left end right of its right one; std::bad_alloc or cuda_error if memory is short
   orb_extractor(Exec const& exec, orb_params const& params, int batch,
                 std::vector<stereo_overlap> const& overlaps = {})
-      : params_(checked(params, batch, overlaps)), batch_(batch) {
-    auto& s = stages_;
+      : params_(checked(params, batch, overlaps)) {
+    detail::extraction<Exec> s;
     s.geometry =
         pyramid_geometry::make(params.width, params.height, params.levels, params.scale_factor);
     s.thresholds = {params.ini_threshold, params.min_threshold};
@@ -74,29 +74,29 @@ public:
     s.tiles = make_pyramid_tiles(s.geometry, taps.data(), spans);
     tile_span* tile_spans = nullptr;
     auto const b = static_cast<std::size_t>(batch);
-    arena_ = arena<space>([&](carver& c) {
-      carve(c, s.pyramid, s.geometry, batch);
-      carve(c, s.blurred, s.geometry, batch);
-      carve(c, s.corners, cells, batch);
-      carve(c, s.masks, params.mask_width, params.mask_height, batch);
-      carve(c, s.kept, quad, cells, batch);
-      carve(c, s.keypoints, max_of(quad.total, 1), batch);
-      s.taps = c.take<resize_tap>(taps.size());
-      tile_spans = c.take<tile_span>(spans.size());
-      s.pattern = c.take<pattern_pair>(256);
-      s.overlaps = c.take<stereo_overlap>(b);
-      s.place = c.take<int>(b * static_cast<std::size_t>(quad.total));
-      s.mono_count = c.take<int>(b);
-      carve(c, s.arrivals, s.geometry, batch);
-    });
-    s.tiles.spans = tile_spans;
+    auto const layout = [&](carver& c, detail::extraction<Exec>& v) {
+      carve(c, v.pyramid, v.geometry, batch);
+      carve(c, v.blurred, v.geometry, batch);
+      carve(c, v.corners, cells, batch);
+      carve(c, v.masks, params.mask_width, params.mask_height, batch);
+      carve(c, v.kept, quad, cells, batch);
+      carve(c, v.keypoints, max_of(quad.total, 1), batch);
+      v.taps = c.take<resize_tap>(taps.size());
+      v.tiles.spans = tile_spans = c.take<tile_span>(spans.size());
+      v.pattern = c.take<pattern_pair>(256);
+      v.overlaps = c.take<stereo_overlap>(b);
+      v.place = c.take<int>(b * static_cast<std::size_t>(quad.total));
+      v.mono_count = c.take<int>(b);
+      carve(c, v.arrivals, v.geometry, batch);
+    };
+    stages_ = owner<detail::extraction<Exec>, space>(layout, s);
     std::vector<stereo_overlap> all(overlaps);
     all.resize(b);
-    copy(exec, s.taps, static_cast<resize_tap const*>(taps.data()), taps.size());
+    copy(exec, stages_->taps, static_cast<resize_tap const*>(taps.data()), taps.size());
     copy(exec, tile_spans, static_cast<tile_span const*>(spans.data()), spans.size());
-    copy(exec, s.pattern, detail::orb_pattern, std::size_t{256});
-    copy(exec, s.overlaps, static_cast<stereo_overlap const*>(all.data()), b);
-    s.initialize(exec);
+    copy(exec, stages_->pattern, detail::orb_pattern, std::size_t{256});
+    copy(exec, stages_->overlaps, static_cast<stereo_overlap const*>(all.data()), b);
+    stages_->initialize(exec);
     exec.wait();
   }
 
@@ -106,7 +106,7 @@ public:
     detail::require_range("image index", i, 0, batch() - 1);
     detail::require(image.data != nullptr, "the image is null");
     require_size("image", image, params_.width, params_.height);
-    copy_image(exec, stages_.pyramid.level(i, 0), image);
+    copy_image(exec, stages_->pyramid.level(i, 0), image);
   }
 
   /// Enqueues the copy of the mask of image `i`, which holds until the next one. Keypoints come
@@ -119,16 +119,16 @@ public:
     detail::require_range("image index", i, 0, batch() - 1);
     detail::require(has_masks(), "the extractor was made without masks: its mask_width is 0");
     detail::require(mask.data != nullptr, "the mask is null");
-    require_size("mask", mask, stages_.masks.width, stages_.masks.height);
-    copy_image(exec, stages_.masks.mask(i), mask);
+    require_size("mask", mask, stages_->masks.width, stages_->masks.height);
+    copy_image(exec, stages_->masks.mask(i), mask);
   }
 
   /// Enqueues all stages over the uploaded images.
   void extract(Exec const& exec) {
-    batch_.require_made("extractor");
+    stages_.require_made("extractor");
     detail::stage_line<Exec> line(exec, clock_);
-    stages_.build_levels(line.then("pyramid"));
-    detail::queue_features(line, stages_);
+    stages_->build_levels(line.then("pyramid"));
+    detail::queue_features(line, stages());
     line.end();
   }
   /// Enqueues the upload of all images, concurrent with their pyramids, and all stages.
@@ -140,9 +140,9 @@ public:
   /// The same, and sorts the keypoints into grids. @param grids keypoint_grids or no_grids
   template <typename Grids>
   void extract_from(Exec const& exec, image_source const* sources, Grids const& grids) {
-    batch_.require_made("extractor");
+    stages_.require_made("extractor");
     detail::stage_line<Exec> line(exec, clock_);
-    detail::queue_images(line, detail::extraction_with<Exec, Grids>{stages_, sources, grids},
+    detail::queue_images(line, detail::extraction_with<Exec, Grids>{stages(), sources, grids},
                          false);
     line.end();
   }
@@ -154,47 +154,45 @@ public:
   /// are not needed.
   void build_levels(Exec const& exec) {
     build_pyramids(exec);
-    stages_.blur(exec);
+    stages_->blur(exec);
   }
   /// Enqueues the description of keypoints from elsewhere in the images of the last extract() or
   /// build_levels(), as the function describe_keypoints() does.
   /// @param keypoints executor memory, one batch entry per image, any capacity
   /// @throws bad_argument for another batch
   void describe_keypoints(Exec const& exec, described_view const& keypoints) const {
-    batch_.require_made("extractor");
+    stages_.require_made("extractor");
     detail::require_range("batch of keypoints", keypoints.batch, batch(), batch());
-    ft::describe_keypoints(exec, stages_.described_in(), keypoints);
+    ft::describe_keypoints(exec, stages_->described_in(), keypoints);
   }
 
   /// Enqueues only the pyramids of the uploaded images, for callers with keypoints of their own.
   void build_pyramids(Exec const& exec) {
-    batch_.require_made("extractor");
-    stages_.build_levels(exec);
+    stages_.require_made("extractor");
+    stages_->build_levels(exec);
   }
 
   // Views into executor memory, valid as long as the extractor.
-  keypoints_view keypoints() const { return stages_.keypoints; }  ///< one batch entry per image
-  int const* mono_count() const {
-    return stages_.mono_count;
-  }  ///< [batch], outside the stereo overlap
-  image_pyramid_view pyramid() const { return stages_.pyramid; }
-  image_pyramid_view blurred() const { return stages_.blurred; }
-  corners_view corners() const { return stages_.corners; }
-  distribution_view distribution() const { return stages_.kept; }
+  keypoints_view keypoints() const { return stages_->keypoints; }  ///< one batch entry per image
+  /// [batch], keypoints outside the stereo overlap
+  int const* mono_count() const { return stages_->mono_count; }
+  image_pyramid_view pyramid() const { return stages_->pyramid; }
+  image_pyramid_view blurred() const { return stages_->blurred; }
+  corners_view corners() const { return stages_->corners; }
+  distribution_view distribution() const { return stages_->kept; }
 
   orb_params const& params() const { return params_; }
-  pyramid_geometry const& geometry() const { return stages_.geometry; }
-  int batch() const { return batch_; }
-  int capacity() const {
-    return stages_.keypoints.capacity;
-  }                                                     ///< most keypoints that an image can yield
-  std::size_t bytes() const { return arena_.bytes(); }  ///< of executor memory
+  pyramid_geometry const& geometry() const { return stages_->geometry; }
+  int batch() const { return stages_->pyramid.batch; }
+  /// Most keypoints that an image can yield.
+  int capacity() const { return stages_->keypoints.capacity; }
+  std::size_t bytes() const { return stages_.bytes(); }  ///< of executor memory
 
   /// For pipelines that run other stages between or concurrently with these.
-  detail::extraction<Exec> const& stages() const { return stages_; }
+  detail::extraction<Exec> const& stages() const { return stages_.view(); }
 
 private:
-  bool has_masks() const { return stages_.has_masks(); }
+  bool has_masks() const { return stages_->has_masks(); }
 
   /// @throws bad_argument for another size or a stride below the width
   static void require_size(std::string const& name, gray_view view, int width, int height) {
@@ -230,10 +228,8 @@ private:
   }
 
   orb_params params_;
-  detail::moved_count batch_;
-  detail::extraction<Exec> stages_;
+  owner<detail::extraction<Exec>, space> stages_;
   stage_clock<Exec> clock_;  ///< not enabled
-  arena<space> arena_;
 };
 
 }  // namespace FT_ABI

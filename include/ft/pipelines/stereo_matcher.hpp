@@ -41,10 +41,6 @@ public:
       require_invertible(rig.left, extractor.params().width, extractor.params().height, 0.25);
       require_invertible(rig.right, extractor.params().width, extractor.params().height, 0.25);
     }
-    int const pairs = extractor.batch() / 2;
-    pairs_ = detail::moved_count(pairs);
-    capacity_ = extractor.capacity();
-    height_ = extractor.params().height;
     if constexpr (Rig::rectified) {
       params_.bf = rig.bf();
       params_.max_disparity = rig.bf() / rig.baseline_length().value;
@@ -52,12 +48,14 @@ public:
     grid_geometry rows;
     rows.cols = 1;
     rows.rows = extractor.params().height;
-    arena_ = arena<space>([&](carver& c) {
+    shape const of{extractor.batch() / 2, extractor.capacity(), rows.rows};
+    memory_ = owner<memory, space>([&](carver& c, memory& m) {
+      m.made_for = of;
       if constexpr (Rig::rectified) {
-        carve(c, matches_, extractor.capacity(), pairs);
-        carve(c, right_rows_, rows, extractor.capacity(), pairs);
+        carve(c, m.matches, of.capacity, of.pairs);
+        carve(c, m.right_rows, rows, of.capacity, of.pairs);
       } else {
-        carve(c, fisheye_, extractor.capacity(), pairs);
+        carve(c, m.fisheye, of.capacity, of.pairs);
       }
     });
   }
@@ -67,7 +65,9 @@ public:
   ///   constructor's
   void match(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
-    if constexpr (Rig::rectified) { sort_right_rows(exec, extractor.keypoints(), right_rows_); }
+    if constexpr (Rig::rectified) {
+      sort_right_rows(exec, extractor.keypoints(), memory_->right_rows);
+    }
     match_sorted(detail::with_order(exec, detail::launch_order::serial), extractor);
   }
   /// The same if another stage has already sorted the right keypoints of rectified pairs into
@@ -75,47 +75,53 @@ public:
   void match_sorted(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {
-      match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, matches_,
-                        right_rows_);
+      match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, memory_->matches,
+                        memory_->right_rows);
     } else {
       match_stereo_fisheye(
           exec,
           fisheye_stereo<Rig>{rig_, extractor.geometry(), extractor.mono_count(), fisheye_params_},
-          extractor.keypoints(), fisheye_);
+          extractor.keypoints(), memory_->fisheye);
     }
   }
   /// Grid of the right keypoints by rows; without memory if the rig is not rectified.
-  feature_grid_view right_rows() const { return right_rows_; }
+  feature_grid_view right_rows() const { return memory_->right_rows; }
 
   // Executor memory, valid as long as the matcher.
-  stereo_matches_view matches() const { return matches_; }  ///< rectified: one batch entry per pair
-  fisheye_matches_view fisheye_matches() const { return fisheye_; }  ///< otherwise
+  /// Rectified: one batch entry per pair.
+  stereo_matches_view matches() const { return memory_->matches; }
+  fisheye_matches_view fisheye_matches() const { return memory_->fisheye; }  ///< otherwise
   /// [pairs][capacity] depth of left keypoints, metres, -1 = none
   float const* depth() const {
-    return Rig::rectified ? static_cast<column<field::depth> const&>(matches_).data
-                          : fisheye_.depth;
+    return Rig::rectified ? array_of<field::depth>(memory_->matches) : memory_->fisheye.depth;
   }
   stereo_params const& params() const { return params_; }
 
 private:
+  struct shape {
+    int pairs = 0;
+    int capacity = 0;
+    int height = 0;  ///< of images
+  };
+  struct memory {
+    shape made_for;
+    stereo_matches_view matches;
+    feature_grid_view right_rows;
+    fisheye_matches_view fisheye;
+  };
   void require_shape(orb_extractor<Exec> const& extractor) const {
-    pairs_.require_made("stereo matcher");
-    detail::require(extractor.batch() == 2 * pairs_ && extractor.capacity() == capacity_ &&
-                        extractor.params().height == height_,
+    memory_.require_made("stereo matcher");
+    shape const of = memory_->made_for;
+    detail::require(extractor.batch() == 2 * of.pairs && extractor.capacity() == of.capacity &&
+                        extractor.params().height == of.height,
                     "the extractor's batch, capacity or image height is not that of the one that "
                     "the stereo matcher was made with");
   }
 
   Rig rig_{};
-  detail::moved_count pairs_;
-  int capacity_ = 0;
-  int height_ = 0;
   stereo_params params_;
   fisheye_stereo_params fisheye_params_;
-  stereo_matches_view matches_;
-  feature_grid_view right_rows_;
-  fisheye_matches_view fisheye_;
-  arena<space> arena_;
+  owner<memory, space> memory_;
 };
 
 }  // namespace FT_ABI

@@ -20,6 +20,12 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+struct staged_images {
+  int batch = 0;                    ///< camera pairs
+  std::uint8_t* pixels = nullptr;   ///< [batch][2][image]
+  image_source* sources = nullptr;  ///< [batch][2]
+};
+
 /// Staging memory for the images of camera pairs, and the address from which frames fetch each
 /// image: that memory, or a buffer of the caller.
 template <typename Exec>
@@ -29,14 +35,14 @@ public:
 
   frame_images() = default;
   frame_images(pyramid_geometry const& geometry, int batch)
-      : width_(geometry.width[0]),
-        height_(geometry.height[0]),
-        stride_(geometry.stride[0]),
-        batch_(batch) {
+      : width_(geometry.width[0]), height_(geometry.height[0]), stride_(geometry.stride[0]) {
     auto const n = 2 * static_cast<std::size_t>(batch);
-    memory_ = buffer<std::uint8_t, staging>(checked_mul(n, image_bytes()));
-    std::memset(memory_.data(), 0, memory_.bytes());
-    sources_ = buffer<image_source, staging>(n);
+    memory_ = owner<staged_images, staging>([&](carver& c, staged_images& s) {
+      s.batch = batch;
+      s.pixels = c.take<std::uint8_t>(checked_mul(n, image_bytes()));
+      s.sources = c.take<image_source>(n);
+    });
+    std::memset(memory_->pixels, 0, n * image_bytes());
     given_.assign(n, false);
     for (int i = 0; i < 2 * batch; ++i) { use_own_memory(i); }
   }
@@ -57,7 +63,7 @@ public:
     auto const* const data = static_cast<std::uint8_t const*>(Exec::host_address(image.data));
     require(data != nullptr && Exec::host_address(last) != nullptr,
             "the device cannot read a borrowed image: is its memory pinned?");
-    sources_.data()[2 * b + camera] = {data, image.stride};
+    memory_->sources[2 * b + camera] = {data, image.stride};
     given_[static_cast<std::size_t>(2 * b + camera)] = true;
   }
   std::uint8_t* staged(int b, int camera) {
@@ -68,12 +74,13 @@ public:
 
   /// @throws bad_argument
   void require_camera(int b, int camera) const {
-    require_range("camera pair", b, 0, batch_ - 1);
+    require_range("camera pair", b, 0, memory_->batch - 1);
     require_range("camera", camera, 0, 1);
   }
+  void require_made() const { memory_.require_made("tracker"); }
   /// @throws bad_argument if a camera has no image yet
   void require_given() const {
-    require(batch_ > 0, "the tracker was never made, or was moved from");
+    require_made();
     for (std::size_t i = 0; i < given_.size(); ++i) {
       if (!given_[i]) {
         throw bad_argument("ft: camera " + std::to_string(i % 2) + " of pair " +
@@ -82,17 +89,18 @@ public:
     }
   }
 
-  image_source const* sources() const { return sources_.data(); }  ///< [batch][2]
+  int batch() const { return memory_->batch; }
+  image_source const* sources() const { return memory_->sources; }  ///< [batch][2]
   /// Of all images.
-  std::size_t bytes() const { return 2 * static_cast<std::size_t>(batch_) * image_bytes(); }
+  std::size_t bytes() const { return 2 * static_cast<std::size_t>(memory_->batch) * image_bytes(); }
 
 private:
   std::size_t image_bytes() const {
     return static_cast<std::size_t>(stride_) * static_cast<std::size_t>(height_);
   }
   std::uint8_t* use_own_memory(int image) {
-    std::uint8_t* const data = memory_.data() + static_cast<std::size_t>(image) * image_bytes();
-    sources_.data()[image] = {data, stride_};
+    std::uint8_t* const data = memory_->pixels + static_cast<std::size_t>(image) * image_bytes();
+    memory_->sources[image] = {data, stride_};
     return data;
   }
   void require_image(int b, int camera, gray_view image) const {
@@ -105,9 +113,7 @@ private:
   int width_ = 0;
   int height_ = 0;
   int stride_ = 0;
-  moved_count batch_;
-  buffer<std::uint8_t, staging> memory_;
-  buffer<image_source, staging> sources_;
+  owner<staged_images, staging> memory_;
   std::vector<bool> given_;
 };
 

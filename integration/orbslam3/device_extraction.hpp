@@ -45,13 +45,13 @@ struct store_keypoint {
     }
     if (i >= count) { return; }
     int const at = image * to.capacity + i;
-    host.x[at] = get<field::x>(to, at) = get<field::x>(from, item);
-    host.y[at] = get<field::y>(to, at) = get<field::y>(from, item);
-    host.angle[at] = get<field::angle>(to, at) = get<field::angle>(from, item);
-    host.response[at] = get<field::response>(to, at) = get<field::response>(from, item);
-    host.octave[at] = get<field::octave>(to, at) = get<field::octave>(from, item);
-    descriptor const d = get<field::orb>(from, item);
-    get<field::orb>(to, at) = d;
+    host.x[at] = to.x(at) = from.x(item);
+    host.y[at] = to.y(at) = from.y(item);
+    host.angle[at] = to.angle(at) = from.angle(item);
+    host.response[at] = to.response(at) = from.response(item);
+    host.octave[at] = to.octave(at) = from.octave(item);
+    descriptor const d = from.orb(item);
+    to.orb(at) = d;
     reinterpret_cast<descriptor*>(host.descriptor)[at] = d;
   }
 };

@@ -28,28 +28,28 @@ struct apply_map_change {
     std::uint32_t const* at = words;
     if (item < change.positions) {
       at += item * map_change::position_words;
-      get<field::position>(map, slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
+      map.position(slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
       return;
     }
     item -= change.positions;
     at += change.positions * map_change::position_words;
     if (item < change.views) {
       at += item * map_change::view_words;
-      get<field::normal>(map, slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
-      get<field::min_distance>(map, slot(at)) = number(at[4]);
-      get<field::max_distance>(map, slot(at)) = number(at[5]);
+      map.normal(slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
+      map.min_distance(slot(at)) = number(at[4]);
+      map.max_distance(slot(at)) = number(at[5]);
       return;
     }
     item -= change.views;
     at += change.views * map_change::view_words;
     if (item < change.descriptors) {
       at += item * map_change::descriptor_words;
-      for (int w = 0; w < 8; ++w) { get<field::orb>(map, slot(at)).words[w] = at[1 + w]; }
+      for (int w = 0; w < 8; ++w) { map.orb(slot(at)).words[w] = at[1 + w]; }
       return;
     }
     item -= change.descriptors;
     at += change.descriptors * map_change::descriptor_words + item * map_change::observation_words;
-    get<field::observations>(map, slot(at)) = static_cast<int>(at[1]);
+    map.observations(slot(at)) = static_cast<int>(at[1]);
   }
 
 private:

@@ -121,11 +121,10 @@ private:
       }
       auto const found = extractor_.keypoints().slice(side);
       for (int k = 0; k < *found.count; ++k) {
-        int const level = ft::get<ft::field::octave>(found, k);
+        int const level = found.octave(k);
         float const scale = extractor_.geometry().scale[level];
-        image.keypoints.push_back({std::round(ft::get<ft::field::x>(found, k) / scale),
-                                   std::round(ft::get<ft::field::y>(found, k) / scale),
-                                   ft::get<ft::field::angle>(found, k), level});
+        image.keypoints.push_back({std::round(found.x(k) / scale), std::round(found.y(k) / scale),
+                                   found.angle(k), level});
       }
       image.descriptors =
           reinterpret_cast<std::uint8_t const*>(ft::array_of<ft::field::orb>(found));
@@ -184,8 +183,7 @@ private:
                                                mono_count,
                                                place_.data(),
                                                {}});
-    ft::description_source const from{extractor_.pyramid(), extractor_.blurred(),
-                                      ft::detail::orb_pattern};
+    ft::description_source const from{extractor_.pyramid(), extractor_.blurred(), ft::orb_pattern};
     ft::describe_corners(
         exec_,
         ft::describing_view{

@@ -943,14 +943,13 @@ struct stage_frame {
       auto const& w = s.points[at(i)];
       vector const from = vector{w.x, w.y, w.z} - T_wc.t;
       double const distance = length(from);
-      ft::get<ft::field::position>(p, i) = w;
-      ft::get<ft::field::normal>(p, i) = {static_cast<float>(from.x / distance),
-                                          static_cast<float>(from.y / distance),
-                                          static_cast<float>(from.z / distance)};
-      ft::get<ft::field::min_distance>(p, i) = 0.1f;
-      ft::get<ft::field::max_distance>(p, i) = 100.0f;
-      ft::get<ft::field::orb>(p, i) = code(i);
-      ft::get<ft::field::observations>(p, i) = 1;
+      p.position(i) = w;
+      p.normal(i) = {static_cast<float>(from.x / distance), static_cast<float>(from.y / distance),
+                     static_cast<float>(from.z / distance)};
+      p.min_distance(i) = 0.1f;
+      p.max_distance(i) = 100.0f;
+      p.orb(i) = code(i);
+      p.observations(i) = 1;
     }
     for (int c = 0; c < 2; ++c) {
       auto const& seen = c == 0 ? s.left : s.right;
@@ -959,12 +958,12 @@ struct stage_frame {
       for (int i = 0; i < capacity; ++i) {
         bool const there = i < *k.count;
         mark const m = there ? seen[at(i)] : mark{0, {0, 0}};
-        ft::get<ft::field::x>(k, i) = static_cast<float>(m.pixel.x);
-        ft::get<ft::field::y>(k, i) = static_cast<float>(m.pixel.y);
-        ft::get<ft::field::angle>(k, i) = 0;
-        ft::get<ft::field::response>(k, i) = 1;
-        ft::get<ft::field::octave>(k, i) = 0;
-        ft::get<ft::field::orb>(k, i) = there ? code(m.point) : ft::descriptor{};
+        k.x(i) = static_cast<float>(m.pixel.x);
+        k.y(i) = static_cast<float>(m.pixel.y);
+        k.angle(i) = 0;
+        k.response(i) = 1;
+        k.octave(i) = 0;
+        k.orb(i) = there ? code(m.point) : ft::descriptor{};
       }
     }
     ft::copy(exec, map.view(), points.view());
@@ -1324,8 +1323,8 @@ TYPED_TEST_P(camera_in_stages, points_of_the_last_frame_find_their_keypoints) {
   ft::soa<TestFixture::space, ft::field::angle, ft::field::octave> const last_keypoints(n, 2);
   std::vector<int> last_holder(at(2 * n), -1);
   for (int i = 0; i < 2 * n; ++i) {
-    ft::get<ft::field::angle>(staging.view(), i) = 0;
-    ft::get<ft::field::octave>(staging.view(), i) = 0;
+    staging.view().angle(i) = 0;
+    staging.view().octave(i) = 0;
     if (i < n) { last_holder[at(i)] = i; }
   }
   staging.view().count[0] = n;

@@ -402,12 +402,12 @@ private:
     ft::map_points<ft::memory_space::host> host_map(points);
     auto const hm = host_map.view();
     for (int i = 0; i < points; ++i) {
-      ft::get<ft::field::position>(hm, i) = {xyz(i, 0), xyz(i, 1), xyz(i, 2)};
-      ft::get<ft::field::normal>(hm, i) = {normal(i, 0), normal(i, 1), normal(i, 2)};
-      ft::get<ft::field::min_distance>(hm, i) = range(i, 0);
-      ft::get<ft::field::max_distance>(hm, i) = range(i, 1);
-      std::memcpy(&ft::get<ft::field::orb>(hm, i), &desc(i, 0), 32);
-      ft::get<ft::field::observations>(hm, i) = nobs(i);
+      hm.position(i) = {xyz(i, 0), xyz(i, 1), xyz(i, 2)};
+      hm.normal(i) = {normal(i, 0), normal(i, 1), normal(i, 2)};
+      hm.min_distance(i) = range(i, 0);
+      hm.max_distance(i) = range(i, 1);
+      std::memcpy(&hm.orb(i), &desc(i, 0), 32);
+      hm.observations(i) = nobs(i);
     }
     *hm.count = points;
     ft::map_points<Exec::space> map(points);

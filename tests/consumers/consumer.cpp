@@ -10,21 +10,17 @@ struct double_x {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int i,
                                  ft::soa_view<ft::field::x> const& v) const {
-    ft::get<ft::field::x>(v, i) *= 2;
+    v.x(i) *= 2;
   }
 };
 
 int main() {
   ft::soa<ft::memory_space::host, ft::field::x, ft::field::y> points(1000);
-  for (int i = 0; i < 1000; ++i) {
-    ft::get<ft::field::x>(points.view(), i) = static_cast<float>(i);
-  }
+  for (int i = 0; i < 1000; ++i) { points.view().x(i) = static_cast<float>(i); }
   ft::soa_view<ft::field::x> const columns = points.view();
   ft::for_each_item<ft::per_thread>(ft::host_exec(), 1000, double_x{}, columns);
   bool good = true;
-  for (int i = 0; i < 1000; ++i) {
-    good = good && ft::get<ft::field::x>(points.view(), i) == static_cast<float>(2 * i);
-  }
+  for (int i = 0; i < 1000; ++i) { good = good && points.view().x(i) == static_cast<float>(2 * i); }
   std::printf("ft %d.%d.%d, C++ %ld\n", ft::version_major, ft::version_minor, ft::version_patch,
               static_cast<long>(__cplusplus));
   return good ? 0 : 1;

@@ -63,12 +63,12 @@ void use_containers(fuzz::input& in) {
       auto const slice = a.view().slice(e);
       *slice.count = in.within(0, capacity);
       for (int i = 0; i < capacity; ++i) {
-        ft::get<ft::field::x>(slice, i) = static_cast<float>(e * capacity + i);
-        ft::get<ft::field::y>(slice, i) = 0;
-        ft::get<ft::field::angle>(slice, i) = 0;
-        ft::get<ft::field::response>(slice, i) = 0;
-        ft::get<ft::field::octave>(slice, i) = i;
-        ft::get<ft::field::orb>(slice, i) = in.bits<ft::descriptor>();
+        slice.x(i) = static_cast<float>(e * capacity + i);
+        slice.y(i) = 0;
+        slice.angle(i) = 0;
+        slice.response(i) = 0;
+        slice.octave(i) = i;
+        slice.orb(i) = in.bits<ft::descriptor>();
       }
     }
     bool const copied = fuzz::accepted<ft::bad_argument>([&] { copy(exec(), b.view(), a.view()); });
@@ -79,8 +79,7 @@ void use_containers(fuzz::input& in) {
         "a container that was moved from is empty");
     auto const& all = copied ? b.view() : moved.view();
     for (int i = 0; i < capacity * batch; ++i) {
-      fuzz::require(ft::get<ft::field::x>(all, i) == static_cast<float>(i) &&
-                        ft::get<ft::field::octave>(all, i) == i % capacity,
+      fuzz::require(all.x(i) == static_cast<float>(i) && all.octave(i) == i % capacity,
                     "a copy and a move keep every element");
     }
   });
@@ -102,14 +101,14 @@ field_of_keypoints any_keypoints(fuzz::input& in, int capacity) {
   for (int e = 0; e < 2; ++e) {
     kp.count[e] = in.flag() ? capacity : in.within(0, capacity);
     for (int i = e * capacity; i < (e + 1) * capacity; ++i) {
-      ft::get<ft::field::x>(kp, i) = in.number(-5, 165);
-      ft::get<ft::field::y>(kp, i) = in.number(-5, 125);
-      ft::get<ft::field::angle>(kp, i) = in.number(0, 360);
-      ft::get<ft::field::response>(kp, i) = 1;
-      ft::get<ft::field::octave>(kp, i) = in.within(0, 7);
+      kp.x(i) = in.number(-5, 165);
+      kp.y(i) = in.number(-5, 125);
+      kp.angle(i) = in.number(0, 360);
+      kp.response(i) = 1;
+      kp.octave(i) = in.within(0, 7);
       ft::descriptor d{};
       d.words[in.within(0, 7)] = in.bits<std::uint32_t>();
-      ft::get<ft::field::orb>(kp, i) = d;
+      kp.orb(i) = d;
     }
   }
   ft::build_grid<ft::nearest_cell>(exec(), kp, 0, 2, 1, f.grid.view());
@@ -126,16 +125,14 @@ void check_grid(field_of_keypoints const& f) {
     for (; next < grid.start[cell + 1]; ++next) {
       int const k = grid.indices[next];
       fuzz::require(k > last && k < *kp.count, "a cell's keypoints ascend");
-      int const of = ft::nearest_cell::of(f.geometry, ft::get<ft::field::x>(kp, k),
-                                          ft::get<ft::field::y>(kp, k));
+      int const of = ft::nearest_cell::of(f.geometry, kp.x(k), kp.y(k));
       fuzz::require(of == cell, "a keypoint is in its own cell");
       last = k;
     }
   }
   int inside = 0;
   for (int i = 0; i < *kp.count; ++i) {
-    inside += static_cast<int>(ft::nearest_cell::of(f.geometry, ft::get<ft::field::x>(kp, i),
-                                                    ft::get<ft::field::y>(kp, i)) >= 0);
+    inside += static_cast<int>(ft::nearest_cell::of(f.geometry, kp.x(i), kp.y(i)) >= 0);
   }
   fuzz::require(next == inside, "every keypoint inside is in one cell");
 }
@@ -160,10 +157,10 @@ void search(fuzz::input& in, field_of_keypoints const& f) {
   int const capacity = f.points.capacity();
   ft::map_points<host> map(slots);
   for (int i = 0; i < slots; ++i) {
-    ft::get<ft::field::observations>(map.view(), i) = in.within(0, 2);
+    map.view().observations(i) = in.within(0, 2);
     ft::descriptor d{};
     d.words[in.within(0, 7)] = in.bits<std::uint32_t>();
-    ft::get<ft::field::orb>(map.view(), i) = d;
+    map.view().orb(i) = d;
   }
   ft::search_windows_view in_windows;
   ft::search_workspace work;
@@ -199,8 +196,7 @@ void search(fuzz::input& in, field_of_keypoints const& f) {
       found = found || (w.slot == slot && ft::inside(w, kp, k));
     }
     fuzz::require(found && k < *kp.count, "a keypoint is given to a point that looked there");
-    fuzz::require(ft::hamming(ft::get<ft::field::orb>(kp, k),
-                              ft::get<ft::field::orb>(map.view(), slot)) <= params.max_hamming,
+    fuzz::require(ft::hamming(kp.orb(k), map.view().orb(slot)) <= params.max_hamming,
                   "descriptors that differ too much are not matched");
   }
   fuzz::require(held <= *work.matches, "every keypoint that was given a point is counted");

@@ -59,10 +59,10 @@ void check_keypoints(extractor const& orb, int image) {
   fuzz::require(orb.mono_count()[image] >= 0 && orb.mono_count()[image] <= *kp.count,
                 "keypoints outside an overlap are part of all");
   for (int i = 0; i < *kp.count; ++i) {
-    float const x = ft::get<ft::field::x>(kp, i);
-    float const y = ft::get<ft::field::y>(kp, i);
-    float const angle = ft::get<ft::field::angle>(kp, i);
-    int const octave = ft::get<ft::field::octave>(kp, i);
+    float const x = kp.x(i);
+    float const y = kp.y(i);
+    float const angle = kp.angle(i);
+    int const octave = kp.octave(i);
     fuzz::require(
         x >= 0 && x < static_cast<float>(p.width) && y >= 0 && y < static_cast<float>(p.height),
         "keypoints lie in the image");
@@ -81,7 +81,7 @@ void stereo(fuzz::input& in, extractor& orb) {
     matcher.match(exec(), orb);
     auto const found = matcher.matches();
     for (int i = 0; i < *orb.keypoints().count; ++i) {
-      float const depth = ft::get<ft::field::depth>(found, i);
+      float const depth = found.depth(i);
       fuzz::require(depth == -1 || depth > 0, "a depth is positive or -1");
     }
   });

@@ -53,7 +53,7 @@ TEST(opencv_interop, descriptors_are_rows_of_32_bytes) {
   ft::from_opencv(some_keypoints(3), keypoints.view());
   for (int i = 0; i < 3; ++i) {
     for (unsigned w = 0; w < 8; ++w) {
-      ft::get<ft::field::orb>(keypoints.view(), i).words[w] = 0x01020304u * (w + 1) + unsigned(i);
+      keypoints.view().orb(i).words[w] = 0x01020304u * (w + 1) + unsigned(i);
     }
   }
   cv::Mat const rows = ft::descriptors_to_opencv(keypoints.view());

@@ -67,10 +67,10 @@ protected:
         int const at = b * capacity + i;
         bool const used = i < v.count[b];
         point const p = used ? mine[static_cast<std::size_t>(i)] : point{100, 90, 0};
-        ft::get<ft::field::x>(v, at) = p.x;
-        ft::get<ft::field::y>(v, at) = p.y;
-        ft::get<ft::field::octave>(v, at) = p.octave;
-        ft::get<ft::field::angle>(v, at) = 777;
+        v.x(at) = p.x;
+        v.y(at) = p.y;
+        v.octave(at) = p.octave;
+        v.angle(at) = 777;
       }
     }
     ft::copy(exec, device.view(), v);
@@ -82,10 +82,9 @@ protected:
       for (int i = 0; i < capacity; ++i) {
         int const at = b * capacity + i;
         if (i < v.count[b]) {
-          all[static_cast<std::size_t>(b)].push_back(
-              {ft::get<ft::field::angle>(v, at), ft::get<ft::field::orb>(v, at)});
+          all[static_cast<std::size_t>(b)].push_back({v.angle(at), v.orb(at)});
         } else {
-          EXPECT_EQ(ft::get<ft::field::angle>(v, at), 777) << "past the count nothing is written";
+          EXPECT_EQ(v.angle(at), 777) << "past the count nothing is written";
         }
       }
     }

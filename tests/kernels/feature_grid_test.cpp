@@ -142,9 +142,9 @@ protected:
       *slice.count = static_cast<int>(images[b].size());
       for (int i = 0; i < *slice.count; ++i) {
         point const& p = images[b][static_cast<std::size_t>(i)];
-        ft::get<ft::field::x>(slice, i) = p.x;
-        ft::get<ft::field::y>(slice, i) = p.y;
-        ft::get<ft::field::octave>(slice, i) = p.octave;
+        slice.x(i) = p.x;
+        slice.y(i) = p.y;
+        slice.octave(i) = p.octave;
       }
     }
     ft::copy(exec, kp.view(), v);

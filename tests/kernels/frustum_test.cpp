@@ -73,12 +73,12 @@ protected:
       *v.count = n;
       for (int i = 0; i < n; ++i) {
         auto const& p = points[static_cast<std::size_t>(i)];
-        ft::get<ft::field::position>(v, i) = p.position;
-        ft::get<ft::field::normal>(v, i) = p.normal;
-        ft::get<ft::field::min_distance>(v, i) = p.min_distance;
-        ft::get<ft::field::max_distance>(v, i) = p.max_distance;
-        ft::get<ft::field::observations>(v, i) = 1;
-        ft::get<ft::field::orb>(v, i) = ft::descriptor{};
+        v.position(i) = p.position;
+        v.normal(i) = p.normal;
+        v.min_distance(i) = p.min_distance;
+        v.max_distance(i) = p.max_distance;
+        v.observations(i) = 1;
+        v.orb(i) = ft::descriptor{};
       }
     }
     ft::map_points<space> map(n, batch);

@@ -442,12 +442,12 @@ protected:
         if (!Rig::rectified || i < capacity) {
           auto const view = kp.view().slice(2 * b + c);
           int const k = (*view.count)++;
-          ft::get<ft::field::x>(view, k) = all[i].u;
-          ft::get<ft::field::y>(view, k) = all[i].v;
-          ft::get<ft::field::octave>(view, k) = static_cast<int>(i % 8);
+          view.x(k) = all[i].u;
+          view.y(k) = all[i].v;
+          view.octave(k) = static_cast<int>(i % 8);
           all[i].inv_sigma2 = geometry.inv_sigma2[i % 8];
           int const slot = points - 1 - static_cast<int>(i);
-          ft::get<ft::field::position>(map.view().slice(b), slot) = all[i].point;
+          map.view().slice(b).position(slot) = all[i].point;
           // Every tenth keypoint holds no point.
           holder[static_cast<std::size_t>(b * numbers + c * capacity + k)] =
               k % 10 == 9 ? -1 : slot;

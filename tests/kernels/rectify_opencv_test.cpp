@@ -338,17 +338,15 @@ points undistorted(Camera const& cam, cv::Matx33d const& R, int width, int heigh
   for (int i = 0; i < n; ++i) {
     float const x = px(random);
     all.raw.emplace_back(x, py(random));
-    ft::get<ft::field::x>(p.view(), i) = all.raw.back().x;
-    ft::get<ft::field::y>(p.view(), i) = all.raw.back().y;
+    p.view().x(i) = all.raw.back().x;
+    p.view().y(i) = all.raw.back().y;
   }
   *p.view().count = n;
   all.valid.resize(n);
   ft::host_exec const exec(1);
   ft::undistort_keypoints(exec, cam, wanted, forth(R), p.view(),
                           ft::undistorted_view{p.view(), all.valid.data()});
-  for (int i = 0; i < n; ++i) {
-    all.out.emplace_back(ft::get<ft::field::x>(p.view(), i), ft::get<ft::field::y>(p.view(), i));
-  }
+  for (int i = 0; i < n; ++i) { all.out.emplace_back(p.view().x(i), p.view().y(i)); }
   return all;
 }
 void expect_near(points const& got, std::vector<cv::Point2f> const& want, double tolerance,
@@ -429,8 +427,8 @@ TEST(depth_oracle, sixteen_bit_depths_are_those_of_opencvs_conversion) {
     raw.convertTo(metres, CV_32F, static_cast<double>(scale));
     ft::pixels<ft::memory_space::host> const p(raw.cols);
     for (int i = 0; i < raw.cols; ++i) {
-      ft::get<ft::field::x>(p.view(), i) = static_cast<float>(i);
-      ft::get<ft::field::y>(p.view(), i) = 0;
+      p.view().x(i) = static_cast<float>(i);
+      p.view().y(i) = 0;
     }
     *p.view().count = raw.cols;
     ft::stereo_matches<ft::memory_space::host> const out(raw.cols);
@@ -441,7 +439,7 @@ TEST(depth_oracle, sixteen_bit_depths_are_those_of_opencvs_conversion) {
         {40.0f, scale}, out.view());
     for (int i = 0; i < raw.cols; ++i) {
       float const m = metres.at<float>(0, i);
-      EXPECT_EQ(ft::get<ft::field::depth>(out.view(), i), m > 0 ? m : -1.0f) << i;
+      EXPECT_EQ(out.view().depth(i), m > 0 ? m : -1.0f) << i;
     }
   }
 }

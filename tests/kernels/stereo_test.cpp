@@ -246,12 +246,12 @@ protected:
       for (int i = 0; i < capacity; ++i) {
         keypoint const k =
             i < *s.count ? all[static_cast<std::size_t>(i)] : keypoint{50, 50, 0, {}};
-        ft::get<ft::field::x>(s, i) = k.x;
-        ft::get<ft::field::y>(s, i) = k.y;
-        ft::get<ft::field::angle>(s, i) = 0;
-        ft::get<ft::field::response>(s, i) = 0;
-        ft::get<ft::field::octave>(s, i) = k.octave;
-        ft::get<ft::field::orb>(s, i) = k.orb;
+        s.x(i) = k.x;
+        s.y(i) = k.y;
+        s.angle(i) = 0;
+        s.response(i) = 0;
+        s.octave(i) = k.octave;
+        s.orb(i) = k.orb;
       }
     };
     put(0, left);
@@ -443,9 +443,9 @@ TYPED_TEST(stereo_unit, outliers_are_cut_at_the_median) {
       double const u = static_cast<double>(random() % 10001u) / 10000.0;
       int const score =
           d.low + static_cast<int>(u * u * (d.high - d.low));  // most are low, some far above
-      ft::get<ft::field::score>(s, i) = matched ? score : -1;
-      ft::get<ft::field::right_x>(s, i) = matched ? static_cast<float>(i) : -1.0f;
-      ft::get<ft::field::depth>(s, i) = matched ? static_cast<float>(i + 1) : -1.0f;
+      s.score(i) = matched ? score : -1;
+      s.right_x(i) = matched ? static_cast<float>(i) : -1.0f;
+      s.depth(i) = matched ? static_cast<float>(i + 1) : -1.0f;
     }
   }
   auto const cut = [&](auto shape) {
@@ -463,9 +463,7 @@ TYPED_TEST(stereo_unit, outliers_are_cut_at_the_median) {
       auto const s = staging.view().slice(b);
       std::vector<int> scores;
       for (int i = 0; i < *s.count; ++i) {
-        if (ft::get<ft::field::score>(s, i) >= 0) {
-          scores.push_back(ft::get<ft::field::score>(s, i));
-        }
+        if (s.score(i) >= 0) { scores.push_back(s.score(i)); }
       }
       float limit = 1e30f;
       if (!scores.empty()) {
@@ -475,12 +473,10 @@ TYPED_TEST(stereo_unit, outliers_are_cut_at_the_median) {
       }
       for (int i = 0; i < capacity; ++i) {
         auto const at = static_cast<std::size_t>(b * capacity + i);
-        bool const drop =
-            i < *s.count && static_cast<float>(ft::get<ft::field::score>(s, i)) >= limit;
-        ASSERT_EQ(score[at], drop ? -1 : ft::get<ft::field::score>(s, i))
-            << "pair " << b << " entry " << i;
-        ASSERT_EQ(x[at], drop ? -1 : ft::get<ft::field::right_x>(s, i));
-        ASSERT_EQ(depth[at], drop ? -1 : ft::get<ft::field::depth>(s, i));
+        bool const drop = i < *s.count && static_cast<float>(s.score(i)) >= limit;
+        ASSERT_EQ(score[at], drop ? -1 : s.score(i)) << "pair " << b << " entry " << i;
+        ASSERT_EQ(x[at], drop ? -1 : s.right_x(i));
+        ASSERT_EQ(depth[at], drop ? -1 : s.depth(i));
         dropped += static_cast<int>(drop);
         past_kept += static_cast<int>(drop && i >= 3 * 512);
       }

@@ -86,12 +86,8 @@ protected:
     run(version::plain, pyramid.batch, ft::detail::order_image<ft::detail::no_filler>{},
         ft::ordering_view{g, kept, overlaps.data(), keypoints, mono.data(), place.data(), {}});
     run(v, pyramid.batch * kept.layout.total, ft::detail::describe_corner{},
-        ft::describing_view{{pyramid, blurred, ft::detail::orb_pattern},
-                            kept,
-                            place.data(),
-                            keypoints,
-                            {},
-                            nullptr});
+        ft::describing_view{
+            {pyramid, blurred, ft::orb_pattern}, kept, place.data(), keypoints, {}, nullptr});
 
     bytes all;
     append_pixels(all, pyramid);

@@ -310,12 +310,12 @@ TYPED_TEST(rgbd_test, a_known_motion_is_found_from_distorted_images_and_their_de
     float const distance = std::sqrt(ft::dot(p, p));
     float const farthest = distance * g.scale[octave[at(i)]];
     auto const v = points.view();
-    ft::get<ft::field::position>(v, i) = p;
-    ft::get<ft::field::normal>(v, i) = {p.x / distance, p.y / distance, p.z / distance};
-    ft::get<ft::field::max_distance>(v, i) = farthest;
-    ft::get<ft::field::min_distance>(v, i) = farthest / g.scale[g.levels - 1];
-    ft::get<ft::field::observations>(v, i) = 1;
-    ft::get<ft::field::orb>(v, i) = descriptors[at(i)];
+    v.position(i) = p;
+    v.normal(i) = {p.x / distance, p.y / distance, p.z / distance};
+    v.max_distance(i) = farthest;
+    v.min_distance(i) = farthest / g.scale[g.levels - 1];
+    v.observations(i) = 1;
+    v.orb(i) = descriptors[at(i)];
     holder[at(i)] = i;
   }
   // The depth is that of the pixel that a keypoint falls into: up to one pixel away in both axes,

@@ -10,7 +10,7 @@
 ///     ft::soa<ft::memory_space::host, ft::field::x, ft::field::y, landmark_id> mine(1000);
 ///     mine.view().landmark_id(3) = 7;
 ///
-/// `get<Field>(view, i)` is the same element, for generic code.
+/// `get<Field>(view, i)` is the same element where the field is a template argument.
 #pragma once
 
 #include <cstddef>

@@ -28,10 +28,10 @@ inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints,
                                            pyramid_geometry const& geometry) {
   std::vector<cv::KeyPoint> all;
   for (int i = 0; i < *keypoints.count; ++i) {
-    int const octave = get<field::octave>(keypoints, i);
-    all.emplace_back(get<field::x>(keypoints, i), get<field::y>(keypoints, i),
-                     static_cast<float>(geometry.patch_size(octave)),
-                     get<field::angle>(keypoints, i), get<field::response>(keypoints, i), octave);
+    int const octave = keypoints.octave(i);
+    all.emplace_back(keypoints.x(i), keypoints.y(i),
+                     static_cast<float>(geometry.patch_size(octave)), keypoints.angle(i),
+                     keypoints.response(i), octave);
   }
   return all;
 }
@@ -41,7 +41,7 @@ inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints,
 inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
   cv::Mat rows(*keypoints.count, 32, CV_8UC1);
   for (int i = 0; i < *keypoints.count; ++i) {
-    std::memcpy(rows.ptr(i), &get<field::orb>(keypoints, i), sizeof(descriptor));
+    std::memcpy(rows.ptr(i), &keypoints.orb(i), sizeof(descriptor));
   }
   return rows;
 }
@@ -56,11 +56,11 @@ inline void from_opencv(std::vector<cv::KeyPoint> const& keypoints, keypoints_vi
   *to.count = static_cast<int>(keypoints.size());
   for (int i = 0; i < *to.count; ++i) {
     auto const& k = keypoints[static_cast<std::size_t>(i)];
-    get<field::x>(to, i) = k.pt.x;
-    get<field::y>(to, i) = k.pt.y;
-    get<field::angle>(to, i) = k.angle;
-    get<field::response>(to, i) = k.response;
-    get<field::octave>(to, i) = k.octave;
+    to.x(i) = k.pt.x;
+    to.y(i) = k.pt.y;
+    to.angle(i) = k.angle;
+    to.response(i) = k.response;
+    to.octave(i) = k.octave;
   }
 }
 

@@ -76,7 +76,7 @@ struct fill_grid {
     clear(g, s, grid.geometry);
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
-      s.entry[i] = count(s, grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
+      s.entry[i] = count(s, grid.geometry, kp.x(i), kp.y(i));
     }
     g.sync();
     sort(g, s, n, grid);
@@ -198,9 +198,7 @@ private:
     int const cells = grid.geometry.cells();
     int* const start = grid.start;
     int* const list = Group::max_threads == 1 ? grid.indices : grid.unsorted;
-    auto const cell = [&](int i) {
-      return Cell::of(grid.geometry, get<field::x>(kp, i), get<field::y>(kp, i));
-    };
+    auto const cell = [&](int i) { return Cell::of(grid.geometry, kp.x(i), kp.y(i)); };
     FT_NO_UNROLL
     for (int c = g.rank(); c <= cells; c += g.size()) { start[c] = 0; }
     g.sync();

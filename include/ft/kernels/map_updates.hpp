@@ -43,12 +43,12 @@ struct apply_updates {
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, point_update const* updates,
                                  map_points_view const& map) const {
     point_update const u = updates[item];
-    get<field::position>(map, u.slot) = u.position;
-    get<field::normal>(map, u.slot) = u.normal;
-    get<field::min_distance>(map, u.slot) = u.min_distance;
-    get<field::max_distance>(map, u.slot) = u.max_distance;
-    get<field::orb>(map, u.slot) = u.orb;
-    get<field::observations>(map, u.slot) = u.observations;
+    map.position(u.slot) = u.position;
+    map.normal(u.slot) = u.normal;
+    map.min_distance(u.slot) = u.min_distance;
+    map.max_distance(u.slot) = u.max_distance;
+    map.orb(u.slot) = u.orb;
+    map.observations(u.slot) = u.observations;
   }
 };
 

@@ -94,7 +94,7 @@ public:
     all.resize(b);
     copy(exec, stages_->taps, static_cast<resize_tap const*>(taps.data()), taps.size());
     copy(exec, tile_spans, static_cast<tile_span const*>(spans.data()), spans.size());
-    copy(exec, stages_->pattern, detail::orb_pattern, std::size_t{256});
+    copy(exec, stages_->pattern, orb_pattern, std::size_t{256});
     copy(exec, stages_->overlaps, static_cast<stereo_overlap const*>(all.data()), b);
     stages_->initialize(exec);
     exec.wait();

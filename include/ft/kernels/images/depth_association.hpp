@@ -78,14 +78,14 @@ struct associate_keypoint_depth {
     float right_x = -1;
     int score = -1;
     if (i < count) {
-      float const u = get<field::x>(raw, item);
-      float const v = get<field::y>(raw, item);
+      float const u = raw.x(item);
+      float const v = raw.y(item);
       // Inside after truncation. NaN is outside.
       if (u > -1.0f && u < static_cast<float>(images.width) && v > -1.0f &&
           v < static_cast<float>(images.height)) {
         T const value = images.at(image, static_cast<int>(u), static_cast<int>(v));
         strict_float const d = strict_float(static_cast<float>(value)) * params.scale;
-        strict_float const column = get<field::x>(undistorted, item) - params.bf / d;
+        strict_float const column = undistorted.x(item) - params.bf / d;
         if (d > 0.0f && d >= params.min_depth && d <= params.max_depth && scalar::is_finite(d) &&
             scalar::is_finite(column)) {
           depth = d.value;
@@ -94,9 +94,9 @@ struct associate_keypoint_depth {
         }
       }
     }
-    get<field::depth>(out, item) = depth;
-    get<field::right_x>(out, item) = right_x;
-    get<field::score>(out, item) = score;
+    out.depth(item) = depth;
+    out.right_x(item) = right_x;
+    out.score(item) = score;
   }
 };
 

@@ -73,15 +73,15 @@ struct undistort_keypoint {
     int const count = raw.count[image];
     if (i == 0 && out.count != raw.count) { out.count[image] = count; }
     if (i >= count) { return; }
-    float const x = get<field::x>(raw, item);
-    float const y = get<field::y>(raw, item);
+    float const x = raw.x(item);
+    float const y = raw.y(item);
     auto const p = transfer_pixel(camera, R_target_source, target,
                                   {static_cast<double>(x), static_cast<double>(y)});
     auto const u = static_cast<float>(p.pixel.x.value);
     auto const v = static_cast<float>(p.pixel.y.value);
     bool const good = p.valid && scalar::is_finite(u) && scalar::is_finite(v);
-    get<field::x>(out, item) = good ? u : x;
-    get<field::y>(out, item) = good ? v : y;
+    out.x(item) = good ? u : x;
+    out.y(item) = good ? v : y;
     if (to.valid != nullptr) { to.valid[item] = static_cast<std::uint8_t>(good); }
   }
 };

@@ -85,15 +85,15 @@ struct describe_corner {
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
       auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-      describe_by_warp(g, at, turn, tests, get<field::orb>(v.out, to));
+      describe_by_warp(g, at, turn, tests, v.out.orb(to));
     } else {
       fetch_window(level, x, y);
       angle = orientation(g, sharp, x, y);
       rotation const turn = rotation_by(angle);
       to += v.place[item];
-      describe_alone(level, x, y, turn, v.from.pattern, get<field::orb>(v.out, to));
+      describe_alone(level, x, y, turn, v.from.pattern, v.out.orb(to));
     }
-    if (g.rank() == 0) { get<field::angle>(v.out, to) = angle; }
+    if (g.rank() == 0) { v.out.angle(to) = angle; }
   }
 
 private:

@@ -30,12 +30,11 @@ struct describe_keypoint {
                                  described_view const& keypoints) const {
     int const image = item / keypoints.capacity;
     if (item % keypoints.capacity >= keypoints.count[image]) { return; }
-    descriptor& orb = get<field::orb>(keypoints, item);
-    int const l = get<field::octave>(keypoints, item);
-    pixel const at = nearest_pixel(from.pyramid.geometry, get<field::x>(keypoints, item),
-                                   get<field::y>(keypoints, item), l);
+    descriptor& orb = keypoints.orb(item);
+    int const l = keypoints.octave(item);
+    pixel const at = nearest_pixel(from.pyramid.geometry, keypoints.x(item), keypoints.y(item), l);
     if (!at.valid) {
-      if (g.rank() == 0) { get<field::angle>(keypoints, item) = -1; }
+      if (g.rank() == 0) { keypoints.angle(item) = -1; }
       for (int i = g.rank(); i < 8; i += g.size()) { orb.words[i] = 0; }
       return;
     }
@@ -48,7 +47,7 @@ struct describe_keypoint {
     } else {
       describe_alone(level, at.x, at.y, turn, from.pattern, orb);
     }
-    if (g.rank() == 0) { get<field::angle>(keypoints, item) = angle; }
+    if (g.rank() == 0) { keypoints.angle(item) = angle; }
   }
 
 private:

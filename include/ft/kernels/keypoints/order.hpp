@@ -183,10 +183,10 @@ private:
       inside = valid && x >= overlap.left && x <= overlap.right;
     }
     FT_HOST_DEVICE void write(keypoints_view const& out, int to) const {
-      get<field::x>(out, to) = x;
-      get<field::y>(out, to) = y;
-      get<field::response>(out, to) = static_cast<float>(c.response);
-      get<field::octave>(out, to) = level;
+      out.x(to) = x;
+      out.y(to) = y;
+      out.response(to) = static_cast<float>(c.response);
+      out.octave(to) = level;
     }
   };
 

@@ -16,8 +16,7 @@ struct alignas(4) pattern_pair {
   std::int8_t x0, y0, x1, y1;
 };
 
-namespace detail {
-
+/// The pattern of every ORB descriptor: pair i gives bit i.
 // clang-format off
 inline constexpr pattern_pair orb_pattern[256] = {
     {8, -3, 9, 5}, {4, 2, 7, -12}, {-11, 9, -8, 2}, {7, -12, 12, -13}, {2, -13, 2, 12},
@@ -74,6 +73,5 @@ inline constexpr pattern_pair orb_pattern[256] = {
 };
 // clang-format on
 
-}  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -72,12 +72,8 @@ struct optimize_frame {
       float const right = Rig::rectified && frame.right_x != nullptr
                               ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
                               : -1.0f;
-      observation const o{get<field::position>(points, holder[number]),
-                          get<field::x>(kp, k),
-                          get<field::y>(kp, k),
-                          right,
-                          in.geometry.inv_sigma2[get<field::octave>(kp, k)],
-                          c};
+      observation const o{points.position(holder[number]),      kp.x(k), kp.y(k), right,
+                          in.geometry.inv_sigma2[kp.octave(k)], c};
       out.items[at + i] = o;
       solver.prepare(i, o);
     }

@@ -33,7 +33,7 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
                                              int limit) {
   if (!inside(w, kp, k)) { return -1; }
   if (right_x != nullptr && misses_right(w, right_x[k])) { return -1; }
-  int const distance = hamming(wanted, get<field::orb>(kp, k));
+  int const distance = hamming(wanted, kp.orb(k));
   return distance <= limit ? distance : -1;
 }
 
@@ -43,7 +43,7 @@ FT_HOST_DEVICE inline bool refuses(search_params const& p, keypoints_view const&
                                    int best_k, int second, int second_k) {
   return p.kind == search_kind::local_map && second_k >= 0 &&
          static_cast<float>(best) > mul(p.ratio, static_cast<float>(second)) &&
-         get<field::octave>(kp, best_k) == get<field::octave>(kp, second_k);
+         kp.octave(best_k) == kp.octave(second_k);
 }
 
 FT_HOST_DEVICE inline int entry_distance(std::uint32_t entry) {

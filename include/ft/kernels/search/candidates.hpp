@@ -114,7 +114,7 @@ private:
   /// Whether the point in a slot, -1 = none, is observed and so keeps its keypoints. Exception: a
   /// keypoint that an unobserved point takes over as a stereo partner.
   FT_HOST_DEVICE static bool keeps(map_points_view const& points, int slot) {
-    return slot >= 0 && get<field::observations>(points, slot) > 0;
+    return slot >= 0 && points.observations(slot) > 0;
   }
 
   /// Lists the candidates of a point in each camera and calls use(camera, list, listing).
@@ -134,7 +134,7 @@ private:
       listing found;
       if (w.slot >= 0 && !left_empty) {
         keypoints_view const kp = frame.camera(in.b, c);
-        descriptor const wanted = get<field::orb>(points, w.slot);
+        descriptor const wanted = points.orb(w.slot);
         visit_cells(g, w, frame.grids.slice(frame.cameras * in.b + c), [&](int k) {
           int distance = -1;
           if (k >= 0) {

@@ -90,7 +90,7 @@ FT_HOST_DEVICE void choose_from_grid(assignment_context<Single> const& ctx, int 
                                      Taken const& taken, nearest_two& found) {
   search_window const w = ctx.windows.at(c, ctx.b, i);
   keypoints_view const kp = ctx.frame.camera(ctx.b, c);
-  descriptor const wanted = get<field::orb>(ctx.points, w.slot);
+  descriptor const wanted = ctx.points.orb(w.slot);
   int const limit = listed_distance(ctx.params);
   float const* const right_x =
       ctx.frame.right_x == nullptr || c != 0

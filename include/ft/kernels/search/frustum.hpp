@@ -59,7 +59,7 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const&
                                           frustum_params const& params) {
   visibility none{0, 0, 0, 0, 0, -1};
   auto const T = from.T_cw.cast<strict_float>();
-  vec3<float> const world = get<field::position>(map, slot);
+  vec3<float> const world = map.position(slot);
   vec3<strict_float> const P{world.x, world.y, world.z};
   vec3<strict_float> const Pc = T * P;
   if (!(Pc.z >= 0.0f)) { return none; }
@@ -73,12 +73,12 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const&
   vec3<strict_float> const view =
       P - vec3<strict_float>{from.centre.x, from.centre.y, from.centre.z};
   strict_float const distance = scalar::sqrt(dot(view, view));
-  float const max_distance = get<field::max_distance>(map, slot);
-  if (!(distance >= strict_float(0.8f) * get<field::min_distance>(map, slot) &&
+  float const max_distance = map.max_distance(slot);
+  if (!(distance >= strict_float(0.8f) * map.min_distance(slot) &&
         distance <= strict_float(1.2f) * max_distance)) {
     return none;
   }
-  vec3<float> const n = get<field::normal>(map, slot);
+  vec3<float> const n = map.normal(slot);
   strict_float const cosine = dot(view, {n.x, n.y, n.z}) / distance;
   if (!(cosine >= params.min_cosine)) { return none; }
   strict_float const ratio = strict_float(max_distance) / distance;

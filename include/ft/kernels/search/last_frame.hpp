@@ -135,7 +135,7 @@ private:
           owner o;
           o.slot = windows.at(c, in.b, i).slot;
           o.before = rotations::last_angle(owned.search.last, owned.left_count, in.b, i);
-          o.now = get<field::angle>(in.frame.camera(in.b, c), number - c * capacity);
+          o.now = in.frame.camera(in.b, c).angle(number - c * capacity);
           return o;
         },
         [&](int number, owner const& o) {

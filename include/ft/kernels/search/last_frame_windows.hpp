@@ -98,7 +98,7 @@ struct last_frame_windows {
     if (from.slot < 0 || from.slot >= points.capacity) { return out; }
 
     auto const T_cw = in.T_cw[b].template cast<strict_float>();
-    vec3<float> const world = get<field::position>(points, from.slot);
+    vec3<float> const world = points.position(from.slot);
     vec3<strict_float> Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
     if (in.rotations != nullptr) { Pc = rotated(in.rotations[b], world) + T_cw.t; }
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
@@ -152,7 +152,7 @@ private:
                                                      rigid<strict_float> const& T_cw, int b,
                                                      keypoint const& from, float radius) {
     auto const T_lw = in.last_T_cw[b].template cast<strict_float>();
-    int const octave = get<field::octave>(in.last.keypoints.slice(from.image), from.k);
+    int const octave = in.last.keypoints.slice(from.image).octave(from.k);
     strict_float const baseline = in.rig.baseline_length();
     strict_float const forward_motion = (T_lw * T_cw.centre()).z;
     bool const any_direction = in.params.ignore_motion_direction;

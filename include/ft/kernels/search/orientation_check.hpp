@@ -29,7 +29,7 @@ struct rotations {
                                          int i) {
     bool const left = i < left_count;
     auto const from = last.keypoints.slice(last.keypoint_step * b + (left ? 0 : 1));
-    return get<field::angle>(from, left ? i : i - left_count);
+    return from.angle(left ? i : i - left_count);
   }
   FT_HOST_DEVICE static int bin(float before, float now) {
     float rotation = before - now;
@@ -90,7 +90,7 @@ struct check_orientation {
     constexpr std::uint8_t no_match = 255;
     auto const bin = [&](int c, int i, int k) {
       return rotations::bin(rotations::last_angle(last, left_count, b, i),
-                            get<field::angle>(frame.camera(b, c), k));
+                            frame.camera(b, c).angle(k));
     };
     for (int c = 0; c < frame.cameras; ++c) {
       for (int i = g.rank(); i < n; i += g.size()) {

@@ -134,10 +134,9 @@ FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_vi
 
 /// Whether a keypoint lies strictly inside the square and has one of the window's octaves.
 FT_HOST_DEVICE inline bool inside(search_window const& w, keypoints_view const& kp, int k) {
-  int const octave = get<field::octave>(kp, k);
+  int const octave = kp.octave(k);
   return octave >= w.min_level && (w.max_level < 0 || octave <= w.max_level) &&
-         ::fabsf(get<field::x>(kp, k) - w.x) < w.radius &&
-         ::fabsf(get<field::y>(kp, k) - w.y) < w.radius;
+         ::fabsf(kp.x(k) - w.x) < w.radius && ::fabsf(kp.y(k) - w.y) < w.radius;
 }
 
 }  // namespace FT_ABI

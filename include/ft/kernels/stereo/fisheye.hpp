@@ -77,7 +77,7 @@ struct match_fisheye_keypoint {
     int const first = stereo.mono_count[2 * pair];
     int const right_first = stereo.mono_count[2 * pair + 1];
     int const right_count = *right.count;
-    descriptor const mine = get<field::orb>(left, i);
+    descriptor const mine = left.orb(i);
     if (i >= count || i < first) { return; }
 
     two_nearest const best = nearest(g, mine, right, right_first, right_count);
@@ -114,7 +114,7 @@ private:
       descriptor theirs[together];
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
-        theirs[n] = get<field::orb>(right, min_of(base + n * g.size(), end - 1));
+        theirs[n] = right.orb(min_of(base + n * g.size(), end - 1));
       }
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
@@ -136,11 +136,10 @@ private:
     fisheye_stereo_params const& params = stereo.params;
     constexpr bool by_halves =
         Group::max_threads == 32 && std::is_same<decltype(rig.left), decltype(rig.right)>::value;
-    vec2<strict_float> const pl{get<field::x>(pair.left, pair.i), get<field::y>(pair.left, pair.i)};
-    vec2<strict_float> const pr{get<field::x>(pair.right, pair.j),
-                                get<field::y>(pair.right, pair.j)};
-    float const sigma2_l = stereo.geometry.sigma2[get<field::octave>(pair.left, pair.i)];
-    float const sigma2_r = stereo.geometry.sigma2[get<field::octave>(pair.right, pair.j)];
+    vec2<strict_float> const pl{pair.left.x(pair.i), pair.left.y(pair.i)};
+    vec2<strict_float> const pr{pair.right.x(pair.j), pair.right.y(pair.j)};
+    float const sigma2_l = stereo.geometry.sigma2[pair.left.octave(pair.i)];
+    float const sigma2_r = stereo.geometry.sigma2[pair.right.octave(pair.j)];
     auto const cam_l = rig.left.template cast<strict_float>();
     auto const cam_r = rig.right.template cast<strict_float>();
     bool const is_right = g.rank() % 2 != 0;

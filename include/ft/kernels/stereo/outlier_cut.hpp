@@ -51,7 +51,7 @@ struct cut_stereo_outliers {
     FT_UNROLL
     for (int k = 0; k < kept; ++k) {
       int const i = g.rank() + k * g.size();
-      first[k] = i < m.capacity ? get<field::score>(m, i) : -1;
+      first[k] = i < m.capacity ? m.score(i) : -1;
     }
     int const n = *m.count;
     FT_UNROLL
@@ -65,7 +65,7 @@ struct cut_stereo_outliers {
       }
       FT_NO_UNROLL
       for (int i = g.rank() + kept * g.size(); i < n; i += g.size()) {
-        int const score = get<field::score>(m, i);
+        int const score = m.score(i);
         if (score >= 0) { visit(i, score); }
       }
     };
@@ -98,9 +98,9 @@ struct cut_stereo_outliers {
     float const limit = mul(mul(1.5f, 1.4f), static_cast<float>(median));
     each_score([&](int i, int score) {
       if (static_cast<float>(score) >= limit) {
-        get<field::right_x>(m, i) = -1;
-        get<field::depth>(m, i) = -1;
-        get<field::score>(m, i) = -1;
+        m.right_x(i) = -1;
+        m.depth(i) = -1;
+        m.score(i) = -1;
       }
     });
   }

@@ -46,12 +46,11 @@ struct match_left_keypoint {
     keypoints_view const right = keypoints.slice(2 * pair + 1);
     // Loaded together, although the entry may turn out to be past the count.
     int const count = *left.count;
-    feature const mine{get<field::x>(left, i), get<field::y>(left, i), get<field::octave>(left, i),
-                       get<field::orb>(left, i)};
+    feature const mine{left.x(i), left.y(i), left.octave(i), left.orb(i)};
     if (g.rank() == 0) {
-      get<field::right_x>(out, item) = -1;
-      get<field::depth>(out, item) = -1;
-      get<field::score>(out, item) = -1;
+      out.right_x(item) = -1;
+      out.depth(item) = -1;
+      out.score(item) = -1;
       if (i == 0) { out.count[pair] = count; }
     }
     if (i >= count) { return; }
@@ -80,7 +79,7 @@ struct match_left_keypoint {
     candidate_band const band(pyramid.geometry, mine, row, params);
     int const j = nearest(g, mine.orb, band, right, listed, params.hamming_limit);
     if (j < 0) { return; }
-    int const ur = round_away(mul(get<field::x>(right, j), inv));
+    int const ur = round_away(mul(right.x(j), inv));
     if (ur < 2 * window_half || ur + window_side >= level_r.width) { return; }  // as above
 
     int sums[window_side];
@@ -92,9 +91,9 @@ struct match_left_keypoint {
     if (g.rank() != 0) { return; }
     refined const r = refine(pyramid.geometry, mine, ur, sums, params.max_disparity);
     if (!r.valid) { return; }
-    get<field::depth>(out, item) = (params.bf / r.disparity).value;
-    get<field::right_x>(out, item) = r.column.value;
-    get<field::score>(out, item) = r.score;
+    out.depth(item) = (params.bf / r.disparity).value;
+    out.right_x(item) = r.column.value;
+    out.score(item) = r.score;
   }
 
 private:
@@ -202,16 +201,16 @@ private:
       int o[together];
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
-        x[n] = get<field::x>(right, j[n]);
-        y[n] = get<field::y>(right, j[n]);
-        o[n] = get<field::octave>(right, j[n]);
+        x[n] = right.x(j[n]);
+        y[n] = right.y(j[n]);
+        o[n] = right.octave(j[n]);
       }
       g.sync();
       FT_UNROLL
       for (int n = 0; n < together; ++n) { near[n] = is_candidate(x[n], y[n], o[n]); }
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
-        if (near[n]) { theirs[n] = get<field::orb>(right, j[n]); }
+        if (near[n]) { theirs[n] = right.orb(j[n]); }
       }
       FT_UNROLL
       for (int n = 0; n < together; ++n) {

@@ -74,15 +74,15 @@ struct pack_keypoints {
     auto const kept = last.keypoints.slice(frame.keypoint_step * b + c);
     if (i == 0) { out.keypoints[b * frame.cameras + c] = *kept.count = *kp.count; }
     bool const there = i < *kp.count;
-    float const x = there ? get<field::x>(kp, i) : 0.0f;
-    float const y = there ? get<field::y>(kp, i) : 0.0f;
+    float const x = there ? kp.x(i) : 0.0f;
+    float const y = there ? kp.y(i) : 0.0f;
     out.x[item] = x;
     out.y[item] = y;
-    int const octave = there ? get<field::octave>(kp, i) : 0;
+    int const octave = there ? kp.octave(i) : 0;
     out.octave[item] = octave;
     if (there) {
-      get<field::octave>(kept, i) = octave;
-      get<field::angle>(kept, i) = get<field::angle>(kp, i);
+      kept.octave(i) = octave;
+      kept.angle(i) = kp.angle(i);
     }
     out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
     if (c != 0) { return; }

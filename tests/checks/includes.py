@@ -34,6 +34,8 @@ GUARDED = {
     "Eigen": (re.compile(r"(Eigen|unsupported/Eigen|eigen3)/"), "ft/interop/eigen.hpp"),
     "CUB": (re.compile(r"cub/"), "ft/core/detail/cuda_groups.hpp"),
     "libcu++": (re.compile(r"cuda/"), "ft/core/detail/cuda_atomics.hpp"),
+    "vector instructions": (re.compile(r"(?!emm)\w+intrin\.h|arm_\w+\.h"), "ft/core/detail/host_simd.hpp"),
+    "SSE2": (re.compile(r"emmintrin\.h"), "ft/core/arithmetic.hpp"),  # one rounding; cheap to include
 }
 FORBIDDEN = {
     "the support library": re.compile(r"examples/sequence/"),
@@ -215,6 +217,8 @@ VIOLATIONS = [
     ("include/ft/containers/soa.hpp", "#include <thrust/sort.h>", "includes Thrust"),
     ("include/ft/kernels/blur.hpp", "#include <cub/warp/warp_scan.cuh>", "includes CUB"),
     ("include/ft/core/math.hpp", "#include <cuda/atomic>", "includes libcu++"),
+    ("include/ft/kernels/blur.hpp", "#include <immintrin.h>", "includes vector instructions"),
+    ("include/ft/kernels/blur.hpp", "#include <emmintrin.h>", "includes SSE2"),
     ("include/ft/kernels/blur.hpp", '#include "ft/pipelines/tracker.hpp"', "kernels may not include"),
     ("include/ft/kernels/blur.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
     ("include/ft/kernels/detail/row.hpp", '#include "examples/sequence/reader.hpp"', "the support library"),

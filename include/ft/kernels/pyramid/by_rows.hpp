@@ -3,15 +3,10 @@
 #pragma once
 
 #include <cstdint>
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__CUDA_ARCH__)
-#include <immintrin.h>
-#define FT_HAS_SHUFFLE 1
-#else
-#define FT_HAS_SHUFFLE 0
-#endif
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/detail/host_simd.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
 
@@ -19,33 +14,6 @@ namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
-
-/// Taps of eight consecutive columns whose sources lie within 16 pixels.
-struct eight_taps {
-  alignas(32) std::uint8_t pick[32];     ///< shuffle: per column first pixel, 0, second pixel, 0
-  alignas(32) std::int16_t weights[16];  ///< per column of the first and the second pixel
-  std::int32_t first;                    ///< column of the 16 pixels
-};
-
-#if FT_HAS_SHUFFLE
-/// Interpolates 8 * count columns, as column_taps::interpolate() does.
-__attribute__((target("avx2"))) inline void interpolate_eights(std::uint8_t const* row,
-                                                               eight_taps const* taps, int count,
-                                                               std::int16_t* out) {
-  for (int i = 0; i < count; ++i) {
-    eight_taps const& t = taps[i];
-    __m128i const sixteen = _mm_loadu_si128(reinterpret_cast<__m128i const*>(row + t.first));
-    __m256i const pairs =
-        _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(sixteen),
-                            _mm256_load_si256(reinterpret_cast<__m256i const*>(t.pick)));
-    __m256i const sums = _mm256_srai_epi32(
-        _mm256_madd_epi16(pairs, _mm256_load_si256(reinterpret_cast<__m256i const*>(t.weights))),
-        4);
-    __m256i const packed = _mm256_permute4x64_epi64(_mm256_packs_epi32(sums, sums), 0x08);
-    _mm_storeu_si128(reinterpret_cast<__m128i*>(out + 8 * i), _mm256_castsi256_si128(packed));
-  }
-}
-#endif
 
 /// Interpolation along rows for up to N columns. Uses AVX2 if the processor has it.
 template <int N>
@@ -63,9 +31,9 @@ public:
       for (int k = 0; k < 8; ++k) {
         auto const place = static_cast<std::uint8_t>(t[k].first - e.first);
         e.pick[4 * k] = place;
-        e.pick[4 * k + 1] = none;
+        e.pick[4 * k + 1] = eight_taps::zero;
         e.pick[4 * k + 2] = static_cast<std::uint8_t>(place + t[k].offset);
-        e.pick[4 * k + 3] = none;
+        e.pick[4 * k + 3] = eight_taps::zero;
         e.weights[2 * k] = t[k].w0;
         e.weights[2 * k + 1] = t[k].w1;
       }
@@ -78,7 +46,7 @@ public:
   /// out[x] = (pixel * weight + next pixel * weight) >> 4. @param out [N]
   FT_HOST_DEVICE void interpolate(std::uint8_t const* row, std::int16_t* out) const {
 #if FT_HAS_SHUFFLE
-    if (count_ > 0) { interpolate_eights(row, eights_, count_, out); }
+    if (count_ > 0) { weigh_eights(row, eights_, count_, out); }
 #endif
     for (int x = 8 * count_; x < n_; ++x) {
       resize_tap const& t = taps_[x];
@@ -90,8 +58,7 @@ public:
 private:
   resize_tap const* taps_;
   int n_;
-  static constexpr std::uint8_t none = 0x80;  ///< selects a zero
-  int count_ = 0;                             ///< eights that use the shuffle
+  int count_ = 0;  ///< eights that use the shuffle
   eight_taps eights_[N / 8];
 };
 

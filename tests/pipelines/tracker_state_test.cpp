@@ -235,6 +235,26 @@ TYPED_TEST(tracker_state_test, relocalize_leaves_its_pose_and_holders) {
   });
 }
 
+TYPED_TEST(tracker_state_test, a_frame_with_the_number_of_an_earlier_one_knows_nothing_of_it) {
+  auto const& exec = this->exec();
+  tracked_walk<typename TestFixture::exec_type, ft::rectified_rig> walk(exec, rig());
+  std::vector<int> const none(walk.holders.size(), -1);
+  auto const track_without_last = [&] {
+    walk.tracker.set_last(exec, 0, walk.first_pose(), none);
+    return walk.track(1);
+  };
+  auto const want = track_without_last();  // number 1
+  ASSERT_GT(want.matches, 100);
+  walk.use_first();
+  ASSERT_GT(walk.track_motion(1).matches, 100);  // number 2, by which map points are stamped
+  for (int number = 3; number < ft::detail::frame_numbers + 2; ++number) {
+    walk.tracker.relocalize(exec, {walk.first_pose(), {}});
+    exec.wait();
+  }
+  walk.use_first();
+  expect_same(track_without_last(), want);  // number 2 again
+}
+
 TYPED_TEST(tracker_state_test, a_moved_tracker_keeps_its_last_state) {
   auto const& exec = this->exec();
   tracked_walk<typename TestFixture::exec_type, ft::rectified_rig> stays(exec, rig());

@@ -7,7 +7,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <limits>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -331,7 +330,7 @@ private:
     for (int b = 0; b < batch(); ++b) {
       require_finite_pose("an entry of a predicted pose", pose_of(b));
     }
-    if (frame_number_ == std::numeric_limits<int>::max()) {
+    if (frame_number_ == detail::frame_numbers) {
       stages_.forget_stamps(exec);
       frame_number_ = 0;
     }

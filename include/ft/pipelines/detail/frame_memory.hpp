@@ -44,10 +44,13 @@ inline void carve(carver& c, tracked_frame_view& v, int batch) {
   v.in_view = c.take<unsigned char>(checked_mul(b, static_cast<std::size_t>(v.local_points)));
 }
 
+/// Frames are numbered from 1 to this and then from 1 again, with stamps forgotten in between.
+inline constexpr int frame_numbers = 4096;
+
 /// Host inputs of the search from the last frame.
 struct motion_input {
   pose* predicted = nullptr;  ///< [batch] T_cw
-  int* stamp = nullptr;       ///< [batch] number of this frame
+  int* stamp = nullptr;       ///< [batch] number of this frame, 1 to frame_numbers
 };
 
 inline void carve(carver& c, motion_input& v, int batch) {

@@ -81,15 +81,19 @@ Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation
   return result;
 }
 
-/// Root mean square of the translation errors over about `interval_ns`; nothing without such pairs.
-std::optional<double> relative_error(std::vector<matched_pose> const& pairs, bool orientation,
-                                     std::int64_t interval_ns) {
+/// Two matched poses about the RPE interval apart.
+struct pose_step {
+  std::size_t from, to;
+};
+
+/// For each pose the one nearest to `interval_ns` later, within interval_tolerance.
+std::vector<pose_step> steps_over(std::vector<matched_pose> const& pairs,
+                                  std::int64_t interval_ns) {
   double const tolerance = interval_tolerance * static_cast<double>(interval_ns);
-  double sum = 0;
-  int count = 0;
+  std::vector<pose_step> steps;
   std::size_t j = 0;
-  for (matched_pose const& a : pairs) {
-    std::int64_t const wanted = a.time_ns + interval_ns;
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    std::int64_t const wanted = pairs[i].time_ns + interval_ns;
     auto const distance = [&](std::size_t k) {
       return std::fabs(static_cast<double>(pairs[k].time_ns - wanted));
     };
@@ -98,22 +102,61 @@ std::optional<double> relative_error(std::vector<matched_pose> const& pairs, boo
     // not.
     bool const past_end =
         j + 1 == pairs.size() && wanted > pairs[j].time_ns && distance(j) > 0.1 * tolerance;
-    if (distance(j) > tolerance || past_end) { continue; }
-    matched_pose const& b = pairs[j];
-    double miss = 0;
+    if (distance(j) <= tolerance && !past_end) { steps.push_back({i, j}); }
+  }
+  return steps;
+}
+
+double root_mean_square(double sum, std::size_t count) {
+  return std::sqrt(sum / static_cast<double>(count));
+}
+
+/// The relative errors; nothing without steps.
+void add_relative_errors(std::vector<matched_pose> const& pairs,
+                         std::vector<pose_step> const& steps, bool orientation,
+                         trajectory_error& result) {
+  if (steps.empty()) { return; }
+  double translations = 0;
+  double rotations = 0;
+  bool equal_spans = true;
+  std::size_t const span = steps.front().to - steps.front().from;
+  for (pose_step const& s : steps) {
+    matched_pose const& a = pairs[s.from];
+    matched_pose const& b = pairs[s.to];
+    equal_spans = equal_spans && s.to - s.from == span;
     if (orientation) {
       Eigen::Isometry3d const truth = a.truth.inverse() * b.truth;
       Eigen::Isometry3d const estimate = a.estimate.inverse() * b.estimate;
-      miss = (truth.inverse() * estimate).translation().norm();
+      Eigen::Isometry3d const miss = truth.inverse() * estimate;
+      translations += miss.translation().squaredNorm();
+      double const angle = angle_deg(miss.linear());
+      rotations += angle * angle;
     } else {
-      miss = (b.truth.translation() - a.truth.translation()).norm() -
-             (b.estimate.translation() - a.estimate.translation()).norm();
+      double const miss = (b.truth.translation() - a.truth.translation()).norm() -
+                          (b.estimate.translation() - a.estimate.translation()).norm();
+      translations += miss * miss;
     }
-    sum += miss * miss;
-    ++count;
   }
-  if (count == 0) { return std::nullopt; }
-  return std::sqrt(sum / count);
+  result.rpe_rmse_m = root_mean_square(translations, steps.size());
+  if (orientation) { result.rpe_rotation_rmse_deg = root_mean_square(rotations, steps.size()); }
+  if (equal_spans && steps.size() + span == pairs.size()) {
+    result.rpe_span = static_cast<int>(span);
+  }
+}
+
+/// The errors after the alignment.
+void add_absolute_errors(std::vector<matched_pose> const& pairs, bool orientation,
+                         trajectory_error& result) {
+  double translations = 0;
+  double rotations = 0;
+  for (matched_pose const& p : pairs) {
+    Eigen::Isometry3d const aligned = result.T_truth_estimate * p.estimate;
+    translations += (p.truth.translation() - aligned.translation()).squaredNorm();
+    double const angle = angle_deg(p.truth.linear().transpose() * aligned.linear());
+    rotations += angle * angle;
+  }
+  result.ate_rmse_m = root_mean_square(translations, pairs.size());
+  if (orientation) { result.ate_rotation_rmse_deg = root_mean_square(rotations, pairs.size()); }
 }
 
 void check_sorted_and_finite(trajectory const& poses, char const* what) {
@@ -159,10 +202,10 @@ trajectory read_tum(std::string const& path) {
   return poses;
 }
 
-void write_tum(std::string const& path, trajectory const& poses) {
+void write_tum(std::string const& path, trajectory const& poses, std::string const& of) {
   std::ofstream out(path, std::ios::binary);
   if (!out) { throw error(path + ": cannot be written"); }
-  out << "# time tx ty tz qx qy qz qw (seconds, metres; camera to world)\n";
+  out << "# time tx ty tz qx qy qz qw (seconds, metres; " << of << " to world)\n";
   for (stamped_pose const& pose : poses) {
     Eigen::Vector3d const t = pose.T_world_camera.translation();
     Eigen::Quaterniond q(pose.T_world_camera.linear());
@@ -186,6 +229,47 @@ void write_tum(std::string const& path, trajectory const& poses) {
   }
   out.flush();
   if (!out) { throw error(path + ": write failed (disk full?)"); }
+}
+
+void write_kitti_poses(std::string const& path, trajectory const& poses) {
+  std::ofstream out(path, std::ios::binary);
+  if (!out) { throw error(path + ": cannot be written"); }
+  for (stamped_pose const& pose : poses) {
+    std::string line;
+    for (int i = 0; i < 12; ++i) {
+      double const value = pose.T_world_camera.matrix()(i / 4, i % 4);
+      char number[64];
+      int const length = std::snprintf(number, sizeof number, i == 0 ? "%.9e" : " %.9e", value);
+      if (length < 0 || length >= static_cast<int>(sizeof number) || !std::isfinite(value)) {
+        throw error(path + ": a pose is not finite");
+      }
+      line += number;
+    }
+    out << line << '\n';
+  }
+  out.flush();
+  if (!out) { throw error(path + ": write failed (disk full?)"); }
+}
+
+trajectory poses_of(trajectory const& cameras, Eigen::Isometry3d const& T_camera_other) {
+  trajectory poses = cameras;
+  for (stamped_pose& pose : poses) { pose.T_world_camera = pose.T_world_camera * T_camera_other; }
+  return poses;
+}
+
+trajectory at_times_of(trajectory const& poses, trajectory const& reference) {
+  trajectory found;
+  for (stamped_pose const& pose : poses) {
+    if (auto const at = interpolate(reference, pose.time_ns)) {
+      found.push_back({pose.time_ns, *at});
+    }
+  }
+  return found;
+}
+
+double angle_deg(Eigen::Matrix3d const& R) {
+  constexpr double degree = 180.0 / 3.14159265358979323846;
+  return degree * Eigen::AngleAxisd(R).angle();
 }
 
 std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::int64_t time_ns,
@@ -237,16 +321,9 @@ trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, b
   }
   if (pairs.empty()) { return result; }
   result.T_truth_estimate = align(pairs, orientation);
-  if (pairs.size() >= 3) {
-    double sum = 0;
-    for (matched_pose const& p : pairs) {
-      sum += (p.truth.translation() - result.T_truth_estimate * p.estimate.translation())
-                 .squaredNorm();
-    }
-    result.ate_rmse_m = std::sqrt(sum / static_cast<double>(pairs.size()));
-  }
-  result.rpe_rmse_m = relative_error(pairs, orientation,
-                                     static_cast<std::int64_t>(std::llround(rpe_interval_s * 1e9)));
+  if (pairs.size() >= 3) { add_absolute_errors(pairs, orientation, result); }
+  auto const interval_ns = static_cast<std::int64_t>(std::llround(rpe_interval_s * 1e9));
+  add_relative_errors(pairs, steps_over(pairs, interval_ns), orientation, result);
   return result;
 }
 

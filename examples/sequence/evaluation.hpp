@@ -12,12 +12,26 @@ namespace seq {
 /// "time tx ty tz qx qy qz qw", seconds with 9 decimals; lines starting with # are comments.
 /// @throws seq::error with file and line
 trajectory read_tum(std::string const& path);
-void write_tum(std::string const& path, trajectory const& poses);
+/// @param of whose poses they are, for the comment in the first line
+void write_tum(std::string const& path, trajectory const& poses, std::string const& of = "camera");
+
+/// KITTI odometry's format: a line of 12 numbers for each pose, 3x4 row-major, without time stamps.
+/// @throws seq::error
+void write_kitti_poses(std::string const& path, trajectory const& poses);
+
+/// The poses of something that moves with the camera: T_world_camera * T_camera_other for each.
+trajectory poses_of(trajectory const& cameras, Eigen::Isometry3d const& T_camera_other);
+
+/// `reference` at the times of `poses`, where it can be interpolated.
+trajectory at_times_of(trajectory const& poses, trajectory const& reference);
 
 /// Position (and orientation by slerp) of `reference` at `time_ns`, linear between neighbours.
 /// Nothing outside its range or inside a gap longer than `max_gap_ns`.
 std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::int64_t time_ns,
                                              std::int64_t max_gap_ns = 500'000'000);
+
+/// Angle of a rotation, 0 to 180 degrees.
+double angle_deg(Eigen::Matrix3d const& R);
 
 struct trajectory_error {
   int pairs = 0;            ///< poses with ground truth
@@ -28,6 +42,11 @@ struct trajectory_error {
       ate_rmse_m;  ///< after SE(3) alignment (Umeyama/Horn without scale); needs 3 pairs
   std::optional<double>
       rpe_rmse_m;  ///< translation part of relative pose error over `rpe_interval_s`
+  /// Rotation parts of both errors, degrees; nothing where ground truth has no orientations.
+  std::optional<double> ate_rotation_rmse_deg, rpe_rotation_rmse_deg;
+  /// How many pairs of poses a relative error spans, where that is the same everywhere and none of
+  /// that span is left out.
+  std::optional<int> rpe_span;
   Eigen::Isometry3d T_truth_estimate = Eigen::Isometry3d::Identity();  ///< the alignment
 };
 

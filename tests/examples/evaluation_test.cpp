@@ -5,6 +5,8 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
+#include <cstddef>
+#include <fstream>
 #include <random>
 #include <string>
 #include <vector>
@@ -114,6 +116,47 @@ TEST(evaluate, constant_drift_is_the_rpe) {
   }
   EXPECT_NEAR(seq::evaluate(estimate, truth, true, 1.0).rpe_rmse_m.value(), 0.01, 1e-9);
   EXPECT_NEAR(seq::evaluate(estimate, truth, true, 2.0).rpe_rmse_m.value(), 0.02, 1e-9);
+}
+
+TEST(evaluate, a_turn_of_the_camera_in_its_mount_is_a_rotation_error_alone) {
+  seq::trajectory const truth = moved(winding_path(200), world_shift);
+  double const degree = std::acos(-1.0) / 180;
+  seq::trajectory const estimate =
+      seq::poses_of(winding_path(200), make_pose({0, 3 * degree, 0}, {0, 0, 0}));
+  seq::trajectory_error const e = seq::evaluate(estimate, truth, true);
+  EXPECT_LT(*e.ate_rmse_m, 1e-9);
+  EXPECT_NEAR(*e.ate_rotation_rmse_deg, 3, 1e-9);
+  // without orientations nothing is said of them
+  seq::trajectory_error const positions = seq::evaluate(estimate, truth, false);
+  EXPECT_FALSE(positions.ate_rotation_rmse_deg);
+  EXPECT_FALSE(positions.rpe_rotation_rmse_deg);
+  EXPECT_TRUE(positions.ate_rmse_m);
+}
+
+TEST(evaluate, a_steady_turn_is_the_relative_rotation_error) {
+  seq::trajectory const truth = winding_path(200);
+  seq::trajectory estimate = truth;
+  double const degree = std::acos(-1.0) / 180;
+  for (std::size_t i = 0; i < estimate.size(); ++i) {  // 0.1 degrees a frame, 20 frames a second
+    Eigen::Isometry3d const turn =
+        make_pose({0, 0, 0.1 * degree * static_cast<double>(i)}, {0, 0, 0});
+    estimate[i].T_world_camera = turn * truth[i].T_world_camera;
+  }
+  seq::trajectory_error const e = seq::evaluate(estimate, truth, true);
+  EXPECT_NEAR(*e.rpe_rotation_rmse_deg, 2, 1e-9);
+}
+
+TEST(evaluate, the_span_of_relative_errors_is_one_number_or_none) {
+  seq::trajectory const truth = winding_path(100);
+  EXPECT_EQ(seq::evaluate(truth, truth, true).rpe_span, 20);
+  EXPECT_EQ(seq::evaluate(truth, truth, true, 0.5).rpe_span, 10);
+  seq::trajectory gap = truth;
+  gap.erase(gap.begin() + 40, gap.begin() + 45);
+  EXPECT_TRUE(seq::evaluate(gap, truth, true).rpe_rmse_m);
+  EXPECT_FALSE(seq::evaluate(gap, truth, true).rpe_span);
+  gap = truth;
+  gap.erase(gap.begin() + 10, gap.begin() + 90);  // no pair that is a second apart
+  EXPECT_FALSE(seq::evaluate(gap, truth, true).rpe_span);
 }
 
 TEST(evaluate, static_paths_are_well_defined) {
@@ -246,6 +289,54 @@ TEST(tum, written_poses_are_read_back) {
     EXPECT_EQ(back[i].time_ns, path[i].time_ns);
     EXPECT_LT((back[i].T_world_camera.matrix() - path[i].T_world_camera.matrix()).norm(), 1e-8);
   }
+}
+
+TEST(tum, the_comment_says_whose_poses_they_are) {
+  temp_folder const folder;
+  seq::write_tum(folder.path("t.txt"), winding_path(1), "body");
+  std::ifstream file(folder.path("t.txt"));
+  std::string first;
+  std::getline(file, first);
+  EXPECT_TRUE(contains(first, "body to world"));
+}
+
+TEST(kitti_poses, are_the_upper_rows_of_the_matrix) {
+  temp_folder const folder;
+  seq::trajectory const poses = winding_path(5);
+  seq::write_kitti_poses(folder.path("poses.txt"), poses);
+  std::ifstream file(folder.path("poses.txt"));
+  for (seq::stamped_pose const& pose : poses) {
+    for (int row = 0; row < 3; ++row) {
+      for (int column = 0; column < 4; ++column) {
+        double value = 0;
+        file >> value;
+        EXPECT_NEAR(value, pose.T_world_camera.matrix()(row, column), 1e-8);
+      }
+    }
+  }
+  std::string rest;
+  EXPECT_FALSE(file >> rest);
+
+  seq::trajectory broken = poses;
+  broken[2].T_world_camera.translation().x() = std::nan("");
+  EXPECT_TRUE(contains(
+      message_of([&] { seq::write_kitti_poses(folder.path("broken.txt"), broken); }), "finite"));
+  EXPECT_TRUE(contains(
+      message_of([&] { seq::write_kitti_poses(folder.path("no/such/file"), poses); }), "no/such"));
+}
+
+TEST(trajectories, at_times_of_leaves_out_what_has_no_reference) {
+  seq::trajectory const reference = winding_path(10);
+  seq::trajectory asked{reference[3], reference[7]};
+  asked[0].time_ns += 25'000'000;  // halfway to the next
+  asked.push_back({start_ns + 60'000'000'000, {}});
+  seq::trajectory const found = seq::at_times_of(asked, reference);
+  ASSERT_EQ(found.size(), 2u);
+  EXPECT_EQ(found[0].time_ns, asked[0].time_ns);
+  Eigen::Vector3d const middle =
+      (reference[3].T_world_camera.translation() + reference[4].T_world_camera.translation()) / 2;
+  EXPECT_LT((found[0].T_world_camera.translation() - middle).norm(), 1e-12);
+  EXPECT_TRUE(found[1].T_world_camera.isApprox(reference[7].T_world_camera));
 }
 
 TEST(tum, reads_comments_order_and_formats) {

@@ -557,14 +557,17 @@ Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0) {
   return yaml_file((fs::path(mav0) / "cam0" / "sensor.yaml").string()).transform("T_BS");
 }
 
-calibration read_kitti_calibration(std::string const& path, int width, int height) {
+calibration read_kitti_calibration(std::string const& path, int width, int height,
+                                   int left_camera) {
+  std::string const left = "P" + std::to_string(left_camera);
+  std::string const right = "P" + std::to_string(left_camera + 1);
   std::map<std::string, projection_matrix> found;
   for (detail::text_line const& line : detail::read_lines(path)) {
     std::size_t const colon = line.text.find(':');
     std::string const key =
         colon == std::string::npos ? std::string() : detail::trim(line.text.substr(0, colon));
-    if (key != "P0" && key != "P1") {
-      continue;  // colour cameras, the lidar
+    if (key != left && key != right) {
+      continue;  // other cameras, the lidar
     }
     std::vector<std::string> const words = detail::split(line.text.substr(colon + 1), " \t", true);
     if (words.size() != 12) {
@@ -580,16 +583,17 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
       detail::fail_at(path, line.number, key + " is given twice");
     }
   }
-  for (char const* key : {"P0", "P1"}) {
+  for (std::string const& key : {left, right}) {
     if (found.count(key) == 0) { throw error(path + ": " + key + ": line is missing"); }
   }
   calibration result;
   Eigen::Vector3d left_offset;
   Eigen::Vector3d right_offset;
-  result.rig.left = from_projection(found["P0"], path, "P0", left_offset);
-  result.rig.right = from_projection(found["P1"], path, "P1", right_offset);
+  result.rig.left = from_projection(found[left], path, left, left_offset);
+  result.rig.right = from_projection(found[right], path, right, right_offset);
   // x_camera = x_reference + offset for either camera.
   result.rig.T_left_right.translation() = left_offset - right_offset;
+  result.T_reference_left.translation() = -left_offset;
   result.rig.left.width = result.rig.right.width = width;
   result.rig.left.height = result.rig.right.height = height;
   check_rig(result.rig, path);
@@ -632,7 +636,7 @@ calibration read_orb_slam3_settings(std::string const& path, int width, int heig
   return result;
 }
 
-calibration read_calibration(std::string const& path, int width, int height) {
+calibration read_calibration(std::string const& path, int width, int height, int left_camera) {
   std::string const mav0 = find_mav0(path);
   if (!mav0.empty()) { return read_euroc_calibration(mav0); }
   if (detail::is_directory(path)) {
@@ -640,12 +644,12 @@ calibration read_calibration(std::string const& path, int width, int height) {
     if (!detail::is_file(inside)) {
       throw error(path + ": holds no calibration: neither cam0/sensor.yaml, mav0 nor calib.txt");
     }
-    return read_kitti_calibration(inside, width, height);
+    return read_kitti_calibration(inside, width, height, left_camera);
   }
   for (detail::text_line const& line : detail::read_lines(path)) {
     std::string const text = detail::trim(line.text);
     if (text.compare(0, 3, "P0:") == 0 || text.compare(0, 3, "P1:") == 0) {
-      return read_kitti_calibration(path, width, height);
+      return read_kitti_calibration(path, width, height, left_camera);
     }
   }
   return read_orb_slam3_settings(path, width, height);

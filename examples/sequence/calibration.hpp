@@ -19,6 +19,8 @@ struct calibration {
   stereo_rig rig;
   orb_settings settings;        ///< ORB-SLAM3 settings files only
   bool has_body_frame = false;  ///< the file gives T_body_left; otherwise it is the identity
+  /// KITTI: maps points of the left camera to the reference frame, which poses.txt is about.
+  Eigen::Isometry3d T_reference_left = Eigen::Isometry3d::Identity();
 };
 
 /// EuRoC: `mav0`/cam0/sensor.yaml and `mav0`/cam1/sensor.yaml. Distortion models radial-tangential
@@ -30,11 +32,13 @@ calibration read_euroc_calibration(std::string const& mav0);
 /// @throws seq::error
 Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0);
 
-/// KITTI: the lines "P0:" and "P1:" of 12 numbers, 3x4 row-major projections of one reference
-/// frame.
+/// KITTI: the lines "P0:" and "P1:" (or "P2:" and "P3:") of 12 numbers, 3x4 row-major projections
+/// of one reference frame.
 /// @param width,height the images' size, which the file does not give, pixels
+/// @param left_camera number of the left camera, 0 (grey) or 2 (colour)
 /// @throws seq::error
-calibration read_kitti_calibration(std::string const& path, int width, int height);
+calibration read_kitti_calibration(std::string const& path, int width, int height,
+                                   int left_camera = 0);
 
 /// ORB-SLAM3 settings, both formats: `Camera1.fx` with `Stereo.T_c1_c2` (maps camera-2 points into
 /// camera 1) or `Stereo.b`; and the older `Camera.fx` with `Camera.bf`, `LEFT.K` .. `RIGHT.P`, or
@@ -47,8 +51,10 @@ calibration read_orb_slam3_settings(std::string const& path, int width = 0, int 
 /// Any of these: a folder (`mav0`, or one that contains `mav0` or calib.txt), a cam0/sensor.yaml, a
 /// KITTI calib.txt or an ORB-SLAM3 settings file; recognised by content.
 /// @param width,height the images' size, for files that do not give it; 0 = unknown
+/// @param left_camera see read_kitti_calibration
 /// @throws seq::error
-calibration read_calibration(std::string const& path, int width = 0, int height = 0);
+calibration read_calibration(std::string const& path, int width = 0, int height = 0,
+                             int left_camera = 0);
 
 /// @param source file to name in the message
 /// @throws seq::error if the rig is not usable

@@ -32,10 +32,11 @@ struct pair_files {
   std::string right;
 };
 
-/// Poses in the file's frame: of the body or of the raw left camera.
+/// Poses in the file's frame.
 struct raw_ground_truth {
+  enum frame { body, raw_left, kitti_reference };
   trajectory poses;
-  bool body = false;
+  frame of = raw_left;
   bool orientation = false;
 };
 
@@ -74,7 +75,13 @@ std::map<std::int64_t, std::string> read_image_list(std::string const& path) {
   return images;
 }
 
-std::vector<pair_files> find_euroc_pairs(fs::path const& mav0) {
+/// The pairs of a sequence, and how many images have no partner.
+struct found_pairs {
+  std::vector<pair_files> pairs;
+  unpaired_images unpaired;
+};
+
+found_pairs find_euroc_pairs(fs::path const& mav0) {
   std::map<std::int64_t, std::string> lists[2];
   for (std::size_t camera = 0; camera < 2; ++camera) {
     fs::path const folder = mav0 / ("cam" + std::to_string(camera));
@@ -85,22 +92,36 @@ std::vector<pair_files> find_euroc_pairs(fs::path const& mav0) {
     lists[camera] = read_image_list(csv);
     if (lists[camera].empty()) { throw error(csv + ": lists no images"); }
   }
-  std::vector<pair_files> pairs;
+  found_pairs found;
   int common = 0;
+  auto const file_of = [&](char const* camera, std::string const& name) {
+    return find_image(mav0 / camera / "data", name);
+  };
   for (auto const& [time_ns, name] : lists[0]) {
+    std::string const left = file_of("cam0", name);
     auto const other = lists[1].find(time_ns);
-    if (other == lists[1].end()) { continue; }
+    if (other == lists[1].end()) {
+      found.unpaired.left += static_cast<int>(!left.empty());
+      continue;
+    }
     ++common;
-    std::string const left = find_image(mav0 / "cam0" / "data", name);
-    std::string const right = find_image(mav0 / "cam1" / "data", other->second);
-    if (!left.empty() && !right.empty()) { pairs.push_back({time_ns, left, right}); }
+    std::string const right = file_of("cam1", other->second);
+    if (!left.empty() && !right.empty()) {
+      found.pairs.push_back({time_ns, left, right});
+    } else {
+      found.unpaired.left += static_cast<int>(!left.empty());
+      found.unpaired.right += static_cast<int>(!right.empty());
+    }
   }
-  if (pairs.empty()) {
+  for (auto const& [time_ns, name] : lists[1]) {
+    if (lists[0].count(time_ns) == 0 && !file_of("cam1", name).empty()) { ++found.unpaired.right; }
+  }
+  if (found.pairs.empty()) {
     throw error(mav0.string() + ": no stereo pair: cam0 lists " + std::to_string(lists[0].size()) +
                 " images, cam1 " + std::to_string(lists[1].size()) + ", " + std::to_string(common) +
                 " with equal time stamps, 0 with both files present");
   }
-  return pairs;
+  return found;
 }
 
 /// frame number -> file, of a folder of numbered images; other files are ignored.
@@ -139,20 +160,24 @@ std::vector<std::int64_t> read_times(std::string const& path) {
   return times;
 }
 
-std::vector<pair_files> find_kitti_pairs(fs::path const& root,
-                                         std::vector<std::int64_t> const& times) {
+/// @param left_camera number of the left camera: the images are in image_0 and image_1, or in
+///   image_2 and image_3
+found_pairs find_kitti_pairs(fs::path const& root, std::vector<std::int64_t> const& times,
+                             int left_camera) {
   std::map<int, std::string> images[2];
-  for (std::size_t camera = 0; camera < 2; ++camera) {
-    fs::path const folder = root / ("image_" + std::to_string(camera));
+  std::string names[2];
+  for (std::size_t side = 0; side < 2; ++side) {
+    names[side] = "image_" + std::to_string(left_camera + static_cast<int>(side));
+    fs::path const folder = root / names[side];
     if (!detail::is_directory(folder.string())) {
       throw error(folder.string() + ": no such folder: not a stereo sequence");
     }
-    images[camera] = list_numbered_images(folder);
-    if (images[camera].empty()) {
+    images[side] = list_numbered_images(folder);
+    if (images[side].empty()) {
       throw error(folder.string() + ": no images (000000.png, .jpg or .jpeg, numbered)");
     }
   }
-  std::vector<pair_files> pairs;
+  found_pairs found;
   for (auto const& [number, left] : images[0]) {
     auto const right = images[1].find(number);
     if (right == images[1].end()) { continue; }
@@ -160,14 +185,16 @@ std::vector<pair_files> find_kitti_pairs(fs::path const& root,
       throw error((root / "times.txt").string() + ": " + std::to_string(times.size()) +
                   " times, none for " + left);
     }
-    pairs.push_back({times[static_cast<std::size_t>(number)], left, right->second});
+    found.pairs.push_back({times[static_cast<std::size_t>(number)], left, right->second});
   }
-  if (pairs.empty()) {
-    throw error(root.string() + ": no stereo pair: image_0 holds " +
-                std::to_string(images[0].size()) + " images, image_1 " +
+  if (found.pairs.empty()) {
+    throw error(root.string() + ": no stereo pair: " + names[0] + " holds " +
+                std::to_string(images[0].size()) + " images, " + names[1] + " " +
                 std::to_string(images[1].size()) + ", none with equal numbers");
   }
-  return pairs;
+  found.unpaired.left = static_cast<int>(images[0].size() - found.pairs.size());
+  found.unpaired.right = static_cast<int>(images[1].size() - found.pairs.size());
+  return found;
 }
 
 /// EuRoC state_groundtruth_estimate0 and TUM-VI mocap0: time, position, quaternion w x y z; further
@@ -244,13 +271,14 @@ raw_ground_truth find_ground_truth(fs::path const& root, fs::path const& mav0,
   std::string const kitti = (root / "poses.txt").string();
   if (!mav0.empty() && (detail::is_file(euroc) || detail::is_file(mocap))) {
     truth.poses = read_euroc_truth(detail::is_file(euroc) ? euroc : mocap);
-    truth.body = true;
+    truth.of = raw_ground_truth::body;
     truth.orientation = !truth.poses.empty();
   } else if (detail::is_file(tum)) {
     truth.poses = read_tum(tum);
     truth.orientation = any_rotation(truth.poses);
   } else if (detail::is_file(kitti)) {
     truth.poses = read_kitti_poses(kitti, times);
+    truth.of = raw_ground_truth::kitti_reference;
     truth.orientation = any_rotation(truth.poses);
   }
   return truth;
@@ -278,12 +306,106 @@ struct sequence::impl {
   stereo_rig raw;  ///< of the files
   stereo_rig rig;  ///< of the loaded frames
   bool fisheye = false;
+  bool has_body_frame = false;
   bool has_orientation = false;
   orb_settings settings;
   std::vector<pair_files> pairs;
+  unpaired_images unpaired;
   std::optional<rectifier> rectify;
   trajectory truth;
 };
+
+namespace {
+
+/// A sequence on disk, with its pairs found.
+struct layout_of_files {
+  std::string name;  ///< "euroc" or "kitti"
+  fs::path root;
+  fs::path mav0;                    ///< empty for the KITTI layout
+  int left_camera = 0;              ///< KITTI: 0 or 2
+  std::vector<std::int64_t> times;  ///< of all frames, for poses.txt
+  found_pairs found;
+};
+
+layout_of_files find_layout(std::string const& directory) {
+  if (!detail::is_directory(directory)) { throw error(directory + ": no such folder"); }
+  layout_of_files l;
+  std::error_code failure;
+  l.root = fs::canonical(directory, failure);
+  if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
+  auto const has = [&](char const* name) { return detail::is_directory((l.root / name).string()); };
+  if (has("mav0")) {
+    l.mav0 = l.root / "mav0";
+  } else if (has("cam0")) {
+    l.mav0 = l.root;
+    l.root = l.root.parent_path();
+  }
+  if (!l.mav0.empty()) {
+    l.name = "euroc";
+    l.found = find_euroc_pairs(l.mav0);
+    for (pair_files const& pair : l.found.pairs) { l.times.push_back(pair.time_ns); }
+  } else if (has("image_0") || has("image_2")) {
+    l.name = "kitti";
+    l.left_camera = has("image_0") ? 0 : 2;
+    l.times = read_times((l.root / "times.txt").string());
+    l.found = find_kitti_pairs(l.root, l.times, l.left_camera);
+  } else {
+    throw error(directory +
+                ": no sequence found: neither mav0/cam0 (EuRoC) nor image_0 or image_2 (KITTI)");
+  }
+  return l;
+}
+
+/// The calibration that was named, or else the sequence's own, compared with the first images.
+calibration find_calibration(layout_of_files const& l, std::string const& named) {
+  pair_files const& first = l.found.pairs.front();
+  int width = 0;
+  int height = 0;
+  read_image_size(first.left, width, height);
+  auto const own = [](fs::path const& file) {
+    if (!detail::is_file(file.string())) {
+      throw missing_calibration(file.string() + ": no such file");
+    }
+    return file.string();
+  };
+  calibration calib;
+  if (!named.empty()) {
+    calib = read_calibration(named, width, height, l.left_camera);
+    if (!calib.has_body_frame && !l.mav0.empty() &&
+        detail::is_file((l.mav0 / "cam0" / "sensor.yaml").string())) {
+      // The replacement does not contain the body frame, which the ground truth needs.
+      calib.rig.T_body_left = read_euroc_body_frame(l.mav0.string());
+      calib.has_body_frame = true;
+    }
+  } else if (!l.mav0.empty()) {
+    own(l.mav0 / "cam0" / "sensor.yaml");
+    own(l.mav0 / "cam1" / "sensor.yaml");
+    calib = read_euroc_calibration(l.mav0.string());
+  } else {
+    calib = read_kitti_calibration(own(l.root / "calib.txt"), width, height, l.left_camera);
+  }
+  check_image_size(first.left, width, height, calib.rig.left);
+  read_image_size(first.right, width, height);
+  check_image_size(first.right, width, height, calib.rig.right);
+  return calib;
+}
+
+/// What turns poses of a ground truth's frame into those of the left camera of loaded frames.
+/// @param T_raw_loaded maps points of that camera into the raw one
+Eigen::Isometry3d given_to_loaded(raw_ground_truth::frame given, calibration const& calib,
+                                  stereo_rig const& loaded, Eigen::Isometry3d const& T_raw_loaded) {
+  switch (given) {
+    case raw_ground_truth::body:
+      return loaded.T_body_left;  // contains the rectifying rotation
+    case raw_ground_truth::kitti_reference:
+      return calib.T_reference_left * T_raw_loaded;
+    case raw_ground_truth::raw_left:
+      break;
+  }
+  return T_raw_loaded;
+}
+
+}  // namespace
 
 sequence::sequence(std::unique_ptr<impl> p) : impl_(std::move(p)) {}
 sequence::sequence(sequence&&) noexcept = default;
@@ -295,56 +417,15 @@ sequence sequence::open(std::string const& directory, open_options const& option
     throw error(directory + ": max_frames = " + std::to_string(options.max_frames) +
                 ": must be at least 0");
   }
-  if (!detail::is_directory(directory)) { throw error(directory + ": no such folder"); }
+  layout_of_files files = find_layout(directory);
+  calibration const calib = find_calibration(files, options.calibration);
   auto p = std::make_unique<impl>();
-  std::error_code failure;
-  fs::path root = fs::canonical(directory, failure);
-  if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
-
-  fs::path mav0;
-  std::vector<std::int64_t> times;  // of all frames, for poses.txt
-  if (detail::is_directory((root / "mav0").string())) {
-    mav0 = root / "mav0";
-  } else if (detail::is_directory((root / "cam0").string())) {
-    mav0 = root;
-    root = root.parent_path();
-  }
-  if (!mav0.empty()) {
-    p->layout = "euroc";
-    p->pairs = find_euroc_pairs(mav0);
-    for (pair_files const& pair : p->pairs) { times.push_back(pair.time_ns); }
-  } else if (detail::is_directory((root / "image_0").string())) {
-    p->layout = "kitti";
-    times = read_times((root / "times.txt").string());
-    p->pairs = find_kitti_pairs(root, times);
-  } else {
-    throw error(directory + ": no sequence found: neither mav0/cam0 (EuRoC) nor image_0 (KITTI)");
-  }
-  p->name = root.filename().string();
-
-  int width = 0;
-  int height = 0;
-  read_image_size(p->pairs.front().left, width, height);
-  calibration calib;
-  if (!options.calibration.empty()) {
-    calib = read_calibration(options.calibration, width, height);
-    if (!calib.has_body_frame && !mav0.empty() &&
-        detail::is_file((mav0 / "cam0" / "sensor.yaml").string())) {
-      // The replacement does not contain the body frame, which the ground truth needs.
-      calib.rig.T_body_left = read_euroc_body_frame(mav0.string());
-    }
-  } else if (!mav0.empty()) {
-    calib = read_euroc_calibration(mav0.string());
-  } else {
-    calib = read_kitti_calibration((root / "calib.txt").string(), width, height);
-  }
-  check_image_size(p->pairs.front().left, width, height, calib.rig.left);
-  read_image_size(p->pairs.front().right, width, height);
-  check_image_size(p->pairs.front().right, width, height, calib.rig.right);
-
+  p->name = files.root.filename().string();
+  p->layout = files.name;
   p->settings = calib.settings;
   p->raw = calib.rig;
   p->rig = calib.rig;
+  p->has_body_frame = calib.has_body_frame;
   bool const fisheye_pair =
       calib.rig.left.model == lens::kannala_brandt && calib.rig.right.model == lens::kannala_brandt;
   Eigen::Isometry3d T_raw_loaded = Eigen::Isometry3d::Identity();
@@ -359,17 +440,14 @@ sequence sequence::open(std::string const& directory, open_options const& option
     T_raw_loaded.linear() = p->rectify->left_rotation().transpose();
   }
 
-  raw_ground_truth truth = find_ground_truth(root, mav0, times);
+  raw_ground_truth truth = find_ground_truth(files.root, files.mav0, files.times);
   p->has_orientation = truth.orientation;
-  if (truth.orientation) {
-    // rig.T_body_left already contains the rectifying rotation.
-    Eigen::Isometry3d const T_given_camera = truth.body ? p->rig.T_body_left : T_raw_loaded;
-    for (stamped_pose& pose : truth.poses) {
-      pose.T_world_camera = pose.T_world_camera * T_given_camera;
-    }
-  }
   p->truth = std::move(truth.poses);
-
+  if (truth.orientation) {
+    p->truth = poses_of(p->truth, given_to_loaded(truth.of, calib, p->rig, T_raw_loaded));
+  }
+  p->pairs = std::move(files.found.pairs);
+  p->unpaired = files.found.unpaired;
   if (options.max_frames > 0 && p->pairs.size() > static_cast<std::size_t>(options.max_frames)) {
     p->pairs.resize(static_cast<std::size_t>(options.max_frames));
   }
@@ -380,6 +458,8 @@ std::string const& sequence::name() const { return impl_->name; }
 std::string const& sequence::layout() const { return impl_->layout; }
 stereo_rig const& sequence::rig() const { return impl_->rig; }
 bool sequence::fisheye() const { return impl_->fisheye; }
+bool sequence::has_body_frame() const { return impl_->has_body_frame; }
+unpaired_images sequence::unpaired() const { return impl_->unpaired; }
 orb_settings const& sequence::settings() const { return impl_->settings; }
 int sequence::size() const { return static_cast<int>(impl_->pairs.size()); }
 

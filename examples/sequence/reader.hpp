@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Opens a stereo sequence on disk: EuRoC (ASL) or KITTI odometry layout.
+/// @file Opens a stereo sequence on disk: EuRoC (ASL) or KITTI odometry layout (image_0 and
+/// image_1, or without them the colour images image_2 and image_3).
 #pragma once
 
 #include <memory>
@@ -31,12 +32,24 @@ struct open_options {
   int max_frames = 0;
 };
 
-/// An opened sequence; frames are loaded one at a time. Not thread-safe, movable.
+/// The sequence has no calibration of its own and none was named.
+struct missing_calibration : error {
+  using error::error;
+};
+
+/// Images that were left out because the other camera has none of the same time.
+struct unpaired_images {
+  int left = 0;
+  int right = 0;
+};
+
+/// An opened sequence; frames are loaded one at a time. Movable. Several threads may call the
+/// functions of one object that are const.
 class sequence {
 public:
   /// @throws seq::error: no such folder, no layout recognised, no images, unreadable or absurd
   ///   calibration (focal length not positive, NaN, zero baseline, sizes that differ from the
-  ///   images'), fewer than one stereo pair with equal time stamps
+  ///   images'), fewer than one stereo pair with equal time stamps; missing_calibration
   static sequence open(std::string const& directory, open_options const& options = {});
 
   sequence(sequence&&) noexcept;
@@ -48,6 +61,8 @@ public:
   /// The rig of the frames that load() returns: rectified pinholes, or the fisheye pair.
   stereo_rig const& rig() const;
   bool fisheye() const;
+  bool has_body_frame() const;  ///< rig().T_body_left was given; otherwise it is the identity
+  unpaired_images unpaired() const;
   orb_settings const& settings() const;  ///< empty unless an ORB-SLAM3 settings file was given
   int size() const;                      ///< stereo pairs
   std::int64_t time_ns(int i) const;

@@ -12,6 +12,7 @@
 #include <iostream>
 #include <iterator>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -327,6 +328,113 @@ TEST(reader_kitti, poses_belong_to_frame_numbers) {
   EXPECT_TRUE(contains(open_error(folder.path()), "poses.txt:1: 11 numbers"));
   folder.write("poses.txt", "2 0 0 0 0 1 0 0 0 0 1 0\n");
   EXPECT_TRUE(contains(open_error(folder.path()), "poses.txt:1: not a rotation"));
+}
+
+// Colour cameras: 0.06 and 0.16 m to the right of the reference, which poses.txt is about.
+TEST(reader_kitti, colour_images_have_their_own_projections) {
+  temp_folder const folder;
+  write_kitti(folder, 3);
+  fs::rename(folder.path("image_0"), folder.path("image_2"));
+  fs::rename(folder.path("image_1"), folder.path("image_3"));
+  EXPECT_TRUE(contains(open_error(folder.path()), "P2"));
+  folder.write("calib.txt", kitti_calib +
+                                "P2: 50 0 31.5 -3.0 0 50 23.5 0 0 0 1 0\n"
+                                "P3: 50 0 31.5 -8.0 0 50 23.5 0 0 0 1 0\n");
+  folder.write("poses.txt",
+               "1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 1 0 1 0 0 -1 0 0 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.layout(), "kitti");
+  EXPECT_EQ(s.rig().left.fx, 50);
+  EXPECT_NEAR(s.rig().baseline(), 0.1, 1e-12);
+  EXPECT_EQ(s.load(2).right.pixels, picture(5).pixels);
+  std::vector<Eigen::Vector3d> const expected{{0.06, 0, 0}, {1, 0, -0.06}, {2.06, 0, 0}};
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_LT((s.ground_truth()[i].T_world_camera.translation() - expected[i]).norm(), 1e-12);
+  }
+  // grey images are taken where there are both
+  fs::create_directories(folder.path("image_0"));
+  EXPECT_TRUE(contains(open_error(folder.path()), "image_1"));
+}
+
+TEST(reader, counts_images_without_a_partner) {
+  temp_folder const euroc;
+  write_euroc(euroc, 6);
+  EXPECT_EQ(seq::sequence::open(euroc.path()).unpaired().left, 0);
+  EXPECT_EQ(seq::sequence::open(euroc.path()).unpaired().right, 0);
+  auto const file = [&](int camera, int i) {
+    return euroc.path("mav0/cam" + std::to_string(camera) + "/data/" + std::to_string(stamp(i)) +
+                      ".png");
+  };
+  fs::remove(file(1, 1));  // listed by both
+  fs::remove(file(0, 2));
+  fs::remove(file(0, 3));
+  fs::remove(file(1, 3));  // no image at all: nothing to count
+  std::string const later = std::to_string(stamp(9));
+  std::ofstream(euroc.path("mav0/cam1/data.csv"), std::ios::app)
+      << later << "," << later << ".png\n";
+  EXPECT_EQ(seq::sequence::open(euroc.path()).unpaired().right, 1);  // its file is not there
+  fs::copy_file(file(1, 5), file(1, 9));
+  seq::sequence const s = seq::sequence::open(euroc.path());
+  EXPECT_EQ(s.size(), 3);
+  EXPECT_EQ(s.unpaired().left, 1);
+  EXPECT_EQ(s.unpaired().right, 2);
+
+  temp_folder const kitti;
+  write_kitti(kitti, 5);
+  fs::remove(kitti.path("image_0/000001.png"));
+  fs::remove(kitti.path("image_0/000002.png"));
+  fs::remove(kitti.path("image_1/000003.png"));
+  EXPECT_EQ(seq::sequence::open(kitti.path()).unpaired().left, 1);
+  EXPECT_EQ(seq::sequence::open(kitti.path()).unpaired().right, 2);
+}
+
+TEST(reader, tells_a_missing_calibration_from_a_bad_one) {
+  temp_folder const kitti;
+  write_kitti(kitti, 1);
+  kitti.write("calib.txt", "nonsense\n");
+  try {
+    seq::sequence::open(kitti.path());
+    ADD_FAILURE() << "opened";
+  } catch (seq::missing_calibration const& e) {
+    ADD_FAILURE() << e.what();
+  } catch (seq::error const& e) { EXPECT_TRUE(contains(e.what(), "P0")); }
+  fs::remove(kitti.path("calib.txt"));
+  EXPECT_THROW(seq::sequence::open(kitti.path()), seq::missing_calibration);
+  EXPECT_TRUE(contains(open_error(kitti.path()), "calib.txt"));
+  temp_folder const euroc;
+  write_euroc(euroc, 1);
+  EXPECT_TRUE(seq::sequence::open(euroc.path()).has_body_frame());
+  fs::remove(euroc.path("mav0/cam1/sensor.yaml"));
+  EXPECT_THROW(seq::sequence::open(euroc.path()), seq::missing_calibration);
+  seq::open_options named;
+  named.calibration = kitti.write("calib.txt", kitti_calib);
+  EXPECT_EQ(seq::sequence::open(euroc.path(), named).size(), 1);
+  EXPECT_FALSE(seq::sequence::open(kitti.path()).has_body_frame());
+}
+
+// Decoding and rectification: every thread gets what one thread alone gets.
+TEST(reader, frames_are_loaded_by_several_threads) {
+  constexpr int frames = 12;
+  temp_folder const folder;
+  write_euroc(folder, frames);
+  folder.write("mav0/cam0/sensor.yaml", sensor_text(0, "[-0.2, 0.02, 0.001, 0.0005]"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  std::vector<seq::stereo_frame> expected;
+  for (int i = 0; i < frames; ++i) { expected.push_back(s.load(i)); }
+  std::vector<int> wrong(4, 0);
+  std::vector<std::thread> threads;
+  for (std::size_t t = 0; t < wrong.size(); ++t) {
+    threads.emplace_back([&, t] {
+      for (int i = 0; i < frames; ++i) {
+        seq::stereo_frame const frame = s.load(i);
+        auto const& e = expected[static_cast<std::size_t>(i)];
+        wrong[t] += static_cast<int>(frame.left.pixels != e.left.pixels ||
+                                     frame.right.pixels != e.right.pixels);
+      }
+    });
+  }
+  for (auto& thread : threads) { thread.join(); }
+  EXPECT_EQ(wrong, std::vector<int>(4, 0));
 }
 
 TEST(reader, one_frame_is_enough) {

@@ -7,12 +7,10 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <fstream>
 #include <locale>
-#include <ostream>
 #include <sstream>
 #include <utility>
 
@@ -104,6 +102,8 @@ run_figures figures_of(run_report const& report) {
   if (f.has_truth) {
     f.ate_rmse_m = finite(report.error.ate_rmse_m);
     f.rpe_rmse_m = finite(report.error.rpe_rmse_m);
+    f.ate_rotation_rmse_deg = finite(report.error.ate_rotation_rmse_deg);
+    f.rpe_rotation_rmse_deg = finite(report.error.rpe_rotation_rmse_deg);
   }
   if (report.frames > 0) { f.tracked_ratio = static_cast<double>(report.tracked) / report.frames; }
 
@@ -133,7 +133,28 @@ run_figures figures_of(run_report const& report) {
     f.processing_s = f.stages.back().sum_ms / 1000.0;
     if (*f.processing_s > 0) { f.fps = f.stages.back().count / *f.processing_s; }
   }
+  if (report.wall_s && *report.wall_s > 0) { f.wall_fps = report.frames / *report.wall_s; }
   return f;
+}
+
+std::vector<evo_command> evo_commands(run_report const& report, run_figures const& f) {
+  std::string const files = " tum groundtruth.txt trajectory.txt";
+  std::vector<evo_command> out;
+  if (f.ate_rmse_m) { out.push_back({"ATE RMSE", "evo_ape" + files + " --align", true}); }
+  if (!f.rpe_rmse_m) { return out; }
+  // Where poses are missing or intervals vary, a number of poses is not always a second.
+  double span = report.error.rpe_span.value_or(0);
+  if (!report.error.rpe_span && report.estimate.size() > 1) {
+    double const s = 1e-9 * static_cast<double>(report.estimate.back().time_ns -
+                                                report.estimate.front().time_ns);
+    span = std::max(1.0, std::round(static_cast<double>(report.estimate.size() - 1) / s));
+  }
+  std::string const compared = f.rpe_rotation_rmse_deg ? "" : " --pose_relation point_distance";
+  out.push_back(
+      {"RPE RMSE over 1 s",
+       "evo_rpe" + files + compared + " --delta " + fixed(span, 0) + " --delta_unit f --all_pairs",
+       report.error.rpe_span.has_value()});
+  return out;
 }
 
 }  // namespace detail
@@ -154,89 +175,6 @@ statistics summarise(std::vector<double> samples) {
   s.p99 = detail::percentile(samples, 99);
   s.max = samples.back();
   return s;
-}
-
-namespace {
-
-/// Columns that a terminal needs for UTF-8 text, one per code point.
-std::size_t columns(std::string const& text) {
-  return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) {
-    return (static_cast<unsigned char>(c) & 0xC0U) != 0x80U;
-  }));
-}
-
-std::string left(std::string const& text, std::size_t width) {
-  std::size_t const used = columns(text);
-  return used < width ? text + std::string(width - used, ' ') : text;
-}
-
-std::string right(std::string const& text, std::size_t width) {
-  std::size_t const used = columns(text);
-  return used < width ? std::string(width - used, ' ') + text : text;
-}
-
-std::string or_na(std::string const& text) { return text.empty() ? "n/a" : text; }
-
-}  // namespace
-
-void print_summary(std::ostream& out, run_report const& report) {
-  using detail::fixed;
-  detail::run_figures const f = detail::figures_of(report);
-  std::string text;
-  auto const line = [&text](std::string const& name, std::string const& value) {
-    text += "  " + left(name, 18) + value + '\n';
-  };
-
-  if (!report.title.empty()) { text += report.title + "\n\n"; }
-  line("sequence", or_na(report.sequence));
-  line("backend", or_na(report.backend) + (report.device.empty() ? "" : ", " + report.device));
-  line("image",
-       report.image_width > 0 && report.image_height > 0
-           ? std::to_string(report.image_width) + " x " + std::to_string(report.image_height)
-           : "n/a");
-  text += '\n';
-
-  std::size_t name_width = 5;
-  for (auto const& s : f.stages) { name_width = std::max(name_width, columns(s.name)); }
-  constexpr std::size_t cell = 11;
-  std::string const rule = "  " + std::string(name_width + 5 * cell, '-') + '\n';
-  text += "  " + left("stage", name_width);
-  for (char const* head : {"mean ms", "std ms", "p50 ms", "p99 ms", "max ms"}) {
-    text += right(head, cell);
-  }
-  text += '\n' + rule;
-  for (std::size_t s = 0; s < f.stages.size(); ++s) {
-    detail::stage_figures const& stage = f.stages[s];
-    if (s > 0 && s + 1 == f.stages.size()) { text += rule; }
-    text += "  " + left(stage.name, name_width);
-    for (double const v : {stage.ms.mean, stage.ms.std, stage.ms.p50, stage.ms.p99, stage.ms.max}) {
-      text += right(stage.count > 0 ? fixed(v, 3) : "n/a", cell);
-    }
-    text += '\n';
-  }
-  if (f.stages.empty()) { text += "  no stage was timed\n"; }
-  text += '\n';
-
-  line("frames", std::to_string(report.frames));
-  line("tracked", std::to_string(report.tracked) +
-                      (f.tracked_ratio ? " (" + fixed(100.0 * *f.tracked_ratio, 1) + " %)" : ""));
-  line("lost", std::to_string(report.lost));
-  line("dropped", std::to_string(report.dropped));
-  line("keyframes", std::to_string(report.keyframes));
-  line("map points", std::to_string(report.map_points));
-  line("maps begun", std::to_string(report.maps));
-  line("mean keypoints", fixed(f.mean_keypoints, 1));
-  line("mean inliers", fixed(f.mean_inliers, 1));
-  line("throughput", fixed(f.fps, 1, " frames/s"));
-  line("path", fixed(f.path_m, 3) + " m");
-  if (f.has_truth) {
-    line("truth pairs", std::to_string(report.error.pairs));
-    line("truth path", fixed(report.error.truth_path_m, 3) + " m");
-  }
-  std::string const why = f.has_truth ? "" : " (no ground truth)";
-  line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);
-  line("RPE RMSE", fixed(f.rpe_rmse_m, 4, " m") + why);
-  out << text << std::flush;
 }
 
 void write_summary_json(std::string const& path, run_report const& report) {
@@ -267,12 +205,27 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["pairs"] = report.error.pairs;
   root["ate_rmse_m"] = number(f.ate_rmse_m);
   root["rpe_rmse_m"] = number(f.rpe_rmse_m);
+  root["ate_rotation_rmse_deg"] = number(f.ate_rotation_rmse_deg);
+  root["rpe_rotation_rmse_deg"] = number(f.rpe_rotation_rmse_deg);
+  root["frame"] = report.frame;
+  json evo = json::object();
+  for (detail::evo_command const& c : detail::evo_commands(report, f)) {
+    evo[c.figure] = {{"command", c.command}, {"exact", c.exact}};
+  }
+  root["evo"] = std::move(evo);
+  root["warnings"] = report.warnings;
+  root["stopped_at"] = report.stopped_at ? json(*report.stopped_at) : json(nullptr);
+  root["stopped_by"] = report.stopped_at ? json(report.stopped_by) : json(nullptr);
+  root["unpaired_left"] = report.unpaired_left;
+  root["unpaired_right"] = report.unpaired_right;
   root["mean_keypoints"] = number(f.mean_keypoints);
   root["mean_stereo_matches"] = number(f.mean_stereo_matches);
   root["mean_inliers"] = number(f.mean_inliers);
   root["mean_local_points"] = number(f.mean_local_points);
   root["processing_s"] = number(f.processing_s);
   root["fps"] = number(f.fps);
+  root["wall_s"] = number(report.wall_s);
+  root["wall_fps"] = number(f.wall_fps);
   json stages = json::object();
   for (auto const& stage : f.stages) {
     auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
@@ -335,67 +288,6 @@ void write_times_csv(std::string const& path, run_report const& report) {
     text += '\n';
   }
   detail::write_text(path, text);
-}
-
-namespace {
-
-constexpr double redraw_interval_s = 0.1;
-
-double now_s() {
-  using clock = std::chrono::steady_clock;
-  return std::chrono::duration<double>(clock::now().time_since_epoch()).count();
-}
-
-std::string duration_text(double s) {
-  if (s < 100) { return detail::fixed(std::ceil(s), 0) + " s"; }
-  if (s < 6000) { return detail::fixed(std::ceil(s / 60), 0) + " min"; }
-  return detail::fixed(s / 3600, 1) + " h";
-}
-
-}  // namespace
-
-progress::progress(std::ostream& out, bool terminal, std::string label, int total)
-    : out_(out), terminal_(terminal), label_(std::move(label)), total_(total), start_s_(now_s()) {}
-
-void progress::step(int done, std::string const& note) {
-  double const now = now_s();
-  bool const complete = total_ > 0 && done >= total_;
-  if (terminal_) {
-    bool const first = last_decile_ < 0;
-    if (!first && !complete && now - last_draw_s_ < redraw_interval_s) { return; }
-    last_decile_ = 0;
-    last_draw_s_ = now;
-  } else {
-    // without a total there is no 10 %: a line every hundred steps
-    int const decile =
-        total_ > 0 ? static_cast<int>(10LL * std::clamp(done, 0, total_) / total_) : done / 100;
-    if (decile <= std::max(last_decile_, 0)) { return; }
-    last_decile_ = decile;
-  }
-
-  std::string text = label_ + "  " + std::to_string(done);
-  if (total_ > 0) {
-    text += '/' + std::to_string(total_) + "  " +
-            std::to_string(100LL * std::clamp(done, 0, total_) / total_) + " %";
-  }
-  double const elapsed = now - start_s_;
-  if (done > 0 && elapsed > 1e-6) {
-    double const rate = done / elapsed;
-    text += "  " + detail::fixed(rate, rate < 1000 ? 1 : 0) + " frames/s";
-    if (total_ > done) { text += "  ETA " + duration_text((total_ - done) / rate); }
-  }
-  if (!note.empty()) { text += "  " + note; }
-  if (terminal_) {
-    out_ << '\r' << text << "\x1b[K" << std::flush;  // erases the rest of a longer line
-  } else {
-    out_ << text << '\n' << std::flush;
-  }
-}
-
-void progress::finish() {
-  if (terminal_ && last_decile_ >= 0) { out_ << '\n'; }
-  if (terminal_) { last_decile_ = -1; }
-  out_ << std::flush;
 }
 
 }  // namespace seq

@@ -62,13 +62,21 @@ struct run_report {
   trajectory truth;     ///< may be empty
   trajectory_error error;
   std::vector<sample_frame> samples;
+  std::vector<Eigen::Vector3f> cloud;  ///< map points in the world of `estimate`, metres
+
+  std::optional<int> stopped_at;              ///< the frame that was next; empty for a whole run
+  std::string stopped_by;                     ///< why it was stopped
+  int unpaired_left = 0, unpaired_right = 0;  ///< images without a partner
+  std::optional<double> wall_s;               ///< from the first frame's reading to the last pose
+  std::string frame = "camera";               ///< whose poses `estimate` and `truth` are
+  std::vector<std::string> warnings;          ///< see warnings.hpp
 };
 
 /// Per-stage table (mean, std, p50, p99, max in ms) and the figures, for a terminal.
 void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
 /// ground truth), keyframes, map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms
-/// max_ms, and the rest.
+/// max_ms, warnings, stopped_at (null for a whole run), evo = figure -> command, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

@@ -25,9 +25,11 @@ struct run_figures {
   bool has_truth = false;
   double path_m = 0;
   std::optional<double> ate_rmse_m, rpe_rmse_m;
+  std::optional<double> ate_rotation_rmse_deg, rpe_rotation_rmse_deg;
   std::optional<double> tracked_ratio;   ///< tracked / frames
   std::optional<double> processing_s;    ///< sum of the last stage
   std::optional<double> fps;             ///< timed frames / processing_s
+  std::optional<double> wall_fps;        ///< frames / run_report::wall_s
   std::optional<double> mean_keypoints;  ///< over all records
   std::optional<double> mean_stereo_matches;
   std::optional<double> mean_inliers;       ///< over tracked records
@@ -36,6 +38,17 @@ struct run_figures {
 };
 
 run_figures figures_of(run_report const& report);
+
+/// A command that gives one of the figures, in the folder with trajectory.txt and groundtruth.txt.
+struct evo_command {
+  std::string figure;
+  std::string command;
+  bool exact = true;  ///< to the figure's last digit; otherwise about
+};
+
+/// Commands of evo, https://github.com/MichaelGrupp/evo, for the translation errors there are. evo
+/// counts poses in place of seconds: without a pose for each frame the relative error is another.
+std::vector<evo_command> evo_commands(run_report const& report, run_figures const& f);
 
 /// Milliseconds of stage `s`; nothing if the record has no such entry or it is not a finite number.
 std::optional<double> stage_time(frame_record const& record, std::size_t s);

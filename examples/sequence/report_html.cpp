@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <optional>
+#include <string>
 
 #include "examples/sequence/report.hpp"
 #include "examples/sequence/report_figures.hpp"
@@ -8,7 +11,8 @@
 #include "examples/sequence/report_palette.hpp"
 #include "examples/sequence/report_sections.hpp"
 
-// The report is one HTML file without scripts: figures are inline SVG, pictures base64 JPEG.
+// The report is one HTML file: figures are inline SVG, pictures base64 JPEG. The one script turns
+// the drawing in space, which is there without it.
 // Colours of charts are CSS classes, so that dark mode and print only redefine variables. Every
 // element except <meta> and <br> is closed, which the test checks.
 
@@ -35,6 +39,10 @@ std::string length_text(double metres) {
   return std::isfinite(metres) ? significant(metres) : "n/a";
 }
 
+std::string rotation_note(std::optional<double> const& degrees) {
+  return degrees ? "; rotation " + significant(*degrees) + "\xc2\xb0" : std::string();
+}
+
 std::string cards(run_report const& r, run_figures const& f) {
   std::string out = "<div class=\"cards\">\n";
   char const* state = !f.tracked_ratio          ? ""
@@ -50,11 +58,12 @@ std::string cards(run_report const& r, run_figures const& f) {
               state);
   std::string const no_truth = "no ground truth";
   out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
-              f.ate_rmse_m  ? "ATE RMSE over " + grouped(r.error.pairs) + " poses"
+              f.ate_rmse_m ? "ATE RMSE over " + grouped(r.error.pairs) + " poses" +
+                                 rotation_note(f.ate_rotation_rmse_deg)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   out += card("Relative error", f.rpe_rmse_m ? significant(*f.rpe_rmse_m) : "n/a", "m",
-              f.rpe_rmse_m  ? "RPE RMSE, translation"
+              f.rpe_rmse_m  ? "RPE RMSE over 1 s" + rotation_note(f.rpe_rotation_rmse_deg)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   std::string path_note = "estimated";
@@ -67,7 +76,9 @@ std::string cards(run_report const& r, run_figures const& f) {
   out += card("Time per frame", timed ? significant(f.stages.back().ms.p50) : "n/a", "ms",
               timed ? "median; p99 " + significant(f.stages.back().ms.p99) + " ms" : "not timed");
   out += card("Throughput", f.fps ? significant(*f.fps) : "n/a", "frames/s",
-              f.processing_s ? fixed(*f.processing_s, 1) + " s of processing" : "not timed");
+              !f.processing_s ? "not timed"
+              : f.wall_fps    ? "tracking alone; wall clock " + significant(*f.wall_fps)
+                              : fixed(*f.processing_s, 1) + " s of processing");
   out +=
       card("Inliers", f.mean_inliers ? fixed(*f.mean_inliers, 0) : "n/a", "",
            f.mean_keypoints ? "mean, of " + grouped(std::llround(*f.mean_keypoints)) + " keypoints"
@@ -81,7 +92,27 @@ std::string table_row(std::string const& name, std::string const& value) {
          "</td></tr>\n";
 }
 
-std::string options_section(run_report const& r) {
+std::string warning_section(run_report const& r) {
+  if (r.warnings.empty()) { return {}; }
+  std::string out =
+      "<section class=\"warnings\">\n<h2>Is the result right?</h2>\n<ul class=\"list\">\n";
+  for (std::string const& warning : r.warnings) { out += "<li>" + escape(warning) + "</li>\n"; }
+  return out + "</ul>\n</section>\n";
+}
+
+std::string evo_table(run_report const& r, run_figures const& f) {
+  auto const commands = detail::evo_commands(r, f);
+  if (commands.empty()) { return {}; }
+  std::string out =
+      "<h3>The same figures by evo, in this folder</h3><table class=\"plain\"><tbody>\n";
+  for (detail::evo_command const& c : commands) {
+    out +=
+        table_row(c.figure + (c.exact ? "" : ", about: evo counts poses, not seconds"), c.command);
+  }
+  return out + "</tbody></table>";
+}
+
+std::string options_section(run_report const& r, run_figures const& f) {
   std::string out = detail::section_open("Run", "");
   out += "<div class=\"columns\">\n<div><h3>Environment</h3><table class=\"plain\"><tbody>\n";
   out += table_row("sequence", r.sequence);
@@ -91,6 +122,7 @@ std::string options_section(run_report const& r) {
                                      ? std::to_string(r.image_width) + " \xc3\x97 " +
                                            std::to_string(r.image_height)
                                      : "n/a");
+  out += table_row("poses", "of the " + r.frame);
   out += table_row("frames", grouped(r.frames));
   out += table_row("lost", grouped(r.lost));
   out += table_row("dropped", grouped(r.dropped));
@@ -102,7 +134,7 @@ std::string options_section(run_report const& r) {
     for (auto const& [name, value] : r.options) { out += table_row(name, value); }
     out += "</tbody></table>";
   }
-  return out + "</div>\n</div></section>\n";
+  return out + "</div>\n</div>" + evo_table(r, f) + "</section>\n";
 }
 
 }  // namespace
@@ -130,18 +162,21 @@ void write_html(std::string const& path, run_report const& report) {
     if (!fact.empty()) { out += "<span>" + escape(fact) + "</span>"; }
   }
   out += "</p>\n</header>\n";
+  out += warning_section(report);
   out += cards(report, f);
   out += detail::trajectory_section(report, f);
+  out += detail::space_section(report);
   out += detail::error_section(report, f);
   out += detail::time_section(report, f);
   out += detail::stage_table(f);
   out += detail::counts_section(report);
-  out += detail::sample_section(report);
-  out += options_section(report);
-  out +=
-      "<footer>Written by FastTrack. Self-contained: no script, nothing loaded from "
-      "elsewhere.</footer>"
+  std::string const rest =
+      options_section(report, f) +
+      "<footer>Written by FastTrack. Self-contained: nothing is loaded from elsewhere.</footer>"
       "\n</main>\n</body>\n</html>\n";
+  constexpr std::size_t most_bytes = 1'000'000;
+  std::size_t const used = out.size() + rest.size();
+  out += detail::sample_section(report, most_bytes - std::min(used, most_bytes)) + rest;
   detail::write_text(path, out);
 }
 

@@ -86,21 +86,25 @@ image halved(image const& in) {
   return out;
 }
 
-/// A JPEG of at most `budget` bytes if an acceptable quality allows it.
+/// A JPEG of at most `budget` bytes, in a lower quality and then smaller if it has to be. A picture
+/// of a few pixels may be larger than a budget that is smaller than its header.
 std::vector<std::uint8_t> jpeg_within(image const& picture, std::size_t budget) {
-  constexpr int widest = 1600;
+  constexpr int widest = 1600, smallest = 16;
   image small;
   image const* source = &picture;
-  while (source->width > widest && source->height > 1) {
+  for (;;) {
+    bool const halvable = source->width >= 2 * smallest && source->height >= 2 * smallest;
+    if (source->width <= widest || !halvable) {
+      std::vector<std::uint8_t> bytes;
+      for (int const quality : {82, 70, 55, 40, 25}) {
+        bytes = encode_jpeg(*source, quality);
+        if (bytes.size() <= budget) { return bytes; }
+      }
+      if (!halvable) { return bytes; }
+    }
     small = halved(*source);
     source = &small;
   }
-  std::vector<std::uint8_t> bytes;
-  for (int const quality : {82, 70, 55, 40, 25}) {
-    bytes = encode_jpeg(*source, quality);
-    if (bytes.size() <= budget) { break; }
-  }
-  return bytes;
 }
 
 std::string depth_bar(depth_scale const& scale) {
@@ -122,9 +126,15 @@ std::string depth_bar(depth_scale const& scale) {
   return out + "</svg>";
 }
 
+/// A figure without its picture, which goes between the two.
+struct figure_parts {
+  std::string before, after;
+};
+
 /// @param zoom size of marks: 1 for a picture as wide as the page
-std::string sample_figure(sample_frame const& s, depth_scale const& scale, double zoom,
-                          std::size_t budget) {
+/// @param step every so many-th keypoint is drawn
+figure_parts sample_figure(sample_frame const& s, depth_scale const& scale, double zoom,
+                           std::size_t step) {
   double const width = s.picture.width, height = s.picture.height;
   // marks have about the same size on paper for every picture size
   double const unit = zoom * std::clamp(width / 1000, 0.2, 4.0);
@@ -148,10 +158,10 @@ std::string sample_figure(sample_frame const& s, depth_scale const& scale, doubl
     double const x = static_cast<double>(k.x), y = static_cast<double>(k.y);
     std::string const circle =
         "<circle" + attribute("cx", x) + attribute("cy", y) + attribute("r", radius(k)) + "/>";
-    ++total;
-    if (k.matched) { ++inliers; }
+    inliers += static_cast<int>(k.matched);
+    with_depth += static_cast<int>(has_depth(k));
+    if (static_cast<std::size_t>(total++) % step != 0) { continue; }
     if (has_depth(k)) {
-      ++with_depth;
       auto const bin = static_cast<std::size_t>(scale.bin(static_cast<double>(k.depth)));
       (k.matched ? tracked : stereo)[bin] += circle;
     } else {
@@ -164,13 +174,15 @@ std::string sample_figure(sample_frame const& s, depth_scale const& scale, doubl
     }
   }
 
-  std::string out = "<figure>\n<svg class=\"sample\" viewBox=\"0 0 " + coordinate(width) + ' ' +
-                    coordinate(height) + "\" role=\"img\" aria-label=\"frame " +
-                    std::to_string(s.index) + "\">\n<image width=\"" + coordinate(width) +
-                    "\" height=\"" + coordinate(height) + "\" preserveAspectRatio=\"none\" " +
-                    "href=\"data:image/jpeg;base64," + base64(jpeg_within(s.picture, budget)) +
-                    "\"/>\n<rect class=\"shade\" width=\"" + coordinate(width) + "\" height=\"" +
-                    coordinate(height) + "\"/>\n";
+  figure_parts parts;
+  parts.before = "<figure>\n<svg class=\"sample\" viewBox=\"0 0 " + coordinate(width) + ' ' +
+                 coordinate(height) + "\" role=\"img\" aria-label=\"frame " +
+                 std::to_string(s.index) + "\">\n<image width=\"" + coordinate(width) +
+                 "\" height=\"" + coordinate(height) + "\" preserveAspectRatio=\"none\" " +
+                 "href=\"data:image/jpeg;base64,";
+  std::string& out = parts.after;
+  out = "\"/>\n<rect class=\"shade\" width=\"" + coordinate(width) + "\" height=\"" +
+        coordinate(height) + "\"/>\n";
   auto const group = [&](std::string const& circles, std::string const& colour, double stroke,
                          double opacity) {
     if (circles.empty()) { return; }
@@ -194,12 +206,20 @@ std::string sample_figure(sample_frame const& s, depth_scale const& scale, doubl
   out += "</svg>\n<figcaption><b>Frame " + std::to_string(s.index) + "</b> " + grouped(total) +
          " keypoints, " + grouped(with_depth) + " with stereo depth, " + grouped(inliers) +
          " inliers</figcaption>\n</figure>\n";
-  return out;
+  return parts;
+}
+
+/// How many keypoints there are for each that is drawn.
+std::size_t drawing_step(std::vector<sample_frame const*> const& frames) {
+  constexpr std::size_t most_rings = 8000;
+  std::size_t keypoints = 0;
+  for (sample_frame const* s : frames) { keypoints += s->keypoints.size(); }
+  return keypoints / most_rings + 1;
 }
 
 }  // namespace
 
-std::string sample_section(run_report const& r) {
+std::string sample_section(run_report const& r, std::size_t budget) {
   std::vector<sample_frame const*> frames;
   for (sample_frame const& s : r.samples) {
     if (usable(s)) { frames.push_back(&s); }
@@ -229,16 +249,25 @@ std::string sample_section(run_report const& r) {
       "<span class=\"key\"><svg class=\"swatch\" viewBox=\"0 0 22 12\"><rect width=\"22\" "
       "height=\"12\" rx=\"2\" fill=\"#3a3f47\"/><path d=\"M3 9L19 3\" stroke=\"#ff5cf0\" "
       "stroke-width=\"1.6\"/></svg>track</span>\n</div>\n";
-  constexpr std::size_t picture_bytes = 2'600'000;
   bool const narrow = std::all_of(frames.begin(), frames.end(), [](sample_frame const* s) {
     return s->picture.width < 2 * s->picture.height;
   });
   bool const pairs = narrow && frames.size() > 1;
   out += pairs ? "<div class=\"samples pairs\">\n" : "<div class=\"samples\">\n";
+  std::string const end = "</div></section>\n";
+  std::size_t used = out.size() + end.size();
+  std::size_t const step = drawing_step(frames);
+  std::vector<figure_parts> figures;
   for (sample_frame const* s : frames) {
-    out += sample_figure(*s, scale, pairs ? 1.6 : 1.0, picture_bytes / frames.size());
+    figures.push_back(sample_figure(*s, scale, pairs ? 1.6 : 1.0, step));
+    used += figures.back().before.size() + figures.back().after.size();
   }
-  return out + "</div></section>\n";
+  // base64 has four characters for three bytes
+  std::size_t const room = budget > used ? (budget - used) / frames.size() / 4 * 3 : 0;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    out += figures[i].before + base64(jpeg_within(frames[i]->picture, room)) + figures[i].after;
+  }
+  return out + end;
 }
 
 }  // namespace seq::detail

@@ -92,6 +92,11 @@ svg text { font-family: inherit; }
 .level { stroke: var(--level); stroke-width: 1.2; stroke-dasharray: 5 4; fill: none; }
 .outline { stroke: var(--ink); stroke-width: .9; fill: none; stroke-linejoin: round; }
 .beyond { fill: var(--bad); }
+.cloud { stroke: var(--soft); stroke-width: 2.2; stroke-linecap: round; opacity: .6; fill: none; }
+.cloud-key { fill: var(--soft); }
+svg.space { cursor: grab; touch-action: pan-y; overflow: hidden; }
+.warnings { border-left: 4px solid var(--bad); }
+.list { margin: 4px 0 0; padding-left: 20px; overflow-wrap: anywhere; }
 circle.start { fill: var(--good); stroke: var(--panel); stroke-width: 1.5; }
 circle.end { fill: var(--bad); stroke: var(--panel); stroke-width: 1.5; }
 )css";

@@ -72,7 +72,7 @@ std::string time_section(run_report const& r, run_figures const& f) {
     return section_open(title, "") + nothing("No frame was timed.") + "</section>\n";
   }
   std::sort(sorted.begin(), sorted.end());
-  std::vector<bucket> const buckets = buckets_of(r.records, most_points);
+  std::vector<bucket> const buckets = buckets_of(r.records, most_points / 2);
 
   chart c;
   c.height = 300;
@@ -103,6 +103,12 @@ std::string time_section(run_report const& r, run_figures const& f) {
                                      std::to_string(buckets.front().end - buckets.front().begin) +
                                      " frames a point; the line is the slowest frame of each."
                                : "Stages stacked; the line is the whole frame.";
+  if (total == 0) {
+    caption = merged ? "The slowest frame of " +
+                           std::to_string(buckets.front().end - buckets.front().begin) + " a point."
+                     : "The whole frame.";
+    caption += " Stages are measured with --timing.";
+  }
   if (above > 0) {
     caption += " The axis is cut: " + grouped(static_cast<long long>(above)) +
                (above == 1 ? " frame reaches" : " frames reach") +

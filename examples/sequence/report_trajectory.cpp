@@ -8,47 +8,11 @@
 #include <vector>
 
 #include "examples/sequence/report_markup.hpp"
+#include "examples/sequence/report_paths.hpp"
 #include "examples/sequence/report_sections.hpp"
 
 namespace seq::detail {
 namespace {
-
-using positions = std::vector<std::pair<std::int64_t, Eigen::Vector3d>>;
-
-positions finite_positions(trajectory const& poses, Eigen::Isometry3d const& transform) {
-  positions out;
-  out.reserve(poses.size());
-  for (stamped_pose const& p : poses) {
-    Eigen::Vector3d const at = transform * p.T_world_camera.translation();
-    if (at.allFinite()) { out.emplace_back(p.time_ns, at); }
-  }
-  return out;
-}
-
-/// Longest time step that a line bridges: tracking was lost during anything longer.
-std::int64_t bridged_gap(positions const& points) {
-  std::vector<std::int64_t> steps;
-  for (std::size_t i = 1; i < points.size(); ++i) {
-    steps.push_back(points[i].first - points[i - 1].first);
-  }
-  if (steps.empty()) { return 0; }
-  auto const middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-  std::nth_element(steps.begin(), middle, steps.end());
-  return *middle * 5 / 2;
-}
-
-/// The part of the truth that the run covers; all of it if the run has no frames.
-trajectory covered(trajectory const& truth, std::vector<frame_record> const& records) {
-  if (records.empty()) { return truth; }
-  auto const [first, last] = std::minmax_element(
-      records.begin(), records.end(),
-      [](frame_record const& a, frame_record const& b) { return a.time_ns < b.time_ns; });
-  trajectory out;
-  for (stamped_pose const& p : truth) {
-    if (p.time_ns >= first->time_ns && p.time_ns <= last->time_ns) { out.push_back(p); }
-  }
-  return out.empty() ? truth : out;
-}
 
 /// One axis of the world, possibly reversed.
 struct signed_axis {
@@ -168,95 +132,6 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
              attribute("cy", c.py(up(p))) + " r=\"6\"/>";
     };
     out += dot("start", estimate.front().second) + dot("end", estimate.back().second);
-  }
-  return out + chart::close() + "</section>\n";
-}
-
-std::string error_section(run_report const& r, run_figures const& f) {
-  if (r.truth.empty()) { return {}; }
-  std::string const title = "Position error over time";
-  std::vector<std::pair<std::int64_t, double>> errors;
-  for (stamped_pose const& p : r.estimate) {
-    auto const truth = interpolate(r.truth, p.time_ns);
-    if (!truth) { continue; }
-    double const e =
-        (r.error.T_truth_estimate * p.T_world_camera.translation() - truth->translation()).norm();
-    if (std::isfinite(e)) { errors.emplace_back(p.time_ns, e); }
-  }
-  if (errors.empty()) {
-    return section_open(title, "") + nothing("No estimated pose has ground truth.") +
-           "</section>\n";
-  }
-  std::int64_t const origin = r.records.empty() ? errors.front().first : r.records.front().time_ns;
-  auto const seconds = [origin](std::int64_t t) { return static_cast<double>(t - origin) * 1e-9; };
-  std::vector<double> sorted;
-  positions stamps;
-  for (auto const& e : errors) {
-    sorted.push_back(e.second);
-    stamps.emplace_back(e.first, Eigen::Vector3d::Zero());
-  }
-  std::sort(sorted.begin(), sorted.end());
-
-  chart c;
-  c.height = 230;
-  c.x = {seconds(errors.front().first), seconds(errors.back().first)};
-  if (!r.records.empty()) {
-    c.x.low = std::min(c.x.low, 0.0);
-    c.x.high = std::max(c.x.high, seconds(r.records.back().time_ns));
-  }
-  if (!(c.x.span() > 0)) { c.x.high = c.x.low + 1; }
-  c.y = {0, std::max(sorted.back() * 1.08, 1e-3)};
-
-  std::int64_t const gap = bridged_gap(stamps);
-  // buckets keep their largest error, so that no peak is lost
-  std::size_t const size =
-      std::max<std::size_t>(1, (errors.size() + most_points - 1) / most_points);
-  pen line;
-  std::string area;
-  double area_begin = 0, area_end = 0;
-  std::string points;
-  auto const close_area = [&] {
-    if (!points.empty()) {
-      area += 'M' + coordinate(area_begin) + ' ' + coordinate(c.py(0)) + points + 'L' +
-              coordinate(area_end) + ' ' + coordinate(c.py(0)) + 'Z';
-    }
-    points.clear();
-  };
-  auto const lost_before = [&](std::size_t i) {
-    return i > 0 && errors[i].first - errors[i - 1].first > gap;
-  };
-  for (std::size_t i = 0, end = 0; i < errors.size(); i = end) {
-    end = i + 1;
-    while (end < errors.size() && end - i < size && !lost_before(end)) { ++end; }
-    auto const worst =
-        *std::max_element(errors.begin() + static_cast<std::ptrdiff_t>(i),
-                          errors.begin() + static_cast<std::ptrdiff_t>(end),
-                          [](auto const& a, auto const& b) { return a.second < b.second; });
-    if (lost_before(i)) {
-      line.cut();
-      close_area();
-    }
-    double const x = c.px(seconds(worst.first)), y = c.py(worst.second);
-    if (points.empty()) { area_begin = x; }
-    area_end = x;
-    points += 'L' + coordinate(x) + ' ' + coordinate(y);
-    line.to(x, y);
-  }
-  close_area();
-
-  std::string out = section_open(
-      title,
-      "Distance between the aligned estimate and the ground truth at the same instant. Median " +
-          fixed(percentile(sorted, 50), 3) + " m, largest " + fixed(sorted.back(), 3) + " m.");
-  out += "<div class=\"legend\">\n" + legend_entry("estimate", mark::line, "error");
-  if (f.ate_rmse_m) {
-    out += legend_entry("level", mark::line, "RMSE " + fixed(*f.ate_rmse_m, 3) + " m");
-  }
-  out += "</div>\n" + c.open(title) + c.axes("time [s]", "error [m]", false, false);
-  out += path("wash", area) + path("estimate", line.take());
-  if (f.ate_rmse_m && *f.ate_rmse_m <= c.y.high) {
-    out += path("level", 'M' + coordinate(c.left) + ' ' + coordinate(c.py(*f.ate_rmse_m)) + 'H' +
-                             coordinate(c.width - c.right));
   }
   return out + chart::close() + "</section>\n";
 }

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/warnings.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "tests/support/sequence.hpp"
+
+namespace warnings_test {
+
+using seq_test::contains;
+
+/// A run at 20 Hz with nothing to warn of.
+seq::run_report good_run(int frames) {
+  seq::run_report r;
+  r.frames = r.tracked = frames;
+  r.maps = 1;
+  for (int i = 0; i < frames; ++i) {
+    seq::frame_record f;
+    f.index = i;
+    f.time_ns = 1'000'000'000 + i * std::int64_t{50'000'000};
+    f.tracked = true;
+    f.keypoints = 1000;
+    f.stereo_matches = 400;
+    r.records.push_back(f);
+  }
+  return r;
+}
+
+void lose(seq::run_report& r, int begin, int end) {
+  for (int i = begin; i < end; ++i) { r.records[static_cast<std::size_t>(i)].tracked = false; }
+}
+
+/// The one warning of a run; empty where there are none.
+std::string only_warning(seq::run_report const& r) {
+  auto const all = seq::warnings_of(r);
+  EXPECT_LE(all.size(), 1u);
+  return all.empty() ? std::string() : all.front();
+}
+
+TEST(WarningsOf, AGoodRunAndNoRunAtAll) {
+  EXPECT_TRUE(seq::warnings_of(good_run(100)).empty());
+  EXPECT_TRUE(seq::warnings_of({}).empty());
+}
+
+TEST(WarningsOf, FewStereoMatches) {
+  seq::run_report r = good_run(10);
+  for (auto& f : r.records) { f.stereo_matches = 99; }
+  EXPECT_TRUE(contains(only_warning(r), "9.9 %"));
+  for (auto& f : r.records) { f.stereo_matches = 100; }
+  EXPECT_EQ(only_warning(r), "");
+  // frames without keypoints, a covered camera, say nothing of the calibration
+  for (auto& f : r.records) { f.keypoints = f.stereo_matches = 0; }
+  EXPECT_EQ(only_warning(r), "");
+}
+
+TEST(WarningsOf, UnpairedImages) {
+  seq::run_report r = good_run(10);
+  r.unpaired_right = 3;
+  EXPECT_TRUE(contains(only_warning(r), "0 of the left camera, 3 of the right one"));
+}
+
+TEST(WarningsOf, MoreThanOneMap) {
+  seq::run_report r = good_run(10);
+  r.maps = 3;
+  EXPECT_TRUE(contains(only_warning(r), "3 maps"));
+}
+
+TEST(WarningsOf, LostForLong) {
+  seq::run_report r = good_run(200);
+  lose(r, 20, 40);  // a second, up to the frame that is found again
+  EXPECT_EQ(only_warning(r), "");
+  lose(r, 100, 124);
+  EXPECT_TRUE(contains(only_warning(r), "lost for 1.2 s from frame 100 on"));
+  lose(r, 151, 200);  // to the end: the last frame is 48 steps after the first one
+  EXPECT_TRUE(contains(only_warning(r), "lost for 2.4 s from frame 151 on"));
+}
+
+TEST(WarningsOf, AStopGoesFirst) {
+  seq::run_report r = good_run(10);
+  r.stopped_at = 10;
+  r.stopped_by = "SIGINT";
+  r.maps = 2;
+  auto const all = seq::warnings_of(r);
+  ASSERT_EQ(all.size(), 2u);
+  EXPECT_EQ(all[0], "stopped at frame 10: SIGINT");
+}
+
+}  // namespace warnings_test

@@ -40,7 +40,8 @@ struct odometry_options {
   double near_depth = 50;  ///< points nearer than this many baselines become map points
   double fps = 20;
   pose_optimization optimize = pose_optimization::both;
-  int threads = 0;  ///< of the host version; 0 = all
+  int threads = 0;              ///< of the host version; 0 = all
+  bool measure_stages = false;  ///< fills all of frame_outcome::stage_ms, not only the last
 };
 
 /// One left keypoint of the last processed frame, for drawing.
@@ -60,7 +61,7 @@ struct frame_outcome {
   int stereo_matches = 0;
   int inliers = 0;  ///< matched map points, without this frame's new ones
   int local_points = 0;
-  std::vector<double> stage_ms;  ///< one per stage_names()
+  std::vector<double> stage_ms;  ///< one per stage_names(); see odometry_options::measure_stages
 };
 
 /// Tracks a stereo camera; the world is the first tracked frame's left camera.

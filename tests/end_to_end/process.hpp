@@ -13,6 +13,7 @@
 #include <chrono>
 #include <cstring>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <ostream>
 #include <stdexcept>
@@ -71,9 +72,14 @@ inline std::vector<std::string> child_environment() {
   return all;
 }
 
+/// What a test does while the program runs, given its process and what it wrote to stdout so far.
+/// Called again and again until it returns true.
+using meanwhile = std::function<bool(pid_t, std::string const& out)>;
+
 /// Runs `program` to its end. @throws std::runtime_error where it cannot be started
 inline outcome run_program(std::string const& program, std::vector<std::string> arguments,
-                           std::chrono::seconds patience = std::chrono::seconds(300)) {
+                           std::chrono::seconds patience = std::chrono::seconds(300),
+                           meanwhile doing = {}) {
   outcome result;
   result.command = program;
   for (std::string const& argument : arguments) { result.command += " " + argument; }
@@ -115,6 +121,7 @@ inline outcome run_program(std::string const& program, std::vector<std::string> 
       result.timed_out = true;
       ::kill(child, SIGKILL);
     } else {
+      if (doing && doing(child, read_file(out))) { doing = {}; }
       std::this_thread::sleep_for(std::chrono::milliseconds(2));
     }
   }

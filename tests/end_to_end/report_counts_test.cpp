@@ -73,7 +73,7 @@ TEST(ReportCounts, PointsOfAKeyframeAreNoInliers) {
 // The last stage is the whole frame, which is drawn as a line.
 TEST(ReportCounts, EveryStageHasAColour) {
   temp_folder const folder;
-  ASSERT_TRUE(succeeded(track(generated(few), folder.path("out"))));
+  ASSERT_TRUE(succeeded(track(generated(few), folder.path("out"), {"--timing"})));
   results const r = read_results(folder.path("out"), few);
   EXPECT_LE(r.summary.at("stages").size() - 1, seq::detail::stage_palette.size());
   EXPECT_GE(r.summary.at("stages").size() - 1, 15u);

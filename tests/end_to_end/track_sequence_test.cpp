@@ -695,6 +695,9 @@ INSTANTIATE_TEST_SUITE_P(
                     bad_option{"NanNear", {"--near", "nan"}, "--near"},
                     bad_option{"InfiniteNear", {"--near", "inf"}, "--near"},
                     bad_option{"Backend", {"--backend", "abacus"}, "--backend"},
+                    bad_option{"ReadAhead", {"--read-ahead", "-1"}, "--read-ahead"},
+                    bad_option{"Frame", {"--frame", "wheel"}, "--frame"},
+                    bad_option{"Poses", {"--poses", "euler"}, "--poses"},
                     bad_option{
                         "Optimization", {"--pose-optimization", "never"}, "--pose-optimization"}),
     [](auto const& instance) { return std::string(instance.param.name); });
@@ -708,7 +711,8 @@ TEST(Options, HelpNamesThem) {
   ASSERT_TRUE(succeeded(o));
   for (char const* option :
        {"--sequence", "--calibration", "--backend", "--features", "--pose-optimization", "--near",
-        "--threads", "--frames", "--realtime", "--out", "--quiet"}) {
+        "--threads", "--frames", "--realtime", "--out", "--quiet", "--read-ahead", "--frame",
+        "--poses", "--timing", "--version", "exit status"}) {
     EXPECT_TRUE(contains(o.out, option)) << option;
   }
 }
@@ -741,7 +745,8 @@ TEST(Options, OutThatCannotBeWritten) {
 
 TEST(Options, FullDisk) {
   if (!fs::exists("/dev/full")) { GTEST_SKIP() << "no /dev/full here"; }
-  for (char const* name : {"trajectory.txt", "times.csv", "summary.json", "report.html"}) {
+  for (char const* name :
+       {"trajectory.txt", "groundtruth.txt", "times.csv", "summary.json", "report.html"}) {
     temp_folder const folder;
     fs::create_directory(folder.path("out"));
     fs::create_symlink("/dev/full", folder.path("out/") + name);

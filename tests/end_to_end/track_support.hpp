@@ -7,6 +7,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
@@ -213,7 +214,7 @@ inline void write_kitti(std::string const& from, std::string const& to, double i
 
 /// Runs the tracker on the host, with one thread where `options` do not say more.
 inline outcome track(std::string const& sequence, std::string const& out,
-                     strings const& options = {}) {
+                     strings const& options = {}, meanwhile const& doing = {}) {
   strings arguments{"--sequence", sequence, "--out", out};
   auto const add = [&](std::string const& option, std::string const& value) {
     if (std::find(options.begin(), options.end(), option) == options.end()) {
@@ -223,7 +224,7 @@ inline outcome track(std::string const& sequence, std::string const& out,
   add("--backend", "host");
   add("--threads", "1");
   arguments.insert(arguments.end(), options.begin(), options.end());
-  return run_program(tracker, arguments);
+  return run_program(tracker, arguments, std::chrono::seconds(300), doing);
 }
 
 using table = std::vector<std::map<std::string, std::string>>;
@@ -291,7 +292,20 @@ inline strings outside_references(std::string const& html) {
   return found;
 }
 
-/// The four files of a run over `pairs` stereo pairs, with everything that must agree checked.
+/// The run was stopped early, which it says in one line that names `subject`.
+/// @param frame the first one that was not tracked
+inline testing::AssertionResult stopped_at(outcome const& o, int frame,
+                                           std::string const& subject) {
+  std::string const words = "stopped at frame " + std::to_string(frame) + ": ";
+  if (o.status == 3 && complained_of(o, words) && complained_of(o, subject)) {
+    return testing::AssertionSuccess();
+  }
+  return testing::AssertionFailure()
+         << "should have stopped at frame " << frame << " because of '" << subject << "': " << o;
+}
+
+/// The files that every run leaves over `pairs` stereo pairs, with everything that must agree
+/// checked.
 inline results read_results(std::string const& out, int pairs) {
   results r;
   r.summary = json::parse(read_file(out + "/summary.json"));

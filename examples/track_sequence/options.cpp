@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/track_sequence/options.hpp"
+
+#include <CLI/CLI.hpp>
+#include <string>
+
+#include "examples/sequence/read_ahead.hpp"
+#include "ft/version.hpp"
+
+namespace app {
+namespace {
+
+constexpr char const* footer =
+    "The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in "
+    "the options; 3 where Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what "
+    "was tracked until then is written.";
+
+void add_input(CLI::App& app, arguments& a, std::string& folder) {
+  app.add_option("FOLDER", folder, "folder of the sequence");
+  app.add_option("--sequence", a.sequence, "the same as an option");
+  app.add_option("--calibration", a.calibration,
+                 "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt or a folder with "
+                 "cam0, cam1; default: the sequence's own");
+  app.add_option("--frames", a.frames, "stop after so many; 0 = all")
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--read-ahead", a.read_ahead,
+                 "pairs that other threads read, decode and rectify ahead of the tracking; 0 = "
+                 "none, without threads")
+      ->check(CLI::Range(0, 4096))
+      ->capture_default_str();
+  app.add_flag("--realtime", a.realtime,
+               "frames arrive by their time stamps; of those that come while one is processed all "
+               "but the newest are dropped");
+}
+
+void add_tracking(CLI::App& app, arguments& a) {
+  app.add_option("--backend", a.backend, "auto (a GPU if there is one), host or cuda")
+      ->check(CLI::IsMember({"auto", "host", "cuda"}))
+      ->capture_default_str();
+  app.add_option("--threads", a.threads, "threads of the host backend; 0 = all")
+      ->check(CLI::Range(0, 4096));
+  app.add_option("--rig", a.rig,
+                 "auto (fisheye cameras as they are, others rectified), rectified or fisheye (two "
+                 "Kannala-Brandt cameras, not rectified)")
+      ->check(CLI::IsMember({"auto", "rectified", "fisheye"}))
+      ->capture_default_str();
+  app.add_option(
+         "--features", a.features,
+         "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
+      ->check(CLI::Range(1, 1 << 20));
+  app.add_option("--pose-optimization", a.optimize,
+                 "both, last-frame (none after the local map) or off (the predicted pose is kept: "
+                 "for timing)")
+      ->check(CLI::IsMember({"both", "last-frame", "off"}))
+      ->capture_default_str();
+  app.add_option("--near", a.near_depth,
+                 "depth of map points, in baselines; default: the settings file's, or 50");
+}
+
+void add_output(CLI::App& app, arguments& a) {
+  app.add_option("--out", a.out,
+                 "folder for trajectory.txt, groundtruth.txt, times.csv, summary.json, report.html")
+      ->capture_default_str();
+  app.add_option("--frame", a.frame,
+                 "whose poses are written and compared: those of the (rectified) left camera, or "
+                 "of the body (IMU)")
+      ->check(CLI::IsMember({"camera", "body"}))
+      ->capture_default_str();
+  app.add_option("--poses", a.poses,
+                 "tum, or kitti: also poses.txt with KITTI's 12 numbers for each frame")
+      ->check(CLI::IsMember({"tum", "kitti"}))
+      ->capture_default_str();
+  app.add_flag("--timing", a.timing, "measures the stages of a frame");
+  app.add_flag("--quiet", a.quiet, "no progress display");
+}
+
+}  // namespace
+
+int parse(int argc, char** argv, arguments& a) {
+  CLI::App app("Tracks a stereo sequence (EuRoC or KITTI odometry layout) with ft.");
+  std::string folder;
+  a.read_ahead = 2 * seq::read_ahead::default_threads();
+  add_input(app, a, folder);
+  add_tracking(app, a);
+  add_output(app, a);
+  app.set_version_flag("--version", "track_sequence " + std::to_string(ft::version_major) + "." +
+                                        std::to_string(ft::version_minor) + "." +
+                                        std::to_string(ft::version_patch));
+  app.footer(footer);
+  try {
+    app.parse(argc, argv);
+    if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // rejects NaN
+      throw CLI::ValidationError("--near", "must be above 0 and at most 1e6");
+    }
+    if (!folder.empty() && !a.sequence.empty()) {
+      throw CLI::ValidationError(folder, "--sequence names the folder already");
+    }
+    if (a.sequence.empty()) { a.sequence = folder; }
+    if (a.sequence.empty()) { throw CLI::RequiredError("FOLDER or --sequence"); }
+  } catch (CLI::ParseError const& e) { return app.exit(e) == 0 ? exit_done : exit_refused; }
+  return -1;
+}
+
+}  // namespace app

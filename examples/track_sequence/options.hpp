@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The command line of track_sequence.
+#pragma once
+
+#include <string>
+
+namespace app {
+
+/// How the program ends.
+enum exit_status {
+  exit_done = 0,
+  exit_failed = 1,   ///< nothing was written, or no frame could be tracked
+  exit_refused = 2,  ///< the command line has a mistake
+  exit_stopped = 3,  ///< stopped early; what was tracked until then is written
+};
+
+struct arguments {
+  std::string sequence;
+  std::string calibration;
+  std::string backend = "auto";
+  std::string optimize = "both";
+  std::string rig = "auto";
+  std::string frame = "camera";
+  std::string poses = "tum";
+  std::string out = "track_sequence_out";
+  int features = 0;
+  int threads = 0;
+  int frames = 0;
+  int read_ahead = 0;
+  double near_depth = 0;
+  bool realtime = false;
+  bool timing = false;
+  bool quiet = false;
+};
+
+/// @return -1 to go on, else the status to exit with: help, the version or a mistake was printed
+int parse(int argc, char** argv, arguments& a);
+
+}  // namespace app

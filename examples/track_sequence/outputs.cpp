@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/track_sequence/outputs.hpp"
+
+#include <filesystem>
+#include <iostream>
+#include <string>
+
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/warnings.hpp"
+
+namespace app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The estimate and the truth become poses of the body; the world becomes the first one's body.
+void move_to_body(seq::sequence const& sequence, seq::run_report& report) {
+  Eigen::Isometry3d const T_body_camera = sequence.rig().T_body_left;
+  report.estimate = seq::poses_of(report.estimate, T_body_camera.inverse());
+  for (auto& pose : report.estimate) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
+  for (auto& point : report.cloud) { point = T_body_camera.cast<float>() * point; }
+  if (sequence.ground_truth_has_orientation()) {
+    report.truth = seq::poses_of(report.truth, T_body_camera.inverse());
+  }
+}
+
+/// The times of the processed frames.
+seq::trajectory frame_times(seq::run_report const& report) {
+  seq::trajectory times;
+  for (auto const& record : report.records) { times.push_back({record.time_ns, {}}); }
+  return times;
+}
+
+/// A pose for each frame of the sequence up to the last processed one. KITTI's format has no gaps:
+/// a frame without a pose has that of the frame before it, and the identity before the first pose.
+seq::trajectory without_gaps(seq::sequence const& sequence, seq::run_report const& report) {
+  seq::trajectory all;
+  auto next = report.estimate.begin();
+  seq::stamped_pose last;
+  int const frames = report.records.empty() ? 0 : report.records.back().index + 1;
+  for (int i = 0; i < frames; ++i) {
+    if (next != report.estimate.end() && next->time_ns == sequence.time_ns(i)) { last = *next++; }
+    all.push_back({sequence.time_ns(i), last.T_world_camera});
+  }
+  return all;
+}
+
+/// Writes the poses. Files of an older run that this one does not have are removed.
+void write_poses(arguments const& a, seq::sequence const& sequence, seq::run_report const& report) {
+  seq::write_tum(a.out + "/trajectory.txt", report.estimate, a.frame);
+  std::string const truth_file = a.out + "/groundtruth.txt";
+  seq::trajectory const truth = seq::at_times_of(frame_times(report), report.truth);
+  if (truth.empty()) {
+    fs::remove(truth_file);
+  } else {
+    seq::write_tum(truth_file, truth, a.frame);
+  }
+  if (a.poses == "kitti") {
+    seq::write_kitti_poses(a.out + "/poses.txt", without_gaps(sequence, report));
+  } else {
+    fs::remove(a.out + "/poses.txt");
+  }
+}
+
+}  // namespace
+
+void make_output_folder(arguments const& a) {
+  for (char const* part : {"mav0", "cam0", "image_0", "image_2"}) {
+    if (fs::exists(fs::path(a.out) / part)) {
+      throw seq::error("--out " + a.out + ": is the folder of a sequence (it has " + part +
+                       "), whose ground truth could be overwritten");
+    }
+  }
+  fs::create_directories(a.out);
+}
+
+void finish(arguments const& a, seq::sequence const& sequence, seq::run_report& report) {
+  report.truth = sequence.ground_truth();
+  report.frame = a.frame;
+  if (a.frame == "body") { move_to_body(sequence, report); }
+  report.error =
+      seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
+  report.unpaired_left = sequence.unpaired().left;
+  report.unpaired_right = sequence.unpaired().right;
+  report.warnings = seq::warnings_of(report);
+  write_poses(a, sequence, report);
+  seq::write_times_csv(a.out + "/times.csv", report);
+  seq::write_summary_json(a.out + "/summary.json", report);
+  seq::write_html(a.out + "/report.html", report);
+  seq::print_summary(std::cout, report);
+  std::cout << "report    " << fs::absolute(a.out + "/report.html").string() << "\n";
+}
+
+}  // namespace app

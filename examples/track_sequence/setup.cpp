@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/track_sequence/setup.hpp"
+
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <stdexcept>
+
+namespace app {
+namespace {
+
+std::array<double, 8> kannala_brandt_of(seq::camera_intrinsics const& c) {
+  std::array<double, 8> p{c.fx, c.fy, c.cx, c.cy};
+  for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) { p[4 + i] = c.distortion[i]; }
+  return p;
+}
+
+void set_rig(seq::sequence const& sequence, odometry_options& o) {
+  auto const& rig = sequence.rig();
+  o.width = rig.left.width;
+  o.height = rig.left.height;
+  o.fx = rig.left.fx;
+  o.fy = rig.left.fy;
+  o.cx = rig.left.cx;
+  o.cy = rig.left.cy;
+  o.baseline = rig.baseline();
+  o.fps = rig.fps;
+  o.fisheye = sequence.fisheye();
+  if (!o.fisheye) { return; }
+  o.left = kannala_brandt_of(rig.left);
+  o.right = kannala_brandt_of(rig.right);
+  Eigen::Isometry3d const T = rig.T_left_right.inverse();
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      o.T_right_left.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c);
+    }
+    o.T_right_left.t[static_cast<std::size_t>(r)] = T.translation()(r);
+  }
+}
+
+}  // namespace
+
+seq::sequence open_sequence(arguments const& a) {
+  seq::open_options open;
+  open.calibration = a.calibration;
+  open.keep_fisheye = a.rig != "rectified";
+  open.max_frames = a.frames;
+  try {
+    auto sequence = seq::sequence::open(a.sequence, open);
+    if (a.rig == "fisheye" && !sequence.fisheye()) {
+      throw seq::error("--rig fisheye: the cameras of " + a.sequence +
+                       " are not a pair of Kannala-Brandt cameras");
+    }
+    if (a.frame == "body" && !sequence.has_body_frame()) {
+      throw seq::error("--frame body: the calibration of " + a.sequence +
+                       " does not say where the body is");
+    }
+    return sequence;
+  } catch (seq::missing_calibration const& e) {
+    throw seq::error(std::string(e.what()) + "; --calibration names one that is elsewhere");
+  }
+}
+
+odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
+  auto const& settings = sequence.settings();
+  odometry_options o;
+  set_rig(sequence, o);
+  o.features =
+      a.features > 0 ? a.features : settings.features.value_or(o.width > 1000 ? 2000 : 1200);
+  o.levels = settings.levels.value_or(o.levels);
+  o.scale_factor = settings.scale_factor.value_or(o.scale_factor);
+  o.ini_threshold = settings.ini_threshold.value_or(o.ini_threshold);
+  o.min_threshold = settings.min_threshold.value_or(o.min_threshold);
+  o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
+  // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
+  o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
+  o.measure_stages = a.timing;
+  o.optimize = a.optimize == "both"  ? pose_optimization::both
+               : a.optimize == "off" ? pose_optimization::off
+                                     : pose_optimization::last_frame;
+  return o;
+}
+
+std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options const& options,
+                                        std::string& backend) {
+  std::string const gpu = a.backend == "host" ? std::string() : cuda_device_name();
+  if (a.backend == "cuda" && gpu.empty()) {
+    throw seq::error("--backend cuda: no CUDA device here, or the program was built without CUDA");
+  }
+  backend = gpu.empty() ? "host" : "cuda";
+  try {
+    return gpu.empty() ? make_host_odometry(options) : make_cuda_odometry(options);
+  } catch (std::exception const& e) {  // options that contradict each other
+    throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
+  }
+}
+
+seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T_cw) {
+  rigid_pose const T = T_cw.inverse();
+  seq::stamped_pose s;
+  s.time_ns = time_ns;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      s.T_world_camera.linear()(r, c) = T.R[static_cast<std::size_t>(3 * r + c)];
+    }
+    s.T_world_camera.translation()(r) = T.t[static_cast<std::size_t>(r)];
+  }
+  return s;
+}
+
+}  // namespace app

@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/track_sequence/tracking_run.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <exception>
+#include <iostream>
+#include <map>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "examples/sequence/read_ahead.hpp"
+#include "examples/track_sequence/interrupt.hpp"
+#include "examples/track_sequence/setup.hpp"
+
+namespace app {
+namespace {
+
+constexpr std::size_t most_cloud_points = 8000;
+
+/// Selects frames for the report, spread over the run.
+bool is_sample(int i, int frames) {
+  constexpr int samples = 6;
+  if (frames <= samples) { return true; }
+  for (int k = 0; k < samples; ++k) {
+    if (i == (2 * k + 1) * frames / (2 * samples)) { return true; }
+  }
+  return false;
+}
+
+seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keypoint> const& now,
+                            std::vector<seen_keypoint> const& before, double scale_factor) {
+  std::map<int, seen_keypoint const*> seen_before;
+  for (auto const& k : before) {
+    if (k.point >= 0) { seen_before[k.point] = &k; }
+  }
+  seq::sample_frame s;
+  s.index = index;
+  s.picture = std::move(picture);
+  for (auto const& k : now) {
+    seq::sample_frame::keypoint drawn;
+    drawn.x = k.x;
+    drawn.y = k.y;
+    drawn.octave = k.octave;
+    drawn.size = static_cast<float>(31.0 * std::pow(scale_factor, k.octave));
+    drawn.depth = k.depth;
+    drawn.matched = k.matched;
+    auto const at = seen_before.find(k.point);
+    if (k.matched && at != seen_before.end()) {
+      drawn.from_x = at->second->x;
+      drawn.from_y = at->second->y;
+    }
+    s.keypoints.push_back(drawn);
+  }
+  return s;
+}
+
+}  // namespace
+
+tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
+                           seq::run_report& report)
+    : arguments_(a),
+      sequence_(sequence),
+      odometry_(odometry),
+      report_(report),
+      scale_factor_(options_of(a, sequence).scale_factor),
+      left_lens_(sequence.rig().left) {}
+
+double tracking_run::arrival_ms(int i) const {
+  return static_cast<double>(sequence_.time_ns(i) - sequence_.time_ns(0)) / 1e6;
+}
+
+/// Whether the frame came while another was processed. Only the last such frame is taken.
+bool tracking_run::dropped(int i) const {
+  return arguments_.realtime && arrival_ms(i) < busy_until_ms_ && i + 1 < sequence_.size() &&
+         arrival_ms(i + 1) <= busy_until_ms_;
+}
+
+void tracking_run::track_all() {
+  using clock = std::chrono::steady_clock;
+  int const frames = sequence_.size();
+  seq::progress progress(std::cout, isatty(STDOUT_FILENO) != 0, "track", frames);
+  auto const begin = clock::now();
+  seq::read_ahead reader([this](int i) { return sequence_.load(i); }, frames,
+                         arguments_.read_ahead);
+  auto const stop = [this](int i, std::string const& why) {
+    report_.stopped_at = i;
+    report_.stopped_by = why;
+  };
+  for (int i = 0; i < frames && !report_.stopped_at; ++i) {
+    if (char const* const signal = interrupted()) {
+      stop(i, signal);
+    } else if (dropped(i)) {
+      ++report_.dropped;
+    } else {
+      std::optional<seq::stereo_frame> frame;
+      try {
+        frame = reader.take(i);
+      } catch (std::exception const& e) { stop(i, e.what()); }
+      if (!frame) { continue; }
+      track(i, std::move(*frame));
+      if (!arguments_.quiet) {
+        progress.step(i + 1, report_.records.back().tracked ? std::string() : "lost");
+      }
+    }
+  }
+  if (!arguments_.quiet) { progress.finish(); }
+  report_.wall_s = std::chrono::duration<double>(clock::now() - begin).count();
+}
+
+void tracking_run::track(int i, seq::stereo_frame frame) {
+  frame_outcome const outcome =
+      odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
+  busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
+  add_record(i, frame.time_ns, outcome);
+  if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_cw)); }
+  if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_cw); }
+  add_sample(i, std::move(frame.left));
+}
+
+void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& outcome) {
+  ++report_.frames;
+  report_.tracked += static_cast<int>(outcome.tracked);
+  report_.lost += static_cast<int>(!outcome.tracked);
+  seq::frame_record record;
+  record.index = i;
+  record.time_ns = time_ns;
+  record.tracked = outcome.tracked;
+  record.keyframe = outcome.keyframe;
+  record.keypoints = outcome.keypoints;
+  record.stereo_matches = outcome.stereo_matches;
+  record.inliers = outcome.inliers;
+  record.local_points = outcome.local_points;
+  if (arguments_.timing) {
+    record.stage_ms = outcome.stage_ms;
+  } else {
+    record.stage_ms = {outcome.stage_ms.back()};
+  }
+  report_.records.push_back(std::move(record));
+}
+
+void tracking_run::add_sample(int i, seq::image picture) {
+  bool const sample = is_sample(i, sequence_.size());
+  if (!sample && !is_sample(i + 1, sequence_.size())) { return; }
+  auto now = odometry_.keypoints();
+  if (sample) {
+    bool const adjacent = before_index_ == i - 1;
+    report_.samples.push_back(sample_of(i, std::move(picture), now,
+                                        adjacent ? before_ : std::vector<seen_keypoint>(),
+                                        scale_factor_));
+  }
+  before_ = std::move(now);
+  before_index_ = i;
+}
+
+/// Adds the points that a keyframe begins, where they are then, to the report's cloud. When that is
+/// full, every second one goes, and of those to come as many are left out.
+void tracking_run::add_points(rigid_pose const& T_cw) {
+  rigid_pose const T_wc = T_cw.inverse();
+  for (seen_keypoint const& k : odometry_.keypoints()) {
+    if (k.point < 0 || k.matched || !(k.depth > 0) || points_seen_++ % points_step_ != 0) {
+      continue;
+    }
+    auto const ray = left_lens_.unproject({static_cast<double>(k.x), static_cast<double>(k.y)});
+    if (!ray.valid) { continue; }
+    auto const depth = static_cast<double>(k.depth);
+    auto const p =
+        T_wc * std::array<double, 3>{depth * ray.pixel.x(), depth * ray.pixel.y(), depth};
+    report_.cloud.emplace_back(static_cast<float>(p[0]), static_cast<float>(p[1]),
+                               static_cast<float>(p[2]));
+    if (report_.cloud.size() < most_cloud_points) { continue; }
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < report_.cloud.size(); i += 2) {
+      report_.cloud[kept++] = report_.cloud[i];
+    }
+    report_.cloud.resize(kept);
+    points_step_ *= 2;
+  }
+}
+
+}  // namespace app

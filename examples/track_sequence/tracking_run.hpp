@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Tracks the frames of a sequence and collects what the report says of them.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "examples/sequence/reader.hpp"
+#include "examples/sequence/rectify.hpp"
+#include "examples/sequence/report.hpp"
+#include "examples/track_sequence/odometry.hpp"
+#include "examples/track_sequence/options.hpp"
+
+namespace app {
+
+/// One run over a sequence.
+class tracking_run {
+public:
+  /// @param report gets records, poses, samples and counts
+  tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
+               seq::run_report& report);
+
+  /// Reads ahead on other threads and tracks. Ends after the last frame, at a signal, or at an
+  /// image that cannot be read; report.stopped_at and stopped_by tell these apart.
+  void track_all();
+
+private:
+  bool dropped(int i) const;
+  void track(int i, seq::stereo_frame frame);
+  void add_record(int i, std::int64_t time_ns, frame_outcome const& outcome);
+  void add_sample(int i, seq::image picture);
+  void add_points(rigid_pose const& T_cw);
+  double arrival_ms(int i) const;
+
+  arguments const& arguments_;
+  seq::sequence const& sequence_;
+  odometry& odometry_;
+  seq::run_report& report_;
+  double scale_factor_;
+  seq::lens_projection left_lens_;
+  std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_
+  int before_index_ = -2;
+  double busy_until_ms_ = 0;  ///< on the sequence's own clock, for --realtime
+  int points_seen_ = 0;
+  int points_step_ = 1;  ///< every so many-th new point is kept
+};
+
+}  // namespace app

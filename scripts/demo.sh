@@ -10,9 +10,9 @@ usage() {
 usage: scripts/demo.sh [SEQUENCE_DIR] [options of track_sequence]
 
 Builds ft and tracks a stereo sequence. The first time it installs what is missing (apt-get).
-SEQUENCE_DIR is a folder in EuRoC (ASL) layout; without it, a sequence is generated, with ground truth.
+SEQUENCE_DIR is a folder in EuRoC (ASL) or KITTI odometry layout; without it, a sequence is generated, with ground truth.
 The GPU is used where there are one and a CUDA toolkit, else the CPU; '--backend host' asks for the CPU.
-The report is written to build/demo/report.
+The report is written to build/demo/report. Ctrl-C ends the tracking with the report of what was tracked.
 
   scripts/demo.sh
   scripts/demo.sh ~/data/MH_01_easy/mav0
@@ -59,9 +59,15 @@ given=" $* "
 defaults=()
 if [[ $given != *" --backend"* ]]; then defaults+=(--backend auto); fi
 if [[ $given != *" --out"* ]]; then defaults+=(--out "$report"); fi
-"$build/bin/track_sequence" --sequence "$sequence" "${defaults[@]}" "$@"
+# Status 3: stopped early, and the report is there. Ctrl-C reaches this shell, too: it waits for the program.
+status=0
+trap : INT
+"$build/bin/track_sequence" "$sequence" "${defaults[@]}" "$@" || status=$?
+trap - INT
+if [[ $status != 0 && $status != 3 ]]; then exit "$status"; fi
 
 if [[ $given != *" --out"* ]]; then
   printf '\nThe report is in %s\n' "$report"
   ls -1 "$report" | sed 's/^/  /'
 fi
+exit "$status"

@@ -66,8 +66,7 @@ def plan_runs(program, sequences, backends, modes, times, options, out):
                 for mode in modes:
                     key = sha256_of(binary, sequence.fingerprint, backend, mode, json.dumps(options), *files)
                     command = [program, "--sequence", sequence.path, "--backend", backend, "--quiet", *options]
-                    if mode == "realtime":
-                        command.append("--realtime")
+                    command.append("--realtime" if mode == "realtime" else "--timing")
                     folder = out / "runs" / f"{sequence.name}-{backend}-{mode}-{key}-{number}"
                     runs.append(Run(sequence.name, backend, mode, number, str(folder), tuple(str(c) for c in command)))
     return runs

@@ -23,6 +23,7 @@
 #include "ft/kernels/pyramid/tile_layout.hpp"
 #include "ft/kernels/upload.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace image_pyramid_test {
 

@@ -19,6 +19,7 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
+#include "tests/support/random.hpp"
 
 namespace corner_mask_test {
 

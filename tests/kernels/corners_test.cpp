@@ -18,6 +18,7 @@
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
+#include "tests/support/random.hpp"
 
 namespace corners_test {
 

@@ -14,6 +14,7 @@
 #include "ft/interop/opencv.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace describe_oracle_test {
 

@@ -27,10 +27,12 @@
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace greedy_assignment {
 
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
+using test::at;
+using test::generator;
 
 constexpr int poison = 0x55555555;  ///< what outputs hold before a search
 
@@ -468,32 +470,6 @@ using ways = ::testing::Types<plain_loop_on_host, plain_loop_on_host_from_early_
 
 // ---- scenes -----------------------------------------------------------------------------------
 
-class generator {
-public:
-  explicit generator(unsigned seed) : random_(seed) {}
-  int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(std::max(n, 1))); }
-  int from_to(int low, int high) { return low + below(high - low + 1); }
-  bool chance(int percent) { return below(100) < percent; }
-  float real(float low, float high) {
-    return low + (high - low) * static_cast<float>(random_() >> 8) * (1.0f / 16777216.0f);
-  }
-  ft::descriptor flipped(ft::descriptor d, int bits) {
-    for (int i = 0; i < bits; ++i) {
-      int const bit = below(256);
-      d.words[bit / 32] ^= 1u << (bit % 32);
-    }
-    return d;
-  }
-  ft::descriptor any_descriptor() {
-    ft::descriptor d;
-    for (auto& w : d.words) { w = static_cast<std::uint32_t>(random_()); }
-    return d;
-  }
-
-private:
-  std::mt19937 random_;
-};
-
 struct scene_limits {
   int batch = 6;
   int keypoints = 90;
@@ -526,7 +502,7 @@ scene random_scene(unsigned seed, ft::search_kind kind, int cameras, scene_limit
   if (g.chance(20)) { s.params.ratio = g.real(0.05f, 1.2f); }
 
   std::vector<ft::descriptor> looks(at(g.from_to(1, 6)));
-  looks[0] = g.any_descriptor();
+  looks[0] = g.descriptor();
   for (std::size_t i = 1; i < looks.size(); ++i) { looks[i] = g.flipped(looks[0], g.below(160)); }
   int const flips = g.chance(40) ? 1 : g.from_to(1, 40);
   auto const look = [&] {

@@ -24,6 +24,7 @@
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
+#include "tests/support/random.hpp"
 
 namespace {
 

@@ -12,6 +12,7 @@
 #include "ft/kernels/grid.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace order_and_grid {
 

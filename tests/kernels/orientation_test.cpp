@@ -13,6 +13,7 @@
 #include "ft/containers/soa.hpp"
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace orientation_test {
 

@@ -17,20 +17,15 @@
 #include "ft/kernels/corners/detect_corners.hpp"
 #include "ft/kernels/corners/fast_score.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace packed_pixels_test {
 
+using test::at;
+using test::noise;
+
 using word = std::uint32_t;
 using image = std::vector<std::uint8_t>;
-
-inline std::size_t at(int i) { return static_cast<std::size_t>(i); }
-
-inline image noise(int count, unsigned seed) {
-  std::mt19937 random(seed);
-  image pixels(at(count));
-  for (auto& p : pixels) { p = static_cast<std::uint8_t>(random()); }
-  return pixels;
-}
 
 template <typename Backend>
 class packed_pixels_unit : public test::on_backend<Backend> {
@@ -188,7 +183,7 @@ TYPED_TEST(packed_pixels_unit, rectangles_reach_scratch_from_any_address_and_str
     int const height = 1 + below(70);
     int const shift = round % 2 == 0 ? 0 : below(4);
     int const stride = round % 3 == 0 ? width + below(5) : (width + 3) / 4 * 4 + 4 * below(4);
-    image const pixels = noise(shift + stride * height, static_cast<unsigned>(round));
+    image const pixels = noise(at(shift + stride * height), static_cast<unsigned>(round));
     rectangle r{below(width), below(height), 0, 0, 0};
     r.w = below(width - r.x + 1);
     r.h = below(height - r.y + 1);
@@ -335,7 +330,7 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
   int corners = 0;
   for (int const threshold : {0, 1, 7, 20, 100, 254, 255}) {
     for (unsigned kind = 0; kind < 3; ++kind) {
-      image pixels = kind == 0 ? noise(pitch * height, 40u + static_cast<unsigned>(threshold))
+      image pixels = kind == 0 ? noise(at(pitch * height), 40u + static_cast<unsigned>(threshold))
                                : test::random_image(pitch, height, kind);
       if (kind == 2) {
         for (auto& p : pixels) { p = p < 128 ? std::uint8_t{0} : std::uint8_t{255}; }
@@ -385,7 +380,7 @@ TEST(corner_runs, scores_of_runs_are_those_of_single_pixels) {
   int corners = 0;
   for (int const threshold : {0, 1, 7, 20, 100, 254, 255}) {
     for (unsigned kind = 0; kind < 3; ++kind) {
-      image pixels = kind == 0 ? noise(stride * height, 90u + static_cast<unsigned>(threshold))
+      image pixels = kind == 0 ? noise(at(stride * height), 90u + static_cast<unsigned>(threshold))
                                : test::random_image(stride, height, kind);
       if (kind == 2) {
         for (auto& p : pixels) { p = p < 128 ? std::uint8_t{0} : std::uint8_t{255}; }
@@ -481,7 +476,7 @@ TYPED_TEST(packed_pixels_unit, blur_by_strips_is_the_blur_by_rows) {
   }
   for (auto const& [w, h] : sizes) {
     auto const g = ft::pyramid_geometry::make(w, h, 1, 1.2f);
-    image const pixels = noise(static_cast<int>(g.bytes), static_cast<unsigned>(100 * w + h));
+    image const pixels = noise(at(g.bytes), static_cast<unsigned>(100 * w + h));
     ft::image_pyramid<ft::memory_space::host> const host_from(g);
     ft::image_pyramid<ft::memory_space::host> const host_to(g);
     std::copy(pixels.begin(), pixels.end(), host_from.view().data);

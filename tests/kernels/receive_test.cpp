@@ -19,19 +19,20 @@
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 #if defined(__CUDACC__) && CUDART_VERSION >= 12050
 #include <cuda.h>
 #endif
 
 namespace receive_test {
 
+using test::at;
+
 using bytes = std::vector<std::uint8_t>;
 
 constexpr int quad = 16;
 constexpr std::size_t guard = 256;  ///< bytes before and after what is written
 constexpr std::uint8_t untouched = 0x5a;
-
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
 
 int round_up(int n) { return (n + quad - 1) / quad * quad; }
 

@@ -24,6 +24,7 @@
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/unified.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace rectify_test {
 

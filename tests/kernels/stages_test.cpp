@@ -37,11 +37,13 @@
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
+#include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
 
 namespace stages_parity {
 
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
+using test::at;
+using test::generator;
 
 // ---- the two executors ------------------------------------------------------------------------
 
@@ -128,32 +130,6 @@ std::vector<T> head(std::vector<T> const& v, std::ptrdiff_t first, std::ptrdiff_
 }
 
 // ---- random inputs ----------------------------------------------------------------------------
-
-class generator {
-public:
-  explicit generator(unsigned seed) : random_(seed) {}
-  int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(std::max(n, 1))); }
-  int from_to(int low, int high) { return low + below(high - low + 1); }
-  bool chance(int percent) { return below(100) < percent; }
-  float real(float low, float high) {
-    return low + (high - low) * static_cast<float>(random_() >> 8) * (1.0f / 16777216.0f);
-  }
-  ft::descriptor descriptor() {
-    ft::descriptor d;
-    for (auto& w : d.words) { w = static_cast<std::uint32_t>(random_()); }
-    return d;
-  }
-  ft::descriptor flipped(ft::descriptor d, int bits) {
-    for (int i = 0; i < bits; ++i) {
-      int const bit = below(256);
-      d.words[bit / 32] ^= 1u << (bit % 32);
-    }
-    return d;
-  }
-
-private:
-  std::mt19937 random_;
-};
 
 using image = std::vector<std::uint8_t>;
 

@@ -23,6 +23,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace stereo_test {
 

@@ -14,6 +14,7 @@
 #include "ft/kernels/images/rectify.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace wide_test {
 

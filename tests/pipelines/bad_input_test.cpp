@@ -36,16 +36,17 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
 
 namespace bad_input {
+
+using test::at;
 
 constexpr int width = 320;
 constexpr int height = 240;
 constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 constexpr float inf = std::numeric_limits<float>::infinity();
-
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
 
 // ---- the rigs ---------------------------------------------------------------------------------
 

@@ -17,8 +17,11 @@
 
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace extractor_test {
+
+using test::noise;
 
 using image = std::vector<std::uint8_t>;
 
@@ -33,13 +36,6 @@ inline image flat(int w, int h, int grey) {
   return image(static_cast<std::size_t>(w) * static_cast<std::size_t>(h),
                static_cast<std::uint8_t>(grey));
 }
-inline image noise(int w, int h, unsigned seed) {
-  std::mt19937 random(seed);
-  image pixels = flat(w, h, 0);
-  for (auto& p : pixels) { p = static_cast<std::uint8_t>(random()); }
-  return pixels;
-}
-
 /// Everything that an image yields.
 struct features {
   std::vector<float> x, y, angle, response;

@@ -14,6 +14,7 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace frame_calls_test {
 

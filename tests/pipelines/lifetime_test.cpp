@@ -19,6 +19,7 @@
 #include "ft/containers/feature_grid.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
 
 namespace lifetime_test {

@@ -16,13 +16,15 @@
 
 #include "ft/pipelines/frame_tracker.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace limits_test {
 
+using test::at;
+using test::noise;
+
 using image = std::vector<std::uint8_t>;
 constexpr int largest_int = std::numeric_limits<int>::max();
-
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
 
 ft::orb_params size(int w, int h, int levels = 8, float factor = 1.2f) {
   ft::orb_params p;
@@ -32,13 +34,6 @@ ft::orb_params size(int w, int h, int levels = 8, float factor = 1.2f) {
   p.scale_factor = factor;
   p.features = 300;
   return p;
-}
-
-image noise(std::size_t pixels, unsigned seed) {
-  std::mt19937 random(seed);
-  image out(pixels);
-  for (auto& p : out) { p = static_cast<std::uint8_t>(random()); }
-  return out;
 }
 
 /// What an image yielded, in host memory.

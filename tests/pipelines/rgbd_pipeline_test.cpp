@@ -13,13 +13,14 @@
 
 #include "ft/ft.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace rgbd_pipeline {
 
+using test::at;
+
 constexpr int width = 400;
 constexpr int height = 300;
-
-std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
 
 // ---- the scene --------------------------------------------------------------------------------
 

@@ -4,12 +4,8 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <cstdint>
 #include <cstdlib>
-#include <random>
 #include <string>
-#include <vector>
 
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -77,32 +73,5 @@ protected:
     if (!Backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   }
 };
-
-/// A grey image with structure at all scales: flat areas, edges and noise; the same for the same
-/// seed.
-inline std::vector<std::uint8_t> random_image(int width, int height, unsigned seed) {
-  std::mt19937 random(seed);
-  std::vector<std::uint8_t> image(
-      static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 90);
-  int const boxes = 40 + width * height / 1500;
-  for (int i = 0; i < boxes; ++i) {
-    int const w = 1 + static_cast<int>(random() % static_cast<unsigned>(2 + width / (2 + i % 40)));
-    int const h = 1 + static_cast<int>(random() % static_cast<unsigned>(2 + height / (2 + i % 40)));
-    int const x0 = static_cast<int>(random() % static_cast<unsigned>(width));
-    int const y0 = static_cast<int>(random() % static_cast<unsigned>(height));
-    auto const grey = static_cast<std::uint8_t>(random());
-    for (int y = y0; y < y0 + h && y < height; ++y) {
-      for (int x = x0; x < x0 + w && x < width; ++x) {
-        image[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-              static_cast<std::size_t>(x)] = grey;
-      }
-    }
-  }
-  for (auto& p : image) {
-    p = static_cast<std::uint8_t>(
-        std::min(255, std::max(0, static_cast<int>(p) + static_cast<int>(random() % 9) - 4)));
-  }
-  return image;
-}
 
 }  // namespace test

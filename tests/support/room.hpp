@@ -13,16 +13,17 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
 
 namespace test::room {
+
+using test::at;
 
 // ---- a room ------------------------------------------------------------------------------------
 
 constexpr int width = 480;
 constexpr int height = 360;
-
-inline std::size_t at(std::ptrdiff_t i) { return static_cast<std::size_t>(i); }
 
 inline ft::rectified_rig rig() {
   return ft::rectified_rig::make({300.0f, 300.0f, 239.5f, 179.5f}, 0.25f);

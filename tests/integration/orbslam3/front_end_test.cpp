@@ -24,6 +24,7 @@
 #include "tests/integration/orbslam3/stand_in.hpp"
 #include "tests/integration/orbslam3/watched_device.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
 
 namespace orbslam3_test {
 

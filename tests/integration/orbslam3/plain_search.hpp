@@ -351,4 +351,18 @@ private:
   std::vector<float> scale_;
 };
 
+/// ORB-SLAM3's loop over the frame's own points, before the local map is searched.
+inline void mark_own_points(stand_in::frame& f) {
+  for (auto*& p : f.mvpMapPoints) {
+    if (p == nullptr) { continue; }
+    if (p->isBad()) {
+      p = nullptr;
+      continue;
+    }
+    p->IncreaseVisible(1);
+    p->mnLastFrameSeen = f.mnId;
+    p->mbTrackInView = p->mbTrackInViewR = false;
+  }
+}
+
 }  // namespace orbslam3_test

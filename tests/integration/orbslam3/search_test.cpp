@@ -80,19 +80,6 @@ void expect_equal(std::vector<tracked> const& got, std::vector<tracked> const& w
     }
   }
 }
-/// ORB-SLAM3's loop over the frame's own points, before the local map is searched.
-void mark_own_points(stand_in::frame& f) {
-  for (auto*& p : f.mvpMapPoints) {
-    if (p == nullptr) { continue; }
-    if (p->isBad()) {
-      p = nullptr;
-      continue;
-    }
-    p->IncreaseVisible(1);
-    p->mnLastFrameSeen = f.mnId;
-    p->mbTrackInView = p->mbTrackInViewR = false;
-  }
-}
 
 class shim_searches : public on_executor {};
 

@@ -167,18 +167,6 @@ protected:
       if (auto* const by = p->GetReplaced()) { p = by; }
     }
   }
-  static void mark_own(stand_in::frame& f) {
-    for (auto*& p : f.mvpMapPoints) {
-      if (p == nullptr) { continue; }
-      if (p->isBad()) {
-        p = nullptr;
-        continue;
-      }
-      p->IncreaseVisible(1);
-      p->mnLastFrameSeen = f.mnId;
-      p->mbTrackInView = p->mbTrackInViewR = false;
-    }
-  }
 
   void track_while_mapping(sensor kind, change_detection detection, int frames) {
     scene s(kind, 6);
@@ -211,7 +199,7 @@ protected:
       map.release(last);
       matches += gpu.search_by_projection(f, last, 15, false);
       gpu.pose_optimization(f, stage::pose_last_frame);
-      mark_own(f);
+      mark_own_points(f);
       auto const local = map.list();
       std::set<stand_in::map_point const*> const known(local.begin(), local.end());
       auto const before = f.mvpMapPoints;

@@ -33,6 +33,8 @@ struct frame_poses {
   pose const* start;               ///< [batch] T_cw
   pose* result;                    ///< [batch] T_cw; may be `start`
   observations_view observations;  ///< written; capacity at least frame.numbers()
+  /// [batch][information_terms] as in pose_problem; may be null
+  float* information = nullptr;
 };
 
 namespace detail {
@@ -57,8 +59,13 @@ struct optimize_frame {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
     if (g.rank() == 0) { s.pose.T = poses.start[b].template cast<strict_double>(); }
     int const n = list_observations(g, s, b, frame, out.number + at);
+    float* const information =
+        poses.information == nullptr
+            ? nullptr
+            : poses.information + static_cast<std::ptrdiff_t>(b) * information_terms;
     pose_problem const problem{
-        out.items + at, n, poses.start + b, poses.result + b, out.outlier + at, out.inliers + b};
+        out.items + at,  n,          poses.start + b, poses.result + b, out.outlier + at,
+        out.inliers + b, information};
     pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params};
     auto const number_of = [&](int i) {
       return i < prepared_observations::size ? s.number[i] : out.number[at + i];

@@ -184,6 +184,10 @@ private:
       *problem.result = enough ? s.T.template cast<float>() : *problem.start;
       *problem.inliers = enough ? good : 0;
     }
+    if (problem.information == nullptr) { return; }
+    for (int i = g.rank(); i < information_terms; i += g.size()) {
+      problem.information[i] = enough ? s.best.of[6 + i] : 0.0f;
+    }
   }
 };
 

@@ -22,6 +22,9 @@ struct pose_params {
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
 
+/// Numbers of the upper triangle of a symmetric 6 x 6 matrix.
+inline constexpr int information_terms = 21;
+
 /// The observations of one camera pose, and its results.
 struct pose_problem {
   observation const* observations;
@@ -30,6 +33,12 @@ struct pose_problem {
   pose* result;            ///< T_cw; `start` if there are fewer than 3 observations
   unsigned char* outlier;  ///< [count]
   int* inliers;
+  /// [information_terms] upper triangle by rows of the information matrix, the inverse of the
+  /// pose's covariance, 1 / rad^2, 1 / (rad m) and 1 / m^2: that of a small twist x, rotation
+  /// first, in T_cw' = exp(x) T_cw. It is the Gauss-Newton approximation of the last round, with
+  /// that round's weights, at the last pose whose sums were computed; 0 without a pose. May be
+  /// null.
+  float* information = nullptr;
 };
 
 }  // namespace FT_ABI

@@ -131,6 +131,9 @@ struct local_search {
   frustum_params frustum;
   pyramid_geometry geometry;
   local_search_params params;
+  /// [batch] factor on the windows of the left camera, instead of `params.radius_factor`; may be
+  /// null
+  float const* radius_factor = nullptr;
   visibility* seen = nullptr;  ///< output, [cameras][batch][windows' capacity]; may be null
   /// [batch][cameras] centres of the cameras in the world, metres; null: from the poses. A system
   /// that stores rotations as quaternions has centres that differ from the matrix's in the last
@@ -175,7 +178,7 @@ struct local_map_windows {
       if (!skip) { v = see(in, b, points, slot, c); }
       float const most = in.params.max_distance;
       if (v.level >= 0 && !(most > 0 && v.distance > most)) {
-        float const factor = c == 0 ? in.params.radius_factor : 1.0f;
+        float const factor = c == 0 ? radius_factor(in, b) : 1.0f;
         pair.of[c] = window_of(v, slot, factor, Rig::rectified, in.geometry);
       }
       if (writes && in.seen != nullptr) { in.seen[c * per_camera + item] = v; }
@@ -184,6 +187,9 @@ struct local_map_windows {
   }
 
 private:
+  FT_HOST_DEVICE static float radius_factor(search const& in, int b) {
+    return in.radius_factor != nullptr ? in.radius_factor[b] : in.params.radius_factor;
+  }
   FT_HOST_DEVICE static visibility see(search const& in, int b, map_points_view const& points,
                                        int slot, int camera) {
     Rig const& rig = in.rig;

@@ -52,6 +52,8 @@ public:
   frustum_params frustum;
   local_search_params local_params;       ///< of the next search in the local map
   image_source const* sources = nullptr;  ///< [batch][2]
+  float const* radius_factor = nullptr;   ///< of local_search; may be null
+  float* information = nullptr;           ///< of frame_poses; may be null
 
   // ---- images and keypoints
 
@@ -214,12 +216,13 @@ private:
     search.frustum = frustum;
     search.geometry = geometry();
     search.params = local_params;
+    search.radius_factor = radius_factor;
     search.seen = memory.visible;
     return search;
   }
   void optimize(Exec const& exec, pose const* start) const {
     optimize_frame_poses(exec, rig, {memory.frame, memory.map, geometry()},
-                         {start, memory.poses, memory.observations});
+                         {start, memory.poses, memory.observations, information});
   }
 
   side_branch<Exec> stereo_branch_;

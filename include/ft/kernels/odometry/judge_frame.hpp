@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: whether a frame of an odometry is tracked, which state follows, and whether it
+/// becomes a keyframe.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/frame.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/odometry/state.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Result of a frame's searches. Executor memory.
+struct searched_frames {
+  frame_view frame;
+  float const* depth;  ///< [batch][capacity] of left keypoints, metres; not above 0 = none
+  float near;          ///< points nearer than this become map points, metres
+  int* inliers;        ///< [batch] of the last pose; 0 is written for a frame that is not tracked
+  pose* T_cw;          ///< [batch] the last pose; the frame's pose is written
+  unsigned char* matched;  ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
+                           ///< a map point from before the frame
+};
+
+namespace detail {
+
+/// Left keypoints of a frame.
+struct keypoint_counts {
+  int with_depth = 0, held = 0, near_held = 0, near_free = 0;
+};
+
+/// Item: a camera.
+struct judge_camera_frame {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
+                                 searched_frames const& in,
+                                 odometry_state_view const& state) const {
+    camera_track const before = state.tracks[b];
+    int const inliers = in.inliers[b];
+    bool const found = before.plan == search_plan::follow    ? inliers >= rules.min_inliers
+                       : before.plan == search_plan::recover ? inliers >= rules.min_recovered
+                                                             : false;
+    keypoint_counts const counts = release_and_count(g, b, in, found);
+    g.sync();
+    if (g.rank() != 0) { return; }
+    camera_track t = before;
+    state.found[b] = found ? 1 : 0;
+    state.insert[b] = state.clear[b] = 0;
+    if (found) {
+      keep_pose(t, state.T_cw[b], in.T_cw[b]);
+      state.insert[b] = needs_keyframe(t, counts, rules) ? 1 : 0;
+    } else {
+      in.inliers[b] = 0;
+      miss(t, b, counts, rules, state);
+    }
+    if (state.insert[b] != 0) {
+      t.keyframe = state.T_cw[b];
+      t.new_keyframe = 1;
+      ++t.map_keyframes;
+      ++t.keyframes;
+    }
+    bool const gathers = t.adjusting == 0 && t.new_keyframe != 0 && t.map_keyframes > 1;
+    state.gather[b] = gathers ? 1 : 0;
+    if (gathers) {
+      t.adjusting = 1;
+      t.new_keyframe = 0;
+    }
+    in.T_cw[b] = state.T_cw[b].template cast<float>();
+    state.tracks[b] = t;
+  }
+
+private:
+  template <typename Group>
+  FT_HOST_DEVICE static keypoint_counts release_and_count(Group g, int b, searched_frames const& in,
+                                                          bool found) {
+    frame_view const& frame = in.frame;
+    auto const first = static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    float const* const depth = in.depth + static_cast<std::ptrdiff_t>(b) * frame.capacity();
+    int const left = *frame.camera(b, 0).count;
+    keypoint_counts n;
+    for (int i = g.rank(); i < frame.numbers(); i += g.size()) {
+      if (!found) { frame.holder[first + i] = -1; }
+      int const c = i / frame.capacity();
+      bool const there = i - c * frame.capacity() < *frame.camera(b, c).count;
+      bool const held = there && frame.holder[first + i] >= 0;
+      in.matched[first + i] = held ? 1 : 0;
+      if (i >= left) { continue; }
+      bool const is_near = depth[i] > 0 && depth[i] < in.near;
+      n.with_depth += static_cast<int>(depth[i] > 0);
+      n.held += static_cast<int>(held);
+      n.near_held += static_cast<int>(is_near && held);
+      n.near_free += static_cast<int>(is_near && !held);
+    }
+    return {g.reduce(n.with_depth, sum_op{}), g.reduce(n.held, sum_op{}),
+            g.reduce(n.near_held, sum_op{}), g.reduce(n.near_free, sum_op{})};
+  }
+
+  /// The frame is tracked at pose T.
+  FT_HOST_DEVICE static void keep_pose(camera_track& t, rigid<double>& T_cw, pose const& T) {
+    rigid<double> const now =
+        T.template cast<strict_double>().orthonormalized().template cast<double>();
+    if (t.lost_frames == 0) {
+      t.velocity.observe(T_cw, now, t.interval_ns);
+    } else {
+      t.velocity.rest();
+    }
+    T_cw = now;
+    t.lost_frames = 0;
+    t.lost_with_features = 0;
+    t.state = tracking_state::tracking;
+  }
+
+  /// The frame is not tracked. The motion goes on, slower and slower, until the camera is found or
+  /// a new map is begun where it is thought to be.
+  FT_HOST_DEVICE static void miss(camera_track& t, int b, keypoint_counts const& counts,
+                                  tracking_rules const& rules, odometry_state_view const& state) {
+    bool const had_map = t.has_map();
+    bool const usable = counts.with_depth >= rules.min_stereo_points;
+    if (had_map) {
+      state.T_cw[b] = t.predicted;
+      t.velocity.slow_down();
+      ++t.lost_frames;
+      t.lost_with_features = usable ? t.lost_with_features + 1 : 0;
+      t.state =
+          t.lost_frames < recovery_attempts ? tracking_state::recovering : tracking_state::lost;
+    }
+    if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
+    t.leave_map();
+    t.velocity.rest();
+    t.lost_frames = 0;
+    t.lost_with_features = 0;
+    t.state = tracking_state::tracking;
+    ++t.maps;
+    state.clear[b] = 1;
+    state.insert[b] = 1;
+  }
+
+  FT_HOST_DEVICE static bool needs_keyframe(camera_track const& t, keypoint_counts const& n,
+                                            tracking_rules const& rules) {
+    bool const short_of_near =
+        n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
+    auto const kept = mul(rules.keep_share, static_cast<float>(t.reference_tracked));
+    return short_of_near || static_cast<float>(n.held) < kept;
+  }
+};
+
+/// Item: a camera. Counts the points of a new keyframe.
+struct count_keyframe_points {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+                                 odometry_state_view const& state) const {
+    if (state.insert[b] == 0) { return; }
+    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    int held = 0;
+    for (int i = g.rank(); i < *frame.camera(b, 0).count; i += g.size()) {
+      held += static_cast<int>(holder[i] >= 0);
+    }
+    held = g.reduce(held, sum_op{});
+    if (g.rank() == 0) { state.tracks[b].reference_tracked = held; }
+  }
+};
+
+}  // namespace detail
+
+/// Decides which state follows from a frame's searches, whether the frame becomes a keyframe,
+/// whether a new map is begun and whether an adjustment begins; keeps the pose and the motion.
+/// Keypoints of a frame that is not tracked release what they hold. Asynchronous on `exec`;
+/// allocates nothing; one launch.
+template <typename Exec>
+void judge_frames(Exec const& exec, tracking_rules const& rules, searched_frames const& in,
+                  odometry_state_view const& state) {
+  for_each_item<per_block<256>>(exec, state.batch, detail::judge_camera_frame{}, rules, in, state);
+}
+
+/// After insert_keyframe(): counts the left keypoints of new keyframes that have a map point.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void count_points_of_keyframes(Exec const& exec, frame_view const& frame,
+                               odometry_state_view const& state) {
+  for_each_item<per_block<256>>(exec, state.batch, detail::count_keyframe_points{}, frame, state);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

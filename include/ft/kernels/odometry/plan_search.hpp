@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: what a frame of an odometry searches in the local map, and from which pose.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/frame.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/odometry/state.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Result of the search from the last frame, and the start of the search in the local map.
+struct search_start {
+  int const* inliers;  ///< [batch] of the first pose
+  pose* T_cw;          ///< [batch] the first pose; replaced for a camera that is searched for
+  int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
+                       ///< point counts as matched
+};
+
+namespace detail {
+
+/// Item: a camera.
+struct plan_camera_search {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
+                                 frame_view const& frame, odometry_state_view const& state,
+                                 search_start const& start) const {
+    camera_track const& t = state.tracks[b];
+    search_plan const plan = plan_of(t, rules, start.inliers[b]);
+    g.sync();
+    if (plan != search_plan::follow) {
+      int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+      for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
+    }
+    if (g.rank() != 0) { return; }
+    int const attempt = t.lost_frames % recovery_attempts;
+    bool const recovers = plan == search_plan::recover;
+    state.mode[b] = recovers ? 1 : 0;
+    state.radius_factor[b] = !recovers                   ? 1.0f
+                             : attempt < recovery_places ? rules.first_wide_search
+                                                         : rules.later_wide_search;
+    if (recovers) {
+      int const place = attempt % recovery_places;
+      rigid<double> const T = place == 0 ? t.predicted : place == 1 ? state.T_cw[b] : t.keyframe;
+      start.T_cw[b] = T.template cast<float>();
+      start.stamp[b] += 1;
+    }
+    state.tracks[b].plan = plan;
+  }
+
+private:
+  FT_HOST_DEVICE static search_plan plan_of(camera_track const& t, tracking_rules const& rules,
+                                            int inliers) {
+    if (!t.has_map()) { return search_plan::nothing; }
+    return t.lost_frames == 0 && inliers >= rules.min_motion_inliers ? search_plan::follow
+                                                                     : search_plan::recover;
+  }
+};
+
+}  // namespace detail
+
+/// Decides after the first pose of a frame how its search in the local map goes on. A camera with
+/// too few inliers, or that was lost before, is searched for near one of several poses with a wide
+/// radius, among the newest keyframes' points. Its keypoints release what they hold. Asynchronous
+/// on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,
+                   odometry_state_view const& state, search_start const& start) {
+  for_each_item<per_block<256>>(exec, state.batch, detail::plan_camera_search{}, rules, frame,
+                                state, start);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

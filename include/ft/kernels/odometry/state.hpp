@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry keeps of each camera from frame to frame, and the rules of its states.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/motion/constant_velocity.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The state of a camera after a frame; see tracking_rules.
+enum class tracking_state : int {
+  initialising,  ///< no map yet: the frame had too few stereo points
+  tracking,      ///< the frame's pose comes from the map, or the frame begins a map
+  recovering,    ///< the last frames were not found; each frame tries another place
+  lost,          ///< all places were tried without success; the attempts go on
+};
+
+/// When a frame counts as tracked, when a keyframe is made, and when a map is given up. Numbers are
+/// keypoints of one frame, unless said otherwise.
+struct tracking_rules {
+  int min_stereo_points = 60;    ///< with depth, to begin a map
+  int min_motion_inliers = 10;   ///< to trust the pose from the last frame
+  int min_inliers = 20;          ///< to call a frame tracked
+  int min_recovered = 30;        ///< inliers to call a lost camera found
+  float first_wide_search = 6;   ///< factor on the search radius in the first round of attempts
+  float later_wide_search = 20;  ///< and in the second
+  int patience = 12;             ///< lost frames in a row with enough points before a new map
+  int wanted_near_points = 100;  ///< near points that a keyframe should have at least
+  int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
+  float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
+  float near_depth = 50;         ///< points nearer than this many baselines become map points
+  motion_params motion;
+};
+
+/// Attempts to find a lost camera, one a frame, in turn: at the predicted pose, at the last one and
+/// at the newest keyframe's, each with the first radius and then with the later one.
+inline constexpr int recovery_places = 3;
+inline constexpr int recovery_attempts = 2 * recovery_places;
+
+/// What a frame searches in the local map.
+enum class search_plan : int { nothing, follow, recover };
+
+/// Inputs of a frame from the host, one camera.
+struct odometry_input {
+  std::int64_t time_ns;
+  rigid<double> T_cw;  ///< expected pose, if `predicted`
+  int predicted;       ///< 1 = T_cw replaces the motion model's prediction
+  int stamp;           ///< of the frame; the next number belongs to it, too
+  int reset;           ///< 1 = the camera begins anew
+  int window;          ///< 1 = the adjustment in flight ends with this frame
+};
+
+/// What is kept of one camera.
+struct camera_track {
+  constant_velocity velocity;
+  rigid<double> predicted;   ///< T_cw of the current frame
+  rigid<double> keyframe;    ///< T_cw of the newest keyframe when it was made
+  std::int64_t time_ns;      ///< of the current frame
+  std::int64_t interval_ns;  ///< from the last frame to it; 0 = it is the first
+  tracking_state state;
+  search_plan plan;
+  int begun;               ///< 1 = a frame was seen
+  int lost_frames;         ///< in a row
+  int lost_with_features;  ///< of these, the last ones in a row with enough stereo points
+  int reference_tracked;   ///< left keypoints with a map point, of the last keyframe
+  int maps;                ///< begun
+  int map_keyframes;       ///< made in this map
+  int keyframes;           ///< made in all maps
+  int new_keyframe;        ///< 1 = since the last adjustment was begun
+  int adjusting;           ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
+
+  FT_HOST_DEVICE static camera_track initial() {
+    camera_track t{};
+    t.velocity = constant_velocity::at_rest();
+    t.predicted = rigid<double>::identity();
+    t.keyframe = rigid<double>::identity();
+    return t;
+  }
+  /// The map is given up.
+  FT_HOST_DEVICE void leave_map() {
+    if (adjusting != 0) { adjusting = 2; }
+    new_keyframe = 0;
+    map_keyframes = 0;
+  }
+  FT_HOST_DEVICE bool has_map() const { return state != tracking_state::initialising; }
+};
+
+/// The state of all cameras, and what stages decide for those that follow. Executor memory.
+struct odometry_state_view {
+  camera_track* tracks = nullptr;  ///< [batch]
+  rigid<double>* T_cw = nullptr;   ///< [batch] of the last frame, then of the current one
+  int* mode = nullptr;             ///< [batch] of choose_local_map()
+  float* radius_factor = nullptr;  ///< [batch] of the search in the local map
+  int* found = nullptr;            ///< [batch] 1 = the frame is tracked in the map
+  int* clear = nullptr;            ///< [batch] 1 = the map is emptied
+  int* insert = nullptr;           ///< [batch] 1 = the frame becomes a keyframe
+  int* gather = nullptr;           ///< [batch] 1 = an adjustment begins with this frame
+  int* apply = nullptr;            ///< [batch] 1 = an adjustment ends with this frame
+  int batch = 0;
+};
+
+inline void carve(carver& c, odometry_state_view& v, int batch) {
+  auto const n = static_cast<std::size_t>(batch);
+  v.tracks = c.take<camera_track>(n);
+  v.T_cw = c.take<rigid<double>>(n);
+  v.mode = c.take<int>(n);
+  v.radius_factor = c.take<float>(n);
+  v.found = c.take<int>(n);
+  v.clear = c.take<int>(n);
+  v.insert = c.take<int>(n);
+  v.gather = c.take<int>(n);
+  v.apply = c.take<int>(n);
+  v.batch = batch;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -36,7 +36,6 @@ struct read_odometry_input {
       t.adjusting = adjusting;
       state.T_cw[b] = rigid<double>::identity();
     }
-    state.clear[b] = in.reset;
     state.apply[b] = in.window != 0 && t.adjusting == 1 ? 1 : 0;
     if (in.window != 0) { t.adjusting = 0; }
   }
@@ -53,7 +52,7 @@ struct predict_frame {
     odometry_input const& in = inputs[b];
     camera_track& t = state.tracks[b];
     t.interval_ns = t.begun != 0 ? in.time_ns - t.time_ns : 0;
-    t.time_ns = in.time_ns;
+    t.time_ns = state.time_ns[b] = in.time_ns;
     t.begun = 1;
     rigid<double> const last = state.T_cw[b];
     t.predicted =

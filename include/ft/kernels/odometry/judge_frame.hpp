@@ -10,6 +10,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/map/count_sightings.hpp"
+#include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/odometry/state.hpp"
 
 namespace ft {
@@ -50,16 +52,19 @@ struct judge_camera_frame {
     g.sync();
     if (g.rank() != 0) { return; }
     camera_track t = before;
-    state.found[b] = found ? 1 : 0;
-    state.insert[b] = state.clear[b] = 0;
+    bool const follows = before.plan == search_plan::follow;
+    // The local map of a lost camera is seen from a guessed pose. A point that it does not find
+    // there may be anywhere.
+    state.sightings[b] = found ? (follows ? all_sightings : found_only) : no_sightings;
+    state.order[b] = no_keyframe;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
-      state.insert[b] = needs_keyframe(t, counts, rules) ? 1 : 0;
+      state.order[b] = needs_keyframe(t, counts, rules) ? add_keyframe : no_keyframe;
     } else {
       in.inliers[b] = 0;
       miss(t, b, counts, rules, state);
     }
-    if (state.insert[b] != 0) {
+    if (state.order[b] != no_keyframe) {
       t.keyframe = state.T_cw[b];
       t.new_keyframe = 1;
       ++t.map_keyframes;
@@ -137,8 +142,7 @@ private:
     t.lost_with_features = 0;
     t.state = tracking_state::tracking;
     ++t.maps;
-    state.clear[b] = 1;
-    state.insert[b] = 1;
+    state.order[b] = begin_map;
   }
 
   FT_HOST_DEVICE static bool needs_keyframe(camera_track const& t, keypoint_counts const& n,
@@ -147,24 +151,6 @@ private:
         n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
     auto const kept = mul(rules.keep_share, static_cast<float>(t.reference_tracked));
     return short_of_near || static_cast<float>(n.held) < kept;
-  }
-};
-
-/// Item: a camera. Counts the points of a new keyframe.
-struct count_keyframe_points {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
-                                 odometry_state_view const& state) const {
-    if (state.insert[b] == 0) { return; }
-    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
-    int held = 0;
-    for (int i = g.rank(); i < *frame.camera(b, 0).count; i += g.size()) {
-      held += static_cast<int>(holder[i] >= 0);
-    }
-    held = g.reduce(held, sum_op{});
-    if (g.rank() == 0) { state.tracks[b].reference_tracked = held; }
   }
 };
 
@@ -178,14 +164,6 @@ template <typename Exec>
 void judge_frames(Exec const& exec, tracking_rules const& rules, searched_frames const& in,
                   odometry_state_view const& state) {
   for_each_item<per_block<256>>(exec, state.batch, detail::judge_camera_frame{}, rules, in, state);
-}
-
-/// After insert_keyframe(): counts the left keypoints of new keyframes that have a map point.
-/// Asynchronous on `exec`; allocates nothing; one launch.
-template <typename Exec>
-void count_points_of_keyframes(Exec const& exec, frame_view const& frame,
-                               odometry_state_view const& state) {
-  for_each_item<per_block<256>>(exec, state.batch, detail::count_keyframe_points{}, frame, state);
 }
 
 }  // namespace FT_ABI

@@ -97,9 +97,9 @@ struct odometry_state_view {
   rigid<double>* T_cw = nullptr;   ///< [batch] of the last frame, then of the current one
   int* mode = nullptr;             ///< [batch] of choose_local_map()
   float* radius_factor = nullptr;  ///< [batch] of the search in the local map
-  int* found = nullptr;            ///< [batch] 1 = the frame is tracked in the map
-  int* clear = nullptr;            ///< [batch] 1 = the map is emptied
-  int* insert = nullptr;           ///< [batch] 1 = the frame becomes a keyframe
+  int* sightings = nullptr;        ///< [batch] sightings_kind of count_sightings()
+  int* order = nullptr;            ///< [batch] keyframe_order of insert_keyframe()
+  std::int64_t* time_ns = nullptr; ///< [batch] of the current frame
   int* gather = nullptr;           ///< [batch] 1 = an adjustment begins with this frame
   int* apply = nullptr;            ///< [batch] 1 = an adjustment ends with this frame
   int batch = 0;
@@ -111,9 +111,9 @@ inline void carve(carver& c, odometry_state_view& v, int batch) {
   v.T_cw = c.take<rigid<double>>(n);
   v.mode = c.take<int>(n);
   v.radius_factor = c.take<float>(n);
-  v.found = c.take<int>(n);
-  v.clear = c.take<int>(n);
-  v.insert = c.take<int>(n);
+  v.sightings = c.take<int>(n);
+  v.order = c.take<int>(n);
+  v.time_ns = c.take<std::int64_t>(n);
   v.gather = c.take<int>(n);
   v.apply = c.take<int>(n);
   v.batch = batch;

@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The memory that an odometry has besides that of a frame: map, states, window, results.
+#pragma once
+
+#include <cstddef>
+#include <cstring>
+
+#include "ft/containers/odometry_map.hpp"
+#include "ft/containers/window_problem.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/map/choose_local_map.hpp"
+#include "ft/kernels/map/gather_window.hpp"
+#include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/odometry/state.hpp"
+#include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/kernels/window/workspace.hpp"
+#include "ft/pipelines/detail/frame_memory.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// What the host reads of a camera after a frame.
+struct odometry_output {
+  rigid<double> T_cw;
+  tracking_state state;
+  int begins_first_map;
+  int keyframe;
+  int gathered;  ///< 1 = an adjustment begins with this frame
+  int inliers;
+  int keypoints;
+  int with_depth;
+  int local_points;
+  int left_out;
+  int map_points;
+  int maps;
+  int keyframes;
+  float information[information_terms];
+};
+
+/// Owns the memory. Executor memory, unless said otherwise.
+template <typename Exec>
+struct odometry_memory {
+  static constexpr memory_space space = Exec::space;
+  static constexpr memory_space staging = staging_space<Exec>;
+
+  odometry_map_view map;
+  odometry_state_view state;
+  local_map_workspace local_work;
+  int* local_left_out = nullptr;  ///< [batch]
+  keyframe_workspace keyframe_work;
+  keyframe_result keyframe_out;
+  window_problem_view window;
+  window_sources_view sources;
+  window_workspace window_work;
+  int* selected = nullptr;           ///< [batch] cameras of the adjustment that runs
+  float* information = nullptr;      ///< [batch][information_terms]
+  odometry_input* inputs = nullptr;  ///< [batch] staging memory, which a device reads
+  odometry_output* outputs = nullptr;        ///< [batch] staging memory, which a device writes
+  unsigned char* matched = nullptr;          ///< [batch][numbers] staging memory, likewise
+  int* staged_selected = nullptr;            ///< [runs][batch] staging memory
+  std::size_t bytes() const { return memory_.bytes(); }
+
+  /// @param runs adjustments in flight, at most @throws bad_argument, std::bad_alloc, cuda_error
+  void take(frame_shape const& shape, odometry_params const& p, int runs) {
+    int const batch = shape.batch;
+    auto const b = static_cast<std::size_t>(batch);
+    auto const numbers = b * static_cast<std::size_t>(shape.numbers());
+    odometry_map_capacity const size{p.map_slots, {p.keyframes, shape.cameras, shape.capacity}};
+    window_capacity const views{p.window.moving + p.window.fixed, p.window_points, shape.cameras};
+    memory_ = arena<space>([&](carver& c) {
+      carve(c, map, size, batch);
+      carve(c, state, batch);
+      carve(c, local_work, p.map_slots, batch);
+      local_left_out = c.take<int>(b);
+      carve(c, keyframe_work, p.map_slots, shape.capacity, shape.cameras, batch);
+      keyframe_out.held = c.take<int>(b);
+      keyframe_out.left_out = c.take<int>(b);
+      carve(c, window, views, batch);
+      carve(c, sources, views, p.map_slots, batch);
+      carve(c, window_work, window, p.window.moving);
+      selected = c.take<int>(b);
+      information = c.take<float>(b * information_terms);
+    });
+    staging_memory_ = arena<staging>([&](carver& c) {
+      inputs = c.take<odometry_input>(b);
+      outputs = c.take<odometry_output>(b);
+      matched = c.take<unsigned char>(numbers);
+      staged_selected = c.take<int>(b * static_cast<std::size_t>(runs));
+      staged_T_cw_ = c.take<rigid<double>>(b);
+      staged_tracks_ = c.take<camera_track>(b);
+    });
+    std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
+  }
+
+  /// Empty maps, and cameras that have seen nothing.
+  void initialize(Exec const& exec) {
+    auto const b = static_cast<std::size_t>(state.batch);
+    clear(exec, map);
+    for (std::size_t i = 0; i < b; ++i) {
+      staged_T_cw_[i] = rigid<double>::identity();
+      staged_tracks_[i] = camera_track::initial();
+    }
+    copy(exec, state.T_cw, static_cast<rigid<double> const*>(staged_T_cw_), b);
+    copy(exec, state.tracks, static_cast<camera_track const*>(staged_tracks_), b);
+    for (int* const flags : {state.mode, state.sightings, state.order, state.gather, state.apply,
+                             local_left_out, keyframe_out.held, keyframe_out.left_out, selected,
+                             sources.left_out}) {
+      fill_bytes(exec, flags, 0, b * sizeof(int));
+    }
+    fill_bytes(exec, window.view_count, 0, b * sizeof(int));
+    fill_bytes(exec, window.fixed_count, 0, b * sizeof(int));
+    fill_bytes(exec, window.point_count, 0, b * sizeof(int));
+  }
+
+private:
+  rigid<double>* staged_T_cw_ = nullptr;
+  camera_track* staged_tracks_ = nullptr;
+  arena<space> memory_;
+  arena<staging> staging_memory_;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Writes what an odometry tells of a frame to host memory.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/frame.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/odometry/state.hpp"
+#include "ft/pipelines/detail/odometry_memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// What pack_tracking reads. Executor memory, [batch] each.
+struct tracking_facts {
+  int const* inliers;
+  float const* depth;        ///< [batch][capacity] metres
+  float const* information;  ///< [batch][information_terms]
+  int const* local_count;
+  int const* local_left_out;
+  int const* held;               ///< as in keyframe_result
+  int const* keyframe_left_out;  ///< likewise
+  int const* window_left_out;
+  int const* map_points;
+};
+
+/// Item: a camera. Keeps the number of a new keyframe's points for later frames.
+struct pack_tracking {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+                                 odometry_state_view const& state, tracking_facts const& facts,
+                                 odometry_output* outputs) const {
+    odometry_output& out = outputs[b];
+    for (int i = g.rank(); i < information_terms; i += g.size()) {
+      out.information[i] = facts.information[b * information_terms + i];
+    }
+    int const left = *frame.camera(b, 0).count;
+    float const* const depth = facts.depth + static_cast<std::ptrdiff_t>(b) * frame.capacity();
+    int with_depth = 0;
+    for (int i = g.rank(); i < left; i += g.size()) {
+      with_depth += static_cast<int>(depth[i] > 0);
+    }
+    with_depth = g.reduce(with_depth, sum_op{});
+    if (g.rank() != 0) { return; }
+    camera_track& t = state.tracks[b];
+    bool const inserted = state.order[b] != no_keyframe;
+    if (inserted) { t.reference_tracked = facts.held[b]; }
+    out.T_cw = state.T_cw[b];
+    out.state = t.state;
+    out.begins_first_map = state.order[b] == begin_map && t.maps == 1 ? 1 : 0;
+    out.keyframe = inserted ? 1 : 0;
+    out.gathered = state.gather[b];
+    out.inliers = facts.inliers[b];
+    out.keypoints = left;
+    out.with_depth = with_depth;
+    out.local_points = facts.local_count[b];
+    out.left_out = facts.local_left_out[b] + (inserted ? facts.keyframe_left_out[b] : 0) +
+                   (state.gather[b] != 0 ? facts.window_left_out[b] : 0);
+    out.map_points = t.has_map() ? facts.map_points[b] : 0;
+    out.maps = t.maps;
+    out.keyframes = t.keyframes;
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

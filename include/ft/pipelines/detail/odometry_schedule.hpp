@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The order of launches of a frame of an odometry; see frame_schedule.hpp.
+///
+/// The end of an adjustment and the prediction need no keypoints, so a branch has them. After the
+/// last pose each stage needs what the one before it has decided.
+#pragma once
+
+#include "ft/core/config.hpp"
+#include "ft/pipelines/detail/frame_schedule.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
+template <typename Line, typename Stages>
+void queue_odometry_motion(Line& line, Stages& s) {
+  auto const branch = line.fork(s.beginning_branch());
+  s.read_inputs(branch);
+  s.apply_adjustment(branch);
+  s.predict(line.on(branch));
+  line.end_of_branch(branch, "motion");
+  queue_images(line, s, false);
+  line.join(s.beginning_branch());
+  s.list_last_frame(line.then("search last frame"));
+  if constexpr (Stages::rectified) {
+    s.match_stereo(line.with("stereo"));
+    s.assign_last_frame(line.then("search last frame"));
+  } else {
+    auto const stereo = line.fork(s.stereo_branch());
+    s.match_stereo(line.on(stereo));
+    line.end_of_branch(stereo, "stereo");
+    s.assign_last_frame(line.then("search last frame"));
+  }
+  s.optimize_last(line.then("pose last frame"));
+  if constexpr (!Stages::rectified) { line.join(s.stereo_branch()); }
+}
+
+/// A whole frame.
+template <typename Line, typename Stages>
+void queue_odometry(Line& line, Stages& s) {
+  queue_odometry_motion(line, s);
+  s.plan_search(line.then("choose local map"));
+  s.choose_local(line.then("choose local map"));
+  s.list_local_map(line.then("search local map"));
+  auto const branch = line.fork(s.result_branch());
+  s.pack_keypoints(branch);
+  s.assign_local_map(line.then("search local map"));
+  s.optimize_local(line.then("pose local map"));
+  s.judge(line.then("keyframe decision"));
+  s.count_points(line.then("keyframe decision"));
+  s.insert(line.then("keyframe"));
+  s.gather(line.then("gather window"));
+  line.join(s.result_branch());
+  s.pack_matches(line.then("result"), s.outcome_of_local());
+  s.pack_outputs(line.with("result"));
+  line.end();
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

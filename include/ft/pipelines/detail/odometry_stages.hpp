@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The stages of a frame of an odometry, on its memory.
+#pragma once
+
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/side_branch.hpp"
+#include "ft/kernels/map/apply_window.hpp"
+#include "ft/kernels/map/choose_local_map.hpp"
+#include "ft/kernels/map/count_sightings.hpp"
+#include "ft/kernels/map/gather_window.hpp"
+#include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/odometry/begin_frame.hpp"
+#include "ft/kernels/odometry/judge_frame.hpp"
+#include "ft/kernels/odometry/plan_search.hpp"
+#include "ft/pipelines/detail/frame_stages.hpp"
+#include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/detail/odometry_packing.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The stages of a tracked frame, and those that choose its local map and keep its map. All are
+/// asynchronous on their executor and allocate nothing.
+template <typename Exec, typename Rig>
+class odometry_stages : public frame_stages<Exec, Rig> {
+  using base = frame_stages<Exec, Rig>;
+
+public:
+  using base::cameras;
+  using base::memory;
+
+  odometry_params settings;
+  odometry_memory<Exec> own;
+
+  // ---- the beginning, beside images and keypoints
+
+  side_branch<Exec>& beginning_branch() { return beginning_branch_; }
+  void read_inputs(Exec const& exec) const { read_odometry_inputs(exec, own.inputs, own.state); }
+  void apply_adjustment(Exec const& exec) const {
+    apply_window(exec, own.state.apply, own.window, own.sources, own.map, own.state.T_cw);
+  }
+  void predict(Exec const& exec) const {
+    predict_frames(
+        exec, own.inputs, settings.rules, own.state,
+        predicted_frames{memory.motion.device.predicted, memory.last.T_cw,
+                         memory.motion.device.stamp});
+  }
+  /// Images alone: the other inputs come with read_inputs().
+  void upload(Exec const& exec, bool /*with_local*/) const {
+    this->extractor.stages().upload(exec, this->sources, {}, {});
+  }
+
+  // ---- the local map
+
+  void plan_search(Exec const& exec) const {
+    plan_searches(exec, settings.rules, memory.frame, own.state,
+                  search_start{memory.observations.inliers, memory.poses,
+                               memory.motion.device.stamp});
+  }
+  void choose_local(Exec const& exec) const {
+    choose_local_map(exec, memory.frame, own.state.mode, own.map, settings.local_map, local_map(),
+                     own.local_work);
+  }
+
+  // ---- the end
+
+  void judge(Exec const& exec) const {
+    searched_frames in{};
+    in.frame = memory.frame;
+    in.depth = this->matcher.depth();
+    in.near = near();
+    in.inliers = memory.observations.inliers;
+    in.T_cw = memory.poses;
+    in.matched = own.matched;
+    judge_frames(exec, settings.rules, in, own.state);
+  }
+  void count_points(Exec const& exec) const {
+    sightings_input in;
+    in.kind = own.state.sightings;
+    in.seen = memory.visible;
+    in.local = local_map();
+    in.stamps = {memory.motion.device.stamp, memory.stamps};
+    count_sightings(exec, memory.frame, in, own.map);
+  }
+  void insert(Exec const& exec) const {
+    keyframe_input<Rig> in{};
+    in.rig = this->rig;
+    in.frame = memory.frame;
+    in.order = own.state.order;
+    in.T_cw = own.state.T_cw;
+    in.time_ns = own.state.time_ns;
+    in.depth = this->matcher.depth();
+    in.point = this->matcher.fisheye_matches().point;
+    in.geometry = this->geometry();
+    keyframe_params p;
+    p.near = near();
+    p.wanted_near_points = settings.rules.wanted_near_points;
+    insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
+  }
+  void gather(Exec const& exec) const {
+    gather_window(exec, own.state.gather, own.map, this->geometry(), settings.window, own.window,
+                  own.sources);
+  }
+  void pack_outputs(Exec const& exec) const {
+    tracking_facts const facts{memory.observations.inliers,
+                               this->matcher.depth(),
+                               own.information,
+                               memory.local.device.count,
+                               own.local_left_out,
+                               own.keyframe_out.held,
+                               own.keyframe_out.left_out,
+                               own.sources.left_out,
+                               own.map.records.alive};
+    for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
+                                  facts, own.outputs);
+  }
+
+  // ---- state
+
+  /// @param images [batch][2] @param runs adjustments in flight, at most
+  void take_all_memory(image_source const* images, int runs) {
+    base::take_memory(images);
+    own.take({this->capacity(), this->batch, cameras}, settings, runs);
+    memory.map = own.map.points;
+    this->radius_factor = own.state.radius_factor;
+    this->information = own.information;
+    beginning_branch_.make();
+  }
+  void initialize_all(Exec const& exec) {
+    memory.initialize(exec);
+    own.initialize(exec);
+  }
+
+private:
+  float near() const {
+    return mul(settings.rules.near_depth, this->rig.baseline_length().value);
+  }
+  local_map_view local_map() const {
+    local_map_view v;
+    v.capacity = this->params.local_points;
+    v.slots = memory.local.device.slots;
+    v.count = memory.local.device.count;
+    v.left_out = own.local_left_out;
+    return v;
+  }
+
+  side_branch<Exec> beginning_branch_;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

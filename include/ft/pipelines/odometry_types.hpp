@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Inputs and outputs of an odometry.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/views.hpp"
+#include "ft/kernels/map/choose_local_map.hpp"
+#include "ft/kernels/map/gather_window.hpp"
+#include "ft/kernels/odometry/state.hpp"
+#include "ft/kernels/window/workspace.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct odometry_params {
+  orb_params orb;
+  tracking_rules rules;
+  int map_slots = 1 << 14;            ///< map points at a time, per camera pair
+  int keyframes = 128;                ///< at a time; the oldest one leaves
+  int local_points = 1 << 13;         ///< points of the local map, at most
+  local_map_params local_map;         ///< how these are chosen
+  float window_radius = 7;            ///< half side of a search from the last frame, pixels
+  int enough_matches = 20;            ///< with fewer, that search is repeated with twice the radius
+  window_selection window{10, 5};     ///< keyframes of an adjustment: moving ones, fixed ones
+  int window_points = 1 << 12;        ///< points of an adjustment, at most
+  window_params adjustment;           ///< how they are adjusted
+  int adjustment_delay = 3;           ///< frames after which the result of an adjustment enters
+  bool use_graphs = true;             ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;        ///< record stage_times()
+  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
+};
+
+/// The images of one camera pair: grey, of the size that the odometry was made for. They are read
+/// in place if the executor's threads can read them and if address and stride are multiples of 16,
+/// and copied otherwise.
+struct stereo_images {
+  gray_view left;
+  gray_view right;
+};
+
+/// What is known about a camera after a frame.
+struct tracking {
+  /// Left camera to world, metres. The world is the left camera of the first frame with a map. For
+  /// a frame that was not tracked: where the camera is thought to be.
+  rigid<double> T_world_camera = rigid<double>::identity();
+  tracking_state state = tracking_state::initialising;
+  bool keyframe = false;  ///< the frame became a keyframe
+  int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
+  int keypoints = 0;      ///< of the left image
+  int stereo_points = 0;  ///< of these, with a depth
+  int local_points = 0;   ///< map points that were searched
+  int left_out = 0;       ///< map points for which a limit of odometry_params left no room: in the
+                          ///< local map, among new points, in an adjustment that began
+  int map_points = 0;     ///< in the map
+  int maps = 0;           ///< begun so far; the world is that of the first one, as far as known
+  int keyframes = 0;      ///< made so far
+  /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
+  /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
+  /// optimisation with its robust weights: errors of keypoints, not of map points. 0 for the frame
+  /// that begins the first map, whose pose is exact; infinite on the diagonal for a frame that was
+  /// not tracked.
+  double covariance[36] = {};
+};
+
+/// A map point in host memory.
+struct map_point {
+  vec3<float> position;  ///< world, metres
+  vec3<float> normal;    ///< mean viewing direction, unit length
+  float min_distance;    ///< metres, as in map_points_view
+  float max_distance;
+  int slot;
+  int number;     ///< unique
+  int keyframes;  ///< that see it
+};
+
+/// A keyframe in host memory.
+struct map_keyframe {
+  int number;  ///< unique, ascending with time
+  std::int64_t time_ns;
+  rigid<double> T_world_camera;
+};
+
+/// The map of one camera pair in host memory.
+struct odometry_map {
+  std::vector<map_point> points;        ///< in the order of their slots
+  std::vector<map_keyframe> keyframes;  ///< oldest first: the trajectory of the map
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

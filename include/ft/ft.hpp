@@ -25,6 +25,7 @@
 #include "ft/containers/remap_table.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/stereo_matches.hpp"
+#include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/bits.hpp"

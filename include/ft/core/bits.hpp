@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Bit counts of 32-bit words.
+/// @file Bit counts of 32-bit and 64-bit words.
 #pragma once
 
 #include <cstdint>
@@ -17,12 +17,28 @@ FT_HOST_DEVICE inline int popcount(std::uint32_t v) {
 #endif
 }
 
+FT_HOST_DEVICE inline int popcount(std::uint64_t v) {
+#if defined(__CUDA_ARCH__)
+  return __popcll(v);
+#else
+  return __builtin_popcountll(v);
+#endif
+}
+
 /// Index of the lowest set bit. @pre v is not 0
 FT_HOST_DEVICE inline int trailing_zeros(std::uint32_t v) {
 #if defined(__CUDA_ARCH__)
   return __ffs(static_cast<int>(v)) - 1;
 #else
   return __builtin_ctz(v);
+#endif
+}
+
+FT_HOST_DEVICE inline int trailing_zeros(std::uint64_t v) {
+#if defined(__CUDA_ARCH__)
+  return __ffsll(static_cast<long long>(v)) - 1;
+#else
+  return __builtin_ctzll(v);
 #endif
 }
 

@@ -10,8 +10,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/map/count_sightings.hpp"
-#include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/odometry/state.hpp"
 
 namespace ft {
@@ -55,16 +53,18 @@ struct judge_camera_frame {
     bool const follows = before.plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
-    state.sightings[b] = found ? (follows ? all_sightings : found_only) : no_sightings;
-    state.order[b] = no_keyframe;
+    state.counts[b] = !found    ? sightings::none
+                      : follows ? sightings::all
+                                : sightings::found_only;
+    state.order[b] = keyframe_order::none;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
-      state.order[b] = needs_keyframe(t, counts, rules) ? add_keyframe : no_keyframe;
+      state.order[b] = needs_keyframe(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
     } else {
       in.inliers[b] = 0;
       miss(t, b, counts, rules, state);
     }
-    if (state.order[b] != no_keyframe) {
+    if (state.order[b] != keyframe_order::none) {
       t.keyframe = state.T_cw[b];
       t.new_keyframe = 1;
       ++t.map_keyframes;
@@ -142,7 +142,7 @@ private:
     t.lost_with_features = 0;
     t.state = tracking_state::tracking;
     ++t.maps;
-    state.order[b] = begin_map;
+    state.order[b] = keyframe_order::begin_map;
   }
 
   FT_HOST_DEVICE static bool needs_keyframe(camera_track const& t, keypoint_counts const& n,

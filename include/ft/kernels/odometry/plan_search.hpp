@@ -41,7 +41,7 @@ struct plan_camera_search {
     if (g.rank() != 0) { return; }
     int const attempt = t.lost_frames % recovery_attempts;
     bool const recovers = plan == search_plan::recover;
-    state.mode[b] = recovers ? 1 : 0;
+    state.mode[b] = recovers ? local_map_mode::newest : local_map_mode::by_votes;
     state.radius_factor[b] = !recovers                   ? 1.0f
                              : attempt < recovery_places ? rules.first_wide_search
                                                          : rules.later_wide_search;

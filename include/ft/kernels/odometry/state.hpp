@@ -8,6 +8,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/choose_local_map.hpp"
+#include "ft/kernels/map/count_sightings.hpp"
+#include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/motion/constant_velocity.hpp"
 
 namespace ft {
@@ -95,10 +98,10 @@ struct camera_track {
 struct odometry_state_view {
   camera_track* tracks = nullptr;  ///< [batch]
   rigid<double>* T_cw = nullptr;   ///< [batch] of the last frame, then of the current one
-  int* mode = nullptr;             ///< [batch] of choose_local_map()
+  local_map_mode* mode = nullptr;             ///< [batch] of choose_local_map()
   float* radius_factor = nullptr;  ///< [batch] of the search in the local map
-  int* sightings = nullptr;        ///< [batch] sightings_kind of count_sightings()
-  int* order = nullptr;            ///< [batch] keyframe_order of insert_keyframe()
+  sightings* counts = nullptr;        ///< [batch] what count_sightings() counts
+  keyframe_order* order = nullptr;            ///< [batch] of insert_keyframe()
   std::int64_t* time_ns = nullptr; ///< [batch] of the current frame
   int* gather = nullptr;           ///< [batch] 1 = an adjustment begins with this frame
   int* apply = nullptr;            ///< [batch] 1 = an adjustment ends with this frame
@@ -109,10 +112,10 @@ inline void carve(carver& c, odometry_state_view& v, int batch) {
   auto const n = static_cast<std::size_t>(batch);
   v.tracks = c.take<camera_track>(n);
   v.T_cw = c.take<rigid<double>>(n);
-  v.mode = c.take<int>(n);
+  v.mode = c.take<local_map_mode>(n);
   v.radius_factor = c.take<float>(n);
-  v.sightings = c.take<int>(n);
-  v.order = c.take<int>(n);
+  v.counts = c.take<sightings>(n);
+  v.order = c.take<keyframe_order>(n);
   v.time_ns = c.take<std::int64_t>(n);
   v.gather = c.take<int>(n);
   v.apply = c.take<int>(n);

@@ -66,6 +66,21 @@ public:
     memory_->sources[2 * b + camera] = {data, image.stride};
     given_[static_cast<std::size_t>(2 * b + camera)] = true;
   }
+  /// borrow(), where the executor can read the pixels in place, otherwise set(). Unlike borrow() it
+  /// asks for no readable bytes past a row's last pixel.
+  void take(int b, int camera, gray_view image) {
+    require_image(b, camera, image);
+    bool const whole = image.width % 16 == 0 && image.stride % 16 == 0 &&
+                       reinterpret_cast<std::uintptr_t>(image.data) % 16 == 0;
+    void const* const from = whole ? Exec::host_address(image.data) : nullptr;
+    if (from == nullptr ||
+        Exec::host_address(image.row(image.height - 1) + (image.width - 1)) == nullptr) {
+      set(b, camera, image);
+      return;
+    }
+    sources_.data()[2 * b + camera] = {static_cast<std::uint8_t const*>(from), image.stride};
+    given_[static_cast<std::size_t>(2 * b + camera)] = true;
+  }
   std::uint8_t* staged(int b, int camera) {
     require_camera(b, camera);
     given_[static_cast<std::size_t>(2 * b + camera)] = true;

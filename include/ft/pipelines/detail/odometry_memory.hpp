@@ -107,14 +107,15 @@ struct odometry_memory {
     }
     copy(exec, state.T_cw, static_cast<rigid<double> const*>(staged_T_cw_), b);
     copy(exec, state.tracks, static_cast<camera_track const*>(staged_tracks_), b);
-    for (int* const flags : {state.mode, state.sightings, state.order, state.gather, state.apply,
-                             local_left_out, keyframe_out.held, keyframe_out.left_out, selected,
-                             sources.left_out}) {
-      fill_bytes(exec, flags, 0, b * sizeof(int));
-    }
-    fill_bytes(exec, window.view_count, 0, b * sizeof(int));
-    fill_bytes(exec, window.fixed_count, 0, b * sizeof(int));
-    fill_bytes(exec, window.point_count, 0, b * sizeof(int));
+    static_assert(sizeof(local_map_mode) == sizeof(int) && sizeof(sightings) == sizeof(int) &&
+                      sizeof(keyframe_order) == sizeof(int),
+                  "cleared as such");
+    void* const all[] = {state.mode,          state.counts,         state.order,
+                         state.gather,        state.apply,          local_left_out,
+                         keyframe_out.held,   keyframe_out.left_out, selected,
+                         sources.left_out,    window.view_count,    window.fixed_count,
+                         window.point_count};
+    for (void* const flags : all) { fill_bytes(exec, flags, 0, b * sizeof(int)); }
   }
 
 private:

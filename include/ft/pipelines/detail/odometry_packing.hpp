@@ -50,11 +50,11 @@ struct pack_tracking {
     with_depth = g.reduce(with_depth, sum_op{});
     if (g.rank() != 0) { return; }
     camera_track& t = state.tracks[b];
-    bool const inserted = state.order[b] != no_keyframe;
+    bool const inserted = state.order[b] != keyframe_order::none;
     if (inserted) { t.reference_tracked = facts.held[b]; }
     out.T_cw = state.T_cw[b];
     out.state = t.state;
-    out.begins_first_map = state.order[b] == begin_map && t.maps == 1 ? 1 : 0;
+    out.begins_first_map = state.order[b] == keyframe_order::begin_map && t.maps == 1 ? 1 : 0;
     out.keyframe = inserted ? 1 : 0;
     out.gathered = state.gather[b];
     out.inliers = facts.inliers[b];

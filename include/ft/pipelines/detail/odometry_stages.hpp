@@ -61,7 +61,7 @@ public:
                                memory.motion.device.stamp});
   }
   void choose_local(Exec const& exec) const {
-    choose_local_map(exec, memory.frame, own.state.mode, own.map, settings.local_map, local_map(),
+    choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),
                      own.local_work);
   }
 
@@ -79,7 +79,7 @@ public:
   }
   void count_points(Exec const& exec) const {
     sightings_input in;
-    in.kind = own.state.sightings;
+    in.kind = own.state.counts;
     in.seen = memory.visible;
     in.local = local_map();
     in.stamps = {memory.motion.device.stamp, memory.stamps};
@@ -101,7 +101,7 @@ public:
     insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
   }
   void gather(Exec const& exec) const {
-    gather_window(exec, own.state.gather, own.map, this->geometry(), settings.window, own.window,
+    gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
                   own.sources);
   }
   void pack_outputs(Exec const& exec) const {

@@ -1,0 +1,283 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Pipeline: stereo odometry. Images in, poses out.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/recording.hpp"
+#include "ft/core/stage_clock.hpp"
+#include "ft/pipelines/detail/frame_images.hpp"
+#include "ft/pipelines/detail/odometry_adjustment.hpp"
+#include "ft/pipelines/detail/odometry_covariance.hpp"
+#include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_schedule.hpp"
+#include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Tracks `batch` stereo cameras of the same kind, each in a map of its own that it makes:
+///
+///     ft::odometry<ft::host_exec> odo(exec, rig, params);
+///     ft::tracking const t = odo.track({left, right}, time_ns);
+///
+/// A frame is one call, on a device one graph launch and one wait: keypoints, stereo, search from
+/// the last frame, pose, choice of the local map, search in it, pose, keyframe. The newest
+/// keyframes and their points are adjusted beside that, on a stream of their own or on a thread; a
+/// result enters a fixed number of frames later. So the answers for a camera depend on its images
+/// and time stamps only, not on the batch, the executor or the time that anything takes.
+///
+/// The constructor allocates all memory; track() allocates none. The map is bounded: keyframes and
+/// points leave with the oldest keyframe. See tracking_rules for states and keyframes.
+///
+/// Move-only. A moved-from odometry refuses every call with bad_argument. Not thread-safe;
+/// instances are independent.
+/// @tparam Rig rectified_rig, or stereo_rig of any two cameras
+template <typename Exec, typename Rig = rectified_rig>
+class odometry {
+  using stages_type = detail::odometry_stages<Exec, Rig>;
+
+public:
+  static constexpr memory_space space = Exec::space;
+  static constexpr int cameras = stages_type::cameras;  ///< whose keypoints are searched
+
+  odometry() = default;
+  /// Waits for its own set-up. On the host it starts a thread, which sleeps unless keyframes are
+  /// adjusted.
+  /// @param batch camera pairs
+  /// @throws bad_argument, std::bad_alloc, cuda_error
+  odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch = 1)
+      : parts_(std::make_unique<parts>(exec, rig, checked(rig, params, batch), batch)) {}
+
+  /// Tracks the next frame of all cameras. Synchronous; allocates nothing.
+  /// @param images [batch] @param time_ns [batch] when the images were taken; ascending
+  /// @return [batch] valid until the next call
+  /// @throws bad_argument for an image that is null or of another size, or for a time that is not
+  ///   after the camera's last one; then nothing has changed
+  tracking const* track(stereo_images const* images, std::int64_t const* time_ns) {
+    parts& p = made();
+    for (int b = 0; b < p.stages.batch; ++b) { p.require_later(b, time_ns[b]); }
+    for (int b = 0; b < p.stages.batch; ++b) {
+      p.images.take(b, 0, images[b].left);
+      p.images.take(b, 1, images[b].right);
+    }
+    p.set_inputs(time_ns);
+    p.adjustments.end_before(p.exec, p.frame);
+    p.graph.replay(p.exec, [&](Exec const& e) { p.queue(e); });
+    p.exec.wait();
+    p.adjustments.begin_after(p.frame);
+    p.take_outputs(time_ns);
+    ++p.frame;
+    return p.results.data();
+  }
+  /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
+  tracking track(stereo_images const& images, std::int64_t time_ns) {
+    detail::require(made().stages.batch == 1,
+                    "an odometry of several camera pairs needs arrays of images and times");
+    return *track(&images, &time_ns);
+  }
+
+  /// Predicts the pose of camera pair b in its next frame, instead of the motion model: from wheels
+  /// or an IMU. A camera that is lost is searched for there, too.
+  /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
+  ///   not exist
+  void predict(rigid<double> const& T_world_camera, int b = 0) {
+    parts& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    require_motion(T_world_camera);
+    odometry_input& in = p.stages.own.inputs[b];
+    in.T_cw = T_world_camera.inverse();
+    in.predicted = 1;
+  }
+  /// Camera pair b begins anew with its next frame: no map, no motion, any time stamp.
+  /// @throws bad_argument for a pair that does not exist
+  void reset(int b = 0) {
+    parts& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    auto const i = static_cast<std::size_t>(b);
+    p.stages.own.inputs[b].reset = 1;
+    p.stages.own.inputs[b].predicted = 0;
+    p.begun[i] = 0;
+    p.results[i] = {};
+  }
+  /// Copies the mask of a camera, which holds until the next one. Keypoints come from where it is
+  /// not 0. @throws bad_argument as orb_extractor::set_mask
+  void set_mask(int b, int camera, gray_view mask) {
+    parts& p = made();
+    p.images.require_camera(b, camera);
+    p.stages.extractor.set_mask(p.exec, 2 * b + camera, mask);
+    p.exec.wait();
+  }
+
+  /// What the last track() returned for camera pair b.
+  tracking const& last(int b = 0) const {
+    detail::require_range("camera pair", b, 0, made().stages.batch - 1);
+    return made().results[static_cast<std::size_t>(b)];
+  }
+  /// Keypoints of the last frame, in host memory, valid until the next track(). Those of a keyframe
+  /// hold its new map points, too. The visibility of local map points is not reported.
+  tracked_frame_view const& keypoints() const { return made().stages.memory.result; }
+  /// [batch][cameras * capacity] 1 = the keypoint was matched to a map point from before its frame.
+  unsigned char const* matched() const { return made().stages.own.matched; }
+  /// The map of camera pair b. Waits, and allocates. Empty if there is none.
+  /// @throws bad_argument for a pair that does not exist; std::bad_alloc, cuda_error
+  odometry_map download_map(int b = 0) const {
+    parts const& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    if (p.results[static_cast<std::size_t>(b)].state == tracking_state::initialising) { return {}; }
+    return detail::download_odometry_map(p.exec, p.stages.own.map, b);
+  }
+  /// Time of each stage of the last frame; see frame_tracker::stage_times. Allocates.
+  /// @throws bad_argument without odometry_params::measure_stages
+  std::vector<stage_time> stage_times() const {
+    detail::require(made().stages.settings.measure_stages,
+                    "stage times need odometry_params::measure_stages");
+    return made().clock.times();
+  }
+
+  int batch() const { return made().stages.batch; }
+  int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
+  odometry_params const& params() const { return made().stages.settings; }
+  Rig const& rig() const { return made().stages.rig; }
+  pyramid_geometry const& geometry() const { return made().stages.geometry(); }
+  /// Executor memory, for user-defined stages.
+  odometry_map_view map() const { return made().stages.own.map; }
+
+private:
+  /// At a fixed address: recordings and the adjustments refer to it.
+  struct parts {
+    Exec exec;
+    stages_type stages;
+    detail::frame_images<Exec> images;
+    stage_clock<Exec> clock;
+    recording<Exec> graph;
+    std::vector<tracking> results;
+    std::vector<std::int64_t> times;   ///< of the last frames
+    std::vector<unsigned char> begun;  ///< whether there was one
+    long long frame = 0;
+    int stamp = 0;
+    detail::odometry_adjustments<Exec, Rig> adjustments;  ///< last: it ends first
+
+    parts(Exec const& e, Rig const& rig, odometry_params const& params, int batch)
+        : exec(e),
+          results(static_cast<std::size_t>(batch)),
+          times(results.size()),
+          begun(results.size()),
+          adjustments(prepared(rig, params, batch), stages.own, rig, params) {
+      if (params.measure_stages) { clock.enable(); }
+      if (params.use_graphs) {
+        graph.record(exec, [&](Exec const& to) { queue(to); });
+      }
+    }
+    parts(parts const&) = delete;
+    parts& operator=(parts const&) = delete;
+
+    /// Takes all memory and initialises it.
+    Exec const& prepared(Rig const& rig, odometry_params const& params, int batch) {
+      stages.rig = rig;
+      stages.settings = params;
+      stages.params = tracker_params_of(params);
+      stages.batch = batch;
+      std::vector<stereo_overlap> overlaps;
+      for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) {
+        overlaps.push_back(params.overlap[i % 2]);
+      }
+      stages.extractor = orb_extractor<Exec>(exec, params.orb, 2 * batch, overlaps);
+      stages.matcher = stereo_matcher<Exec, Rig>(rig, stages.extractor);
+      stages.frustum.max_x = static_cast<float>(params.orb.width);
+      stages.frustum.max_y = static_cast<float>(params.orb.height);
+      stages.frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
+      stages.frustum.levels = params.orb.levels;
+      images = detail::frame_images<Exec>(stages.geometry(), batch);
+      stages.take_all_memory(images.sources(), params.adjustment_delay);
+      stages.initialize_all(exec);
+      exec.wait();
+      return exec;
+    }
+    void queue(Exec const& to) {
+      detail::stage_line<Exec> line(to, clock);
+      detail::queue_odometry(line, stages);
+    }
+
+    void require_later(int b, std::int64_t time_ns) const {
+      auto const i = static_cast<std::size_t>(b);
+      if (begun[i] != 0 && time_ns <= times[i]) {
+        throw bad_argument("ft: the time of camera pair " + std::to_string(b) + " is " +
+                           std::to_string(time_ns) + " ns, must be after " +
+                           std::to_string(times[i]));
+      }
+    }
+    void set_inputs(std::int64_t const* time_ns) {
+      if (stamp > std::numeric_limits<int>::max() - 4) {
+        stages.forget_frame_numbers(exec);
+        stamp = 0;
+      }
+      stamp += 2;  // a frame has two numbers: see search_start
+      for (int b = 0; b < stages.batch; ++b) {
+        stages.own.inputs[b].time_ns = time_ns[b];
+        stages.own.inputs[b].stamp = stamp;
+      }
+    }
+    void take_outputs(std::int64_t const* time_ns) {
+      for (int b = 0; b < stages.batch; ++b) {
+        auto const i = static_cast<std::size_t>(b);
+        times[i] = time_ns[b];
+        begun[i] = 1;
+        stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
+        results[i] = detail::tracking_of(stages.own.outputs[b]);
+      }
+    }
+  };
+
+  parts& made() const {
+    detail::require(parts_ != nullptr, "the odometry was never made, or was moved from");
+    return *parts_;
+  }
+
+  static tracker_params tracker_params_of(odometry_params const& p) {
+    tracker_params t;
+    t.orb = p.orb;
+    t.map_slots = p.map_slots;
+    t.local_points = p.local_points;
+    t.window_radius = p.window_radius;
+    t.enough_matches = p.enough_matches;
+    t.overlap[0] = p.overlap[0];
+    t.overlap[1] = p.overlap[1];
+    return t;
+  }
+
+  static odometry_params const& checked(Rig const& rig, odometry_params const& p, int batch) {
+    rig.check();
+    detail::require_range("batch of camera pairs", batch, 1, 2048);
+    detail::require_odometry_params(p);
+    return p;
+  }
+  static void require_motion(rigid<double> const& T) {
+    for (double const v : T.R.m) { detail::require_finite("an entry of a predicted pose", v); }
+    double const t[3] = {T.t.x, T.t.y, T.t.z};
+    for (double const v : t) { detail::require_finite("an entry of a predicted pose", v); }
+    mat3<double> const RRt = T.R * T.R.transposed();
+    for (int i = 0; i < 9; ++i) {
+      detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
+                      "the rotation of a predicted pose is not a rotation matrix");
+    }
+  }
+
+  std::unique_ptr<parts> parts_;
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -23,6 +23,13 @@ struct alignas(16) window_observation {
   float inv_sigma2;  ///< weight, 1 / pixels^2; 0 = the point is not seen
 };
 
+/// Parts of an observation that disagree with the result: too far from the point's image, or
+/// without an image.
+enum window_outlier : unsigned char {
+  outlying_pixel = 1,  ///< (x, y)
+  outlying_right = 2,  ///< x - right_x of a rectified pair
+};
+
 /// What became of an adjustment.
 struct window_outcome {
   double first_cost;  ///< robust cost of the start
@@ -48,9 +55,10 @@ struct window_problem_view {
   rigid<double>* T_cw = nullptr;       ///< [batch][views] start and result; metres
   vec3<double>* position = nullptr;    ///< [batch][points] start and result; world, metres
   window_observation* seen = nullptr;  ///< [batch][points][views][cameras]
-  unsigned char* outlier = nullptr;    ///< [batch][points][views][cameras] result: 1 = seen, but
-                                       ///< far from the point's image, or without an image
-  window_outcome* outcome = nullptr;   ///< [batch] result
+  /// [batch][points][views][cameras] result of a valid problem: bits of window_outlier. 0 where the
+  /// point is not seen.
+  unsigned char* outlier = nullptr;
+  window_outcome* outcome = nullptr;  ///< [batch] result
 
   FT_HOST_DEVICE std::ptrdiff_t view(int b, int v) const {
     return static_cast<std::ptrdiff_t>(b) * views + v;

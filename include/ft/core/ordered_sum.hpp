@@ -14,18 +14,18 @@ inline namespace FT_ABI {
 /// order.
 inline constexpr int sum_lanes = 512;
 
-/// K summands.
-template <int K>
+/// K summands. @tparam T float or double
+template <int K, typename T = float>
 struct sum_terms {
   static_assert(K >= 1 && K <= 32, "one entry a lane");
-  float of[K];
+  T of[K];
 };
 
 /// Scratch of ordered_sum, and its result.
-template <int K>
+template <int K, typename T = float>
 struct ordered_sum_scratch {
-  sum_terms<K> warp[sum_lanes / 32];
-  sum_terms<K> total;
+  sum_terms<K, T> warp[sum_lanes / 32];
+  sum_terms<K, T> total;
 };
 
 #if defined(__CUDACC__)
@@ -33,13 +33,13 @@ namespace detail {
 
 /// One step of transposed_warp_sum(): reduces K values to min(K, D). Recursive, because a loop over
 /// D that is not unrolled would put the values into local memory.
-template <int D, int K, int Size>
-__device__ void halve_values(float (&v)[Size], int lane) {
+template <int D, int K, typename T, int Size>
+__device__ void halve_values(T (&v)[Size], int lane) {
   bool const upper = (lane & D) != 0;
   FT_UNROLL
   for (int i = 0; i < min_of(D, K); ++i) {
-    float give = v[i];
-    float keep = v[i];
+    T give = v[i];
+    T keep = v[i];
     // Otherwise the upper lanes get values that are never used.
     if (i + D < K) {
       give = upper ? v[i] : v[i + D];
@@ -52,8 +52,8 @@ __device__ void halve_values(float (&v)[Size], int lane) {
 
 /// Sums K <= 32 values over the lanes of a warp; value k ends in lane k. Each step halves the
 /// number of values per lane, so 31 exchanges replace the 160 of 32 butterflies, in the same order.
-template <int K>
-__device__ float transposed_warp_sum(float (&v)[K], int lane) {
+template <int K, typename T>
+__device__ T transposed_warp_sum(T (&v)[K], int lane) {
   halve_values<16, K>(v, lane);
   return v[0];
 }
@@ -63,16 +63,16 @@ __device__ float transposed_warp_sum(float (&v)[K], int lane) {
 
 /// K sums over i in [0, n). The result is `scratch.total`, for every thread, until the next call.
 /// Groups have one thread or sum_lanes.
-/// @param add add(i, sum_terms<K>& acc) adds term i
+/// @param add add(i, sum_terms<K, T>& acc) adds term i
 /// @param then then() is run by the first thread once the sums are known, while the others wait
-template <int K, typename Group, typename Add, typename Then>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add,
+template <int K, typename T, typename Group, typename Add, typename Then>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int n, Add const& add,
                                 Then const& then) {
   if constexpr (Group::max_threads == 1) {
     static_cast<void>(g);
-    sum_terms<K> acc[sum_lanes] = {};
+    sum_terms<K, T> acc[sum_lanes] = {};
     for (int i = 0; i < n; ++i) { add(i, acc[i % sum_lanes]); }
-    auto const into = [](sum_terms<K>& to, sum_terms<K> const& from) {
+    auto const into = [](sum_terms<K, T>& to, sum_terms<K, T> const& from) {
       for (int k = 0; k < K; ++k) { to.of[k] += from.of[k]; }
     };
     for (int w = 0; w < sum_lanes; w += 32) {
@@ -91,13 +91,13 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
 #if defined(__CUDACC__)
     int const lane = g.rank() % 32;
     int const warp = g.rank() / 32;
-    float mine = 0;
+    T mine = 0;
     if (warp * 32 < n) {
       // -0 plus the first term is exactly that term. A -0 that remains at the end disappears in the
       // final sum, which starts with 0.
-      sum_terms<K> acc;
+      sum_terms<K, T> acc;
       FT_UNROLL
-      for (int k = 0; k < K; ++k) { acc.of[k] = -0.0f; }
+      for (int k = 0; k < K; ++k) { acc.of[k] = T(-0.0f); }
       if (g.rank() < n) { add(g.rank(), acc); }
       for (int i = g.rank() + g.size(); i < n; i += g.size()) { add(i, acc); }
       mine = detail::transposed_warp_sum(acc.of, lane);
@@ -106,7 +106,7 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
     g.sync();
     if (warp == 0) {
       if (lane < K) {
-        float sum = 0;
+        T sum = 0;
         FT_UNROLL
         for (int w = 0; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].of[lane]; }
         scratch.total.of[lane] = sum;
@@ -118,8 +118,9 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n,
 #endif
   }
 }
-template <int K, typename Group, typename Add>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K>& scratch, int n, Add const& add) {
+template <int K, typename T, typename Group, typename Add>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int n,
+                                Add const& add) {
   ordered_sum(g, scratch, n, add, [] {});
 }
 

@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Parameters, state and working memory of an adjustment of windows.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/containers/window_problem.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// How windows are adjusted.
+struct window_params {
+  int steps = 3;            ///< most steps to try, 0 to 1000; each is three launches
+  double huber2 = 5.991;    ///< squared weighted error from which its cost grows linearly
+  double outlier2 = 9.21;   ///< squared weighted error of an outlier: 99 % of 2 degrees of freedom
+  double no_image = 100.0;  ///< cost of an observation whose point the camera cannot see
+  double disparity_weight = 16.0;  ///< weight of a disparity, in those of a pixel
+  double first_damping = 1e-4;     ///< of the first step, relative to the diagonal
+  double enough = 1e-4;            ///< ends with a step that lowers the cost by a smaller share
+};
+
+namespace detail {
+
+/// Where a problem's descent is. Written by the launches themselves.
+struct window_state {
+  double cost;  ///< at the current estimate
+  double first_cost;
+  double damping;
+  int steps;   ///< tried
+  int buffer;  ///< which of two buffers holds the current estimate; the other one has the trial
+  int running;
+  int valid;
+};
+
+/// Part of a problem's cost.
+struct window_part {
+  double cost;
+  double linked;  ///< number of points that a moving view sees
+};
+
+/// Numbers that a linearisation keeps for a point and a moving view: the curvature by the point's
+/// position (upper triangle by rows) and the gradient, both along the axes of the world.
+inline constexpr int window_terms = 9;
+
+/// Points of a block.
+inline constexpr int window_group = 32;
+
+}  // namespace detail
+
+/// Working memory of adjust_window(), in executor memory. Nothing has to be initialised, and
+/// nothing is kept between calls.
+struct window_workspace {
+  int views = 0, points = 0, batch = 0;  ///< of the problems
+  int moving = 0;                        ///< most views of a problem that are not fixed
+
+  detail::window_state* state = nullptr;  ///< [2][batch], turn by turn
+  int* solved = nullptr;                  ///< [batch] 1 = there is a trial
+  rigid<double>* T_cw = nullptr;          ///< [2][batch][views]
+  vec3<double>* position = nullptr;       ///< [2][batch][points]
+  double* by_view = nullptr;      ///< [2][batch][moving][window_terms][points], of points in `mask`
+  double* by_point = nullptr;     ///< [2][batch][window_terms][points] sums over all views
+  std::uint64_t* mask = nullptr;  ///< [2][batch][points] moving views that see the point
+  detail::window_part* part = nullptr;  ///< [batch][groups] costs at the newest trial
+  double* matrix = nullptr;             ///< [batch][side * side] reduced system, then its factors
+  double* step = nullptr;               ///< [batch][moving][6] rotation, translation of a view
+
+  FT_HOST_DEVICE int groups() const { return ceil_div(points, detail::window_group); }
+  /// Rows and columns of the largest reduced system with its right-hand side.
+  FT_HOST_DEVICE int side() const { return 6 * moving + 1; }
+  FT_HOST_DEVICE int pairs() const { return moving * (moving + 1) / 2; }
+
+  FT_HOST_DEVICE detail::window_state& state_of(int turn, int b) const {
+    return state[(turn & 1) * batch + b];
+  }
+  FT_HOST_DEVICE rigid<double>* views_of(int buffer, int b) const {
+    return T_cw + (static_cast<std::ptrdiff_t>(buffer) * batch + b) * views;
+  }
+  FT_HOST_DEVICE vec3<double>* points_of(int buffer, int b) const {
+    return position + (static_cast<std::ptrdiff_t>(buffer) * batch + b) * points;
+  }
+  FT_HOST_DEVICE double* terms_of_view(int buffer, int b, int v) const {
+    return by_view + ((static_cast<std::ptrdiff_t>(buffer) * batch + b) * moving + v) *
+                         detail::window_terms * points;
+  }
+  FT_HOST_DEVICE double* terms_of_points(int buffer, int b) const {
+    return by_point +
+           (static_cast<std::ptrdiff_t>(buffer) * batch + b) * detail::window_terms * points;
+  }
+  FT_HOST_DEVICE std::uint64_t* masks_of(int buffer, int b) const {
+    return mask + (static_cast<std::ptrdiff_t>(buffer) * batch + b) * points;
+  }
+  FT_HOST_DEVICE detail::window_part* parts_of(int b) const {
+    return part + static_cast<std::ptrdiff_t>(b) * groups();
+  }
+  FT_HOST_DEVICE double* matrix_of(int b) const {
+    return matrix + static_cast<std::ptrdiff_t>(b) * side() * side();
+  }
+  FT_HOST_DEVICE double* steps_of(int b) const {
+    return step + static_cast<std::ptrdiff_t>(b) * moving * 6;
+  }
+};
+static_assert(std::is_trivially_copyable<window_workspace>::value, "passed to kernels");
+
+/// Places the working memory for a batch of problems into an arena: 8 * 2 * 9 * points * (moving +
+/// 1) bytes and little more for each.
+/// @param moving most views of a problem that are not fixed, 1 to `problems.views`. A problem with
+///   more is not valid.
+/// @throws bad_argument for `moving` out of range
+inline void carve(carver& c, window_workspace& w, window_problem_view const& problems, int moving) {
+  detail::require_range("moving views of a window", moving, 1, problems.views);
+  w.views = problems.views;
+  w.points = problems.points;
+  w.batch = problems.batch;
+  w.moving = moving;
+  auto const b = static_cast<std::size_t>(w.batch);
+  auto const m = static_cast<std::size_t>(moving);
+  auto const side = static_cast<std::size_t>(w.side());
+  std::size_t const views = detail::checked_mul(2 * b, static_cast<std::size_t>(w.views));
+  std::size_t const points = detail::checked_mul(2 * b, static_cast<std::size_t>(w.points));
+  std::size_t const terms = detail::checked_mul(points, std::size_t{detail::window_terms});
+  w.state = c.take<detail::window_state>(2 * b);
+  w.solved = c.take<int>(b);
+  w.T_cw = c.take<rigid<double>>(views);
+  w.position = c.take<vec3<double>>(points);
+  w.by_view = c.take<double>(detail::checked_mul(terms, m));
+  w.by_point = c.take<double>(terms);
+  w.mask = c.take<std::uint64_t>(points);
+  w.part = c.take<detail::window_part>(b * static_cast<std::size_t>(w.groups()));
+  w.matrix = c.take<double>(detail::checked_mul(b, side * side));
+  w.step = c.take<double>(b * m * 6);
+}
+
+namespace detail {
+
+/// Levenberg-Marquardt after an evaluation: the state of the next turn.
+/// @param trial sum over the parts; the evaluation is that of the start, or of the trial
+/// @param solved whether there was a trial
+FT_HOST_DEVICE inline window_state judge_window(window_state s, bool start, window_part trial,
+                                                bool solved, window_params const& params) {
+  using real = strict_double;
+  if (!s.running) { return s; }
+  if (start) {
+    s.cost = s.first_cost = trial.cost;
+    s.valid = s.running = scalar::is_finite(trial.cost) && trial.linked > 0 ? 1 : 0;
+    return s;
+  }
+  ++s.steps;
+  if (!solved) {
+    s.running = 0;
+    if (!(s.cost < s.first_cost)) { s.valid = 0; }
+  } else if (trial.cost < s.cost) {
+    bool const done = s.cost - trial.cost < (real(params.enough) * real(s.cost)).value;
+    s.running = done ? 0 : 1;
+    s.cost = trial.cost;
+    s.buffer = 1 - s.buffer;
+    s.damping = max_of((real(s.damping) * real(0.1)).value, 1e-8);
+  } else {
+    s.damping = (real(s.damping) * real(10.0)).value;
+  }
+  return s;
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

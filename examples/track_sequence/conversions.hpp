@@ -8,22 +8,14 @@
 
 #include "examples/track_sequence/odometry.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
-#include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/odometry.hpp"
 
 namespace app {
 
-inline ft::pose to_ft(rigid_pose const& T) {
-  ft::pose p;
-  for (std::size_t i = 0; i < 9; ++i) { p.R.m[i] = static_cast<float>(T.R[i]); }
-  p.t = {static_cast<float>(T.t[0]), static_cast<float>(T.t[1]), static_cast<float>(T.t[2])};
-  return p;
-}
-
-inline rigid_pose from_ft(ft::pose const& p) {
+inline rigid_pose from_ft(ft::rigid<double> const& p) {
   rigid_pose T;
-  for (std::size_t i = 0; i < 9; ++i) { T.R[i] = static_cast<double>(p.R.m[i]); }
-  T.t = {static_cast<double>(p.t.x), static_cast<double>(p.t.y), static_cast<double>(p.t.z)};
-  T.orthonormalize();
+  for (std::size_t i = 0; i < 9; ++i) { T.R[i] = p.R.m[i]; }
+  T.t = {p.t.x, p.t.y, p.t.z};
   return T;
 }
 
@@ -40,12 +32,15 @@ Rig rig_of(odometry_options const& o) {
       return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
                                        f(p[4]), f(p[5]), f(p[6]), f(p[7])};
     };
-    return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
+    ft::pose T;
+    for (std::size_t i = 0; i < 9; ++i) { T.R.m[i] = f(o.T_right_left.R[i]); }
+    T.t = {f(o.T_right_left.t[0]), f(o.T_right_left.t[1]), f(o.T_right_left.t[2])};
+    return {camera(o.left), camera(o.right), T};
   }
 }
 
-inline ft::tracker_params tracker_params_of(odometry_options const& o) {
-  ft::tracker_params p;
+inline ft::odometry_params odometry_params_of(odometry_options const& o) {
+  ft::odometry_params p;
   p.orb.width = o.width;
   p.orb.height = o.height;
   p.orb.features = o.features;
@@ -53,10 +48,8 @@ inline ft::tracker_params tracker_params_of(odometry_options const& o) {
   p.orb.scale_factor = static_cast<float>(o.scale_factor);
   p.orb.ini_threshold = o.ini_threshold;
   p.orb.min_threshold = o.min_threshold;
-  p.optimize_last = o.optimize != pose_optimization::off;
-  p.optimize_local = o.optimize == pose_optimization::both;
-  p.map_slots = std::max(1 << 17, 8 * o.features);
-  p.updates = std::max(1 << 13, 2 * o.features);
+  p.rules.near_depth = static_cast<float>(o.near_depth);
+  p.map_slots = std::max(p.map_slots, 8 * o.features);
   p.measure_stages = true;
   return p;
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -16,11 +17,14 @@ struct rigid_pose {
   std::array<double, 9> R{1, 0, 0, 0, 1, 0, 0, 0, 1};
   std::array<double, 3> t{};
 
-  std::array<double, 3> operator*(std::array<double, 3> const& p) const;
-  rigid_pose operator*(rigid_pose const& other) const;
-  rigid_pose inverse() const;
-  /// Replaces R by the nearest rotation, after many products.
-  void orthonormalize();
+  rigid_pose inverse() const {
+    rigid_pose r;
+    r.R = {R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]};
+    for (std::size_t i = 0; i < 3; ++i) {
+      r.t[i] = -(r.R[3 * i] * t[0] + r.R[3 * i + 1] * t[1] + r.R[3 * i + 2] * t[2]);
+    }
+    return r;
+  }
 };
 
 enum class pose_optimization { both, last_frame, off };

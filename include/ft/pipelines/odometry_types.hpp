@@ -68,7 +68,7 @@ struct tracking {
 };
 
 /// A map point in host memory.
-struct map_point {
+struct downloaded_point {
   vec3<float> position;  ///< world, metres
   vec3<float> normal;    ///< mean viewing direction, unit length
   float min_distance;    ///< metres, as in map_points_view
@@ -79,7 +79,7 @@ struct map_point {
 };
 
 /// A keyframe in host memory.
-struct map_keyframe {
+struct downloaded_keyframe {
   int number;  ///< unique, ascending with time
   std::int64_t time_ns;
   rigid<double> T_world_camera;
@@ -87,8 +87,8 @@ struct map_keyframe {
 
 /// The map of one camera pair in host memory.
 struct odometry_map {
-  std::vector<map_point> points;        ///< in the order of their slots
-  std::vector<map_keyframe> keyframes;  ///< oldest first: the trajectory of the map
+  std::vector<downloaded_point> points;        ///< in the order of their slots
+  std::vector<downloaded_keyframe> keyframes;  ///< oldest first: the trajectory of the map
 };
 
 }  // namespace FT_ABI

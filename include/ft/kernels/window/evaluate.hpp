@@ -71,7 +71,7 @@ FT_HOST_DEVICE window_state judged(Group g, ordered_sum_scratch<2, double>& s,
                                    window_state const& before, window_points const& in, bool start,
                                    window_params const& params) {
   if (!before.running) { return before; }
-  window_part const* const parts = in.work.parts_of(in.b);
+  window_cost_part const* const parts = in.work.parts_of(in.b);
   ordered_sum(g, s, ceil_div(in.count, window_group), [&](int i, sum_terms<2, double>& acc) {
     acc.of[0] += parts[i].cost;
     acc.of[1] += parts[i].linked;

@@ -41,7 +41,7 @@ struct window_state {
 };
 
 /// Part of a problem's cost.
-struct window_part {
+struct window_cost_part {
   double cost;
   double linked;  ///< number of points that a moving view sees
 };
@@ -68,7 +68,7 @@ struct window_workspace {
   double* by_view = nullptr;      ///< [2][batch][moving][window_terms][points], of points in `mask`
   double* by_point = nullptr;     ///< [2][batch][window_terms][points] sums over all views
   std::uint64_t* mask = nullptr;  ///< [2][batch][points] moving views that see the point
-  detail::window_part* part = nullptr;  ///< [batch][groups] costs at the newest trial
+  detail::window_cost_part* part = nullptr;  ///< [batch][groups] costs at the newest trial
   double* matrix = nullptr;             ///< [batch][side * side] reduced system, then its factors
   double* step = nullptr;               ///< [batch][moving][6] rotation, translation of a view
 
@@ -97,7 +97,7 @@ struct window_workspace {
   FT_HOST_DEVICE std::uint64_t* masks_of(int buffer, int b) const {
     return mask + (static_cast<std::ptrdiff_t>(buffer) * batch + b) * points;
   }
-  FT_HOST_DEVICE detail::window_part* parts_of(int b) const {
+  FT_HOST_DEVICE detail::window_cost_part* parts_of(int b) const {
     return part + static_cast<std::ptrdiff_t>(b) * groups();
   }
   FT_HOST_DEVICE double* matrix_of(int b) const {
@@ -133,7 +133,7 @@ inline void carve(carver& c, window_workspace& w, window_problem_view const& pro
   w.by_view = c.take<double>(detail::checked_mul(terms, m));
   w.by_point = c.take<double>(terms);
   w.mask = c.take<std::uint64_t>(points);
-  w.part = c.take<detail::window_part>(b * static_cast<std::size_t>(w.groups()));
+  w.part = c.take<detail::window_cost_part>(b * static_cast<std::size_t>(w.groups()));
   w.matrix = c.take<double>(detail::checked_mul(b, side * side));
   w.step = c.take<double>(b * m * 6);
 }
@@ -143,7 +143,7 @@ namespace detail {
 /// Levenberg-Marquardt after an evaluation: the state of the next turn.
 /// @param trial sum over the parts; the evaluation is that of the start, or of the trial
 /// @param solved whether there was a trial
-FT_HOST_DEVICE inline window_state judge_window(window_state s, bool start, window_part trial,
+FT_HOST_DEVICE inline window_state judge_window(window_state s, bool start, window_cost_part trial,
                                                 bool solved, window_params const& params) {
   using real = strict_double;
   if (!s.running) { return s; }

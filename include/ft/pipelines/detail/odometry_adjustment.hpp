@@ -36,7 +36,7 @@ struct adjustment_work {
     graph.replay(exec, [&](Exec const& e) { adjust(e); });
   }
   void adjust(Exec const& exec) const {
-    adjust_window(exec, rig, window, params, selected, workspace);
+    adjust_window(exec, rig, window, selected, params, workspace);
   }
 };
 

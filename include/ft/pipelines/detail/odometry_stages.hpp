@@ -129,6 +129,13 @@ public:
     this->information = own.information;
     beginning_branch_.make();
   }
+  /// Forgets in which frames map points were matched. No frame has the number 0.
+  void forget_frame_numbers(Exec const& exec) const {
+    memory.forget_stamps(exec);
+    fill_bytes(exec, own.map.records.found_frame, 0,
+               static_cast<std::size_t>(own.map.records.slots) *
+                   static_cast<std::size_t>(own.map.records.batch) * sizeof(int));
+  }
   void initialize_all(Exec const& exec) {
     memory.initialize(exec);
     own.initialize(exec);

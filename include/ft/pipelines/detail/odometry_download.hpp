@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry tells its caller: results, the map in host memory, refused parameters.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "ft/containers/odometry_map.hpp"
+#include "ft/core/bits.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/pipelines/detail/odometry_covariance.hpp"
+#include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// @throws bad_argument for a parameter out of range that no other part checks
+inline void require_odometry_params(odometry_params const& p) {
+  require_range("map_slots", p.map_slots, 1, 1 << 24);
+  require_range("keyframes", p.keyframes, 2, max_keyframes);
+  require_range("local_points", p.local_points, 1, 1 << 24);
+  require_range("window_radius", p.window_radius, 0.1f, 1000.0f);
+  require_range("window.moving", p.window.moving, 1, max_window_views);
+  require_range("window.fixed", p.window.fixed, 0, max_window_views - p.window.moving);
+  require(p.window.moving + p.window.fixed <= p.keyframes,
+          "an adjustment has more keyframes than the map");
+  require_range("window_points", p.window_points, 1, 1 << 20);
+  require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
+  require_range("adjustment.steps", p.adjustment.steps, 0, 1000);
+  require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);
+  require_range("local_map.neighbours", p.local_map.neighbours, 0, 32);
+  tracking_rules const& r = p.rules;
+  require_range("rules.min_stereo_points", r.min_stereo_points, 1, 1 << 24);
+  require_range("rules.min_inliers", r.min_inliers, 3, 1 << 24);
+  require_range("rules.min_motion_inliers", r.min_motion_inliers, 3, 1 << 24);
+  require_range("rules.min_recovered", r.min_recovered, 3, 1 << 24);
+  require_range("rules.patience", r.patience, 1, 1 << 30);
+  require_range("rules.first_wide_search", r.first_wide_search, 0.1f, 1000.0f);
+  require_range("rules.later_wide_search", r.later_wide_search, 0.1f, 1000.0f);
+  require_range("rules.wanted_near_points", r.wanted_near_points, 0, 1 << 24);
+  require_range("rules.new_near_points", r.new_near_points, 0, 1 << 24);
+  require_range("rules.keep_share", r.keep_share, 0.0f, 1.0f);
+  require_range("rules.near_depth", r.near_depth, 1e-3f, 1e6f);
+  require_range("rules.motion.even", r.motion.even, 0.0, 1.0);
+  require_range("rules.motion.longest", r.motion.longest, 1.0, 1e6);
+}
+
+inline tracking tracking_of(odometry_output const& o) {
+  tracking t;
+  t.T_world_camera = o.T_cw.cast<strict_double>().inverse().cast<double>();
+  t.state = o.state;
+  t.keyframe = o.keyframe != 0;
+  t.inliers = o.inliers;
+  t.keypoints = o.keypoints;
+  t.stereo_points = o.with_depth;
+  t.local_points = o.local_points;
+  t.left_out = o.left_out;
+  t.map_points = o.map_points;
+  t.maps = o.maps;
+  t.keyframes = o.keyframes;
+  if (o.begins_first_map != 0) { return t; }
+  if (o.inliers > 0) {
+    invert_information(o.information, t.covariance);
+  } else {
+    unknown_covariance(t.covariance);
+  }
+  return t;
+}
+
+/// A copy of `count` values in host memory.
+template <typename Exec, typename T>
+std::vector<T> downloaded(Exec const& exec, T const* from, std::size_t count) {
+  buffer<T, staging_space<Exec>> const to(count);
+  copy(exec, to.data(), from, count);
+  exec.wait();
+  return std::vector<T>(to.data(), to.data() + count);
+}
+
+template <typename Exec>
+odometry_map download_odometry_map(Exec const& exec, odometry_map_view const& map, int b) {
+  odometry_map out;
+  auto const slots = static_cast<std::size_t>(map.records.slots);
+  auto const first = map.records.at(b, 0);
+  auto const points = map.points.slice(b);
+  auto const column = [&](auto const* from) { return downloaded(exec, from, slots); };
+  auto const position = column(array_of<field::position>(points));
+  auto const normal = column(array_of<field::normal>(points));
+  auto const nearest = column(array_of<field::min_distance>(points));
+  auto const farthest = column(array_of<field::max_distance>(points));
+  auto const number = column(map.records.number + first);
+  auto const words = static_cast<std::size_t>(map.records.words);
+  auto const seen_by = downloaded(exec, map.records.mask(b, 0), slots * words);
+  for (std::size_t s = 0; s < slots; ++s) {
+    if (number[s] == 0) { continue; }
+    int observers = 0;
+    for (std::size_t w = 0; w < words; ++w) { observers += popcount(seen_by[s * words + w]); }
+    out.points.push_back({position[s], normal[s], nearest[s], farthest[s], static_cast<int>(s),
+                          number[s], observers});
+  }
+  keyframes_view const& kf = map.keyframes;
+  auto const positions = static_cast<std::size_t>(kf.positions);
+  auto const T_cw = downloaded(exec, kf.T_cw + kf.at(b, 0), positions);
+  auto const time_ns = downloaded(exec, kf.time_ns + kf.at(b, 0), positions);
+  int const made = downloaded(exec, kf.made + b, 1)[0];
+  int const count = downloaded(exec, kf.count + b, 1)[0];
+  for (int n = made - count + 1; n <= made; ++n) {
+    auto const p = static_cast<std::size_t>(kf.position(n));
+    out.keyframes.push_back(
+        {n, time_ns[p], T_cw[p].template cast<strict_double>().inverse().template cast<double>()});
+  }
+  return out;
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

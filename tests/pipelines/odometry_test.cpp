@@ -1,0 +1,368 @@
+// SPDX-License-Identifier: Apache-2.0
+// Images in, poses out: a camera that walks through a rendered room, in a batch and alone, lost and
+// found again, and what is refused.
+#include "ft/pipelines/odometry.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tests/support/backends.hpp"
+#include "tests/support/room.hpp"
+
+namespace odometry_test {
+
+using test::room::stereo_frame;
+constexpr std::int64_t period = 50'000'000;
+
+ft::odometry_params params() {
+  ft::odometry_params p;
+  p.orb = test::room::params().orb;
+  p.map_slots = 4096;
+  p.local_points = 2048;
+  p.keyframes = 20;
+  p.window_points = 2048;
+  return p;
+}
+
+/// Frames of a walk, rendered once per program run. @param seed 0 to 2
+template <typename Rig>
+std::vector<stereo_frame> const& walk(Rig const& rig, unsigned seed, std::size_t frames = 24) {
+  static std::vector<std::vector<stereo_frame>> walks(3);
+  auto& w = walks.at(seed);
+  if (w.size() < frames) { w = test::room::make_walk(rig, seed, static_cast<int>(frames)); }
+  return w;
+}
+
+ft::stereo_images images_of(stereo_frame const& f) {
+  return {test::room::view(f.left), test::room::view(f.right)};
+}
+
+/// Distance of a pose from the true one, in the world of the first frame; metres.
+double error_of(ft::tracking const& t, stereo_frame const& now, stereo_frame const& first) {
+  auto const T_0w = first.T_cw.template cast<double>();
+  auto const T_wc = now.T_cw.template cast<double>().inverse();
+  auto const truth = (T_0w * T_wc).t;
+  auto const d = t.T_world_camera.t - truth;
+  return std::sqrt(ft::dot(d, d));
+}
+
+bool same(ft::tracking const& a, ft::tracking const& b) {
+  return std::memcmp(&a.T_world_camera, &b.T_world_camera, sizeof a.T_world_camera) == 0 &&
+         a.state == b.state && a.keyframe == b.keyframe && a.inliers == b.inliers &&
+         a.keypoints == b.keypoints && a.stereo_points == b.stereo_points &&
+         a.local_points == b.local_points && a.left_out == b.left_out &&
+         a.map_points == b.map_points && a.maps == b.maps && a.keyframes == b.keyframes &&
+         std::memcmp(a.covariance, b.covariance, sizeof a.covariance) == 0;
+}
+
+void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::tracking> const& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.size(); ++i) { EXPECT_TRUE(same(a[i], b[i])) << "frame " << i; }
+}
+
+template <typename Exec, typename Rig>
+std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_params const& p,
+                              std::vector<stereo_frame> const& frames) {
+  ft::odometry<Exec, Rig> odo(exec, rig, p);
+  std::vector<ft::tracking> all;
+  std::int64_t time = 0;
+  for (auto const& f : frames) { all.push_back(odo.track(images_of(f), time += period)); }
+  return all;
+}
+
+template <typename Backend>
+class odometry_pipeline : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(odometry_pipeline, test::backends);
+
+template <typename Exec, typename Rig>
+void follows_a_walk(Exec const& exec, Rig const& rig, double most) {
+  auto const& frames = walk(rig, 0);
+  auto const all = run(exec, rig, params(), frames);
+  EXPECT_TRUE(all[0].keyframe);
+  EXPECT_EQ(all[0].maps, 1);
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(all[i], frames[i], frames[0]), most) << i;
+    EXPECT_EQ(all[i].inliers >= 20, i > 0) << i;
+    EXPECT_EQ(all[i].left_out, 0) << i;
+  }
+  EXPECT_GE(all.back().keyframes, 2);
+  EXPECT_EQ(all.back().maps, 1);
+}
+
+TYPED_TEST(odometry_pipeline, follows_a_walk_with_a_rectified_pair) {
+  TypeParam backend;
+  follows_a_walk(backend.exec, test::room::rig(), 0.02);
+}
+
+TYPED_TEST(odometry_pipeline, follows_a_walk_with_two_fisheye_cameras) {
+  TypeParam backend;
+  follows_a_walk(backend.exec, test::room::fisheye(), 0.03);
+}
+
+TYPED_TEST(odometry_pipeline, tells_the_covariance_of_a_pose) {
+  TypeParam backend;
+  auto const all = run(backend.exec, test::room::rig(), params(), walk(test::room::rig(), 0));
+  auto const& c = all.back().covariance;
+  for (int i = 0; i < 6; ++i) {
+    // Some hundred points of a pixel's error: below a hundredth of a radian or a decimetre.
+    EXPECT_GT(c[7 * i], 0) << i;
+    EXPECT_LT(std::sqrt(c[7 * i]), i < 3 ? 0.01 : 0.1) << i;
+    for (int j = 0; j < 6; ++j) {
+      EXPECT_EQ(c[6 * i + j], c[6 * j + i]);
+      EXPECT_LE(c[6 * i + j] * c[6 * i + j], c[7 * i] * c[7 * j] * 1.0001);
+    }
+  }
+  for (double const v : all[0].covariance) { EXPECT_EQ(v, 0.0); }
+}
+
+TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_launch) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto p = params();
+  auto const first = run(backend.exec, rig, p, walk(rig, 0));
+  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+  p.use_graphs = false;
+  p.measure_stages = true;
+  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+}
+
+TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  std::vector<std::vector<ft::tracking>> alone, together(3);
+  for (unsigned b = 0; b < 3; ++b) {
+    alone.push_back(run(backend.exec, rig, params(), walk(rig, b)));
+  }
+  ft::odometry odo(backend.exec, rig, params(), 3);
+  for (std::size_t i = 0; i < walk(rig, 0).size(); ++i) {
+    std::vector<ft::stereo_images> images;
+    std::vector<std::int64_t> const times(3, static_cast<std::int64_t>(i + 1) * period);
+    for (unsigned b = 0; b < 3; ++b) { images.push_back(images_of(walk(rig, b)[i])); }
+    ft::tracking const* const t = odo.track(images.data(), times.data());
+    for (std::size_t b = 0; b < 3; ++b) { together[b].push_back(t[b]); }
+  }
+  for (std::size_t b = 0; b < 3; ++b) {
+    SCOPED_TRACE("camera " + std::to_string(b));
+    expect_same(together[b], alone[b]);
+  }
+  EXPECT_FALSE(same(alone[0].back(), alone[1].back()));
+}
+
+/// A walk in which a number of frames are black.
+template <typename Rig>
+std::vector<stereo_frame> with_black_frames(Rig const& rig, std::size_t from, std::size_t count) {
+  auto frames = walk(rig, 0);
+  for (std::size_t i = from; i < from + count; ++i) {
+    std::fill(frames[i].left.begin(), frames[i].left.end(), std::uint8_t{0});
+    std::fill(frames[i].right.begin(), frames[i].right.end(), std::uint8_t{0});
+  }
+  return frames;
+}
+
+TYPED_TEST(odometry_pipeline, finds_a_lost_camera_again) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const frames = with_black_frames(rig, 10, 8);
+  auto const all = run(backend.exec, rig, params(), frames);
+  EXPECT_EQ(all[9].state, ft::tracking_state::tracking);
+  for (std::size_t i = 10; i < 18; ++i) {
+    int const missed = static_cast<int>(i) - 9;
+    EXPECT_EQ(all[i].state, missed < ft::recovery_attempts ? ft::tracking_state::recovering
+                                                           : ft::tracking_state::lost)
+        << i;
+    EXPECT_EQ(all[i].inliers, 0);
+    EXPECT_TRUE(std::isinf(all[i].covariance[0]));
+  }
+  // Six attempts are a frame each.
+  EXPECT_EQ(all[23].state, ft::tracking_state::tracking);
+  EXPECT_EQ(all[23].maps, 1);
+  EXPECT_LT(error_of(all[23], frames[23], frames[0]), 0.03);
+}
+
+TYPED_TEST(odometry_pipeline, begins_a_new_map_after_a_long_loss) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto p = params();
+  p.rules.patience = 3;
+  p.rules.min_recovered = 10'000;  // nothing is ever found again
+  auto const frames = with_black_frames(rig, 10, 2);
+  auto const all = run(backend.exec, rig, p, frames);
+  // Lost without features in 10 and 11, with them in 12, 13 and 14.
+  EXPECT_EQ(all[13].maps, 1);
+  EXPECT_EQ(all[14].maps, 2);
+  EXPECT_EQ(all[14].state, ft::tracking_state::tracking);
+  EXPECT_TRUE(all[14].keyframe);
+  EXPECT_TRUE(std::isinf(all[14].covariance[0]));
+  for (std::size_t i = 15; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].state, ft::tracking_state::tracking);
+    EXPECT_GE(all[i].inliers, 20);
+  }
+}
+
+TYPED_TEST(odometry_pipeline, waits_for_a_frame_with_points) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const all = run(backend.exec, rig, params(), with_black_frames(rig, 0, 2));
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(all[i].state, ft::tracking_state::initialising);
+    EXPECT_EQ(all[i].maps, 0);
+  }
+  EXPECT_EQ(all[2].state, ft::tracking_state::tracking);
+  EXPECT_TRUE(all[2].keyframe);
+}
+
+TYPED_TEST(odometry_pipeline, a_reset_camera_is_as_a_new_one) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const fresh = run(backend.exec, rig, params(), walk(rig, 1));
+  ft::odometry odo(backend.exec, rig, params());
+  std::int64_t time = 0;
+  for (auto const& f : walk(rig, 0)) { odo.track(images_of(f), time += period); }
+  EXPECT_FALSE(odo.download_map().points.empty());
+  odo.reset();
+  EXPECT_TRUE(odo.download_map().points.empty());
+  time = 0;
+  // The adjustment that was in flight ends in the meantime, so windows differ by a few frames; the
+  // map does not see the old one's points.
+  for (std::size_t i = 0; i < fresh.size(); ++i) {
+    auto const t = odo.track(images_of(walk(rig, 1)[i]), time += period);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking);
+    EXPECT_EQ(t.maps, 1);
+    EXPECT_LT(error_of(t, walk(rig, 1)[i], walk(rig, 1)[0]), 0.02);
+    if (i < 3) { EXPECT_TRUE(same(t, fresh[i])) << i; }
+  }
+}
+
+TYPED_TEST(odometry_pipeline, takes_a_prediction_from_outside) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const& frames = walk(rig, 0);
+  ft::odometry odo(backend.exec, rig, params());
+  odo.track(images_of(frames[0]), period);
+  // A jump that the search from the last frame does not cover.
+  auto const T = frames[0].T_cw.template cast<double>() *
+                 frames[23].T_cw.template cast<double>().inverse();
+  ft::odometry blind(backend.exec, rig, params());
+  blind.track(images_of(frames[0]), period);
+  odo.predict(T.orthonormalized());
+  auto const t = odo.track(images_of(frames[23]), 2 * period);
+  EXPECT_EQ(t.state, ft::tracking_state::tracking);
+  EXPECT_LT(error_of(t, frames[23], frames[0]), 0.03);
+  EXPECT_LT(blind.track(images_of(frames[23]), 2 * period).inliers, t.inliers);
+}
+
+TYPED_TEST(odometry_pipeline, tells_its_map) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  ft::odometry odo(backend.exec, rig, params());
+  std::int64_t time = 0;
+  ft::tracking last;
+  for (auto const& f : walk(rig, 0)) { last = odo.track(images_of(f), time += period); }
+  auto const map = odo.download_map();
+  EXPECT_EQ(static_cast<int>(map.points.size()), last.map_points);
+  EXPECT_EQ(static_cast<int>(map.keyframes.size()), last.keyframes);
+  // The points lie on the walls of the room.
+  auto const T_w0 = walk(rig, 0)[0].T_cw.inverse();
+  int off = 0;
+  for (auto const& p : map.points) {
+    auto const at = T_w0 * p.position;
+    float const d = std::min({std::abs(std::abs(at.x) - 3), std::abs(std::abs(at.y) - 1.5f),
+                              std::abs(at.z + 2), std::abs(at.z - 6)});
+    off += static_cast<int>(!(d < 0.3f));
+    EXPECT_GE(p.keyframes, 1);
+    EXPECT_NEAR(ft::dot(p.normal, p.normal), 1.0f, 1e-4f);
+  }
+  EXPECT_LT(off, static_cast<int>(map.points.size()) / 10);
+  for (std::size_t i = 1; i < map.keyframes.size(); ++i) {
+    EXPECT_GT(map.keyframes[i].number, map.keyframes[i - 1].number);
+    EXPECT_GT(map.keyframes[i].time_ns, map.keyframes[i - 1].time_ns);
+  }
+}
+
+TYPED_TEST(odometry_pipeline, refuses_bad_input_and_goes_on) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const& frames = walk(rig, 0);
+  auto const good = run(backend.exec, rig, params(), {frames.begin(), frames.begin() + 3});
+  ft::odometry odo(backend.exec, rig, params());
+  std::vector<ft::tracking> all;
+  for (std::size_t i = 0; i < 3; ++i) {
+    std::int64_t const now = static_cast<std::int64_t>(i + 1) * period;
+    auto images = images_of(frames[i]);
+    if (i > 0) { EXPECT_THROW(odo.track(images, now - period), ft::bad_argument); }
+    auto narrow = images;
+    narrow.right.width -= 16;
+    EXPECT_THROW(odo.track(narrow, now), ft::bad_argument);
+    auto none = images;
+    none.left.data = nullptr;
+    EXPECT_THROW(odo.track(none, now), ft::bad_argument);
+    auto T = ft::rigid<double>::identity();
+    T.t.x = std::numeric_limits<double>::quiet_NaN();
+    EXPECT_THROW(odo.predict(T), ft::bad_argument);
+    T = ft::rigid<double>::identity();
+    T.R.m[0] = 2;
+    EXPECT_THROW(odo.predict(T), ft::bad_argument);
+    EXPECT_THROW(odo.predict(ft::rigid<double>::identity(), 1), ft::bad_argument);
+    EXPECT_THROW(odo.reset(-1), ft::bad_argument);
+    EXPECT_THROW(odo.download_map(1), ft::bad_argument);
+    EXPECT_THROW(odo.stage_times(), ft::bad_argument);
+    all.push_back(odo.track(images, now));
+  }
+  expect_same(all, good);
+}
+
+TYPED_TEST(odometry_pipeline, refuses_parameters_out_of_range) {
+  TypeParam backend;
+  auto const make = [&](std::function<void(ft::odometry_params&)> const& change, int batch = 1) {
+    auto p = params();
+    change(p);
+    ft::odometry<typename TypeParam::exec_type>(backend.exec, test::room::rig(), p, batch);
+  };
+  EXPECT_THROW(make([](auto&) {}, 0), ft::bad_argument);
+  std::vector<std::function<void(ft::odometry_params&)>> const changes{
+      [](auto& p) { p.map_slots = 0; },
+      [](auto& p) { p.keyframes = 1; },
+      [](auto& p) { p.local_points = 0; },
+      [](auto& p) { p.window.moving = 0; },
+      [](auto& p) { p.window.fixed = 60; },
+      [](auto& p) { p.window_points = 0; },
+      [](auto& p) { p.adjustment_delay = 0; },
+      [](auto& p) { p.rules.keep_share = std::numeric_limits<float>::quiet_NaN(); },
+      [](auto& p) { p.rules.patience = 0; },
+      [](auto& p) { p.rules.min_inliers = 0; },
+      [](auto& p) { p.orb.width = 0; },
+  };
+  for (std::size_t i = 0; i < changes.size(); ++i) {
+    EXPECT_THROW(make(changes[i]), ft::bad_argument) << i;
+  }
+}
+
+TYPED_TEST(odometry_pipeline, moves) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const& frames = walk(rig, 0);
+  auto const good = run(backend.exec, rig, params(), frames);
+  ft::odometry odo(backend.exec, rig, params());
+  std::vector<ft::tracking> all;
+  std::int64_t time = 0;
+  for (auto const& f : frames) {
+    all.push_back(odo.track(images_of(f), time += period));
+    ft::odometry<typename TypeParam::exec_type> other(std::move(odo));
+    EXPECT_THROW(odo.track(images_of(f), time), ft::bad_argument);  // NOLINT: it says so
+    odo = std::move(other);
+  }
+  expect_same(all, good);
+}
+
+}  // namespace odometry_test

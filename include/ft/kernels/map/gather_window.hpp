@@ -7,10 +7,13 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/containers/window_problem.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/point_masks.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -53,10 +56,129 @@ inline void carve(carver& c, window_sources_view& v, window_capacity const& size
   v.point_of_slot = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(slots)));
 }
 
+namespace detail {
+
+/// Item: a batch entry. Chooses keyframes and points.
+struct choose_window {
+  struct scratch {
+    position_set moving;
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, window_input const& in,
+                                 odometry_map_view const& map, window_problem_view const& problem,
+                                 window_sources_view const& sources) const {
+    if (in.flags[b] == 0) { return; }
+    keyframes_view const& keyframes = map.keyframes;
+    int const made = keyframes.made[b];
+    int const views = min_of(keyframes.count[b], in.params.moving + in.params.fixed);
+    int const fixed = min_of(views, max_of(1, views - in.params.moving));
+    for (int v = g.rank(); v < views; v += g.size()) {
+      int const number = made - views + 1 + v;
+      sources.keyframe[problem.view(b, v)] = number;
+      problem.T_cw[problem.view(b, v)] =
+          keyframes.T_cw[keyframes.at(b, keyframes.position(number))];
+    }
+    if (g.rank() == 0) {
+      s.moving.assign(keyframes, made - views + fixed + 1, made);
+      problem.view_count[b] = views;
+      problem.fixed_count[b] = fixed;
+    }
+    g.sync();
+    choose_points(g, s.moving, b, map, problem, sources);
+  }
+
+private:
+  template <typename Group>
+  FT_HOST_DEVICE static void choose_points(Group g, position_set const& moving, int b,
+                                           odometry_map_view const& map,
+                                           window_problem_view const& problem,
+                                           window_sources_view const& sources) {
+    point_records_view const& r = map.records;
+    map_points_view const points = map.points.slice(b);
+    int const used = r.used[b];
+    int found = 0;
+    for (int first = 0; first < used; first += g.size()) {
+      int const slot = first + g.rank();
+      bool const is = slot < used && moving.meets(r.mask(b, slot), r.words);
+      int here = 0;
+      int const i = found + g.exclusive_count(is, here);
+      found += here;
+      bool const fits = is && i < problem.points;
+      if (slot < used) { sources.point_of_slot[r.at(b, slot)] = fits ? i : -1; }
+      if (!fits) { continue; }
+      vec3<float> const p = get<field::position>(points, slot);
+      problem.position[problem.point(b, i)] = {static_cast<double>(p.x), static_cast<double>(p.y),
+                                               static_cast<double>(p.z)};
+      sources.slot[problem.point(b, i)] = slot;
+      sources.number[problem.point(b, i)] = r.number[r.at(b, slot)];
+    }
+    if (g.rank() == 0) {
+      problem.point_count[b] = min_of(found, problem.points);
+      sources.left_out[b] = max_of(found - problem.points, 0);
+    }
+  }
+};
+
+/// Item: a camera of a view of a batch entry. Writes its observations. After choose_window.
+struct gather_view {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, window_input const& in,
+                                 odometry_map_view const& map, window_problem_view const& problem,
+                                 window_sources_view const& sources) const {
+    int const c = item % problem.cameras;
+    int const v = item / problem.cameras % problem.views;
+    int const b = item / problem.cameras / problem.views;
+    if (in.flags[b] == 0 || v >= problem.view_count[b]) { return; }
+    for (int p = g.rank(); p < problem.point_count[b]; p += g.size()) {
+      problem.seen[problem.sighting(b, p, v, c)] = {0, 0, -1, 0};
+    }
+    g.sync();
+    keyframes_view const& keyframes = map.keyframes;
+    int const position = keyframes.position(sources.keyframe[problem.view(b, v)]);
+    int const n = keyframes.keypoints[keyframes.at(b, position) * keyframes.cameras + c];
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const keypoint = c * keyframes.capacity + i;
+      std::ptrdiff_t const at = keyframes.at(b, position, keypoint);
+      int const slot = keyframes.holder[at];
+      if (slot < 0) { continue; }
+      std::ptrdiff_t const record = map.records.at(b, slot);
+      if (map.records.number[record] != keyframes.holder_number[at]) { continue; }
+      int const p = sources.point_of_slot[record];
+      if (p < 0) { continue; }
+      std::ptrdiff_t const to = problem.sighting(b, p, v, c);
+      problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at],
+                          in.geometry.inv_sigma2[keyframes.octave[at]]};
+      sources.keypoint[to] = keypoint;
+    }
+  }
+};
+
+}  // namespace detail
+
 /// Fills the problems of the batch entries whose flag is set; those of others are not touched.
+///
+/// The views are the newest `moving` keyframes and the `fixed` ones before them, oldest first. The
+/// latter stay; where there are none the oldest moving keyframe stays, which is the first one of
+/// its map or of the ring. The points are those that a keyframe sees that does not stay, in
+/// ascending order of slots. Those for which there is no room are left out, the highest slots.
+///
+/// Asynchronous on `exec`; allocates nothing; two launches.
+/// @throws bad_argument for parameters out of range, or for a problem of another shape
 template <typename Exec>
 void gather_window(Exec const& exec, window_input const& in, odometry_map_view const& map,
-                   window_problem_view const& problem, window_sources_view const& sources);
+                   window_problem_view const& problem, window_sources_view const& sources) {
+  detail::require_range("moving keyframes", in.params.moving, 1, problem.views);
+  detail::require_range("fixed keyframes", in.params.fixed, 0, problem.views - in.params.moving);
+  detail::require(problem.cameras == map.keyframes.cameras && problem.batch == map.keyframes.batch,
+                  "the windows have another shape than the map's keyframes");
+  for_each_item<per_block<1024>>(exec, problem.batch, detail::choose_window{}, in, map, problem,
+                                 sources);
+  for_each_item<per_block<256>>(exec, problem.batch * problem.views * problem.cameras,
+                                detail::gather_view{}, in, map, problem, sources);
+}
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -2,78 +2,58 @@
 /// @file Stage: makes keyframes of frames.
 #pragma once
 
-#include <cstddef>
-#include <cstdint>
-
-#include "ft/containers/frame.hpp"
-#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/core/memory.hpp"
+#include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/map/place_keyframe.hpp"
+#include "ft/kernels/map/record_keyframe.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// Whether a frame becomes a keyframe.
-enum class keyframe_order : int {
-  none = 0,
-  add = 1,
-  begin_map = 2,  ///< empties the map first
-};
-
-/// The frames that may become keyframes. `frame.holder` is read and written.
-template <typename Rig>
-struct keyframe_input {
-  Rig rig;
-  frame_view frame;
-  keyframe_order const* order = nullptr;  ///< [batch]
-  rigid<double> const* T_cw = nullptr;    ///< [batch] world to left camera, metres
-  std::int64_t const* time_ns = nullptr;  ///< [batch]
-  float const* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres; a keypoint
-                                 ///< without a positive finite depth has no stereo point
-  /// [batch][capacity] in the left camera's frame, metres; not read for a rectified pair.
-  vec3<float> const* point = nullptr;
-  pyramid_geometry geometry;
-};
-
-struct keyframe_params {
-  float near = 0;                ///< limit of depth, metres
-  int wanted_near_points = 100;  ///< stereo points that a keyframe takes at least, near or not
-  int cull_after = 10;           ///< frames in view after which a point has to have proved itself
-  int cull_share = 4;            ///< a point found in less than 1 / cull_share of them is removed
-};
-
-/// What became of the frames' keypoints. Written for batch entries that insert a keyframe.
-struct keyframe_result {
-  int* held = nullptr;      ///< [batch] left keypoints that hold a point, old or new
-  int* left_out = nullptr;  ///< [batch] points for which there was no free slot
-};
-
-struct keyframe_workspace {
-  int* claim = nullptr;       ///< [batch][cameras][slots] lowest keypoint that holds the point
-  int* free_slots = nullptr;  ///< [batch][capacity] slots for new points, ascending
-  int* new_points = nullptr;  ///< [batch][capacity] keypoints to become points, ascending
-};
-
-/// Places the arrays into an arena. @param capacity keypoints of an image
-inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int cameras,
-                  int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
-  v.claim = c.take<int>(
-      detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
-  v.free_slots = c.take<int>(n);
-  v.new_points = c.take<int>(n);
-}
-
-/// Makes keyframes of the frames whose `order` says so.
+/// Makes a keyframe of each frame whose `order` says so. Other batch entries are not touched.
+///
+/// 1. `begin_map` empties the map. Otherwise points that were in view in `cull_after` frames or
+///    more and found in less than 1 / `cull_share` of them are removed.
+/// 2. Keypoints that hold a point observe it: of several of a camera the one with the lowest
+///    number. The right keypoint of a stereo match holds what the left one holds.
+/// 3. Left keypoints with a stereo point and no map point become points: those up to `near`, and
+///    more of the nearest until `wanted_near_points` stereo points are taken, counting those that
+///    hold a map point (ties by number). Slots and numbers ascend with the number of the keypoint.
+/// 4. The oldest keyframe leaves a full ring. If slots are still short, more of the oldest leave.
+///    Points that no keyframe sees any more are removed. New points that find no slot are left out,
+///    those with the highest keypoint numbers.
+/// 5. A point that the keyframe sees gets its descriptor, the most typical of the last
+///    point_descriptors, and its normal, the mean of the viewing directions. A new point can be
+///    seen from the distances at which its keypoint's octave is one of the pyramid's.
+/// 6. Neighbours: that of the new keyframe is the one that shares most points with it, the newest
+/// of
+///    equals. The new keyframe becomes the neighbour of those that share at least as many points
+///    with it as with theirs, at the time that was found, or whose neighbour has left.
+///
+/// `frame.holder` has the result: keypoints of new points hold them, holders of removed points are
+/// -1. Source: C. Campos and others, "ORB-SLAM3", 2021, for culling and the choice of descriptors.
+/// Asynchronous on `exec`; allocates nothing; two launches.
+/// @throws bad_argument for parameters out of range, or for a map made for other frames
 template <typename Exec, typename Rig>
 void insert_keyframe(Exec const& exec, keyframe_input<Rig> const& in, keyframe_params const& params,
                      odometry_map_view const& map, keyframe_result const& out,
-                     keyframe_workspace const& work);
+                     keyframe_workspace const& work) {
+  detail::require_range("limit of near points", params.near, 1e-6f, 1e9f);
+  detail::require_range("wanted near points", params.wanted_near_points, 0, 1 << 24);
+  detail::require_range("frames before culling", params.cull_after, 1, 1 << 24);
+  detail::require_range("share of culling", params.cull_share, 1, 1 << 24);
+  detail::require(map.keyframes.capacity == in.frame.capacity() &&
+                      map.keyframes.cameras == in.frame.cameras &&
+                      map.keyframes.batch == in.frame.batch,
+                  "the map's keyframes have another shape than the frames");
+  for_each_item<per_block<1024>>(exec, in.frame.batch, detail::place_keyframe<Rig>{}, in, params,
+                                 map, out, work);
+  for_each_item<per_thread>(exec, in.frame.batch * in.frame.numbers(),
+                            detail::record_keypoint<Rig>{}, in, map, work);
+}
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Inputs, results and workspace of insert_keyframe.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/containers/frame.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/odometry_map.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Whether a frame becomes a keyframe.
+enum class keyframe_order : int {
+  none = 0,
+  add = 1,
+  begin_map = 2,  ///< empties the map first
+};
+
+/// The frames that may become keyframes. `frame.holder` is read and written.
+template <typename Rig>
+struct keyframe_input {
+  Rig rig;
+  frame_view frame;
+  keyframe_order const* order = nullptr;  ///< [batch]
+  rigid<double> const* T_cw = nullptr;    ///< [batch] world to left camera, metres
+  std::int64_t const* time_ns = nullptr;  ///< [batch]
+  float const* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres; a keypoint
+                                 ///< without a positive finite depth has no stereo point
+  /// [batch][capacity] in the left camera's frame, metres; not read for a rectified pair.
+  vec3<float> const* point = nullptr;
+  pyramid_geometry geometry;
+};
+
+struct keyframe_params {
+  float near = 0;                ///< limit of depth, metres
+  int wanted_near_points = 100;  ///< stereo points that a keyframe takes at least, near or not
+  int cull_after = 10;           ///< frames in view after which a point has to have proved itself
+  int cull_share = 4;            ///< a point found in less than 1 / cull_share of them is removed
+};
+
+/// What became of the frames' keypoints. Written for batch entries that insert a keyframe.
+struct keyframe_result {
+  int* held = nullptr;      ///< [batch] left keypoints that hold a point, old or new
+  int* left_out = nullptr;  ///< [batch] points for which there was no free slot
+};
+
+struct keyframe_workspace {
+  int* claim = nullptr;       ///< [batch][cameras][slots] lowest keypoint that holds the point
+  int* free_slots = nullptr;  ///< [batch][capacity] slots for new points, ascending
+  int* new_points = nullptr;  ///< [batch][capacity] keypoints to become points, ascending
+
+  /// Index into `claim`. @param slots of the map
+  FT_HOST_DEVICE static std::ptrdiff_t at(int b, int c, int slot, int cameras, int slots) {
+    return (static_cast<std::ptrdiff_t>(b) * cameras + c) * slots + slot;
+  }
+};
+
+/// Places the arrays into an arena. @param capacity keypoints of an image
+inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int cameras,
+                  int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
+  v.claim = c.take<int>(
+      detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
+  v.free_slots = c.take<int>(n);
+  v.new_points = c.take<int>(n);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Which stereo keypoints of a new keyframe become map points.
+#pragma once
+
+#include <cstring>
+#include <limits>
+
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The nearest stereo keypoints: those with a smaller depth than `depth`, and of those with exactly
+/// that depth the first `ties`. Positive floats are compared by their bits.
+struct depth_limit {
+  int depth = 0;
+  int ties = 0;
+};
+
+/// The bits of a positive finite depth; 0 for any other.
+FT_HOST_DEVICE inline int depth_bits(float depth) {
+  if (!(depth > 0 && scalar::is_finite(depth))) { return 0; }
+  int bits;
+  memcpy(&bits, &depth, sizeof bits);
+  return bits;
+}
+
+/// The limit of the stereo keypoints that a keyframe takes: all near ones, at least `wanted`.
+/// @param depth [n] metres @param near metres
+template <typename Group>
+FT_HOST_DEVICE depth_limit nearest_depths(Group g, float const* depth, int n, float near,
+                                          int wanted) {
+  constexpr int all = std::numeric_limits<int>::max();
+  auto const up_to = [&](int limit) {
+    int count = 0;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int const bits = depth_bits(depth[i]);
+      count += static_cast<int>(bits != 0 && bits <= limit);
+    }
+    return g.reduce(count, sum_op{});
+  };
+  if (up_to(depth_bits(near)) >= wanted) { return {depth_bits(near), all}; }
+  if (up_to(all) <= wanted) { return {all, all}; }
+  int low = 1;  // the smallest limit with enough keypoints is in [low, high]
+  int high = all;
+  while (low < high) {
+    int const middle = low + (high - low) / 2;
+    if (up_to(middle) >= wanted) {
+      high = middle;
+    } else {
+      low = middle + 1;
+    }
+  }
+  return {low, wanted - up_to(low - 1)};
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -25,8 +25,7 @@ public:
         inner_(exec, rig_of<Rig>(options), odometry_params_of(options)),
         sums_({"motion", "upload", "pyramid", "corners", "distribution", "blur", "order",
                "descriptors", "stereo", "search last frame", "pose last frame", "choose local map",
-               "search local map", "pose local map", "keyframe decision", "keyframe",
-               "gather window", "result", "total"}) {
+               "search local map", "pose local map", "keyframe", "result", "total"}) {
     if (options.optimize != pose_optimization::both) {
       throw std::invalid_argument("the odometry optimises the pose after both searches");
     }

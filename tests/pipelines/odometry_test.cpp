@@ -251,8 +251,8 @@ TYPED_TEST(odometry_pipeline, takes_a_prediction_from_outside) {
   ft::odometry odo(backend.exec, rig, params());
   odo.track(images_of(frames[0]), period);
   // A jump that the search from the last frame does not cover.
-  auto const T = frames[0].T_cw.template cast<double>() *
-                 frames[23].T_cw.template cast<double>().inverse();
+  auto const T =
+      frames[0].T_cw.template cast<double>() * frames[23].T_cw.template cast<double>().inverse();
   ft::odometry blind(backend.exec, rig, params());
   blind.track(images_of(frames[0]), period);
   odo.predict(T.orthonormalized());

@@ -20,18 +20,18 @@ inline namespace FT_ABI {
 struct odometry_params {
   orb_params orb;
   tracking_rules rules;
-  int map_slots = 1 << 14;            ///< map points at a time, per camera pair
-  int keyframes = 128;                ///< at a time; the oldest one leaves
-  int local_points = 1 << 13;         ///< points of the local map, at most
-  local_map_params local_map;         ///< how these are chosen
-  float window_radius = 7;            ///< half side of a search from the last frame, pixels
-  int enough_matches = 20;            ///< with fewer, that search is repeated with twice the radius
-  window_selection window{10, 5};     ///< keyframes of an adjustment: moving ones, fixed ones
-  int window_points = 1 << 12;        ///< points of an adjustment, at most
-  window_params adjustment;           ///< how they are adjusted
-  int adjustment_delay = 3;           ///< frames after which the result of an adjustment enters
-  bool use_graphs = true;             ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;        ///< record stage_times()
+  int map_slots = 1 << 14;         ///< map points at a time, per camera pair
+  int keyframes = 128;             ///< at a time; the oldest one leaves
+  int local_points = 1 << 13;      ///< points of the local map, at most
+  local_map_params local_map;      ///< how these are chosen
+  float window_radius = 7;         ///< half side of a search from the last frame, pixels
+  int enough_matches = 20;         ///< with fewer, that search is repeated with twice the radius
+  window_selection window{10, 5};  ///< keyframes of an adjustment: moving ones, fixed ones
+  int window_points = 1 << 12;     ///< points of an adjustment, at most
+  window_params adjustment;        ///< how they are adjusted
+  int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
+  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;     ///< record stage_times()
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
 };
 

@@ -18,7 +18,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-struct window_params {
+struct window_selection {
   int moving = 8;  ///< newest keyframes, which are adjusted, 1 or more
   int fixed = 5;   ///< keyframes before these, which stay, 0 or more. The views of a
                    ///< window_problem_view are at least moving + fixed
@@ -28,7 +28,7 @@ struct window_params {
 struct window_input {
   int const* flags = nullptr;  ///< [batch] 1 = gather
   pyramid_geometry geometry;
-  window_params params;
+  window_selection params;
 };
 
 /// Where the contents of a window_problem_view come from.

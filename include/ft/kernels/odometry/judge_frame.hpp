@@ -53,13 +53,12 @@ struct judge_camera_frame {
     bool const follows = before.plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
-    state.counts[b] = !found    ? sightings::none
-                      : follows ? sightings::all
-                                : sightings::found_only;
+    state.counts[b] = !found ? sightings::none : follows ? sightings::all : sightings::found_only;
     state.order[b] = keyframe_order::none;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
-      state.order[b] = needs_keyframe(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
+      state.order[b] =
+          needs_keyframe(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
     } else {
       in.inliers[b] = 0;
       miss(t, b, counts, rules, state);

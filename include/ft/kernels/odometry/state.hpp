@@ -96,15 +96,15 @@ struct camera_track {
 
 /// The state of all cameras, and what stages decide for those that follow. Executor memory.
 struct odometry_state_view {
-  camera_track* tracks = nullptr;  ///< [batch]
-  rigid<double>* T_cw = nullptr;   ///< [batch] of the last frame, then of the current one
-  local_map_mode* mode = nullptr;             ///< [batch] of choose_local_map()
-  float* radius_factor = nullptr;  ///< [batch] of the search in the local map
-  sightings* counts = nullptr;        ///< [batch] what count_sightings() counts
-  keyframe_order* order = nullptr;            ///< [batch] of insert_keyframe()
-  std::int64_t* time_ns = nullptr; ///< [batch] of the current frame
-  int* gather = nullptr;           ///< [batch] 1 = an adjustment begins with this frame
-  int* apply = nullptr;            ///< [batch] 1 = an adjustment ends with this frame
+  camera_track* tracks = nullptr;   ///< [batch]
+  rigid<double>* T_cw = nullptr;    ///< [batch] of the last frame, then of the current one
+  local_map_mode* mode = nullptr;   ///< [batch] of choose_local_map()
+  float* radius_factor = nullptr;   ///< [batch] of the search in the local map
+  sightings* counts = nullptr;      ///< [batch] what count_sightings() counts
+  keyframe_order* order = nullptr;  ///< [batch] of insert_keyframe()
+  std::int64_t* time_ns = nullptr;  ///< [batch] of the current frame
+  int* gather = nullptr;            ///< [batch] 1 = an adjustment begins with this frame
+  int* apply = nullptr;             ///< [batch] 1 = an adjustment ends with this frame
   int batch = 0;
 };
 

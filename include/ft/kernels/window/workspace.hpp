@@ -69,8 +69,8 @@ struct window_workspace {
   double* by_point = nullptr;     ///< [2][batch][window_terms][points] sums over all views
   std::uint64_t* mask = nullptr;  ///< [2][batch][points] moving views that see the point
   detail::window_cost_part* part = nullptr;  ///< [batch][groups] costs at the newest trial
-  double* matrix = nullptr;             ///< [batch][side * side] reduced system, then its factors
-  double* step = nullptr;               ///< [batch][moving][6] rotation, translation of a view
+  double* matrix = nullptr;  ///< [batch][side * side] reduced system, then its factors
+  double* step = nullptr;    ///< [batch][moving][6] rotation, translation of a view
 
   FT_HOST_DEVICE int groups() const { return ceil_div(points, detail::window_group); }
   /// Rows and columns of the largest reduced system with its right-hand side.

@@ -57,12 +57,12 @@ struct odometry_memory {
   window_problem_view window;
   window_sources_view sources;
   window_workspace window_work;
-  int* selected = nullptr;           ///< [batch] cameras of the adjustment that runs
-  float* information = nullptr;      ///< [batch][information_terms]
-  odometry_input* inputs = nullptr;  ///< [batch] staging memory, which a device reads
-  odometry_output* outputs = nullptr;        ///< [batch] staging memory, which a device writes
-  unsigned char* matched = nullptr;          ///< [batch][numbers] staging memory, likewise
-  int* staged_selected = nullptr;            ///< [runs][batch] staging memory
+  int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
+  float* information = nullptr;        ///< [batch][information_terms]
+  odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
+  odometry_output* outputs = nullptr;  ///< [batch] staging memory, which a device writes
+  unsigned char* matched = nullptr;    ///< [batch][numbers] staging memory, likewise
+  int* staged_selected = nullptr;      ///< [runs][batch] staging memory
   std::size_t bytes() const { return memory_.bytes(); }
 
   /// @param runs adjustments in flight, at most @throws bad_argument, std::bad_alloc, cuda_error
@@ -110,10 +110,10 @@ struct odometry_memory {
     static_assert(sizeof(local_map_mode) == sizeof(int) && sizeof(sightings) == sizeof(int) &&
                       sizeof(keyframe_order) == sizeof(int),
                   "cleared as such");
-    void* const all[] = {state.mode,          state.counts,         state.order,
-                         state.gather,        state.apply,          local_left_out,
-                         keyframe_out.held,   keyframe_out.left_out, selected,
-                         sources.left_out,    window.view_count,    window.fixed_count,
+    void* const all[] = {state.mode,        state.counts,          state.order,
+                         state.gather,      state.apply,           local_left_out,
+                         keyframe_out.held, keyframe_out.left_out, selected,
+                         sources.left_out,  window.view_count,     window.fixed_count,
                          window.point_count};
     for (void* const flags : all) { fill_bytes(exec, flags, 0, b * sizeof(int)); }
   }

@@ -60,8 +60,11 @@ struct pack_tracking {
     out.inliers = facts.inliers[b];
     out.keypoints = left;
     out.with_depth = with_depth;
-    out.local_points = facts.local_count[b];
-    out.left_out = facts.local_left_out[b] + (inserted ? facts.keyframe_left_out[b] : 0) +
+    // Before its first map a camera that was reset searches its old one, for nothing.
+    bool const searched = t.plan != search_plan::nothing;
+    out.local_points = searched ? facts.local_count[b] : 0;
+    out.left_out = (searched ? facts.local_left_out[b] : 0) +
+                   (inserted ? facts.keyframe_left_out[b] : 0) +
                    (state.gather[b] != 0 ? facts.window_left_out[b] : 0);
     out.map_points = t.has_map() ? facts.map_points[b] : 0;
     out.maps = t.maps;

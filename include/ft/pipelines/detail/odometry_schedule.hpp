@@ -47,10 +47,10 @@ void queue_odometry(Line& line, Stages& s) {
   s.pack_keypoints(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
-  s.judge(line.then("keyframe decision"));
-  s.count_points(line.then("keyframe decision"));
+  s.judge(line.then("keyframe"));
+  s.count_points(line.then("keyframe"));
   s.insert(line.then("keyframe"));
-  s.gather(line.then("gather window"));
+  s.gather(line.then("keyframe"));
   line.join(s.result_branch());
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));

@@ -43,10 +43,9 @@ public:
     apply_window(exec, own.state.apply, own.window, own.sources, own.map, own.state.T_cw);
   }
   void predict(Exec const& exec) const {
-    predict_frames(
-        exec, own.inputs, settings.rules, own.state,
-        predicted_frames{memory.motion.device.predicted, memory.last.T_cw,
-                         memory.motion.device.stamp});
+    predict_frames(exec, own.inputs, settings.rules, own.state,
+                   predicted_frames{memory.motion.device.predicted, memory.last.T_cw,
+                                    memory.motion.device.stamp});
   }
   /// Images alone: the other inputs come with read_inputs().
   void upload(Exec const& exec, bool /*with_local*/) const {
@@ -56,9 +55,9 @@ public:
   // ---- the local map
 
   void plan_search(Exec const& exec) const {
-    plan_searches(exec, settings.rules, memory.frame, own.state,
-                  search_start{memory.observations.inliers, memory.poses,
-                               memory.motion.device.stamp});
+    plan_searches(
+        exec, settings.rules, memory.frame, own.state,
+        search_start{memory.observations.inliers, memory.poses, memory.motion.device.stamp});
   }
   void choose_local(Exec const& exec) const {
     choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),
@@ -105,15 +104,10 @@ public:
                   own.sources);
   }
   void pack_outputs(Exec const& exec) const {
-    tracking_facts const facts{memory.observations.inliers,
-                               this->matcher.depth(),
-                               own.information,
-                               memory.local.device.count,
-                               own.local_left_out,
-                               own.keyframe_out.held,
-                               own.keyframe_out.left_out,
-                               own.sources.left_out,
-                               own.map.records.alive};
+    tracking_facts const facts{
+        memory.observations.inliers, this->matcher.depth(), own.information,
+        memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
+        own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive};
     for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
                                   facts, own.outputs);
   }
@@ -142,9 +136,7 @@ public:
   }
 
 private:
-  float near() const {
-    return mul(settings.rules.near_depth, this->rig.baseline_length().value);
-  }
+  float near() const { return mul(settings.rules.near_depth, this->rig.baseline_length().value); }
   local_map_view local_map() const {
     local_map_view v;
     v.capacity = this->params.local_points;

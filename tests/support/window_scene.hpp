@@ -1,0 +1,300 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Windows of a moving camera pair with known views and points, and an adjustment of them.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <random>
+#include <vector>
+
+#include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/pinhole.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/window_problem.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/window/adjust_window.hpp"
+
+namespace test {
+
+using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
+using motion = ft::rigid<double>;
+
+/// A turn about (x, y, z) by its length, rad, then a translation. Source: Rodrigues' formula.
+inline motion turn(ft::vec3<double> w, ft::vec3<double> t) {
+  double const angle = std::sqrt(ft::dot(w, w));
+  if (angle == 0) { return {ft::mat3<double>::identity(), t}; }
+  double const x = w.x / angle;
+  double const y = w.y / angle;
+  double const z = w.z / angle;
+  double const c = std::cos(angle);
+  double const s = std::sin(angle);
+  double const d = 1 - c;
+  return {{{c + x * x * d, x * y * d - z * s, x * z * d + y * s, y * x * d + z * s, c + y * y * d,
+            y * z * d - x * s, z * x * d - y * s, z * y * d + x * s, c + z * z * d}},
+          t};
+}
+
+template <typename Rig>
+Rig window_rig();
+template <>
+inline ft::rectified_rig window_rig<ft::rectified_rig>() {
+  return ft::rectified_rig::make({435.2f, 436.1f, 367.2f, 252.3f}, 0.11f);
+}
+template <>
+inline fisheye_rig window_rig<fisheye_rig>() {
+  return {{190.9f, 190.8f, 254.9f, 256.8f, 0.0034f, 0.0007f, -0.0020f, 0.0002f},
+          {190.4f, 190.5f, 252.6f, 255.0f, 0.0040f, -0.0010f, -0.0010f, 0.0001f},
+          turn({0.003, 0.03, 0.006}, {-0.1, 0.002, 0.001}).cast<float>()};
+}
+
+/// Pixel of a point given in the left camera's frame, from the models' equations, and for a
+/// rectified pair its column in the right image.
+template <typename Number>
+struct window_image {
+  Number x, y, right_x;
+};
+template <typename Number>
+window_image<Number> image_of(ft::rectified_rig const& rig, ft::vec3<Number> const& p, int) {
+  auto const c = rig.camera.cast<double>();
+  Number const x = c.fx * p.x / p.z + c.cx;
+  return {x, c.fy * p.y / p.z + c.cy, x - static_cast<double>(rig.bf()) / p.z};
+}
+template <typename Number>
+window_image<Number> image_of(fisheye_rig const& rig, ft::vec3<Number> p, int camera) {
+  using std::atan2;
+  using std::sqrt;
+  if (camera == 1) {
+    auto const T = rig.T_rl.cast<double>();
+    auto const& m = T.R.m;
+    p = {m[0] * p.x + m[1] * p.y + m[2] * p.z + T.t.x, m[3] * p.x + m[4] * p.y + m[5] * p.z + T.t.y,
+         m[6] * p.x + m[7] * p.y + m[8] * p.z + T.t.z};
+  }
+  auto const c = camera == 0 ? rig.left.cast<double>() : rig.right.cast<double>();
+  Number const radius = sqrt(p.x * p.x + p.y * p.y);
+  Number const a = atan2(radius, p.z);
+  Number const a2 = a * a;
+  Number const r = a * (1.0 + a2 * (c.k1 + a2 * (c.k2 + a2 * (c.k3 + a2 * c.k4))));
+  return {c.fx * r * p.x / radius + c.cx, c.fy * r * p.y / radius + c.cy, Number(-1.0)};
+}
+
+/// A problem in host memory, and the truth behind it.
+struct window_scene {
+  int fixed = 0;
+  int cameras = 1;
+  std::vector<motion> T_cw, true_T_cw;
+  std::vector<ft::vec3<double>> position, true_position;
+  std::vector<ft::window_observation> seen;  ///< [points][views][cameras]
+  std::vector<unsigned char> wrong;          ///< the same shape; 1 = an error made on purpose
+
+  int views() const { return static_cast<int>(T_cw.size()); }
+  int points() const { return static_cast<int>(position.size()); }
+  std::size_t at(int p, int v, int c) const {
+    return static_cast<std::size_t>((p * views() + v) * cameras + c);
+  }
+};
+
+struct window_shape {
+  int views = 6;
+  int fixed = 2;
+  int points = 150;
+  int track = 5;           ///< most views that see a point
+  double noise = 0;        ///< of pixels at octave 0, standard deviation
+  double wrong = 0;        ///< share of observations that are 20 to 50 pixels off
+  double start_error = 1;  ///< times 1 cm, 0.5 degrees and 3 cm of a point
+};
+
+/// A pair that moves sideways and forward with points in front of it.
+template <typename Rig>
+window_scene make_window(Rig const& rig, window_shape const& shape, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> unit(-1, 1);
+  std::normal_distribution<double> normal;
+  window_scene s;
+  s.fixed = shape.fixed;
+  s.cameras = Rig::rectified ? 1 : 2;
+  motion const base = turn({0.3, -0.7, 0.2}, {0.5, -0.2, 1.1});
+  for (int v = 0; v < shape.views; ++v) {
+    double const a = 0.02 * v;
+    s.true_T_cw.push_back(turn({0.3 * a, a, -0.2 * a}, {-0.08 * v, 0.02 * v, -0.05 * v}) * base);
+    double const e = v < shape.fixed ? 0 : shape.start_error;
+    s.T_cw.push_back(
+        turn({0.008 * e * unit(random), 0.008 * e * unit(random), 0.008 * e * unit(random)},
+             {0.01 * e * unit(random), 0.01 * e * unit(random), 0.01 * e * unit(random)}) *
+        s.true_T_cw.back());
+  }
+  auto const all = static_cast<std::size_t>(shape.points * shape.views * s.cameras);
+  s.seen.assign(all, {0, 0, -1, 0});
+  s.wrong.assign(all, 0);
+  for (int p = 0; p < shape.points; ++p) {
+    int const length = std::min(
+        shape.views, 2 + static_cast<int>(random() % static_cast<unsigned>(shape.track - 1)));
+    int const first = static_cast<int>(random() % static_cast<unsigned>(shape.views - length + 1));
+    double const depth = 2 + 3 * (1 + unit(random));
+    auto const middle = static_cast<std::size_t>(first + length / 2);
+    ft::vec3<double> const local{0.6 * depth * unit(random), 0.5 * depth * unit(random), depth};
+    ft::vec3<double> const X = s.true_T_cw[middle].inverse() * local;
+    double const e = 0.03 * shape.start_error;
+    s.true_position.push_back(X);
+    s.position.push_back({X.x + e * unit(random), X.y + e * unit(random), X.z + e * unit(random)});
+    double const sigma = std::pow(1.2, static_cast<double>(random() % 5u));
+    for (int v = first; v < first + length; ++v) {
+      for (int c = 0; c < s.cameras; ++c) {
+        ft::vec3<double> const x = s.true_T_cw[static_cast<std::size_t>(v)] * X;
+        if (!(x.z > 0.3) || random() % 8 == 0) { continue; }
+        auto const image = image_of(rig, x, c);
+        bool const wrong = 0.5 * (unit(random) + 1) < shape.wrong;
+        double const off = wrong ? 35 + 15 * unit(random) : 0;
+        double const dx = shape.noise * sigma * normal(random) + off;
+        double const dy = shape.noise * sigma * normal(random);
+        double const dr = 0.25 * shape.noise * sigma * normal(random);
+        auto& o = s.seen[s.at(p, v, c)];
+        o.x = static_cast<float>(image.x + dx);
+        o.y = static_cast<float>(image.y + dy);
+        bool const stereo = Rig::rectified && random() % 3 != 0 && image.right_x + dx + dr >= 0;
+        o.right_x = stereo ? static_cast<float>(image.right_x + dx + dr) : -1.0f;
+        o.inv_sigma2 = static_cast<float>(1 / (sigma * sigma));
+        s.wrong[s.at(p, v, c)] = wrong ? 1 : 0;
+      }
+    }
+  }
+  return s;
+}
+
+struct window_result {
+  std::vector<motion> T_cw;
+  std::vector<ft::vec3<double>> position;
+  std::vector<unsigned char> outlier;
+  ft::window_outcome outcome;
+};
+
+/// The robust cost and the outliers of a result, by a plain reading of the rules.
+struct window_judgement {
+  double cost = 0;
+  std::vector<unsigned char> outlier;
+};
+template <typename Rig>
+window_judgement judge(Rig const& rig, window_scene const& s, std::vector<motion> const& T_cw,
+                       std::vector<ft::vec3<double>> const& position,
+                       ft::window_params const& params = {}) {
+  window_judgement j;
+  auto const count = [&](bool has_image, double chi2) {
+    double const robust =
+        chi2 <= params.huber2 ? chi2 : 2 * std::sqrt(params.huber2 * chi2) - params.huber2;
+    j.cost += has_image ? robust : params.no_image;
+    return !has_image || chi2 >= params.outlier2;
+  };
+  for (int p = 0; p < s.points(); ++p) {
+    for (int v = 0; v < s.views(); ++v) {
+      ft::vec3<double> const x =
+          T_cw[static_cast<std::size_t>(v)] * position[static_cast<std::size_t>(p)];
+      bool const has_image = !Rig::rectified || x.z > 0;
+      for (int c = 0; c < s.cameras; ++c) {
+        auto const& o = s.seen[s.at(p, v, c)];
+        j.outlier.push_back(0);
+        if (!(o.inv_sigma2 > 0)) { continue; }
+        auto const image = image_of(rig, x, c);
+        double const w = static_cast<double>(o.inv_sigma2);
+        double const dx = image.x - static_cast<double>(o.x);
+        double const dy = image.y - static_cast<double>(o.y);
+        if (count(has_image, w * (dx * dx + dy * dy))) { j.outlier.back() |= ft::outlying_pixel; }
+        if (!Rig::rectified || o.right_x < 0) { continue; }
+        double const dd =
+            image.x - image.right_x - (static_cast<double>(o.x) - static_cast<double>(o.right_x));
+        if (count(has_image, params.disparity_weight * w * dd * dd)) {
+          j.outlier.back() |= ft::outlying_right;
+        }
+      }
+    }
+  }
+  return j;
+}
+
+/// Adjusts problems as one batch. Unused entries hold NaN, which nobody may read.
+/// @param room capacities; 0 = as many as the largest problem has
+template <typename Exec, typename Rig>
+std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
+                                  std::vector<window_scene> const& scenes,
+                                  ft::window_params const& params,
+                                  std::vector<int> const& selected = {},
+                                  ft::window_capacity room = {0, 0, 0}) {
+  int moving = 1;
+  for (auto const& s : scenes) {
+    room.views = std::max(room.views, s.views());
+    room.points = std::max(room.points, s.points());
+    room.cameras = std::max(room.cameras, s.cameras);
+    moving = std::max(moving, s.views() - s.fixed);
+  }
+  room.points = std::max(room.points, 1);
+  moving = std::max(1, std::min(moving, room.views));
+  int const batch = static_cast<int>(scenes.size());
+  ft::window_problem_view host, there;
+  ft::window_workspace work;
+  ft::arena<ft::memory_space::host> const here(
+      [&](ft::carver& c) { ft::carve(c, host, room, batch); });
+  ft::arena<Exec::space> const memory([&](ft::carver& c) {
+    ft::carve(c, there, room, batch);
+    ft::carve(c, work, there, moving);
+  });
+  double const nan = std::nan("");
+  std::fill_n(host.T_cw, batch * room.views, motion{{{nan, nan, nan}}, {nan, nan, nan}});
+  std::fill_n(host.position, batch * room.points, ft::vec3<double>{nan, nan, nan});
+  std::size_t const sightings = static_cast<std::size_t>(host.sighting(batch, 0, 0, 0));
+  float const nanf = std::nanf("");
+  std::fill_n(host.seen, sightings, ft::window_observation{nanf, nanf, nanf, nanf});
+  std::fill_n(host.outlier, sightings, static_cast<unsigned char>(77));
+  for (int b = 0; b < batch; ++b) {
+    auto const& s = scenes[static_cast<std::size_t>(b)];
+    host.view_count[b] = s.views();
+    host.fixed_count[b] = s.fixed;
+    host.point_count[b] = s.points();
+    host.outcome[b] = {-1, -1, -1, -1};
+    std::copy(s.T_cw.begin(), s.T_cw.end(), host.T_cw + host.view(b, 0));
+    std::copy(s.position.begin(), s.position.end(), host.position + host.point(b, 0));
+    for (int p = 0; p < s.points(); ++p) {
+      for (int v = 0; v < s.views(); ++v) {
+        for (int c = 0; c < s.cameras; ++c) {
+          host.seen[host.sighting(b, p, v, c)] = s.seen[s.at(p, v, c)];
+        }
+      }
+    }
+  }
+  auto const every = [&](auto const& move) {
+    auto const n = static_cast<std::size_t>(batch);
+    move(&ft::window_problem_view::view_count, n);
+    move(&ft::window_problem_view::fixed_count, n);
+    move(&ft::window_problem_view::point_count, n);
+    move(&ft::window_problem_view::T_cw, n * static_cast<std::size_t>(room.views));
+    move(&ft::window_problem_view::position, n * static_cast<std::size_t>(room.points));
+    move(&ft::window_problem_view::seen, sightings);
+    move(&ft::window_problem_view::outlier, sightings);
+    move(&ft::window_problem_view::outcome, n);
+  };
+  every([&](auto member, std::size_t n) { ft::copy(exec, there.*member, host.*member, n); });
+  ft::buffer<int, Exec::space> flags(selected.size());
+  ft::copy(exec, flags.data(), selected.data(), selected.size());
+  ft::adjust_window(exec, rig, there, selected.empty() ? nullptr : flags.data(), params, work);
+  every([&](auto member, std::size_t n) { ft::copy(exec, host.*member, there.*member, n); });
+  exec.wait();
+
+  std::vector<window_result> results;
+  for (int b = 0; b < batch; ++b) {
+    auto const& s = scenes[static_cast<std::size_t>(b)];
+    window_result r;
+    r.T_cw.assign(host.T_cw + host.view(b, 0), host.T_cw + host.view(b, s.views()));
+    r.position.assign(host.position + host.point(b, 0), host.position + host.point(b, s.points()));
+    r.outcome = host.outcome[b];
+    for (int p = 0; p < s.points(); ++p) {
+      for (int v = 0; v < s.views(); ++v) {
+        for (int c = 0; c < s.cameras; ++c) {
+          r.outlier.push_back(host.outlier[host.sighting(b, p, v, c)]);
+        }
+      }
+    }
+    results.push_back(r);
+  }
+  return results;
+}
+
+}  // namespace test

@@ -103,6 +103,7 @@ struct window_shape {
   double noise = 0;        ///< of pixels at octave 0, standard deviation
   double wrong = 0;        ///< share of observations that are 20 to 50 pixels off
   double start_error = 1;  ///< times 1 cm, 0.5 degrees and 3 cm of a point
+  int shortest = 2;        ///< fewest views that see a point
 };
 
 /// A pair that moves sideways and forward with points in front of it.
@@ -128,8 +129,8 @@ window_scene make_window(Rig const& rig, window_shape const& shape, unsigned see
   s.seen.assign(all, {0, 0, -1, 0});
   s.wrong.assign(all, 0);
   for (int p = 0; p < shape.points; ++p) {
-    int const length = std::min(
-        shape.views, 2 + static_cast<int>(random() % static_cast<unsigned>(shape.track - 1)));
+    auto const more = static_cast<unsigned>(shape.track - shape.shortest + 1);
+    int const length = std::min(shape.views, shape.shortest + static_cast<int>(random() % more));
     int const first = static_cast<int>(random() % static_cast<unsigned>(shape.views - length + 1));
     double const depth = 2 + 3 * (1 + unit(random));
     auto const middle = static_cast<std::size_t>(first + length / 2);

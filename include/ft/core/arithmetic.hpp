@@ -199,8 +199,7 @@ FT_HOST_DEVICE inline strict_double strict_atan2(strict_double y, strict_double 
 }
 
 /// The tangent of an angle by the series of sine and cosine on [-pi/4, pi/4], with an error below 4
-/// units in the last place. Equal
-/// bits on every executor for angles below 1e5.
+/// units in the last place. Equal bits on every executor for angles below 1e5.
 FT_HOST_DEVICE inline strict_double strict_tan(strict_double v) {
   if (!(::fabs(v.value) < 1e5)) { return ::tan(v.value); }
   double const turns = ::rint((v * strict_double(0.6366197723675814)).value);

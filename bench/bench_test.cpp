@@ -237,4 +237,18 @@ TEST(cameras, see_every_point_that_they_are_timed_on) {
   }
 }
 
+TEST(windows, are_adjusted) {
+  for (auto const b : backends()) {
+    bench::window_case what;
+    what.backend = b;
+    what.batch = 2;
+    what.points = 200;
+    auto const runner = bench::make_window_runner(what);
+    for (int again = 0; again < 2; ++again) {  // each time from the start
+      EXPECT_GE(runner->run(), 0);
+      EXPECT_GT(runner->gained(), 0.1) << name_of(b);
+    }
+  }
+}
+
 }  // namespace bench_test

@@ -122,6 +122,39 @@ void run_camera(benchmark::State& state, bench::camera_runner& runner, int numbe
   } catch (std::exception const& e) { state.SkipWithError(e.what()); }
 }
 
+void run_window(benchmark::State& state, bench::window_case const& what) {
+  try {
+    auto const runner = bench::make_window_runner(what);
+    runner->run();
+    for (auto _ : state) { state.SetIterationTime(1e-6 * runner->run()); }
+    if (!(runner->gained() > 0)) { state.SkipWithError("nothing was adjusted"); }
+    state.SetItemsProcessed(state.iterations() * what.batch);
+  } catch (std::exception const& e) { state.SkipWithError(e.what()); }
+}
+
+/// Bundle adjustments: the default window alone and in a batch, larger ones.
+void add_windows(std::vector<bench::backend_type> const& backends, int device_iterations,
+                 int host_iterations) {
+  for (auto const b : backends) {
+    bool const host = b == bench::backend_type::host;
+    std::vector<bench::window_case> cases{{b, 0, 1, 13, 5, 2000, 3}, {b, 0, 1, 15, 5, 4000, 3}};
+    if (!host) {
+      cases.push_back({b, 0, 64, 13, 5, 2000, 3});
+      cases.push_back({b, 0, 1, 64, 5, 4000, 3});
+    }
+    for (auto const& w : cases) {
+      std::string const name =
+          "window/views:" + std::to_string(w.views) + "/fixed:" + std::to_string(w.fixed) +
+          "/points:" + std::to_string(w.points) + "/steps:" + std::to_string(w.steps) +
+          "/batch:" + std::to_string(w.batch) + "/" + name_of(b);
+      benchmark::RegisterBenchmark(name.c_str(), [w](benchmark::State& s) { run_window(s, w); })
+          ->UseManualTime()
+          ->Unit(benchmark::kMicrosecond)
+          ->Iterations(host ? host_iterations : device_iterations);
+    }
+  }
+}
+
 /// Removes "--ft_NAME=VALUE" from the arguments.
 int take_option(int& argc, char** argv, std::string const& name, int value) {
   std::string const start = "--ft_" + name + "=";
@@ -215,6 +248,7 @@ int main(int argc, char** argv) {
       add(stage, [p, stage](benchmark::State& s) { run_stage(s, p, stage); });
     }
   }
+  add_windows(backends, device_iterations, host_iterations);
   std::vector<std::unique_ptr<bench::camera_runner>> cameras;
   try {
     for (auto const b : backends) {

@@ -6,17 +6,20 @@ namespace bench {
 std::unique_ptr<frame_runner> make_host_rectified(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
+std::unique_ptr<window_runner> make_host_windows(window_case const& what);
 
 #if FT_BENCH_HAS_CUDA
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
+std::unique_ptr<window_runner> make_cuda_windows(window_case const& what);
 #else
 namespace {
 [[noreturn]] void no_cuda() { throw std::runtime_error("built without CUDA"); }
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const&, frame_options const&) { no_cuda(); }
 std::unique_ptr<frame_runner> make_cuda_fisheye(scene const&, frame_options const&) { no_cuda(); }
 std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
+std::unique_ptr<window_runner> make_cuda_windows(window_case const&) { no_cuda(); }
 }  // namespace
 std::string cuda_description() { return {}; }
 #endif
@@ -33,6 +36,10 @@ std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host
                                                   int points, int sets) {
   return backend == backend_type::host ? make_host_cameras(host_threads, points, sets)
                                        : make_cuda_cameras(points, sets);
+}
+
+std::unique_ptr<window_runner> make_window_runner(window_case const& what) {
+  return what.backend == backend_type::host ? make_host_windows(what) : make_cuda_windows(what);
 }
 
 }  // namespace bench

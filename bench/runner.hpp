@@ -157,6 +157,35 @@ public:
 std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host_threads,
                                                   int points, int sets);
 
+// ---- bundle adjustment ------------------------------------------------------------------------
+
+struct window_case {
+  backend_type backend = backend_type::host;
+  int host_threads = 0;  ///< of the host executor, 0 = all
+  int batch = 1;         ///< problems
+  int views = 13;
+  int fixed = 5;  ///< of these
+  int points = 2000;
+  int steps = 3;
+};
+
+/// Adjusts a batch of windows, each time from the same start.
+class window_runner {
+public:
+  window_runner() = default;
+  window_runner(window_runner const&) = delete;
+  window_runner& operator=(window_runner const&) = delete;
+  virtual ~window_runner() = default;
+
+  /// Time of one adjustment of all problems, microseconds.
+  virtual double run() = 0;
+  /// Share of the cost that the last run took away, of the problem with the smallest.
+  virtual double gained() = 0;
+};
+
+/// @throws std::runtime_error
+std::unique_ptr<window_runner> make_window_runner(window_case const& what);
+
 // ---- the machine ------------------------------------------------------------------------------
 
 /// "name, driver for CUDA x, runtime y"; empty without a device.

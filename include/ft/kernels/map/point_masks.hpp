@@ -18,6 +18,8 @@ namespace detail {
 
 inline constexpr int mask_words = max_keyframes / 64;
 
+inline constexpr float no_number = std::numeric_limits<float>::quiet_NaN();
+
 struct or_op {
   template <typename T>
   FT_HOST_DEVICE T operator()(T a, T b) const {
@@ -97,8 +99,7 @@ FT_HOST_DEVICE inline void free_slot(odometry_map_view const& map, int b, int sl
   point_records_view const& records = map.records;
   std::ptrdiff_t const at = records.at(b, slot);
   map_points_view const points = map.points.slice(b);
-  float const nan = std::numeric_limits<float>::quiet_NaN();
-  get<field::position>(points, slot) = {nan, nan, nan};
+  get<field::position>(points, slot) = {no_number, no_number, no_number};
   get<field::observations>(points, slot) = 0;
   records.number[at] = 0;
   records.visible[at] = 0;

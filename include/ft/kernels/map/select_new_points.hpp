@@ -13,6 +13,8 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+inline constexpr int any_depth = std::numeric_limits<int>::max();
+
 /// The nearest stereo keypoints: those with a smaller depth than `depth`, and of those with exactly
 /// that depth the first `ties`. Positive floats are compared by their bits.
 struct depth_limit {
@@ -33,7 +35,6 @@ FT_HOST_DEVICE inline int depth_bits(float depth) {
 template <typename Group>
 FT_HOST_DEVICE depth_limit nearest_depths(Group g, float const* depth, int n, float near,
                                           int wanted) {
-  constexpr int all = std::numeric_limits<int>::max();
   auto const up_to = [&](int limit) {
     int count = 0;
     for (int i = g.rank(); i < n; i += g.size()) {
@@ -42,10 +43,10 @@ FT_HOST_DEVICE depth_limit nearest_depths(Group g, float const* depth, int n, fl
     }
     return g.reduce(count, sum_op{});
   };
-  if (up_to(depth_bits(near)) >= wanted) { return {depth_bits(near), all}; }
-  if (up_to(all) <= wanted) { return {all, all}; }
+  if (up_to(depth_bits(near)) >= wanted) { return {depth_bits(near), any_depth}; }
+  if (up_to(any_depth) <= wanted) { return {any_depth, any_depth}; }
   int low = 1;  // the smallest limit with enough keypoints is in [low, high]
-  int high = all;
+  int high = any_depth;
   while (low < high) {
     int const middle = low + (high - low) / 2;
     if (up_to(middle) >= wanted) {

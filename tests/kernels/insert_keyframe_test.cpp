@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+// Keyframes: against a plain loop on random frames, with small rings and few slots; what stays true
+// over long sequences; the same bits on every executor.
+#include "ft/kernels/map/insert_keyframe.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <random>
+#include <vector>
+
+#include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/plain_frames.hpp"
+
+namespace insert_keyframe_test {
+
+using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
+
+template <typename Rig>
+Rig make_rig() {
+  if constexpr (Rig::rectified) {
+    return ft::rectified_rig::make({400.0f, 410.0f, 250.0f, 240.0f}, 0.1);
+  } else {
+    Rig rig{};
+    rig.T_rl = ft::pose::identity();
+    return rig;
+  }
+}
+
+struct sizes {
+  int slots, positions, keypoints, batch;
+};
+
+/// A map, frames and the stage on an executor.
+template <typename Exec, typename Rig>
+struct room {
+  static constexpr int cameras = Rig::rectified ? 1 : 2;
+  Exec const& exec;
+  sizes size;
+  test::mirrored<Exec, ft::odometry_map_view> map;
+  test::mirrored<Exec, test::frames_view> frames;
+  test::mirrored<Exec, ft::keyframe_workspace> work;
+  ft::keyframe_params params;
+  ft::pyramid_geometry geometry = ft::pyramid_geometry::make(640, 480, 4, 1.2f);
+
+  room(Exec const& executor, sizes const& s)
+      : exec(executor),
+        size(s),
+        map([&](ft::carver& c, ft::odometry_map_view& v) {
+          carve(c, v, {s.slots, {s.positions, cameras, s.keypoints}}, s.batch);
+        }),
+        frames([&](ft::carver& c, test::frames_view& v) {
+          carve(c, v, s.keypoints, cameras, s.batch);
+        }),
+        work([&](ft::carver& c, ft::keyframe_workspace& v) {
+          carve(c, v, s.slots, s.keypoints, cameras, s.batch);
+        }) {
+    clear(exec, map.device);
+    map.pull(exec);
+    params.near = 5;
+    params.wanted_near_points = 12;
+  }
+  ft::keyframe_input<Rig> input(test::frames_view const& v) const {
+    return {make_rig<Rig>(), v.frame(), v.order, v.T_cw, v.time_ns, v.depth, v.point, geometry};
+  }
+  void insert() {
+    map.push(exec);
+    frames.push(exec);
+    ft::keyframe_result const out{frames.device.held, frames.device.left_out};
+    ft::insert_keyframe(exec, input(frames.device), params, map.device, out, work.device);
+    map.pull(exec);
+    frames.pull(exec);
+  }
+};
+
+/// Some points become old and seldom found.
+inline void age_points(std::mt19937& random, ft::odometry_map_view const& map, int b) {
+  for (int s = 0; s < map.records.slots; ++s) {
+    auto const at = map.records.at(b, s);
+    if (map.records.number[at] == 0) { continue; }
+    map.records.visible[at] += static_cast<int>(random() % 5);
+    map.records.found[at] += static_cast<int>(random() % 3);
+  }
+}
+
+/// Inserts keyframes for a while, each compared with the plain loop.
+template <typename Exec, typename Rig>
+void compare(Exec const& exec, sizes const& size, int steps, unsigned seed) {
+  std::mt19937 random(seed);
+  room<Exec, Rig> r(exec, size);
+  ft::host_exec const alone(1);
+  room<ft::host_exec, Rig> other(alone, size);
+  int left_out = 0;
+  for (int step = 0; step < steps; ++step) {
+    SCOPED_TRACE("step " + std::to_string(step));
+    std::vector<test::plain_insertion<Rig>> expected;
+    for (int b = 0; b < size.batch; ++b) {
+      age_points(random, r.map.host, b);
+      auto const before = test::read_map(r.map.host, b);
+      test::randomize_frame(random, r.frames.host, b, before, step % 7 == 3 ? 0 : 60);
+      auto& order = r.frames.host.order[b];
+      order = random() % 4 == 0 ? ft::keyframe_order::none : ft::keyframe_order::add;
+      if (random() % 40 == 0) { order = ft::keyframe_order::begin_map; }
+      expected.emplace_back(r.input(r.frames.host), r.params, b, before);
+      expected.back().run();
+    }
+    other.map.take(r.map);
+    other.frames.take(r.frames);
+    r.insert();
+    other.insert();
+    for (int b = 0; b < size.batch; ++b) {
+      SCOPED_TRACE("batch entry " + std::to_string(b));
+      auto const& e = expected[test::index(b)];
+      auto const found = test::read_map(r.map.host, b);
+      test::expect_same_map(found, e.map, 2e-6f);
+      test::expect_consistent(found);
+      test::expect_same_map(found, test::read_map(other.map.host, b), 0);
+      int held = 0;
+      for (int n = 0; n < r.frames.host.numbers(); ++n) {
+        int const holder = r.frames.host.holder[b * r.frames.host.numbers() + n];
+        EXPECT_EQ(holder, e.holder[test::index(n)]) << "keypoint " << n;
+        held += static_cast<int>(n < size.keypoints && holder >= 0);
+      }
+      if (r.frames.host.order[b] == ft::keyframe_order::none) { continue; }
+      EXPECT_EQ(r.frames.host.held[b], held);
+      EXPECT_EQ(r.frames.host.left_out[b], e.left_out);
+      left_out += e.left_out;
+    }
+    if (::testing::Test::HasFailure()) { return; }
+  }
+  EXPECT_EQ(left_out > 0, size.slots < size.keypoints) << "whether slots were short";
+}
+
+template <typename Backend>
+class InsertKeyframe : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(InsertKeyframe, test::backends);
+
+TYPED_TEST(InsertKeyframe, IsThatOfAPlainLoop) {
+  using exec_type = typename TypeParam::exec_type;
+  TypeParam backend;
+  // Room for all, a full ring, few slots, fewer slots than keypoints, rings of several words.
+  std::vector<sizes> const all = {{2000, 100, 40, 2}, {400, 5, 50, 2}, {90, 12, 40, 2},
+                                  {20, 4, 50, 1},     {1, 2, 1, 1},    {3000, 150, 30, 1}};
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    SCOPED_TRACE("case " + std::to_string(i));
+    int const steps = test::effort(all[i].positions >= 100 ? 160 : 60);
+    compare<exec_type, ft::rectified_rig>(backend.exec, all[i], steps, static_cast<unsigned>(i));
+    compare<exec_type, fisheye_rig>(backend.exec, all[i], steps, 100 + static_cast<unsigned>(i));
+    if (::testing::Test::HasFailure()) { return; }
+  }
+}
+
+}  // namespace insert_keyframe_test

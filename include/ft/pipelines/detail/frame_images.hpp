@@ -78,7 +78,7 @@ public:
       set(b, camera, image);
       return;
     }
-    sources_.data()[2 * b + camera] = {static_cast<std::uint8_t const*>(from), image.stride};
+    memory_->sources[2 * b + camera] = {static_cast<std::uint8_t const*>(from), image.stride};
     given_[static_cast<std::size_t>(2 * b + camera)] = true;
   }
   std::uint8_t* staged(int b, int camera) {

@@ -50,7 +50,7 @@ inline ft::odometry_params odometry_params_of(odometry_options const& o) {
   p.orb.min_threshold = o.min_threshold;
   p.rules.near_depth = static_cast<float>(o.near_depth);
   p.map_slots = std::max(p.map_slots, 8 * o.features);
-  p.measure_stages = true;
+  p.measure_stages = o.measure_stages;
   return p;
 }
 

@@ -17,12 +17,18 @@ struct rigid_pose {
   std::array<double, 9> R{1, 0, 0, 0, 1, 0, 0, 0, 1};
   std::array<double, 3> t{};
 
+  std::array<double, 3> operator*(std::array<double, 3> const& p) const {
+    std::array<double, 3> q = t;
+    for (std::size_t i = 0; i < 3; ++i) {
+      q[i] += R[3 * i] * p[0] + R[3 * i + 1] * p[1] + R[3 * i + 2] * p[2];
+    }
+    return q;
+  }
   rigid_pose inverse() const {
     rigid_pose r;
     r.R = {R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]};
-    for (std::size_t i = 0; i < 3; ++i) {
-      r.t[i] = -(r.R[3 * i] * t[0] + r.R[3 * i + 1] * t[1] + r.R[3 * i + 2] * t[2]);
-    }
+    std::array<double, 3> const moved = r * t;  // r.t is 0
+    r.t = {-moved[0], -moved[1], -moved[2]};
     return r;
   }
 };

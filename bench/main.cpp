@@ -41,7 +41,8 @@ int main(int argc, char** argv) {
   app.add_option("--only", only,
                  "sections, with commas between: cameras, frame, fisheye, stages, batch, streams, "
                  "graph (launches and bytes a frame), kernels (their registers and memory), "
-                 "ablation (one choice switched at a time), tie_rules (of the quadtree), "
+                 "ablation (one choice switched at a time), tie_rules (of the quadtree), odometry "
+                 "(images in, poses out), "
                  "host_stages (one host thread, next to OpenCV). Default: all");
   app.add_option("--json", json_path, "write all figures to this file");
   app.add_option("--backend", backend,
@@ -141,6 +142,7 @@ int main(int argc, char** argv) {
       if (wanted("graph")) { bench::graph_section(context, b); }
       if (wanted("kernels")) { bench::kernels_section(context, b); }
       if (wanted("tie_rules")) { bench::tie_rules_section(context, b); }
+      if (wanted("odometry")) { bench::odometry_section(context, b); }
       if (wanted("ablation")) { bench::ablation_section(context, b, backend != "cuda"); }
     }
     if (wanted("host_stages") && (backend != "cuda" || !only.empty())) {

@@ -5,12 +5,14 @@ namespace bench {
 
 std::unique_ptr<frame_runner> make_host_rectified(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options const& how);
+std::unique_ptr<odometry_runner> make_host_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
 std::unique_ptr<window_runner> make_host_windows(window_case const& what);
 
 #if FT_BENCH_HAS_CUDA
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
 std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options const& how);
+std::unique_ptr<odometry_runner> make_cuda_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
 std::unique_ptr<window_runner> make_cuda_windows(window_case const& what);
 #else
@@ -18,6 +20,9 @@ namespace {
 [[noreturn]] void no_cuda() { throw std::runtime_error("built without CUDA"); }
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const&, frame_options const&) { no_cuda(); }
 std::unique_ptr<frame_runner> make_cuda_fisheye(scene const&, frame_options const&) { no_cuda(); }
+std::unique_ptr<odometry_runner> make_cuda_odometry(scene const&, frame_options const&) {
+  no_cuda();
+}
 std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
 std::unique_ptr<window_runner> make_cuda_windows(window_case const&) { no_cuda(); }
 }  // namespace
@@ -30,6 +35,11 @@ std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options co
     return rectified ? make_host_rectified(s, how) : make_host_fisheye(s, how);
   }
   return rectified ? make_cuda_rectified(s, how) : make_cuda_fisheye(s, how);
+}
+
+std::unique_ptr<odometry_runner> make_odometry_runner(scene const& s, frame_options const& how) {
+  return how.backend == backend_type::host ? make_host_odometry(s, how)
+                                           : make_cuda_odometry(s, how);
 }
 
 std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host_threads,

@@ -126,6 +126,36 @@ public:
 /// @throws no_memory, std::runtime_error
 std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options const& how);
 
+// ---- odometry ---------------------------------------------------------------------------------
+
+/// What the last frame of an odometry was.
+struct odometry_counts {
+  int tracked = 0;    ///< cameras of the batch
+  int keyframes = 0;  ///< cameras whose frame became a keyframe
+  int inliers = 0;    ///< these and the others: of the first camera
+  int local_points = 0;
+  int map_points = 0;
+  int maps = 0;
+};
+
+/// ft::odometry over a batch of rectified pairs that see the scene's frames back and forth, each
+/// pair one frame further on than the preceding one. Images are in memory that the executor reads.
+class odometry_runner {
+public:
+  odometry_runner() = default;
+  odometry_runner(odometry_runner const&) = delete;
+  odometry_runner& operator=(odometry_runner const&) = delete;
+  virtual ~odometry_runner() = default;
+
+  /// Chooses the images of frame i, which is the one after the last. @param i from 0
+  virtual void prepare(int i) = 0;
+  virtual void track() = 0;  ///< synchronous
+  virtual odometry_counts last() const = 0;
+};
+
+/// @param how its backend, threads, batch and graphs are used @throws no_memory, std::runtime_error
+std::unique_ptr<odometry_runner> make_odometry_runner(scene const& s, frame_options const& how);
+
 // ---- camera models ----------------------------------------------------------------------------
 
 struct camera_case {

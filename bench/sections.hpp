@@ -64,6 +64,9 @@ void ablation_section(context const& c, backend_type b, bool with_host);
 /// Frames with either tie rule of the quadtree, in turn: array "tie_rules".
 void tie_rules_section(context const& c, backend_type b);
 
+/// ft::odometry, one camera and batches: array "odometry".
+void odometry_section(context const& c, backend_type b);
+
 /// The host executor's stages on one thread next to OpenCV's: array "host_stages".
 void host_stages_section(context const& c);
 

@@ -126,6 +126,8 @@
 #include "ft/kernels/window/solve.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/version.hpp"

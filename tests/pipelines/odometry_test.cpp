@@ -11,10 +11,12 @@
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/room.hpp"
 
@@ -363,6 +365,70 @@ TYPED_TEST(odometry_pipeline, moves) {
     odo = std::move(other);
   }
   expect_same(all, good);
+}
+
+#if !defined(__CUDACC__)
+
+TEST(OdometryOnTheHost, AllocatesNothingInAFrame) {
+  auto const rig = test::room::rig();
+  auto const& frames = walk(rig, 0);
+  ft::odometry odo(ft::host_exec(1), rig, params());
+  std::vector<ft::tracking> all;
+  all.reserve(frames.size());
+  test::allocation_count const allocations;
+  auto const one = std::make_unique<int>(1);
+  if (allocations.so_far() == 0) { GTEST_SKIP() << "this program does not count allocations"; }
+  std::int64_t time = 0;
+  for (auto const& f : frames) { all.push_back(odo.track(images_of(f), time += period)); }
+  EXPECT_EQ(allocations.so_far(), *one);
+  EXPECT_GE(all.back().keyframes, 2);
+}
+
+#else
+
+/// Frames of both executors, one after the other.
+template <typename Rig>
+void expect_parity(ft::cuda_exec const& device, Rig const& rig, ft::odometry_params const& p,
+                   std::vector<stereo_frame> const& frames) {
+  expect_same(run(device, rig, p, frames), run(ft::host_exec(), rig, p, frames));
+}
+
+TEST(OdometryParity, HostAndDeviceGiveTheSameBits) {
+  if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+  test::cuda_backend backend;
+  auto const rig = test::room::rig();
+  auto const fisheye = test::room::fisheye();
+  expect_parity(backend.exec, rig, params(), walk(rig, 0));
+  expect_parity(backend.exec, fisheye, params(), walk(fisheye, 0));
+  expect_parity(backend.exec, rig, params(), with_black_frames(rig, 10, 8));
+  auto small = params();  // points, keyframes and windows that do not fit
+  small.map_slots = 700;
+  small.local_points = 300;
+  small.keyframes = 3;
+  small.window = {2, 1};
+  small.window_points = 200;
+  small.adjustment_delay = 1;
+  expect_parity(backend.exec, rig, small, walk(rig, 1));
+}
+
+#endif
+
+/// A map that is too small for the walk.
+TYPED_TEST(odometry_pipeline, goes_on_when_the_map_is_full) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto p = params();
+  p.map_slots = 700;
+  p.keyframes = 3;
+  p.window = {2, 1};
+  p.rules.keep_share = 1;
+  auto const all = run(backend.exec, rig, p, walk(rig, 0));
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].state, ft::tracking_state::tracking) << i;
+    EXPECT_LE(all[i].map_points, 700);
+    EXPECT_LT(error_of(all[i], walk(rig, 0)[i], walk(rig, 0)[0]), 0.05) << i;
+  }
+  EXPECT_GT(all.back().keyframes, 3);
 }
 
 }  // namespace odometry_test

@@ -22,6 +22,7 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
+#include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/tracking.hpp"
@@ -32,46 +33,7 @@
 
 namespace tracker_parity {
 
-/// Counts what the calling thread takes from the heap while one of these lives.
-class allocation_count {
-public:
-  allocation_count() {
-    total() = 0;
-    counting() = true;
-  }
-  allocation_count(allocation_count const&) = delete;
-  allocation_count& operator=(allocation_count const&) = delete;
-  ~allocation_count() { counting() = false; }
-  long so_far() const { return total(); }
-
-  static void* take(std::size_t bytes, std::size_t alignment) {
-    if (counting()) { ++total(); }
-    void* p = nullptr;
-    std::size_t const size = bytes == 0 ? 1 : bytes;
-    if (alignment <= alignof(std::max_align_t)) {
-      p = std::malloc(size);
-    } else {
-      p = std::aligned_alloc(alignment, (size + alignment - 1) / alignment * alignment);
-    }
-    return p;
-  }
-  static void* take_or_throw(std::size_t bytes, std::size_t alignment) {
-    void* const p = take(bytes, alignment);
-    if (p == nullptr) { throw std::bad_alloc(); }
-    return p;
-  }
-
-private:
-  static bool& counting() {
-    thread_local bool value = false;
-    return value;
-  }
-  static long& total() {
-    thread_local long value = 0;
-    return value;
-  }
-};
-
+using test::allocation_count;
 constexpr std::size_t plain = alignof(std::max_align_t);
 
 }  // namespace tracker_parity

@@ -211,17 +211,18 @@ struct neighbours_item {
 
 inline constexpr int sums = 3;
 
+template <typename T>
 struct sum_item {
-  using scratch = ft::ordered_sum_scratch<sums>;
+  using scratch = ft::ordered_sum_scratch<sums, T>;
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, int const* starts,
                                  double const* data, double* out) const {
     double const* const mine = data + starts[item];
     ft::ordered_sum<sums>(g, s, starts[item + 1] - starts[item],
-                          [&](int i, ft::sum_terms<sums>& acc) {
-                            acc.of[0] += static_cast<float>(mine[i]);
-                            acc.of[1] += 1.0f;
-                            acc.of[2] += static_cast<float>(mine[i]) * 0.5f;  // exact
+                          [&](int i, ft::sum_terms<sums, T>& acc) {
+                            acc.of[0] += static_cast<T>(mine[i]);
+                            acc.of[1] += T(1);
+                            acc.of[2] += static_cast<T>(mine[i]) * T(0.5);  // exact
                           });
     if (g.rank() == g.size() - 1) {
       for (int k = 0; k < sums; ++k) { out[sums * item + k] = static_cast<double>(s.total.of[k]); }
@@ -391,7 +392,7 @@ protected:
     EXPECT_EQ(counts, want);
   }
 
-  template <typename Shape>
+  template <typename Shape, typename T>
   void check_ordered_sum() {
     // Magnitudes far apart, so that another order gives other bits.
     std::mt19937 random(17);
@@ -403,7 +404,7 @@ protected:
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
     auto const d_out = test::to_exec(backend.exec, std::vector<double>(sums * sizes.size(), -1.0));
-    ft::for_each_item<Shape>(backend.exec, items(), sum_item{},
+    ft::for_each_item<Shape>(backend.exec, items(), sum_item<T>{},
                              static_cast<int const*>(d_starts.data()),
                              static_cast<double const*>(d_data.data()), d_out.data());
     auto const out = test::from_exec(backend.exec, static_cast<double const*>(d_out.data()),
@@ -412,13 +413,12 @@ protected:
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       double const* const mine = data.data() + starts[item];
       double const* const got = &out[sums * item];
-      float const want = sum_in_order<float>(mine, sizes[item]);
+      T const want = sum_in_order<T>(mine, sizes[item]);
       EXPECT_EQ(got[0], static_cast<double>(want)) << sizes[item];
       EXPECT_EQ(got[1], sizes[item]);
       EXPECT_EQ(got[2], 0.5 * static_cast<double>(want)) << sizes[item];
-      float const plain = std::accumulate(mine, mine + sizes[item], 0.0f, [](float sum, double v) {
-        return sum + static_cast<float>(v);
-      });
+      T const plain = std::accumulate(mine, mine + sizes[item], T(0),
+                                      [](T sum, double v) { return sum + static_cast<T>(v); });
       differs_from_plain_order += static_cast<int>(plain != want);
     }
     EXPECT_GT(differs_from_plain_order, 5) << "the data must be able to tell orders apart";
@@ -564,8 +564,10 @@ TYPED_TEST(group_unit, more_extra_scratch_than_there_is_throws) {
 }
 
 TYPED_TEST(group_unit, ordered_sum_has_the_documented_bits) {
-  this->template check_ordered_sum<ft::per_thread>();
-  this->template check_ordered_sum<ft::per_block<ft::sum_lanes>>();
+  this->template check_ordered_sum<ft::per_thread, float>();
+  this->template check_ordered_sum<ft::per_block<ft::sum_lanes>, float>();
+  this->template check_ordered_sum<ft::per_thread, double>();
+  this->template check_ordered_sum<ft::per_block<ft::sum_lanes>, double>();
 }
 
 /// Every item adds to the same counters: integers, so any order gives the same.

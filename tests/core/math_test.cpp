@@ -38,6 +38,17 @@ struct arc_tangents {
   }
 };
 
+/// tan(y) and atan2(y, x) of strict_double.
+struct own_functions {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, double const* y, double const* x,
+                                 double* out) const {
+    out[2 * i] = ft::scalar::tan(ft::strict_double(y[i])).value;
+    out[2 * i + 1] = ft::scalar::atan2(ft::strict_double(y[i]), ft::strict_double(x[i])).value;
+  }
+};
+
 constexpr int scalar_functions = 6;
 
 /// The functions for camera models, each of scalar S, at one value.
@@ -343,6 +354,56 @@ TYPED_TEST(math_unit, functions_of_floats_are_rounded_once) {
         EXPECT_EQ(got_strict, want) << k << " of " << values[i];
       }
     }
+  }
+}
+
+/// Within 4 units in the last place of the exact value, and the same bits as on the host.
+TYPED_TEST(math_unit, tan_and_atan2_of_strict_doubles_are_near_and_the_same_everywhere) {
+  std::vector<double> y;
+  std::vector<double> x;
+  std::mt19937 random(22);
+  std::uniform_real_distribution<double> unit(-1, 1);
+  for (int i = 0; i < 40000; ++i) {
+    y.push_back(unit(random) * std::exp2(static_cast<int>(random() % 24u) - 10));
+    x.push_back(unit(random) * std::exp2(static_cast<int>(random() % 40u) - 20));
+  }
+  constexpr double infinite = std::numeric_limits<double>::infinity();
+  for (double const a : {0.0, -0.0, 1.0, -1.0, 1e-320, 1e305, infinite, -infinite,
+                         std::numeric_limits<double>::quiet_NaN()}) {
+    for (double const b : {0.0, -0.0, 1.0, -3.0, 1e305, infinite, -infinite}) {
+      y.push_back(a);
+      x.push_back(b);
+    }
+  }
+  auto const d_y = test::to_exec(this->backend.exec, y);
+  auto const d_x = test::to_exec(this->backend.exec, x);
+  auto const d_out = test::to_exec(this->backend.exec, std::vector<double>(2 * y.size(), -7.0));
+  ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(y.size()), own_functions{},
+                                    static_cast<double const*>(d_y.data()),
+                                    static_cast<double const*>(d_x.data()), d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, static_cast<double const*>(d_out.data()), 2 * y.size());
+  auto const is_near = [](double got, long double exact) {
+    double const want = static_cast<double>(exact);
+    if (std::isnan(want)) { return std::isnan(got); }
+    double const unit_in_last_place = std::nextafter(std::abs(want), infinite) - std::abs(want);
+    return got == want || std::abs(got - exact) <= 4 * static_cast<long double>(unit_in_last_place);
+  };
+  for (std::size_t i = 0; i < y.size(); ++i) {
+    double const tangent = out[2 * i];
+    double const angle = out[2 * i + 1];
+    // The long tangent itself is too coarse for huge angles.
+    if (std::abs(y[i]) < 1e5) {
+      EXPECT_TRUE(is_near(tangent, std::tan(static_cast<long double>(y[i])))) << y[i];
+      double const here = ft::scalar::tan(ft::strict_double(y[i])).value;
+      EXPECT_TRUE(here == tangent) << y[i];
+    }
+    EXPECT_TRUE(
+        is_near(angle, std::atan2(static_cast<long double>(y[i]), static_cast<long double>(x[i]))))
+        << y[i] << " " << x[i];
+    EXPECT_EQ(std::signbit(angle), std::signbit(std::atan2(y[i], x[i]))) << y[i] << " " << x[i];
+    double const here = ft::scalar::atan2(ft::strict_double(y[i]), ft::strict_double(x[i])).value;
+    EXPECT_TRUE(here == angle || std::isnan(angle)) << y[i] << " " << x[i];
   }
 }
 

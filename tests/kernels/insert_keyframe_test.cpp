@@ -5,8 +5,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <random>
+#include <string>
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
@@ -145,11 +147,59 @@ TYPED_TEST(InsertKeyframe, IsThatOfAPlainLoop) {
                                   {20, 4, 50, 1},     {1, 2, 1, 1},    {3000, 150, 30, 1}};
   for (std::size_t i = 0; i < all.size(); ++i) {
     SCOPED_TRACE("case " + std::to_string(i));
-    int const steps = test::effort(all[i].positions >= 100 ? 160 : 60);
+    int const steps = test::effort(all[i].positions >= 100 ? 200 : 60);
     compare<exec_type, ft::rectified_rig>(backend.exec, all[i], steps, static_cast<unsigned>(i));
     compare<exec_type, fisheye_rig>(backend.exec, all[i], steps, 100 + static_cast<unsigned>(i));
     if (::testing::Test::HasFailure()) { return; }
   }
+}
+
+TYPED_TEST(InsertKeyframe, WithoutKeypointsOrPointsIsStillAKeyframe) {
+  using exec_type = typename TypeParam::exec_type;
+  TypeParam backend;
+  std::mt19937 random(7);
+  room<exec_type, ft::rectified_rig> r(backend.exec, {50, 3, 30, 1});
+  auto& frames = r.frames.host;
+  for (int step = 0; step < 6; ++step) {
+    auto const before = test::read_map(r.map.host, 0);
+    test::randomize_frame(random, frames, 0, before, 80);
+    frames.order[0] = ft::keyframe_order::add;
+    if (step == 3) {  // every point has been in view for long, and was never found again
+      std::fill_n(r.map.host.records.visible, 50, 1000);
+      std::fill_n(r.map.host.records.found, 50, 1);
+    }
+    if (step > 2) { frames.keypoints.count[0] = 0; }
+    r.insert();
+    auto const after = test::read_map(r.map.host, 0);
+    test::expect_consistent(after);
+    EXPECT_EQ(after.keyframes_made, step + 1);
+    EXPECT_EQ(after.keyframes.size(), test::index(std::min(step + 1, 3)));
+    if (step > 2) {
+      EXPECT_EQ(after.alive(), 0);
+      EXPECT_EQ(r.map.host.records.used[0], 0);
+      EXPECT_EQ(frames.held[0], 0);
+      EXPECT_EQ(frames.holder[0], -1);
+    } else {
+      EXPECT_GT(after.alive(), 0);
+    }
+  }
+}
+
+TYPED_TEST(InsertKeyframe, RefusesWhatDoesNotFit) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type, ft::rectified_rig> r(backend.exec, {50, 3, 30, 1});
+  auto const refused = [&](ft::keyframe_input<ft::rectified_rig> const& in) {
+    EXPECT_THROW(ft::insert_keyframe(r.exec, in, r.params, r.map.device, {}, r.work.device),
+                 ft::bad_argument);
+  };
+  auto in = r.input(r.frames.device);
+  in.frame.cameras = 2;
+  refused(in);
+  in = r.input(r.frames.device);
+  in.frame.keypoints.capacity = 31;
+  refused(in);
+  r.params.near = 0;
+  refused(r.input(r.frames.device));
 }
 
 }  // namespace insert_keyframe_test

@@ -131,14 +131,14 @@ struct local_search {
   frustum_params frustum;
   pyramid_geometry geometry;
   local_search_params params;
-  /// [batch] factor on the windows of the left camera, instead of `params.radius_factor`; may be
-  /// null
-  float const* radius_factor = nullptr;
   visibility* seen = nullptr;  ///< output, [cameras][batch][windows' capacity]; may be null
   /// [batch][cameras] centres of the cameras in the world, metres; null: from the poses. A system
   /// that stores rotations as quaternions has centres that differ from the matrix's in the last
   /// bit.
   vec3<float> const* centres = nullptr;
+  /// [batch] factor on the windows of the left camera, instead of `params.radius_factor`; may be
+  /// null
+  float const* radius_factor = nullptr;
 
   FT_HOST_DEVICE search_params matching() const {
     search_params p;

@@ -89,7 +89,7 @@ void solve(fuzz::input& in, Rig const& rig) {
     o.v = in.number(0, 240);
     o.right_u = in.number(-10, 320);
     o.inv_sigma2 = in.number(0.1f, 1);
-    o.right_camera = in.within(0, 1);
+    o.camera = in.within(0, 1);
   }
   ft::pose start = ft::pose::identity();
   start.t = {in.number(-1, 1), in.number(-1, 1), in.number(-1, 1)};

@@ -98,7 +98,7 @@ scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed)
       double const right = pixel.x - static_cast<double>(rig.bf()) / depth;
       if (second != 0 && right >= 0) { o.right_u = static_cast<float>(right); }
     } else {
-      o.right_camera = second;
+      o.camera = second;
     }
     o.inv_sigma2 = static_cast<float>(std::pow(1.44, -(i % 5)));
     s.observations.push_back(o);
@@ -145,7 +145,7 @@ struct seen_error {
 template <typename Rig>
 seen_error error_of(Rig const& rig, motion const& T_cw, ft::observation const& o) {
   ft::vec3<double> const seen = T_cw * ft::vec3<double>{o.point.x, o.point.y, o.point.z};
-  auto const pixel = pixel_of(rig, seen, o.right_camera);
+  auto const pixel = pixel_of(rig, seen, o.camera);
   double const u = static_cast<double>(o.u) - pixel.x;
   double const v = static_cast<double>(o.v) - pixel.y;
   double sum = u * u + v * v;
@@ -438,7 +438,7 @@ protected:
       for (int c = 0; c < 2; ++c) { kp.view().count[2 * b + c] = 0; }
       map.view().count[b] = points;
       for (std::size_t i = 0; i < all.size(); ++i) {
-        int const c = all[i].right_camera;
+        int const c = all[i].camera;
         if (!Rig::rectified || i < capacity) {
           auto const view = kp.view().slice(2 * b + c);
           int const k = (*view.count)++;
@@ -483,7 +483,7 @@ protected:
     auto const inliers =
         test::from_exec(exec, static_cast<int const*>(observations.inliers), batch);
     auto& nine = scenes[2].observations;
-    std::stable_partition(nine.begin(), nine.end(), [](auto const& o) { return !o.right_camera; });
+    std::stable_partition(nine.begin(), nine.end(), [](auto const& o) { return !o.camera; });
     auto const alone = solve(rig, nine, scenes[2].start);
     EXPECT_TRUE(same_bits(got[2], alone.pose));
     EXPECT_LT(robust_descent(rig, got[2].template cast<double>(), nine), 0.02);
@@ -497,7 +497,7 @@ protected:
       int kept = 0;
       int seen[2] = {0, 0};
       for (std::size_t i = 0; i < scenes[at].observations.size(); ++i) {
-        int const c = scenes[at].observations[i].right_camera;
+        int const c = scenes[at].observations[i].camera;
         if (Rig::rectified && i >= capacity) { break; }
         auto const number = static_cast<std::size_t>(b * numbers + c * capacity + seen[c]++);
         bool const drop = holder[number] < 0 || scenes[at].outlier[i] != 0;
@@ -563,7 +563,7 @@ TYPED_TEST(pose_unit, a_fisheye_point_that_is_no_number_is_not_at_the_principal_
   auto s = make_scene(rig, 50, 0, 7);
   s.start = s.truth.template cast<float>();  // so that this observation alone is in question
   s.observations[10].point = {nan, nan, nan};
-  s.observations[10].right_camera = 0;
+  s.observations[10].camera = 0;
   s.observations[10].u = rig.left.cx;
   s.observations[10].v = rig.left.cy;
   auto const r = this->solve(rig, s.observations, s.start);

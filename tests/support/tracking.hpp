@@ -62,8 +62,9 @@ snapshot take(Tracker const& tracker, int b, int local_points) {
   s.octave = row(r.octave, numbers, numbers);
   s.holder = row(r.holder, numbers, numbers);
   s.partner = row(r.partner, numbers, numbers);
-  s.depth = row(r.depth, r.capacity, r.capacity);
-  s.point = row(r.point, r.capacity, r.capacity);
+  int const with_depth = r.depth_cameras * r.capacity;
+  s.depth = row(r.depth, with_depth, with_depth);
+  s.point = row(r.point, with_depth, with_depth);
   s.in_view = row(r.in_view, r.local_points, local_points);
   return s;
 }

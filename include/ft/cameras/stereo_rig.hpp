@@ -35,10 +35,19 @@ struct camera_in_rig {
 
 }  // namespace detail
 
+// A rig states at compile time:
+//   cameras    whose keypoints are searched and tracked
+//   images     of a frame; camera c's image is number c * images / cameras
+//   searches   independent searches of a frame, each in cameras / searches cameras
+//   rectified  whether a searched camera may have a right image, in which keypoints have a column
+
 /// Two cameras of any models. `T_rl` maps left-camera points to the right camera; metres.
 template <typename Left, typename Right>
 struct stereo_rig {
   static constexpr bool rectified = false;
+  static constexpr int cameras = 2;
+  static constexpr int images = 2;
+  static constexpr int searches = 1;
   using left_type = typename detail::camera_in_rig<Left>::type;
   using right_type = typename detail::camera_in_rig<Right>::type;
   left_type left;
@@ -78,6 +87,9 @@ struct stereo_rig {
 /// = b * fx rounded once, and a float bf given to from_bf() is returned by bf() to the bit.
 struct rectified_rig {
   static constexpr bool rectified = true;
+  static constexpr int cameras = 1;
+  static constexpr int images = 2;
+  static constexpr int searches = 1;
   pinhole<float> camera;
   double baseline = 0;  ///< metres
 
@@ -98,6 +110,26 @@ struct rectified_rig {
     return static_cast<float>(baseline * static_cast<double>(camera.fx));
   }
   FT_HOST_DEVICE strict_float baseline_length() const { return static_cast<float>(baseline); }
+
+  // What a multi_rig has per camera, here of the only one, whose frame is that of the pose.
+
+  FT_HOST_DEVICE rectified_rig const& pair(int) const { return *this; }
+  FT_HOST_DEVICE static constexpr bool single() {
+    return false;
+  }  ///< whether there is no right image
+  template <typename Value>
+  FT_HOST_DEVICE static Value const& to_camera(int, Value const& in_body) {
+    return in_body;
+  }
+  template <typename Real>
+  FT_HOST_DEVICE static vec3<Real> to_body(int, vec3<Real> in_camera) {
+    return in_camera;
+  }
+  template <typename Real>
+  FT_HOST_DEVICE static mat3<Real> const& derivative_in_body(int, mat3<Real> const& in_camera) {
+    return in_camera;
+  }
+
   /// @throws bad_argument for an invalid camera or baseline
   void check() const {
     camera.check();

@@ -13,17 +13,19 @@ inline namespace FT_ABI {
 
 /// The current frame: its keypoints, their stereo matches and the map points matched to them.
 ///
-/// It has one camera, or the two of a fisheye pair. Keypoints of camera c of batch entry b are
-/// batch entry `keypoint_step * b + c` of `keypoints`. Keypoint k of camera c has the number `c *
-/// capacity + k`, which indexes `partner` and `holder`.
+/// It has one camera, the two of a fisheye pair, or those of a multi_rig. Keypoints of camera c of
+/// batch entry b are batch entry image(b, c) of `keypoints`. Keypoint k of camera c has the number
+/// `c * capacity + k`, which indexes `right_x`, `partner` and `holder`.
 struct frame_view {
   keypoints_view keypoints;
-  int keypoint_step = 2;
+  int keypoint_step = 2;  ///< images of a frame
+  int camera_step = 1;    ///< images from a camera's to that of the next one
   int cameras = 1;
   int batch = 1;
   /// Batch entry `cameras * b + c`.
   feature_grid_view grids;
-  /// [batch][capacity] column of the match in the right image, pixels; -1 = none. May be null.
+  /// [batch][cameras * capacity] column of the match in the right image, pixels; -1 = none. Null
+  /// without right images.
   float const* right_x = nullptr;
   /// [batch][cameras * capacity] number of the stereo partner, -1 = none. May be null.
   int const* partner = nullptr;
@@ -32,8 +34,16 @@ struct frame_view {
 
   FT_HOST_DEVICE int capacity() const { return keypoints.capacity; }
   FT_HOST_DEVICE int numbers() const { return cameras * keypoints.capacity; }
-  FT_HOST_DEVICE keypoints_view camera(int b, int c) const {
-    return keypoints.slice(keypoint_step * b + c);
+  FT_HOST_DEVICE int image(int b, int c) const { return keypoint_step * b + camera_step * c; }
+  FT_HOST_DEVICE keypoints_view camera(int b, int c) const { return keypoints.slice(image(b, c)); }
+  /// The frame as a batch of the independent searches of a rig; search s of batch entry b is entry
+  /// `searches * b + s`.
+  frame_view of_searches(int searches) const {
+    frame_view v = *this;
+    v.keypoint_step = keypoint_step / searches;
+    v.cameras = cameras / searches;
+    v.batch = batch * searches;
+    return v;
   }
 };
 

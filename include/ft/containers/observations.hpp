@@ -18,7 +18,7 @@ struct alignas(16) observation {
   float u, v;         ///< pixels
   float right_u;      ///< column in the right image of a rectified pair; negative = none
   float inv_sigma2;   ///< weight, 1 / pixels^2
-  int right_camera;   ///< 1 = seen by the right camera of a fisheye pair
+  int camera;         ///< number in the rig; 1 = the right one of a fisheye pair
 };
 
 /// The observations of a batch of frames: every keypoint that holds a map point, in the order of

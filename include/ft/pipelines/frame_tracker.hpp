@@ -31,7 +31,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Tracks `batch` stereo cameras of the same kind, each against its own map. A frame is one call:
+/// Tracks `batch` stereo cameras or rigs of the same kind, each against its own map. A frame is one
+/// call:
 ///
 ///     set_image() or borrow_image() -> track(exec, {T_predicted, local map}) -> wait -> frame(b)
 ///
@@ -49,7 +50,8 @@ inline namespace FT_ABI {
 ///
 /// Move-only. A moved-from tracker refuses every call with bad_argument, and its views must not be
 /// used. Not thread-safe; instances are independent.
-/// @tparam Rig rectified_rig, or stereo_rig of any two cameras, whose images are both searched
+/// @tparam Rig rectified_rig; stereo_rig of any two cameras, whose images are both searched; or
+///   multi_rig, whose cameras give one pose, that of its body. "Camera pair" means a rig below
 template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
   using stages_type = detail::frame_stages<Exec, Rig>;
@@ -70,16 +72,16 @@ public:
     s.params = params;
     s.batch = batch;
     std::vector<stereo_overlap> overlaps;
-    for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) {
+    for (int i = 0; !Rig::rectified && i < Rig::images * batch; ++i) {
       overlaps.push_back(params.overlap[i % 2]);
     }
-    s.extractor = orb_extractor<Exec>(exec, params.orb, 2 * batch, overlaps);
+    s.extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps);
     s.matcher = stereo_matcher<Exec, Rig>(rig, s.extractor);
     s.frustum.max_x = static_cast<float>(params.orb.width);
     s.frustum.max_y = static_cast<float>(params.orb.height);
     s.frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
     s.frustum.levels = params.orb.levels;
-    images_ = detail::frame_images<Exec>(geometry(), batch);
+    images_ = detail::frame_images<Exec>(geometry(), rig, batch);
     s.take_memory(images_.sources());
     s.initialize(exec);
     updates_ = buffer<point_update, space>(static_cast<std::size_t>(params.updates));
@@ -95,7 +97,9 @@ public:
   // ---- images
 
   /// Copies an image into the staging memory that uploads read.
-  /// @param camera 0 left, 1 right of pair `b`
+  /// @param camera image of pair `b`: 0 left, 1 right; of a multi_rig 2 c left, 2 c + 1 right of
+  /// its
+  ///   camera c. A single camera has no right one
   /// @throws bad_argument as orb_extractor::upload
   void set_image(int b, int camera, gray_view image) { images_.set(b, camera, image); }
   /// Makes frames read an image in place, such as a camera's buffer, without a copy by the host.
@@ -115,7 +119,7 @@ public:
   /// @throws bad_argument as orb_extractor::set_mask
   void set_mask(Exec const& exec, int b, int camera, gray_view mask) {
     images_.require_camera(b, camera);
-    stages_.extractor.set_mask(exec, 2 * b + camera, mask);
+    stages_.extractor.set_mask(exec, images_.number(b, camera), mask);
   }
 
   // ---- the map, and the state after the last frame
@@ -245,9 +249,14 @@ public:
   /// @param count number of descriptors, as in result().keypoints
   /// @throws bad_argument for more than capacity()
   void download_descriptors(Exec const& exec, int b, descriptor* to, int count) const {
+    download_descriptors(exec, b, 0, to, count);
+  }
+  /// The same of camera c of pair b.
+  void download_descriptors(Exec const& exec, int b, int c, descriptor* to, int count) const {
     detail::require_range("camera pair", b, 0, batch() - 1);
+    detail::require_range("camera", c, 0, cameras - 1);
     detail::require_range("descriptors", count, 0, capacity());
-    copy(exec, to, static_cast<descriptor const*>(array_of<field::orb>(features().camera(b, 0))),
+    copy(exec, to, static_cast<descriptor const*>(array_of<field::orb>(features().camera(b, c))),
          static_cast<std::size_t>(count));
   }
 

@@ -118,7 +118,7 @@ public:
   void set_mask(int b, int camera, gray_view mask) {
     parts& p = made();
     p.images.require_camera(b, camera);
-    p.stages.extractor.set_mask(p.exec, 2 * b + camera, mask);
+    p.stages.extractor.set_mask(p.exec, p.images.number(b, camera), mask);
     p.exec.wait();
   }
 
@@ -192,16 +192,16 @@ private:
       stages.params = tracker_params_of(params);
       stages.batch = batch;
       std::vector<stereo_overlap> overlaps;
-      for (int i = 0; !Rig::rectified && i < 2 * batch; ++i) {
+      for (int i = 0; !Rig::rectified && i < Rig::images * batch; ++i) {
         overlaps.push_back(params.overlap[i % 2]);
       }
-      stages.extractor = orb_extractor<Exec>(exec, params.orb, 2 * batch, overlaps);
+      stages.extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps);
       stages.matcher = stereo_matcher<Exec, Rig>(rig, stages.extractor);
       stages.frustum.max_x = static_cast<float>(params.orb.width);
       stages.frustum.max_y = static_cast<float>(params.orb.height);
       stages.frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
       stages.frustum.levels = params.orb.levels;
-      images = detail::frame_images<Exec>(stages.geometry(), batch);
+      images = detail::frame_images<Exec>(stages.geometry(), rig, batch);
       stages.take_all_memory(images.sources(), params.adjustment_delay);
       stages.initialize_all(exec);
       exec.wait();

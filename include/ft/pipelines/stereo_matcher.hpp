@@ -19,10 +19,12 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Stereo of images 2 b and 2 b + 1 of an extractor, pair b. match() is asynchronous on the
+/// Stereo of images 2 b and 2 b + 1 of an extractor, pair b; pair b of a multi_rig of N cameras is
+/// that of camera b modulo N. match() is asynchronous on the
 /// executor, allocates nothing and never waits. Move-only. A moved-from matcher refuses every call
 /// with bad_argument. Not thread-safe; instances are independent.
-/// @tparam Rig rectified_rig, or stereo_rig of any two cameras (matched in their overlap,
+/// @tparam Rig rectified_rig, multi_rig, or stereo_rig of any two cameras (matched in their
+/// overlap,
 ///   triangulated)
 template <typename Exec, typename Rig = rectified_rig>
 class stereo_matcher {
@@ -31,19 +33,25 @@ public:
 
   stereo_matcher() = default;
   /// @throws bad_argument for an invalid rig, cameras that cannot be inverted in their images (see
-  ///   require_invertible; a quarter of the pixels must have a ray), or an extractor with an odd
-  ///   batch
+  ///   require_invertible; a quarter of the pixels must have a ray), or an extractor whose batch is
+  ///   not a multiple of the rig's images
   stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor) : rig_(rig) {
     rig.check();
-    detail::require(extractor.batch() >= 2 && extractor.batch() % 2 == 0,
-                    "stereo needs an extractor with an even number of images");
+    detail::require(extractor.batch() >= Rig::images && extractor.batch() % Rig::images == 0,
+                    Rig::images == 2 ? "stereo needs an extractor with an even number of images"
+                                     : "stereo needs an extractor with the images of whole rigs");
     if constexpr (!Rig::rectified) {
       require_invertible(rig.left, extractor.params().width, extractor.params().height, 0.25);
       require_invertible(rig.right, extractor.params().width, extractor.params().height, 0.25);
     }
     if constexpr (Rig::rectified) {
-      params_.bf = rig.bf();
-      params_.max_disparity = rig.bf() / rig.baseline_length().value;
+      for (int c = 0; c < Rig::cameras; ++c) {
+        auto const& pair = rig.pair(c);
+        if (pair.single()) { continue; }
+        stereo_params& p = params_.of[c];
+        p.bf = pair.bf();
+        p.max_disparity = pair.bf() / pair.baseline_length().value;
+      }
     }
     grid_geometry rows;
     rows.cols = 1;
@@ -95,7 +103,8 @@ public:
   float const* depth() const {
     return Rig::rectified ? array_of<field::depth>(memory_->matches) : memory_->fisheye.depth;
   }
-  stereo_params const& params() const { return params_; }
+  /// Of camera c of a rig.
+  stereo_params const& params(int c = 0) const { return params_.of_pair(c); }
 
 private:
   struct shape {
@@ -119,7 +128,7 @@ private:
   }
 
   Rig rig_{};
-  stereo_params params_;
+  rig_stereo_params<Rig::cameras> params_;
   fisheye_stereo_params fisheye_params_;
   owner<memory, space> memory_;
 };

@@ -14,7 +14,7 @@ inline namespace FT_ABI {
 
 struct tracker_params {
   orb_params orb;
-  int map_slots = 1 << 16;      ///< map points on the device at a time, per camera pair
+  int map_slots = 1 << 16;      ///< map points on the device at a time, per rig
   int local_points = 1 << 13;   ///< points of one local-map search
   int updates = 1 << 13;        ///< map points that one update_map() can send
   float window_radius = 7;      ///< half side at scale 1 of windows from the last frame, pixels
@@ -42,7 +42,7 @@ struct slot_list {
       : data(slots.data()), count(static_cast<int>(slots.size())) {}
 };
 
-/// Inputs for one frame of one camera pair.
+/// Inputs for one frame of one rig.
 struct frame_input {
   /// T_cw expected for this frame, from a motion model or an IMU. Must be finite. Not checked to be
   /// a rotation.
@@ -57,15 +57,17 @@ struct tracked_keypoint {
   int number;         ///< in its camera's image
   vec2<float> pixel;  ///< position
   int octave;
-  int slot;           ///< of the map point matched to it, an inlier; -1 = none
-  float depth;        ///< metres, -1 = no stereo match; of left keypoints
-  vec3<float> point;  ///< left camera's frame, metres; 0 without depth; of left keypoints
-  int partner;        ///< number of its stereo partner in the other image, of unrectified pairs;
-                      ///< -1 = none
+  int slot;     ///< of the map point matched to it, an inlier; -1 = none
+  float depth;  ///< metres, -1 = no stereo match; of left keypoints
+  vec3<float>
+      point;    ///< left camera's frame, or the body's of a multi_rig, metres; 0 without depth
+  int partner;  ///< number of its stereo partner in the other image, of unrectified pairs;
+                ///< -1 = none
 };
 
 /// Results in host memory. Keypoints are left ones; for two unrectified cameras the right ones
-/// follow. Keypoint k of camera c has number c * capacity + k.
+/// follow, for a multi_rig those of its other cameras. Keypoint k of camera c has number c *
+/// capacity + k.
 struct tracked_frame_view {
   int* keypoints = nullptr;  ///< [batch][cameras]
   pose* T_cw = nullptr;      ///< [batch]
@@ -75,14 +77,16 @@ struct tracked_frame_view {
   float* y = nullptr;        ///< likewise
   int* octave = nullptr;     ///< likewise
   int* holder = nullptr;     ///< likewise: slot of the map point held, -1 = none
-  float* depth = nullptr;    ///< [batch][capacity] of left keypoints, metres, -1 = no stereo match
-  vec3<float>* point =
-      nullptr;             ///< [batch][capacity] in the left camera's frame; 0 = no stereo match
+  /// [batch][depth_cameras * capacity] of left keypoints, metres, -1 = no stereo match
+  float* depth = nullptr;
+  /// likewise: in the left camera's frame, or the body's of a multi_rig; 0 = no stereo match
+  vec3<float>* point = nullptr;
   int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
   unsigned char* in_view =
       nullptr;  ///< [batch][local_points] 1 = passed the frustum test of the local-map search
   int capacity = 0;
   int cameras = 1;
+  int depth_cameras = 1;  ///< the first of them, whose keypoints may have a depth
   int local_points = 0;
 
   int numbers() const { return cameras * capacity; }
@@ -131,8 +135,9 @@ public:
     tracked_keypoint k{i, {r_.x[at], r_.y[at]}, r_.octave[at], r_.holder[at], -1, {0, 0, 0}, -1};
     int const partner = r_.partner[at];
     if (partner >= 0) { k.partner = partner - (partner < r_.capacity ? 0 : r_.capacity); }
-    if (camera_ == 0) {
-      std::ptrdiff_t const left = static_cast<std::ptrdiff_t>(b_) * r_.capacity + i;
+    if (camera_ < r_.depth_cameras) {
+      std::ptrdiff_t const left =
+          (static_cast<std::ptrdiff_t>(b_) * r_.depth_cameras + camera_) * r_.capacity + i;
       k.depth = r_.depth[left];
       k.point = r_.point[left];
     }
@@ -145,7 +150,7 @@ private:
   int camera_;
 };
 
-/// The result of one camera pair. Valid until the tracker's next call.
+/// The result of one rig. Valid until the tracker's next call.
 class tracked_frame {
 public:
   tracked_frame(tracked_frame_view const& result, int b) : r_(result), b_(b) {}
@@ -157,6 +162,8 @@ public:
   tracked_keypoints left() const { return {r_, b_, 0}; }
   /// Empty for a rectified pair, whose right keypoints are not tracked.
   tracked_keypoints right() const { return {r_, b_, 1}; }
+  /// Of camera c of the rig.
+  tracked_keypoints camera(int c) const { return {r_, b_, c}; }
   /// Whether entry i of the local map passed the frustum test.
   bool in_view(int i) const {
     return r_.in_view[static_cast<std::ptrdiff_t>(b_) * r_.local_points + i] != 0;

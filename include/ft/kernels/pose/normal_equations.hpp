@@ -43,6 +43,24 @@ FT_HOST_DEVICE point_equations<Number> rectified_equations(mat3<Number> const& P
            w12 * P.m[4], w02 * P.m[2] + w12 * P.m[5] + w22 * P.m[8]}};
 }
 
+/// The same for three rows of any form.
+template <typename Number>
+FT_HOST_DEVICE point_equations<Number> displaced_equations(mat3<Number> const& P, vec3<Number> W,
+                                                           vec3<Number> e) {
+  auto const column = [&](int k) { return vec3<Number>{P.m[k], P.m[3 + k], P.m[6 + k]}; };
+  auto const weighted = [&](int k) {
+    return vec3<Number>{W.x * P.m[k], W.y * P.m[3 + k], W.z * P.m[6 + k]};
+  };
+  // Added in the order of the rows, as rectified_equations() does.
+  auto const sum = [](vec3<Number> a, vec3<Number> b) { return a.x * b.x + a.y * b.y + a.z * b.z; };
+  vec3<Number> const x = weighted(0);
+  vec3<Number> const y = weighted(1);
+  vec3<Number> const z = weighted(2);
+  return {{sum(x, e), sum(y, e), sum(z, e)},
+          {sum(x, column(0)), sum(y, column(0)), sum(z, column(0)), sum(y, column(1)),
+           sum(z, column(1)), sum(z, column(2))}};
+}
+
 /// The same for two rows of any form.
 template <typename Number>
 FT_HOST_DEVICE point_equations<Number> monocular_equations(mat3<Number> const& P, vec3<Number> W,

@@ -73,12 +73,13 @@ struct optimize_frame {
     FT_NO_UNROLL
     for (int i = g.rank(); i < n; i += g.size()) {
       int const number = number_of(i);
-      int const c = number < frame.capacity() ? 0 : 1;
+      int const c = camera_of(frame, number);
       int const k = number - c * frame.capacity();
       keypoints_view const kp = frame.camera(b, c);
-      float const right = Rig::rectified && frame.right_x != nullptr
-                              ? frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + k]
-                              : -1.0f;
+      std::ptrdiff_t const first =
+          static_cast<std::ptrdiff_t>(b) * (Rig::cameras * frame.capacity());
+      float const right =
+          Rig::rectified && frame.right_x != nullptr ? frame.right_x[first + number] : -1.0f;
       observation const o{points.position(holder[number]),      kp.x(k), kp.y(k), right,
                           in.geometry.inv_sigma2[kp.octave(k)], c};
       out.items[at + i] = o;
@@ -93,20 +94,42 @@ struct optimize_frame {
   }
 
 private:
+  /// Camera of a keypoint.
+  FT_HOST_DEVICE static int camera_of(frame_view const& frame, int number) {
+    int c = 0;
+    FT_UNROLL
+    for (int next = 1; next < Rig::cameras; ++next) {
+      c += static_cast<int>(number >= next * frame.capacity());
+    }
+    return c;
+  }
   /// Lists the numbers of the keypoints that hold a point, in scratch and in `listed`. Returns
   /// their number.
   template <typename Group>
   FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int b, frame_view const& frame,
                                               int* listed) {
     int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
-    int const first = *frame.camera(b, 0).count;
-    int const all = first + (frame.cameras > 1 ? *frame.camera(b, 1).count : 0);
+    // Keypoint numbers without the gaps between the cameras': `before` of those precede camera c.
+    int before[Rig::cameras];
+    int all = 0;
+    FT_UNROLL
+    for (int c = 0; c < Rig::cameras; ++c) {
+      before[c] = all;
+      all += c < frame.cameras ? *frame.camera(b, c).count : 0;
+    }
     // Each part of the group takes a run of keypoints, so one scan over the parts gives all places.
     auto const part = g.part();
     int const run = ceil_div(all, g.size()) * part.size();
     int const from = g.part_index() * run;
     int const to = min_of(from + run, all);
-    auto const number_of = [&](int k) { return k < first ? k : k - first + frame.capacity(); };
+    auto const number_of = [&](int k) {
+      int number = k;
+      FT_UNROLL
+      for (int c = 1; c < Rig::cameras; ++c) {
+        number = k < before[c] ? number : k - before[c] + c * frame.capacity();
+      }
+      return number;
+    };
     auto const holds = [&](int k) { return k < to && holder[number_of(k)] >= 0; };
     int mine = 0;
     constexpr int at_once = 4;  // loads

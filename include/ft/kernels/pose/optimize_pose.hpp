@@ -6,6 +6,9 @@
 /// executor, up to the trigonometric functions that a camera model calls.
 #pragma once
 
+#include <type_traits>
+
+#include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/observations.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -49,11 +52,12 @@ struct pose_solver {
   /// @param o observation i of the problem
   FT_HOST_DEVICE void prepare(int i, observation const& o) const {
     reprojection<Rig> const r(rig, s.T, o);
-    bool const usable = r.chi2(o) < largest_chi2;
+    unsigned const flags = r.chi2(o) < largest_chi2 ? 0 : prepared_observations::unusable;
     if (i < prepared_observations::size) {
-      s.observations.template keep<Rig>(i, o, r.in_body, usable);
+      s.observations.template keep<Rig>(i, o, r.in_body, flags);
+    } else {
+      s.observations.set_flags(i, problem, flags);
     }
-    s.observations.set_flags(i, problem, usable ? 0 : prepared_observations::unusable);
   }
 
   FT_HOST_DEVICE void solve() const {
@@ -82,6 +86,8 @@ struct pose_solver {
 
 private:
   static constexpr double largest_chi2 = 1e30;
+  /// Whether cameras are elsewhere than the frame of the pose, with all entries of a derivative.
+  static constexpr bool displaced = Rig::rectified && !std::is_same_v<Rig, rectified_rig>;
 
   /// Finds the best pose for the observations that are included.
   FT_HOST_DEVICE void run_round(bool robust) const {
@@ -143,7 +149,9 @@ private:
       mat3<real> const P = r.derivative(rig, o);
       vec3<real> const W{weight, weight, r.rows == 3 ? weight : real(0.0f)};
       vec3<real> const e{r.error[0], r.error[1], r.error[2]};
-      if constexpr (Rig::rectified) {
+      if constexpr (displaced) {
+        add_motion_terms(r.in_body, displaced_equations(P, W, e), acc.of);
+      } else if constexpr (Rig::rectified) {
         add_motion_terms(r.in_body, rectified_equations(P, W, e), acc.of);
       } else {
         add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
@@ -160,10 +168,11 @@ private:
     bool const far = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
     unsigned const before = s.observations.flags(i, problem);
     unsigned const after =
-        (before & prepared_observations::unusable) | (far ? prepared_observations::outlier : 0);
+        (before & ~prepared_observations::outlier) | (far ? prepared_observations::outlier : 0);
     s.observations.set_flags(i, problem, after);
     if (i < prepared_observations::size) {
-      s.observations.place[i].weight = after != 0 ? 0.0f : o.inv_sigma2;
+      bool const excluded = far || (before & prepared_observations::unusable) != 0;
+      s.observations.place[i].weight = excluded ? 0.0f : o.inv_sigma2;
     }
     return before != after;
   }

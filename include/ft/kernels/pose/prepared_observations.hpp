@@ -12,7 +12,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Observations with their points in the camera's frame at the start, and their flags. The first
+/// Observations with their points in the pose's frame at the start, and their flags. The first
 /// 1024 are kept in block scratch. Those beyond are recomputed on every access, and their flags are
 /// in the problem's `outlier`. Only the thread of observation i, which is i modulo the group's
 /// size, accesses it.
@@ -23,9 +23,11 @@ struct prepared_observations {
   static constexpr unsigned outlier = 1;
   /// Flag: its chi-square at the start is NaN or overflows a sum in float. Excluded from all sums.
   static constexpr unsigned unusable = 2;
+  /// The bits above the flags are the number of the camera, of rigs whose pixels have no room.
+  static constexpr unsigned flag_bits = 2;
 
   struct alignas(16) {
-    vec3<float> point;  ///< in the camera's frame at the start
+    vec3<float> point;  ///< in the pose's frame at the start
     float weight;       ///< 0 = excluded in this round
   } place[size];
   struct alignas(16) {
@@ -44,21 +46,27 @@ struct prepared_observations {
     }
   }
 
-  /// @param point in the camera's frame at the start
+  /// @param point in the pose's frame at the start @param flags 0 or `unusable`
   template <typename Rig>
-  FT_HOST_DEVICE void keep(int i, observation const& o, vec3<strict_double> point, bool usable) {
-    place[i] = {narrowed(point), usable ? o.inv_sigma2 : 0.0f};
-    pixel[i] = {o.u, o.v, Rig::rectified ? o.right_u : static_cast<float>(o.right_camera), 0};
+  FT_HOST_DEVICE void keep(int i, observation const& o, vec3<strict_double> point, unsigned flags) {
+    place[i] = {narrowed(point), flags == 0 ? o.inv_sigma2 : 0.0f};
+    if constexpr (Rig::searches > 1) { flags |= static_cast<unsigned>(o.camera) << flag_bits; }
+    pixel[i] = {o.u, o.v, Rig::rectified ? o.right_u : static_cast<float>(o.camera), flags};
   }
 
-  /// Observation i with its point in the camera's frame at the start; weight 0 if it is excluded.
+  /// Observation i with its point in the pose's frame at the start; weight 0 if it is excluded.
   template <typename Rig>
   FT_HOST_DEVICE observation get(int i, pose_problem const& problem) const {
     if (i < size) {
       auto const at = place[i];
       auto const seen = pixel[i];
-      return {at.point,   seen.u,    seen.v,
-              seen.third, at.weight, Rig::rectified ? 0 : static_cast<int>(seen.third)};
+      int camera = 0;
+      if constexpr (Rig::searches > 1) {
+        camera = static_cast<int>(seen.flags >> flag_bits);
+      } else if constexpr (!Rig::rectified) {
+        camera = static_cast<int>(seen.third);
+      }
+      return {at.point, seen.u, seen.v, seen.third, at.weight, camera};
     }
     observation o = problem.observations[i];
     auto const start = problem.start->template cast<strict_double>();

@@ -16,7 +16,7 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// Reprojection error of one observation, its chi-square and its derivative.
-/// @tparam Rig rectified_rig or stereo_rig
+/// @tparam Rig rectified_rig, stereo_rig or multi_rig
 /// @tparam Real strict_float or strict_double
 /// @tparam Differentiate whether derivative() will be called
 template <typename Rig, typename Real = strict_double, bool Differentiate = false>
@@ -26,7 +26,7 @@ struct reprojection {
 
   Real error[3];         ///< measured minus predicted; the third only with a right column
   int rows;              ///< 2 or 3
-  vec3<Real> in_body;    ///< point in the left camera's frame
+  vec3<Real> in_body;    ///< point in the frame of the pose: the left camera's, or the body's
   vec3<Real> in_camera;  ///< point in the frame of the camera that sees it
   Real iz = Real(0);     ///< 1 / z of a rectified pair
   bool valid = true;     ///< whether the point is in the domain of the camera model
@@ -37,21 +37,22 @@ struct reprojection {
     rows = 2;
     error[2] = Real(0);
     if constexpr (Rig::rectified) {
-      auto const& c = rig.camera;
-      Real const inverse = scalar::reciprocal(in_body.z);
+      in_camera = rig.to_camera(o.camera, in_body);
+      auto const& c = rig.pair(o.camera).camera;
+      Real const inverse = scalar::reciprocal(in_camera.z);
       bool const stereo = o.right_u >= 0;
       iz = stereo ? real(static_cast<float>(inverse.value)) : inverse;
-      Real const u = real(c.fx) * in_body.x * iz + real(c.cx);
-      Real const v = real(c.fy) * in_body.y * iz + real(c.cy);
+      Real const u = real(c.fx) * in_camera.x * iz + real(c.cx);
+      Real const v = real(c.fy) * in_camera.y * iz + real(c.cy);
       error[0] = real(o.u) - u;
       error[1] = real(o.v) - v;
       if (stereo) {
         rows = 3;
-        error[2] = real(o.right_u) - (u - real(rig.bf()) * iz);
+        error[2] = real(o.right_u) - (u - real(rig.pair(o.camera).bf()) * iz);
       }
     } else {
       projection<Real> p;
-      if (o.right_camera != 0) {
+      if (o.camera != 0) {
         in_camera = rig.T_rl.template cast<Real>() * in_body;
         p = project(rig.right.template cast<Real>());
       } else {
@@ -70,21 +71,22 @@ struct reprojection {
     return (error[0] * error[0] + error[1] * error[1] + error[2] * error[2]) * real(o.inv_sigma2);
   }
 
-  /// d prediction / d point in the left camera's frame: rows u, v, and the right column.
+  /// d prediction / d point in the frame of the pose: rows u, v, and the right column.
   FT_HOST_DEVICE mat3<Real> derivative(Rig const& rig, observation const& o) const {
     Real const zero = Real(0);
     if constexpr (Rig::rectified) {
-      static_cast<void>(o);
-      auto const& c = rig.camera;
+      auto const& c = rig.pair(o.camera).camera;
       Real const du = real(c.fx) * iz;
       Real const dv = real(c.fy) * iz;
-      Real const du_dz = -(du * (in_body.x * iz));
-      Real const dv_dz = -(dv * (in_body.y * iz));
-      return {{du, zero, du_dz, zero, dv, dv_dz, du, zero, du_dz + real(rig.bf()) * (iz * iz)}};
+      Real const du_dz = -(du * (in_camera.x * iz));
+      Real const dv_dz = -(dv * (in_camera.y * iz));
+      Real const bf = real(rig.pair(o.camera).bf());
+      mat3<Real> const P{{du, zero, du_dz, zero, dv, dv_dz, du, zero, du_dz + bf * (iz * iz)}};
+      return rig.derivative_in_body(o.camera, P);
     } else {
       static_assert(Differentiate, "derivative() needs the template argument Differentiate");
       auto const& j = camera_derivative.m;
-      bool const right = o.right_camera != 0;
+      bool const right = o.camera != 0;
       mat3<Real> const R = rig.T_rl.template cast<Real>().R;
       mat3<Real> P;
       for (int r = 0; r < 2; ++r) {

@@ -27,8 +27,9 @@ inline constexpr int assign_threads = 1024;
 
 /// Item: a frame. Assigns its keypoints, by the contract of assignment_context.hpp.
 /// @tparam Turns true: the parallel forms; false: the loop, for groups of one thread
+/// @tparam Searches see frame_search
 /// @tparam Single one camera and no stereo partners; selected by assign()
-template <bool Turns, bool Single = false>
+template <bool Turns, int Searches = 1, bool Single = false>
 struct assign_keypoints {
   static constexpr int scratch_size = assign_scratch::size;
   using scratch = std::conditional_t<Turns, assign_scratch, no_scratch>;
@@ -46,7 +47,7 @@ struct assign_keypoints {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frame_view const& frame,
                                  map_points_view const& map, search_params const& params,
                                  search_buffers const& buffers) const {
-    assign(g, s, {b, frame, map, params, buffers, false}, true,
+    assign(g, s, {b, frame, map, params, buffers, false, Searches}, true,
            [](auto, int const*) { return false; });
   }
 
@@ -66,7 +67,7 @@ struct assign_keypoints {
     bool const partners = in.partners();
     if constexpr (Turns && !Single) {
       if (frame.cameras == 1 && !partners) {
-        return assign_keypoints<Turns, true>::assign(g, s, in, prepared, write);
+        return assign_keypoints<Turns, Searches, true>::assign(g, s, in, prepared, write);
       }
     }
     assignment_context<Single> const ctx(in);
@@ -101,12 +102,13 @@ struct assign_keypoints {
 /// Assigns keypoints from candidates that are listed in `work`. The result equals that of a loop
 /// over the points, for any input. Writes `frame.holder`, `work.match` and `work.matches`.
 /// Asynchronous on `exec`; allocates nothing; one launch.
-template <typename Exec>
+/// @tparam Searches of a rig, whose batch entries share a map
+template <int Searches = 1, typename Exec>
 void assign_candidates(Exec const& exec, frame_view const& frame, map_points_view const& map,
                        search_params const& params, search_buffers const& buffers) {
-  for_each_item<per_block<detail::assign_threads>>(exec, buffers.windows.batch,
-                                                   detail::assign_keypoints<Exec::asynchronous>{},
-                                                   frame, map, params, buffers);
+  for_each_item<per_block<detail::assign_threads>>(
+      exec, buffers.windows.batch, detail::assign_keypoints<Exec::asynchronous, Searches>{}, frame,
+      map, params, buffers);
 }
 
 /// Search in given windows: lists candidates and assigns keypoints. The result equals that of a

@@ -62,7 +62,7 @@ struct assignment_context {
   FT_HOST_DEVICE explicit assignment_context(frame_search const& search)
       : b(search.b),
         frame(search.frame),
-        points(search.map.slice(search.b)),
+        points(search.points()),
         windows(search.buffers.windows),
         params(search.params),
         work(search.buffers.work),

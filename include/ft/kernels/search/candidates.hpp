@@ -76,7 +76,7 @@ struct list_candidates {
       bool const listed = c < frame.cameras && place < s.found[c];
       int const k = listed ? entry_keypoint(s.list[c][place / 4].entry[place % 4]) : 0;
       int const slot = listed && holder != nullptr ? holder[c * frame.capacity() + k] : -1;
-      bits |= g.ballot(keeps(in.map.slice(in.b), slot)) << base;
+      bits |= g.ballot(keeps(in.points(), slot)) << base;
     }
     return bits;
   }
@@ -124,7 +124,7 @@ private:
                                          window_pair const& windows, int const* holder,
                                          Use const& use) {
     frame_view const& frame = in.frame;
-    map_points_view const points = in.map.slice(in.b);
+    map_points_view const points = in.points();
     int const limit = listed_distance(in.params);
     float const* const right_x = in.right_x();
     bool left_empty = false;
@@ -208,7 +208,8 @@ struct list_point {
     window_pair windows;
     if (!find_windows<Windows>(g, item, search, map, buffers.windows, windows)) { return; }
     search_params const params = search.matching();
-    frame_search const in{b, frame, map, params, buffers, Windows::lists_by_column};
+    frame_search const in{
+        b, frame, map, params, buffers, Windows::lists_by_column, Windows::searches};
     list_candidates::list(g, s, in, i, windows);
   }
 };

@@ -17,14 +17,17 @@ namespace detail {
 struct frame_search {
   int b;  ///< batch entry
   frame_view const& frame;
-  map_points_view const& map;  ///< of all batch entries
+  map_points_view const& map;  ///< of all rigs
   search_params const& params;
   search_buffers const& buffers;
   /// Whether this step compares columns in the right image. Only one step of a search does: for the
   /// local map the listing, from the last frame the assignment, so that its listing needs no stereo
   /// matches.
   bool compares_columns;
+  int searches = 1;  ///< of a rig, whose batch entries share a map
 
+  /// The map's points.
+  FT_HOST_DEVICE map_points_view points() const { return map.slice(b / searches); }
   /// Holders of this frame.
   FT_HOST_DEVICE int* holder() const {
     return frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();

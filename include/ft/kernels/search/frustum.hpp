@@ -123,7 +123,7 @@ FT_HOST_DEVICE inline search_window window_of(visibility const& v, int slot, flo
 template <typename Rig>
 struct local_search {
   Rig rig;
-  pose const* T_cw = nullptr;       ///< [batch] of the left camera
+  pose const* T_cw = nullptr;       ///< [batch] of the left camera, or of a multi_rig's body
   int const* slots = nullptr;       ///< [batch][windows' capacity] in search order, -1 = none
   int const* slot_count = nullptr;  ///< [batch]
   /// Points matched in the current frame are skipped.
@@ -156,32 +156,47 @@ namespace detail {
 template <typename Rig, bool Stamped = true>
 struct local_map_windows {
   using search = local_search<Rig>;
-  static constexpr int cameras = Rig::rectified ? 1 : 2;
-  static constexpr bool lists_by_column = true;  ///< see frame_search
+  static constexpr int searches = Rig::searches;
+  static constexpr int cameras = Rig::cameras / searches;  ///< of a search
+  static constexpr bool lists_by_column = true;            ///< see frame_search
 
-  FT_HOST_DEVICE static int count(search const& in, int b) { return in.slot_count[b]; }
+  FT_HOST_DEVICE static int count(search const& in, int b) { return in.slot_count[b / searches]; }
+  /// The map point of an item: its search times the windows' capacity, plus its entry.
+  FT_HOST_DEVICE static int slot(search const& in, int item, search_windows_view const& to) {
+    if constexpr (searches == 1) { return in.slots[item]; }
+    std::ptrdiff_t const rig = item / to.capacity / searches;
+    return in.slots[rig * to.capacity + item % to.capacity];
+  }
+  /// Place in `seen` of entry i of search b, camera c of the search.
+  FT_HOST_DEVICE static std::ptrdiff_t seen_at(int c, int b, int i, search_windows_view const& to) {
+    if constexpr (searches > 1) {
+      c = b % searches;
+      b /= searches;
+    }
+    std::ptrdiff_t const rigs = to.batch / searches;
+    return (c * rigs + b) * to.capacity + i;
+  }
 
-  /// The windows of entry i of batch entry b.
+  /// The windows of entry i of search b.
   /// @param writes whether this thread writes visibilities to `in.seen`
   FT_HOST_DEVICE static window_pair find(search const& in, map_points_view const& map, int b, int i,
                                          search_windows_view const& to, bool writes) {
-    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * to.capacity + i;
-    std::ptrdiff_t const per_camera = static_cast<std::ptrdiff_t>(to.batch) * to.capacity;
-    map_points_view const points = map.slice(b);
-    int const slot = in.slots[item];
+    int const rig = b / searches;
+    map_points_view const points = map.slice(rig);
+    int const slot = in.slots[static_cast<std::ptrdiff_t>(rig) * to.capacity + i];
     bool const skip = slot < 0 || slot >= points.capacity ||
-                      (Stamped && in.stamps.stamped(b, points.capacity, slot));
+                      (Stamped && in.stamps.stamped(rig, points.capacity, slot));
     window_pair pair;
     FT_UNROLL
     for (int c = 0; c < cameras; ++c) {
       visibility v{0, 0, 0, 0, 0, -1};
-      if (!skip) { v = see(in, b, points, slot, c); }
+      if (!skip) { v = see(in, rig, points, slot, searches == 1 ? c : b % searches); }
       float const most = in.params.max_distance;
       if (v.level >= 0 && !(most > 0 && v.distance > most)) {
-        float const factor = c == 0 ? radius_factor(in, b) : 1.0f;
+        float const factor = c == 0 ? radius_factor(in, rig) : 1.0f;
         pair.of[c] = window_of(v, slot, factor, Rig::rectified, in.geometry);
       }
-      if (writes && in.seen != nullptr) { in.seen[c * per_camera + item] = v; }
+      if (writes && in.seen != nullptr) { in.seen[seen_at(c, b, i, to)] = v; }
     }
     return pair;
   }
@@ -195,8 +210,9 @@ private:
     Rig const& rig = in.rig;
     pose const T_cw = in.T_cw[b];
     if constexpr (Rig::rectified) {
-      static_cast<void>(camera);
-      return test_visibility(rig.camera, from(in, b, 0, T_cw), points, slot, rig.bf(), in.frustum);
+      auto const& pair = rig.pair(camera);
+      return test_visibility(pair.camera, from(in, b, camera, rig.to_camera(camera, T_cw)), points,
+                             slot, pair.bf(), in.frustum);
     } else {
       if (camera == 0) {
         return test_visibility(rig.left, from(in, b, 0, T_cw), points, slot, 0.0f, in.frustum);
@@ -209,7 +225,7 @@ private:
   /// Camera number `camera` of batch entry b. @param T world to this camera
   FT_HOST_DEVICE static viewpoint from(search const& in, int b, int camera, pose const& T) {
     if (in.centres == nullptr) { return viewpoint::of(T); }
-    return {T, in.centres[b * cameras + camera]};
+    return {T, in.centres[b * Rig::cameras + camera]};
   }
 };
 

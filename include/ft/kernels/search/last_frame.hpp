@@ -30,7 +30,7 @@ namespace detail {
 /// points.
 template <typename Rig, bool Turns>
 struct assign_last_points {
-  using assignment = assign_keypoints<Turns>;
+  using assignment = assign_keypoints<Turns, Rig::searches>;
   struct scratch {
     union {
       typename assignment::scratch assigned;
@@ -50,10 +50,10 @@ struct assign_last_points {
                                  frame_view const& frame, map_points_view const& map,
                                  search_buffers const& buffers) const {
     search_params const params = search.matching();
-    frame_search const in{b, frame, map, params, buffers, true};
+    frame_search const in{b, frame, map, params, buffers, true, Rig::searches};
     // Prefetched; used after the proposals.
     int const left_count = search.last.keypoints.count[search.last.keypoint_step * b];
-    stamp_writer const stamp(search.stamps, b, map.capacity);
+    stamp_writer const stamp(search.stamps, b / Rig::searches, map.capacity);
     bool prepared = true;
     for (int least = search.params.retry_below;; least = 0) {
       // Visible after the first barrier of the assignment.

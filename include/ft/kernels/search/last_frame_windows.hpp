@@ -48,7 +48,7 @@ struct last_search {
   Rig rig;
   pose const* T_cw = nullptr;       ///< [batch] predicted for this frame
   pose const* last_T_cw = nullptr;  ///< [batch] of the last frame
-  last_frame_view last;
+  last_frame_view last;             ///< as frame_view::of_searches() of the rig
   pyramid_geometry geometry;
   last_search_params params;
   point_stamps stamps;  ///< gets the matched points; may be without arrays
@@ -72,8 +72,9 @@ namespace detail {
 template <typename Rig>
 struct last_frame_windows {
   using search = last_search<Rig>;
-  static constexpr int cameras = Rig::rectified ? 1 : 2;
-  static constexpr bool lists_by_column = false;  ///< see frame_search
+  static constexpr int searches = Rig::searches;
+  static constexpr int cameras = Rig::cameras / searches;  ///< of a search
+  static constexpr bool lists_by_column = false;           ///< see frame_search
 
   /// Number of keypoints of the last frame. The search takes the left ones first, then the right
   /// ones.
@@ -87,29 +88,32 @@ struct last_frame_windows {
     return project(in, map, b, i, in.params.window_radius);
   }
 
-  /// The windows of the map point of keypoint i, batch entry b.
+  /// The windows of the map point of keypoint i, search b.
   /// @param radius half side of a window at scale 1, pixels
   FT_HOST_DEVICE static window_pair project(search const& in, map_points_view const& map, int b,
                                             int i, float radius) {
     Rig const& rig = in.rig;
     window_pair out;
     keypoint const from = keypoint_of(in.last, b, i);
-    map_points_view const points = map.slice(b);
+    int const at = b / searches;
+    map_points_view const points = map.slice(at);
     if (from.slot < 0 || from.slot >= points.capacity) { return out; }
 
-    auto const T_cw = in.T_cw[b].template cast<strict_float>();
+    auto const T_cw = in.T_cw[at].template cast<strict_float>();
     vec3<float> const world = points.position(from.slot);
     vec3<strict_float> Pc = T_cw * vec3<strict_float>{world.x, world.y, world.z};
-    if (in.rotations != nullptr) { Pc = rotated(in.rotations[b], world) + T_cw.t; }
+    if (in.rotations != nullptr) { Pc = rotated(in.rotations[at], world) + T_cw.t; }
+    if constexpr (Rig::rectified) { Pc = rig.to_camera(b % searches, Pc); }
     strict_float const inv_z = strict_float(1.0f) / Pc.z;
     if (!(inv_z >= 0.0f)) { return out; }
     search_window w = without_centre(in, T_cw, b, from, radius);
     if constexpr (Rig::rectified) {
-      auto const seen = rig.camera.template cast<strict_float>().project(Pc);
+      auto const& pair = rig.pair(b % searches);
+      auto const seen = pair.camera.template cast<strict_float>().project(Pc);
       if (!in_bounds(seen, in.params)) { return out; }
       w.x = seen.pixel.x.value;
       w.y = seen.pixel.y.value;
-      w.right_x = (seen.pixel.x - rig.bf() * inv_z).value;
+      w.right_x = (seen.pixel.x - pair.bf() * inv_z).value;
       w.check_right = true;
       out.of[0] = w;
     } else {
@@ -147,15 +151,25 @@ private:
   }
 
   /// Radius and octaves. The octaves depend on whether the camera has moved along its axis by more
-  /// than the baseline.
+  /// than the baseline, if it has one.
   FT_HOST_DEVICE static search_window without_centre(search const& in,
                                                      rigid<strict_float> const& T_cw, int b,
                                                      keypoint const& from, float radius) {
-    auto const T_lw = in.last_T_cw[b].template cast<strict_float>();
+    auto const T_lw = in.last_T_cw[b / searches].template cast<strict_float>();
     int const octave = in.last.keypoints.slice(from.image).octave(from.k);
-    strict_float const baseline = in.rig.baseline_length();
-    strict_float const forward_motion = (T_lw * T_cw.centre()).z;
-    bool const any_direction = in.params.ignore_motion_direction;
+    strict_float baseline;
+    strict_float forward_motion;
+    bool any_direction = in.params.ignore_motion_direction;
+    if constexpr (Rig::rectified) {
+      int const c = b % searches;
+      auto const& pair = in.rig.pair(c);
+      baseline = pair.baseline_length();
+      forward_motion = (in.rig.to_camera(c, T_lw) * in.rig.to_camera(c, T_cw).centre()).z;
+      any_direction = any_direction || pair.single();
+    } else {
+      baseline = in.rig.baseline_length();
+      forward_motion = (T_lw * T_cw.centre()).z;
+    }
     bool const forward = forward_motion > baseline && !any_direction;
     bool const backward = -forward_motion > baseline && !any_direction;
     search_window w{};

@@ -37,9 +37,10 @@ struct list_local_point_early {
     window_pair windows;
     if (!find_windows<windows_of>(g, item, search, map, buffers.windows, windows)) { return false; }
     search_params const params = search.matching();
-    frame_search const in{item / buffers.windows.capacity, frame, map, params, buffers, true};
+    frame_search const in{
+        item / buffers.windows.capacity, frame, map, params, buffers, true, Rig::searches};
     list_candidates::list_all(g, s, in, windows);
-    if (g.rank() == 0) { s.slot = search.slots[item]; }
+    if (g.rank() == 0) { s.slot = windows_of::slot(search, item, buffers.windows); }
     g.sync();
     return true;
   }
@@ -51,13 +52,13 @@ struct list_local_point_early {
     int const b = item / buffers.windows.capacity;
     int const i = item % buffers.windows.capacity;
     search_params const params = search.matching();
-    frame_search const in{b, frame, map, params, buffers, true};
+    frame_search const in{b, frame, map, params, buffers, true, Rig::searches};
     bool const known = s.slot >= 0 && s.slot < map.capacity;
     // The stamp and the holders of all candidates are loaded together.
-    bool const stamped = known && search.stamps.stamped(b, map.capacity, s.slot);
+    bool const stamped = known && search.stamps.stamped(b / Rig::searches, map.capacity, s.slot);
     unsigned const held = list_candidates::held(g, s, in);
     if (stamped) {
-      constexpr int cameras = Rig::rectified ? 1 : 2;
+      constexpr int cameras = local_map_windows<Rig>::cameras;
       for (int c = g.rank(); c < cameras; c += g.size()) { hide(c, b, i, search, buffers); }
     } else {
       list_candidates::write_free(g, s, in, i, held);
@@ -74,9 +75,7 @@ private:
     work.list_count[work.window(c, b, i)] = 0;
     work.match[work.window(c, b, i)] = -1;
     if (search.seen == nullptr) { return; }
-    std::ptrdiff_t const at =
-        (static_cast<std::ptrdiff_t>(c) * windows.batch + b) * windows.capacity + i;
-    search.seen[at] = visibility{0, 0, 0, 0, 0, -1};
+    search.seen[local_map_windows<Rig>::seen_at(c, b, i, windows)] = visibility{0, 0, 0, 0, 0, -1};
   }
 };
 
@@ -109,8 +108,8 @@ template <typename Exec, typename Rig>
 void search_local_map(Exec const& exec, local_search<Rig> const& search, frame_view const& frame,
                       map_points_view const& map, search_buffers const& buffers) {
   list_local_map(exec, search, frame, map, buffers);
-  assign_candidates(detail::with_order(exec, detail::launch_order::serial), frame, map,
-                    search.matching(), buffers);
+  assign_candidates<Rig::searches>(detail::with_order(exec, detail::launch_order::serial), frame,
+                                   map, search.matching(), buffers);
 }
 
 }  // namespace FT_ABI

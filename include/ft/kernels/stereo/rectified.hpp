@@ -25,6 +25,16 @@ struct stereo_params {
   float bf = 0;             ///< baseline times fx, metres * pixels
   float max_disparity = 0;  ///< bf / baseline, pixels
   int hamming_limit = 75;   ///< matching descriptors differ in fewer bits
+
+  FT_HOST_DEVICE stereo_params const& of_pair(int) const { return *this; }
+};
+
+/// The same for pairs of `Cameras` kinds that follow each other in a batch.
+template <int Cameras>
+struct rig_stereo_params {
+  stereo_params of[Cameras];
+
+  FT_HOST_DEVICE stereo_params const& of_pair(int pair) const { return of[pair % Cameras]; }
 };
 
 namespace detail {
@@ -35,12 +45,13 @@ struct match_left_keypoint {
   using scratch = no_scratch;
 
   /// Images 2 b and 2 b + 1 of the batch are pair b.
-  template <typename Group>
+  template <typename Group, typename Params>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& pyramid,
                                  keypoints_view const& keypoints,
-                                 feature_grid_view const& right_rows, stereo_params const& params,
+                                 feature_grid_view const& right_rows, Params const& of_pairs,
                                  stereo_matches_view const& out) const {
     int const pair = item / keypoints.capacity;
+    stereo_params const& params = of_pairs.of_pair(pair);
     int const i = item % keypoints.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
     keypoints_view const right = keypoints.slice(2 * pair + 1);
@@ -241,10 +252,11 @@ void sort_right_rows(Exec const& exec, keypoints_view const& keypoints,
 /// The other steps, if another stage has sorted the right keypoints. Asynchronous on `exec`;
 /// allocates nothing; two launches, of which only the first is concurrent with its predecessor if
 /// `exec` says so.
+/// @param params stereo_params or rig_stereo_params
 /// @param right_rows result of sort_right_rows()
-template <typename Exec>
+template <typename Exec, typename Params>
 void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
-                       keypoints_view const& keypoints, stereo_params const& params,
+                       keypoints_view const& keypoints, Params const& params,
                        stereo_matches_view const& out, feature_grid_view const& right_rows) {
   int const pairs = keypoints.batch / 2;
   for_each_item<per_warp>(exec, pairs * keypoints.capacity, detail::match_left_keypoint{}, pyramid,

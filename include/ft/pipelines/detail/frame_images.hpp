@@ -2,6 +2,7 @@
 /// @file Addresses of the images of a tracker's next frame in host memory.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -21,22 +22,26 @@ inline namespace FT_ABI {
 namespace detail {
 
 struct staged_images {
-  int batch = 0;                    ///< camera pairs
-  std::uint8_t* pixels = nullptr;   ///< [batch][2][image]
-  image_source* sources = nullptr;  ///< [batch][2]
+  int batch = 0;                    ///< rigs
+  std::uint8_t* pixels = nullptr;   ///< [batch][images][image]
+  image_source* sources = nullptr;  ///< [batch][images]
 };
 
-/// Staging memory for the images of camera pairs, and the address from which frames fetch each
-/// image: that memory, or a buffer of the caller.
+/// Staging memory for the images of rigs, and the address from which frames fetch each image: that
+/// memory, or a buffer of the caller. Images that no camera has are never fetched.
 template <typename Exec>
 class frame_images {
 public:
   static constexpr memory_space staging = staging_space<Exec>;
 
   frame_images() = default;
-  frame_images(pyramid_geometry const& geometry, int batch)
-      : width_(geometry.width[0]), height_(geometry.height[0]), stride_(geometry.stride[0]) {
-    auto const n = 2 * static_cast<std::size_t>(batch);
+  template <typename Rig>
+  frame_images(pyramid_geometry const& geometry, Rig const& rig, int batch)
+      : width_(geometry.width[0]),
+        height_(geometry.height[0]),
+        stride_(geometry.stride[0]),
+        images_(Rig::images) {
+    std::size_t const n = Rig::images * static_cast<std::size_t>(batch);
     memory_ = owner<staged_images, staging>([&](carver& c, staged_images& s) {
       s.batch = batch;
       s.pixels = c.take<std::uint8_t>(checked_mul(n, image_bytes()));
@@ -44,7 +49,15 @@ public:
     });
     std::memset(memory_->pixels, 0, n * image_bytes());
     given_.assign(n, false);
-    for (int i = 0; i < 2 * batch; ++i) { use_own_memory(i); }
+    for (int i = 0; i < Rig::images * batch; ++i) {
+      bool absent = false;
+      if constexpr (Rig::rectified) {
+        absent = i % 2 == 1 && rig.pair(i % Rig::images / 2).single();
+      }
+      absent_.push_back(absent);
+      memory_->sources[i] = {};
+      if (!absent) { use_own_memory(i); }
+    }
   }
 
   void set(int b, int camera, gray_view image) {
@@ -63,8 +76,8 @@ public:
     auto const* const data = static_cast<std::uint8_t const*>(Exec::host_address(image.data));
     require(data != nullptr && Exec::host_address(last) != nullptr,
             "the device cannot read a borrowed image: is its memory pinned?");
-    memory_->sources[2 * b + camera] = {data, image.stride};
-    given_[static_cast<std::size_t>(2 * b + camera)] = true;
+    memory_->sources[number(b, camera)] = {data, image.stride};
+    given_[static_cast<std::size_t>(number(b, camera))] = true;
   }
   /// borrow(), where the executor can read the pixels in place, otherwise set(). Unlike borrow() it
   /// asks for no readable bytes past a row's last pixel.
@@ -78,36 +91,45 @@ public:
       set(b, camera, image);
       return;
     }
-    memory_->sources[2 * b + camera] = {static_cast<std::uint8_t const*>(from), image.stride};
-    given_[static_cast<std::size_t>(2 * b + camera)] = true;
+    memory_->sources[number(b, camera)] = {static_cast<std::uint8_t const*>(from), image.stride};
+    given_[static_cast<std::size_t>(number(b, camera))] = true;
   }
   std::uint8_t* staged(int b, int camera) {
     require_camera(b, camera);
-    given_[static_cast<std::size_t>(2 * b + camera)] = true;
-    return use_own_memory(2 * b + camera);
+    given_[static_cast<std::size_t>(number(b, camera))] = true;
+    return use_own_memory(number(b, camera));
   }
 
   /// @throws bad_argument
   void require_camera(int b, int camera) const {
     require_range("camera pair", b, 0, memory_->batch - 1);
-    require_range("camera", camera, 0, 1);
+    require_range("camera", camera, 0, images_ - 1);
+    require(!absent(number(b, camera)), "a single camera of a rig has no right image");
   }
   void require_made() const { memory_.require_made("tracker"); }
+  /// Number of an image in the batch.
+  int number(int b, int camera) const { return images_ * b + camera; }
+  /// Whether no camera has image i of the batch.
+  bool absent(int i) const { return absent_[static_cast<std::size_t>(i)]; }
   /// @throws bad_argument if a camera has no image yet
   void require_given() const {
     require_made();
     for (std::size_t i = 0; i < given_.size(); ++i) {
-      if (!given_[i]) {
-        throw bad_argument("ft: camera " + std::to_string(i % 2) + " of pair " +
-                           std::to_string(i / 2) + " was never given an image");
+      if (!given_[i] && !absent_[i]) {
+        auto const n = static_cast<std::size_t>(images_);
+        throw bad_argument("ft: camera " + std::to_string(i % n) + " of pair " +
+                           std::to_string(i / n) + " was never given an image");
       }
     }
   }
 
   int batch() const { return memory_->batch; }
-  image_source const* sources() const { return memory_->sources; }  ///< [batch][2]
-  /// Of all images.
-  std::size_t bytes() const { return 2 * static_cast<std::size_t>(memory_->batch) * image_bytes(); }
+  image_source const* sources() const { return memory_->sources; }  ///< [batch][images]
+  /// Of all images that are fetched.
+  std::size_t bytes() const {
+    auto const n = std::count(absent_.begin(), absent_.end(), false);
+    return static_cast<std::size_t>(n) * image_bytes();
+  }
 
 private:
   std::size_t image_bytes() const {
@@ -128,8 +150,10 @@ private:
   int width_ = 0;
   int height_ = 0;
   int stride_ = 0;
+  int images_ = 0;  ///< of a rig
   owner<staged_images, staging> memory_;
   std::vector<bool> given_;
+  std::vector<bool> absent_;
 };
 
 }  // namespace detail

@@ -39,8 +39,9 @@ inline void carve(carver& c, tracked_frame_view& v, int batch) {
   v.octave = c.take<int>(numbers);
   v.holder = c.take<int>(numbers);
   v.partner = c.take<int>(numbers);
-  v.depth = c.take<float>(n);
-  v.point = c.take<vec3<float>>(n);
+  std::size_t const with_depth = n * static_cast<std::size_t>(v.depth_cameras);
+  v.depth = c.take<float>(with_depth);
+  v.point = c.take<vec3<float>>(with_depth);
   v.in_view = c.take<unsigned char>(checked_mul(b, static_cast<std::size_t>(v.local_points)));
 }
 
@@ -70,6 +71,24 @@ inline void carve(carver& c, local_input& v, int batch, int points) {
   v.slots = c.take<int>(b * static_cast<std::size_t>(points));
 }
 
+struct frame_shape {
+  int capacity;           ///< keypoints of an image
+  int batch;              ///< rigs
+  int cameras;            ///< whose keypoints are searched
+  int images = 2;         ///< of a rig
+  int searches = 1;       ///< of a rig
+  int depth_cameras = 1;  ///< whose keypoints may have a depth
+
+  template <typename Rig>
+  static frame_shape of(int capacity, int batch) {
+    return {capacity,    batch,         Rig::cameras,
+            Rig::images, Rig::searches, Rig::rectified ? Rig::cameras : 1};
+  }
+  int numbers() const { return cameras * capacity; }
+  int all_searches() const { return batch * searches; }
+  int cameras_of_search() const { return cameras / searches; }
+};
+
 /// State that a frame leaves in executor memory for the next one.
 struct last_state {
   pose* T_cw = nullptr;   ///< [batch]
@@ -77,11 +96,11 @@ struct last_state {
   soa_view<field::angle, field::octave> keypoints;
 };
 
-inline void carve(carver& c, last_state& v, int capacity, int batch, int cameras) {
-  auto const b = static_cast<std::size_t>(batch);
+inline void carve(carver& c, last_state& v, frame_shape const& shape) {
+  auto const b = static_cast<std::size_t>(shape.batch);
   v.T_cw = c.take<pose>(b);
-  v.holder = c.take<int>(b * static_cast<std::size_t>(cameras * capacity));
-  carve(c, v.keypoints, capacity, 2 * batch);
+  v.holder = c.take<int>(b * static_cast<std::size_t>(shape.numbers()));
+  carve(c, v.keypoints, shape.capacity, shape.images * shape.batch);
 }
 
 /// A layout in executor memory with its copy in staging memory. Both are transferred as one block.
@@ -105,14 +124,6 @@ struct twin {
     return {device_memory.data(), host_memory.data(),
             static_cast<int>(host_memory.bytes() / sizeof(receive_parts::quad))};
   }
-};
-
-struct frame_shape {
-  int capacity;  ///< keypoints of an image
-  int batch;     ///< camera pairs
-  int cameras;   ///< whose keypoints are searched
-
-  int numbers() const { return cameras * capacity; }
 };
 
 /// Owns the memory of a tracker and holds the views into it. Executor memory, unless said
@@ -141,14 +152,18 @@ struct frame_memory {
   /// @throws bad_argument, std::bad_alloc, cuda_error
   void take(frame_shape const& shape, tracker_params const& p, bool early) {
     auto const b = static_cast<std::size_t>(shape.batch);
-    require_items("keypoints of a batch", 2 * b, static_cast<std::size_t>(shape.capacity));
+    require_items("keypoints of a batch", static_cast<std::size_t>(shape.images) * b,
+                  static_cast<std::size_t>(shape.capacity));
     require_items("local map points of a batch", b, static_cast<std::size_t>(p.local_points));
     frame.batch = shape.batch;
     frame.cameras = shape.cameras;
+    frame.keypoint_step = shape.images;
+    frame.camera_step = shape.images / shape.cameras;
     take_device_memory(shape, p, early);
     if (!early) { local_work = last_work; }
     result.capacity = shape.capacity;
     result.cameras = shape.cameras;
+    result.depth_cameras = shape.depth_cameras;
     result.local_points = p.local_points;
     staging_memory_ = arena<staging>([&](carver& c) {
       carve(c, result, shape.batch);
@@ -174,7 +189,8 @@ struct frame_memory {
     fill_bytes(exec, frame.holder, 0xff, numbers * sizeof(int));
     fill_bytes(exec, poses, 0, b * sizeof(pose));
     fill_bytes(exec, last.holder, 0xff, numbers * sizeof(int));
-    fill_bytes(exec, last.keypoints.count, 0, 2 * b * sizeof(int));
+    fill_bytes(exec, last.keypoints.count, 0,
+               b * static_cast<std::size_t>(frame.keypoint_step) * sizeof(int));
     std::fill_n(staged_T_cw_, frame.batch, pose::identity());
     copy(exec, last.T_cw, static_cast<pose const*>(staged_T_cw_), b);
     fill_bytes(exec, motion.device_memory.data(), 0, motion.device_memory.bytes());
@@ -205,18 +221,21 @@ private:
     int const batch = shape.batch;
     int const cameras = shape.cameras;
     int const capacity = shape.capacity;
-    int const windows = early ? shape.numbers() : max_of(shape.numbers(), p.local_points);
+    int const searches = shape.all_searches();
+    int const searched = shape.cameras_of_search();
+    int const last_points = searched * capacity;  // of a search
+    int const windows = early ? last_points : max_of(last_points, p.local_points);
     auto const b = static_cast<std::size_t>(batch);
     grid_geometry const cells = grid_geometry::over(0, 0, static_cast<float>(p.orb.width),
                                                     static_cast<float>(p.orb.height));
     memory_ = arena<space>([&](carver& c) {
       carve(c, map, p.map_slots, batch);
       carve(c, frame.grids, cells, capacity, cameras * batch);
-      carve(c, last, capacity, batch, cameras);
-      carve(c, last_windows, shape.numbers(), batch, cameras);
-      carve(c, local_windows, p.local_points, batch, cameras);
-      carve(c, last_work, windows, capacity, batch, cameras);
-      if (early) { carve(c, local_work, p.local_points, capacity, batch, cameras); }
+      carve(c, last, shape);
+      carve(c, last_windows, last_points, searches, searched);
+      carve(c, local_windows, p.local_points, searches, searched);
+      carve(c, last_work, windows, capacity, searches, searched);
+      if (early) { carve(c, local_work, p.local_points, capacity, searches, searched); }
       carve(c, observations, shape.numbers(), batch);
       frame.holder = c.take<int>(b * static_cast<std::size_t>(shape.numbers()));
       stamps = c.take<int>(checked_mul(b, static_cast<std::size_t>(p.map_slots)));

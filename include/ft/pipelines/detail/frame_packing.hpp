@@ -25,8 +25,15 @@ namespace detail {
 /// The outcome of a frame's last search and pose optimisation.
 struct frame_outcome {
   pose const* T_cw = nullptr;    ///< [batch]
-  int const* matches = nullptr;  ///< [batch]
+  int const* matches = nullptr;  ///< [batch][searches]
   int const* inliers = nullptr;  ///< [batch]; null without pose optimisation
+  int searches = 1;              ///< of a rig
+
+  FT_HOST_DEVICE int all_matches(int b) const {
+    int all = matches[b * searches];
+    for (int s = 1; s < searches; ++s) { all += matches[b * searches + s]; }
+    return all;
+  }
 };
 
 /// Item: a keypoint number of a batch entry. Writes matches and poses to host memory, and keeps
@@ -45,8 +52,9 @@ struct pack_matches {
       pose const T_cw = found.T_cw[b];
       out.T_cw[b] = T_cw;
       last.T_cw[b] = T_cw;
-      out.matches[b] = found.matches[b];
-      out.inliers[b] = found.inliers != nullptr ? found.inliers[b] : found.matches[b];
+      int const matches = found.all_matches(b);
+      out.matches[b] = matches;
+      out.inliers[b] = found.inliers != nullptr ? found.inliers[b] : matches;
     }
     bool const there = number % frame.capacity() < *frame.camera(b, c).count;
     int const holder = there ? frame.holder[item] : -1;
@@ -61,7 +69,8 @@ template <typename Rig>
 struct pack_keypoints {
   using scratch = no_scratch;
 
-  /// @param depth [batch][capacity] metres @param point [batch][capacity], unrectified pairs
+  /// @param depth [batch][capacity] metres, for a multi_rig [batch][cameras * capacity]
+  /// @param point [batch][capacity], unrectified pairs
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
                                  float const* depth, vec3<float> const* point,
@@ -71,7 +80,7 @@ struct pack_keypoints {
     int const c = number / frame.capacity();
     int const i = number % frame.capacity();
     keypoints_view const kp = frame.camera(b, c);
-    auto const kept = last.keypoints.slice(frame.keypoint_step * b + c);
+    auto const kept = last.keypoints.slice(frame.image(b, c));
     if (i == 0) { out.keypoints[b * frame.cameras + c] = *kept.count = *kp.count; }
     bool const there = i < *kp.count;
     float const x = there ? kp.x(i) : 0.0f;
@@ -85,14 +94,15 @@ struct pack_keypoints {
       kept.angle(i) = kp.angle(i);
     }
     out.partner[item] = there && frame.partner != nullptr ? frame.partner[item] : -1;
-    if (c != 0) { return; }
-    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.capacity() + i;
+    if (!Rig::rectified && c != 0) { return; }
+    std::ptrdiff_t const at =
+        Rig::rectified ? item : static_cast<std::ptrdiff_t>(b) * frame.capacity() + i;
     float const z = there ? depth[at] : -1.0f;
     out.depth[at] = z;
     if constexpr (Rig::rectified) {
-      auto const r = rig.camera.template cast<strict_float>().unproject({x, y}).direction;
-      out.point[at] =
-          z > 0 ? vec3<float>{(r.x * z).value, (r.y * z).value, z} : vec3<float>{0, 0, 0};
+      auto const r = rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+      auto const p = rig.to_body(c, vec3<strict_float>{r.x * z, r.y * z, z});
+      out.point[at] = z > 0 ? vec3<float>{p.x.value, p.y.value, p.z.value} : vec3<float>{0, 0, 0};
     } else {
       out.point[at] = z > 0 ? point[at] : vec3<float>{0, 0, 0};
     }

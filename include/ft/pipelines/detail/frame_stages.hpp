@@ -41,7 +41,7 @@ public:
   static constexpr bool rectified = Rig::rectified;
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
-  static constexpr int cameras = rectified ? 1 : 2;
+  static constexpr int cameras = Rig::cameras;
 
   Rig rig{};
   tracker_params params;
@@ -51,7 +51,7 @@ public:
   frame_memory<Exec> memory;
   frustum_params frustum;
   local_search_params local_params;       ///< of the next search in the local map
-  image_source const* sources = nullptr;  ///< [batch][2]
+  image_source const* sources = nullptr;  ///< [batch][images]
   float const* radius_factor = nullptr;   ///< of local_search; may be null
   float* information = nullptr;           ///< of frame_poses; may be null
 
@@ -82,16 +82,17 @@ public:
   // ---- search from the last frame
 
   void list_last_frame(Exec const& exec) const {
-    ft::list_last_frame(exec, last_input(), memory.frame, memory.map, last_buffers());
+    ft::list_last_frame(exec, last_input(), searched_frame(), memory.map, last_buffers());
   }
   void assign_last_frame(Exec const& exec) const {
-    ft::assign_last_frame(exec, last_input(), memory.frame, memory.map, last_buffers());
+    ft::assign_last_frame(exec, last_input(), searched_frame(), memory.map, last_buffers());
   }
   bool optimizes_last() const { return params.optimize_last; }
   void optimize_last(Exec const& exec) const { optimize(exec, memory.motion.device.predicted); }
   void forget_matches(Exec const& exec) const {
     clear_holders(exec, memory.frame);
-    fill_bytes(exec, memory.last_work.matches, 0, static_cast<std::size_t>(batch) * sizeof(int));
+    fill_bytes(exec, memory.last_work.matches, 0,
+               static_cast<std::size_t>(batch) * Rig::searches * sizeof(int));
   }
 
   // ---- search in the local map
@@ -100,13 +101,14 @@ public:
   /// frame does. Then its candidates are listed concurrently with that search's choice.
   bool lists_local_early() const { return !params.optimize_last; }
   void list_local_map(Exec const& exec) const {
-    ft::list_local_map(exec, local_input(), memory.frame, memory.map, local_buffers());
+    ft::list_local_map(exec, local_input(), searched_frame(), memory.map, local_buffers());
   }
   void list_local_map_early(Exec const& exec) const {
-    ft::list_local_map_early(exec, local_input(), memory.frame, memory.map, local_buffers());
+    ft::list_local_map_early(exec, local_input(), searched_frame(), memory.map, local_buffers());
   }
   void assign_local_map(Exec const& exec) const {
-    assign_candidates(exec, memory.frame, memory.map, local_input().matching(), local_buffers());
+    assign_candidates<Rig::searches>(exec, searched_frame(), memory.map, local_input().matching(),
+                                     local_buffers());
   }
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
@@ -145,24 +147,23 @@ public:
                               memory.frame, outcome, memory.result, memory.last);
   }
   frame_outcome outcome_of_extract() const {
-    return {memory.last.T_cw, memory.last_work.matches, nullptr};
+    return {memory.last.T_cw, memory.last_work.matches, nullptr, Rig::searches};
   }
   frame_outcome outcome_of_motion() const {
     return {pose_of_motion(), memory.last_work.matches,
-            params.optimize_last ? memory.observations.inliers : nullptr};
+            params.optimize_last ? memory.observations.inliers : nullptr, Rig::searches};
   }
   frame_outcome outcome_of_local() const {
     return {params.optimize_local ? memory.poses : pose_of_motion(), memory.local_work.matches,
-            params.optimize_local ? memory.observations.inliers : nullptr};
+            params.optimize_local ? memory.observations.inliers : nullptr, Rig::searches};
   }
 
   // ---- state
 
-  /// @param images [batch][2]
+  /// @param images [batch][images]
   void take_memory(image_source const* images) {
     sources = images;
-    frame_shape const shape{capacity(), batch, cameras};
-    memory.take(shape, params, lists_local_early());
+    memory.take(frame_shape::of<Rig>(capacity(), batch), params, lists_local_early());
     memory.frame.keypoints = extractor.keypoints();
     if constexpr (rectified) {
       memory.frame.right_x = array_of<field::right_x>(matcher.matches());
@@ -183,6 +184,8 @@ public:
 
 private:
   extraction<Exec> const& features() const { return extractor.stages(); }
+  /// The frame, as its searches take it.
+  frame_view searched_frame() const { return memory.frame.of_searches(Rig::searches); }
   search_buffers last_buffers() const { return {memory.last_windows, memory.last_work}; }
   search_buffers local_buffers() const { return {memory.local_windows, memory.local_work}; }
   point_stamps stamps() const { return {memory.motion.device.stamp, memory.stamps}; }
@@ -196,7 +199,8 @@ private:
     search.T_cw = memory.motion.device.predicted;
     search.last_T_cw = memory.last.T_cw;
     search.last.keypoints = memory.last.keypoints;
-    search.last.cameras = cameras;
+    search.last.keypoint_step = Rig::images / Rig::searches;
+    search.last.cameras = cameras / Rig::searches;
     search.last.holder = memory.last.holder;
     search.geometry = geometry();
     search.params.window_radius = params.window_radius;

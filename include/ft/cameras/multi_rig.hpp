@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Any number of cameras fixed to each other, stereo pairs and single ones mixed.
+#pragma once
+
+#include <cmath>
+
+#include "ft/cameras/pinhole.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/geometry.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// A camera of a multi_rig: the left one of a rectified pair, or a single one.
+struct rig_camera {
+  pinhole<float> camera;
+  double baseline = 0;           ///< to the right camera of the pair, metres; 0 = a single camera
+  pose T_cb = pose::identity();  ///< body to (left) camera
+
+  /// Whether there is no right image.
+  FT_HOST_DEVICE bool single() const { return !(baseline > 0); }
+  /// Baseline times fx, metres * pixels; 0 for a single camera.
+  FT_HOST_DEVICE float bf() const {
+    return static_cast<float>(baseline * static_cast<double>(camera.fx));
+  }
+  FT_HOST_DEVICE strict_float baseline_length() const { return static_cast<float>(baseline); }
+  /// @throws bad_argument for an invalid camera or baseline, or a motion that is not rigid
+  void check() const {
+    camera.check();
+    detail::require_finite("baseline", baseline);
+    if (baseline != 0) {
+      detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);
+    }
+    for (float const v : T_cb.R.m) { detail::require_finite("rig rotation", v); }
+    float const t[3] = {T_cb.t.x, T_cb.t.y, T_cb.t.z};
+    for (float const v : t) { detail::require_finite("rig translation", v); }
+    mat3<float> const RRt = T_cb.R * T_cb.R.transposed();
+    for (int i = 0; i < 9; ++i) {
+      detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0f : 0.0f)) < 1e-3f,
+                      "a camera's rotation is not a rotation matrix");
+    }
+    auto const& m = T_cb.R.m;
+    vec3<float> const x{m[0], m[1], m[2]};
+    vec3<float> const y{m[3], m[4], m[5]};
+    vec3<float> const z{m[6], m[7], m[8]};
+    detail::require(dot(cross(x, y), z) > 0, "a camera's rotation is a reflection");
+  }
+};
+
+/// N cameras, each the left one of a rectified pair or a single one, fixed to a body whose pose is
+/// tracked from all of them. The frame of the body is any: that of the first camera if its T_cb is
+/// the identity. Poses `T_cw` of this rig are those of the body, world to body.
+///
+/// Image 2 c of a frame is that of camera c, image 2 c + 1 the right one of its pair. A single
+/// camera has no right image; its keypoints have no depth.
+template <int N>
+struct multi_rig {
+  static_assert(N >= 1 && N <= 16, "a rig has 1 to 16 cameras");
+  static constexpr bool rectified = true;
+  static constexpr int cameras = N;
+  static constexpr int images = 2 * N;
+  static constexpr int searches = N;
+  rig_camera of[N];
+
+  /// Camera c, in the terms of a rectified_rig.
+  FT_HOST_DEVICE rig_camera const& pair(int c) const { return of[c]; }
+
+  /// Point in the body's frame to camera c's.
+  template <typename Real>
+  FT_HOST_DEVICE vec3<Real> to_camera(int c, vec3<Real> const& in_body) const {
+    return of[c].T_cb.template cast<Real>() * in_body;
+  }
+  /// World to body, to world to camera c.
+  template <typename Real>
+  FT_HOST_DEVICE rigid<Real> to_camera(int c, rigid<Real> const& T_bw) const {
+    return of[c].T_cb.template cast<Real>() * T_bw;
+  }
+  FT_HOST_DEVICE pose to_camera(int c, pose const& T_bw) const {
+    return to_camera(c, T_bw.cast<strict_float>()).template cast<float>();
+  }
+  /// Point in camera c's frame to the body's.
+  template <typename Real>
+  FT_HOST_DEVICE vec3<Real> to_body(int c, vec3<Real> in_camera) const {
+    auto const T = of[c].T_cb.template cast<Real>();
+    return T.R.transposed() * (in_camera - T.t);
+  }
+  /// Derivative by a point in camera c's frame, to that by the point in the body's.
+  template <typename Real>
+  FT_HOST_DEVICE mat3<Real> derivative_in_body(int c, mat3<Real> const& in_camera) const {
+    return in_camera * of[c].T_cb.template cast<Real>().R;
+  }
+  /// The longest baseline, metres; 0 without pairs.
+  FT_HOST_DEVICE strict_float baseline_length() const {
+    double longest = 0;
+    for (int c = 0; c < N; ++c) { longest = of[c].baseline > longest ? of[c].baseline : longest; }
+    return static_cast<float>(longest);
+  }
+  /// @throws bad_argument as rig_camera::check()
+  void check() const {
+    for (rig_camera const& c : of) { c.check(); }
+  }
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -29,7 +29,7 @@ inline constexpr int max_keyframes = 256;
 /// later the slot belongs to another point.
 struct keyframes_view {
   int positions = 0;
-  int cameras = 1;   ///< whose keypoints are searched: 1 for a rectified pair, else 2
+  int cameras = 1;   ///< whose keypoints are searched: Rig::cameras
   int capacity = 0;  ///< keypoints of an image
   int batch = 0;
   int* made = nullptr;              ///< [batch] number of the newest keyframe, 0 = none yet
@@ -70,7 +70,7 @@ static_assert(std::is_trivially_copyable<keyframes_view>::value, "passed to kern
 
 struct keyframes_capacity {
   int positions = 128;  ///< 2 to max_keyframes
-  int cameras = 1;      ///< 1 or 2
+  int cameras = 1;      ///< 1 to 16
   int keypoints = 0;    ///< of an image
 };
 
@@ -78,7 +78,7 @@ struct keyframes_capacity {
 /// @throws bad_argument for a size out of range
 inline void carve(carver& c, keyframes_view& v, keyframes_capacity const& size, int batch) {
   detail::require_range("keyframes", size.positions, 2, max_keyframes);
-  detail::require_range("cameras of a keyframe", size.cameras, 1, 2);
+  detail::require_range("cameras of a keyframe", size.cameras, 1, 16);
   detail::require_range("keypoints of a keyframe", size.keypoints, 1, 1 << 24);
   auto const b = static_cast<std::size_t>(batch);
   std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(size.positions));

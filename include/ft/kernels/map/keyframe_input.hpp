@@ -30,18 +30,21 @@ struct keyframe_input {
   Rig rig;
   frame_view frame;
   keyframe_order const* order = nullptr;  ///< [batch]
-  rigid<double> const* T_cw = nullptr;    ///< [batch] world to left camera, metres
+  rigid<double> const* T_cw =
+      nullptr;  ///< [batch] world to left camera, or to a multi_rig's body, metres
   std::int64_t const* time_ns = nullptr;  ///< [batch]
-  float const* depth = nullptr;  ///< [batch][capacity] of left keypoints, metres; a keypoint
-                                 ///< without a positive finite depth has no stereo point
+  /// [batch][capacity] of left keypoints, of a multi_rig [batch][cameras * capacity], metres; a
+  /// keypoint without a positive finite depth has no stereo point
+  float const* depth = nullptr;
   /// [batch][capacity] in the left camera's frame, metres; not read for a rectified pair.
   vec3<float> const* point = nullptr;
   pyramid_geometry geometry;
 };
 
 struct keyframe_params {
-  float near = 0;                ///< limit of depth, metres
-  int wanted_near_points = 100;  ///< stereo points that a keyframe takes at least, near or not
+  float near = 0;                ///< limit of depth, metres; of the pair with the longest baseline
+  int wanted_near_points = 100;  ///< stereo points that a camera gives a keyframe at least, near or
+                                 ///< not
   int cull_after = 10;           ///< frames in view after which a point has to have proved itself
   int cull_share = 4;            ///< a point found in less than 1 / cull_share of them is removed
 };
@@ -54,8 +57,8 @@ struct keyframe_result {
 
 struct keyframe_workspace {
   int* claim = nullptr;       ///< [batch][cameras][slots] lowest keypoint that holds the point
-  int* free_slots = nullptr;  ///< [batch][capacity] slots for new points, ascending
-  int* new_points = nullptr;  ///< [batch][capacity] keypoints to become points, ascending
+  int* free_slots = nullptr;  ///< [batch][numbers] slots for new points, ascending
+  int* new_points = nullptr;  ///< [batch][numbers] keypoints to become points, ascending
 
   /// Index into `claim`. @param slots of the map
   FT_HOST_DEVICE static std::ptrdiff_t at(int b, int c, int slot, int cameras, int slots) {
@@ -67,7 +70,8 @@ struct keyframe_workspace {
 inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int cameras,
                   int batch) {
   auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
+  auto const n = detail::checked_mul(b * static_cast<std::size_t>(cameras),
+                                     static_cast<std::size_t>(capacity));
   v.claim = c.take<int>(
       detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
   v.free_slots = c.take<int>(n);

@@ -36,6 +36,8 @@ struct place_keyframe {
   using scratch = place_scratch;
   using input = keyframe_input<Rig>;
   static constexpr int chosen = -2;  ///< holder of a keypoint that is to become a point
+  /// Cameras whose keypoints may have a depth.
+  static constexpr int depth_cameras = Rig::rectified ? Rig::cameras : 1;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, input const& in,
@@ -60,7 +62,7 @@ struct place_keyframe {
     if (g.rank() == 0) {
       map.records.alive[b] = found.alive + made;
       map.records.made[b] += made;
-      int const last = made > 0 ? work.free_slots[t.left(made - 1)] : -1;
+      int const last = made > 0 ? work.free_slots[t.first() + made - 1] : -1;
       map.records.used[b] = max_of(found.used, last + 1);
       out.held[b] = held;
       out.left_out[b] = wanted - made;
@@ -79,15 +81,26 @@ private:
     int used;   ///< slots that may be in use
 
     FT_HOST_DEVICE int position() const { return map.keyframes.position(made + 1); }
-    FT_HOST_DEVICE std::ptrdiff_t left(int i) const {
-      return static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i;
+    /// Index of the first keypoint of all cameras.
+    FT_HOST_DEVICE std::ptrdiff_t first() const {
+      return static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
     }
-    FT_HOST_DEVICE int* holders() const {
-      return in.frame.holder + static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+    /// Depths of camera c's keypoints.
+    FT_HOST_DEVICE float const* depth(int c) const {
+      return in.depth + (static_cast<std::ptrdiff_t>(b) * depth_cameras + c) * in.frame.capacity();
     }
+    /// Limit of depth of camera c.
+    FT_HOST_DEVICE float near(int c) const {
+      if constexpr (Rig::searches > 1) {
+        strict_float const share = in.rig.pair(c).baseline_length() / in.rig.baseline_length();
+        return (share * params.near).value;
+      }
+      return params.near;
+    }
+    FT_HOST_DEVICE int* holders() const { return in.frame.holder + first(); }
     FT_HOST_DEVICE int const* partners() const {
       if (in.frame.partner == nullptr) { return nullptr; }
-      return in.frame.partner + static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+      return in.frame.partner + first();
     }
     FT_HOST_DEVICE int keypoints(int c) const { return *in.frame.camera(b, c).count; }
     FT_HOST_DEVICE int& claim(int c, int slot) const {
@@ -139,33 +152,19 @@ private:
   /// Lists the left keypoints that are to become points, and marks them as `chosen`.
   template <typename Group>
   FT_HOST_DEVICE static int list_new_points(Group g, task const& t) {
-    float const* const depth = t.in.depth + t.left(0);
-    int const n = t.keypoints(0);
-    depth_limit const limit =
-        nearest_depths(g, depth, n, t.params.near, t.params.wanted_near_points);
     int listed = 0;
-    int ties = 0;
-    for (int first = 0; first < n; first += g.size()) {
-      int const i = first + g.rank();
-      int const bits = i < n ? depth_bits(depth[i]) : 0;
-      bool const tie = bits != 0 && bits == limit.depth;
-      int ties_here = 0;
-      bool const early = ties + g.exclusive_count(tie, ties_here) < limit.ties;
-      ties += ties_here;
-      bool const near = bits != 0 && (bits < limit.depth || (tie && early));
-      bool const is_new = near && t.holders()[i] < 0;
-      int here = 0;
-      int const place = listed + g.exclusive_count(is_new, here);
-      listed += here;
-      if (is_new) {
-        t.work.new_points[t.left(place)] = i;
-        t.holders()[i] = chosen;
-      }
+    FT_NO_UNROLL
+    for (int c = 0; c < depth_cameras; ++c) {
+      int const first = c * t.in.frame.capacity();
+      stereo_keypoints const of{t.depth(c), t.keypoints(c), first, t.holders() + first,
+                                t.work.new_points + t.first()};
+      depth_limit const limit =
+          nearest_depths(g, of.depth, of.count, t.near(c), t.params.wanted_near_points);
+      listed = list_free(g, of, limit, chosen, listed);
     }
     g.sync();
     return listed;
   }
-
   /// The right keypoint of a stereo match holds what the left one holds.
   template <typename Group>
   FT_HOST_DEVICE static void share_with_partners(Group g, task const& t) {
@@ -233,7 +232,7 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static room take_leave(Group g, scratch const& s, task const& t, int wanted) {
     point_records_view const& r = t.map.records;
-    auto const free_slots = t.work.free_slots + t.left(0);
+    auto const free_slots = t.work.free_slots + t.first();
     int const end = min_of(r.slots, t.used + wanted);
     room found{0, 0, 0};
     for (int first = 0; first < end; first += g.size()) {
@@ -288,9 +287,9 @@ private:
     int const first = r.made[t.b] + 1;
     int const position = t.position();
     for (int j = g.rank(); j < wanted; j += g.size()) {
-      int const i = t.work.new_points[t.left(j)];
-      int const slot = j < made ? t.work.free_slots[t.left(j)] : -1;
-      t.holders()[i] = slot;
+      int const n = t.work.new_points[t.first() + j];
+      int const slot = j < made ? t.work.free_slots[t.first() + j] : -1;
+      t.holders()[n] = slot;
       if (slot < 0) { continue; }
       std::ptrdiff_t const at = r.at(t.b, slot);
       r.number[at] = first + j;
@@ -300,10 +299,11 @@ private:
       r.described[at] = 0;
       r.mask(t.b, slot)[position / 64] = std::uint64_t{1} << (position % 64);
       get<field::observations>(t.map.points.slice(t.b), slot) = 1;
-      t.claim(0, slot) = i;
-      if (t.in.frame.cameras < 2) { continue; }
-      int const partner = t.partners() != nullptr ? t.partners()[i] : -1;
-      bool const mutual = partner >= 0 && t.partners()[partner] == i;
+      for (int c = 0; c < t.in.frame.cameras; ++c) { t.claim(c, slot) = unclaimed; }
+      t.claim(n / t.in.frame.capacity(), slot) = n;
+      if (t.partners() == nullptr || t.in.frame.cameras < 2) { continue; }
+      int const partner = t.partners()[n];
+      bool const mutual = partner >= 0 && t.partners()[partner] == n;
       t.claim(1, slot) = mutual ? partner : unclaimed;
       if (mutual) { t.holders()[partner] = slot; }
     }
@@ -323,8 +323,10 @@ private:
       int const n = first + part.rank();
       int const slot = n < numbers ? t.holders()[n] : -1;
       int const c = n / t.in.frame.capacity();
-      bool const votes =
-          slot >= 0 && t.claim(c, slot) == n && (c == 0 || t.claim(0, slot) == unclaimed);
+      bool votes = slot >= 0 && t.claim(c, slot) == n;  // a point once
+      for (int before = 0; votes && before < c; ++before) {
+        votes = t.claim(before, slot) == unclaimed;
+      }
       add_votes(part, s.votes, votes ? t.map.records.mask(t.b, slot) : nullptr,
                 t.map.records.words);
     }
@@ -370,8 +372,11 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static int count_held(Group g, task const& t) {
     int held = 0;
-    for (int i = g.rank(); i < t.keypoints(0); i += g.size()) {
-      held += static_cast<int>(t.holders()[i] >= 0);
+    for (int c = 0; c < depth_cameras; ++c) {
+      int const* const holders = t.holders() + c * t.in.frame.capacity();
+      for (int i = g.rank(); i < t.keypoints(c); i += g.size()) {
+        held += static_cast<int>(holders[i] >= 0);
+      }
     }
     return g.reduce(held, sum_op{});
   }

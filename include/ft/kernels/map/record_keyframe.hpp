@@ -48,45 +48,58 @@ struct record_keypoint {
     to.right_x[at] = right_column(frame, b, c, i);
     to.holder[at] = holds ? slot : -1;
     to.holder_number[at] = holds ? map.records.number[map.records.at(b, slot)] : 0;
-    // Of two cameras the left one's keypoint describes the point.
-    if (!holds || (c != 0 && claim(0) != unclaimed)) { return; }
-    if (map.records.described[map.records.at(b, slot)] == 0) { place_point(in, map, b, i, slot); }
+    if (!holds) { return; }
+    // Of several cameras the first one's keypoint describes the point.
+    for (int before = 0; before < c; ++before) {
+      if (claim(before) != unclaimed) { return; }
+    }
+    if (map.records.described[map.records.at(b, slot)] == 0) {
+      place_point(in, map, b, number, slot);
+    }
     add_descriptor(map, b, slot, get<field::orb>(keypoints, i));
     get<field::normal>(map.points.slice(b), slot) = mean_direction(map, b, slot);
   }
 
 private:
   FT_HOST_DEVICE static float right_column(frame_view const& frame, int b, int c, int i) {
-    if (c != 0 || frame.right_x == nullptr) { return -1.0f; }
-    return frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.capacity() + i];
+    if (!Rig::rectified || frame.right_x == nullptr) { return -1.0f; }
+    return frame
+        .right_x[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + i];
   }
 
-  /// The stereo point of a left keypoint, in the left camera's frame.
-  FT_HOST_DEVICE static vec3<float> stereo_point(input const& in, int b, int i) {
-    std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i;
+  /// The stereo point of a left keypoint, in its camera's frame.
+  FT_HOST_DEVICE static vec3<float> stereo_point(input const& in, int b, int c, int i) {
     if constexpr (Rig::rectified) {
-      keypoints_view const keypoints = in.frame.camera(b, 0);
+      keypoints_view const keypoints = in.frame.camera(b, c);
       strict_float const x = get<field::x>(keypoints, i);
       strict_float const y = get<field::y>(keypoints, i);
-      auto const ray = in.rig.camera.template cast<strict_float>().unproject({x, y}).direction;
-      float const z = in.depth[at];
+      auto const ray =
+          in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+      float const z = in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() +
+                               c * in.frame.capacity() + i];
       return {(ray.x * z).value, (ray.y * z).value, z};
     } else {
-      return in.point[at];
+      static_cast<void>(c);
+      return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
     }
   }
 
-  /// Position and distances of a new point, from its first keypoint.
+  /// Position and distances of a new point, from its first keypoint. Distances are those from the
+  /// camera that sees it.
   FT_HOST_DEVICE static void place_point(input const& in, odometry_map_view const& map, int b,
-                                         int i, int slot) {
+                                         int number, int slot) {
+    int const c = Rig::rectified ? number / in.frame.capacity() : 0;
+    int const i = number - c * in.frame.capacity();
     map_points_view const points = map.points.slice(b);
-    vec3<strict_double> const seen = widened(stereo_point(in, b, i));
+    vec3<strict_double> const seen = widened(stereo_point(in, b, c, i));
+    vec3<strict_double> in_body = seen;
+    if constexpr (Rig::rectified) { in_body = in.rig.to_body(c, seen); }
     auto const T_cw = in.T_cw[b].template cast<strict_double>();
     strict_float const distance = static_cast<float>(scalar::sqrt(dot(seen, seen)).value);
     pyramid_geometry const& levels = in.geometry;
-    int const octave = get<field::octave>(in.frame.camera(b, 0), i);
+    int const octave = get<field::octave>(in.frame.camera(b, c), i);
     strict_float const most = distance * levels.scale[octave];
-    get<field::position>(points, slot) = narrowed(T_cw.inverse() * seen);
+    get<field::position>(points, slot) = narrowed(T_cw.inverse() * in_body);
     get<field::max_distance>(points, slot) = most.value;
     get<field::min_distance>(points, slot) = (most / levels.scale[levels.levels - 1]).value;
   }

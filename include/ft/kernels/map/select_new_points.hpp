@@ -58,6 +58,41 @@ FT_HOST_DEVICE depth_limit nearest_depths(Group g, float const* depth, int n, fl
   return {low, wanted - up_to(low - 1)};
 }
 
+/// The left keypoints of a camera, and the list of those that are to become points.
+struct stereo_keypoints {
+  float const* depth;  ///< [count] metres
+  int count;
+  int first_number;  ///< keypoint number of the first one
+  int* holder;       ///< [count] slots, -1 = none
+  int* listed;       ///< keypoint numbers
+};
+
+/// Lists the keypoints within the limit that hold nothing, and gives them the holder `mark`.
+/// @param before length of the list @return its new length
+template <typename Group>
+FT_HOST_DEVICE int list_free(Group g, stereo_keypoints const& of, depth_limit limit, int mark,
+                             int before) {
+  int ties = 0;
+  for (int first = 0; first < of.count; first += g.size()) {
+    int const i = first + g.rank();
+    int const bits = i < of.count ? depth_bits(of.depth[i]) : 0;
+    bool const tie = bits != 0 && bits == limit.depth;
+    int ties_here = 0;
+    bool const early = ties + g.exclusive_count(tie, ties_here) < limit.ties;
+    ties += ties_here;
+    bool const near = bits != 0 && (bits < limit.depth || (tie && early));
+    bool const is_new = near && of.holder[i] < 0;
+    int here = 0;
+    int const place = before + g.exclusive_count(is_new, here);
+    before += here;
+    if (is_new) {
+      of.listed[place] = of.first_number + i;
+      of.holder[i] = mark;
+    }
+  }
+  return before;
+}
+
 }  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -18,12 +18,14 @@ inline namespace FT_ABI {
 /// Result of a frame's searches. Executor memory.
 struct searched_frames {
   frame_view frame;
-  float const* depth;  ///< [batch][capacity] of left keypoints, metres; not above 0 = none
-  float near;          ///< points nearer than this become map points, metres
-  int* inliers;        ///< [batch] of the last pose; 0 is written for a frame that is not tracked
-  pose* T_cw;          ///< [batch] the last pose; the frame's pose is written
+  /// [batch][depth_cameras * capacity] of left keypoints, metres; not above 0 = none
+  float const* depth;
+  float near;    ///< points nearer than this become map points, metres
+  int* inliers;  ///< [batch] of the last pose; 0 is written for a frame that is not tracked
+  pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;  ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                            ///< a map point from before the frame
+  int depth_cameras = 1;   ///< the first cameras, whose keypoints may have a depth
 };
 
 namespace detail {
@@ -85,8 +87,8 @@ private:
                                                           bool found) {
     frame_view const& frame = in.frame;
     auto const first = static_cast<std::ptrdiff_t>(b) * frame.numbers();
-    float const* const depth = in.depth + static_cast<std::ptrdiff_t>(b) * frame.capacity();
-    int const left = *frame.camera(b, 0).count;
+    float const* const depth =
+        in.depth + static_cast<std::ptrdiff_t>(b) * in.depth_cameras * frame.capacity();
     keypoint_counts n;
     for (int i = g.rank(); i < frame.numbers(); i += g.size()) {
       if (!found) { frame.holder[first + i] = -1; }
@@ -94,7 +96,7 @@ private:
       bool const there = i - c * frame.capacity() < *frame.camera(b, c).count;
       bool const held = there && frame.holder[first + i] >= 0;
       in.matched[first + i] = held ? 1 : 0;
-      if (i >= left) { continue; }
+      if (!there || c >= in.depth_cameras) { continue; }
       bool const is_near = depth[i] > 0 && depth[i] < in.near;
       n.with_depth += static_cast<int>(depth[i] > 0);
       n.held += static_cast<int>(held);

@@ -19,7 +19,7 @@ namespace detail {
 /// What pack_tracking reads. Executor memory, [batch] each.
 struct tracking_facts {
   int const* inliers;
-  float const* depth;        ///< [batch][capacity] metres
+  float const* depth;        ///< [batch][depth_cameras * capacity] metres
   float const* information;  ///< [batch][information_terms]
   int const* local_count;
   int const* local_left_out;
@@ -27,6 +27,7 @@ struct tracking_facts {
   int const* keyframe_left_out;  ///< likewise
   int const* window_left_out;
   int const* map_points;
+  int depth_cameras = 1;  ///< the first cameras, whose keypoints may have a depth
 };
 
 /// Item: a camera. Keeps the number of a new keyframe's points for later frames.
@@ -41,11 +42,17 @@ struct pack_tracking {
     for (int i = g.rank(); i < information_terms; i += g.size()) {
       out.information[i] = facts.information[b * information_terms + i];
     }
-    int const left = *frame.camera(b, 0).count;
-    float const* const depth = facts.depth + static_cast<std::ptrdiff_t>(b) * frame.capacity();
+    int left = 0;
     int with_depth = 0;
-    for (int i = g.rank(); i < left; i += g.size()) {
-      with_depth += static_cast<int>(depth[i] > 0);
+    for (int c = 0; c < facts.depth_cameras; ++c) {
+      int const count = *frame.camera(b, c).count;
+      float const* const depth =
+          facts.depth +
+          (static_cast<std::ptrdiff_t>(b) * facts.depth_cameras + c) * frame.capacity();
+      for (int i = g.rank(); i < count; i += g.size()) {
+        with_depth += static_cast<int>(depth[i] > 0);
+      }
+      left += count;
     }
     with_depth = g.reduce(with_depth, sum_op{});
     if (g.rank() != 0) { return; }

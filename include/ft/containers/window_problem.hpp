@@ -47,7 +47,7 @@ struct window_problem_view {
   int views = 0;    ///< capacity, at most max_window_views
   int points = 0;   ///< capacity
   int cameras = 1;  ///< cameras with observations of their own in a view: 1 for a rectified pair,
-                    ///< which has its right column in the observation; 2 for two cameras
+                    ///< which has its right column in the observation; else those of the rig
   int batch = 0;
   int* view_count = nullptr;           ///< [batch] views in use
   int* fixed_count = nullptr;          ///< [batch] of these, the first ones that stay
@@ -77,7 +77,7 @@ static_assert(std::is_trivially_copyable<window_problem_view>::value, "passed to
 struct window_capacity {
   int views = 15;     ///< 1 to max_window_views
   int points = 4096;  ///< 1 to 2^20
-  int cameras = 1;    ///< 1 or 2
+  int cameras = 1;    ///< 1 to 16
 };
 
 /// Places the arrays into an arena. Nothing is initialised.
@@ -85,7 +85,7 @@ struct window_capacity {
 inline void carve(carver& c, window_problem_view& v, window_capacity const& capacity, int batch) {
   detail::require_range("views of a window", capacity.views, 1, max_window_views);
   detail::require_range("points of a window", capacity.points, 1, 1 << 20);
-  detail::require_range("cameras of a window", capacity.cameras, 1, 2);
+  detail::require_range("cameras of a window", capacity.cameras, 1, 16);
   detail::require_range("batch of windows", batch, 1, 1 << 16);
   v.views = capacity.views;
   v.points = capacity.points;

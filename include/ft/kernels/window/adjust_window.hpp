@@ -36,15 +36,15 @@ inline namespace FT_ABI {
 /// the same bits on every executor and in every batch. Sources: Triggs and others, "Bundle
 /// adjustment - a modern synthesis", 1999; Huber, "Robust estimation of a location parameter",
 /// 1964.
-/// @param rig rectified_rig, for one camera a view, or stereo_rig, for two
+/// @param rig rectified_rig, for one camera a view, stereo_rig, for two, or multi_rig
 /// @param problems start and result
 /// @param selected [batch] in executor memory: problems that are 0 are not touched. Null: all
 /// @throws bad_argument for shapes that do not fit together
 template <typename Exec, typename Rig>
 void adjust_window(Exec const& exec, Rig const& rig, window_problem_view const& problems,
                    int const* selected, window_params const& params, window_workspace const& work) {
-  detail::require(problems.cameras == 1 || !Rig::rectified,
-                  "a window of a rectified pair has one camera a view");
+  detail::require(problems.cameras <= Rig::cameras,
+                  "a window has more cameras a view than its rig");
   detail::require(problems.views == work.views && problems.points == work.points &&
                       problems.batch == work.batch,
                   "a window's workspace has the shape of its problems");

@@ -183,7 +183,7 @@ FT_HOST_DEVICE void evaluate_points(Group g, window_point_scratch& s, Rig const&
           if (!(o.inv_sigma2 > 0)) { continue; }
           window_residual<Rig> const residual{rig, o, T * X};
           own.add(residual.first(c), T.R, params);
-          if (residual.has_second()) { own.add(residual.second(params), T.R, params); }
+          if (residual.has_second()) { own.add(residual.second(params, c), T.R, params); }
         }
         all.cost += own.cost;
         if (!own.linked) { continue; }
@@ -359,7 +359,7 @@ private:
         if (o.inv_sigma2 > 0) {
           window_residual<Rig> const residual{rig, o, T * X};
           if (is_outlier(residual.first(c))) { bits |= outlying_pixel; }
-          if (residual.has_second() && is_outlier(residual.second(params))) {
+          if (residual.has_second() && is_outlier(residual.second(params, c))) {
             bits |= outlying_right;
           }
         }

@@ -2,6 +2,8 @@
 /// @file Errors of a window's observations, their robust costs and their derivatives.
 #pragma once
 
+#include <type_traits>
+
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/window_problem.hpp"
@@ -44,7 +46,7 @@ FT_HOST_DEVICE inline window_real robust_weight(window_real chi2, double huber2)
 }
 
 /// An error of one or two rows: projected minus measured, pixels, and its derivative by the point
-/// in the frame of the left camera.
+/// in the frame of the pose: that of the left camera, or of a multi_rig's body.
 struct window_error {
   window_real e[2];
   vec3<window_real> J[2];
@@ -63,25 +65,26 @@ struct window_residual {
   using real = window_real;
   Rig const& rig;
   window_observation const& o;
-  vec3<real> x;  ///< point in the frame of the left camera, metres
+  vec3<real> x;  ///< point in the frame of the pose, metres
 
   FT_HOST_DEVICE static real wide(float v) { return real(static_cast<double>(v)); }
 
-  /// @param camera 0 or 1
+  /// @param camera of the rig
   FT_HOST_DEVICE window_error first(int camera) const {
     window_error r;
     r.weight = wide(o.inv_sigma2);
     if constexpr (Rig::rectified) {
-      static_cast<void>(camera);
       real const zero = real(0.0);
-      real const iz = scalar::reciprocal(x.z);
-      real const u = wide(rig.camera.fx) * (x.x * iz);
-      real const v = wide(rig.camera.fy) * (x.y * iz);
-      r.e[0] = u + wide(rig.camera.cx) - wide(o.x);
-      r.e[1] = v + wide(rig.camera.cy) - wide(o.y);
-      r.J[0] = {wide(rig.camera.fx) * iz, zero, -(u * iz)};
-      r.J[1] = {zero, wide(rig.camera.fy) * iz, -(v * iz)};
-      r.seen = x.z > zero;
+      vec3<real> const p = rig.to_camera(camera, x);
+      auto const& k = rig.pair(camera).camera;
+      real const iz = scalar::reciprocal(p.z);
+      real const u = wide(k.fx) * (p.x * iz);
+      real const v = wide(k.fy) * (p.y * iz);
+      r.e[0] = u + wide(k.cx) - wide(o.x);
+      r.e[1] = v + wide(k.cy) - wide(o.y);
+      r.J[0] = by_body(camera, {wide(k.fx) * iz, zero, -(u * iz)});
+      r.J[1] = by_body(camera, {zero, wide(k.fy) * iz, -(v * iz)});
+      r.seen = p.z > zero;
     } else if (camera == 0) {
       set(r, rig.left.template cast<real>().project_with_jacobian(x));
     } else {
@@ -93,18 +96,19 @@ struct window_residual {
     return r;
   }
   FT_HOST_DEVICE bool has_second() const { return Rig::rectified && o.right_x >= 0; }
-  FT_HOST_DEVICE window_error second(window_params const& params) const {
+  FT_HOST_DEVICE window_error second(window_params const& params, int camera = 0) const {
     window_error r;
     real const zero = real(0.0);
     r.e[1] = zero;
     r.J[1] = {zero, zero, zero};
     if constexpr (Rig::rectified) {
-      real const iz = scalar::reciprocal(x.z);
-      real const disparity = wide(rig.bf()) * iz;
+      real const z = rig.to_camera(camera, x).z;
+      real const iz = scalar::reciprocal(z);
+      real const disparity = wide(rig.pair(camera).bf()) * iz;
       r.weight = wide(o.inv_sigma2) * real(params.disparity_weight);
       r.e[0] = disparity - (wide(o.x) - wide(o.right_x));
-      r.J[0] = {zero, zero, -(disparity * iz)};
-      r.seen = x.z > zero;
+      r.J[0] = by_body(camera, {zero, zero, -(disparity * iz)});
+      r.seen = z > zero;
     } else {
       r.weight = r.e[0] = zero;
       r.J[0] = r.J[1];
@@ -114,6 +118,15 @@ struct window_residual {
   }
 
 private:
+  /// A row of the derivative by the point in a camera's frame, to that in the frame of the pose.
+  FT_HOST_DEVICE vec3<real> by_body(int camera, vec3<real> row) const {
+    if constexpr (std::is_same_v<Rig, rectified_rig>) {
+      static_cast<void>(camera);
+      return row;
+    } else {
+      return row_times(row, rig.pair(camera).T_cb.template cast<real>().R);
+    }
+  }
   FT_HOST_DEVICE void set(window_error& r, projection_with_jacobian<real> const& p) const {
     r.e[0] = p.value.pixel.x - wide(o.x);
     r.e[1] = p.value.pixel.y - wide(o.y);

@@ -8,10 +8,12 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <string>
 #include <vector>
 
 #include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/tracking.hpp"
@@ -285,6 +287,118 @@ TYPED_TEST(multi_rig, gives_the_bits_of_the_host) {
   auto const here = track(backend.exec, rig, {&walk});
   EXPECT_GT(here.back().inliers, 200);
   test::room::expect_same(here, track(ft::host_exec{}, rig, {&walk}));
+}
+
+// ---- the whole odometry ------------------------------------------------------------------------
+
+template <typename Exec, typename Rig>
+std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
+                                 std::vector<rig_frame> const& walk) {
+  using odometry_type = ft::odometry<Exec, Rig>;
+  ft::odometry_params p;
+  p.orb = test::room::params().orb;
+  p.map_slots = 8192;
+  p.local_points = 4096;
+  p.keyframes = 20;
+  p.window_points = 4096;
+  odometry_type odo(exec, rig, p);
+  std::vector<ft::tracking> all;
+  std::int64_t time = 0;
+  for (rig_frame const& f : walk) {
+    std::vector<ft::gray_view> views;
+    for (image const& i : f.images) { views.push_back(test::room::view(i)); }
+    typename odometry_type::images_type images;
+    if constexpr (Rig::images == 2) {
+      images = {views[0], views[1]};
+    } else {
+      std::copy(views.begin(), views.end(), images.of);
+    }
+    all.push_back(odo.track(images, time += 50'000'000));
+  }
+  return all;
+}
+
+/// Distance of the body from its true place in the world of the first frame, metres.
+double error_of(ft::tracking const& t, ft::pose const& now, ft::pose const& first) {
+  auto const T_0w = first.cast<double>();
+  auto const d = t.T_world_camera.t - (T_0w * now.cast<double>().inverse()).t;
+  return std::sqrt(ft::dot(d, d));
+}
+double rms_of(std::vector<ft::tracking> const& seen, std::vector<rig_frame> const& walk) {
+  double sum = 0;
+  for (std::size_t f = 0; f < seen.size(); ++f) {
+    double const e = error_of(seen[f], walk[f].T_cw, walk[0].T_cw);
+    sum += e * e;
+  }
+  return std::sqrt(sum / static_cast<double>(seen.size()));
+}
+
+bool same_pose(ft::tracking const& a, ft::tracking const& b) {
+  return std::memcmp(&a.T_world_camera, &b.T_world_camera, sizeof a.T_world_camera) == 0 &&
+         a.inliers == b.inliers && a.keyframe == b.keyframe && a.map_points == b.map_points;
+}
+
+TYPED_TEST(multi_rig, odometry_of_one_pair_has_the_bits_of_a_rectified_rig) {
+  TypeParam backend;
+  ft::multi_rig<1> const one{{pair_at(ft::pose::identity())}};
+  auto const walk = make_walk(one, 0, 16);
+  auto const a = follow(backend.exec, one, walk);
+  auto const b = follow(backend.exec, test::room::rig(), walk);
+  EXPECT_GE(a.back().keyframes, 2);
+  for (std::size_t f = 0; f < a.size(); ++f) { EXPECT_TRUE(same_pose(a[f], b[f])) << f; }
+}
+
+TYPED_TEST(multi_rig, odometry_of_two_pairs_is_as_exact_as_the_better_one) {
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const walk = make_walk(rig, 0, 16);
+  auto const both = follow(backend.exec, rig, walk);
+  double alone[2] = {};
+  for (std::size_t c = 0; c < 2; ++c) {
+    auto part = walk;
+    for (auto& f : part) { f.images = {f.images[2 * c], f.images[2 * c + 1]}; }
+    alone[c] = rms_of(follow(backend.exec, ft::multi_rig<1>{{rig.of[c]}}, part), part);
+  }
+  for (std::size_t f = 0; f < both.size(); ++f) {
+    EXPECT_EQ(both[f].state, ft::tracking_state::tracking) << f;
+    EXPECT_EQ(both[f].left_out, 0) << f;
+  }
+  EXPECT_GE(both.back().keyframes, 2);
+  double const rms = rms_of(both, walk);
+  EXPECT_LT(rms, 0.01);
+  EXPECT_LE(rms, std::min(alone[0], alone[1]));
+  this->RecordProperty("rms_mm", std::to_string(1000 * rms));
+  this->RecordProperty("rms_mm_alone",
+                       std::to_string(1000 * alone[0]) + " " + std::to_string(1000 * alone[1]));
+}
+
+TYPED_TEST(multi_rig, odometry_goes_on_while_one_pair_is_black) {
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const whole = make_walk(rig, 1, 12);
+  for (std::size_t c = 0; c < 2; ++c) {
+    auto const walk = blackened(whole, c);
+    auto const seen = follow(backend.exec, rig, walk);
+    for (std::size_t f = 0; f < seen.size(); ++f) {
+      EXPECT_EQ(seen[f].state, ft::tracking_state::tracking) << "pair " << c << " frame " << f;
+      EXPECT_EQ(seen[f].maps, 1);
+      EXPECT_LT(error_of(seen[f], walk[f].T_cw, walk[0].T_cw), 0.03);
+    }
+  }
+}
+
+TYPED_TEST(multi_rig, odometry_gives_the_bits_of_the_host) {
+  TypeParam backend;
+  ft::multi_rig<3> const rig{{pair_at(turned(0.1f, {0.1f, 0.02f, 0.2f})),
+                              single_at(turned(-0.1f, {-0.2f, 0, 0.1f})),
+                              pair_at(turned(1.4f, {0.3f, 0, -0.1f}))}};
+  auto const walk = make_walk(rig, 2, 12);
+  auto const here = follow(backend.exec, rig, walk);
+  auto const host = follow(ft::host_exec{}, rig, walk);
+  for (std::size_t f = 0; f < here.size(); ++f) {
+    EXPECT_TRUE(same_pose(here[f], host[f])) << f;
+    EXPECT_LT(error_of(here[f], walk[f].T_cw, walk[0].T_cw), 0.02) << f;
+  }
 }
 
 TEST(multi_rig_errors, name_what_is_wrong) {

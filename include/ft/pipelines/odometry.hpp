@@ -45,7 +45,8 @@ inline namespace FT_ABI {
 ///
 /// Move-only. A moved-from odometry refuses every call with bad_argument. Not thread-safe;
 /// instances are independent.
-/// @tparam Rig rectified_rig, or stereo_rig of any two cameras
+/// @tparam Rig rectified_rig, stereo_rig of any two cameras, or multi_rig, of which "camera pair"
+///   means all cameras below
 template <typename Exec, typename Rig = rectified_rig>
 class odometry {
   using stages_type = detail::odometry_stages<Exec, Rig>;
@@ -53,6 +54,7 @@ class odometry {
 public:
   static constexpr memory_space space = Exec::space;
   static constexpr int cameras = stages_type::cameras;  ///< whose keypoints are searched
+  using images_type = std::conditional_t<Rig::images == 2, stereo_images, rig_images<Rig::images>>;
 
   odometry() = default;
   /// Waits for its own set-up. On the host it starts a thread, which sleeps unless keyframes are
@@ -67,12 +69,13 @@ public:
   /// @return [batch] valid until the next call
   /// @throws bad_argument for an image that is null or of another size, or for a time that is not
   ///   after the camera's last one; then nothing has changed
-  tracking const* track(stereo_images const* images, std::int64_t const* time_ns) {
+  tracking const* track(images_type const* images, std::int64_t const* time_ns) {
     parts& p = made();
     for (int b = 0; b < p.stages.batch; ++b) { p.require_later(b, time_ns[b]); }
     for (int b = 0; b < p.stages.batch; ++b) {
-      p.images.take(b, 0, images[b].left);
-      p.images.take(b, 1, images[b].right);
+      for (int i = 0; i < Rig::images; ++i) {
+        if (!p.images.absent(p.images.number(b, i))) { p.images.take(b, i, images[b][i]); }
+      }
     }
     p.set_inputs(time_ns);
     p.adjustments.end_before(p.exec, p.frame);
@@ -84,7 +87,7 @@ public:
     return p.results.data();
   }
   /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
-  tracking track(stereo_images const& images, std::int64_t time_ns) {
+  tracking track(images_type const& images, std::int64_t time_ns) {
     detail::require(made().stages.batch == 1,
                     "an odometry of several camera pairs needs arrays of images and times");
     return *track(&images, &time_ns);

@@ -41,17 +41,28 @@ struct odometry_params {
 struct stereo_images {
   gray_view left;
   gray_view right;
+
+  gray_view const& operator[](int i) const { return i == 0 ? left : right; }
+};
+/// The same of a multi_rig: image 2 c is that of camera c, image 2 c + 1 the right one of its pair,
+/// not read for a single camera.
+template <int N>
+struct rig_images {
+  gray_view of[N];
+
+  gray_view const& operator[](int i) const { return of[i]; }
 };
 
 /// What is known about a camera after a frame.
 struct tracking {
-  /// Left camera to world, metres. The world is the left camera of the first frame with a map. For
-  /// a frame that was not tracked: where the camera is thought to be.
+  /// Left camera, or a multi_rig's body, to world, metres. The world is the left camera, or the
+  /// body, of the first frame with a map. For a frame that was not tracked: where it is thought to
+  /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
   tracking_state state = tracking_state::initialising;
   bool keyframe = false;  ///< the frame became a keyframe
   int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
-  int keypoints = 0;      ///< of the left image
+  int keypoints = 0;      ///< of the left image, or of those of all cameras of a multi_rig
   int stereo_points = 0;  ///< of these, with a depth
   int local_points = 0;   ///< map points that were searched
   int left_out = 0;       ///< map points for which a limit of odometry_params left no room: in the

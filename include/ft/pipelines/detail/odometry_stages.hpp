@@ -74,6 +74,7 @@ public:
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
+    in.depth_cameras = memory.result.depth_cameras;
     judge_frames(exec, settings.rules, in, own.state);
   }
   void count_points(Exec const& exec) const {
@@ -107,17 +108,18 @@ public:
     tracking_facts const facts{
         memory.observations.inliers, this->matcher.depth(), own.information,
         memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
-        own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive};
+        own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
+        memory.result.depth_cameras};
     for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
                                   facts, own.outputs);
   }
 
   // ---- state
 
-  /// @param images [batch][2] @param runs adjustments in flight, at most
+  /// @param images [batch][images] @param runs adjustments in flight, at most
   void take_all_memory(image_source const* images, int runs) {
     base::take_memory(images);
-    own.take({this->capacity(), this->batch, cameras}, settings, runs);
+    own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The odometry runner, instantiated once per executor, for a rectified pair.
+/// @file The odometry runner, instantiated once per executor, for a rectified pair and for two.
 #pragma once
 
 #include <algorithm>
@@ -12,19 +12,29 @@
 #include "bench/frame_runner.hpp"
 #include "bench/owned_executor.hpp"
 #include "bench/runner.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 
 namespace bench {
 inline namespace FT_ABI {
 
-template <typename Exec>
+using four_camera_rig = ft::multi_rig<2>;
+
+/// Two pairs. The body's frame is that of the first camera.
+inline four_camera_rig four_cameras_of(scene const& s) {
+  auto const pair = rig_of<ft::rectified_rig>(s);
+  return {{{pair.camera, pair.baseline, ft::pose::identity()},
+           {pair.camera, pair.baseline, pose_of(s.T_al)}}};
+}
+
+template <typename Exec, typename Rig>
 class odometry_runner_of final : public odometry_runner {
 public:
-  odometry_runner_of(scene const& s, frame_options const& how)
+  odometry_runner_of(scene const& s, Rig const& rig, frame_options const& how)
       : scene_(s),
         batch_(how.batch),
         owned_(how.host_threads),
-        odometry_(owned_.exec, rig_of<ft::rectified_rig>(s), params_of(s, how), how.batch),
+        odometry_(owned_.exec, rig, params_of(s, how), how.batch),
         images_(static_cast<std::size_t>(how.batch)),
         times_(images_.size()) {
     lay_out_images();
@@ -33,7 +43,12 @@ public:
   void prepare(int i) override {
     for (int b = 0; b < batch_; ++b) {
       auto const k = static_cast<std::size_t>(b);
-      images_[k] = {view(2 * frame_of(i, b)), view(2 * frame_of(i, b) + 1)};
+      int const first = Rig::images * frame_of(i, b);
+      if constexpr (Rig::images == 2) {
+        images_[k] = {view(first), view(first + 1)};
+      } else {
+        images_[k] = {view(first), view(first + 1), view(first + 2), view(first + 3)};
+      }
       times_[k] = static_cast<std::int64_t>(i + 1) * 50'000'000;
     }
   }
@@ -75,11 +90,13 @@ private:
   void lay_out_images() {
     stride_ = (scene_.width + 63) / 64 * 64;
     auto const bytes = static_cast<std::size_t>(stride_) * static_cast<std::size_t>(scene_.height);
-    pixels_ = ft::buffer<std::uint8_t, ft::staging_space<Exec>>(2 * bytes * scene_.frames.size());
+    std::size_t const images = Rig::images * scene_.frames.size();
+    pixels_ = ft::buffer<std::uint8_t, ft::staging_space<Exec>>(images * bytes);
     std::fill(pixels_.data(), pixels_.data() + pixels_.size(), std::uint8_t{0});
-    for (std::size_t k = 0; k < 2 * scene_.frames.size(); ++k) {
-      auto const& f = scene_.frames[k / 2];
-      auto const& from = k % 2 == 0 ? f.left : f.right;
+    for (std::size_t k = 0; k < images; ++k) {
+      auto const& f = scene_.frames[k / Rig::images];
+      std::size_t const i = k % Rig::images;
+      auto const& from = i == 0 ? f.left : i == 1 ? f.right : f.aside[i - 2];
       auto const width = static_cast<std::size_t>(scene_.width);
       for (std::size_t y = 0; y < static_cast<std::size_t>(scene_.height); ++y) {
         std::copy_n(from.data() + y * width, width,
@@ -91,10 +108,10 @@ private:
   scene const& scene_;
   int batch_;
   owned_executor<Exec> owned_;
-  ft::buffer<std::uint8_t, ft::staging_space<Exec>> pixels_;  ///< [frames][2][height][stride_]
+  ft::buffer<std::uint8_t, ft::staging_space<Exec>> pixels_;  ///< [frames][images][height][stride_]
   int stride_ = 0;
-  ft::odometry<Exec> odometry_;
-  std::vector<ft::stereo_images> images_;
+  ft::odometry<Exec, Rig> odometry_;
+  std::vector<typename ft::odometry<Exec, Rig>::images_type> images_;
   std::vector<std::int64_t> times_;
   odometry_counts last_;
 };
@@ -102,7 +119,12 @@ private:
 template <typename Exec>
 std::unique_ptr<odometry_runner> make_odometry_runner_of(scene const& s, frame_options const& how) {
   try {
-    return std::make_unique<odometry_runner_of<Exec>>(s, how);
+    if (s.rig == rig_type::four_cameras) {
+      return std::make_unique<odometry_runner_of<Exec, four_camera_rig>>(s, four_cameras_of(s),
+                                                                         how);
+    }
+    auto const rig = rig_of<ft::rectified_rig>(s);
+    return std::make_unique<odometry_runner_of<Exec, ft::rectified_rig>>(s, rig, how);
   } catch (std::bad_alloc const&) {
     throw no_memory("host memory is short");
   } catch (ft::cuda_error const& e) {

@@ -39,11 +39,13 @@ void time_batch(context const& c, backend_type b, scene const& s, int batch, int
   auto const t = seq::summarise(us);
   auto const last = runner->last();
   double const all = static_cast<double>(calls) * batch;
-  std::printf("%-5s %6d %6d %9.1f %9.1f %9.1f %9.1f %9.0f %8.1f%% %8.1f%% %8d %8d %8d\n",
+  char const* const rig = name_of(s.rig);
+  std::printf("%-12s %-5s %6d %6d %9.1f %9.1f %9.1f %9.1f %9.0f %8.1f%% %8.1f%% %8d %8d %8d\n", rig,
               name_of(b), batch, calls, t.mean, t.p50, t.p99, t.max, sustained, 100 * tracked / all,
               100 * keyframes / all, last.inliers, last.local_points, last.map_points);
   std::fflush(stdout);
   (*c.out)["odometry"].push_back({{"name", "odometry"},
+                                  {"rig", rig},
                                   {"backend", name_of(b)},
                                   {"batch", batch},
                                   {"calls", calls},
@@ -65,20 +67,25 @@ void time_batch(context const& c, backend_type b, scene const& s, int batch, int
 void odometry_section(context const& c, backend_type b) {
   bool const cuda = b == backend_type::cuda;
   scene const& s = c.all_scenes->get(rig_type::rectified);
-  std::printf("\nOdometry of rectified pairs, %dx%d, %d features, each with its own map\n", s.width,
-              s.height, s.features);
-  std::printf("%-5s %6s %6s %9s %9s %9s %9s %9s %9s %9s %8s %8s %8s\n", "on", "batch", "calls",
-              "mean us", "p50 us", "p99 us", "max us", "frames/s", "tracked", "keyframes",
+  std::printf(
+      "\nOdometry of rectified pairs and of two such pairs in one rig, %dx%d, %d features an "
+      "image, each with its own map\n",
+      s.width, s.height, s.features);
+  std::printf("%-12s %-5s %6s %6s %9s %9s %9s %9s %9s %9s %9s %8s %8s %8s\n", "rig", "on", "batch",
+              "calls", "mean us", "p50 us", "p99 us", "max us", "frames/s", "tracked", "keyframes",
               "inliers", "local", "map");
   std::vector<int> const usual = cuda ? std::vector<int>{1, 8, 64} : std::vector<int>{1, 2};
-  for (int batch : c.how.batches.empty() ? usual : c.how.batches) {
+  auto const time = [&](scene const& of, int batch) {
     try {
-      time_batch(c, b, s, batch, calls_of_batch(c.how.frames_on(b), batch));
+      time_batch(c, b, of, batch, calls_of_batch(c.how.frames_on(b), batch));
     } catch (no_memory const& e) {
-      std::printf("odometry of %d left out: %s\n", batch, e.what());
-      (*c.out)["left_out"].push_back("odometry of " + std::to_string(batch) + ": " + e.what());
+      std::string const what = std::string(name_of(of.rig)) + ", " + std::to_string(batch);
+      std::printf("odometry of %s left out: %s\n", what.c_str(), e.what());
+      (*c.out)["left_out"].push_back("odometry of " + what + ": " + e.what());
     }
-  }
+  };
+  for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
+  time(c.all_scenes->get(rig_type::four_cameras), 1);
 }
 
 }  // namespace bench

@@ -16,7 +16,9 @@ namespace bench {
 enum class backend_type { host, cuda };
 inline char const* name_of(backend_type b) { return b == backend_type::host ? "host" : "cuda"; }
 inline char const* name_of(rig_type r) {
-  return r == rig_type::rectified ? "rectified" : "fisheye";
+  return r == rig_type::rectified ? "rectified"
+         : r == rig_type::fisheye ? "fisheye"
+                                  : "four cameras";
 }
 
 /// The memory is too small for a measurement.
@@ -138,8 +140,9 @@ struct odometry_counts {
   int maps = 0;
 };
 
-/// ft::odometry over a batch of rectified pairs that see the scene's frames back and forth, each
-/// pair one frame further on than the preceding one. Images are in memory that the executor reads.
+/// ft::odometry over a batch of rectified pairs, or of rigs of two, that see the scene's frames
+/// back and forth, each one frame further on than the preceding one. Images are in memory that the
+/// executor reads.
 class odometry_runner {
 public:
   odometry_runner() = default;

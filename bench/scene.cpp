@@ -59,6 +59,11 @@ scene make_scene(rig_type type, int width, int height, int images, int features,
   auto const& rig = generator.rig();
   scene s = scene_of(rig, features, local_points);
   s.rig = type;
+  bool const four = type == rig_type::four_cameras;
+  Eigen::Isometry3d T_left_aside = Eigen::Isometry3d::Identity();
+  T_left_aside.rotate(Eigen::AngleAxisd(1.2, Eigen::Vector3d::UnitY()));  // to the right
+  T_left_aside.translation() = Eigen::Vector3d(0.2, 0, -0.1);
+  s.T_al = plain(T_left_aside.inverse());
   s.frames.resize(static_cast<std::size_t>(images));
   constexpr int first = 60;  // in motion
   seq::parallel_for(images, 0, [&](int k) {
@@ -67,6 +72,10 @@ scene make_scene(rig_type type, int width, int height, int images, int features,
     f.left = std::move(frame.left.pixels);
     f.right = std::move(frame.right.pixels);
     f.T_cw = plain(generator.T_world_camera(first + k).inverse());
+    if (!four) { return; }
+    auto aside = generator.render(first + k, T_left_aside);
+    f.aside[0] = std::move(aside.left.pixels);
+    f.aside[1] = std::move(aside.right.pixels);
   });
   return s;
 }
@@ -85,7 +94,7 @@ scene read_scene(std::string const& folder, int images, int features, int local_
     if (!pose) { continue; }
     seq::stereo_frame frame = sequence.load(k);
     s.frames.push_back(
-        {std::move(frame.left.pixels), std::move(frame.right.pixels), plain(pose->inverse())});
+        {std::move(frame.left.pixels), std::move(frame.right.pixels), {}, plain(pose->inverse())});
   }
   if (s.frames.size() < 2) {
     throw seq::error(folder + ": fewer than two frames with ground truth");

@@ -20,16 +20,19 @@ struct plain_camera {
 
 struct scene_frame {
   std::vector<std::uint8_t> left, right;
-  plain_pose T_cw;  ///< world to left camera
+  std::vector<std::uint8_t> aside[2];  ///< of the second pair of four cameras, left and right
+  plain_pose T_cw;                     ///< world to left camera
 };
 
-enum class rig_type { rectified, fisheye };
+/// Of four cameras: two rectified pairs of the same cameras.
+enum class rig_type { rectified, fisheye, four_cameras };
 
 struct scene {
   rig_type rig = rig_type::rectified;
   int width = 0, height = 0;
   plain_camera left, right;  ///< a rectified pair has the same camera twice
   plain_pose T_rl;           ///< left camera to right camera
+  plain_pose T_al;           ///< left camera to that of the second pair of four cameras
   float baseline = 0;        ///< metres
   int features = 1200;       ///< keypoints per image
   int local_points = 3000;

@@ -51,9 +51,8 @@ struct fill_remap_row {
 /// source camera, projects it there and rounds to 1/32 of a pixel (halves to even).
 ///
 /// Target pixels without a ray, or without a projection in the source camera, get
-/// remap_entry::none(). Computed in double. All executors agree, with one exception: for models
-/// with an arc tangent or tangent, an entry within about 1e-13 pixels of a rounding limit may
-/// differ by 1/32. Asynchronous on `exec`; allocates nothing; one launch.
+/// remap_entry::none(). Computed in double; all executors agree. Asynchronous on `exec`; allocates
+/// nothing; one launch.
 /// @param source camera that took the images
 /// @param target camera of the rectified images, any model
 /// @param R_source_target rotates rays of the target camera into the source camera: the transpose

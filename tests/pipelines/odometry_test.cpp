@@ -12,6 +12,7 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -365,6 +366,70 @@ TYPED_TEST(odometry_pipeline, moves) {
     odo = std::move(other);
   }
   expect_same(all, good);
+}
+
+TYPED_TEST(odometry_pipeline, finds_its_place_in_a_saved_map) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const& frames = walk(rig, 0);
+  ft::odometry first(backend.exec, rig, params());
+  std::stringstream file;
+  EXPECT_THROW(first.save_map(file), ft::bad_argument);
+  std::int64_t time = 0;
+  for (auto const& f : frames) { first.track(images_of(f), time += period); }
+  first.save_map(file);
+  auto const map = first.download_map();
+
+  ft::odometry second(backend.exec, rig, params());
+  second.load_map(file);
+  auto const loaded = second.download_map();
+  ASSERT_EQ(loaded.points.size(), map.points.size());
+  for (std::size_t i = 0; i < map.points.size(); ++i) {
+    EXPECT_EQ(std::memcmp(&loaded.points[i], &map.points[i], sizeof map.points[i]), 0) << i;
+  }
+  ASSERT_EQ(loaded.keyframes.size(), map.keyframes.size());
+  ft::tracking t;
+  time = 0;
+  for (std::size_t i = 20; i < frames.size(); ++i) {
+    t = second.track(images_of(frames[i]), time += period);
+  }
+  EXPECT_EQ(t.state, ft::tracking_state::tracking);
+  EXPECT_EQ(t.maps, 1);
+  EXPECT_LT(error_of(t, frames.back(), frames[0]), 0.03);
+}
+
+TYPED_TEST(odometry_pipeline, refuses_a_file_that_is_not_whole) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  ft::odometry odo(backend.exec, rig, params());
+  odo.track(images_of(walk(rig, 0)[0]), period);
+  std::stringstream file;
+  odo.save_map(file);
+  std::string const good = file.str();
+  auto const map = odo.download_map();
+  auto const refuse = [&](std::string const& bytes, char const* what) {
+    std::stringstream from(bytes);
+    EXPECT_THROW(odo.load_map(from), ft::error) << what;
+  };
+  for (std::size_t const length :
+       {std::size_t{0}, std::size_t{10}, std::size_t{30}, good.size() / 2, good.size() - 1}) {
+    refuse(good.substr(0, length), "truncated");
+  }
+  refuse(good + "x", "too long");
+  for (std::size_t const at :
+       {std::size_t{3}, std::size_t{17}, std::size_t{25}, good.size() / 2, good.size() - 3}) {
+    std::string bad = good;
+    bad[at] = static_cast<char>(bad[at] ^ 1);
+    refuse(bad, "another byte");
+  }
+  auto p = params();
+  p.map_slots = 4095;
+  ft::odometry other(backend.exec, rig, p);
+  std::stringstream from(good);
+  EXPECT_THROW(other.load_map(from), ft::error);
+  auto const after = odo.download_map();
+  EXPECT_EQ(after.points.size(), map.points.size());
+  EXPECT_EQ(odo.track(images_of(walk(rig, 0)[1]), 2 * period).state, ft::tracking_state::tracking);
 }
 
 #if !defined(__CUDACC__)

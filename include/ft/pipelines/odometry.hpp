@@ -5,8 +5,10 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <istream>
 #include <limits>
 #include <memory>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -22,6 +24,7 @@
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_files.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/odometry_types.hpp"
@@ -142,6 +145,31 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     if (p.results[static_cast<std::size_t>(b)].state == tracking_state::initialising) { return {}; }
     return detail::download_odometry_map(p.exec, p.stages.own.map, b);
+  }
+  /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp. Waits,
+  /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the
+  /// stream fails; std::bad_alloc, cuda_error
+  void save_map(std::ostream& to, int b = 0) const {
+    parts const& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
+                    "the camera has no map to be saved");
+    detail::save_odometry_map(p.exec, p.stages.own.map, b, p.stages.geometry().levels, to);
+  }
+  /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
+  /// newest keyframes, as one that was lost; predict() says where else. Any time stamp may follow.
+  /// Waits, and allocates.
+  /// @throws error, with nothing changed, for a file that is truncated, damaged, or was written
+  ///   with other capacities; bad_argument for a pair that does not exist
+  void load_map(std::istream& from, int b = 0) {
+    parts& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    detail::load_odometry_map(p.exec, p.stages.own.map, b, p.stages.geometry().levels, from);
+    auto const i = static_cast<std::size_t>(b);
+    p.results[i] = {};
+    p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
+    p.begun[i] = 0;
+    p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }
   /// Time of each stage of the last frame; see frame_tracker::stage_times. Allocates.
   /// @throws bad_argument without odometry_params::measure_stages

@@ -154,10 +154,15 @@ private:
       for (int c = 0; c < problem.cameras; ++c) {
         std::ptrdiff_t const at = problem.sighting(t.b, p, v, c);
         bool const is_seen = problem.seen[at].inv_sigma2 > 0;
-        bool const is_outlier = is_seen && problem.outlier[at] != 0;
+        bool const is_outlier = is_seen && (problem.outlier[at] & outlying_pixel) != 0;
+        bool const drops_right = is_seen && (problem.outlier[at] & outlying_right) != 0;
         seen += static_cast<int>(is_seen);
         outliers += static_cast<int>(is_outlier);
-        if (is_outlier) { drop_observation(t, v, t.sources.keypoint[at]); }
+        if (is_outlier) {
+          drop_observation(t, v, t.sources.keypoint[at]);
+        } else if (drops_right) {
+          drop_right_column(t, v, t.sources.keypoint[at]);
+        }
       }
       int const number = t.sources.keyframe[problem.view(t.b, v)];
       if (outliers == 0 || !t.map.keyframes.holds(t.b, number)) { continue; }
@@ -172,6 +177,14 @@ private:
       free_slot(t.map, t.b, slot);
       atomic_add(t.map.records.alive + t.b, -1);
     }
+  }
+
+  /// The keypoint stays an observation, of its left pixel alone.
+  FT_HOST_DEVICE static void drop_right_column(task const& t, int v, int keypoint) {
+    keyframes_view const& keyframes = t.map.keyframes;
+    int const number = t.sources.keyframe[t.problem.view(t.b, v)];
+    if (!keyframes.holds(t.b, number)) { return; }
+    keyframes.right_x[keyframes.at(t.b, keyframes.position(number), keypoint)] = -1.0f;
   }
 
   FT_HOST_DEVICE static void drop_observation(task const& t, int v, int keypoint) {
@@ -197,7 +210,8 @@ private:
 /// changes
 ///   to less than half or more than twice stays; that is chance, not knowledge. The limits of
 ///   distance are scaled with the distance.
-/// - Outlying observations are dropped, and so are points that lose their last one.
+/// - Outlying observations are dropped, and so are points that lose their last one. Of one whose
+///   right column alone is far off only that is dropped.
 ///
 /// Where `outcome.valid` is 0, or the window's newest keyframe has gone, nothing is changed.
 /// Asynchronous on `exec`; allocates nothing; one launch.

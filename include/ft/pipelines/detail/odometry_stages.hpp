@@ -14,6 +14,7 @@
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
+#include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
 #include "ft/pipelines/odometry_types.hpp"
@@ -135,6 +136,33 @@ public:
   void initialize_all(Exec const& exec) {
     memory.initialize(exec);
     own.initialize(exec);
+  }
+
+  /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
+  /// @return its state
+  tracking_state enter_loaded_map(Exec const& exec, int b) const {
+    keyframes_view const& k = own.map.keyframes;
+    int const made = downloaded(exec, k.made + b, 1)[0];
+    camera_track const before = downloaded(exec, own.state.tracks + b, 1)[0];
+    buffer<camera_track, base::staging> const t(1);
+    buffer<rigid<double>, base::staging> const T_cw(1);
+    *t.data() = camera_track::initial();
+    t.data()->adjusting = before.adjusting != 0 ? 2 : 0;
+    *T_cw.data() = rigid<double>::identity();
+    if (made > 0) {
+      *T_cw.data() = downloaded(exec, k.T_cw + k.at(b, k.position(made)), 1)[0];
+      t.data()->state = tracking_state::recovering;
+      t.data()->lost_frames = 1;
+      t.data()->keyframe = t.data()->predicted = *T_cw.data();
+      t.data()->maps = 1;
+      t.data()->keyframes = made;
+      t.data()->map_keyframes = downloaded(exec, k.count + b, 1)[0];
+    }
+    tracking_state const state = t.data()->state;
+    copy(exec, own.state.tracks + b, static_cast<camera_track const*>(t.data()), std::size_t{1});
+    copy(exec, own.state.T_cw + b, static_cast<rigid<double> const*>(T_cw.data()), std::size_t{1});
+    exec.wait();
+    return state;
   }
 
 private:

@@ -49,6 +49,14 @@ image_pair scene::render(int frame) const {
   return {to_grey(std::move(pair.left)), to_grey(std::move(pair.right))};
 }
 
+image_pair scene::render(int frame, mounting const& other) const {
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.rotate(Eigen::AngleAxisd(other.turn, Eigen::Vector3d::UnitY()));
+  T.translation() = Eigen::Vector3d(other.centre[0], other.centre[1], other.centre[2]);
+  auto pair = impl_->source.render(frame, T);
+  return {to_grey(std::move(pair.left)), to_grey(std::move(pair.right))};
+}
+
 double scene::depth(int frame, double u, double v) const {
   return impl_->source.depth(frame, u, v);
 }

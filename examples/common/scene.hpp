@@ -21,6 +21,12 @@ struct image_pair {
   grey_image left, right;
 };
 
+/// Where a second pair is, in the frame of the first one's left camera.
+struct mounting {
+  double turn = 0;               ///< to the right, about the y axis, radians
+  std::array<double, 3> centre;  ///< of its left camera, metres
+};
+
 /// A rectified pair of cameras that moves through a room. The same images on every run.
 class scene {
 public:
@@ -36,6 +42,8 @@ public:
   std::array<float, 4> intrinsics() const;  ///< fx, fy, cx, cy, pixels
   float baseline() const;                   ///< metres
   image_pair render(int frame) const;
+  /// Of a second pair of the same cameras that moves with the first one.
+  image_pair render(int frame, mounting const& other) const;
   /// True depth of the surface that the left camera sees at (u, v), metres.
   double depth(int frame, double u, double v) const;
   /// True centre of the left camera in the frame of the first one, metres.

@@ -1087,6 +1087,8 @@ struct generator::impl {
     return camera_motion(time_ns(i)).T_world_camera *
            views[static_cast<std::size_t>(camera)].T_left_this;
   }
+  /// @param T_left_other see generator::render @param first_noise number of the first image's noise
+  stereo_frame render(int i, Eigen::Isometry3d const& T_left_other, std::size_t first_noise) const;
   // Gyro and accelerometer without bias and noise, body frame.
   std::pair<Eigen::Vector3d, Eigen::Vector3d> ideal_imu(std::int64_t time) const {
     double const t = seconds(time);
@@ -1177,7 +1179,16 @@ Eigen::Isometry3d generator::T_world_camera(int i) const {
 }
 
 stereo_frame generator::render(int i) const {
-  impl const& m = *impl_;
+  return impl_->render(i, Eigen::Isometry3d::Identity(), 0);
+}
+
+stereo_frame generator::render(int i, Eigen::Isometry3d const& T_left_other) const {
+  return impl_->render(i, T_left_other, 2);
+}
+
+stereo_frame generator::impl::render(int i, Eigen::Isometry3d const& T_left_other,
+                                     std::size_t first_noise) const {
+  impl const& m = *this;
   m.check_frame(i);
   double const t = impl::seconds(m.time_ns(i));
   double const gain =
@@ -1186,10 +1197,10 @@ stereo_frame generator::render(int i) const {
   out.time_ns = m.time_ns(i);
   for (std::size_t c = 0; c < 2; ++c) {
     view const& v = m.views[c];
-    auto const radiance = trace(v, m.surfaces, m.pose(i, static_cast<int>(c)));
-    (c == 0 ? out.left : out.right) =
-        expose(v, radiance, static_cast<float>(gain), static_cast<float>(m.options.noise_sigma),
-               m.normal, key(m.options.seed, 1000 + static_cast<std::uint64_t>(i), c));
+    auto const radiance = trace(v, m.surfaces, m.pose(i, 0) * T_left_other * v.T_left_this);
+    (c == 0 ? out.left : out.right) = expose(
+        v, radiance, static_cast<float>(gain), static_cast<float>(m.options.noise_sigma), m.normal,
+        key(m.options.seed, 1000 + static_cast<std::uint64_t>(i), first_noise + c));
   }
   return out;
 }

@@ -75,6 +75,9 @@ public:
   Eigen::Isometry3d T_world_camera(int i) const;
   /// Renders both images of frame i on the calling thread.
   stereo_frame render(int i) const;
+  /// The same of another pair of such cameras on the same body. @param T_left_other its left camera
+  /// to that of render(i)
+  stereo_frame render(int i, Eigen::Isometry3d const& T_left_other) const;
 
   /// One pose of the left camera per frame.
   trajectory ground_truth() const;

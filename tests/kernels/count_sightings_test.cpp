@@ -108,7 +108,8 @@ TYPED_TEST(CountSightings, AreThoseOfAPlainLoop) {
     map.pull(backend.exec);
     std::vector<test::plain_map> expected;
     for (int b = 0; b < batch; ++b) {
-      expected.push_back(test::random_map(random, {slots, 10, cameras, 100, 10, 60}));
+      test::random_map_sizes const size{slots, 10, cameras, 100, 10, 60};
+      expected.push_back(test::random_map(random, size));
       test::write_map(expected.back(), map.host, b);
     }
     map.push(backend.exec);

@@ -170,8 +170,9 @@ TYPED_TEST(MapWindows, AreTheNewestKeyframesAndTheirPoints) {
     room<typename TypeParam::exec_type> r(backend.exec, 1 + trial % 2, points);
     for (int b = 0; b < batch; ++b) {
       int const keyframes = (trial + 7 * b) % (positions + 1);
-      r.plain.push_back(test::random_map(
-          random, {slots, positions, r.cameras, keypoints, keyframes, trial % 5 == 4 ? 0u : 50u}));
+      test::random_map_sizes const size{slots,     positions, r.cameras,
+                                        keypoints, keyframes, trial % 5 == 4 ? 0u : 50u};
+      r.plain.push_back(test::random_map(random, size));
       r.in.host.flags[b] = static_cast<int>(random() % 4 != 0);
       r.in.host.problem.view_count[b] = -7;
       r.in.host.problem.point_count[b] = -7;
@@ -341,8 +342,9 @@ TYPED_TEST(MapWindows, ResultsChangeWhatIsStillThere) {
     std::mt19937 random(1000 + static_cast<unsigned>(trial));
     room<exec_type> r(backend.exec, 1 + trial % 2, slots);
     for (int b = 0; b < batch; ++b) {
-      r.plain.push_back(test::random_map(
-          random, {slots, positions, r.cameras, keypoints, 1 + (trial + 5 * b) % positions, 50}));
+      test::random_map_sizes const size{
+          slots, positions, r.cameras, keypoints, 1 + (trial + 5 * b) % positions, 50};
+      r.plain.push_back(test::random_map(random, size));
       r.in.host.flags[b] = 1;
     }
     gather(r, {5, 3});

@@ -89,10 +89,12 @@ inline float random_depth(std::mt19937& random) {
     case 3:
       return std::numeric_limits<float>::infinity();
     case 4:
-    case 5:
       return 5;
-    case 6:
+    case 5:
       return 3;
+    case 6:
+    case 7:
+      return 8;
     default:
       return std::uniform_real_distribution<float>(1, 10)(random);
   }

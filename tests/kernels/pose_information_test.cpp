@@ -44,7 +44,9 @@ TYPED_TEST(pose_information, is_that_of_the_weighted_projections) {
   std::vector<ft::observation> all;
   double want[6][6] = {};
   for (int i = 0; i < 200; ++i) {
-    double const p[3] = {2 * unit(random), 1.5 * unit(random), 4 + 2 * unit(random)};
+    // In both images: a negative right column is none.
+    double const z = 4 + 2 * unit(random);
+    double const p[3] = {0.5 * z * unit(random), 0.4 * z * unit(random), z};
     seen const s = project(p[0], p[1], p[2]);
     bool const stereo = i % 3 != 0;
     double const weight = i % 2 == 0 ? 1 : 0.25;

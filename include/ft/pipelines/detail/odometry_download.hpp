@@ -54,6 +54,8 @@ inline void require_odometry_params(odometry_params const& p) {
 inline tracking tracking_of(odometry_output const& o) {
   tracking t;
   t.T_world_camera = o.T_cw.cast<strict_double>().inverse().cast<double>();
+  auto& at = t.T_world_camera.t;
+  at = {at.x + 0.0, at.y + 0.0, at.z + 0.0};  // -0 becomes 0
   t.state = o.state;
   t.keyframe = o.keyframe != 0;
   t.inliers = o.inliers;

@@ -24,7 +24,7 @@ public:
         device_(std::move(device)),
         inner_(exec, rig_of<Rig>(options), odometry_params_of(options)),
         sums_({"motion", "upload", "pyramid", "corners", "distribution", "blur", "order",
-               "descriptors", "stereo", "search last frame", "pose last frame", "choose local map",
+               "descriptors", "stereo", "search last frame", "pose last frame", "update local map",
                "search local map", "pose local map", "keyframe", "result", "total"}) {
     if (options.optimize != pose_optimization::both) {
       throw std::invalid_argument("the odometry optimises the pose after both searches");

@@ -40,8 +40,8 @@ void queue_odometry_motion(Line& line, Stages& s) {
 template <typename Line, typename Stages>
 void queue_odometry(Line& line, Stages& s) {
   queue_odometry_motion(line, s);
-  s.plan_search(line.then("choose local map"));
-  s.choose_local(line.then("choose local map"));
+  s.plan_search(line.then("update local map"));
+  s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));
   auto const branch = line.fork(s.result_branch());
   s.pack_keypoints(branch);

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <functional>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -37,6 +38,9 @@ public:
     if (replaying_) { return; }  // frames alternate like buffers: the arrays are still valid
     frames_[at_] = {};
     device_->extract(buffer, left, right);
+  }
+  void wait_for_features() override {
+    if (!replaying_) { device_->wait_for_features(); }
   }
   void build_pyramids(ft::orbslam3::grey_image const& left,
                       ft::orbslam3::grey_image const& right) override {
@@ -89,9 +93,14 @@ public:
   }
   ft::orbslam3::pose_result optimize_pose(int buffer,
                                           ft::orbslam3::transform const& T_cw) override {
+    while (replaying_ && work_ && work_()) {}
     return answer(buffer, [&] { return device_->optimize_pose(buffer, T_cw); });
   }
 
+  void meanwhile(std::function<bool()> work) override {
+    work_ = work;
+    device_->meanwhile(std::move(work));
+  }
   ft::orbslam3::traffic bytes() const override { return device_->bytes(); }
   void reset_bytes() override { device_->reset_bytes(); }
   void measure(bool on) override { device_->measure(on); }
@@ -134,6 +143,7 @@ private:
 
   std::unique_ptr<ft::orbslam3::device_tracker> device_;
   std::vector<noted_frame> frames_;
+  std::function<bool()> work_;
   int local_buffer_ = 0;
   std::size_t at_ = 0;
   std::size_t next_ = 0;

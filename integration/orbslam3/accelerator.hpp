@@ -44,8 +44,8 @@ public:
         options_(o),
         mirror_(*device_, o.detection, s.map_points) {
     device_->measure(o.statistics);
+    device_->meanwhile([this] { return local_.work_ahead(); });
     if (!reads_map(options_)) { mirror_.changes().close(); }
-    held_before_.reserve(2 * static_cast<std::size_t>(device_->capacity()));
   }
 
   /// Whether the accelerator computes a stage; otherwise ORB-SLAM3's own code is called.
@@ -204,6 +204,7 @@ public:
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
     stage_timer timer(sums(stage::search_local_map), *device_);
+    device_->helpers().wake();
     room_.follow(static_cast<int>(points.size()));
     map_call_end const end(mirror_);
     mirror_.begin_call();
@@ -257,14 +258,11 @@ public:
     }
     if (changed) { device_->send(b, frame_part::holder); }
     mirror_.flush();
-    frame_arrays const& a = device_->frame(b);
-    held_before_.assign(a.holder, a.holder + 2 * a.capacity);
     transform const start = transform_of(frame.GetPose());
     pose_result const result = timer.on_device([&] { return device_->optimize_pose(b, start); });
+    frame_arrays const& a = device_->frame(b);
     frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      if (held_before_[static_cast<std::size_t>(number)] >= 0 && a.holder[number] < 0) {
-        frame.mvbOutlier[i] = true;
-      }
+      if (a.holder[number] < 0 && holds(frame, i)) { frame.mvbOutlier[i] = true; }
     });
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
     return result.inliers;
@@ -320,18 +318,23 @@ private:
     stage_timer timer(sums(stage::extract), *device_);
     int const b = frames_.begin_extraction();
     timer.on_device([&] { device_->extract(b, left, right); });
+    frames_.prepare(frame);
+    timer.on_device([&] { device_->wait_for_features(); });
     frames_.took(b, frame);
   }
 
+  static bool holds(frame_type const& frame, std::size_t i) {
+    return i < frame.mvpMapPoints.size() && frame.mvpMapPoints[i] != nullptr;
+  }
   /// Collects the slots of the points that a frame's keypoints hold.
   /// @return whether they have changed
   bool gather_holders(int b, frame_type const& frame, bool inliers_only) {
     frame_arrays const& a = device_->frame(b);
     bool changed = false;
     frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      map_point* const point = i < frame.mvpMapPoints.size() ? frame.mvpMapPoints[i] : nullptr;
-      bool const held = point != nullptr && !(inliers_only && frame.mvbOutlier[i]);
-      int const slot = held ? mirror_.visit(point, a.holder[number]) : -1;
+      prefetch_number(frame.mvpMapPoints, i + 16);
+      bool const held = holds(frame, i) && !(inliers_only && frame.mvbOutlier[i]);
+      int const slot = held ? mirror_.visit(frame.mvpMapPoints[i], a.holder[number]) : -1;
       replace(a.holder[number], slot, changed);
     });
     return changed;
@@ -354,7 +357,6 @@ private:
   frame_exchange<frame_type> frames_{*device_, settings_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
   local_room room_{*device_};
-  std::vector<int> held_before_;
   statistics statistics_{};
 };
 

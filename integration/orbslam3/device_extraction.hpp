@@ -140,7 +140,7 @@ public:
     features_there_.make();
   }
 
-  /// Enqueues all stages and waits for the keypoints; stereo matches may still be in flight.
+  /// Enqueues all stages.
   void extract(Exec const& exec, device_frames<Exec, Rig>& frames, int b, grey_image const& left,
                grey_image const& right) {
     stage_image(0, left);
@@ -157,8 +157,10 @@ public:
       stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
     took_grid(frames, b);
-    features_there_.wait();
   }
+  /// Waits for the keypoints of extract(); stereo matches may still be in flight.
+  void wait_for_features() const { features_there_.wait(); }
+  bool features_there() const { return features_there_.reached(); }
   /// Enqueues the same launch by launch, with marks of the clock.
   void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
                         grey_image const& left, grey_image const& right, call_clock<Exec>& clock) {

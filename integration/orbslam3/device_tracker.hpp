@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/plain_types.hpp"
@@ -35,10 +36,12 @@ public:
   virtual int cameras() const = 0;
   virtual frame_arrays const& frame(int buffer) = 0;
 
-  /// Extracts images into frame(buffer). If the settings say so, stereo is enqueued as well: the
-  /// device then owns frame(buffer).right_x, depth, partner and point until match_stereo() or
-  /// settle().
+  /// Enqueues the extraction of images into frame(buffer). wait_for_features() must follow. If the
+  /// settings say so, stereo is enqueued as well: the device then owns frame(buffer).right_x,
+  /// depth, partner and point until match_stereo() or settle(). The images may be reused on return.
   virtual void extract(int buffer, grey_image const& left, grey_image const& right) = 0;
+  /// Waits for the keypoints of the last extract().
+  virtual void wait_for_features() = 0;
   /// Builds the pyramids of two images, for match_stereo() of keypoints that were extracted
   /// elsewhere.
   virtual void build_pyramids(grey_image const& left, grey_image const& right) = 0;
@@ -81,6 +84,10 @@ public:
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
+
+  /// Sets what calls do while they wait: `work` returns whether more of it is left. A device calls
+  /// it until it has nothing to wait for, the host until nothing is left.
+  virtual void meanwhile(std::function<bool()> work) = 0;
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <utility>
 
@@ -62,20 +63,30 @@ public:
 
   void extract(int buffer, grey_image const& left, grey_image const& right) override {
     settle();
+    times_ = {};
     if (clock_.measuring()) {
       extraction_.extract_measured(exec_, frames_, buffer, left, right, clock_);
       clock_.mark(exec_, 3);
-      wait();
-      times_ = clock_.read();
     } else {
       extraction_.extract(exec_, frames_, buffer, left, right);
-      in_flight_ = extraction_.stereo_at_once();
     }
+    in_flight_ = true;
     stereo_of_ = extraction_.stereo_at_once() ? buffer : -1;
     bytes_.images += extraction_.images_bytes();
     ++bytes_.uploads;
     bytes_.results += extraction_.result_bytes();
     ++bytes_.downloads;
+  }
+
+  void wait_for_features() override {
+    if (clock_.measuring()) {
+      wait();
+      times_ = clock_.read();
+    } else {
+      work_until([&] { return extraction_.features_there(); });
+      extraction_.wait_for_features();
+      in_flight_ = extraction_.stereo_at_once();
+    }
   }
 
   void build_pyramids(grey_image const& left, grey_image const& right) override {
@@ -226,6 +237,8 @@ public:
     return searches_.optimized();
   }
 
+  void meanwhile(std::function<bool()> work) override { work_ = std::move(work); }
+
   traffic bytes() const override { return bytes_; }
   void reset_bytes() override { bytes_ = {}; }
   void measure(bool on) override { clock_.measure(on); }
@@ -280,7 +293,13 @@ private:
     wait();
     times_ = clock_.read();
   }
+  /// Does the caller's work until `done`.
+  template <typename Done>
+  void work_until(Done const& done) {
+    while (work_ && work_() && !done()) {}
+  }
   void wait() {
+    work_until([&] { return is_done(exec_); });
     exec_.wait();
     change_queued_ = false;
     started_ = false;
@@ -303,6 +322,7 @@ private:
   bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
   bool started_ = false;
+  std::function<bool()> work_;
   traffic bytes_;
   device_times times_;
 };

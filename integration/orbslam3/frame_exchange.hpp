@@ -66,6 +66,20 @@ public:
     resident_[b] = {};
     return b;
   }
+  /// Fills what does not depend on the images, and takes the frame's memory for as many keypoints
+  /// as the last extraction found and a few more: done while the device extracts.
+  void prepare(Frame& frame) const {
+    fill_scale_tables(frame);
+    frame_arrays const& a = device_->frame(newest_);
+    for (int c = 0; c < settings_.images; ++c) {
+      auto const room = static_cast<std::size_t>(a.count[c] + a.count[c] / 8);
+      auto& keypoints = c == 0 ? frame.mvKeys : frame.mvKeysRight;
+      auto& descriptors = c == 0 ? frame.mDescriptors : frame.mDescriptorsRight;
+      keypoints.resize(room);
+      descriptors.create(static_cast<int>(room), 32, grey_type);
+      touch(descriptors.data, room * static_cast<std::size_t>(descriptors.step));
+    }
+  }
   /// Fills the frame from the extraction in buffer `b`.
   void took(int b, Frame& frame) {
     resident& r = resident_[b];
@@ -95,7 +109,6 @@ public:
       frame.Nright = a.count[1];
       frame.N = a.count[0] + a.count[1];
     }
-    fill_scale_tables(frame);
   }
 
   /// The buffer that holds a frame, -1 = none.
@@ -221,6 +234,11 @@ private:
     bool checked = false;    ///< positions and stereo are equal to the frame's
   };
 
+  /// Writes to each page of new memory, so that the system provides it now.
+  static void touch(unsigned char* memory, std::size_t bytes) {
+    constexpr std::size_t page = 4096;
+    for (std::size_t at = 0; at < bytes; at += page) { memory[at] = 0; }
+  }
   template <typename Keypoint>
   void fill_keypoints(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints) const {
     int const n = a.count[image];
@@ -241,7 +259,11 @@ private:
   void fill_descriptors(frame_arrays const& a, int image, Matrix& descriptors) const {
     int const n = a.count[image];
     std::uint32_t const* const from = a.descriptor + 8 * (image * a.capacity);
-    descriptors.create(n, 32, grey_type);
+    if (n <= descriptors.rows) {
+      descriptors.resize(static_cast<std::size_t>(n));  // keeps the memory
+    } else {
+      descriptors.create(n, 32, grey_type);
+    }
     auto const step = static_cast<std::size_t>(descriptors.step);
     if (n > 0 && step == 32) {
       std::memcpy(descriptors.data, from, 32 * static_cast<std::size_t>(n));

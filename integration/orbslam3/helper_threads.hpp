@@ -3,7 +3,10 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <condition_variable>
+#include <cstdint>
 #include <exception>
 #include <mutex>
 #include <thread>
@@ -13,8 +16,9 @@
 namespace ft {
 namespace orbslam3 {
 
-/// share() may be called by one thread at a time. The caller takes parts from the beginning, so a
-/// helper that wakes up late finds less work, or none.
+/// share() and wake() may be called by one thread at a time. The caller takes parts from the
+/// beginning, so a helper that wakes up late finds less work, or none. A sleeping thread takes tens
+/// of microseconds to begin; helpers therefore stay awake for a while after each piece of work.
 class helper_threads {
 public:
   /// @param wanted threads; -1: a quarter of the machine's, 3 at most
@@ -31,16 +35,13 @@ public:
   helper_threads(helper_threads const&) = delete;
   helper_threads& operator=(helper_threads const&) = delete;
   ~helper_threads() {
-    {
-      std::lock_guard<std::mutex> const lock(mutex_);
-      ended_ = true;
-    }
-    begun_.notify_all();
+    ended_ = true;
+    wake();
     for (std::thread& t : threads_) { t.join(); }
   }
 
   /// Calls part(i) once for every i in [0, parts), on any of the threads; returns when all are
-  /// done.
+  /// done. @param parts less than 2^16
   /// @throws the last exception thrown by a part
   template <typename Part>
   void share(int parts, Part const& part) {
@@ -48,60 +49,103 @@ public:
       for (int i = 0; i < parts; ++i) { part(i); }
       return;
     }
-    std::unique_lock<std::mutex> lock(mutex_);
-    next_ = 0;
-    parts_ = parts;
     part_ = &part;
     call_ = [](void const* p, int i) { (*static_cast<Part const*>(p))(i); };
-    begun_.notify_all();
-    work(lock);
-    while (working_ > 0) {
-      // The rest takes microseconds: too short for a sleep.
-      lock.unlock();
-      std::this_thread::yield();
-      lock.lock();
-    }
-    parts_ = 0;
+    done_ = 0;
+    ++jobs_;
+    ticket_ = ticket{jobs_, static_cast<std::uint16_t>(parts), 0}.packed();
+    if (sleeping_ > 0) { wake_one(); }
+    while (take_part()) {}
+    // The rest takes microseconds: too short for a sleep.
+    for (int turn = 1; done_ < parts; ++turn) { pause(turn); }
     if (failure_) { std::rethrow_exception(std::exchange(failure_, nullptr)); }
+  }
+  /// Wakes the threads for a share() that will follow soon. Does not wait for them.
+  void wake() {
+    ++calls_;
+    if (sleeping_ > 0) { wake_one(); }
   }
 
 private:
-  /// Runs parts until none is left. @param lock held on entry; released while a part runs
-  void work(std::unique_lock<std::mutex>& lock) {
-    while (next_ < parts_) {
-      int const i = next_++;
-      lock.unlock();
-      std::exception_ptr failure;
-      try {
-        call_(part_, i);
-      } catch (...) { failure = std::current_exception(); }
-      lock.lock();
-      if (failure) { failure_ = failure; }
+  static constexpr std::chrono::microseconds awake{200};  ///< after the last work
+
+  /// A job and its next part, in one word: who takes a part knows that its job is not over.
+  struct ticket {
+    std::uint32_t job;
+    std::uint16_t parts;
+    std::uint16_t next;
+
+    std::uint64_t packed() const {
+      return (std::uint64_t{job} << 32) | (std::uint64_t{parts} << 16) | next;
     }
+    static ticket of(std::uint64_t word) {
+      return {static_cast<std::uint32_t>(word >> 32), static_cast<std::uint16_t>(word >> 16),
+              static_cast<std::uint16_t>(word)};
+    }
+    bool open() const { return next < parts; }
+  };
+
+  static void pause(int turn) {
+    if (turn % 1024 == 0) { std::this_thread::yield(); }
+#if defined(__x86_64__) && defined(__GNUC__)
+    __builtin_ia32_pause();
+#endif
+  }
+  /// The threads wake each other, so that this takes the caller one call of the system.
+  void wake_one() {
+    { std::lock_guard<std::mutex> const lock(mutex_); }
+    woken_.notify_one();
+  }
+  /// Runs a part. @return false if there is none
+  bool take_part() {
+    std::uint64_t word = ticket_;
+    for (;;) {
+      if (!ticket::of(word).open()) { return false; }
+      if (ticket_.compare_exchange_weak(word, word + 1)) { break; }
+    }
+    try {
+      call_(part_, ticket::of(word).next);
+    } catch (...) {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      failure_ = std::current_exception();
+    }
+    ++done_;
+    return true;
   }
   void help() {
-    std::unique_lock<std::mutex> lock(mutex_);
+    std::uint32_t calls = 0;
     while (!ended_) {
-      if (next_ < parts_) {
-        ++working_;
-        work(lock);
-        --working_;
-      } else {
-        begun_.wait(lock);
+      using clock = std::chrono::steady_clock;
+      auto end = clock::now() + awake;
+      for (int turn = 1; turn % 64 != 0 || clock::now() < end; ++turn) {
+        if (take_part()) {
+          while (take_part()) {}
+          end = clock::now() + awake;
+        }
+        pause(turn);
       }
+      std::unique_lock<std::mutex> lock(mutex_);
+      ++sleeping_;
+      woken_.wait(lock, [&] { return ended_ || calls != calls_ || ticket::of(ticket_).open(); });
+      --sleeping_;
+      calls = calls_;
+      lock.unlock();
+      if (sleeping_ > 0) { woken_.notify_one(); }
     }
   }
 
-  std::mutex mutex_;
-  std::condition_variable begun_;
+  std::mutex mutex_;  ///< of the sleep and of failure_
+  std::condition_variable woken_;
   std::vector<std::thread> threads_;
   void const* part_ = nullptr;
   void (*call_)(void const*, int) = nullptr;
   std::exception_ptr failure_;
-  int next_ = 0;
-  int parts_ = 0;
-  int working_ = 0;  ///< busy helpers
-  bool ended_ = false;
+  std::uint32_t jobs_ = 0;
+  std::atomic<std::uint64_t> ticket_{0};
+  std::atomic<int> done_{0};  ///< parts of the job
+  std::atomic<int> sleeping_{0};
+  std::atomic<std::uint32_t> calls_{0};  ///< of wake()
+  std::atomic<bool> ended_{false};
 };
 
 }  // namespace orbslam3

@@ -3,27 +3,37 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cstddef>
-#include <cstdint>
 #include <cstring>
-#include <numeric>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/drawn_points.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
 namespace ft {
 namespace orbslam3 {
 
+/// Map points are scattered over the heap: prefetches the number of a later one.
+template <typename MapPoint>
+void prefetch_number(std::vector<MapPoint*> const& points, std::size_t i) {
+#if defined(__GNUC__)
+  if (i < points.size() && points[i] != nullptr) { __builtin_prefetch(&points[i]->mnId); }
+#else
+  static_cast<void>(points);
+  static_cast<void>(i);
+#endif
+}
+
 template <typename Types>
 class local_map {
 public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
+  using projections = std::decay_t<decltype(std::declval<frame_type&>().mmProjectPoints)>;
 
   /// @param draws whether to fill Frame::mmProjectPoints
   local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
@@ -34,29 +44,26 @@ public:
   int gather(local_map_request& request, frame_type const& frame,
              std::vector<map_point*> const& points, bool far_points, float far_threshold) {
     int const n = static_cast<int>(points.size());
+    gathering const all{frame, points, far_points, far_threshold};
     slots_ = device_->local_slots(n);
     likely_.resize(points.size(), -1);
+    auto const count = static_cast<std::size_t>((n + at_a_time - 1) / at_a_time);
+    if (parts_.size() < count) { parts_.resize(count); }
+    device_->helpers().share(static_cast<int>(count), [&](int i) {
+      gather_part(all, i * at_a_time, std::min((i + 1) * at_a_time, n), parts_[index(i)]);
+    });
     recorded_.clear();
     bool changed = false;
-    int tested_points = 0;
-    for (int i = 0; i < n; ++i) {
-      prefetch(points, i);
-      map_point* const point = points[static_cast<std::size_t>(i)];
-      int& slot = likely_[static_cast<std::size_t>(i)];
-      slot = mirror_->visit(point, slot);
-      bool const bad = mirror_->bad(slot);
-      bool const tested = !bad && point->mnLastFrameSeen != frame.mnId;
-      if (tested) {  // until the result of the device
-        point->mbTrackInView = false;
-        point->mbTrackInViewR = false;
+    int tested = 0;
+    for (std::size_t p = 0; p < count; ++p) {
+      part& own = parts_[p];
+      for (int const i : own.unknown) {
+        likely_[index(i)] = mirror_->visit(points[index(i)], likely_[index(i)]);
+        take(all, i, own);
       }
-      replace(slots_[i], tested ? slot : -1, changed);
-      tested_points += static_cast<int>(tested);
-      bool const far = far_points && point->mTrackDepth > far_threshold;
-      if (tested && far && two_cameras()) {
-        recorded_.push_back({i, recorded_sight::not_right_alone, slot, {}});
-      }
-      if (!tested && !bad && !far && quirks_) { record(*point, i, slot); }
+      changed = changed || own.changed;
+      tested += own.tested;
+      recorded_.insert(recorded_.end(), own.recorded.begin(), own.recorded.end());
     }
     request.slots_changed = changed;
     request.points = n;
@@ -65,27 +72,79 @@ public:
       std::memcpy(device_->recorded_sights(request.recorded), recorded_.data(),
                   recorded_.size() * sizeof(recorded_sight));
     }
-    return tested_points;
+    return tested;
   }
 
   /// Writes the tracked values of the points in view, and their counters.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
-    constexpr int at_a_time = 256;
     int const drawn = draws_ ? 1 : 0;  // the longest part is started first
     int const parts = (seen.count + at_a_time - 1) / at_a_time;
-    device_->helpers().share(drawn + parts, [&](int part) {
-      if (part < drawn) {
-        draw(frame, points, seen);
+    device_->helpers().share(drawn + parts, [&](int i) {
+      if (i < drawn) {
+        draw(frame, seen);
       } else {
-        int const first = (part - drawn) * at_a_time;
+        int const first = (i - drawn) * at_a_time;
         write_sights(points, seen, first, std::min(first + at_a_time, seen.count));
       }
     });
   }
 
+  /// Uses the time in which the device works. @return whether more is left to be done
+  bool work_ahead() { return drawn_.prepare(); }
+
 private:
+  static constexpr int at_a_time = 256;  ///< points
+
+  struct gathering {
+    frame_type const& frame;
+    std::vector<map_point*> const& points;
+    bool far_points;
+    float far_threshold;
+  };
+  /// Result for a run of points.
+  struct alignas(64) part {
+    bool changed;
+    int tested;
+    std::vector<int> unknown;  ///< points that the mirror has to look at
+    std::vector<recorded_sight> recorded;
+  };
+
+  static std::size_t index(int i) { return static_cast<std::size_t>(i); }
   bool two_cameras() const { return device_->cameras() == 2; }
+
+  void gather_part(gathering const& all, int first, int last, part& own) {
+    own.changed = false;
+    own.tested = 0;
+    own.unknown.clear();
+    own.recorded.clear();
+    for (int i = first; i < last; ++i) {
+      prefetch(all.points, i);
+      if (mirror_->keep(likely_[index(i)], all.points[index(i)])) {
+        take(all, i, own);
+      } else {
+        own.unknown.push_back(i);
+      }
+    }
+  }
+  /// Takes point i, whose slot is known.
+  void take(gathering const& all, int i, part& own) {
+    map_point* const point = all.points[index(i)];
+    int const slot = likely_[index(i)];
+    bool const bad = mirror_->bad(slot);
+    bool const tested = !bad && point->mnLastFrameSeen != all.frame.mnId;
+    if (tested) {  // until the result of the device
+      point->mbTrackInView = false;
+      point->mbTrackInViewR = false;
+    }
+    replace(slots_[i], tested ? slot : -1, own.changed);
+    own.tested += static_cast<int>(tested);
+    bool const far = all.far_points && point->mTrackDepth > all.far_threshold;
+    if (tested && far && two_cameras()) {
+      own.recorded.push_back({i, recorded_sight::not_right_alone, slot, {}});
+    }
+    if (!tested && !bad && !far && quirks_) { record(*point, i, slot, own.recorded); }
+  }
 
   void write_sights(std::vector<map_point*> const& points, points_in_view const& seen, int first,
                     int last) const {
@@ -116,50 +175,31 @@ private:
     }
   }
   /// Records a point that is not tested, but was seen by an earlier test and is searched there.
-  void record(map_point const& p, int index, int slot) {
+  void record(map_point const& p, int at, int slot, std::vector<recorded_sight>& to) const {
     if (p.mbTrackInView) {
-      recorded_.push_back({index,
-                           0,
-                           slot,
-                           {p.mTrackProjX, p.mTrackProjY, p.mTrackProjXR, p.mTrackViewCos,
-                            p.mTrackDepth, p.mnTrackScaleLevel}});
+      to.push_back({at,
+                    0,
+                    slot,
+                    {p.mTrackProjX, p.mTrackProjY, p.mTrackProjXR, p.mTrackViewCos, p.mTrackDepth,
+                     p.mnTrackScaleLevel}});
     }
     if (two_cameras() && p.mbTrackInViewR) {
-      recorded_.push_back({index,
-                           1,
-                           slot,
-                           {p.mTrackProjXR, p.mTrackProjYR, 0.0f, p.mTrackViewCosR, p.mTrackDepthR,
-                            p.mnTrackScaleLevelR}});
+      to.push_back({at,
+                    1,
+                    slot,
+                    {p.mTrackProjXR, p.mTrackProjYR, 0.0f, p.mTrackViewCosR, p.mTrackDepthR,
+                     p.mnTrackScaleLevelR}});
     }
   }
-  /// Inserts in the order of the map, so that each node is inserted next to the preceding one.
-  void draw(frame_type& frame, std::vector<map_point*> const& points, points_in_view const& seen) {
-    using place = typename std::decay_t<decltype(frame.mmProjectPoints)>::mapped_type;
-    drawn_.clear();
+  void draw(frame_type& frame, points_in_view const& seen) {
+    using place = typename drawn_points<projections>::place;
     for (int k = 0; k < seen.count; ++k) {
-      if (seen.by[0][k].level < 0) { continue; }
-      drawn_.push_back({points[static_cast<std::size_t>(seen.index[k])]->mnId, k});
+      sight const& left = seen.by[0][k];
+      if (left.level < 0) { continue; }
+      int const slot = likely_[index(seen.index[k])];
+      drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));
     }
-    sort_by_id();
-    auto& map = frame.mmProjectPoints;
-    for (auto const& [id, k] : drawn_) {
-      map.insert_or_assign(map.end(), id, place(seen.by[0][k].x, seen.by[0][k].y));
-    }
-  }
-  /// Radix sort by 11 bits, lowest first: a few passes over data that fit into a cache.
-  void sort_by_id() {
-    unsigned long highest = 0;
-    for (auto const& d : drawn_) { highest = std::max(highest, d.first); }
-    constexpr unsigned bits = 11;
-    other_.resize(drawn_.size());
-    for (unsigned shift = 0; shift < 64 && (highest >> shift) != 0; shift += bits) {
-      auto const digit = [shift](unsigned long id) { return (id >> shift) & ((1u << bits) - 1); };
-      std::array<std::uint32_t, (1u << bits) + 1> start{};
-      for (auto const& d : drawn_) { ++start[digit(d.first) + 1]; }
-      std::partial_sum(start.begin(), start.end(), start.begin());
-      for (auto const& d : drawn_) { other_[start[digit(d.first)]++] = d; }
-      std::swap(drawn_, other_);
-    }
+    drawn_.move_to(frame.mmProjectPoints);
   }
   /// Map points are scattered over the heap: prefetches a later one while this one is read.
   static void prefetch(std::vector<map_point*> const& points, int i) {
@@ -199,9 +239,8 @@ private:
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;
-  /// Map point, place among those in view.
-  std::vector<std::pair<unsigned long, int>> drawn_;
-  std::vector<std::pair<unsigned long, int>> other_;
+  std::vector<part> parts_;
+  drawn_points<projections> drawn_;
 };
 
 }  // namespace orbslam3

@@ -117,6 +117,15 @@ public:
     entries_[index(slot)].used_in = call_;
     return slot;
   }
+  /// Whether a point of this call needs no visit(), because it is in `slot` and hooks tell of its
+  /// changes. Several threads may ask for different points at once.
+  bool keep(int slot, MapPoint const* point) {
+    if (detection_ != change_detection::hooks || !holds(slot, point)) { return false; }
+    entries_[index(slot)].used_in = call_;
+    return true;
+  }
+  /// After visit(): the point's mnId.
+  std::size_t id(int slot) const { return entries_[index(slot)].id; }
   /// After visit(): whether the point was bad when it was read.
   bool bad(int slot) const { return entries_[index(slot)].bad; }
   /// The point in a slot that the last call has visited.

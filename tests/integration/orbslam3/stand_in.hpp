@@ -40,6 +40,18 @@ struct matrix {
     memory_ = std::make_shared<std::vector<unsigned char>>(static_cast<std::size_t>(r) * step);
     data = memory_->data();
   }
+  /// Fewer rows in the same memory, or more in new memory.
+  void resize(std::size_t r) {
+    if (r > static_cast<std::size_t>(rows)) {
+      matrix larger;
+      larger.create(static_cast<int>(r), cols, step == static_cast<std::size_t>(cols) ? 0 : 5);
+      if (data != nullptr) {
+        std::memcpy(larger.data, data, static_cast<std::size_t>(rows) * step);
+      }
+      *this = larger;
+    }
+    rows = static_cast<int>(r);
+  }
   matrix clone() const {
     matrix m;
     if (data != nullptr) {

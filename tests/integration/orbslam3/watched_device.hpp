@@ -29,6 +29,10 @@ public:
     on_call("extract");
     to_->extract(b, left, right);
   }
+  void wait_for_features() override {
+    on_call("wait_for_features");
+    to_->wait_for_features();
+  }
   void build_pyramids(ft::orbslam3::grey_image const& left,
                       ft::orbslam3::grey_image const& right) override {
     on_call("build_pyramids");
@@ -84,6 +88,7 @@ public:
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }
+  void meanwhile(std::function<bool()> work) override { to_->meanwhile(std::move(work)); }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }
   void measure(bool on) override { to_->measure(on); }

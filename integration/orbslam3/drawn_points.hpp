@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Frame::mmProjectPoints: the positions of map points in an image, which the viewer draws.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <iterator>
+#include <utility>
+#include <vector>
+
+namespace ft {
+namespace orbslam3 {
+
+/// Making the nodes of a map takes longer than the search of a local map. Most points are in view
+/// in the next frame again, so the nodes for that are made ahead, while the device works; they then
+/// get their positions, and the frame gets the whole map.
+/// @tparam Map std::map from a map point's mnId to a place
+template <typename Map>
+class drawn_points {
+public:
+  using key = typename Map::key_type;
+  using place = typename Map::mapped_type;
+
+  /// Adds a point; of equal ids the last one counts. @param slot of the point in the mirror
+  void put(int slot, key id, place const& at) {
+    auto const s = static_cast<std::size_t>(slot);
+    if (s >= nodes_.size()) { nodes_.resize(std::max(s + 1, 2 * nodes_.size())); }
+    node& n = nodes_[s];
+    if (n.round != round_ || n.at->first != id) {
+      missing_.push_back({id, missing_.size(), slot, at});
+      return;
+    }
+    n.at->second = at;
+    used_ += static_cast<std::size_t>(!n.used);
+    n.used = true;
+  }
+
+  /// Moves the points since the last call into a map.
+  void move_to(Map& to) {
+    if (used_ < ready_ || ready_ < shown_.size() || !missing_.empty()) { follow(); }
+    if (to.empty()) {
+      to.swap(next_);
+    } else {
+      for (auto const& [id, at] : next_) { to.insert_or_assign(id, at); }
+      next_.clear();
+    }
+    ++round_;
+    ready_ = 0;
+    used_ = 0;
+  }
+
+  /// Makes a few nodes for the next frame. @return whether some are left to be made
+  bool prepare() {
+    constexpr std::size_t at_a_time = 64;
+    std::size_t const end = std::min(ready_ + at_a_time, shown_.size());
+    for (; ready_ < end; ++ready_) {
+      shown const& s = shown_[ready_];
+      auto const at = next_.emplace_hint(next_.end(), s.id, place());
+      nodes_[static_cast<std::size_t>(s.slot)] = {at, round_, false};
+    }
+    return ready_ < shown_.size();
+  }
+
+private:
+  struct node {
+    typename Map::iterator at{};
+    std::uint32_t round = 0;  ///< valid in this one
+    bool used = false;
+  };
+  struct shown {
+    key id;
+    int slot;
+  };
+  struct added {
+    key id;
+    std::size_t order;
+    int slot;
+    place at;
+  };
+
+  /// Removes the nodes that were not used, and makes those that are missing.
+  void follow() {
+    other_.clear();
+    for (std::size_t i = 0; i < ready_; ++i) {
+      node const& n = nodes_[static_cast<std::size_t>(shown_[i].slot)];
+      if (n.used && n.at->first == shown_[i].id) {
+        other_.push_back(shown_[i]);
+      } else {
+        next_.erase(shown_[i].id);
+      }
+    }
+    std::sort(missing_.begin(), missing_.end(), [](added const& a, added const& b) {
+      return a.id != b.id ? a.id < b.id : a.order < b.order;
+    });
+    auto const kept = static_cast<std::ptrdiff_t>(other_.size());
+    auto hint = missing_.empty() ? next_.end() : next_.lower_bound(missing_.front().id);
+    for (added const& m : missing_) {
+      hint = std::next(next_.insert_or_assign(hint, m.id, m.at));
+      other_.push_back({m.id, m.slot});
+    }
+    auto const earlier = [](shown const& a, shown const& b) { return a.id < b.id; };
+    std::inplace_merge(other_.begin(), other_.begin() + kept, other_.end(), earlier);
+    auto const same = [](shown const& a, shown const& b) { return a.id == b.id; };
+    other_.erase(std::unique(other_.begin(), other_.end(), same), other_.end());
+    shown_.swap(other_);
+    missing_.clear();
+  }
+
+  Map next_;
+  std::uint32_t round_ = 1;
+  std::size_t ready_ = 0;     ///< nodes of shown_ that next_ has
+  std::size_t used_ = 0;      ///< of these
+  std::vector<shown> shown_;  ///< by the last frame, by id
+  std::vector<shown> other_;
+  std::vector<node> nodes_;  ///< by slot
+  std::vector<added> missing_;
+};
+
+}  // namespace orbslam3
+}  // namespace ft

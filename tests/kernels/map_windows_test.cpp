@@ -71,7 +71,7 @@ struct plain_window {
   int left_out = 0;
 };
 
-inline plain_window plain_gather(test::plain_map const& m, ft::window_params const& params,
+inline plain_window plain_gather(test::plain_map const& m, ft::window_selection const& params,
                                  int room_for) {
   plain_window w;
   int const count = static_cast<int>(m.keyframes.size());
@@ -148,7 +148,7 @@ void expect_gathered(room<Exec> const& r, plain_window const& w, int b) {
 }
 
 template <typename Exec>
-void gather(room<Exec>& r, ft::window_params const& params) {
+void gather(room<Exec>& r, ft::window_selection const& params) {
   r.write();
   ft::gather_window(r.exec, {r.in.device.flags, r.geometry, params}, r.map.device,
                     r.in.device.problem, r.in.device.sources);
@@ -166,7 +166,7 @@ TYPED_TEST(MapWindows, AreTheNewestKeyframesAndTheirPoints) {
     SCOPED_TRACE("trial " + std::to_string(trial));
     std::mt19937 random(static_cast<unsigned>(trial));
     int const points = trial % 3 == 0 ? 20 : slots;
-    ft::window_params const params{1 + trial % 5, trial % 4};
+    ft::window_selection const params{1 + trial % 5, trial % 4};
     room<typename TypeParam::exec_type> r(backend.exec, 1 + trial % 2, points);
     for (int b = 0; b < batch; ++b) {
       int const keyframes = (trial + 7 * b) % (positions + 1);
@@ -214,8 +214,11 @@ inline void randomize_results(std::mt19937& random, ft::window_problem_view cons
     for (int v = 0; v < p.view_count[b]; ++v) {
       for (int c = 0; c < p.cameras; ++c) {
         auto const to = p.sighting(b, i, v, c);
-        p.outlier[to] =
-            static_cast<unsigned char>(p.seen[to].inv_sigma2 > 0 && random() % rarely == 0);
+        bool const is_seen = p.seen[to].inv_sigma2 > 0;
+        bool const pixel = is_seen && random() % rarely == 0;
+        bool const right = is_seen && random() % 8 == 0;
+        p.outlier[to] = static_cast<unsigned char>((pixel ? ft::outlying_pixel : 0) |
+                                                   (right ? ft::outlying_right : 0));
       }
     }
   }
@@ -314,11 +317,13 @@ private:
       for (int c = 0; c < p.cameras; ++c) {
         for (auto& k : found->second.cameras[test::index(c)]) {
           if (k.holder != slot || k.holder_number != point.number) { continue; }
-          if (p.outlier[p.sighting(b_, i, v, c)] != 0) {
+          int const outlier = p.outlier[p.sighting(b_, i, v, c)];
+          if ((outlier & ft::outlying_pixel) != 0) {
             k.holder = -1;
             k.holder_number = 0;
           } else {
             sees = true;
+            if ((outlier & ft::outlying_right) != 0) { k.right_x = -1; }
           }
         }
       }

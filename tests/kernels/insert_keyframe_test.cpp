@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/plain_frames.hpp"
@@ -22,7 +23,14 @@ using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt
 
 template <typename Rig>
 Rig make_rig() {
-  if constexpr (Rig::rectified) {
+  if constexpr (Rig::searches > 1) {
+    // Exact rotations: a quarter and a half turn.
+    ft::pose const quarter{{{0, 0, -1, 0, 1, 0, 1, 0, 0}}, {0.1f, -0.2f, 0.3f}};
+    ft::pose const half{{{-1, 0, 0, 0, 1, 0, 0, 0, -1}}, {0, 0.1f, 0.4f}};
+    return {{{{400.0f, 410.0f, 250.0f, 240.0f}, 0.12, ft::pose::identity()},
+             {{390.0f, 400.0f, 255.0f, 245.0f}, 0.2, quarter},
+             {{410.0f, 420.0f, 245.0f, 235.0f}, 0.05, half}}};
+  } else if constexpr (Rig::rectified) {
     return ft::rectified_rig::make({400.0f, 410.0f, 250.0f, 240.0f}, 0.1);
   } else {
     Rig rig{};
@@ -38,7 +46,7 @@ struct sizes {
 /// A map, frames and the stage on an executor.
 template <typename Exec, typename Rig>
 struct room {
-  static constexpr int cameras = Rig::rectified ? 1 : 2;
+  static constexpr int cameras = Rig::cameras;
   Exec const& exec;
   sizes size;
   test::mirrored<Exec, ft::odometry_map_view> map;
@@ -54,7 +62,7 @@ struct room {
           carve(c, v, {s.slots, {s.positions, cameras, s.keypoints}}, s.batch);
         }),
         frames([&](ft::carver& c, test::frames_view& v) {
-          carve(c, v, s.keypoints, cameras, s.batch);
+          carve(c, v, s.keypoints, cameras, Rig::searches, s.batch);
         }),
         work([&](ft::carver& c, ft::keyframe_workspace& v) {
           carve(c, v, s.slots, s.keypoints, cameras, s.batch);
@@ -123,7 +131,7 @@ void compare(Exec const& exec, sizes const& size, int steps, unsigned seed) {
       for (int n = 0; n < r.frames.host.numbers(); ++n) {
         int const holder = r.frames.host.holder[b * r.frames.host.numbers() + n];
         EXPECT_EQ(holder, e.holder[test::index(n)]) << "keypoint " << n;
-        held += static_cast<int>(n < size.keypoints && holder >= 0);
+        held += static_cast<int>(n < Rig::searches * size.keypoints && holder >= 0);
       }
       if (r.frames.host.order[b] == ft::keyframe_order::none) { continue; }
       EXPECT_EQ(r.frames.host.held[b], held);
@@ -132,7 +140,8 @@ void compare(Exec const& exec, sizes const& size, int steps, unsigned seed) {
     }
     if (::testing::Test::HasFailure()) { return; }
   }
-  EXPECT_EQ(left_out > 0, size.slots < size.keypoints) << "whether slots were short";
+  if (size.slots < size.keypoints) { EXPECT_GT(left_out, 0) << "slots are short"; }
+  if (size.slots >= Rig::searches * size.keypoints) { EXPECT_EQ(left_out, 0); }
 }
 
 template <typename Backend>
@@ -150,6 +159,8 @@ TYPED_TEST(InsertKeyframe, IsThatOfAPlainLoop) {
     int const steps = test::effort(all[i].positions >= 100 ? 200 : 60);
     compare<exec_type, ft::rectified_rig>(backend.exec, all[i], steps, static_cast<unsigned>(i));
     compare<exec_type, fisheye_rig>(backend.exec, all[i], steps, 100 + static_cast<unsigned>(i));
+    compare<exec_type, ft::multi_rig<3>>(backend.exec, all[i], steps,
+                                         200 + static_cast<unsigned>(i));
     if (::testing::Test::HasFailure()) { return; }
   }
 }

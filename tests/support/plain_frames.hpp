@@ -33,8 +33,11 @@ struct frames_view {
   int* held = nullptr;
   int* left_out = nullptr;
   int cameras = 1;
+  int searches = 1;  ///< as of a rig: the cameras of a multi_rig, else 1
   int batch = 1;
 
+  bool rectified() const { return cameras == searches; }
+  int images() const { return 2 * searches; }
   int capacity() const { return keypoints.capacity; }
   int numbers() const { return cameras * keypoints.capacity; }
   ft::frame_view frame() const {
@@ -42,27 +45,32 @@ struct frames_view {
     f.keypoints = keypoints;
     f.cameras = cameras;
     f.batch = batch;
-    f.right_x = cameras == 1 ? right_x : nullptr;
-    f.partner = cameras == 2 ? partner : nullptr;
+    f.keypoint_step = images();
+    f.camera_step = images() / cameras;
+    f.right_x = rectified() ? right_x : nullptr;
+    f.partner = rectified() ? nullptr : partner;
     f.holder = holder;
     return f;
   }
 };
 
-inline void carve(ft::carver& c, frames_view& v, int capacity, int cameras, int batch) {
+inline void carve(ft::carver& c, frames_view& v, int capacity, int cameras, int searches,
+                  int batch) {
   v.cameras = cameras;
+  v.searches = searches;
   v.batch = batch;
-  ft::carve(c, v.keypoints, capacity, 2 * batch);
+  ft::carve(c, v.keypoints, capacity, v.images() * batch);
   auto const b = static_cast<std::size_t>(batch);
   std::size_t const n = b * static_cast<std::size_t>(capacity);
-  v.right_x = c.take<float>(n);
+  std::size_t const with_depth = n * static_cast<std::size_t>(searches);
+  v.right_x = c.take<float>(with_depth);
   v.partner = c.take<int>(n * static_cast<std::size_t>(cameras));
   v.holder = c.take<int>(n * static_cast<std::size_t>(cameras));
   v.order = c.take<ft::keyframe_order>(b);
   v.T_cw = c.take<ft::rigid<double>>(b);
   v.time_ns = c.take<std::int64_t>(b);
-  v.depth = c.take<float>(n);
-  v.point = c.take<ft::vec3<float>>(n);
+  v.depth = c.take<float>(with_depth);
+  v.point = c.take<ft::vec3<float>>(with_depth);
   v.held = c.take<int>(b);
   v.left_out = c.take<int>(b);
 }
@@ -118,8 +126,8 @@ inline void randomize_frame(std::mt19937& random, frames_view const& v, int b, p
     }
     if (random() % 100 >= share) { v.holder[at] = -1; }
   }
-  for (int c = 0; c < 2; ++c) {
-    auto const k = v.keypoints.slice(2 * b + c);
+  for (int c = 0; c < v.images(); ++c) {
+    auto const k = v.keypoints.slice(v.images() * b + c);
     *k.count = static_cast<int>(random() % static_cast<unsigned>(capacity + 1));
     for (int i = 0; i < capacity; ++i) {
       k.x(i) = pixel(random);
@@ -128,14 +136,14 @@ inline void randomize_frame(std::mt19937& random, frames_view const& v, int b, p
       k.orb(i) = random_descriptor(random, static_cast<unsigned>(random() % 3));
     }
   }
-  for (int i = 0; i < capacity; ++i) {
-    auto const at = static_cast<std::ptrdiff_t>(b) * capacity + i;
+  for (int i = 0; i < v.searches * capacity; ++i) {
+    auto const at = static_cast<std::ptrdiff_t>(b) * v.searches * capacity + i;
     v.depth[at] = random_depth(random);
     v.right_x[at] = v.depth[at] > 0 ? pixel(random) : -1;
     v.point[at] = {pixel(random) / 100, pixel(random) / 100, v.depth[at]};
   }
   int const right = *v.keypoints.slice(2 * b + 1).count;
-  for (int i = 0; v.cameras == 2 && right > 0 && i < *v.keypoints.slice(2 * b).count; ++i) {
+  for (int i = 0; !v.rectified() && right > 0 && i < *v.keypoints.slice(2 * b).count; ++i) {
     if (random() % 2 == 0) { continue; }
     int* const partner = v.partner + static_cast<std::ptrdiff_t>(b) * v.numbers();
     partner[i] = capacity + static_cast<int>(random() % static_cast<unsigned>(right));
@@ -175,10 +183,14 @@ public:
   plain_map map;
   std::vector<int> holder;
   int left_out = 0;
-
   plain_insertion(ft::keyframe_input<Rig> const& in, ft::keyframe_params const& params, int b,
                   plain_map before)
-      : map(std::move(before)), in_(in), params_(params), b_(b), cameras_(in.frame.cameras) {
+      : map(std::move(before)),
+        in_(in),
+        params_(params),
+        b_(b),
+        cameras_(in.frame.cameras),
+        claims_(index(cameras_)) {
     int const numbers = in.frame.numbers();
     holder.assign(in.frame.holder + b * numbers, in.frame.holder + (b + 1) * numbers);
   }
@@ -215,25 +227,38 @@ private:
   int slots() const { return static_cast<int>(map.points.size()); }
   int count(int c) const { return *in_.frame.camera(b_, c).count; }
 
+  /// Limit of depth of a camera: as many baselines as `near` is of the longest one.
+  float near([[maybe_unused]] int c) const {
+    if constexpr (Rig::searches > 1) {
+      double longest = 0;
+      for (auto const& of : in_.rig.of) { longest = std::max(longest, of.baseline); }
+      auto const own = static_cast<float>(in_.rig.of[c].baseline);
+      return own / static_cast<float>(longest) * params_.near;
+    }
+    return params_.near;
+  }
   /// Left keypoints that are to become points.
   std::set<int> wanted() const {
-    std::vector<std::pair<float, int>> candidates;
-    for (int i = 0; i < count(0); ++i) {
-      float const depth = in_.depth[b_ * capacity() + i];
-      if (depth > 0 && !std::isinf(depth)) { candidates.emplace_back(depth, i); }
-    }
-    std::sort(candidates.begin(), candidates.end());
     std::set<int> fresh;
-    int taken = 0;
-    for (auto const& [depth, i] : candidates) {
-      if (depth > params_.near && taken >= params_.wanted_near_points) { break; }
-      ++taken;
-      if (holder[index(i)] < 0) { fresh.insert(i); }
+    for (int c = 0; c < Rig::searches; ++c) {
+      std::vector<std::pair<float, int>> candidates;
+      for (int i = 0; i < count(c); ++i) {
+        float const depth = in_.depth[(b_ * Rig::searches + c) * capacity() + i];
+        if (depth > 0 && !std::isinf(depth)) { candidates.emplace_back(depth, i); }
+      }
+      std::sort(candidates.begin(), candidates.end());
+      int taken = 0;
+      for (auto const& [depth, i] : candidates) {
+        if (depth > near(c) && taken >= params_.wanted_near_points) { break; }
+        ++taken;
+        int const n = c * capacity() + i;
+        if (holder[index(n)] < 0) { fresh.insert(n); }
+      }
     }
     return fresh;
   }
   void share(std::set<int> const& fresh) {
-    for (int i = 0; cameras_ == 2 && i < count(1); ++i) {
+    for (int i = 0; !Rig::rectified && i < count(1); ++i) {
       int const partner = in_.frame.partner[b_ * 2 * capacity() + capacity() + i];
       if (partner < 0) { continue; }
       int const h = holder[index(partner)];
@@ -246,7 +271,7 @@ private:
     }
   }
   void claim(int n, int slot) {
-    bool const first = claims_[n / capacity()].emplace(slot, n).second;
+    bool const first = claims_[index(n / capacity())].emplace(slot, n).second;
     if (first) { map.points[index(slot)].seen_by.insert(id_); }
   }
   void leave(std::size_t needed) {
@@ -287,7 +312,7 @@ private:
   }
   void make(std::set<int> const& fresh) {
     int slot = 0;
-    for (int const i : fresh) {
+    for (int const n : fresh) {
       while (slot < slots() && map.points[index(slot)].number != 0) { ++slot; }
       if (slot == slots()) {
         ++left_out;
@@ -297,27 +322,36 @@ private:
       p = {};
       p.number = ++map.points_made;
       p.visible = p.found = 1;
-      auto const from = seen_at(i);
+      int const c = n / capacity();
+      int const i = n % capacity();
+      auto const from = seen_at(c, i);
       float const distance =
           static_cast<float>(std::sqrt(from.x * from.x + from.y * from.y + from.z * from.z));
       auto const& T = in_.T_cw[b_];
-      p.position = plain_narrow(T.R.transposed() * (from - T.t));
-      p.most = distance * in_.geometry.scale[in_.frame.camera(b_, 0).octave(i)];
+      p.position = plain_narrow(T.R.transposed() * (in_body(c, from) - T.t));
+      p.most = distance * in_.geometry.scale[in_.frame.camera(b_, c).octave(i)];
       p.least = p.most / in_.geometry.scale[in_.geometry.levels - 1];
-      holder[index(i)] = slot;
-      claim(i, slot);
-      for (int j = 0; cameras_ == 2 && j < count(1); ++j) {
+      holder[index(n)] = slot;
+      claim(n, slot);
+      for (int j = 0; !Rig::rectified && j < count(1); ++j) {
         if (in_.frame.partner[b_ * 2 * capacity() + capacity() + j] != i) { continue; }
         holder[index(capacity() + j)] = slot;
         claim(capacity() + j, slot);
       }
     }
   }
-  ft::vec3<double> seen_at(int i) const {
+  ft::vec3<double> in_body([[maybe_unused]] int c, ft::vec3<double> const& in_camera) const {
+    if constexpr (Rig::searches > 1) {
+      auto const T = in_.rig.of[c].T_cb.template cast<double>();
+      return T.R.transposed() * (in_camera - T.t);
+    }
+    return in_camera;
+  }
+  ft::vec3<double> seen_at(int c, int i) const {
     if constexpr (Rig::rectified) {
-      auto const k = in_.frame.camera(b_, 0);
-      auto const& camera = in_.rig.camera;
-      auto const z = static_cast<double>(in_.depth[b_ * capacity() + i]);
+      auto const k = in_.frame.camera(b_, c);
+      auto const& camera = in_.rig.pair(c).camera;
+      auto const z = static_cast<double>(in_.depth[(b_ * Rig::searches + c) * capacity() + i]);
       return {z * static_cast<double>((k.x(i) - camera.cx) / camera.fx),
               z * static_cast<double>((k.y(i) - camera.cy) / camera.fy), z};
     } else {
@@ -332,13 +366,15 @@ private:
       for (int i = 0; i < *k.count; ++i) {
         int const n = c * capacity() + i;
         int const slot = holder[index(n)];
-        bool const holds = slot >= 0 && claims_[c].at(slot) == n;
-        float const right = cameras_ == 1 ? in_.frame.right_x[b_ * capacity() + i] : -1;
+        bool const holds = slot >= 0 && claims_[index(c)].at(slot) == n;
+        float const right = Rig::rectified ? in_.frame.right_x[b_ * in_.frame.numbers() + n] : -1;
         made.cameras.back().push_back({k.x(i), k.y(i), right, k.octave(i), holds ? slot : -1,
                                        holds ? map.points[index(slot)].number : 0});
-        if (holds && (c == 0 || claims_[0].count(slot) == 0)) {
-          describe(map.points[index(slot)], k.orb(i));
+        bool first = holds;
+        for (int before = 0; before < c; ++before) {
+          first = first && claims_[index(before)].count(slot) == 0;
         }
+        if (first) { describe(map.points[index(slot)], k.orb(i)); }
       }
     }
     for (auto& p : map.points) { p.observations = static_cast<int>(p.seen_by.size()); }
@@ -360,7 +396,7 @@ private:
   int b_;
   int cameras_;
   int id_ = 0;
-  std::map<int, int> claims_[2];
+  std::vector<std::map<int, int>> claims_;  ///< per camera: keypoint that holds a slot
 };
 
 }  // namespace test

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
@@ -53,7 +54,22 @@ inline fisheye_rig make_rig<fisheye_rig>() {
           turn(0.1, 1, 0.2, 0.03, {-0.1, 0.002, 0.001}).cast<float>()};
 }
 
-/// Pixel of a point given in the left camera's frame, in double.
+/// Two pairs and a single camera, none in the body's frame.
+using three_camera_rig = ft::multi_rig<3>;
+template <>
+inline three_camera_rig make_rig<three_camera_rig>() {
+  return {{{{435.2f, 436.1f, 367.2f, 252.3f},
+            0.11,
+            turn(0.02, -1, 0.1, 0.25, {0.1, 0.02, -0.05}).cast<float>()},
+           {{300.5f, 301.5f, 320.2f, 240.1f},
+            0,
+            turn(-0.3, 0.1, 1, 0.3, {-0.2, 0.1, 0.02}).cast<float>()},
+           {{380.3f, 379.1f, 330.7f, 242.3f},
+            0.2,
+            turn(1, 0.5, -0.02, 0.2, {-0.1, 0.03, 0.04}).cast<float>()}}};
+}
+
+/// Pixel of a point given in the frame of the pose, in double.
 inline ft::vec2<double> pixel_of(ft::rectified_rig const& rig, ft::vec3<double> p, int) {
   return rig.camera.cast<double>().project(p).pixel;
 }
@@ -62,6 +78,18 @@ inline ft::vec2<double> pixel_of(fisheye_rig const& rig, ft::vec3<double> p, int
                      : rig.right.cast<double>().project(rig.T_rl.cast<double>() * p).pixel;
 }
 
+inline ft::vec2<double> pixel_of(three_camera_rig const& rig, ft::vec3<double> p, int camera) {
+  auto const& of = rig.of[camera];
+  return of.camera.cast<double>().project(of.T_cb.cast<double>() * p).pixel;
+}
+/// Difference of the columns in a rectified pair, pixels.
+inline double disparity_of(ft::rectified_rig const& rig, ft::vec3<double> p, int) {
+  return static_cast<double>(rig.bf()) / p.z;
+}
+inline double disparity_of(three_camera_rig const& rig, ft::vec3<double> p, int camera) {
+  auto const& of = rig.of[camera];
+  return static_cast<double>(of.bf()) / (of.T_cb.cast<double>() * p).z;
+}
 struct scene {
   std::vector<ft::observation> observations;
   std::vector<unsigned char> outlier;  ///< made one on purpose
@@ -69,8 +97,8 @@ struct scene {
   ft::pose start;
 };
 
-/// Points seen from a known pose; every second in stereo, or by the right camera; some with a wrong
-/// pixel.
+/// Points seen from a known pose by the cameras in turn; of a rectified pair every second in
+/// stereo; some with a wrong pixel.
 template <typename Rig>
 scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed) {
   std::mt19937 random(seed);
@@ -90,15 +118,15 @@ scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed)
     bool const bad = std::uniform_real_distribution<double>(0, 1)(random) < share_of_outliers;
     double const error_u = bad ? (unit(random) > 0 ? 1 : -1) * (30 + 20 * unit(random)) : 0;
     double const error_v = bad ? (unit(random) > 0 ? 1 : -1) * (30 + 20 * unit(random)) : 0;
-    auto const pixel = pixel_of(rig, seen, Rig::rectified ? 0 : second);
+    o.camera = i % Rig::cameras;
+    auto const pixel = pixel_of(rig, seen, o.camera);
     o.u = static_cast<float>(pixel.x + error_u);
     o.v = static_cast<float>(pixel.y + error_v);
     o.right_u = -1;
     if constexpr (Rig::rectified) {
-      double const right = pixel.x - static_cast<double>(rig.bf()) / depth;
-      if (second != 0 && right >= 0) { o.right_u = static_cast<float>(right); }
-    } else {
-      o.camera = second;
+      double const right = pixel.x - disparity_of(rig, seen, o.camera);
+      bool const stereo = second != 0 && !rig.pair(o.camera).single();
+      if (stereo && right >= 0) { o.right_u = static_cast<float>(right); }
     }
     o.inv_sigma2 = static_cast<float>(std::pow(1.44, -(i % 5)));
     s.observations.push_back(o);
@@ -153,7 +181,7 @@ seen_error error_of(Rig const& rig, motion const& T_cw, ft::observation const& o
   if constexpr (Rig::rectified) {
     stereo = o.right_u >= 0;
     double const right =
-        static_cast<double>(o.right_u) - (pixel.x - static_cast<double>(rig.bf()) / seen.z);
+        static_cast<double>(o.right_u) - (pixel.x - disparity_of(rig, seen, o.camera));
     if (stereo) { sum += right * right; }
   }
   return {sum * static_cast<double>(o.inv_sigma2), stereo};
@@ -516,6 +544,9 @@ TYPED_TEST_SUITE(pose_unit, test::backends);
 TYPED_TEST(pose_unit, recovers_a_rectified_pose) {
   this->template check_recovery<ft::rectified_rig>();
 }
+TYPED_TEST(pose_unit, recovers_the_pose_of_three_cameras) {
+  this->template check_recovery<three_camera_rig>();
+}
 TYPED_TEST(pose_unit, recovers_a_fisheye_pose) { this->template check_recovery<fisheye_rig>(); }
 TYPED_TEST(pose_unit, fewer_than_three_observations_change_nothing) {
   this->template check_too_few<ft::rectified_rig>();
@@ -526,6 +557,9 @@ TYPED_TEST(pose_unit, fewer_than_ten_rectified_observations_have_the_first_round
 }
 TYPED_TEST(pose_unit, fewer_than_ten_fisheye_observations_have_the_first_round_alone) {
   this->template check_first_round_alone<fisheye_rig>();
+}
+TYPED_TEST(pose_unit, fewer_than_ten_observations_of_three_cameras_have_the_first_round_alone) {
+  this->template check_first_round_alone<three_camera_rig>();
 }
 TYPED_TEST(pose_unit, points_behind_the_camera_give_a_pose_still) {
   this->template check_points_behind<ft::rectified_rig>();
@@ -578,6 +612,10 @@ TYPED_TEST(pose_unit, the_rectified_stereo_jacobian_is_the_derivative) {
   // difference.
   this->template check_jacobian<ft::rectified_rig>(2e-3, 1e-3, true);
 }
+TYPED_TEST(pose_unit, the_jacobian_of_three_cameras_is_the_derivative) {
+  this->template check_jacobian<three_camera_rig>(1e-5, 1e-6, false);
+  this->template check_jacobian<three_camera_rig>(2e-3, 1e-3, true);
+}
 TYPED_TEST(pose_unit, the_fisheye_jacobian_is_the_derivative_for_both_cameras) {
   this->template check_jacobian<fisheye_rig>(1e-5, 1e-6, false);
 }
@@ -587,7 +625,8 @@ TYPED_TEST(pose_unit, an_observation_adds_its_squared_jacobian) {
   std::uniform_real_distribution<float> any(-2.0f, 2.0f);
   using number = ft::strict_float;
   for (int round = 0; round < 200; ++round) {
-    bool const rectified = round % 2 == 0;
+    bool const rectified = round % 3 == 0;
+    bool const displaced = round % 3 == 1;
     ft::vec3<number> const p{any(random), any(random), any(random)};
     ft::mat3<number> P;
     for (auto& v : P.m) { v = any(random); }
@@ -596,12 +635,13 @@ TYPED_TEST(pose_unit, an_observation_adds_its_squared_jacobian) {
       P.m[6] = P.m[0];
     }
     ft::vec3<number> const W{std::abs(any(random)), std::abs(any(random)),
-                             rectified && round % 4 == 0 ? std::abs(any(random)) : 0.0f};
+                             round % 3 != 2 && round % 4 == 0 ? std::abs(any(random)) : 0.0f};
     ft::vec3<number> const e{any(random), any(random), any(random)};
     float sums[ft::detail::pose_terms] = {};
     ft::detail::add_motion_terms(p,
-                                 rectified ? ft::detail::rectified_equations(P, W, e)
-                                           : ft::detail::monocular_equations(P, W, e),
+                                 rectified   ? ft::detail::rectified_equations(P, W, e)
+                                 : displaced ? ft::detail::displaced_equations(P, W, e)
+                                             : ft::detail::monocular_equations(P, W, e),
                                  sums);
     double const x[3] = {p.x.value, p.y.value, p.z.value};
     double const w[3] = {W.x.value, W.y.value, W.z.value};

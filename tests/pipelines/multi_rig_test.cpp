@@ -291,17 +291,21 @@ TYPED_TEST(multi_rig, gives_the_bits_of_the_host) {
 
 // ---- the whole odometry ------------------------------------------------------------------------
 
-template <typename Exec, typename Rig>
-std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
-                                 std::vector<rig_frame> const& walk) {
-  using odometry_type = ft::odometry<Exec, Rig>;
+ft::odometry_params odometry_params() {
   ft::odometry_params p;
   p.orb = test::room::params().orb;
   p.map_slots = 8192;
   p.local_points = 4096;
   p.keyframes = 20;
   p.window_points = 4096;
-  odometry_type odo(exec, rig, p);
+  return p;
+}
+
+template <typename Exec, typename Rig>
+std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
+                                 std::vector<rig_frame> const& walk) {
+  using odometry_type = ft::odometry<Exec, Rig>;
+  odometry_type odo(exec, rig, odometry_params());
   std::vector<ft::tracking> all;
   std::int64_t time = 0;
   for (rig_frame const& f : walk) {
@@ -414,6 +418,12 @@ TEST(multi_rig_errors, name_what_is_wrong) {
   EXPECT_THROW(tracker.set_image(0, 4, view), ft::bad_argument);
   tracker.set_image(0, 2, view);
   EXPECT_NO_THROW(tracker.extract(exec));
+
+  ft::multi_rig<1> const alone{{single_at(ft::pose::identity())}};
+  EXPECT_NO_THROW(alone.check());
+  EXPECT_THROW((ft::odometry<ft::host_exec, ft::multi_rig<1>>(exec, alone, odometry_params())),
+               ft::bad_argument)
+      << "no pair gives points";
 
   auto const refused = [](ft::rig_camera const& c) {
     EXPECT_THROW(ft::multi_rig<1>{{c}}.check(), ft::bad_argument);

@@ -292,6 +292,7 @@ private:
 
   static odometry_params const& checked(Rig const& rig, odometry_params const& p, int batch) {
     rig.check();
+    detail::require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     detail::require_range("batch of camera pairs", batch, 1, 2048);
     detail::require_odometry_params(p);
     return p;

@@ -167,7 +167,7 @@ TYPED_TEST(MapWindows, AreTheNewestKeyframesAndTheirPoints) {
     std::mt19937 random(static_cast<unsigned>(trial));
     int const points = trial % 3 == 0 ? 20 : slots;
     ft::window_selection const params{1 + trial % 5, trial % 4};
-    room<typename TypeParam::exec_type> r(backend.exec, 1 + trial % 2, points);
+    room<typename TypeParam::exec_type> r(backend.exec, 1 + trial / 2 % 3, points);
     for (int b = 0; b < batch; ++b) {
       int const keyframes = (trial + 7 * b) % (positions + 1);
       test::random_map_sizes const size{slots,     positions, r.cameras,
@@ -345,7 +345,7 @@ TYPED_TEST(MapWindows, ResultsChangeWhatIsStillThere) {
   for (int trial = 0; trial < test::effort(60); ++trial) {
     SCOPED_TRACE("trial " + std::to_string(trial));
     std::mt19937 random(1000 + static_cast<unsigned>(trial));
-    room<exec_type> r(backend.exec, 1 + trial % 2, slots);
+    room<exec_type> r(backend.exec, 1 + trial / 2 % 3, slots);
     for (int b = 0; b < batch; ++b) {
       test::random_map_sizes const size{
           slots, positions, r.cameras, keypoints, 1 + (trial + 5 * b) % positions, 50};

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/window_problem.hpp"
@@ -49,7 +50,17 @@ inline fisheye_rig window_rig<fisheye_rig>() {
           turn({0.003, 0.03, 0.006}, {-0.1, 0.002, 0.001}).cast<float>()};
 }
 
-/// Pixel of a point given in the left camera's frame, from the models' equations, and for a
+/// Two pairs and a single camera between them, none in the body's frame.
+using three_camera_rig = ft::multi_rig<3>;
+template <>
+inline three_camera_rig window_rig<three_camera_rig>() {
+  auto const at = [](ft::vec3<double> w, ft::vec3<double> t) { return turn(w, t).cast<float>(); };
+  return {{{{435.2f, 436.1f, 367.2f, 252.3f}, 0.11, at({0.02, -0.25, 0.01}, {0.1, 0.02, -0.05})},
+           {{300.5f, 301.5f, 320.2f, 240.1f}, 0, at({-0.1, 0.05, 0.3}, {-0.2, 0.1, 0.02})},
+           {{380.3f, 379.1f, 330.7f, 242.3f}, 0.2, at({0.1, 0.2, -0.02}, {-0.1, 0.03, 0.04})}}};
+}
+
+/// Pixel of a point given in the frame of the pose, from the models' equations, and for a
 /// rectified pair its column in the right image.
 template <typename Number>
 struct window_image {
@@ -62,15 +73,31 @@ window_image<Number> image_of(ft::rectified_rig const& rig, ft::vec3<Number> con
   return {x, c.fy * p.y / p.z + c.cy, x - static_cast<double>(rig.bf()) / p.z};
 }
 template <typename Number>
+ft::vec3<Number> moved(motion const& T, ft::vec3<Number> const& p) {
+  auto const& m = T.R.m;
+  return {m[0] * p.x + m[1] * p.y + m[2] * p.z + T.t.x,
+          m[3] * p.x + m[4] * p.y + m[5] * p.z + T.t.y,
+          m[6] * p.x + m[7] * p.y + m[8] * p.z + T.t.z};
+}
+template <typename Number>
+window_image<Number> image_of(three_camera_rig const& rig, ft::vec3<Number> const& p, int camera) {
+  ft::rig_camera const& of = rig.of[camera];
+  ft::rectified_rig const pair{of.camera, of.baseline};
+  auto image = image_of(pair, moved(of.T_cb.cast<double>(), p), 0);
+  if (of.single()) { image.right_x = Number(-1e9); }
+  return image;
+}
+/// z in the frame of a camera of a rectified rig.
+inline double depth_in(ft::rectified_rig const&, ft::vec3<double> const& p, int) { return p.z; }
+inline double depth_in(fisheye_rig const&, ft::vec3<double> const& p, int) { return p.z; }
+inline double depth_in(three_camera_rig const& rig, ft::vec3<double> const& p, int camera) {
+  return moved(rig.of[camera].T_cb.cast<double>(), p).z;
+}
+template <typename Number>
 window_image<Number> image_of(fisheye_rig const& rig, ft::vec3<Number> p, int camera) {
   using std::atan2;
   using std::sqrt;
-  if (camera == 1) {
-    auto const T = rig.T_rl.cast<double>();
-    auto const& m = T.R.m;
-    p = {m[0] * p.x + m[1] * p.y + m[2] * p.z + T.t.x, m[3] * p.x + m[4] * p.y + m[5] * p.z + T.t.y,
-         m[6] * p.x + m[7] * p.y + m[8] * p.z + T.t.z};
-  }
+  if (camera == 1) { p = moved(rig.T_rl.cast<double>(), p); }
   auto const c = camera == 0 ? rig.left.cast<double>() : rig.right.cast<double>();
   Number const radius = sqrt(p.x * p.x + p.y * p.y);
   Number const a = atan2(radius, p.z);
@@ -114,7 +141,7 @@ window_scene make_window(Rig const& rig, window_shape const& shape, unsigned see
   std::normal_distribution<double> normal;
   window_scene s;
   s.fixed = shape.fixed;
-  s.cameras = Rig::rectified ? 1 : 2;
+  s.cameras = Rig::cameras;
   motion const base = turn({0.3, -0.7, 0.2}, {0.5, -0.2, 1.1});
   for (int v = 0; v < shape.views; ++v) {
     double const a = 0.02 * v;
@@ -190,8 +217,8 @@ window_judgement judge(Rig const& rig, window_scene const& s, std::vector<motion
     for (int v = 0; v < s.views(); ++v) {
       ft::vec3<double> const x =
           T_cw[static_cast<std::size_t>(v)] * position[static_cast<std::size_t>(p)];
-      bool const has_image = !Rig::rectified || x.z > 0;
       for (int c = 0; c < s.cameras; ++c) {
+        bool const has_image = !Rig::rectified || depth_in(rig, x, c) > 0;
         auto const& o = s.seen[s.at(p, v, c)];
         j.outlier.push_back(0);
         if (!(o.inv_sigma2 > 0)) { continue; }

@@ -160,40 +160,30 @@ FT_HOST_DEVICE S narrowed(double v) {
   return S(static_cast<plain_scalar_t<S>>(v));
 }
 
-/// The arc tangent of y / x for 0 <= y <= x, x > 0. The angle of (8, k), with k / 8 next to y / x,
-/// is taken off first; the rest is below 1/15, where nine terms of the series suffice. The error is
-/// below 2 units in the last place.
-FT_HOST_DEVICE inline strict_double strict_atan_octant(strict_double y, strict_double x) {
-  constexpr double angles[] = {0.0,
-                               0.12435499454676144,
-                               0.24497866312686414,
-                               0.35877067027057225,
-                               0.4636476090008061,
-                               0.5585993153435624,
-                               0.6435011087932844,
-                               0.7188299996216245,
-                               0.7853981633974483};
-  int const k = static_cast<int>((y / x * 8.0 + 0.5).value);
-  strict_double const c = 0.125 * k;  // exact, and so are products with it but for small numbers
-  strict_double const t = (y - c * x) / (x + c * y);
-  strict_double const t2 = t * t;
-  strict_double sum = 0.0;
-  FT_UNROLL
-  for (int i = 8; i > 0; --i) {
-    sum = t2 * (strict_double((i % 2 == 0 ? 1.0 : -1.0) / (2 * i + 1)) + sum);
-  }
-  return strict_double(angles[k]) + (t + t * sum);
-}
-
-/// The angle of (x, y), as ::atan2. Equal bits on every executor.
+/// The angle of (x, y), as ::atan2. Equal bits on every executor. The angle is reduced to at most
+/// pi/8 from an axis or a diagonal; there a polynomial, fitted to the arc tangent at Chebyshev
+/// nodes, has an error below 3 units in the last place.
 FT_HOST_DEVICE inline strict_double strict_atan2(strict_double y, strict_double x) {
   double const a = ::fabs(x.value);
   double const b = ::fabs(y.value);
   if (!(a > 0 && b > 0 && a <= 1e300 && b <= 1e300)) {  // an axis, infinite or NaN: exact cases
     return ::atan2(y.value, x.value);
   }
-  strict_double angle = b <= a ? strict_atan_octant(b, a)
-                               : strict_double(1.5707963267948966) - strict_atan_octant(a, b);
+  constexpr double terms[] = {-0.019175404711104935, 0.03923044778479309,  -0.050854078345894844,
+                              0.05858140904866328,   -0.06664510525508936, 0.07692183125376892,
+                              -0.0909090457530649,   0.11111111015187018,  -0.14285714284665682,
+                              0.19999999999995516,   -0.3333333333333333};
+  strict_double const large = b < a ? a : b;
+  strict_double const small = b < a ? b : a;
+  bool const diagonal = small > strict_double(0.41421356237309503) * large;
+  strict_double const t = (diagonal ? small - large : small) / (diagonal ? small + large : large);
+  strict_double const t2 = t * t;
+  strict_double sum = terms[0];
+  FT_UNROLL
+  for (int i = 1; i < 11; ++i) { sum = t2 * sum + strict_double(terms[i]); }
+  strict_double angle = t + t * (t2 * sum);
+  if (diagonal) { angle = strict_double(0.7853981633974483) + angle; }
+  if (a < b) { angle = strict_double(1.5707963267948966) - angle; }
   if (x.value < 0) { angle = strict_double(3.141592653589793) - angle; }
   return y.value < 0 ? -angle : angle;
 }

@@ -115,6 +115,7 @@ struct constant_velocity {
   std::int64_t interval_ns;  ///< time between the two; 0 or below = unknown
 
   FT_HOST_DEVICE static constant_velocity at_rest() { return {rigid<double>::identity(), 0}; }
+  FT_HOST_DEVICE bool known() const { return interval_ns > 0; }
 
   /// T_cw after `interval` ns more. If an interval is unknown or not above 0, that of the last
   /// motion is used.
@@ -140,7 +141,7 @@ struct constant_velocity {
     interval_ns = interval;
   }
   /// Forgets the motion: predicts none.
-  FT_HOST_DEVICE void rest() { motion = rigid<double>::identity(); }
+  FT_HOST_DEVICE void rest() { *this = at_rest(); }
   /// Half the motion in the same interval.
   FT_HOST_DEVICE void slow_down() {
     motion =

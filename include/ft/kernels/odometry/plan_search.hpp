@@ -42,9 +42,11 @@ struct plan_camera_search {
     int const attempt = t.lost_frames % recovery_attempts;
     bool const recovers = plan == search_plan::recover;
     state.mode[b] = recovers ? local_map_mode::newest : local_map_mode::by_votes;
-    state.radius_factor[b] = !recovers                   ? 1.0f
-                             : attempt < recovery_places ? rules.first_wide_search
-                                                         : rules.later_wide_search;
+    // Without a motion to go on from, the camera may be far from each of the places.
+    bool const first = (attempt < recovery_places) == t.velocity.known();
+    state.radius_factor[b] = !recovers ? 1.0f
+                             : first   ? rules.first_wide_search
+                                       : rules.later_wide_search;
     if (recovers) {
       int const place = attempt % recovery_places;
       rigid<double> const T = place == 0 ? t.predicted : place == 1 ? state.T_cw[b] : t.keyframe;

@@ -31,9 +31,10 @@ struct tracking_rules {
   int min_motion_inliers = 10;   ///< to trust the pose from the last frame
   int min_inliers = 20;          ///< to call a frame tracked
   int min_recovered = 30;        ///< inliers to call a lost camera found
-  float first_wide_search = 20;  ///< factor on the search radius in the first round of attempts
-  float later_wide_search = 6;   ///< and in the second
-  int patience = 5;              ///< lost frames in a row with enough points before a new map
+  float first_wide_search = 6;   ///< factor on the search radius in the first round of attempts
+  float later_wide_search = 20;  ///< and in the second; the first where no motion is known
+  int patience = 5;              ///< frames in a row that have enough points and are not found,
+                                 ///< before a new map
   int wanted_near_points = 100;  ///< near points that a keyframe should have at least
   int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
   float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
@@ -42,7 +43,8 @@ struct tracking_rules {
 };
 
 /// Attempts to find a lost camera, one a frame, in turn: at the predicted pose, at the last one and
-/// at the newest keyframe's, each with the first radius and then with the later one.
+/// at the newest keyframe's, each with the first radius and then with the later one. After the
+/// first frame of a map no motion is known; then the radii change places.
 inline constexpr int recovery_places = 3;
 inline constexpr int recovery_attempts = 2 * recovery_places;
 

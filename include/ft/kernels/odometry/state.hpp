@@ -28,7 +28,7 @@ enum class tracking_state : int {
 /// keypoints of one frame, unless said otherwise.
 struct tracking_rules {
   int min_stereo_points = 60;    ///< with depth, to begin a map
-  int min_motion_inliers = 10;   ///< to trust the pose from the last frame
+  int min_motion_inliers = 20;   ///< to trust the pose from the last frame
   int min_inliers = 20;          ///< to call a frame tracked
   int min_recovered = 30;        ///< inliers to call a lost camera found
   float first_wide_search = 6;   ///< factor on the search radius in the first round of attempts

@@ -33,7 +33,8 @@ inline double norm(vec3<double> v) { return std::sqrt(ft::dot(v, v)); }
 
 template <typename T>
 bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
+  if (a.size() != b.size()) { return false; }
+  return a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
 }
 inline bool same_bits(window_result const& a, window_result const& b) {
   return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position) &&

@@ -251,4 +251,25 @@ TEST(windows, are_adjusted) {
   }
 }
 
+TEST(inertial, poses_are_found) {
+  for (auto const b : backends()) {
+    for (bool const last : {false, true}) {
+      bench::inertial_case what;
+      what.backend = b;
+      what.problems = 2;
+      what.from_last_frame = last;
+      auto const runner = bench::make_inertial_runner(what);
+      for (int again = 0; again < 2; ++again) {  // each time from the start
+        EXPECT_GE(runner->run(), 0);
+        EXPECT_NEAR(runner->inlier_share(), 0.9, 0.05) << name_of(b);
+      }
+    }
+    bench::inertial_case integrals;
+    integrals.backend = b;
+    integrals.problems = 20;
+    integrals.observations = 0;
+    EXPECT_GE(bench::make_inertial_runner(integrals)->run(), 0);
+  }
+}
+
 }  // namespace bench_test

@@ -10,9 +10,9 @@ usage() {
   cat <<EOF
 usage: bench/compile_times.sh [HEADER...]
 
-Seconds to compile a unit that includes one public header and nothing else, slowest first: with the C++
-compiler (CXX, g++; -O2) and, where there is one, nvcc (-O2, one architecture: FT_ARCH, sm_90). Without
-arguments all headers but those of interop.
+Processor seconds to compile a unit that includes one public header and nothing else, slowest first: with
+the C++ compiler (CXX, g++; -O2) and, where there is one, nvcc (-O2, one architecture: FT_ARCH, sm_90).
+Without arguments all headers but those of interop.
 EOF
 }
 
@@ -30,17 +30,15 @@ compiler=${CXX:-g++}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-# seconds COMMAND...: its duration, or "failed"
+# seconds COMMAND...: the processor time it takes, or "failed"
 seconds() {
-  local begin end
-  begin=$(date +%s%N)
-  if ! "$@" 2>"$work/errors"; then
+  local TIMEFORMAT='%U %S'
+  if ! { time "$@" 2>"$work/errors"; } 2>"$work/time"; then
     cat "$work/errors" >&2
     echo failed
     return
   fi
-  end=$(date +%s%N)
-  awk -v ns=$((end - begin)) 'BEGIN { printf "%.2f\n", ns / 1e9 }'
+  awk '{ printf "%.2f\n", $1 + $2 }' "$work/time"
 }
 
 for header in "${headers[@]}"; do

@@ -26,4 +26,15 @@ std::string cuda_description() {
          version(runtime);
 }
 
+int cuda_devices() {
+  int devices = 0;
+  if (cudaGetDeviceCount(&devices) != cudaSuccess) {
+    static_cast<void>(cudaGetLastError());
+    return 0;
+  }
+  return devices;
+}
+
+void use_cuda_device(int device) { ft::throw_on_error(cudaSetDevice(device), "cudaSetDevice"); }
+
 }  // namespace bench

@@ -7,13 +7,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <new>
 #include <string>
 #include <vector>
 
 #include "bench/graph_facts.hpp"
 #include "bench/owned_executor.hpp"
 #include "bench/runner.hpp"
+#include "bench/scene_images.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 
@@ -50,8 +50,8 @@ public:
         batch_(how.batch),
         owned_(how.host_threads),
         tracker_(exec(), rig_of<Rig>(s), params_of(s, how), how.batch),
-        inputs_(static_cast<std::size_t>(how.batch)) {
-    lay_out_images();
+        inputs_(static_cast<std::size_t>(how.batch)),
+        images_(s, 2) {
     build_map();
     begin_walk();
   }
@@ -63,9 +63,9 @@ public:
 
   void prepare(int i) override {
     for (int b = 0; b < batch_; ++b) {
-      set_images(b, frame_of(i, b));
+      set_images(b, images_.frame_of(i, b));
       // The prediction has a small error, like that of a motion model.
-      ft::pose T = pose_of(frame(frame_of(i, b)).T_cw);
+      ft::pose T = pose_of(frame(images_.frame_of(i, b)).T_cw);
       T.t.x += 0.01f;
       T.t.z -= 0.01f;
       inputs_[static_cast<std::size_t>(b)] = {T, slots_};
@@ -119,7 +119,8 @@ public:
       c.local_matches += r.matches[0];
       c.inliers += r.inliers[0];
       for (int k = 0; k < r.keypoints[0]; ++k) { c.stereo_matches += r.depth[k] > 0 ? 1 : 0; }
-      ft::vec3<float> const off = r.T_cw[0].centre() - pose_of(frame(frame_of(i, 0)).T_cw).centre();
+      ft::vec3<float> const off =
+          r.T_cw[0].centre() - pose_of(frame(images_.frame_of(i, 0)).T_cw).centre();
       c.position_error += static_cast<double>(std::sqrt(ft::dot(off, off)));
     }
     for (double* v : {&c.keypoints, &c.stereo_matches, &c.last_matches, &c.last_inliers,
@@ -192,7 +193,7 @@ private:
     std::vector<int> const none(
         static_cast<std::size_t>(decltype(tracker_)::cameras * tracker_.capacity()), -1);
     for (int b = 0; b < batch_; ++b) {
-      tracker_.set_last(exec(), b, pose_of(frame(frame_of(-1, b)).T_cw), none);
+      tracker_.set_last(exec(), b, pose_of(frame(images_.frame_of(-1, b)).T_cw), none);
     }
     wait();
   }
@@ -213,37 +214,10 @@ private:
     return p;
   }
 
-  /// Back and forth over the scene, so that consecutive frames are neighbours.
-  int frame_of(int i, int b) const {
-    int const n = static_cast<int>(scene_.frames.size());
-    int const period = 2 * n - 2;
-    int const k = ((i + b) % period + period) % period;
-    return k < n ? k : period - k;
-  }
-
-  /// All frames in memory that an executor reads, rows padded.
-  void lay_out_images() {
-    stride_ = (scene_.width + 63) / 64 * 64;
-    auto const image = static_cast<std::size_t>(stride_) * static_cast<std::size_t>(scene_.height);
-    images_ = staged<std::uint8_t>(2 * image * scene_.frames.size());
-    std::fill(images_.data(), images_.data() + images_.size(), std::uint8_t{0});
-    auto const width = static_cast<std::size_t>(scene_.width);
-    for (std::size_t k = 0; k < 2 * scene_.frames.size(); ++k) {
-      auto const& f = scene_.frames[k / 2];
-      std::uint8_t const* const from = (k % 2 == 0 ? f.left : f.right).data();
-      for (int y = 0; y < scene_.height; ++y) {
-        std::copy_n(from + static_cast<std::size_t>(y) * width, width,
-                    images_.data() + k * image +
-                        static_cast<std::size_t>(y) * static_cast<std::size_t>(stride_));
-      }
-    }
-  }
   void set_images(int b, int k) {
-    auto const image = static_cast<std::ptrdiff_t>(stride_) * scene_.height;
     for (int c = 0; c < 2; ++c) {
       if (borrow_) {
-        tracker_.borrow_image(
-            b, c, {images_.data() + (2 * k + c) * image, scene_.width, scene_.height, stride_});
+        tracker_.borrow_image(b, c, images_.view(k, c));
       } else {
         auto const& pixels = c == 0 ? frame(k).left : frame(k).right;
         tracker_.set_image(b, c, {pixels.data(), scene_.width, scene_.height, scene_.width});
@@ -313,23 +287,15 @@ private:
   owned_executor<Exec> owned_;
   ft::frame_tracker<Exec, Rig> tracker_;
   std::vector<ft::frame_input> inputs_;
-  std::vector<int> slots_;       ///< of the map, in order
-  staged<std::uint8_t> images_;  ///< [frames][2][height][stride_]
-  int stride_ = 0;
+  scene_images<Exec> images_;
+  std::vector<int> slots_;  ///< of the map, in order
   std::vector<ft::point_update> points_;
   staged<ft::vec3<float>> positions_;
 };
 
 template <typename Exec, typename Rig>
 std::unique_ptr<frame_runner> make_runner_of(scene const& s, frame_options const& how) {
-  try {
-    return std::make_unique<frame_runner_of<Exec, Rig>>(s, how);
-  } catch (std::bad_alloc const&) {
-    throw no_memory("host memory is short");
-  } catch (ft::cuda_error const& e) {
-    if (std::string(e.what()).find("cudaErrorMemoryAllocation") == std::string::npos) { throw; }
-    throw no_memory("device or pinned memory is short");
-  }
+  return made_in_memory([&] { return std::make_unique<frame_runner_of<Exec, Rig>>(s, how); });
 }
 
 }  // namespace FT_ABI

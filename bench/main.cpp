@@ -38,12 +38,13 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Times ft's stereo frame (from images in staging memory to the result in host memory), its "
       "parts, batches, streams and camera models, over generated images in turn.");
-  app.add_option("--only", only,
-                 "sections, with commas between: cameras, frame, fisheye, stages, batch, streams, "
-                 "graph (launches and bytes a frame), kernels (their registers and memory), "
-                 "ablation (one choice switched at a time), tie_rules (of the quadtree), odometry "
-                 "(images in, poses out), "
-                 "host_stages (one host thread, next to OpenCV). Default: all");
+  app.add_option(
+      "--only", only,
+      "sections, with commas between: cameras, frame, fisheye, stages, batch, streams, "
+      "graph (launches and bytes a frame), kernels (their registers and memory), "
+      "ablation (one choice switched at a time), tie_rules (of the quadtree), odometry "
+      "(images in, poses out), map_stages (its stages, keyframes apart), gpus (a batch on "
+      "each device), host_stages (one host thread, next to OpenCV). Default: all");
   app.add_option("--json", json_path, "write all figures to this file");
   app.add_option("--backend", backend,
                  "auto (a device if one is found, else the host), host, cuda or both")
@@ -84,6 +85,9 @@ int main(int argc, char** argv) {
   app.add_option("--points", how.points,
                  "points a call of the camera models. 0 = 2^20 on a device, 2^16 on the host")
       ->check(CLI::Range(0, 1 << 24))
+      ->capture_default_str();
+  app.add_option("--gpus", how.gpus, "devices of the section gpus, at most. 0 = all")
+      ->check(CLI::Range(0, 64))
       ->capture_default_str();
   app.add_option("--commit", commit, "noted in the file");
   CLI11_PARSE(app, argc, argv);
@@ -143,6 +147,9 @@ int main(int argc, char** argv) {
       if (wanted("kernels")) { bench::kernels_section(context, b); }
       if (wanted("tie_rules")) { bench::tie_rules_section(context, b); }
       if (wanted("odometry")) { bench::odometry_section(context, b); }
+      if (wanted("map_stages")) { bench::map_stages_section(context, b); }
+      if (wanted("gpus") && b == bench::backend_type::cuda) { bench::gpus_section(context); }
+      if (wanted("inertial")) { bench::inertial_section(context, b); }
       if (wanted("ablation")) { bench::ablation_section(context, b, backend != "cuda"); }
     }
     if (wanted("host_stages") && (backend != "cuda" || !only.empty())) {

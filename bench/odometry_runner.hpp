@@ -2,8 +2,6 @@
 /// @file The odometry runner, instantiated once per executor, for a rectified pair and for two.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -12,6 +10,7 @@
 #include "bench/frame_runner.hpp"
 #include "bench/owned_executor.hpp"
 #include "bench/runner.hpp"
+#include "bench/scene_images.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 
@@ -27,27 +26,35 @@ inline four_camera_rig four_cameras_of(scene const& s) {
            {pair.camera, pair.baseline, pose_of(s.T_al)}}};
 }
 
+inline ft::odometry_params odometry_params_of(scene const& s, frame_options const& how) {
+  ft::odometry_params p;
+  p.orb.width = s.width;
+  p.orb.height = s.height;
+  p.orb.features = s.features;
+  p.use_graphs = how.use_graphs;
+  p.measure_stages = how.measure_stages;
+  return p;
+}
+
 template <typename Exec, typename Rig>
 class odometry_runner_of final : public odometry_runner {
 public:
   odometry_runner_of(scene const& s, Rig const& rig, frame_options const& how)
-      : scene_(s),
-        batch_(how.batch),
+      : batch_(how.batch),
         owned_(how.host_threads),
-        odometry_(owned_.exec, rig, params_of(s, how), how.batch),
+        scene_(s, Rig::images),
+        odometry_(owned_.exec, rig, odometry_params_of(s, how), how.batch),
         images_(static_cast<std::size_t>(how.batch)),
-        times_(images_.size()) {
-    lay_out_images();
-  }
+        times_(images_.size()) {}
 
   void prepare(int i) override {
     for (int b = 0; b < batch_; ++b) {
       auto const k = static_cast<std::size_t>(b);
-      int const first = Rig::images * frame_of(i, b);
+      int const f = scene_.frame_of(i, b);
       if constexpr (Rig::images == 2) {
-        images_[k] = {view(first), view(first + 1)};
+        images_[k] = {scene_.view(f, 0), scene_.view(f, 1)};
       } else {
-        images_[k] = {view(first), view(first + 1), view(first + 2), view(first + 3)};
+        images_[k] = {scene_.view(f, 0), scene_.view(f, 1), scene_.view(f, 2), scene_.view(f, 3)};
       }
       times_[k] = static_cast<std::int64_t>(i + 1) * 50'000'000;
     }
@@ -65,51 +72,16 @@ public:
     last_.local_points = t[0].local_points;
   }
   odometry_counts last() const override { return last_; }
+  std::vector<stage_us> stage_times() const override {
+    std::vector<stage_us> all;
+    for (auto const& t : odometry_.stage_times()) { all.push_back({t.name, t.us}); }
+    return all;
+  }
 
 private:
-  static ft::odometry_params params_of(scene const& s, frame_options const& how) {
-    ft::odometry_params p;
-    p.orb.width = s.width;
-    p.orb.height = s.height;
-    p.orb.features = s.features;
-    p.use_graphs = how.use_graphs;
-    return p;
-  }
-  /// Back and forth over the scene, so that consecutive frames are neighbours.
-  int frame_of(int i, int b) const {
-    int const n = static_cast<int>(scene_.frames.size());
-    int const period = std::max(1, 2 * n - 2);
-    int const k = (i + b) % period;
-    return k < n ? k : period - k;
-  }
-  ft::gray_view view(int image) const {
-    auto const bytes = static_cast<std::ptrdiff_t>(stride_) * scene_.height;
-    return {pixels_.data() + image * bytes, scene_.width, scene_.height, stride_};
-  }
-  /// All frames in memory that an executor reads, rows padded.
-  void lay_out_images() {
-    stride_ = (scene_.width + 63) / 64 * 64;
-    auto const bytes = static_cast<std::size_t>(stride_) * static_cast<std::size_t>(scene_.height);
-    std::size_t const images = Rig::images * scene_.frames.size();
-    pixels_ = ft::buffer<std::uint8_t, ft::staging_space<Exec>>(images * bytes);
-    std::fill(pixels_.data(), pixels_.data() + pixels_.size(), std::uint8_t{0});
-    for (std::size_t k = 0; k < images; ++k) {
-      auto const& f = scene_.frames[k / Rig::images];
-      std::size_t const i = k % Rig::images;
-      auto const& from = i == 0 ? f.left : i == 1 ? f.right : f.aside[i - 2];
-      auto const width = static_cast<std::size_t>(scene_.width);
-      for (std::size_t y = 0; y < static_cast<std::size_t>(scene_.height); ++y) {
-        std::copy_n(from.data() + y * width, width,
-                    pixels_.data() + k * bytes + y * static_cast<std::size_t>(stride_));
-      }
-    }
-  }
-
-  scene const& scene_;
   int batch_;
   owned_executor<Exec> owned_;
-  ft::buffer<std::uint8_t, ft::staging_space<Exec>> pixels_;  ///< [frames][images][height][stride_]
-  int stride_ = 0;
+  scene_images<Exec> scene_;
   ft::odometry<Exec, Rig> odometry_;
   std::vector<typename ft::odometry<Exec, Rig>::images_type> images_;
   std::vector<std::int64_t> times_;
@@ -118,19 +90,14 @@ private:
 
 template <typename Exec>
 std::unique_ptr<odometry_runner> make_odometry_runner_of(scene const& s, frame_options const& how) {
-  try {
+  return made_in_memory([&]() -> std::unique_ptr<odometry_runner> {
     if (s.rig == rig_type::four_cameras) {
       return std::make_unique<odometry_runner_of<Exec, four_camera_rig>>(s, four_cameras_of(s),
                                                                          how);
     }
     auto const rig = rig_of<ft::rectified_rig>(s);
     return std::make_unique<odometry_runner_of<Exec, ft::rectified_rig>>(s, rig, how);
-  } catch (std::bad_alloc const&) {
-    throw no_memory("host memory is short");
-  } catch (ft::cuda_error const& e) {
-    if (std::string(e.what()).find("cudaErrorMemoryAllocation") == std::string::npos) { throw; }
-    throw no_memory("device or pinned memory is short");
-  }
+  });
 }
 
 }  // namespace FT_ABI

@@ -62,6 +62,20 @@ void time_batch(context const& c, backend_type b, scene const& s, int batch, int
                                   {"map_points", last.map_points}});
 }
 
+void print_memory(context const& c, scene const& s) {
+  std::printf("\nMemory of an odometry of one rectified pair, %dx%d, %d features an image, bytes\n",
+              s.width, s.height, s.features);
+  std::printf("%-20s %8s %12s %12s\n", "of each", "number", "executor", "staging");
+  for (auto const& row : odometry_memory(s)) {
+    std::printf("%-20s %8d %12.0f %12.0f\n", row.what.c_str(), row.count, row.executor_bytes,
+                row.staging_bytes);
+    (*c.out)["odometry_memory"].push_back({{"name", row.what},
+                                           {"number", row.count},
+                                           {"executor_bytes", row.executor_bytes},
+                                           {"staging_bytes", row.staging_bytes}});
+  }
+}
+
 }  // namespace
 
 void odometry_section(context const& c, backend_type b) {
@@ -86,6 +100,87 @@ void odometry_section(context const& c, backend_type b) {
   };
   for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
   time(c.all_scenes->get(rig_type::four_cameras), 1);
+  if (!cuda) { print_memory(c, s); }
+}
+
+// ---- its stages
+
+namespace {
+
+/// Times of a stage, frame by frame.
+struct stage_record {
+  std::string name;
+  std::vector<double> all;
+  std::vector<double> of_keyframes;
+};
+
+void record(std::vector<stage_record>& to, stage_us const& t, bool keyframe) {
+  auto const same = [&](stage_record const& r) { return r.name == t.name; };
+  auto at = std::find_if(to.begin(), to.end(), same);
+  if (at == to.end()) { at = to.insert(to.end(), {t.name, {}, {}}); }
+  at->all.push_back(t.us);
+  if (keyframe) { at->of_keyframes.push_back(t.us); }
+}
+
+/// @param calls timed ones
+void time_stages(context const& c, backend_type b, scene const& s, int batch, int calls) {
+  frame_options o;
+  o.backend = b;
+  o.batch = batch;
+  o.measure_stages = true;
+  auto const runner = make_odometry_runner(s, o);
+  // All frames are seen before, unless --warm-up says otherwise: keyframes come with new ones.
+  int const warm_up = c.how.warm_up > 0 ? c.how.warm_up : 2 * static_cast<int>(s.frames.size());
+  std::vector<stage_record> stages;
+  for (int i = 0; i < warm_up + calls; ++i) {
+    runner->prepare(i);
+    runner->track();
+    if (i < warm_up) { continue; }
+    for (auto const& t : runner->stage_times()) { record(stages, t, runner->last().keyframes > 0); }
+  }
+  for (auto& stage : stages) {
+    auto const all = seq::summarise(stage.all);
+    auto const keyframes = seq::summarise(stage.of_keyframes);
+    auto const n = static_cast<int>(stage.of_keyframes.size());
+    std::printf("%-12s %-5s %6d %-18s %9.1f %9.1f %9.1f %9d %9.1f %9.1f\n", name_of(s.rig),
+                name_of(b), batch, stage.name.c_str(), all.p50, all.p99, all.max, n, keyframes.p50,
+                keyframes.max);
+    (*c.out)["map_stages"].push_back({{"name", stage.name},
+                                      {"rig", name_of(s.rig)},
+                                      {"backend", name_of(b)},
+                                      {"batch", batch},
+                                      {"calls", calls},
+                                      {"p50_us", all.p50},
+                                      {"p99_us", all.p99},
+                                      {"max_us", all.max},
+                                      {"keyframes", n},
+                                      {"keyframes_p50_us", keyframes.p50},
+                                      {"keyframes_max_us", keyframes.max}});
+  }
+  std::fflush(stdout);
+}
+
+}  // namespace
+
+void map_stages_section(context const& c, backend_type b) {
+  std::printf(
+      "\nStages of the odometry, in all timed frames, and in those in which a camera makes a "
+      "keyframe; \"motion\" is on a branch and has the end of an adjustment\n");
+  std::printf("%-12s %-5s %6s %-18s %9s %9s %9s %9s %9s %9s\n", "rig", "on", "batch", "stage",
+              "p50 us", "p99 us", "max us", "keyframes", "p50 us", "max us");
+  auto const time = [&](rig_type rig, int batch) {
+    try {
+      int const calls = calls_of_batch(c.how.frames_on(b), batch);
+      time_stages(c, b, c.all_scenes->get(rig), batch, calls);
+    } catch (no_memory const& e) {
+      (*c.out)["left_out"].push_back("stages of the odometry of " + std::string(name_of(rig)) +
+                                     ", " + std::to_string(batch) + ": " + e.what());
+    }
+  };
+  for (int batch : c.how.batches.empty() ? std::vector<int>{1} : c.how.batches) {
+    time(rig_type::rectified, batch);
+  }
+  time(rig_type::four_cameras, 1);
 }
 
 }  // namespace bench

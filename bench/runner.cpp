@@ -8,6 +8,7 @@ std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options co
 std::unique_ptr<odometry_runner> make_host_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
 std::unique_ptr<window_runner> make_host_windows(window_case const& what);
+std::unique_ptr<inertial_runner> make_host_inertial(inertial_case const& what);
 
 #if FT_BENCH_HAS_CUDA
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
@@ -15,6 +16,7 @@ std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options co
 std::unique_ptr<odometry_runner> make_cuda_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
 std::unique_ptr<window_runner> make_cuda_windows(window_case const& what);
+std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const& what);
 #else
 namespace {
 [[noreturn]] void no_cuda() { throw std::runtime_error("built without CUDA"); }
@@ -25,8 +27,11 @@ std::unique_ptr<odometry_runner> make_cuda_odometry(scene const&, frame_options 
 }
 std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
 std::unique_ptr<window_runner> make_cuda_windows(window_case const&) { no_cuda(); }
+std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const&) { no_cuda(); }
 }  // namespace
 std::string cuda_description() { return {}; }
+int cuda_devices() { return 0; }
+void use_cuda_device(int) { no_cuda(); }
 #endif
 
 std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options const& how) {
@@ -50,6 +55,10 @@ std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host
 
 std::unique_ptr<window_runner> make_window_runner(window_case const& what) {
   return what.backend == backend_type::host ? make_host_windows(what) : make_cuda_windows(what);
+}
+
+std::unique_ptr<inertial_runner> make_inertial_runner(inertial_case const& what) {
+  return what.backend == backend_type::host ? make_host_inertial(what) : make_cuda_inertial(what);
 }
 
 }  // namespace bench

@@ -154,9 +154,22 @@ public:
   virtual void prepare(int i) = 0;
   virtual void track() = 0;  ///< synchronous
   virtual odometry_counts last() const = 0;
+  /// Time of each stage of the last frame, in order. Needs frame_options::measure_stages.
+  virtual std::vector<stage_us> stage_times() const = 0;
 };
 
-/// @param how its backend, threads, batch and graphs are used @throws no_memory, std::runtime_error
+/// Memory of an odometry of one camera pair, by what it is for.
+struct odometry_memory_row {
+  std::string what;
+  int count;              ///< by default
+  double executor_bytes;  ///< of each
+  double staging_bytes;
+};
+/// The last row is the whole. @param s its image size and number of features are used
+std::vector<odometry_memory_row> odometry_memory(scene const& s);
+
+/// @param how its backend, threads, batch, graphs and stage times are used @throws no_memory,
+/// std::runtime_error
 std::unique_ptr<odometry_runner> make_odometry_runner(scene const& s, frame_options const& how);
 
 // ---- camera models ----------------------------------------------------------------------------
@@ -219,9 +232,41 @@ public:
 /// @throws std::runtime_error
 std::unique_ptr<window_runner> make_window_runner(window_case const& what);
 
+// ---- poses with an IMU --------------------------------------------------------------------------
+
+struct inertial_case {
+  backend_type backend = backend_type::host;
+  int host_threads = 0;  ///< of the host executor, 0 = all
+  int problems = 1;
+  int observations = 150;  ///< of a problem; 0: the IMU's measurements are integrated, no more
+  int steps = 10;          ///< of an integral
+  bool from_last_frame = false;  ///< with its prior; otherwise from a keyframe
+};
+
+/// Solves a batch of poses, or makes a batch of integrals, each time from the same start.
+class inertial_runner {
+public:
+  inertial_runner() = default;
+  inertial_runner(inertial_runner const&) = delete;
+  inertial_runner& operator=(inertial_runner const&) = delete;
+  virtual ~inertial_runner() = default;
+
+  /// Time of one call for all problems, microseconds.
+  virtual double run() = 0;
+  /// Share of the observations that are inliers, of the problem with the smallest; 1 for integrals.
+  virtual double inlier_share() = 0;
+};
+
+/// @throws std::runtime_error
+std::unique_ptr<inertial_runner> make_inertial_runner(inertial_case const& what);
+
 // ---- the machine ------------------------------------------------------------------------------
 
 /// "name, driver for CUDA x, runtime y"; empty without a device.
 std::string cuda_description();
+/// Devices that there are; 0 without CUDA.
+int cuda_devices();
+/// Makes this thread use a device, for the runners that it makes. @throws ft::cuda_error
+void use_cuda_device(int device);
 
 }  // namespace bench

@@ -25,6 +25,7 @@ struct settings {
   int fisheye_features = 1000;
   int local_points = 3000;
   int points = 0;  ///< of the camera models; 0: 2^20 and 2^16
+  int gpus = 0;    ///< 0: all
 
   int warm_up_on(backend_type b) const {
     return warm_up > 0 ? warm_up : (b == backend_type::cuda ? 100 : 3);
@@ -66,6 +67,13 @@ void tie_rules_section(context const& c, backend_type b);
 
 /// ft::odometry, one camera and batches: array "odometry".
 void odometry_section(context const& c, backend_type b);
+/// Stages of ft::odometry, in all frames and in those that become keyframes: array "map_stages".
+void map_stages_section(context const& c, backend_type b);
+/// A batch of a tracker and of an odometry on each of several devices: array "gpus".
+void gpus_section(context const& c);
+
+/// Poses with an IMU, and integrals, one and many: array "inertial".
+void inertial_section(context const& c, backend_type b);
 
 /// The host executor's stages on one thread next to OpenCV's: array "host_stages".
 void host_stages_section(context const& c);

@@ -30,6 +30,7 @@ struct live_options {
   int moved_points = 2000;  ///< per keyframe, by local bundle adjustment
   int pause_us = 3000;      ///< between frames
   bool projections = true;
+  bool samples = false;  ///< also put every frame's times into the results
 };
 
 class live_run {
@@ -145,11 +146,18 @@ private:
       gpu_.extract(left_[id_ % 2], right_[id_ % 2], f);
       return 0;
     });
+    timed(stage::undistort, [&] {
+      gpu_.undistort(f);
+      return 0;
+    });
     timed(stage::stereo, [&] {
       gpu_.compute_stereo_matches(f);
       return 0;
     });
-    f.mvKeysUn = f.mvKeys;
+    timed(stage::grid, [&] {
+      gpu_.assign_to_grid(f);
+      return 0;
+    });
     f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);
     f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
     ++id_;
@@ -235,13 +243,14 @@ private:
 template <typename Make>
 nlohmann::json run_live(live_options const& o, Make const& make) {
   nlohmann::json out;
-  auto const note = [](auto const& all) {
+  auto const note = [&](auto const& all) {
     nlohmann::json j;
     for (auto const& [name, v] : all) {
       j[name] = {{"p50", live_run::quantile(v, 0.5)},
                  {"p90", live_run::quantile(v, 0.9)},
                  {"p99", live_run::quantile(v, 0.99)},
                  {"max", live_run::quantile(v, 1)}};
+      if (o.samples) { j[name]["samples"] = v; }
     }
     return j;
   };

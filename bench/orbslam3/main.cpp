@@ -96,8 +96,9 @@ nlohmann::json run(run_options const& o, change_detection detection, bool projec
     f.mnMaxX = static_cast<float>(s.width);
     f.mnMaxY = static_cast<float>(s.height);
     gpu.extract(left[id % 2], right[id % 2], f);
+    gpu.undistort(f);
     gpu.compute_stereo_matches(f);
-    f.mvKeysUn = f.mvKeys;
+    gpu.assign_to_grid(f);
     f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);
     f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
     ++id;
@@ -230,6 +231,7 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0, 1000000))
       ->capture_default_str();
   app.add_flag("!--no-projections", live_options.projections, "--live: leave mmProjectPoints out");
+  app.add_flag("--samples", live_options.samples, "--live: the times of every frame in the file");
   app.add_option("--json", json, "also write the results to this file");
   app.add_flag("!--no-replay", o.replay,
                "compute every frame; on the host backend kernels then empty the caches");

@@ -31,13 +31,12 @@ public:
   int cameras() const override { return device_->cameras(); }
   ft::orbslam3::frame_arrays const& frame(int buffer) override { return device_->frame(buffer); }
 
-  void extract(int buffer, ft::orbslam3::grey_image const& left,
-               ft::orbslam3::grey_image const& right) override {
+  void extract(ft::orbslam3::extraction_request const& request) override {
     at_ = (at_ + 1) % frames_.size();
     next_ = 0;
     if (replaying_) { return; }  // frames alternate like buffers: the arrays are still valid
     frames_[at_] = {};
-    device_->extract(buffer, left, right);
+    device_->extract(request);
   }
   void wait_for_features() override {
     if (!replaying_) { device_->wait_for_features(); }

@@ -12,12 +12,42 @@
 #include <exception>
 #include <iostream>
 #include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+namespace {
+
+/// Options that come as numbers in a row, several times.
+struct time_options {
+  std::vector<std::pair<double, double>> blind, drop;
+  std::vector<std::tuple<double, double, double>> turn;
+};
+
+void add_times(CLI::App& app, time_options& times) {
+  app.add_option("--blind", times.blind, "FROM TO, seconds: black images; may be repeated");
+  app.add_option("--drop", times.drop, "FROM TO, seconds: no images; may be repeated");
+  app.add_option("--fast-turn", times.turn,
+                 "FROM TO DEGREES: turns about the vertical and back; may be repeated");
+}
+
+void take_times(time_options const& times, seq::generator_options& options) {
+  for (auto const& [from, to] : times.blind) { options.blind.push_back({from, to}); }
+  for (auto const& [from, to] : times.drop) { options.dropped.push_back({from, to}); }
+  for (auto const& [from, to, degrees] : times.turn) {
+    options.fast_turns.push_back({{from, to}, degrees});
+  }
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   seq::generator_options options;
   seq::asl_options writing;
   std::string directory;
   bool steady_exposure = false;
+  double exposure_ms = 0;
+  time_options times;
 
   CLI::App app(
       "Generates a stereo sequence in EuRoC layout: the same options give the same files.");
@@ -36,6 +66,19 @@ int main(int argc, char** argv) {
   add("--noise", options.noise_sigma, "standard deviation, grey levels");
   add("--baseline", options.baseline, "metres; 0 = 0.11 (pinhole) or 0.101 (fisheye)");
   app.add_flag("--steady-exposure", steady_exposure, "keep the exposure constant");
+  add("--exposure", exposure_ms,
+      "exposure time, ms: images are blurred by motion, and take longer");
+  add_times(app, times);
+  app.add_flag("--imu,!--no-imu", writing.imu, "write imu0; the default");
+  add("--imu-rate", options.imu_rate, "samples per second");
+  add("--imu-noise", options.imu_noise_scale,
+      "times the IMU's densities and first biases; 0 = ideal samples");
+  add("--gyro-noise", options.imu.gyro, "density, rad/s/sqrt(Hz)");
+  add("--accel-noise", options.imu.accel, "density, m/s^2/sqrt(Hz)");
+  add("--gyro-walk", options.imu.gyro_walk, "density of the bias' walk, rad/s^2/sqrt(Hz)");
+  add("--accel-walk", options.imu.accel_walk, "density of the bias' walk, m/s^3/sqrt(Hz)");
+  add("--gyro-bias", options.gyro_bias, "standard deviation of the first bias, rad/s");
+  add("--accel-bias", options.accel_bias, "standard deviation of the first bias, m/s^2");
   add("--threads", writing.threads, "0 = as many as the machine has");
   try {
     app.parse(argc, argv);
@@ -45,6 +88,8 @@ int main(int argc, char** argv) {
     options.rig = rig == "fisheye" ? seq::rig_kind::fisheye : seq::rig_kind::pinhole;
     options.exposure_change = !steady_exposure;
     options.threads = writing.threads;
+    options.exposure_s = 1e-3 * exposure_ms;
+    take_times(times, options);
     seq::generator const source(options);
     seq::progress progress(std::cerr, ::isatty(STDERR_FILENO) == 1, "generate", source.size());
     seq::write_asl(source, directory, writing, [&](int done) { progress.step(done); });

@@ -81,6 +81,7 @@ void write_camera_list(fs::path const& folder, generator const& source) {
   text_file out(folder / "data.csv");
   out << "#timestamp [ns],filename\n";
   for (int i = 0; i < source.size(); ++i) {
+    if (source.dropped(i)) { continue; }
     out << source.time_ns(i) << "," << source.time_ns(i) << ".png\n";
   }
   out.close();
@@ -91,13 +92,15 @@ void write_imu(fs::path const& folder, generator const& source) {
   sensor
       << "%YAML:1.0\n# General sensor definitions.\nsensor_type: imu\ncomment: generated imu0\n\n";
   write_transform(sensor, Eigen::Isometry3d::Identity());
-  double const scale = source.options().imu_noise_scale;
-  generator::imu_noise const noise;
+  // Densities of 0 would be of no use to a filter.
+  double const given = source.options().imu_noise_scale;
+  double const scale = given > 0 ? given : 1.0;
+  imu_noise const& noise = source.options().imu;
   sensor << "rate_hz: " << source.options().imu_rate
          << "\n\n# inertial sensor noise model parameters (static)\n"
-         << "gyroscope_noise_density: " << scale * noise.gyro_noise << " # [rad/s/sqrt(Hz)]\n"
+         << "gyroscope_noise_density: " << scale * noise.gyro << " # [rad/s/sqrt(Hz)]\n"
          << "gyroscope_random_walk: " << scale * noise.gyro_walk << " # [rad/s^2/sqrt(Hz)]\n"
-         << "accelerometer_noise_density: " << scale * noise.accel_noise << " # [m/s^2/sqrt(Hz)]\n"
+         << "accelerometer_noise_density: " << scale * noise.accel << " # [m/s^2/sqrt(Hz)]\n"
          << "accelerometer_random_walk: " << scale * noise.accel_walk << " # [m/s^3/sqrt(Hz)]\n";
   sensor.close();
 
@@ -148,7 +151,16 @@ void write_options(fs::path const& path, generator_options const& o) {
       << "\nseed: " << o.seed << "\nnoise_sigma: " << o.noise_sigma
       << "\nexposure_change: " << (o.exposure_change ? "true" : "false")
       << "\nvignetting: " << (o.vignetting ? "true" : "false") << "\nbaseline: " << o.baseline
-      << "\nimu_rate: " << o.imu_rate << "\nimu_noise_scale: " << o.imu_noise_scale << "\n";
+      << "\nimu_rate: " << o.imu_rate << "\nimu_noise_scale: " << o.imu_noise_scale
+      << "\nimu_noise: " << o.imu.gyro << " " << o.imu.accel << " " << o.imu.gyro_walk << " "
+      << o.imu.accel_walk << "\ngyro_bias: " << o.gyro_bias << "\naccel_bias: " << o.accel_bias
+      << "\nexposure_s: " << o.exposure_s;
+  for (auto const& s : o.blind) { out << "\nblind: " << s.from_s << " " << s.to_s; }
+  for (auto const& s : o.dropped) { out << "\ndropped: " << s.from_s << " " << s.to_s; }
+  for (auto const& f : o.fast_turns) {
+    out << "\nfast_turn: " << f.when.from_s << " " << f.when.to_s << " " << f.degrees;
+  }
+  out << "\n";
   out.close();
 }
 
@@ -160,21 +172,26 @@ void write_all(generator const& source, fs::path const& root, asl_options const&
   fs::path const right = mav / "cam1";
   fs::path const imu = mav / "imu0";
   fs::path const truth = mav / "state_groundtruth_estimate0";
-  for (auto const& folder : {left / "data", right / "data", imu, truth}) { make_folder(folder); }
+  for (auto const& folder : {left / "data", right / "data", truth}) { make_folder(folder); }
 
   stereo_rig const& rig = source.rig();
   write_camera(left, "cam0", rig.left, rig.T_body_left, rig.fps);
   write_camera(right, "cam1", rig.right, rig.T_body_left * rig.T_left_right, rig.fps);
-  write_imu(imu, source);
+  if (options.imu) {
+    make_folder(imu);
+    write_imu(imu, source);
+  }
   write_truth(truth, source);
 
   std::mutex guard;
   int done = 0;
   parallel_for(source.size(), options.threads, [&](int i) {
-    stereo_frame const frame = source.render(i);
-    std::string const name = std::to_string(frame.time_ns) + ".png";
-    write_png((left / "data" / name).string(), frame.left, options.png_compression);
-    write_png((right / "data" / name).string(), frame.right, options.png_compression);
+    if (!source.dropped(i)) {
+      stereo_frame const frame = source.render(i);
+      std::string const name = std::to_string(frame.time_ns) + ".png";
+      write_png((left / "data" / name).string(), frame.left, options.png_compression);
+      write_png((right / "data" / name).string(), frame.right, options.png_compression);
+    }
     std::lock_guard<std::mutex> const lock(guard);
     ++done;
     if (progress) { progress(done); }

@@ -12,6 +12,7 @@ namespace seq {
 struct asl_options {
   int threads = 0;          ///< threads that render and write, 1 to 256; 0 = all of the machine
   int png_compression = 1;  ///< zlib level 0 to 9
+  bool imu = true;          ///< writes imu0
 };
 
 /// Renders every frame and writes
@@ -23,14 +24,15 @@ struct asl_options {
 /// @endcode
 /// A pinhole pair is described as radial-tangential with zero coefficients, a fisheye pair as
 /// equidistant. T_BS maps sensor points to the body (IMU) frame; ground truth is the body's, one
-/// line per IMU sample and frame.
+/// line per IMU sample and frame. Dropped frames have no image and are in no list. imu0/sensor.yaml
+/// has the noise densities of the samples; for ideal samples, those of imu_noise_scale 1.
 ///
 /// The files come into being in `directory`.partial, cam0/data.csv last, and the folder gets its
 /// name when all is written: what carries the name is whole. A .partial folder left by an
 /// interrupted run is replaced. On error it is removed.
 /// @param directory must not exist, or be empty
-/// @param progress called with the number of frames done, one call at a time, from any of the
-/// threads
+/// @param progress called with the number of frames done (dropped ones too), one call at a time,
+/// from any of the threads
 /// @throws seq::error naming the file or option; what `progress` throws
 void write_asl(generator const& source, std::string const& directory,
                asl_options const& options = {}, std::function<void(int done)> const& progress = {});

@@ -38,6 +38,8 @@ constexpr limits centre_limits{-max_focal, max_focal};
 constexpr limits coefficient_limits{-max_coefficient, max_coefficient};
 constexpr limits side_limits{1, max_side};
 constexpr limits fps_limits{0, 1e5};
+constexpr limits imu_rate_limits{1, 2e4};
+constexpr limits density_limits{0, 1e3, true};
 
 std::string describe(limits const& range) {
   return "must be " + std::string(range.above_low ? "above " : "at least ") + to_text(range.low) +
@@ -428,6 +430,26 @@ void read_orb(yaml_file const& file, orb_settings& orb) {
   }
 }
 
+/// IMU.*; the body is the IMU.
+std::optional<imu_calibration> read_orb_imu(yaml_file const& file, bool has_body_frame) {
+  bool any = false;
+  for (char const* key :
+       {"IMU.NoiseGyro", "IMU.NoiseAcc", "IMU.GyroWalk", "IMU.AccWalk", "IMU.Frequency"}) {
+    any = any || file.has(key);
+  }
+  if (!any) { return std::nullopt; }
+  imu_calibration imu;
+  imu.noise.gyro = file.number("IMU.NoiseGyro", density_limits);
+  imu.noise.accel = file.number("IMU.NoiseAcc", density_limits);
+  imu.noise.gyro_walk = file.number("IMU.GyroWalk", density_limits);
+  imu.noise.accel_walk = file.number("IMU.AccWalk", density_limits);
+  imu.rate_hz = file.number("IMU.Frequency", imu_rate_limits);
+  if (!has_body_frame) {
+    throw error(file.path() + ": IMU.T_b_c1 (or Tbc) is missing, but there is IMU.NoiseGyro");
+  }
+  return imu;
+}
+
 /// The row of 12 numbers after `key`, 3x4.
 using projection_matrix = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
@@ -557,6 +579,18 @@ Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0) {
   return yaml_file((fs::path(mav0) / "cam0" / "sensor.yaml").string()).transform("T_BS");
 }
 
+imu_calibration read_euroc_imu_calibration(std::string const& path) {
+  yaml_file const file(path);
+  imu_calibration imu;
+  imu.T_body_imu = file.transform("T_BS");
+  imu.rate_hz = file.number("rate_hz", imu_rate_limits);
+  imu.noise.gyro = file.number("gyroscope_noise_density", density_limits);
+  imu.noise.gyro_walk = file.number("gyroscope_random_walk", density_limits);
+  imu.noise.accel = file.number("accelerometer_noise_density", density_limits);
+  imu.noise.accel_walk = file.number("accelerometer_random_walk", density_limits);
+  return imu;
+}
+
 calibration read_kitti_calibration(std::string const& path, int width, int height,
                                    int left_camera) {
   std::string const left = "P" + std::to_string(left_camera);
@@ -631,6 +665,7 @@ calibration read_orb_slam3_settings(std::string const& path, int width, int heig
       result.has_body_frame = true;
     }
   }
+  result.imu = read_orb_imu(file, result.has_body_frame);
   read_orb(file, result.settings);
   check_rig(rig, path);
   return result;

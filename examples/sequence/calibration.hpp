@@ -7,6 +7,7 @@
 /// whose coefficients are all zero becomes a pinhole.
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "examples/sequence/reader.hpp"
@@ -19,6 +20,8 @@ struct calibration {
   stereo_rig rig;
   orb_settings settings;        ///< ORB-SLAM3 settings files only
   bool has_body_frame = false;  ///< the file gives T_body_left; otherwise it is the identity
+  /// ORB-SLAM3 settings files with an IMU's noise, whose body is the IMU.
+  std::optional<imu_calibration> imu;
   /// KITTI: maps points of the left camera to the reference frame, which poses.txt is about.
   Eigen::Isometry3d T_reference_left = Eigen::Isometry3d::Identity();
 };
@@ -32,6 +35,12 @@ calibration read_euroc_calibration(std::string const& mav0);
 /// @throws seq::error
 Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0);
 
+/// EuRoC: sensor.yaml of an IMU: T_BS (maps points of its frame into the body), rate_hz, and
+/// gyroscope_noise_density, gyroscope_random_walk, accelerometer_noise_density,
+/// accelerometer_random_walk.
+/// @throws seq::error; rate 1 to 20000 Hz, densities above 0
+imu_calibration read_euroc_imu_calibration(std::string const& path);
+
 /// KITTI: the lines "P0:" and "P1:" (or "P2:" and "P3:") of 12 numbers, 3x4 row-major projections
 /// of one reference frame.
 /// @param width,height the images' size, which the file does not give, pixels
@@ -42,8 +51,9 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
 
 /// ORB-SLAM3 settings, both formats: `Camera1.fx` with `Stereo.T_c1_c2` (maps camera-2 points into
 /// camera 1) or `Stereo.b`; and the older `Camera.fx` with `Camera.bf`, `LEFT.K` .. `RIGHT.P`, or
-/// `Tlr`. IMU.T_b_c1 or Tbc gives the body frame. Camera.newWidth and newHeight (a scaling) are not
-/// applied.
+/// `Tlr`. IMU.T_b_c1 or Tbc gives the body frame. With any of IMU.NoiseGyro, NoiseAcc, GyroWalk,
+/// AccWalk and Frequency (1 to 20000 Hz) all five must be there, densities above 0, and the body
+/// frame. Camera.newWidth and newHeight (a scaling) are not applied.
 /// @param width,height size to assume if the file gives none; 0 = the file must give it
 /// @throws seq::error
 calibration read_orb_slam3_settings(std::string const& path, int width = 0, int height = 0);

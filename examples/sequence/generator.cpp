@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/generator.hpp"
 
+#include "examples/sequence/detail/random.hpp"
+#include "examples/sequence/detail/simulated_imu.hpp"
 #include "examples/sequence/parallel.hpp"
 
 #include <algorithm>
@@ -14,42 +16,15 @@
 namespace seq {
 namespace {
 
+using detail::key;
+using detail::mix;
+using detail::random_stream;
+
 constexpr double pi = 3.14159265358979323846;
 constexpr double gravity = 9.81;
 constexpr std::int64_t first_time_ns = 1'600'000'000'000'000'000;
 
 double radians(double degrees) { return degrees * pi / 180.0; }
-
-// ---- random numbers, by counter: no state is shared between frames or threads
-
-std::uint64_t mix(std::uint64_t x) {  // the finaliser of splitmix64
-  x ^= x >> 30;
-  x *= 0xbf58476d1ce4e5b9ULL;
-  x ^= x >> 27;
-  x *= 0x94d049bb133111ebULL;
-  return x ^ (x >> 31);
-}
-
-std::uint64_t key(std::uint64_t seed, std::uint64_t a, std::uint64_t b = 0) {
-  constexpr std::uint64_t step = 0x9e3779b97f4a7c15ULL;
-  return mix(mix(mix(seed + step) + a * step + step) + b * step + step);
-}
-
-class random_stream {
-public:
-  explicit random_stream(std::uint64_t start) : state_(start) {}
-  std::uint64_t next() { return mix(state_ += 0x9e3779b97f4a7c15ULL); }
-  double uniform() { return static_cast<double>(next() >> 11) * 0x1p-53; }
-  double uniform(double low, double high) { return low + (high - low) * uniform(); }
-  int below(int n) { return static_cast<int>(next() % static_cast<std::uint64_t>(n)); }
-  double gaussian() {  // Box-Muller, one of the two
-    double const radius = std::sqrt(-2.0 * std::log(1.0 - uniform()));
-    return radius * std::cos(2.0 * pi * uniform());
-  }
-
-private:
-  std::uint64_t state_;
-};
 
 // ---- textures
 
@@ -539,7 +514,13 @@ private:
   std::vector<vec6> controls_;
 };
 
-spline plan_route(std::uint64_t seed, double duration_s) {
+// Part of a turn's whole angle, there and back, at a share of its time. Smooth at both ends.
+double there_and_back(double share) {
+  double const s = std::sin(pi * std::clamp(share, 0.0, 1.0));
+  return s * s;
+}
+
+spline plan_route(std::uint64_t seed, double duration_s, std::vector<fast_turn> const& fast) {
   random_stream random(seed);
   std::vector<Eigen::Vector3d> points = {{-3.8, -2.9, 1.40}, {-1.3, -3.2, 1.55}, {1.4, -3.1, 1.30},
                                          {3.6, -2.7, 1.50},  {4.3, -0.6, 1.75},  {4.1, 1.7, 1.50},
@@ -584,6 +565,9 @@ spline plan_route(std::uint64_t seed, double duration_s) {
     for (auto const& r : turns) {
       yaw += r.degrees * ease5((u - r.begin_s) / (r.end_s - r.begin_s));
     }
+    for (auto const& f : fast) {
+      yaw += f.degrees * there_and_back((t - f.when.from_s) / (f.when.to_s - f.when.from_s));
+    }
     // shaking of a hand-held camera, none at rest
     double const shake = speed / 2.0;
     auto const wave = [&](std::size_t n, double hertz) {
@@ -611,6 +595,7 @@ struct motion {
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();      // world, of the camera
   Eigen::Vector3d acceleration = Eigen::Vector3d::Zero();  // world, of the camera
   Eigen::Vector3d turning = Eigen::Vector3d::Zero();       // angular velocity, world
+  Eigen::Vector3d spin_up = Eigen::Vector3d::Zero();       // angular acceleration, world
 };
 
 motion motion_at(spline const& route, double t) {
@@ -626,7 +611,12 @@ motion motion_at(spline const& route, double t) {
   m.T_world_camera.translation() = p.head<3>();
   m.velocity = v.head<3>();
   m.acceleration = a.head<3>();
-  m.turning = v[3] * Eigen::Vector3d::UnitZ() - v[4] * yaw.col(1) + v[5] * yaw_pitch.col(0);
+  Eigen::Vector3d const by_yaw = v[3] * Eigen::Vector3d::UnitZ();
+  Eigen::Vector3d const by_both = by_yaw - v[4] * yaw.col(1);
+  m.turning = by_both + v[5] * yaw_pitch.col(0);
+  // the axes of pitch and roll are turned by what comes before them
+  m.spin_up = a[3] * Eigen::Vector3d::UnitZ() - a[4] * yaw.col(1) + a[5] * yaw_pitch.col(0) -
+              v[4] * by_yaw.cross(yaw.col(1)) + v[5] * by_both.cross(yaw_pitch.col(0));
   return m;
 }
 
@@ -982,6 +972,16 @@ void check(char const* name, Value value, Value low, Value high, bool zero_is_de
   throw error(text.str());
 }
 
+void check_span(char const* name, time_span const& s) {
+  check((std::string(name) + ": from_s").c_str(), s.from_s, 0.0, 1e6);
+  if (!(s.to_s > s.from_s && s.to_s <= 1e6)) {
+    std::ostringstream text;
+    text << "generator: " << name << ": to_s is " << s.to_s << "; must be above " << s.from_s
+         << " and at most 1e+06";
+    throw error(text.str());
+  }
+}
+
 generator_options complete(generator_options o) {
   check("width", o.width, 32, 4096, true);
   check("height", o.height, 32, 4096, true);
@@ -991,6 +991,21 @@ generator_options complete(generator_options o) {
   check("baseline", o.baseline, 0.02, 0.3, true);
   check("imu_rate", o.imu_rate, 10.0, 10000.0);
   check("imu_noise_scale", o.imu_noise_scale, 0.0, 100.0);
+  check("imu.gyro", o.imu.gyro, 0.0, 1.0);
+  check("imu.accel", o.imu.accel, 0.0, 10.0);
+  check("imu.gyro_walk", o.imu.gyro_walk, 0.0, 1.0);
+  check("imu.accel_walk", o.imu.accel_walk, 0.0, 10.0);
+  check("gyro_bias", o.gyro_bias, 0.0, 1.0);
+  check("accel_bias", o.accel_bias, 0.0, 10.0);
+  check("exposure_s", o.exposure_s, 0.0, 0.1);
+  for (auto const& s : o.blind) { check_span("blind", s); }
+  for (auto const& s : o.dropped) { check_span("dropped", s); }
+  for (auto const& f : o.fast_turns) {
+    check_span("fast_turns", f.when);
+    check("fast_turns: degrees", f.degrees, -360.0, 360.0);
+    // the spline's knots must resolve it
+    check("fast_turns: length in seconds", f.when.to_s - f.when.from_s, 0.2, 1e6);
+  }
   check("threads", o.threads, 1, 256, true);
   if (o.rig != rig_kind::pinhole && o.rig != rig_kind::fisheye) {
     throw error("generator: unknown rig " + std::to_string(static_cast<int>(o.rig)));
@@ -1089,43 +1104,40 @@ struct generator::impl {
   }
   /// @param T_left_other see generator::render @param first_noise number of the first image's noise
   stereo_frame render(int i, Eigen::Isometry3d const& T_left_other, std::size_t first_noise) const;
-  // Gyro and accelerometer without bias and noise, body frame.
-  std::pair<Eigen::Vector3d, Eigen::Vector3d> ideal_imu(std::int64_t time) const {
-    double const t = seconds(time);
+  bool within(std::vector<time_span> const& spans, int i) const {
+    double const t = seconds(time_ns(i));
+    return std::any_of(spans.begin(), spans.end(), [t](time_span const& s) {
+      return t >= s.from_s - 1e-9 && t < s.to_s - 1e-9;
+    });
+  }
+  // Instants that an image is the mean of, no more than about a pixel apart; 1 without exposure.
+  int exposure_steps(double t) const {
     motion const m = motion_at(route, t);
+    double const nearest_m = 0.8;
+    double const pixels_per_s = rig.left.fx * (m.turning.norm() + m.velocity.norm() / nearest_m);
+    return static_cast<int>(std::clamp(std::ceil(pixels_per_s * options.exposure_s), 1.0, 64.0));
+  }
+  // Mean light at each pixel of a camera during the exposure of frame i.
+  std::vector<float> collect_light(int i, view const& v,
+                                   Eigen::Isometry3d const& T_left_other) const;
+  // Gyro and accelerometer without bias and noise, body frame.
+  imu_sample ideal_imu(std::int64_t time) const {
+    motion const m = camera_motion(time);
     Eigen::Isometry3d const T_world_body = m.T_world_camera * rig.T_body_left.inverse();
     Eigen::Matrix3d const R_body_world = T_world_body.linear().transpose();
-    // the angular acceleration is continuous, so that a small difference is exact enough
-    constexpr double h = 1e-4;
-    double const before = std::max(t - h, 0.0);
-    Eigen::Vector3d const spin_up =
-        (motion_at(route, t + h).turning - motion_at(route, before).turning) / (t + h - before);
     Eigen::Vector3d const arm = T_world_body.translation() - m.T_world_camera.translation();
     Eigen::Vector3d const acceleration =
-        m.acceleration + spin_up.cross(arm) + m.turning.cross(m.turning.cross(arm));
-    return {R_body_world * m.turning,
+        m.acceleration + m.spin_up.cross(arm) + m.turning.cross(m.turning.cross(arm));
+    return {time, R_body_world * m.turning,
             R_body_world * (acceleration + Eigen::Vector3d(0, 0, gravity))};
   }
-  // Biases at every IMU time: random walks.
-  std::vector<std::pair<Eigen::Vector3d, Eigen::Vector3d>> biases() const {
-    random_stream random(key(options.seed, 101));
-    auto const draw = [&] {
-      double const x = random.gaussian();
-      double const y = random.gaussian();
-      double const z = random.gaussian();
-      return Eigen::Vector3d(x, y, z);
-    };
-    imu_noise const n;
-    double const root = std::sqrt(1.0 / options.imu_rate);
-    std::vector<std::pair<Eigen::Vector3d, Eigen::Vector3d>> out;
-    Eigen::Vector3d gyro = 0.005 * options.imu_noise_scale * draw();
-    Eigen::Vector3d accel = 0.03 * options.imu_noise_scale * draw();
-    for (std::size_t i = 0; i < imu_times.size(); ++i) {
-      out.emplace_back(gyro, accel);
-      gyro += n.gyro_walk * options.imu_noise_scale * root * draw();
-      accel += n.accel_walk * options.imu_noise_scale * root * draw();
+  detail::simulated_imu imu_errors() const {
+    imu_noise n = options.imu;
+    for (double* d : {&n.gyro, &n.accel, &n.gyro_walk, &n.accel_walk}) {
+      *d *= options.imu_noise_scale;
     }
-    return out;
+    return {n, options.imu_rate, options.gyro_bias * options.imu_noise_scale,
+            options.accel_bias * options.imu_noise_scale, options.seed};
   }
 };
 
@@ -1136,7 +1148,7 @@ generator::generator(generator_options const& options) : impl_(std::make_unique<
   m.rig = make_rig(o);
   m.surfaces = furnish(key(o.seed, 1));
   double const duration = (o.frames - 1) / o.fps;
-  m.route = plan_route(key(o.seed, 2), duration + 0.1);
+  m.route = plan_route(key(o.seed, 2), duration + 0.1, o.fast_turns);
   m.views[0] = make_view(m.rig.left, Eigen::Isometry3d::Identity(), o.vignetting);
   m.views[1] = make_view(m.rig.right, m.rig.T_left_right, o.vignetting);
   m.normal = normal_table();
@@ -1186,6 +1198,30 @@ stereo_frame generator::render(int i, Eigen::Isometry3d const& T_left_other) con
   return impl_->render(i, T_left_other, 2);
 }
 
+bool generator::dropped(int i) const {
+  impl_->check_frame(i);
+  return impl_->within(impl_->options.dropped, i);
+}
+
+std::vector<float> generator::impl::collect_light(int i, view const& v,
+                                                  Eigen::Isometry3d const& T_left_other) const {
+  if (within(options.blind, i)) { return std::vector<float>(v.rays.size(), 0.0f); }
+  double const t = seconds(time_ns(i));
+  auto const at = [&](double when) {
+    return trace(
+        v, surfaces,
+        motion_at(route, std::max(when, 0.0)).T_world_camera * T_left_other * v.T_left_this);
+  };
+  int const count = exposure_steps(t);
+  std::vector<float> sum = at(t + options.exposure_s * (0.5 / count - 0.5));
+  for (int k = 1; k < count; ++k) {
+    auto const more = at(t + options.exposure_s * ((k + 0.5) / count - 0.5));
+    for (std::size_t p = 0; p < sum.size(); ++p) { sum[p] += more[p]; }
+  }
+  for (float& value : sum) { value /= static_cast<float>(count); }
+  return sum;
+}
+
 stereo_frame generator::impl::render(int i, Eigen::Isometry3d const& T_left_other,
                                      std::size_t first_noise) const {
   impl const& m = *this;
@@ -1197,7 +1233,7 @@ stereo_frame generator::impl::render(int i, Eigen::Isometry3d const& T_left_othe
   out.time_ns = m.time_ns(i);
   for (std::size_t c = 0; c < 2; ++c) {
     view const& v = m.views[c];
-    auto const radiance = trace(v, m.surfaces, m.pose(i, 0) * T_left_other * v.T_left_this);
+    auto const radiance = m.collect_light(i, v, T_left_other);
     (c == 0 ? out.left : out.right) = expose(
         v, radiance, static_cast<float>(gain), static_cast<float>(m.options.noise_sigma), m.normal,
         key(m.options.seed, 1000 + static_cast<std::uint64_t>(i), first_noise + c));
@@ -1213,7 +1249,7 @@ trajectory generator::ground_truth() const {
 
 std::vector<body_state> generator::body_ground_truth() const {
   impl const& m = *impl_;
-  auto const biases = m.biases();
+  auto const biases = m.imu_errors().biases(m.imu_times.size());
   std::vector<std::int64_t> times = m.imu_times;
   for (int i = 0; i < size(); ++i) { times.push_back(m.time_ns(i)); }
   std::sort(times.begin(), times.end());
@@ -1229,34 +1265,17 @@ std::vector<body_state> generator::body_ground_truth() const {
     s.T_world_body = at.T_world_camera * m.rig.T_body_left.inverse();
     s.velocity = at.velocity +
                  at.turning.cross(s.T_world_body.translation() - at.T_world_camera.translation());
-    s.gyro_bias = biases[imu].first;
-    s.accel_bias = biases[imu].second;
+    s.gyro_bias = biases[imu].gyro;
+    s.accel_bias = biases[imu].accel;
     out.push_back(s);
   }
   return out;
 }
 
 std::vector<imu_sample> generator::imu() const {
-  impl const& m = *impl_;
-  auto const biases = m.biases();
-  imu_noise const n;
-  double const root = std::sqrt(m.options.imu_rate) * m.options.imu_noise_scale;
-  random_stream random(key(m.options.seed, 102));
-  auto const draw = [&] {
-    double const x = random.gaussian();
-    double const y = random.gaussian();
-    double const z = random.gaussian();
-    return Eigen::Vector3d(x, y, z);
-  };
   std::vector<imu_sample> out;
-  for (std::size_t i = 0; i < m.imu_times.size(); ++i) {
-    auto const ideal = m.ideal_imu(m.imu_times[i]);
-    imu_sample s;
-    s.time_ns = m.imu_times[i];
-    s.gyro = ideal.first + biases[i].first + n.gyro_noise * root * draw();
-    s.accel = ideal.second + biases[i].second + n.accel_noise * root * draw();
-    out.push_back(s);
-  }
+  for (std::int64_t const time : impl_->imu_times) { out.push_back(impl_->ideal_imu(time)); }
+  impl_->imu_errors().add_to(out);
   return out;
 }
 

@@ -24,6 +24,19 @@ enum class rig_kind {
             ///< 86 deg
 };
 
+/// A time of the sequence, seconds from its first frame: from_s <= t < to_s.
+struct time_span {
+  double from_s = 0;
+  double to_s = 0;
+};
+
+/// A turn of the camera about the vertical and back again, on top of the route's. The rate is
+/// highest at a quarter and at three quarters of its time, pi * degrees / length.
+struct fast_turn {
+  time_span when;      ///< at least 0.2 s
+  double degrees = 0;  ///< to the left; -360 to 360
+};
+
 struct generator_options {
   rig_kind rig = rig_kind::pinhole;
   /// Pixels, 32 to 4096; 0 = the rig's own, or computed from the other side with the rig's aspect
@@ -35,11 +48,18 @@ struct generator_options {
   std::uint64_t seed = 1;  ///< determines textures, details of route and room, noise
   double noise_sigma = 2;  ///< grey levels, 0 to 50
   bool exposure_change =
-      true;                    ///< gain between 0.8 and 1.2, smooth over time, equal left and right
-  bool vignetting = true;      ///< image corners 20 % darker
-  double baseline = 0;         ///< metres, 0.02 to 0.3; 0 = the rig's own (0.11 and 0.101)
-  double imu_rate = 200;       ///< Hz, 10 to 10000
-  double imu_noise_scale = 1;  ///< times the densities of generator::imu_noise, 0 to 100; 0 = ideal
+      true;                ///< gain between 0.8 and 1.2, smooth over time, equal left and right
+  bool vignetting = true;  ///< image corners 20 % darker
+  double baseline = 0;     ///< metres, 0.02 to 0.3; 0 = the rig's own (0.11 and 0.101)
+  double exposure_s = 0;   ///< images are means over this time about their stamp, 0 to 0.1
+  std::vector<time_span> blind;       ///< black images, with noise: a covered lens
+  std::vector<time_span> dropped;     ///< frames that write_asl leaves out
+  std::vector<fast_turn> fast_turns;  ///< they blur images that have an exposure
+  double imu_rate = 200;              ///< Hz, 10 to 10000
+  imu_noise imu;                      ///< densities, at most 1 (gyro) and 10 (accelerometer)
+  double gyro_bias = 0.005;    ///< standard deviation of each axis' first bias, rad/s, 0 to 1
+  double accel_bias = 0.03;    ///< likewise, m/s^2, 0 to 10
+  double imu_noise_scale = 1;  ///< times densities and first biases, 0 to 100; 0 = ideal samples
   int threads = 0;             ///< for building the textures, 1 to 256; 0 = all of the machine
 };
 
@@ -83,16 +103,12 @@ public:
   trajectory ground_truth() const;
   /// Body states at every IMU and every frame time, sorted.
   std::vector<body_state> body_ground_truth() const;
-  /// From the first frame's time to the last one's.
+  /// From the first frame's time to the last one's. Angular rate and specific force are exact
+  /// derivatives of the motion that the images are rendered from; to them come biases that walk at
+  /// random and white noise.
   std::vector<imu_sample> imu() const;
-
-  /// Noise densities of the IMU at imu_noise_scale 1.
-  struct imu_noise {
-    double gyro_noise = 1.7e-4;   ///< rad/s/sqrt(Hz)
-    double gyro_walk = 2.0e-5;    ///< rad/s^2/sqrt(Hz)
-    double accel_noise = 2.0e-3;  ///< m/s^2/sqrt(Hz)
-    double accel_walk = 3.0e-3;   ///< m/s^3/sqrt(Hz)
-  };
+  /// Whether frame i is in a span of options().dropped. It can be rendered nevertheless.
+  bool dropped(int i) const;
 
   /// The surface seen at pixel (u, v) of a camera (0 left, 1 right), in that camera's frame,
   /// metres; nothing outside the lens' range.

@@ -300,6 +300,31 @@ image read_checked(std::string const& path, camera_intrinsics const& camera) {
 
 }  // namespace
 
+std::vector<imu_sample> read_imu_samples(std::string const& path) {
+  std::vector<imu_sample> samples;
+  for (detail::text_line const& line : detail::read_lines(path)) {
+    if (detail::is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const fields = detail::split(line.text, ",", false);
+    if (fields.size() < 7) {
+      detail::fail_at(path, line.number,
+                      std::to_string(fields.size()) + " fields, must have at least 7");
+    }
+    imu_sample s;
+    s.time_ns = detail::nanoseconds(fields[0], path, line.number);
+    for (int i = 0; i < 3; ++i) {
+      auto const k = static_cast<std::size_t>(i);
+      s.gyro[i] = detail::finite_number(fields[1 + k], path, line.number);
+      s.accel[i] = detail::finite_number(fields[4 + k], path, line.number);
+    }
+    if (!samples.empty() && s.time_ns <= samples.back().time_ns) {
+      detail::fail_at(path, line.number, "time stamps must increase");
+    }
+    samples.push_back(s);
+  }
+  if (samples.empty()) { throw error(path + ": no samples"); }
+  return samples;
+}
+
 struct sequence::impl {
   std::string name;
   std::string layout;
@@ -313,6 +338,7 @@ struct sequence::impl {
   unpaired_images unpaired;
   std::optional<rectifier> rectify;
   trajectory truth;
+  std::optional<imu_recording> imu;
 };
 
 namespace {
@@ -390,6 +416,22 @@ calibration find_calibration(layout_of_files const& l, std::string const& named)
   return calib;
 }
 
+/// @param T_body_left of loaded frames
+std::optional<imu_recording> find_imu(layout_of_files const& l, calibration const& calib,
+                                      Eigen::Isometry3d const& T_body_left) {
+  if (l.mav0.empty() || !calib.has_body_frame) { return std::nullopt; }
+  std::string const samples = (l.mav0 / "imu0" / "data.csv").string();
+  std::string const sensor = (l.mav0 / "imu0" / "sensor.yaml").string();
+  if (!detail::is_file(samples) || (!calib.imu && !detail::is_file(sensor))) {
+    return std::nullopt;
+  }
+  imu_recording imu;
+  imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
+  imu.T_imu_left = imu.calibration.T_body_imu.inverse() * T_body_left;
+  imu.samples = read_imu_samples(samples);
+  return imu;
+}
+
 /// What turns poses of a ground truth's frame into those of the left camera of loaded frames.
 /// @param T_raw_loaded maps points of that camera into the raw one
 Eigen::Isometry3d given_to_loaded(raw_ground_truth::frame given, calibration const& calib,
@@ -446,6 +488,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   if (truth.orientation) {
     p->truth = poses_of(p->truth, given_to_loaded(truth.of, calib, p->rig, T_raw_loaded));
   }
+  if (options.read_imu) { p->imu = find_imu(files, calib, p->rig.T_body_left); }
   p->pairs = std::move(files.found.pairs);
   p->unpaired = files.found.unpaired;
   if (options.max_frames > 0 && p->pairs.size() > static_cast<std::size_t>(options.max_frames)) {
@@ -484,6 +527,7 @@ stereo_frame sequence::load(int i) const {
 }
 
 trajectory const& sequence::ground_truth() const { return impl_->truth; }
+std::optional<imu_recording> const& sequence::imu() const { return impl_->imu; }
 bool sequence::ground_truth_has_orientation() const { return impl_->has_orientation; }
 
 }  // namespace seq

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "examples/sequence/types.hpp"
 
@@ -21,6 +22,19 @@ struct orb_settings {
   std::optional<double> depth_threshold;  ///< Stereo.ThDepth, in baselines
 };
 
+/// Samples of an IMU and what has to be known about them.
+struct imu_recording {
+  imu_calibration calibration;
+  /// Maps points of the left camera of loaded frames into the IMU's frame, metres.
+  Eigen::Isometry3d T_imu_left = Eigen::Isometry3d::Identity();
+  std::vector<imu_sample> samples;  ///< sorted by time, none twice
+};
+
+/// Reads the data.csv of an EuRoC IMU: time stamp in ns, angular rate in rad/s, specific force in
+/// m/s^2; further columns are ignored. @throws seq::error naming file and line: not seven finite
+/// numbers, time stamps that do not increase; or without any sample
+std::vector<imu_sample> read_imu_samples(std::string const& path);
+
 struct open_options {
   /// Calibration file to use instead of the folder's own: sensor.yaml's parent `mav0`, a KITTI
   /// calib.txt, or an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8). Empty = the
@@ -30,6 +44,9 @@ struct open_options {
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
+  /// Reads the IMU's samples, EuRoC layout, from mav0/imu0. Without it no file of the IMU is
+  /// opened.
+  bool read_imu = false;
 };
 
 /// The sequence has no calibration of its own and none was named.
@@ -49,7 +66,8 @@ class sequence {
 public:
   /// @throws seq::error: no such folder, no layout recognised, no images, unreadable or absurd
   ///   calibration (focal length not positive, NaN, zero baseline, sizes that differ from the
-  ///   images'), fewer than one stereo pair with equal time stamps; missing_calibration
+  ///   images'), fewer than one stereo pair with equal time stamps, an IMU's file that is damaged;
+  ///   missing_calibration
   static sequence open(std::string const& directory, open_options const& options = {});
 
   sequence(sequence&&) noexcept;
@@ -72,6 +90,9 @@ public:
   /// Ground truth of the left camera (the body's moved by T_body_left and by the rectifying
   /// rotation), sorted by time; empty if the sequence has none.
   trajectory const& ground_truth() const;
+  /// Nothing unless open_options::read_imu was set, and mav0/imu0/data.csv is there with noise and
+  /// place of the IMU: those of the calibration that was named, or else of mav0/imu0/sensor.yaml.
+  std::optional<imu_recording> const& imu() const;
   /// False if ground truth gives positions only (all orientations identity).
   bool ground_truth_has_orientation() const;
 

@@ -177,11 +177,38 @@ statistics summarise(std::vector<double> samples) {
   return s;
 }
 
+namespace {
+
+using json = nlohmann::ordered_json;
+
+json number(std::optional<double> const& v) {
+  return v && std::isfinite(*v) ? json(*v) : json(nullptr);
+}
+
+json evo_of(run_report const& report, detail::run_figures const& f) {
+  json evo = json::object();
+  for (detail::evo_command const& c : detail::evo_commands(report, f)) {
+    evo[c.figure] = {{"command", c.command}, {"exact", c.exact}};
+  }
+  return evo;
+}
+
+json stages_of(detail::run_figures const& f) {
+  json stages = json::object();
+  for (auto const& stage : f.stages) {
+    auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
+    stages[stage.name] = {{"mean_ms", ms(stage.ms.mean)},
+                          {"std_ms", ms(stage.ms.std)},
+                          {"p50_ms", ms(stage.ms.p50)},
+                          {"p99_ms", ms(stage.ms.p99)},
+                          {"max_ms", ms(stage.ms.max)}};
+  }
+  return stages;
+}
+
+}  // namespace
+
 void write_summary_json(std::string const& path, run_report const& report) {
-  using json = nlohmann::ordered_json;
-  auto const number = [](std::optional<double> const& v) {
-    return v && std::isfinite(*v) ? json(*v) : json(nullptr);
-  };
   detail::run_figures const f = detail::figures_of(report);
   auto const with_truth = [&](double v) { return f.has_truth ? number(v) : json(nullptr); };
 
@@ -208,11 +235,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["ate_rotation_rmse_deg"] = number(f.ate_rotation_rmse_deg);
   root["rpe_rotation_rmse_deg"] = number(f.rpe_rotation_rmse_deg);
   root["frame"] = report.frame;
-  json evo = json::object();
-  for (detail::evo_command const& c : detail::evo_commands(report, f)) {
-    evo[c.figure] = {{"command", c.command}, {"exact", c.exact}};
-  }
-  root["evo"] = std::move(evo);
+  root["evo"] = evo_of(report, f);
   root["warnings"] = report.warnings;
   root["stopped_at"] = report.stopped_at ? json(*report.stopped_at) : json(nullptr);
   root["stopped_by"] = report.stopped_at ? json(report.stopped_by) : json(nullptr);
@@ -226,21 +249,8 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["fps"] = number(f.fps);
   root["wall_s"] = number(report.wall_s);
   root["wall_fps"] = number(f.wall_fps);
-  json stages = json::object();
-  for (auto const& stage : f.stages) {
-    auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
-    json entry = json::object();
-    entry["mean_ms"] = ms(stage.ms.mean);
-    entry["std_ms"] = ms(stage.ms.std);
-    entry["p50_ms"] = ms(stage.ms.p50);
-    entry["p99_ms"] = ms(stage.ms.p99);
-    entry["max_ms"] = ms(stage.ms.max);
-    stages[stage.name] = std::move(entry);
-  }
-  root["stages"] = std::move(stages);
-  json options = json::object();
-  for (auto const& [name, value] : report.options) { options[name] = value; }
-  root["options"] = std::move(options);
+  root["stages"] = stages_of(f);
+  root["options"] = report.options;
   // names come from the command line: bytes that are not UTF-8 must not prevent the summary
   detail::write_text(path, root.dump(2, ' ', false, json::error_handler_t::replace) + '\n');
 }

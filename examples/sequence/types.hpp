@@ -75,10 +75,26 @@ struct stereo_frame {
   image right;
 };
 
+/// Noise densities of an IMU. The defaults are those of the EuRoC data sets.
+struct imu_noise {
+  double gyro = 1.7e-4;        ///< rad/s/sqrt(Hz)
+  double accel = 2.0e-3;       ///< m/s^2/sqrt(Hz)
+  double gyro_walk = 2.0e-5;   ///< rad/s^2/sqrt(Hz)
+  double accel_walk = 3.0e-3;  ///< m/s^3/sqrt(Hz)
+};
+
+/// What a tracker has to know about an IMU.
+struct imu_calibration {
+  imu_noise noise;
+  double rate_hz = 0;
+  Eigen::Isometry3d T_body_imu =
+      Eigen::Isometry3d::Identity();  ///< maps points of the IMU's frame to the body's
+};
+
 struct imu_sample {
   std::int64_t time_ns = 0;
-  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< rad/s, body frame
-  Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< m/s^2, body frame, gravity included
+  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< rad/s, IMU's frame
+  Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< m/s^2, IMU's frame, gravity included
 };
 
 }  // namespace seq

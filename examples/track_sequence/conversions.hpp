@@ -19,6 +19,14 @@ inline rigid_pose from_ft(ft::rigid<double> const& p) {
   return T;
 }
 
+inline ft::pose to_ft(rigid_pose const& p) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  ft::pose T;
+  for (std::size_t i = 0; i < 9; ++i) { T.R.m[i] = f(p.R[i]); }
+  T.t = {f(p.t[0]), f(p.t[1]), f(p.t[2])};
+  return T;
+}
+
 using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
 
 /// The options' rig as a type of ft.
@@ -32,11 +40,32 @@ Rig rig_of(odometry_options const& o) {
       return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
                                        f(p[4]), f(p[5]), f(p[6]), f(p[7])};
     };
-    ft::pose T;
-    for (std::size_t i = 0; i < 9; ++i) { T.R.m[i] = f(o.T_right_left.R[i]); }
-    T.t = {f(o.T_right_left.t[0]), f(o.T_right_left.t[1]), f(o.T_right_left.t[2])};
-    return {camera(o.left), camera(o.right), T};
+    return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
   }
+}
+
+inline ft::vec3<float> narrowed(std::array<double, 3> const& v) {
+  auto const f = [](double x) { return static_cast<float>(x); };
+  return {f(v[0]), f(v[1]), f(v[2])};
+}
+
+inline ft::imu_params imu_params_of(imu_options const& o) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  ft::imu_params p;
+  p.present = true;
+  for (std::size_t i = 0; i < 9; ++i) { p.T_bc.R.m[i] = o.T_imu_left.R[i]; }
+  p.T_bc.t = {o.T_imu_left.t[0], o.T_imu_left.t[1], o.T_imu_left.t[2]};
+  p.noise = {f(o.gyro_noise), f(o.accel_noise), f(o.gyro_walk), f(o.accel_walk), f(o.rate_hz)};
+  return p;
+}
+
+inline imu_outcome outcome_of(ft::imu_tracking const& t) {
+  auto const wide = [](ft::vec3<float> v) {
+    return std::array<double, 3>{static_cast<double>(v.x), static_cast<double>(v.y),
+                                 static_cast<double>(v.z)};
+  };
+  return {t.known,           t.optimized,        {t.velocity.x, t.velocity.y, t.velocity.z},
+          wide(t.bias.gyro), wide(t.bias.accel), {t.gravity.x, t.gravity.y, t.gravity.z}};
 }
 
 inline ft::odometry_params odometry_params_of(odometry_options const& o) {
@@ -50,6 +79,7 @@ inline ft::odometry_params odometry_params_of(odometry_options const& o) {
   p.orb.min_threshold = o.min_threshold;
   p.rules.near_depth = static_cast<float>(o.near_depth);
   p.map_slots = std::max(p.map_slots, 8 * o.features);
+  if (o.imu) { p.imu = imu_params_of(*o.imu); }
   p.measure_stages = o.measure_stages;
   return p;
 }

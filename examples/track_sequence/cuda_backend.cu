@@ -30,8 +30,15 @@ public:
                       std::uint8_t const* right) override {
     return inner_.track(time_ns, left, right);
   }
+  void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
+               std::array<double, 3> const& gyro) override {
+    inner_.add_imu(time_ns, accel, gyro);
+  }
   std::vector<std::string> const& stage_names() const override { return inner_.stage_names(); }
   std::vector<seen_keypoint> keypoints() const override { return inner_.keypoints(); }
+  void write_map(std::ostream& to, rigid_pose const& T_file_world) const override {
+    inner_.write_map(to, T_file_world);
+  }
   int keyframes() const override { return inner_.keyframes(); }
   int map_points() const override { return inner_.map_points(); }
   int maps() const override { return inner_.maps(); }

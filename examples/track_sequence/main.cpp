@@ -30,7 +30,6 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
                     {"layout", sequence.layout()},
                     {"rig", options.fisheye ? "fisheye" : "rectified"},
                     {"frame", a.frame},
-                    {"pose-optimization", a.optimize},
                     {"read-ahead", std::to_string(a.read_ahead)},
                     {"realtime", a.realtime ? "yes" : "no"},
                     {"near points, baselines", std::to_string(options.near_depth)}};
@@ -52,7 +51,7 @@ int run(app::arguments const& a) {
   report.keyframes = odometry->keyframes();
   report.map_points = odometry->map_points();
   report.maps = odometry->maps();
-  app::finish(a, sequence, report);
+  app::finish(a, sequence, *odometry, report);
   if (report.stopped_at) {
     std::cerr << "track_sequence: stopped at frame " << *report.stopped_at << ": "
               << report.stopped_by << "\n";

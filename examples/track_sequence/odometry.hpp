@@ -6,7 +6,9 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <iosfwd>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -33,7 +35,12 @@ struct rigid_pose {
   }
 };
 
-enum class pose_optimization { both, last_frame, off };
+/// An IMU, as its calibration has it; see ft::imu_params.
+struct imu_options {
+  rigid_pose T_imu_left;  ///< left-camera points to the IMU
+  double gyro_noise = 0, accel_noise = 0, gyro_walk = 0, accel_walk = 0;  ///< densities
+  double rate_hz = 0;
+};
 
 struct odometry_options {
   int width = 0, height = 0;
@@ -49,7 +56,7 @@ struct odometry_options {
   int min_threshold = 7;
   double near_depth = 50;  ///< points nearer than this many baselines become map points
   double fps = 20;
-  pose_optimization optimize = pose_optimization::both;
+  std::optional<imu_options> imu;
   int threads = 0;              ///< of the host version; 0 = all
   bool measure_stages = false;  ///< fills all of frame_outcome::stage_ms, not only the last
 };
@@ -63,6 +70,13 @@ struct seen_keypoint {
   bool matched;  ///< matched to a map point from before this frame
 };
 
+/// What the IMU said about a frame.
+struct imu_outcome {
+  bool known = false;      ///< gravity, velocity and biases are known
+  bool optimized = false;  ///< the pose was optimised with the IMU
+  std::array<double, 3> velocity{}, gyro_bias{}, accel_bias{}, gravity{};
+};
+
 struct frame_outcome {
   bool tracked = false;
   bool keyframe = false;
@@ -71,6 +85,7 @@ struct frame_outcome {
   int stereo_matches = 0;
   int inliers = 0;  ///< matched map points, without this frame's new ones
   int local_points = 0;
+  imu_outcome imu;
   std::vector<double> stage_ms;  ///< one per stage_names(); see odometry_options::measure_stages
 };
 
@@ -83,8 +98,13 @@ public:
   /// @param left,right width x height bytes without padding
   virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                               std::uint8_t const* right) = 0;
+  /// A sample of the IMU, before the frame that it belongs to. @param accel m/s^2 @param gyro rad/s
+  virtual void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
+                       std::array<double, 3> const& gyro) = 0;
   virtual std::vector<std::string> const& stage_names() const = 0;  ///< the last one is "total"
   virtual std::vector<seen_keypoint> keypoints() const = 0;         ///< of the last frame
+  /// Writes the points of the map as PLY. @param T_file_world maps them to the file's world
+  virtual void write_map(std::ostream& to, rigid_pose const& T_file_world) const = 0;
   virtual int keyframes() const = 0;
   virtual int map_points() const = 0;
   virtual int maps() const = 0;  ///< maps begun: more than one if the camera was lost for long

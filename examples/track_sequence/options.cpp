@@ -48,18 +48,14 @@ void add_tracking(CLI::App& app, arguments& a) {
          "--features", a.features,
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
-  app.add_option("--pose-optimization", a.optimize,
-                 "both, last-frame (none after the local map) or off (the predicted pose is kept: "
-                 "for timing)")
-      ->check(CLI::IsMember({"both", "last-frame", "off"}))
-      ->capture_default_str();
   app.add_option("--near", a.near_depth,
                  "depth of map points, in baselines; default: the settings file's, or 50");
 }
 
 void add_output(CLI::App& app, arguments& a) {
   app.add_option("--out", a.out,
-                 "folder for trajectory.txt, groundtruth.txt, times.csv, summary.json, report.html")
+                 "folder for trajectory.txt, groundtruth.txt, map.ply, times.csv, summary.json, "
+                 "report.html")
       ->capture_default_str();
   app.add_option("--frame", a.frame,
                  "whose poses are written and compared: those of the (rectified) left camera, or "
@@ -70,6 +66,8 @@ void add_output(CLI::App& app, arguments& a) {
                  "tum, or kitti: also poses.txt with KITTI's 12 numbers for each frame")
       ->check(CLI::IsMember({"tum", "kitti"}))
       ->capture_default_str();
+  app.add_option("--imu", a.imu, "auto (the default: used if the sequence has one), or off")
+      ->check(CLI::IsMember({"auto", "off"}));
   app.add_flag("--timing", a.timing, "measures the stages of a frame");
   app.add_flag("--quiet", a.quiet, "no progress display");
 }

@@ -18,10 +18,10 @@ struct arguments {
   std::string sequence;
   std::string calibration;
   std::string backend = "auto";
-  std::string optimize = "both";
   std::string rig = "auto";
   std::string frame = "camera";
   std::string poses = "tum";
+  std::string imu = "auto";
   std::string out = "track_sequence_out";
   int features = 0;
   int threads = 0;

@@ -2,11 +2,14 @@
 #include "examples/track_sequence/outputs.hpp"
 
 #include <filesystem>
+#include <fstream>
 #include <iostream>
+#include <sstream>
 #include <string>
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/warnings.hpp"
+#include "examples/track_sequence/setup.hpp"
 
 namespace app {
 namespace {
@@ -62,6 +65,18 @@ void write_poses(arguments const& a, seq::sequence const& sequence, seq::run_rep
   }
 }
 
+/// Writes the points of the map, in the world of the poses.
+void write_map(arguments const& a, seq::sequence const& sequence, odometry const& odometry) {
+  std::string const path = a.out + "/map.ply";
+  std::ostringstream map;
+  odometry.write_map(map, plain_pose(a.frame == "body" ? sequence.rig().T_body_left
+                                                       : Eigen::Isometry3d::Identity()));
+  std::ofstream out(path, std::ios::binary);
+  out << map.str();
+  out.flush();
+  if (!out) { throw seq::error(path + ": cannot be written"); }
+}
+
 }  // namespace
 
 void make_output_folder(arguments const& a) {
@@ -74,7 +89,8 @@ void make_output_folder(arguments const& a) {
   fs::create_directories(a.out);
 }
 
-void finish(arguments const& a, seq::sequence const& sequence, seq::run_report& report) {
+void finish(arguments const& a, seq::sequence const& sequence, odometry const& odometry,
+            seq::run_report& report) {
   report.truth = sequence.ground_truth();
   report.frame = a.frame;
   if (a.frame == "body") { move_to_body(sequence, report); }
@@ -84,6 +100,7 @@ void finish(arguments const& a, seq::sequence const& sequence, seq::run_report& 
   report.unpaired_right = sequence.unpaired().right;
   report.warnings = seq::warnings_of(report);
   write_poses(a, sequence, report);
+  write_map(a, sequence, odometry);
   seq::write_times_csv(a.out + "/times.csv", report);
   seq::write_summary_json(a.out + "/summary.json", report);
   seq::write_html(a.out + "/report.html", report);

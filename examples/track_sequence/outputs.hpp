@@ -4,6 +4,7 @@
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
+#include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
 
 namespace app {
@@ -13,9 +14,10 @@ namespace app {
 ///   output
 void make_output_folder(arguments const& a);
 
-/// Moves the poses to the frame asked for, compares them with the ground truth, writes the files
-/// and prints the summary.
+/// Moves the poses and the map to the frame asked for, compares them with the ground truth, writes
+/// the files and prints the summary.
 /// @throws seq::error
-void finish(arguments const& a, seq::sequence const& sequence, seq::run_report& report);
+void finish(arguments const& a, seq::sequence const& sequence, odometry const& odometry,
+            seq::run_report& report);
 
 }  // namespace app

@@ -31,13 +31,7 @@ void set_rig(seq::sequence const& sequence, odometry_options& o) {
   if (!o.fisheye) { return; }
   o.left = kannala_brandt_of(rig.left);
   o.right = kannala_brandt_of(rig.right);
-  Eigen::Isometry3d const T = rig.T_left_right.inverse();
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      o.T_right_left.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c);
-    }
-    o.T_right_left.t[static_cast<std::size_t>(r)] = T.translation()(r);
-  }
+  o.T_right_left = plain_pose(rig.T_left_right.inverse());
 }
 
 }  // namespace
@@ -47,6 +41,7 @@ seq::sequence open_sequence(arguments const& a) {
   open.calibration = a.calibration;
   open.keep_fisheye = a.rig != "rectified";
   open.max_frames = a.frames;
+  open.read_imu = a.imu != "off";
   try {
     auto sequence = seq::sequence::open(a.sequence, open);
     if (a.rig == "fisheye" && !sequence.fisheye()) {
@@ -77,9 +72,13 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   o.measure_stages = a.timing;
-  o.optimize = a.optimize == "both"  ? pose_optimization::both
-               : a.optimize == "off" ? pose_optimization::off
-                                     : pose_optimization::last_frame;
+  if (sequence.imu()) {
+    auto const& imu = *sequence.imu();
+    auto const& noise = imu.calibration.noise;
+    o.imu = imu_options{
+        plain_pose(imu.T_imu_left), noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk,
+        imu.calibration.rate_hz};
+  }
   return o;
 }
 
@@ -95,6 +94,15 @@ std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options con
   } catch (std::exception const& e) {  // options that contradict each other
     throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
   }
+}
+
+rigid_pose plain_pose(Eigen::Isometry3d const& T) {
+  rigid_pose p;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) { p.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c); }
+    p.t[static_cast<std::size_t>(r)] = T.translation()(r);
+  }
+  return p;
 }
 
 seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T_cw) {

@@ -24,6 +24,7 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence);
 std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options const& options,
                                         std::string& backend);
 
+rigid_pose plain_pose(Eigen::Isometry3d const& T);
 /// @param T_cw world to camera
 seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T_cw);
 

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <exception>
@@ -113,6 +114,7 @@ void tracking_run::track_all() {
 }
 
 void tracking_run::track(int i, seq::stereo_frame frame) {
+  add_imu(frame.time_ns);
   frame_outcome const outcome =
       odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
@@ -120,6 +122,21 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_cw)); }
   if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_cw); }
   add_sample(i, std::move(frame.left));
+}
+
+/// Hands the IMU's samples on, up to the first one that is not before the frame.
+void tracking_run::add_imu(std::int64_t to_ns) {
+  if (!sequence_.imu()) { return; }
+  auto const& samples = sequence_.imu()->samples;
+  auto const plain = [](Eigen::Vector3d const& v) {
+    return std::array<double, 3>{v.x(), v.y(), v.z()};
+  };
+  bool more = true;
+  while (more && next_sample_ < samples.size()) {
+    auto const& s = samples[next_sample_++];
+    odometry_.add_imu(s.time_ns, plain(s.accel), plain(s.gyro));
+    more = s.time_ns < to_ns;
+  }
 }
 
 void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& outcome) {

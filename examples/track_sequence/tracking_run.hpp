@@ -27,6 +27,7 @@ public:
 private:
   bool dropped(int i) const;
   void track(int i, seq::stereo_frame frame);
+  void add_imu(std::int64_t to_ns);
   void add_record(int i, std::int64_t time_ns, frame_outcome const& outcome);
   void add_sample(int i, seq::image picture);
   void add_points(rigid_pose const& T_cw);
@@ -40,7 +41,8 @@ private:
   seq::lens_projection left_lens_;
   std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_
   int before_index_ = -2;
-  double busy_until_ms_ = 0;  ///< on the sequence's own clock, for --realtime
+  double busy_until_ms_ = 0;     ///< on the sequence's own clock, for --realtime
+  std::size_t next_sample_ = 0;  ///< of the IMU
   int points_seen_ = 0;
   int points_step_ = 1;  ///< every so many-th new point is kept
 };

@@ -2,8 +2,9 @@
 /// @file ft::odometry behind the program's interface, for either executor and either kind of rig.
 #pragma once
 
+#include <array>
 #include <cstdint>
-#include <stdexcept>
+#include <ostream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -11,6 +12,7 @@
 #include "examples/track_sequence/conversions.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/stage_sums.hpp"
+#include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/odometry.hpp"
 
 namespace app {
@@ -18,18 +20,14 @@ namespace app {
 template <typename Exec, typename Rig>
 class visual_odometry final : public odometry {
 public:
-  /// @throws ft::bad_argument, std::invalid_argument
+  /// @throws ft::bad_argument
   visual_odometry(Exec const& exec, odometry_options const& options, std::string device)
       : options_(options),
         device_(std::move(device)),
         inner_(exec, rig_of<Rig>(options), odometry_params_of(options)),
         sums_({"motion", "upload", "pyramid", "corners", "distribution", "blur", "order",
                "descriptors", "stereo", "search last frame", "pose last frame", "update local map",
-               "search local map", "pose local map", "keyframe", "result", "total"}) {
-    if (options.optimize != pose_optimization::both) {
-      throw std::invalid_argument("the odometry optimises the pose after both searches");
-    }
-  }
+               "search local map", "pose local map", "keyframe", "result", "total"}) {}
 
   frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                       std::uint8_t const* right) override {
@@ -59,8 +57,14 @@ public:
     out.stereo_matches = last_.stereo_points;
     out.inliers = last_.inliers;
     out.local_points = last_.local_points;
+    out.imu = outcome_of(last_.imu);
     out.stage_ms = sums_.ms();
     return out;
+  }
+
+  void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
+               std::array<double, 3> const& gyro) override {
+    inner_.add_imu({time_ns, narrowed(accel), narrowed(gyro)});
   }
 
   std::vector<std::string> const& stage_names() const override { return sums_.names(); }
@@ -73,6 +77,15 @@ public:
           {r.x[i], r.y[i], r.octave[i], r.depth[i], r.holder[i], inner_.matched()[i] != 0});
     }
     return all;
+  }
+  void write_map(std::ostream& to, rigid_pose const& T_file_world) const override {
+    ft::odometry_map map = inner_.download_map();
+    ft::pose const T = to_ft(T_file_world);
+    for (auto& point : map.points) {
+      point.position = T * point.position;
+      point.normal = T.R * point.normal;
+    }
+    ft::write_ply(to, map);
   }
   int keyframes() const override { return last_.keyframes; }
   int map_points() const override { return last_.map_points; }

@@ -14,6 +14,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/images/depth_association.hpp"
+#include "integration/orbslam3/cell_lists.hpp"
 #include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
@@ -55,7 +56,7 @@ public:
   // ---- features
 
   /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
-  /// frame.mnId.
+  /// frame.mnId, mK, mDistCoef and the bounds.
   /// @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
   /// @throws bad_argument for an image of another size
   template <typename Image>
@@ -85,6 +86,27 @@ public:
 
   /// Whether the frame is the last one that extract() filled.
   bool extracted(frame_type const& frame) const { return frames_.is_extracted(frame); }
+
+  // ---- undistortion and grid
+
+  /// Whether undistort() can be called: extract() has filled the frame last. Other conditions: the
+  /// frame has no distortion, or it has one image and 4 or 5 coefficients.
+  bool can_undistort(frame_type const& frame) const { return frames_.is_undistorted(frame); }
+  /// Frame::UndistortKeyPoints: mvKeysUn. extract() has computed the positions.
+  /// @throws bad_argument unless can_undistort()
+  void undistort(frame_type& frame) {
+    stage_timer timer(sums(stage::undistort), *device_);
+    detail::require(can_undistort(frame), "the frame's keypoints are not undistorted here");
+    frames_.fill_undistorted(frame);
+  }
+  /// Frame::AssignFeaturesToGrid: mGrid, and mGridRight for two cameras. For frames from extract()
+  /// and from the CPU. Runs on the host, see cell_lists.
+  void assign_to_grid(frame_type& frame) {
+    stage_timer timer(sums(stage::grid), *device_);
+    bounds const image = frames_.bounds_of(frame);
+    cells_.fill(image, frames_.keys(frame, 0), frame.mGrid);
+    if (frames_.two_cameras()) { cells_.fill(image, frames_.keys(frame, 1), frame.mGridRight); }
+  }
 
   // ---- stereo
 
@@ -305,7 +327,7 @@ private:
   static bool reads_map(options const& o) {
     for (int i = 0; i < stage_count; ++i) {
       auto const s = static_cast<stage>(i);
-      bool const of_images = s == stage::extract || s == stage::stereo;
+      bool const of_images = s < stage::search_last_frame;
       if (!of_images && o[s] == stage_mode::device) { return true; }
     }
     return false;
@@ -316,11 +338,12 @@ private:
 
   void extract_images(grey_image const& left, grey_image const& right, frame_type& frame) {
     stage_timer timer(sums(stage::extract), *device_);
-    int const b = frames_.begin_extraction();
-    timer.on_device([&] { device_->extract(b, left, right); });
+    extraction_request const request =
+        frames_.begin_extraction(frame, left, right, uses(stage::undistort));
+    timer.on_device([&] { device_->extract(request); });
     frames_.prepare(frame);
     timer.on_device([&] { device_->wait_for_features(); });
-    frames_.took(b, frame);
+    frames_.took(request.buffer, frame);
   }
 
   static bool holds(frame_type const& frame, std::size_t i) {
@@ -357,6 +380,7 @@ private:
   frame_exchange<frame_type> frames_{*device_, settings_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
   local_room room_{*device_};
+  cell_lists cells_{device_->helpers()};
   statistics statistics_{};
 };
 

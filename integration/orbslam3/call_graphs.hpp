@@ -8,6 +8,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/recording.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -18,8 +19,11 @@ struct call_key {
   int call = 0;
   int buffer = 0;
   int size = 0;  ///< of the launches
-  float values[8] = {};
+  float values[6] = {};
 
+  static call_key of(int call, int buffer, int size, bounds const& image, float a, float b) {
+    return {call, buffer, size, {image.min_x, image.min_y, image.max_x, image.max_y, a, b}};
+  }
   friend bool operator==(call_key const& a, call_key const& b) {
     return a.call == b.call && a.buffer == b.buffer && a.size == b.size &&
            std::memcmp(a.values, b.values, sizeof a.values) == 0;

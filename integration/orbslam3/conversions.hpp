@@ -4,6 +4,8 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <cstddef>
+#include <cstring>
 
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/plain_types.hpp"
@@ -23,6 +25,26 @@ camera_parameters parameters_of(Camera& camera) {
     p.values[i] = static_cast<float>(camera.getParameter(i));
   }
   return p;
+}
+
+inline constexpr int number_type = 5;  ///< CV_32FC1
+
+/// Reads mK and mDistCoef of a frame.
+/// @return whether the distortion is one that undistortion.hpp knows: none, or 4 or 5 coefficients
+template <typename Frame>
+bool read_distortion(Frame const& frame, lens_distortion& d) {
+  d = {};
+  int const n = frame.mDistCoef.rows * frame.mDistCoef.cols;
+  if (n == 0) { return true; }
+  if (frame.mDistCoef.type() != number_type || frame.mK.type() != number_type) { return false; }
+  float k[5] = {};
+  std::memcpy(k, frame.mDistCoef.data, sizeof(float) * static_cast<std::size_t>(n < 5 ? n : 5));
+  if (k[0] == 0) { return true; }
+  if (n < 4 || n > 5) { return false; }
+  float K[9];
+  std::memcpy(K, frame.mK.data, sizeof K);
+  d = {K[0], K[4], K[2], K[5], k[0], k[1], k[2], k[3], k[4]};
+  return true;
 }
 
 /// The transform of a Sophus::SE3f.

@@ -7,10 +7,12 @@
 #include <cstdint>
 #include <cstring>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
@@ -22,31 +24,49 @@
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/stream_mark.hpp"
+#include "integration/orbslam3/undistortion.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// Copies extracted keypoints into a frame and to host memory.
+/// Frames' keypoints on the device and on the host.
+struct stored_keypoints {
+  keypoints_view device;
+  int* mono;
+  frame_arrays host;
+};
+
+/// Copies extracted keypoints into a frame and to host memory. Those of a single image are
+/// undistorted on the way, and the host gets their extracted positions as well.
+template <bool Single>
 struct store_keypoint {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, keypoints_view const& from,
-                                 int const* mono_from, keypoints_view const& to, int* mono_to,
-                                 frame_arrays const& host) const {
+                                 int const* mono_from, stored_keypoints const& out,
+                                 undistortion const& undistorted) const {
+    keypoints_view const& to = out.device;
+    frame_arrays const& host = out.host;
     int const image = item / from.capacity;
     int const i = item % from.capacity;
     int const count = from.count[image];
     if (i == 0) {
       host.count[image] = to.count[image] = count;
-      host.mono[image] = mono_to[image] = mono_from[image];
+      host.mono[image] = out.mono[image] = mono_from[image];
     }
     if (i >= count) { return; }
     int const at = image * to.capacity + i;
-    host.x[at] = to.x(at) = from.x(item);
-    host.y[at] = to.y(at) = from.y(item);
+    vec2<float> position{from.x(item), from.y(item)};
+    if constexpr (Single) {
+      host.raw_x[at] = position.x;
+      host.raw_y[at] = position.y;
+      position = undistorted(position);
+    }
+    host.x[at] = to.x(at) = position.x;
+    host.y[at] = to.y(at) = position.y;
     host.angle[at] = to.angle(at) = from.angle(item);
     host.response[at] = to.response(at) = from.response(item);
     host.octave[at] = to.octave(at) = from.octave(item);
@@ -95,14 +115,19 @@ public:
       sources_ = c.take<image_source>(2);
       all_sources_ = c.take<image_source>(2);
       no_sources_ = c.take<image_source>(2);
+      bands_ = c.take<image_source>(4);
     });
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
     int const stride = extractor_.geometry().stride[0];
     for (int i = 0; i < 2; ++i) {
       all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
-      // The first image of a pair is transferred while the host copies the second.
-      sources_[i] = pair() && i == 0 ? image_source{nullptr, stride} : all_sources_[i];
       no_sources_[i] = {nullptr, stride};
+      bands_[2 * i] = all_sources_[i];
+      bands_[2 * i + 1] = all_sources_[i];
+      bands_[2 * i + 1].data += static_cast<std::ptrdiff_t>(half_height()) * stride;
+      // All but the last half of the last image is transferred while the host copies the rest.
+      sources_[i] = pair() && i == 0 ? no_sources_[i] : all_sources_[i];
+      sources_[i].first_row = half_height();
     }
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     exec.wait();
@@ -120,7 +145,8 @@ public:
     auto const n = static_cast<std::size_t>(extractor_.capacity());
     std::size_t const features =
         static_cast<std::size_t>(settings_.images) * (n * (5 * 4 + 32) + 2 * sizeof(int));
-    return features + (stereo_at_once() ? stereo_bytes() : 0);
+    std::size_t const more = pair() ? 0 : n * 2 * sizeof(float);
+    return features + more + (stereo_at_once() ? stereo_bytes() : 0);
   }
   std::size_t stereo_bytes() const {
     auto const n = static_cast<std::size_t>(capacity());
@@ -131,48 +157,42 @@ public:
 
   /// Records the launches of extract() for each of `frames`, which must not move.
   void record(Exec const& exec, device_frames<Exec, Rig>& frames) {
-    for (int b = 0; b < buffers; ++b) {
-      feature_recordings_[b].record(exec,
-                                    [&](Exec const& e) { queue_features(e, frames, b, sources_); });
-      if (!stereo_at_once()) { continue; }
+    record_features(exec, frames);
+    for (int b = 0; b < buffers && stereo_at_once(); ++b) {
       stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
     features_there_.make();
   }
 
   /// Enqueues all stages.
-  void extract(Exec const& exec, device_frames<Exec, Rig>& frames, int b, grey_image const& left,
-               grey_image const& right) {
-    stage_image(0, left);
-    if (pair()) {
-      image_pyramid_view one = extractor_.pyramid();
-      one.batch = 1;
-      receive_images(exec, all_sources_, one);
-      stage_image(1, right);
-    }
+  void extract(Exec const& exec, device_frames<Exec, Rig>& frames, extraction_request const& r) {
+    int const b = r.buffer;
+    if (follow(r.lens)) { record_features(exec, frames); }
+    stage_and_receive(exec, r);
     feature_recordings_[b].replay(exec,
                                   [&](Exec const& e) { queue_features(e, frames, b, sources_); });
     features_there_.set(exec);
     if (stereo_at_once()) {
       stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
-    took_grid(frames, b);
+    make_grid(exec, frames, r);
   }
   /// Waits for the keypoints of extract(); stereo matches may still be in flight.
   void wait_for_features() const { features_there_.wait(); }
   bool features_there() const { return features_there_.reached(); }
   /// Enqueues the same launch by launch, with marks of the clock.
-  void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
-                        grey_image const& left, grey_image const& right, call_clock<Exec>& clock) {
-    stage_image(0, left);
-    if (pair()) { stage_image(1, right); }
+  void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames,
+                        extraction_request const& r, call_clock<Exec>& clock) {
+    if (follow(r.lens)) { record_features(exec, frames); }
+    stage_image(0, r.left);
+    if (pair()) { stage_image(1, r.right); }
     clock.mark(exec, 0);
     receive_images(exec, all_sources_, extractor_.pyramid());
     clock.mark(exec, 1);
-    queue_features(exec, frames, b, no_sources_);
-    if (stereo_at_once()) { queue_stereo(exec, frames, b, true); }
+    queue_features(exec, frames, r.buffer, no_sources_);
+    if (stereo_at_once()) { queue_stereo(exec, frames, r.buffer, true); }
+    make_grid(exec, frames, r);
     clock.mark(exec, 2);
-    took_grid(frames, b);
   }
 
   /// Enqueues the pyramids of two images.
@@ -219,9 +239,41 @@ private:
            static_cast<std::size_t>(settings_.height);
   }
 
-  /// Copies an image to the staging memory that the executor reads, in parts shared among the
-  /// helper threads.
+  /// Rows of the upper half of an image.
+  int half_height() const {
+    int const bands = ceil_div(settings_.height, rows_at_a_time);
+    return std::min(ceil_div(bands, 2) * rows_at_a_time, settings_.height);
+  }
+  /// Copies the images half by half, and enqueues the transfer of each half but the last, which the
+  /// recorded launches receive.
+  void stage_and_receive(Exec const& exec, extraction_request const& r) {
+    require_size(r.left);
+    if (pair()) { require_size(r.right); }
+    for (int i = 0; i < settings_.images; ++i) {
+      grey_image const& image = i == 0 ? r.left : r.right;
+      stage_rows(i, image, 0, half_height());
+      receive_band(exec, i, 0);
+      stage_rows(i, image, half_height(), settings_.height);
+      if (i + 1 < settings_.images) { receive_band(exec, i, 1); }
+    }
+  }
+  /// @param half 0 the upper one, 1 the lower one
+  void receive_band(Exec const& exec, int image, int half) {
+    image_pyramid_view to = extractor_.pyramid();
+    int const first = half == 0 ? 0 : half_height();
+    int const rows = half == 0 ? half_height() : settings_.height - half_height();
+    if (rows == 0) { return; }
+    to.data +=
+        image * to.geometry.bytes + static_cast<std::ptrdiff_t>(first) * to.geometry.stride[0];
+    to.geometry.height[0] = rows;
+    to.batch = 1;
+    receive_images(exec, bands_ + 2 * image + half, to);
+  }
   void stage_image(int i, grey_image const& image) {
+    require_size(image);
+    stage_rows(i, image, 0, settings_.height);
+  }
+  void require_size(grey_image const& image) const {
     detail::require(image.data != nullptr, "the image is null");
     if (image.width != settings_.width || image.height != settings_.height) {
       throw bad_argument("ft: the image is " + std::to_string(image.width) + "x" +
@@ -229,11 +281,16 @@ private:
                          std::to_string(settings_.width) + "x" + std::to_string(settings_.height));
     }
     detail::require(image.stride >= image.width, "the image's stride is below its width");
+  }
+  /// Copies rows [first, last) to the staging memory that the executor reads, in parts shared among
+  /// the helper threads.
+  void stage_rows(int i, grey_image const& image, int first, int last) {
     auto const stride = static_cast<std::size_t>(extractor_.geometry().stride[0]);
     std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
-    helpers_.share(ceil_div(image.height, rows_at_a_time), [&](int part) {
-      int const end = std::min((part + 1) * rows_at_a_time, image.height);
-      for (int y = part * rows_at_a_time; y < end; ++y) {
+    helpers_.share(ceil_div(last - first, rows_at_a_time), [&](int part) {
+      int const begin = first + part * rows_at_a_time;
+      int const end = std::min(begin + rows_at_a_time, last);
+      for (int y = begin; y < end; ++y) {
         std::memcpy(to + static_cast<std::size_t>(y) * stride,
                     image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
                     static_cast<std::size_t>(image.width));
@@ -241,6 +298,19 @@ private:
     });
   }
 
+  /// Takes over the distortion of a request. @return whether it is another one
+  bool follow(lens_distortion const& lens) {
+    if (lens == lens_) { return false; }
+    detail::require(!pair(), "the keypoints of a pair are not undistorted");
+    lens_ = lens;
+    return true;
+  }
+  void record_features(Exec const& exec, device_frames<Exec, Rig>& frames) {
+    for (int b = 0; b < buffers; ++b) {
+      feature_recordings_[b].record(exec,
+                                    [&](Exec const& e) { queue_features(e, frames, b, sources_); });
+    }
+  }
   /// Copies keypoints into the frame and to the host. For a pair, whose keypoints are searched at
   /// their extracted positions, builds the grid, too.
   void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
@@ -254,21 +324,33 @@ private:
     } else {
       extractor_.extract_from(exec, sources);
     }
-    for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
-                              extractor_.keypoints(), extractor_.mono_count(), f.keypoints, f.mono,
-                              frames.arrays(b));
-  }
-  void took_grid(device_frames<Exec, Rig>& frames, int b) {
+    auto const store = [&](auto single) {
+      for_each_item<per_thread>(
+          exec, settings_.images * extractor_.capacity(), store_keypoint<decltype(single)::value>{},
+          extractor_.keypoints(), extractor_.mono_count(),
+          stored_keypoints{f.keypoints, f.mono, frames.arrays(b)}, undistortion(lens_));
+    };
     if (pair()) {
-      frames.has_grid(b, image_bounds());
+      store(std::false_type{});
     } else {
-      frames[b].grid_made = false;
+      store(std::true_type{});
     }
+  }
+  /// That of a pair is there already; that of a single image follows the keypoints, which the host
+  /// does not wait for.
+  void make_grid(Exec const& exec, device_frames<Exec, Rig>& frames, extraction_request const& r) {
+    if (pair()) {
+      frames.has_grid(r.buffer, image_bounds());
+      return;
+    }
+    frames[r.buffer].grid_made = false;
+    if (r.searched.have_area()) { frames.make_grid(exec, r.buffer, r.searched); }
   }
 
   settings settings_;
   helper_threads& helpers_;
   Rig rig_;
+  lens_distortion lens_;  ///< that the recordings have
   orb_extractor<Exec> extractor_;
   stereo_params stereo_;
   feature_grid_view right_rows_;
@@ -276,6 +358,7 @@ private:
   image_source* sources_ = nullptr;  ///< [2] that the recordings read
   image_source* all_sources_ = nullptr;
   image_source* no_sources_ = nullptr;
+  image_source* bands_ = nullptr;  ///< [2][2] halves of images
   arena<space> memory_;
   arena<staging> host_memory_;
   stream_mark<Exec> features_there_;

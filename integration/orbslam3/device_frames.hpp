@@ -15,6 +15,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
@@ -37,7 +38,7 @@ template <typename Exec, typename Rig>
 class device_frames {
 public:
   static constexpr int buffers = device_tracker::buffers;
-  static constexpr int searched = Rig::rectified ? 1 : 2;  ///< cameras
+  static constexpr int searched = searched_cameras<Rig>;
 
   device_frames() = default;
   /// Enqueues the initial zeros. @param keypoints most per image
@@ -151,6 +152,8 @@ private:
     a.mono = c.take<int>(2);
     a.x = c.take<float>(2 * n);
     a.y = c.take<float>(2 * n);
+    a.raw_x = c.take<float>(n);
+    a.raw_y = c.take<float>(n);
     a.angle = c.take<float>(2 * n);
     a.response = c.take<float>(2 * n);
     a.octave = c.take<int>(2 * n);

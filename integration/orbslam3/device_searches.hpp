@@ -113,7 +113,7 @@ template <typename Exec, typename Rig>
 class device_searches {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
-  static constexpr int searched = Rig::rectified ? 1 : 2;
+  static constexpr int searched = searched_cameras<Rig>;
 
   /// Poses and rotations of a call, uploaded together.
   struct call_inputs {
@@ -147,6 +147,7 @@ public:
       staged_ = c.take<call_inputs>(1);
       staged_optimized_ = c.take<pose>(1);
       found_ = c.take<int>(2);
+      kept_ = c.take<int>(static_cast<std::size_t>(numbers));
       in_view_ = c.take<int>(1);
     });
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
@@ -197,7 +198,7 @@ public:
     up.flush(exec);
   }
 
-  // ---- stages, enqueued after upload()
+  // ---- stages, enqueued after upload(); queue_pose() also after a search from the same pose
 
   void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
                         device_frame const& last) {
@@ -273,6 +274,11 @@ public:
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
+  /// The same for an optimisation that was started ahead: the frame's own array stays as it is.
+  void download_pose_ahead(Exec const& exec, frame_view const& frame) {
+    download_pose(exec, kept_, frame);
+  }
+  int const* kept() const { return kept_; }
   int matches() const { return found_[0]; }
   pose_result optimized() const { return {to_transform(*staged_optimized_), found_[1]}; }
   points_in_view in_view() const {
@@ -313,6 +319,7 @@ private:
   call_inputs* staged_ = nullptr;
   pose* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
+  int* kept_ = nullptr;   ///< holders after an optimisation that was started ahead
   int* in_view_ = nullptr;
   std::vector<recorded_sight> recorded_;
   arena<space> memory_;

@@ -39,7 +39,9 @@ public:
   /// Enqueues the extraction of images into frame(buffer). wait_for_features() must follow. If the
   /// settings say so, stereo is enqueued as well: the device then owns frame(buffer).right_x,
   /// depth, partner and point until match_stereo() or settle(). The images may be reused on return.
-  virtual void extract(int buffer, grey_image const& left, grey_image const& right) = 0;
+  /// Keypoints of a single image are undistorted and sorted into their search grid. The first
+  /// request with another distortion records its launches.
+  virtual void extract(extraction_request const& request) = 0;
   /// Waits for the keypoints of the last extract().
   virtual void wait_for_features() = 0;
   /// Builds the pyramids of two images, for match_stereo() of keypoints that were extracted

@@ -22,6 +22,9 @@ public:
   using key = typename Map::key_type;
   using place = typename Map::mapped_type;
 
+  /// @param slots of the mirror; more are possible
+  explicit drawn_points(int slots = 0) : nodes_(static_cast<std::size_t>(slots)) {}
+
   /// Adds a point; of equal ids the last one counts. @param slot of the point in the mirror
   void put(int slot, key id, place const& at) {
     auto const s = static_cast<std::size_t>(slot);

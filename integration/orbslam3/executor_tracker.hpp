@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <functional>
 #include <memory>
 #include <utility>
@@ -19,6 +20,7 @@
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
+#include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/stream_mark.hpp"
 #include "integration/orbslam3/word_mover.hpp"
@@ -32,7 +34,7 @@ inline namespace FT_ABI {
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
 class executor_tracker : public device_tracker {
-  static constexpr int searched = Rig::rectified ? 1 : 2;
+  static constexpr int searched = searched_cameras<Rig>;
 
 public:
   /// Allocates all memory, waits. @throws bad_argument naming the setting
@@ -47,6 +49,7 @@ public:
     exec_.wait();
     extraction_.record(exec_, frames_);
     sights_there_.make();
+    matches_there_.make();
   }
   /// Waits, because enqueued work uses memory of this object.
   ~executor_tracker() override {
@@ -61,17 +64,18 @@ public:
   int cameras() const override { return settings_.images == 2 ? searched : 1; }
   frame_arrays const& frame(int buffer) override { return frames_.arrays(buffer); }
 
-  void extract(int buffer, grey_image const& left, grey_image const& right) override {
+  void extract(extraction_request const& request) override {
+    drop_pose(true);
     settle();
     times_ = {};
     if (clock_.measuring()) {
-      extraction_.extract_measured(exec_, frames_, buffer, left, right, clock_);
+      extraction_.extract_measured(exec_, frames_, request, clock_);
       clock_.mark(exec_, 3);
     } else {
-      extraction_.extract(exec_, frames_, buffer, left, right);
+      extraction_.extract(exec_, frames_, request);
     }
     in_flight_ = true;
-    stereo_of_ = extraction_.stereo_at_once() ? buffer : -1;
+    stereo_of_ = extraction_.stereo_at_once() ? request.buffer : -1;
     bytes_.images += extraction_.images_bytes();
     ++bytes_.uploads;
     bytes_.results += extraction_.result_bytes();
@@ -129,6 +133,8 @@ public:
 
   void send(int buffer, frame_part part) override {
     if (part == frame_part::keypoints && stereo_of_ == buffer) { stereo_of_ = -1; }
+    if (pose_ahead_.started() == buffer && part != frame_part::holder) { drop_pose(false); }
+    pose_ahead_.changed(buffer);
     frames_.send(exec_, up_, buffer, part);
   }
 
@@ -138,11 +144,17 @@ public:
   }
   void reserve_map(int slots) override {
     if (change_queued_) { wait(); }
+    settle();  // an optimisation that was started reads the map
     if (map_.reserve(exec_, slots)) { graphs_.clear(); }
   }
   void change_map(map_change const& change, std::uint32_t const* words) override {
     std::size_t const n = change.words();
     if (n == 0) { return; }
+    int const ahead = pose_ahead_.started();
+    if (ahead >= 0 &&
+        pose_ahead_.moves_held(change, words, frames_.arrays(ahead).holder, frames_.numbers())) {
+      drop_pose(false);
+    }
     if (change_queued_) { wait(); }
     start();
     map_.change(exec_, change, words);
@@ -163,24 +175,29 @@ public:
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
   int search_last_frame(last_frame_request const& r) override {
+    drop_pose(true);
     searches_.set_last_frame(r);
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.current, r.image);
     auto const call = context_of(r.current);
-    replay(
-        key_of(1, r.current, 0, r.image, r.window_radius, r.ignore_motion_direction ? 1.0f : 0.0f),
-        [&](Exec const& exec) {
-          searches_.upload(exec);
-          clock_.mark(exec, 1);
-          searches_.queue_last_frame(exec, call, r, frames_[r.last]);
-          clock_.mark(exec, 2);
-          searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
-        });
-    finish(sizeof(int) + holder_bytes());
+    replay(call_key::of(1, r.current, 0, r.image, r.window_radius,
+                        r.ignore_motion_direction ? 1.0f : 0.0f),
+           [&](Exec const& exec) {
+             searches_.upload(exec);
+             clock_.mark(exec, 1);
+             searches_.queue_last_frame(exec, call, r, frames_[r.last]);
+             clock_.mark(exec, 2);
+             searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
+           });
+    clock_.mark(exec_, 3);
+    start_pose(pose_ahead::after::last_frame, r.current, r.T_cw);
+    count_download(sizeof(int) + holder_bytes());
+    wait_for_matches();
     return searches_.matches();
   }
 
   points_in_view search_local_map(local_map_request const& r) override {
+    drop_pose(true);
     searches_.set_local_map(exec_, up_, r, extraction_.geometry());
     times_ = {};
     begin(searches_.input_bytes);
@@ -198,35 +215,36 @@ public:
     };
     if (r.recorded == 0) {
       int const size = searches_.local().size_of(r.points);
-      replay(key_of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
+      replay(call_key::of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
       sights_there_.set(exec_);
-      replay(key_of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
+      replay(call_key::of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
     } else {
       lists(exec_);
       sights_there_.set(exec_);
       choice(exec_);
     }
     clock_.mark(exec_, 3);
+    start_pose(pose_ahead::after::local_map, r.buffer, r.T_cw);
     sights_there_.wait();
     points_in_view const found = searches_.in_view();
-    ++bytes_.downloads;
-    bytes_.results +=
-        sizeof(int) + holder_bytes() +
-        static_cast<std::size_t>(found.count) * (sizeof(int) + searched * sizeof(sight));
+    count_download(sizeof(int) + holder_bytes() +
+                   static_cast<std::size_t>(found.count) *
+                       (sizeof(int) + searched * sizeof(sight)));
     in_flight_ = true;
     return found;
   }
   int local_matches() override {
-    wait();
-    times_ = clock_.read();
+    wait_for_matches();
     return searches_.matches();
   }
 
   pose_result optimize_pose(int buffer, transform const& T_cw) override {
+    if (pose_ahead_.take(buffer, T_cw)) { return take_pose(buffer); }
+    drop_pose(false);
     searches_.set_pose(T_cw);
     begin(searches_.input_bytes);
     auto const call = context_of(buffer);
-    replay(key_of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
+    replay(call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
       searches_.upload(exec);
       clock_.mark(exec, 1);
       searches_.queue_pose(exec, call);
@@ -253,15 +271,6 @@ private:
   std::size_t holder_bytes() const {
     return static_cast<std::size_t>(frames_.numbers()) * sizeof(int);
   }
-  static call_key key_of(int call, int buffer, int size, bounds const& image, float a, float b) {
-    call_key key;
-    key.call = call;
-    key.buffer = buffer;
-    key.size = size;
-    float const values[] = {image.min_x, image.min_y, image.max_x, image.max_y, a, b};
-    for (int i = 0; i < 6; ++i) { key.values[i] = values[i]; }
-    return key;
-  }
   template <typename Queue>
   void replay(call_key const& key, Queue const& queue) {
     if (clock_.measuring()) {
@@ -285,10 +294,13 @@ private:
     bytes_.frame += up_.take_bytes() + staged;
     if (staged == 0) { clock_.mark(exec_, 1); }
   }
-  /// @param bytes that are being downloaded
-  void finish(std::size_t bytes) {
+  void count_download(std::size_t bytes) {
     ++bytes_.downloads;
     bytes_.results += bytes;
+  }
+  /// @param bytes that are being downloaded
+  void finish(std::size_t bytes) {
+    count_download(bytes);
     clock_.mark(exec_, 3);
     wait();
     times_ = clock_.read();
@@ -297,6 +309,49 @@ private:
   template <typename Done>
   void work_until(Done const& done) {
     while (work_ && work_() && !done()) {}
+  }
+  /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
+  /// while times are measured, so that each call has its own.
+  void start_pose(pose_ahead::after search, int buffer, transform const& T_cw) {
+    matches_there_.set(exec_);
+    if (!settings_.poses_ahead || clock_.measuring()) { return; }
+    if (!pose_ahead_.expect(search, buffer, T_cw)) { return; }
+    auto const call = context_of(buffer);
+    replay(call_key::of(5, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
+      searches_.queue_pose(exec, call);
+      searches_.download_pose_ahead(exec, call.frame);
+    });
+  }
+  /// Waits for a search; an optimisation behind it may still be in flight.
+  void wait_for_matches() {
+    if (pose_ahead_.started() < 0) {
+      wait();
+    } else {
+      work_until([&] { return matches_there_.reached(); });
+      matches_there_.wait();
+      change_queued_ = false;
+      started_ = false;
+      in_flight_ = true;
+    }
+    times_ = clock_.read();
+  }
+  /// The result of the optimisation that was started.
+  pose_result take_pose(int buffer) {
+    wait();
+    count_download(sizeof(pose) + sizeof(int) + holder_bytes());
+    std::memcpy(frames_.arrays(buffer).holder, searches_.kept(), holder_bytes());
+    return searches_.optimized();
+  }
+  /// Does without the optimisation that was started. It has changed the frame's holders, which are
+  /// therefore sent again. @param unwanted tracking has gone on, so it will not be asked for
+  void drop_pose(bool unwanted) {
+    int const buffer = pose_ahead_.started();
+    if (unwanted) {
+      pose_ahead_.give_up();
+    } else {
+      pose_ahead_.forget();
+    }
+    if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
   }
   void wait() {
     work_until([&] { return is_done(exec_); });
@@ -316,6 +371,8 @@ private:
   device_searches<Exec, Rig> searches_;
   call_graphs<Exec> graphs_;
   stream_mark<Exec> sights_there_;
+  stream_mark<Exec> matches_there_;
+  pose_ahead pose_ahead_;
   word_mover<Exec> up_;
   call_clock<Exec> clock_;
   int stereo_of_ = -1;      ///< buffer whose stereo matches the extraction has enqueued

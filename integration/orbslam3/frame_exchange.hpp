@@ -3,7 +3,6 @@
 /// send, and the transfer of extraction and stereo results into a frame.
 #pragma once
 
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -13,8 +12,9 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/scale_tables.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -60,16 +60,29 @@ public:
     }
   }
 
-  /// The buffer that the next extraction fills. It holds no frame until took().
-  int begin_extraction() {
-    int const b = 1 - newest_;
-    resident_[b] = {};
-    return b;
+  /// The request for the next extraction. The buffer that it fills holds no frame until took().
+  /// @param undistort whether the device undistorts the keypoints of a single image
+  extraction_request begin_extraction(Frame const& frame, grey_image const& left,
+                                      grey_image const& right, bool undistort) {
+    extraction_request r;
+    r.buffer = 1 - newest_;
+    r.left = left;
+    r.right = right;
+    resident& in = resident_[r.buffer];
+    in = {};
+    in.undistorted = read_distortion(frame, r.lens);
+    if (r.lens.any() && (settings_.images == 2 || !undistort)) {
+      r.lens = {};
+      in.undistorted = false;
+    }
+    // Of the first frame, the constructor sets the bounds later.
+    r.searched = bounds_of(frame);
+    return r;
   }
   /// Fills what does not depend on the images, and takes the frame's memory for as many keypoints
   /// as the last extraction found and a few more: done while the device extracts.
   void prepare(Frame& frame) const {
-    fill_scale_tables(frame);
+    tables_.fill(frame);
     frame_arrays const& a = device_->frame(newest_);
     for (int c = 0; c < settings_.images; ++c) {
       auto const room = static_cast<std::size_t>(a.count[c] + a.count[c] / 8);
@@ -79,6 +92,8 @@ public:
       descriptors.create(static_cast<int>(room), 32, grey_type);
       touch(descriptors.data, room * static_cast<std::size_t>(descriptors.step));
     }
+    frame.mvKeysUn.resize(frame.mvKeys.size());
+    frame.mvKeysUn.clear();  // keeps the memory
   }
   /// Fills the frame from the extraction in buffer `b`.
   void took(int b, Frame& frame) {
@@ -142,8 +157,23 @@ public:
     return b;
   }
 
+  /// Whether the frame was extracted here, and the device knows its undistorted positions.
+  bool is_undistorted(Frame const& frame) const {
+    return is_extracted(frame) && resident_[newest_].undistorted;
+  }
+  void fill_undistorted(Frame& frame) const {
+    frame_arrays const& a = device_->frame(extracted(frame));
+    frame.mvKeysUn = frame.mvKeys;
+    if (settings_.images == 2) { return; }
+    for (std::size_t i = 0; i < frame.mvKeysUn.size(); ++i) {
+      frame.mvKeysUn[i].pt.x = a.x[i];
+      frame.mvKeysUn[i].pt.y = a.y[i];
+    }
+  }
+
   /// The buffer with all of a frame. @param keep a buffer that must not be reused, -1 = none
   int bind(Frame const& frame, int keep) {
+    require_keys(frame);
     int b = find(frame);
     if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(), keep); }
     if (!resident_[b].checked) { check(b, frame); }
@@ -151,6 +181,7 @@ public:
   }
   /// The buffer with those parts of a last frame that the search needs.
   int bind_last(Frame const& frame, int keep) {
+    require_keys(frame);
     int b = find(frame);
     if (b >= 0 && b != keep) { return b; }
     b = 1 - keep;
@@ -228,10 +259,11 @@ private:
   struct resident {
     bool there = false;
     unsigned long id = 0;
-    bool extracted = false;  ///< by extract()
-    bool stereo = false;     ///< computed on the device
-    bool full = false;       ///< positions and descriptors, not only the parts of a last frame
-    bool checked = false;    ///< positions and stereo are equal to the frame's
+    bool extracted = false;    ///< by extract()
+    bool undistorted = false;  ///< the positions on the device, which are not the frame's otherwise
+    bool stereo = false;       ///< computed on the device
+    bool full = false;         ///< positions and descriptors, not only the parts of a last frame
+    bool checked = false;      ///< positions and stereo are equal to the frame's
   };
 
   /// Writes to each page of new memory, so that the system provides it now.
@@ -243,14 +275,16 @@ private:
   void fill_keypoints(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints) const {
     int const n = a.count[image];
     int const first = image * a.capacity;
+    float const* const x = settings_.images == 1 ? a.raw_x : a.x;
+    float const* const y = settings_.images == 1 ? a.raw_y : a.y;
     keypoints.resize(static_cast<std::size_t>(n));
     for (int i = 0; i < n; ++i) {
       Keypoint& k = keypoints[static_cast<std::size_t>(i)];
       int const at = first + i;
-      k.pt.x = a.x[at];
-      k.pt.y = a.y[at];
+      k.pt.x = x[at];
+      k.pt.y = y[at];
       k.octave = a.octave[at];
-      k.size = patch_size_[static_cast<std::size_t>(k.octave)];
+      k.size = tables_.patch_size(k.octave);
       k.angle = a.angle[at];
       k.response = a.response[at];
     }
@@ -272,16 +306,6 @@ private:
     for (int i = 0; i < n; ++i) {
       std::memcpy(descriptors.data + static_cast<std::size_t>(i) * step, from + 8 * i, 32);
     }
-  }
-
-  void fill_scale_tables(Frame& frame) const {
-    frame.mnScaleLevels = settings_.levels;
-    frame.mfScaleFactor = settings_.scale_factor;
-    frame.mfLogScaleFactor = std::log(settings_.scale_factor);
-    frame.mvScaleFactors = tables_.scale;
-    frame.mvInvScaleFactors = tables_.inv_scale;
-    frame.mvLevelSigma2 = tables_.sigma2;
-    frame.mvInvLevelSigma2 = tables_.inv_sigma2;
   }
 
   void put_count(frame_arrays const& a, int image, int n) const {
@@ -318,6 +342,12 @@ private:
                                          static_cast<std::size_t>(descriptors.step),
                   32);
     }
+  }
+
+  /// extract() leaves mvKeysUn empty.
+  void require_keys(Frame const& frame) const {
+    detail::require(keys(frame, 0).size() == frame.mvKeys.size(),
+                    "mvKeysUn and mvKeys differ in length: undistort the frame's keypoints first");
   }
 
   /// Sends the values that the CPU has computed differently: undistorted positions, stereo.
@@ -363,28 +393,9 @@ private:
     }
     if (changed) { device_->send(b, frame_part::partner); }
   }
-  struct scale_tables {
-    std::vector<float> scale, inv_scale, sigma2, inv_sigma2;
-
-    explicit scale_tables(settings const& s) {
-      auto const g = pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor);
-      scale.assign(g.scale, g.scale + s.levels);
-      inv_scale.assign(g.inv_scale, g.inv_scale + s.levels);
-      sigma2.assign(g.sigma2, g.sigma2 + s.levels);
-      inv_sigma2.assign(g.inv_sigma2, g.inv_sigma2 + s.levels);
-    }
-  };
-  static std::vector<float> patch_sizes(settings const& s) {
-    auto const g = pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor);
-    std::vector<float> sizes;
-    for (int l = 0; l < s.levels; ++l) { sizes.push_back(static_cast<float>(g.patch_size(l))); }
-    return sizes;
-  }
-
   device_tracker* device_;
   settings settings_;
   scale_tables tables_{settings_};
-  std::vector<float> patch_size_ = patch_sizes(settings_);
   resident resident_[device_tracker::buffers];
   int newest_ = 0;
 };

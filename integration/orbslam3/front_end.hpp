@@ -78,6 +78,37 @@ public:
     if (!done) { cpu(); }
   }
 
+  /// mvKeysUn. @param cpu UndistortKeyPoints
+  template <typename Cpu>
+  void undistort(frame_type& frame, Cpu const& cpu) {
+    bool const here = uses(stage::undistort) && gpu_->can_undistort(frame);
+    if (here && attempt([&] {
+          if (both_) {
+            both_->undistort(frame, cpu);
+          } else {
+            gpu_->undistort(frame);
+          }
+        })) {
+      return;
+    }
+    cpu();
+  }
+
+  /// mGrid and mGridRight. @param cpu AssignFeaturesToGrid
+  template <typename Cpu>
+  void assign_to_grid(frame_type& frame, Cpu const& cpu) {
+    if (uses(stage::grid) && attempt([&] {
+          if (both_) {
+            both_->assign_to_grid(frame, cpu);
+          } else {
+            gpu_->assign_to_grid(frame);
+          }
+        })) {
+      return;
+    }
+    cpu();
+  }
+
   /// Frame::ComputeStereoMatches. @param left,right the extractors' mvImagePyramid
   template <typename Cpu, typename Image>
   void stereo(frame_type& frame, Cpu const& cpu, std::vector<Image>& left,
@@ -225,6 +256,16 @@ void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu
              Images const&... images) {
   if (gpu == nullptr) { return cpu(); }
   gpu->extract(frame, cpu, images...);
+}
+template <typename Types, typename Cpu>
+void undistort(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  if (gpu == nullptr) { return cpu(); }
+  gpu->undistort(frame, cpu);
+}
+template <typename Types, typename Cpu>
+void assign_to_grid(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  if (gpu == nullptr) { return cpu(); }
+  gpu->assign_to_grid(frame, cpu);
 }
 template <typename Types, typename Cpu, typename Image>
 void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,

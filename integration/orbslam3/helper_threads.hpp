@@ -54,7 +54,7 @@ public:
     done_ = 0;
     ++jobs_;
     ticket_ = ticket{jobs_, static_cast<std::uint16_t>(parts), 0}.packed();
-    if (sleeping_ > 0) { wake_one(); }
+    if (sleeping_ > 0) { wake_all(); }
     while (take_part()) {}
     // The rest takes microseconds: too short for a sleep.
     for (int turn = 1; done_ < parts; ++turn) { pause(turn); }
@@ -63,7 +63,7 @@ public:
   /// Wakes the threads for a share() that will follow soon. Does not wait for them.
   void wake() {
     ++calls_;
-    if (sleeping_ > 0) { wake_one(); }
+    if (sleeping_ > 0) { wake_all(); }
   }
 
 private:
@@ -91,10 +91,10 @@ private:
     __builtin_ia32_pause();
 #endif
   }
-  /// The threads wake each other, so that this takes the caller one call of the system.
-  void wake_one() {
+  /// All at once: if they woke each other, the last would begin when the work is done.
+  void wake_all() {
     { std::lock_guard<std::mutex> const lock(mutex_); }
-    woken_.notify_one();
+    woken_.notify_all();
   }
   /// Runs a part. @return false if there is none
   bool take_part() {
@@ -129,8 +129,6 @@ private:
       woken_.wait(lock, [&] { return ended_ || calls != calls_ || ticket::of(ticket_).open(); });
       --sleeping_;
       calls = calls_;
-      lock.unlock();
-      if (sleeping_ > 0) { woken_.notify_one(); }
     }
   }
 

@@ -37,7 +37,11 @@ public:
 
   /// @param draws whether to fill Frame::mmProjectPoints
   local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
-      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), draws_(draws) {}
+      : device_(&device),
+        mirror_(&mirror),
+        quirks_(s.reference_quirks),
+        draws_(draws),
+        drawn_(draws ? s.map_points : 0) {}
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested

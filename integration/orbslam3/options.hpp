@@ -16,7 +16,9 @@ namespace orbslam3 {
 
 enum class stage {
   extract,
+  undistort,
   stereo,
+  grid,
   search_last_frame,
   pose_last_frame,
   search_local_map,
@@ -24,12 +26,19 @@ enum class stage {
   pose_reference_keyframe,
   pose_relocalization,
 };
-inline constexpr int stage_count = 8;
+inline constexpr int stage_count = 10;
 
 inline char const* name_of(stage s) {
-  constexpr char const* names[stage_count] = {
-      "extract",          "stereo",         "search_last_frame",       "pose_last_frame",
-      "search_local_map", "pose_local_map", "pose_reference_keyframe", "pose_relocalization"};
+  constexpr char const* names[stage_count] = {"extract",
+                                              "undistort",
+                                              "stereo",
+                                              "grid",
+                                              "search_last_frame",
+                                              "pose_last_frame",
+                                              "search_local_map",
+                                              "pose_local_map",
+                                              "pose_reference_keyframe",
+                                              "pose_relocalization"};
   return names[static_cast<int>(s)];
 }
 

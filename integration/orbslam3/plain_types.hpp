@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 namespace ft {
 namespace orbslam3 {
@@ -65,6 +66,21 @@ struct settings {
   /// Enqueues stereo with the extraction, without a wait in between.
   bool stereo_with_extraction = true;
   bool orientation_check = true;  ///< of the search from the last frame
+  /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
+  bool poses_ahead = true;
+};
+
+/// Radial-tangential distortion of a pinhole camera in OpenCV's notation, and its camera matrix,
+/// which is also the one of the undistorted positions. As in ORB-SLAM3, k1 = 0 means that there is
+/// no distortion.
+struct lens_distortion {
+  float fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
+  float k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0;
+
+  bool any() const { return k1 != 0; }
+  friend bool operator==(lens_distortion const& a, lens_distortion const& b) {
+    return std::memcmp(&a, &b, sizeof a) == 0;
+  }
 };
 
 /// An 8-bit grey image; stride in bytes.
@@ -79,9 +95,19 @@ struct grey_image {
 struct bounds {
   float min_x, min_y, max_x, max_y;
 
+  bool have_area() const { return min_x < max_x && min_y < max_y; }
   friend bool operator==(bounds const& a, bounds const& b) {
     return a.min_x == b.min_x && a.min_y == b.min_y && a.max_x == b.max_x && a.max_y == b.max_y;
   }
+};
+
+struct extraction_request {
+  int buffer = 0;
+  grey_image left;
+  grey_image right;        ///< of a pair
+  lens_distortion lens{};  ///< of a single image: keypoints get their undistorted positions
+  /// Of a single image: where its keypoints will be searched; without area, this is not known yet.
+  bounds searched{};
 };
 
 /// Arrays of a frame in host memory, a copy of those on the device. Keypoint k of image c is at c *
@@ -92,6 +118,8 @@ struct frame_arrays {
   int* mono = nullptr;                  ///< [2] keypoints before those in the stereo overlap
   float* x = nullptr;                   ///< [2][capacity] pixels, without distortion
   float* y = nullptr;                   ///< likewise
+  float* raw_x = nullptr;               ///< [capacity] as extracted; only by extract() of one image
+  float* raw_y = nullptr;               ///< likewise
   float* angle = nullptr;               ///< likewise, degrees
   float* response = nullptr;            ///< likewise; filled by extract() only
   int* octave = nullptr;                ///< likewise

@@ -16,6 +16,10 @@ inline namespace FT_ABI {
 
 using fisheye_rig = stereo_rig<kannala_brandt<float>, kannala_brandt<float>>;
 
+/// Cameras of a pair whose keypoints are searched: of a rectified pair only the left one.
+template <typename Rig>
+inline constexpr int searched_cameras = Rig::rectified ? 1 : 2;
+
 inline pose to_pose(transform const& T) {
   static_assert(sizeof(pose) == sizeof(transform), "both are R by rows, then t");
   pose p;

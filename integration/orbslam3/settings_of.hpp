@@ -9,6 +9,14 @@
 namespace ft {
 namespace orbslam3 {
 
+/// A system's types, for the template parameter `Types` of the shim.
+template <typename Frame, typename MapPoint, typename FisheyeCamera>
+struct types_of {
+  using frame = Frame;
+  using map_point = MapPoint;
+  using fisheye_camera = FisheyeCamera;
+};
+
 /// The arguments that Tracking gives to the constructor of ORBextractor, in the same order.
 struct extractor_parameters {
   int features = 0;

@@ -2,6 +2,7 @@
 /// @file Compares CPU and GPU on each frame.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <ostream>
@@ -57,6 +58,36 @@ public:
     if (sizeof...(images) < 2) { return; }
     compare_features("right keypoints: same set, other order", right, frame.mvKeysRight, right_rows,
                      frame.mDescriptorsRight);
+  }
+
+  /// Positions without distortion, compared to the bit. @param cpu Frame::UndistortKeyPoints
+  template <typename Cpu>
+  void undistort(frame_type& frame, Cpu const& cpu) {
+    begin(frame, stage::undistort);
+    cpu();
+    auto const want = frame.mvKeysUn;
+    gpu_->undistort(frame);
+    log_.compare("number of undistorted keypoints", -1, want.size(), frame.mvKeysUn.size());
+    for (std::size_t i = 0; i < want.size() && i < frame.mvKeysUn.size(); ++i) {
+      auto const at = static_cast<long>(i);
+      log_.compare("x of undistorted keypoint", at, want[i].pt.x, frame.mvKeysUn[i].pt.x);
+      log_.compare("y of undistorted keypoint", at, want[i].pt.y, frame.mvKeysUn[i].pt.y);
+    }
+  }
+
+  /// The keypoints of each cell, in order; cells are numbered column by column.
+  /// @param cpu Frame::AssignFeaturesToGrid
+  template <typename Cpu>
+  void assign_to_grid(frame_type& frame, Cpu const& cpu) {
+    begin(frame, stage::grid);
+    cpu();
+    auto const left = cells_of(frame.mGrid);
+    auto const right = cells_of(frame.mGridRight);
+    clear_cells(frame.mGrid);
+    clear_cells(frame.mGridRight);
+    gpu_->assign_to_grid(frame);
+    compare_cells("cell of the grid", left, cells_of(frame.mGrid));
+    compare_cells("cell of the right grid", right, cells_of(frame.mGridRight));
   }
 
   /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches
@@ -236,6 +267,33 @@ private:
     std::vector<bool> outliers;
   };
   void begin(frame_type const& frame, stage s) { log_.begin(frame.mnId, s); }
+
+  template <typename List, std::size_t Columns, std::size_t Rows>
+  static std::vector<List> cells_of(List const (&grid)[Columns][Rows]) {
+    std::vector<List> all;
+    all.reserve(Columns * Rows);
+    for (auto const& column : grid) { all.insert(all.end(), column, column + Rows); }
+    return all;
+  }
+  template <typename List, std::size_t Columns, std::size_t Rows>
+  static void clear_cells(List (&grid)[Columns][Rows]) {
+    for (auto& column : grid) {
+      for (List& cell : column) { cell.clear(); }
+    }
+  }
+  /// The sizes of a cell, or the first two indices that differ.
+  template <typename List>
+  void compare_cells(char const* what, std::vector<List> const& cpu, std::vector<List> const& gpu) {
+    for (std::size_t c = 0; c < cpu.size(); ++c) {
+      auto const at = static_cast<long>(c);
+      if (cpu[c].size() != gpu[c].size()) {
+        log_.compare(what, at, cpu[c].size(), gpu[c].size());
+        continue;
+      }
+      auto const other = std::mismatch(cpu[c].begin(), cpu[c].end(), gpu[c].begin());
+      if (other.first != cpu[c].end()) { log_.compare(what, at, *other.first, *other.second); }
+    }
+  }
   template <typename T>
   void compare_numbers(char const* what, std::vector<T> const& cpu, std::vector<T> const& gpu,
                        double allowed, double relative) {

@@ -15,6 +15,8 @@
 #include <utility>
 
 #include "ft/pipelines/orb_extractor.hpp"
+#include "tests/conformance/golden_inertial.hpp"
+#include "tests/conformance/golden_inertial_pose.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/image_file.hpp"
 #include "tests/support/memory.hpp"
@@ -87,11 +89,14 @@ private:
   std::string image_path_;
 };
 
-/// All that a golden folder holds: a sequence, or a case.
+/// All that a golden folder holds: a sequence, a case, or what IMUs measured.
 template <typename Exec>
 conformance_table run_golden(Exec const& exec, std::string const& folder) {
   conformance_table table;
-  if (exists(folder + "/case.json")) {
+  if (is_inertial(folder)) {
+    golden_inertial<Exec>(exec, folder).run(table);
+    run_inertial_poses(exec, folder, table);
+  } else if (exists(folder + "/case.json")) {
     golden_case<Exec>(exec, folder).run(table);
   } else {
     golden_sequence<Exec>(exec, folder).run(table);

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -39,16 +40,23 @@ std::vector<std::string> folders_of(std::string const& root) {
 
 constexpr int skipped = 77;
 
-/// Where recorded answers are by default: sequences, and cases of the tie rule std_sort; those of
-/// them that are there. None where there are no sequences.
+/// Where recorded answers are by default: sequences, cases of the tie rule std_sort, and IMUs;
+/// those of them that are there. None where there are no sequences.
 std::vector<std::string> default_roots() {
   char const* const data = std::getenv("FT_DATA");
   std::string const root = data == nullptr ? "../shared" : data;
   if (!std::filesystem::is_directory(root + "/golden")) { return {}; }
-  std::string const cases = root + "/golden_std_sort";
-  if (std::filesystem::is_directory(cases)) { return {root + "/golden", cases}; }
-  std::cerr << "conformance: no folder '" << cases << "': the tie rule std_sort is skipped\n";
-  return {root + "/golden"};
+  std::vector<std::string> roots{root + "/golden"};
+  auto const add = [&](std::string const& folder, char const* what) {
+    if (std::filesystem::is_directory(folder)) {
+      roots.push_back(folder);
+    } else {
+      std::cerr << "conformance: no folder '" << folder << "': " << what << " skipped\n";
+    }
+  };
+  add(root + "/golden_std_sort", "the tie rule std_sort is");
+  add(root + "/golden_inertial", "the inertial stages are");
+  return roots;
 }
 
 char const* const all_stages[] = {"pyramid",
@@ -66,6 +74,23 @@ char const* const all_stages[] = {"pyramid",
                                   "search_local_map",
                                   "pose_optimization",
                                   "end_to_end"};
+/// Of folders that have them.
+char const* const inertial_stages[] = {
+    "imu_samples",   "preintegration", "integral_derivatives", "integral_covariance",
+    "changed_bias",  "imu_prediction", "imu_information",      "inertial_pose_flags",
+    "inertial_pose", "inertial_prior", "inertial_pose_chained"};
+
+/// The stages that recorded answers in these folders are of.
+std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {
+  std::vector<std::string> names(std::begin(all_stages), std::end(all_stages));
+  bool const inertial = std::any_of(folders.begin(), folders.end(), [](std::string const& f) {
+    return std::filesystem::exists(f + "/pf_dT.npy");
+  });
+  if (inertial) {
+    names.insert(names.end(), std::begin(inertial_stages), std::end(inertial_stages));
+  }
+  return names;
+}
 
 int run(std::vector<std::string> roots, std::string const& backend, std::string const& json,
         bool need_all) {
@@ -126,7 +151,7 @@ int run(std::vector<std::string> roots, std::string const& backend, std::string 
     if (!file) { throw std::runtime_error("cannot write '" + json + "'"); }
   }
   bool complete = true;
-  for (char const* stage : all_stages) {
+  for (auto const& stage : needed_stages(folders)) {
     if (need_all && all[stage].items == 0) {
       std::cerr << "conformance: no item of stage " << stage << " was compared\n";
       complete = false;
@@ -146,7 +171,7 @@ int main(int argc, char** argv) {
       "Runs every stage of ft on recorded inputs and counts the answers that are identical.");
   app.add_option("--golden", golden,
                  "a golden folder, or a folder of them; several may be given; default: "
-                 "$FT_DATA/golden and $FT_DATA/golden_std_sort");
+                 "$FT_DATA/golden, golden_std_sort and golden_inertial");
   app.add_option("--backend", backend, "host or cuda")
       ->check(CLI::IsMember({"host", "cuda"}))
       ->capture_default_str();

@@ -38,14 +38,18 @@ struct arc_tangents {
   }
 };
 
-/// tan(y) and atan2(y, x) of strict_double.
+/// tan(y), atan2(y, x), sin(y) and cos(y) of strict_double.
 struct own_functions {
+  static constexpr int count = 4;
   using scratch = ft::no_scratch;
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int i, double const* y, double const* x,
                                  double* out) const {
-    out[2 * i] = ft::scalar::tan(ft::strict_double(y[i])).value;
-    out[2 * i + 1] = ft::scalar::atan2(ft::strict_double(y[i]), ft::strict_double(x[i])).value;
+    ft::strict_double const v = y[i];
+    out[count * i] = ft::scalar::tan(v).value;
+    out[count * i + 1] = ft::scalar::atan2(v, ft::strict_double(x[i])).value;
+    out[count * i + 2] = ft::scalar::sin(v).value;
+    out[count * i + 3] = ft::scalar::cos(v).value;
   }
 };
 
@@ -377,12 +381,13 @@ TYPED_TEST(math_unit, tan_and_atan2_of_strict_doubles_are_near_and_the_same_ever
   }
   auto const d_y = test::to_exec(this->backend.exec, y);
   auto const d_x = test::to_exec(this->backend.exec, x);
-  auto const d_out = test::to_exec(this->backend.exec, std::vector<double>(2 * y.size(), -7.0));
+  auto const d_out =
+      test::to_exec(this->backend.exec, std::vector<double>(own_functions::count * y.size(), -7.0));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(y.size()), own_functions{},
                                     static_cast<double const*>(d_y.data()),
                                     static_cast<double const*>(d_x.data()), d_out.data());
-  auto const out =
-      test::from_exec(this->backend.exec, static_cast<double const*>(d_out.data()), 2 * y.size());
+  auto const out = test::from_exec(this->backend.exec, static_cast<double const*>(d_out.data()),
+                                   own_functions::count * y.size());
   auto const is_near = [](double got, long double exact) {
     double const want = static_cast<double>(exact);
     if (std::isnan(want)) { return std::isnan(got); }
@@ -390,13 +395,22 @@ TYPED_TEST(math_unit, tan_and_atan2_of_strict_doubles_are_near_and_the_same_ever
     return got == want || std::abs(got - exact) <= 4 * static_cast<long double>(unit_in_last_place);
   };
   for (std::size_t i = 0; i < y.size(); ++i) {
-    double const tangent = out[2 * i];
-    double const angle = out[2 * i + 1];
+    double const tangent = out[own_functions::count * i];
+    double const angle = out[own_functions::count * i + 1];
+    double const sine = out[own_functions::count * i + 2];
+    double const cosine = out[own_functions::count * i + 3];
     // The long tangent itself is too coarse for huge angles.
     if (std::abs(y[i]) < 1e5) {
       EXPECT_TRUE(is_near(tangent, std::tan(static_cast<long double>(y[i])))) << y[i];
       double const here = ft::scalar::tan(ft::strict_double(y[i])).value;
       EXPECT_TRUE(here == tangent) << y[i];
+      auto const exact = static_cast<long double>(y[i]);
+      EXPECT_LE(std::abs(sine - std::sin(exact)), 4e-16L) << y[i];
+      EXPECT_LE(std::abs(cosine - std::cos(exact)), 4e-16L) << y[i];
+      EXPECT_TRUE(is_near(sine, std::sin(exact)) || std::abs(sine) < 1e-3) << y[i];
+      EXPECT_TRUE(is_near(cosine, std::cos(exact)) || std::abs(cosine) < 1e-3) << y[i];
+      EXPECT_TRUE(sine == ft::scalar::sin(ft::strict_double(y[i])).value) << y[i];
+      EXPECT_TRUE(cosine == ft::scalar::cos(ft::strict_double(y[i])).value) << y[i];
     }
     EXPECT_TRUE(
         is_near(angle, std::atan2(static_cast<long double>(y[i]), static_cast<long double>(x[i]))))

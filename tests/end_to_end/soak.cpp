@@ -21,14 +21,12 @@
 #include <string>
 #include <vector>
 
-#if defined(__linux__)
-#include <unistd.h>
-#endif
 #if defined(__GLIBC__)
 #include <malloc.h>
 #endif
 
 #include "ft/pipelines/frame_tracker.hpp"
+#include "tests/support/process_memory.hpp"
 
 namespace soak {
 
@@ -153,38 +151,7 @@ private:
 
 // ---- memory of the process --------------------------------------------------------------------
 
-struct usage {
-  long long resident = 0;  ///< bytes, 0 = not known here
-  long long heap = 0;      ///< bytes that malloc has given out
-  long long device = 0;    ///< bytes in use on the device, by everyone
-};
-
-usage measure() {
-  usage u;
-#if defined(__linux__)
-  if (std::FILE* const file = std::fopen("/proc/self/statm", "r")) {
-    long long size = 0;
-    long long resident = 0;
-    if (std::fscanf(file, "%lld %lld", &size, &resident) == 2) {
-      u.resident = resident * static_cast<long long>(sysconf(_SC_PAGESIZE));
-    }
-    std::fclose(file);
-  }
-#endif
-#if defined(__GLIBC__)
-#if __GLIBC_PREREQ(2, 33)
-  auto const heap = mallinfo2();
-  u.heap = static_cast<long long>(heap.uordblks + heap.hblkhd);
-#endif
-#endif
-#if defined(__CUDACC__)
-  std::size_t free = 0;
-  std::size_t total = 0;
-  ft::throw_on_error(cudaMemGetInfo(&free, &total), "cudaMemGetInfo");
-  u.device = static_cast<long long>(total - free);
-#endif
-  return u;
-}
+using test::usage;
 
 struct sample {
   int frame;
@@ -491,8 +458,8 @@ outcome run(Exec const& exec, options const& o) {
         result.followed += tracker.inliers() >= 30;
       }
     }
-    if (n == warm_up) { warm = measure(); }
-    if (n % every == 0 || n + 1 == o.frames) { result.curve.push_back({n + 1, measure()}); }
+    if (n == warm_up) { warm = test::measure(); }
+    if (n % every == 0 || n + 1 == o.frames) { result.curve.push_back({n + 1, test::measure()}); }
   }
   usage const end = result.curve.back().memory;
   result.growth = {end.resident - warm.resident, end.heap - warm.heap, end.device - warm.device};

@@ -20,6 +20,7 @@
 #include "include/ft/version.hpp"
 #include "tests/end_to_end/process.hpp"
 #include "tests/end_to_end/track_support.hpp"
+#include "tests/support/ply_file.hpp"
 #include "tests/support/sequence.hpp"
 
 namespace {
@@ -176,6 +177,7 @@ TEST(Poses, OfTheBodyAgreeWithItsGroundTruth) {
   std::string const out = folder.path("out");
   ASSERT_TRUE(succeeded(track(generated(many), out, {"--frame", "body"})));
   results const body = read_results(out, many);
+  test::ply_file const body_map(read_file(out + "/map.ply"));
   seq::trajectory const truth = seq::read_tum(out + "/groundtruth.txt");
   ASSERT_EQ(truth.size(), static_cast<std::size_t>(many));
 
@@ -202,6 +204,17 @@ TEST(Poses, OfTheBodyAgreeWithItsGroundTruth) {
   for (std::size_t i = 0; i < camera.path.size(); ++i) {
     Eigen::Matrix4d const expected = (T * camera.path[i].T_world_camera * T.inverse()).matrix();
     EXPECT_LT((body.path[i].T_world_camera.matrix() - expected).norm(), 1e-7) << i;
+  }
+
+  test::ply_file const map(read_file(out + "/map.ply"));
+  ASSERT_EQ(map.vertices.size(), static_cast<std::size_t>(camera.number("map_points")));
+  ASSERT_EQ(map.vertices.size(), body_map.vertices.size());
+  EXPECT_GT(map.vertices.size(), 200u);
+  Eigen::Isometry3f const to_body = T.cast<float>();
+  for (std::size_t i = 0; i < map.vertices.size(); ++i) {
+    Eigen::Map<Eigen::Vector3f const> const p(map.vertices[i].real.data());
+    Eigen::Map<Eigen::Vector3f const> const q(body_map.vertices[i].real.data());
+    EXPECT_LT((to_body * p - q).norm(), 1e-5f * (1 + p.norm())) << i;
   }
 }
 

@@ -299,6 +299,55 @@ TEST(calibration_orb_slam3, reads_the_new_pinhole_format) {
   EXPECT_EQ(c.settings.depth_threshold, 60.0);
 }
 
+std::string const imu_keys =
+    "IMU.NoiseGyro: 1.7e-4\nIMU.NoiseAcc: 2.0e-3\nIMU.GyroWalk: 1.9393e-05\n"
+    "IMU.AccWalk: 3.0000e-03\nIMU.Frequency: 200.0\n";
+
+TEST(calibration_orb_slam3, reads_the_imu_of_either_format) {
+  temp_folder const folder;
+  EXPECT_FALSE(seq::read_orb_slam3_settings(folder.write("none.yaml", new_settings)).imu);
+  for (std::string const& text : {new_settings, fisheye_settings}) {
+    auto const imu =
+        seq::read_orb_slam3_settings(folder.write("settings.yaml", text + imu_keys)).imu;
+    ASSERT_TRUE(imu);
+    EXPECT_EQ(imu->noise.gyro, 1.7e-4);
+    EXPECT_EQ(imu->noise.accel, 2e-3);
+    EXPECT_EQ(imu->noise.gyro_walk, 1.9393e-5);
+    EXPECT_EQ(imu->noise.accel_walk, 3e-3);
+    EXPECT_EQ(imu->rate_hz, 200);
+    EXPECT_TRUE(imu->T_body_imu.matrix().isIdentity(0));
+  }
+}
+
+TEST(calibration_orb_slam3, refuses_an_imu_that_is_not_whole) {
+  struct bad_case {
+    std::string from, to, expected;
+  };
+  std::vector<bad_case> const cases = {
+      {"IMU.NoiseGyro: 1.7e-4\n", "", "IMU.NoiseGyro is missing"},
+      {"IMU.NoiseAcc: 2.0e-3\n", "", "IMU.NoiseAcc is missing"},
+      {"IMU.GyroWalk: 1.9393e-05\n", "", "IMU.GyroWalk is missing"},
+      {"IMU.AccWalk: 3.0000e-03\n", "", "IMU.AccWalk is missing"},
+      {"IMU.Frequency: 200.0\n", "", "IMU.Frequency is missing"},
+      {"200.0", "0.5", "IMU.Frequency = 0.5: must be at least 1"},
+      {"1.7e-4", "0", "IMU.NoiseGyro = 0: must be above 0"},
+      {"3.0000e-03", ".nan", "IMU.AccWalk = .nan: "},
+      {"2.0e-3", "[1]", "IMU.NoiseAcc: must be a single number"},
+  };
+  for (bad_case const& c : cases) {
+    temp_folder const folder;
+    std::string const path =
+        folder.write("settings.yaml", new_settings + replaced(imu_keys, c.from, c.to));
+    std::string const message = message_of([&] { seq::read_orb_slam3_settings(path); });
+    EXPECT_TRUE(contains(message, path + ": " + c.expected)) << message;
+  }
+  temp_folder const folder;
+  std::string const path = folder.write(
+      "settings.yaml", replaced(new_settings, "IMU.T_b_c1", "Elsewhere.T_b_c1") + imu_keys);
+  EXPECT_TRUE(contains(message_of([&] { seq::read_orb_slam3_settings(path); }),
+                       "IMU.T_b_c1 (or Tbc) is missing"));
+}
+
 TEST(calibration_orb_slam3, reads_the_new_rectified_format) {
   temp_folder const folder;
   seq::calibration const c = seq::read_orb_slam3_settings(

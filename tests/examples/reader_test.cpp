@@ -11,6 +11,7 @@
 #include <fstream>
 #include <iostream>
 #include <iterator>
+#include <optional>
 #include <string>
 #include <thread>
 #include <utility>
@@ -156,6 +157,118 @@ TEST(reader_euroc, ground_truth_of_the_body_becomes_the_cameras) {
   seq::stamped_pose const first = s.ground_truth().front();
   EXPECT_EQ(first.time_ns, stamp(1));  // after the first image
   EXPECT_LT((first.T_world_camera.matrix() - (body * camera).matrix()).norm(), 1e-7);
+}
+
+std::string const imu_sensor_text =
+    "%YAML:1.0\nsensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n"
+    "  data: [1, 0, 0, 0.5, 0, 1, 0, -0.25, 0, 0, 1, 1, 0, 0, 0, 1]\nrate_hz: 200\n"
+    "gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\n"
+    "gyroscope_random_walk: 1.9393e-05\naccelerometer_noise_density: 2.0000e-3\n"
+    "accelerometer_random_walk: 3.0000e-3\n";
+
+std::string const imu_text =
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z,a_RS_S_x,a_RS_S_y,a_RS_S_z\r\n"
+    "1403715273262142976,-0.1,0.2,0.3,9.81,-0.5,-3.25\r\n"
+    "1403715273267143168,-1e-1,0.25,0.3,9.80,-0.5,-3.0\r\n";
+
+std::optional<seq::imu_recording> imu_of(temp_folder const& folder,
+                                         std::string const& calibration = {}) {
+  seq::open_options options;
+  options.read_imu = true;
+  options.calibration = calibration;
+  return seq::sequence::open(folder.path(), options).imu();
+}
+
+TEST(reader_imu, reads_samples_noise_and_place) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  EXPECT_FALSE(imu_of(folder));
+  folder.write("mav0/imu0/data.csv", imu_text);
+  EXPECT_FALSE(imu_of(folder)) << "noise and place are not known";
+  folder.write("mav0/imu0/sensor.yaml", imu_sensor_text);
+  EXPECT_FALSE(seq::sequence::open(folder.path()).imu()) << "not asked for";
+  auto const imu = imu_of(folder);
+  ASSERT_TRUE(imu);
+  EXPECT_EQ(imu->calibration.rate_hz, 200);
+  EXPECT_EQ(imu->calibration.noise.gyro, 1.6968e-4);
+  EXPECT_EQ(imu->calibration.noise.gyro_walk, 1.9393e-5);
+  EXPECT_EQ(imu->calibration.noise.accel, 2e-3);
+  EXPECT_EQ(imu->calibration.noise.accel_walk, 3e-3);
+  ASSERT_EQ(imu->samples.size(), 2U);
+  EXPECT_EQ(imu->samples[1].time_ns, 1403715273267143168);
+  EXPECT_EQ(imu->samples[1].gyro, Eigen::Vector3d(-0.1, 0.25, 0.3));
+  EXPECT_EQ(imu->samples[0].accel, Eigen::Vector3d(9.81, -0.5, -3.25));
+  // The camera is at (0.5, 0, 0.25) of the body, turned by 90 degrees; the IMU at (0.5, -0.25, 1).
+  Eigen::Matrix4d expected;
+  expected << 0, -1, 0, 0, 1, 0, 0, 0.25, 0, 0, 1, -0.75, 0, 0, 0, 1;
+  EXPECT_LT((imu->T_imu_left.matrix() - expected).norm(), 1e-12);
+}
+
+TEST(reader_imu, takes_noise_and_place_from_a_named_settings_file) {
+  temp_folder const folder;
+  write_euroc(folder, 2);
+  folder.write("mav0/imu0/data.csv", imu_text);
+  folder.write("mav0/imu0/sensor.yaml", imu_sensor_text);
+  std::string const settings =
+      "%YAML:1.0\nCamera.type: Rectified\nCamera1.fx: 40\nCamera1.fy: 40\nCamera1.cx: 31.5\n"
+      "Camera1.cy: 23.5\nStereo.b: 0.1\nIMU.NoiseGyro: 1e-3\nIMU.NoiseAcc: 2e-2\n"
+      "IMU.GyroWalk: 3e-4\nIMU.AccWalk: 4e-3\nIMU.Frequency: 100.0\n"
+      "IMU.T_b_c1: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: f\n"
+      "   data: [1, 0, 0, 0.5, 0, 1, 0, 0.25, 0, 0, 1, 0.125, 0, 0, 0, 1]\n";
+  auto const imu = imu_of(folder, folder.write("settings.yaml", settings));
+  ASSERT_TRUE(imu);
+  EXPECT_EQ(imu->calibration.rate_hz, 100);
+  EXPECT_EQ(imu->calibration.noise.accel, 2e-2);
+  EXPECT_EQ(imu->T_imu_left.translation(), Eigen::Vector3d(0.5, 0.25, 0.125));
+  EXPECT_EQ(imu->samples.size(), 2U);
+}
+
+TEST(reader_imu, refuses_damaged_files_with_file_and_line) {
+  struct bad_case {
+    std::string from, to, expected;
+  };
+  std::vector<bad_case> const samples = {
+      {"67143168", "62142976", "data.csv:3: time stamps must increase"},
+      {"1403715273267143168", "soon", "data.csv:3: 'soon' is not a time stamp"},
+      {"9.80", "nan", "data.csv:3: 'nan' is not finite"},
+      {"9.81", "9.8l", "data.csv:2: '9.8l' is not a number"},
+      {"0.25,", "", "data.csv:3: 6 fields, must have at least 7"},
+      {"-1e-1", "-1e999", "data.csv:3: '-1e999' is not finite"},
+  };
+  for (bad_case const& c : samples) {
+    temp_folder const folder;
+    write_euroc(folder, 2);
+    folder.write("mav0/imu0/data.csv", replaced(imu_text, c.from, c.to));
+    folder.write("mav0/imu0/sensor.yaml", imu_sensor_text);
+    std::string const message = message_of([&] { imu_of(folder); });
+    EXPECT_TRUE(contains(message, c.expected)) << message;
+    EXPECT_TRUE(contains(message, folder.path())) << message;
+    EXPECT_EQ(seq::sequence::open(folder.path()).size(), 2) << "not asked for";
+  }
+  std::vector<bad_case> const sensors = {
+      {"rate_hz: 200", "rate_hz: 0", "rate_hz = 0: must be at least 1"},
+      {"rate_hz: 200", "", "rate_hz is missing"},
+      {"1.6968e-04", "0", "gyroscope_noise_density = 0: must be above 0"},
+      {"1.9393e-05", "-1", "gyroscope_random_walk = -1"},
+      {"2.0000e-3", "much", "accelerometer_noise_density = much: not a number"},
+      {"accelerometer_random_walk", "walk", "accelerometer_random_walk is missing"},
+      {"[1, 0, 0, 0.5", "[2, 0, 0, 0.5", "T_BS: not a rotation"},
+      {"rate_hz: 200", "rate_hz: [", "sensor.yaml:"},
+  };
+  for (bad_case const& c : sensors) {
+    temp_folder const folder;
+    write_euroc(folder, 2);
+    folder.write("mav0/imu0/data.csv", imu_text);
+    folder.write("mav0/imu0/sensor.yaml", replaced(imu_sensor_text, c.from, c.to));
+    std::string const message = message_of([&] { imu_of(folder); });
+    EXPECT_TRUE(contains(message, c.expected)) << message;
+    EXPECT_TRUE(contains(message, folder.path("mav0/imu0/sensor.yaml"))) << message;
+  }
+  temp_folder const folder;
+  write_euroc(folder, 2);
+  folder.write("mav0/imu0/sensor.yaml", imu_sensor_text);
+  folder.write("mav0/imu0/data.csv", "#timestamp\n\n");
+  EXPECT_TRUE(contains(message_of([&] { imu_of(folder); }), "data.csv: no samples"));
 }
 
 TEST(reader_euroc, keeps_pairs_with_both_files_and_equal_times_only) {
@@ -630,6 +743,30 @@ TEST(reader_real, euroc_pairs) {
   EXPECT_EQ(sparse.load(24).right.height, 480);
   EXPECT_TRUE(
       contains(open_error(shared + "/data/euroc_v101_mono_flight"), "not a stereo sequence"));
+}
+
+TEST(reader_real, euroc_imu) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  seq::open_options options;
+  options.read_imu = true;
+  seq::sequence const s = seq::sequence::open(shared + "/data/euroc_v101_stereo_start", options);
+  ASSERT_TRUE(s.imu());
+  seq::imu_recording const& imu = *s.imu();
+  EXPECT_EQ(imu.samples.size(), 751U);
+  EXPECT_EQ(imu.calibration.noise.gyro, 1.6968e-4);
+  // Seen in the world, the mean specific force of a slow flight points up.
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  int count = 0;
+  std::size_t next = 0;
+  for (auto const& pose : s.ground_truth()) {
+    while (next < imu.samples.size() && imu.samples[next].time_ns < pose.time_ns) { ++next; }
+    if (next == imu.samples.size()) { break; }
+    sum += pose.T_world_camera.linear() * imu.T_imu_left.linear().transpose() *
+           imu.samples[next].accel;
+    ++count;
+  }
+  EXPECT_GT(count, 500);
+  EXPECT_LT((sum / count - Eigen::Vector3d(0, 0, 9.81)).norm(), 0.5);
 }
 
 TEST(reader_real, fisheye_pairs_with_a_settings_file) {

@@ -55,10 +55,29 @@ constexpr char const* sensor =
     "intrinsics: [10, 10, 8, 6]\ndistortion_model: radial-tangential\n"
     "distortion_coefficients: [0, 0, 0, 0]\n";
 
+constexpr char const* imu_sensor =
+    "sensor_type: imu\n"
+    "T_BS:\n  rows: 4\n  cols: 4\n  data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n"
+    "rate_hz: 200\ngyroscope_noise_density: 1.7e-4\ngyroscope_random_walk: 2e-5\n"
+    "accelerometer_noise_density: 2e-3\naccelerometer_random_walk: 3e-3\n";
+
 std::string sensor_at(char const* x) {
   char text[600];
   std::snprintf(text, sizeof text, sensor, x);
   return text;
+}
+
+void check_imu(seq::imu_recording const& imu) {
+  auto const& c = imu.calibration;
+  fuzz::require(!imu.samples.empty() && c.rate_hz >= 1 && c.noise.gyro > 0 && c.noise.accel > 0 &&
+                    c.noise.gyro_walk > 0 && c.noise.accel_walk > 0,
+                "an IMU that is read can be used");
+  fuzz::require(imu.T_imu_left.matrix().allFinite(), "the IMU has a place");
+  for (std::size_t i = 0; i < imu.samples.size(); ++i) {
+    auto const& s = imu.samples[i];
+    fuzz::require(s.gyro.allFinite() && s.accel.allFinite(), "samples are finite");
+    fuzz::require(i == 0 || imu.samples[i - 1].time_ns < s.time_ns, "samples ascend");
+  }
 }
 
 /// Sequences of two frames, complete but for what the fuzzer writes in its place.
@@ -74,6 +93,8 @@ public:
       for (char const* name : {"data/1000.png", "data/2000.png"}) { picture(at + name); }
     }
     files_.write("euroc/mav0/state_groundtruth_estimate0/data.csv", "1000,0,0,0,1,0,0,0\n");
+    files_.write("euroc/mav0/imu0/sensor.yaml", imu_sensor);
+    files_.write("euroc/mav0/imu0/data.csv", "900,0,0,0,0,0,9.81\n1900,0,0,0,0,0,9.81\n");
     files_.write("kitti/calib.txt",
                  "P0: 10 0 8 0 0 10 6 0 0 0 1 0\nP1: 10 0 8 -5 0 10 6 0 0 0 1 0\n");
     files_.write("kitti/times.txt", "0.0\n0.1\n");
@@ -92,8 +113,10 @@ public:
     try {
       seq::open_options options;
       options.max_frames = 2;
+      options.read_imu = true;
       auto const opened = seq::sequence::open(files_.path(sequence), options);
       fuzz::require(opened.size() >= 1, "an opened sequence has a pair");
+      if (auto const& imu = opened.imu()) { check_imu(*imu); }
       for (int i = 0; i < opened.size(); ++i) {
         auto const frame = opened.load(i);
         fuzz::require(frame.left.width == opened.rig().left.width &&
@@ -143,7 +166,7 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
   if (size == 0) { return 0; }
   static sequences const s;
   std::string const bytes(reinterpret_cast<char const*>(data) + 1, size - 1);
-  switch (data[0] % 10) {
+  switch (data[0] % 12) {
     case 1:
       s.open_with("euroc", "mav0/cam0/sensor.yaml", bytes);
       break;
@@ -167,6 +190,12 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 8:
       read_picture(s.files(), bytes);
+      break;
+    case 9:
+      s.open_with("euroc", "mav0/imu0/data.csv", bytes);
+      break;
+    case 10:
+      s.open_with("euroc", "mav0/imu0/sensor.yaml", bytes);
       break;
     default:
       read_settings(s.files(), bytes);

@@ -128,7 +128,7 @@ inline double distance(ft::vec3<double> a, ft::vec3<double> b) {
 /// Sums of costs are exact to about 1e-11, so views agree to 1e-6 m and points to 1e-4 m.
 template <typename Rig>
 void compare(test::window_shape const& shape, unsigned seed) {
-  auto const rig = test::window_rig<Rig>();
+  auto const rig = test::example_rig<Rig>();
   auto const s = test::make_window(rig, shape, seed);
   ft::window_params params;
   params.steps = 200;
@@ -172,7 +172,7 @@ TEST(AdjustWindowCeres, FisheyePairsAgree) {
 
 /// With the default number of steps most of what can be gained is gained.
 TEST(AdjustWindowCeres, FewStepsAreNearTheMinimum) {
-  auto const rig = test::window_rig<ft::rectified_rig>();
+  auto const rig = test::example_rig<ft::rectified_rig>();
   for (unsigned seed = 21; seed <= 23; ++seed) {
     auto const s = test::make_window(rig, {10, 4, 300, 7, 0.7, 0.03}, seed);
     auto const want = solve_by_ceres(rig, s, {});

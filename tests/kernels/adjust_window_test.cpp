@@ -21,10 +21,10 @@ namespace adjust_window_test {
 
 using ft::vec3;
 using test::adjust;
+using test::example_rig;
 using test::make_window;
 using test::motion;
 using test::window_result;
-using test::window_rig;
 using test::window_scene;
 using test::window_shape;
 using rigs = ::testing::Types<ft::rectified_rig, test::fisheye_rig, test::three_camera_rig>;
@@ -75,7 +75,7 @@ class window_residual : public ::testing::Test {};
 TYPED_TEST_SUITE(window_residual, rigs);
 
 TYPED_TEST(window_residual, derivatives_are_those_of_finite_differences) {
-  auto const rig = window_rig<TypeParam>();
+  auto const rig = example_rig<TypeParam>();
   std::mt19937 random(3);
   std::uniform_real_distribution<double> unit(-1, 1);
   double const h = 1e-6;
@@ -108,7 +108,7 @@ TYPED_TEST(window_residual, derivatives_are_those_of_finite_differences) {
 }
 
 TYPED_TEST(window_residual, errors_are_those_of_the_equations) {
-  auto const rig = window_rig<TypeParam>();
+  auto const rig = example_rig<TypeParam>();
   ft::window_observation const o{310.25f, 190.5f, 282.5f, 0.5f};
   vec3<double> const x{0.3, -0.4, 2.5};
   ft::detail::window_residual<TypeParam> const r{rig, o, ft::detail::to_real(x)};
@@ -156,12 +156,12 @@ protected:
 
   template <typename Rig>
   window_result one(window_scene const& s, ft::window_params const& params) {
-    return adjust(backend.exec, window_rig<Rig>(), {s}, params).front();
+    return adjust(backend.exec, example_rig<Rig>(), {s}, params).front();
   }
 
   template <typename Rig>
   void check_truth(window_shape const& shape, unsigned seed) {
-    auto const s = make_window(window_rig<Rig>(), shape, seed);
+    auto const s = make_window(example_rig<Rig>(), shape, seed);
     ASSERT_GT(distance_to_truth(s, s.T_cw, s.position), 0.02);
     auto const r = one<Rig>(s, thorough(25));
     EXPECT_EQ(r.outcome.valid, 1);
@@ -178,7 +178,7 @@ protected:
 
   template <typename Rig>
   void check_judgement(window_shape const& shape, unsigned seed) {
-    auto const rig = window_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const s = make_window(rig, shape, seed);
     auto const r = one<Rig>(s, {});
     ASSERT_EQ(r.outcome.valid, 1);
@@ -194,7 +194,7 @@ protected:
   /// No small change of a view or a point lowers the cost of a thorough result.
   template <typename Rig>
   void check_minimum(window_shape const& shape, unsigned seed) {
-    auto const rig = window_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const s = make_window(rig, shape, seed);
     auto const r = one<Rig>(s, thorough(60));
     ASSERT_EQ(r.outcome.valid, 1);
@@ -223,7 +223,7 @@ protected:
   /// One thread, several threads and the executor under test give the same bits.
   template <typename Rig>
   void check_bits(std::vector<window_scene> const& scenes, ft::window_params const& params) {
-    auto const rig = window_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const want = adjust(ft::host_exec(1), rig, scenes, params);
     auto const threads = adjust(ft::host_exec(3), rig, scenes, params);
     auto const got = adjust(backend.exec, rig, scenes, params);
@@ -247,7 +247,7 @@ protected:
 
   template <typename Rig>
   void check_refusals() {
-    auto const rig = window_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     double const nan = std::numeric_limits<double>::quiet_NaN();
     auto const good = make_window(rig, {}, 4);
     for (double const bad : {nan, std::numeric_limits<double>::infinity()}) {
@@ -319,9 +319,9 @@ TYPED_TEST(adjust_window_unit, executors_agree_to_the_bit) {
     for (int b = 0; b < 5; ++b) {
       window_shape const shape{4 + below(10),   1 + below(3), 1 + below(900), 2 + below(6), 1.0,
                                0.02 * below(4), 3.0};
-      rectified.push_back(make_window(window_rig<ft::rectified_rig>(), shape, seed++));
-      fisheye.push_back(make_window(window_rig<test::fisheye_rig>(), shape, seed++));
-      three.push_back(make_window(window_rig<test::three_camera_rig>(), shape, seed));
+      rectified.push_back(make_window(example_rig<ft::rectified_rig>(), shape, seed++));
+      fisheye.push_back(make_window(example_rig<test::fisheye_rig>(), shape, seed++));
+      three.push_back(make_window(example_rig<test::three_camera_rig>(), shape, seed));
     }
     ft::window_params params;
     params.steps = 1 + below(6);
@@ -334,11 +334,11 @@ TYPED_TEST(adjust_window_unit, executors_agree_to_the_bit) {
 TYPED_TEST(adjust_window_unit, executors_agree_on_the_largest_window) {
   window_shape const shape{64, 1, 1500, 20, 1.0, 0.02};
   this->template check_bits<ft::rectified_rig>(
-      {make_window(window_rig<ft::rectified_rig>(), shape, 31)}, {});
+      {make_window(example_rig<ft::rectified_rig>(), shape, 31)}, {});
 }
 
 TYPED_TEST(adjust_window_unit, a_batch_is_its_problems) {
-  auto const rig = window_rig<ft::rectified_rig>();
+  auto const rig = example_rig<ft::rectified_rig>();
   std::vector<window_scene> scenes;
   for (unsigned b = 0; b < 6; ++b) {
     int const n = static_cast<int>(b);
@@ -357,7 +357,7 @@ TYPED_TEST(adjust_window_unit, a_batch_is_its_problems) {
 }
 
 TYPED_TEST(adjust_window_unit, only_selected_problems_are_touched) {
-  auto const rig = window_rig<test::fisheye_rig>();
+  auto const rig = example_rig<test::fisheye_rig>();
   std::vector<window_scene> scenes;
   for (unsigned b = 0; b < 4; ++b) { scenes.push_back(make_window(rig, {}, 50 + b)); }
   auto const all = adjust(this->backend.exec, rig, scenes, {});
@@ -383,7 +383,7 @@ TYPED_TEST(adjust_window_unit, problems_that_cannot_be_adjusted_stay) {
 TYPED_TEST(adjust_window_unit, a_start_far_away_never_becomes_worse) {
   for (unsigned seed = 60; seed < 64; ++seed) {
     window_shape const shape{6, 1, 120, 5, 0.5, 0.3, 40.0};
-    auto const rig = window_rig<ft::rectified_rig>();
+    auto const rig = example_rig<ft::rectified_rig>();
     auto const s = make_window(rig, shape, seed);
     auto const r = this->template one<ft::rectified_rig>(s, thorough(12));
     ASSERT_EQ(r.outcome.valid, 1);
@@ -394,7 +394,7 @@ TYPED_TEST(adjust_window_unit, a_start_far_away_never_becomes_worse) {
 }
 
 TYPED_TEST(adjust_window_unit, without_steps_only_outliers_are_marked) {
-  auto const rig = window_rig<ft::rectified_rig>();
+  auto const rig = example_rig<ft::rectified_rig>();
   auto const s = make_window(rig, {5, 1, 90, 4, 0.5, 0.1}, 70);
   auto const r = this->template one<ft::rectified_rig>(s, thorough(0));
   EXPECT_EQ(r.outcome.valid, 1);
@@ -406,7 +406,7 @@ TYPED_TEST(adjust_window_unit, without_steps_only_outliers_are_marked) {
 }
 
 TYPED_TEST(adjust_window_unit, the_descent_ends_when_little_is_gained) {
-  auto const s = make_window(window_rig<ft::rectified_rig>(), {6, 2, 200, 5, 0.5}, 80);
+  auto const s = make_window(example_rig<ft::rectified_rig>(), {6, 2, 200, 5, 0.5}, 80);
   ft::window_params params;
   params.steps = 50;
   auto const r = this->template one<ft::rectified_rig>(s, params);
@@ -429,11 +429,11 @@ TEST(WindowShapes, AreChecked) {
   ft::carve(c, work, problems, 10);
   ft::host_exec const exec(1);
   EXPECT_THROW(
-      ft::adjust_window(exec, window_rig<ft::rectified_rig>(), problems, nullptr, {}, work),
+      ft::adjust_window(exec, example_rig<ft::rectified_rig>(), problems, nullptr, {}, work),
       ft::bad_argument);  // two cameras a view
   work.points = 9;
   EXPECT_THROW(
-      ft::adjust_window(exec, window_rig<test::fisheye_rig>(), problems, nullptr, {}, work),
+      ft::adjust_window(exec, example_rig<test::fisheye_rig>(), problems, nullptr, {}, work),
       ft::bad_argument);
 }
 

@@ -140,8 +140,16 @@ TEST(ConstantVelocity, RestsAndSlowsDown) {
   ft::constant_velocity v = ft::constant_velocity::at_rest();
   expect_same_bits(v.predict(s.part(1), 50 * ms), s.part(1));
   v.observe(motion::identity(), s.part(1), 50 * ms);
-  v.slow_down();
-  EXPECT_LT(difference(v.motion, s.part(0.5L)), 1e-14);
+  ft::motion_params p;
+  p.memory = 0.5;
+  v.slow_down(0, p);
+  EXPECT_LT(difference(v.motion, s.part(1)), 1e-14);
+  v.slow_down(125 * ms, p);
+  EXPECT_LT(difference(v.motion, s.part(0.75L)), 1e-14);
+  v.slow_down(250 * ms, p);
+  EXPECT_LT(difference(v.motion, s.part(0.375L)), 1e-14);
+  v.slow_down(std::numeric_limits<std::int64_t>::max(), p);
+  EXPECT_LT(difference(v.motion, motion::identity()), 1e-14);
   v.rest();
   expect_same_bits(v.predict(s.part(1), 90 * ms), s.part(1));
 }
@@ -154,7 +162,7 @@ struct predict_each {
     ft::constant_velocity v = ft::constant_velocity::at_rest();
     v.observe(motion::identity(), steps[i], 50 * 1'000'000);
     out[i] = v.predict(steps[i], intervals[i]);
-    v.slow_down();
+    v.slow_down(intervals[i]);
     out[i] = v.predict(out[i], intervals[i]);
   }
 };

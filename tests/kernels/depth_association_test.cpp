@@ -131,6 +131,18 @@ protected:
         params, out.view());
     EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(out.view().count), 3), count);
     expect(out.view(), want);
+
+    // The same images by a table of their places.
+    std::vector<ft::depth_source> places;
+    for (std::ptrdiff_t b = 0; b < batch; ++b) {
+      places.push_back({depth.data() + b * image, row * size, sizeof(T) == 4 ? 1 : 0});
+    }
+    auto const table = test::to_exec(exec, places);
+    matches const again(capacity, batch);
+    ft::associate_depth(exec, raw.view(), undistorted.view(),
+                        ft::depth_sources_view{table.data(), width, height, batch}, params,
+                        again.view());
+    expect(again.view(), want);
   }
 };
 TYPED_TEST_SUITE(depth_association_unit, test::backends);
@@ -202,6 +214,13 @@ TYPED_TEST(depth_association_unit, bad_input_throws_before_anything_is_queued) {
         images{memory.data(), 5, 4, 20, -80, 2}, images{memory.data(), 5, 4, 20, 80, 1}}) {
     EXPECT_THROW(ft::associate_depth(exec, k, k, bad, p, o), ft::bad_argument);
   }
+  auto const table = test::to_exec(exec, std::vector<ft::depth_source>(2, {memory.data(), 20, 1}));
+  ft::depth_sources_view const placed{table.data(), 5, 4, 2};
+  EXPECT_NO_THROW(ft::associate_depth(exec, k, k, placed, p, o));
+  EXPECT_THROW(ft::associate_depth(exec, k, k, ft::depth_sources_view{nullptr, 5, 4, 2}, p, o),
+               ft::bad_argument);
+  EXPECT_THROW(ft::associate_depth(exec, k, k, ft::depth_sources_view{table.data(), 5, 4, 1}, p, o),
+               ft::bad_argument);
   for (ft::depth_params const& bad : {ft::depth_params{},
                                       {nan},
                                       {inf},

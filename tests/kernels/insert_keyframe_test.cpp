@@ -35,6 +35,7 @@ Rig make_rig() {
   } else {
     Rig rig{};
     rig.T_rl = ft::pose::identity();
+    rig.T_rl.t.x = -0.1f;
     return rig;
   }
 }
@@ -69,7 +70,7 @@ struct room {
         }) {
     clear(exec, map.device);
     map.pull(exec);
-    params.near = 5;
+    params.near_depth = 50;
     params.wanted_near_points = 12;
   }
   ft::keyframe_input<Rig> input(test::frames_view const& v) const {
@@ -102,6 +103,7 @@ void compare(Exec const& exec, sizes const& size, int steps, unsigned seed) {
   room<Exec, Rig> r(exec, size);
   ft::host_exec const alone(1);
   room<ft::host_exec, Rig> other(alone, size);
+  r.geometry.exact = other.geometry.exact = seed % 2 == 0;
   int left_out = 0;
   for (int step = 0; step < steps; ++step) {
     SCOPED_TRACE("step " + std::to_string(step));
@@ -209,7 +211,7 @@ TYPED_TEST(InsertKeyframe, RefusesWhatDoesNotFit) {
   in = r.input(r.frames.device);
   in.frame.keypoints.capacity = 31;
   refused(in);
-  r.params.near = 0;
+  r.params.near_depth = 0;
   refused(r.input(r.frames.device));
 }
 

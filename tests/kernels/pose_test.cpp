@@ -13,61 +13,21 @@
 #include <string>
 #include <vector>
 
-#include "ft/cameras/kannala_brandt.hpp"
-#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/example_rigs.hpp"
 
 namespace pose_test {
 
-using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
-using motion = ft::rigid<double>;
+using test::example_rig;
+using test::fisheye_rig;
+using test::motion;
+using test::three_camera_rig;
+using test::turn;
 inline constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 inline constexpr float infinity = std::numeric_limits<float>::infinity();
-
-/// Rotation by `angle` about (x, y, z), then a translation.
-inline motion turn(double x, double y, double z, double angle, ft::vec3<double> t) {
-  double const length = std::sqrt(x * x + y * y + z * z);
-  x /= length;
-  y /= length;
-  z /= length;
-  double const c = std::cos(angle);
-  double const s = std::sin(angle);
-  double const d = 1 - c;
-  return {{{c + x * x * d, x * y * d - z * s, x * z * d + y * s, y * x * d + z * s, c + y * y * d,
-            y * z * d - x * s, z * x * d - y * s, z * y * d + x * s, c + z * z * d}},
-          t};
-}
-
-template <typename Rig>
-Rig make_rig();
-template <>
-inline ft::rectified_rig make_rig<ft::rectified_rig>() {
-  return ft::rectified_rig::make({435.2f, 436.1f, 367.2f, 252.3f}, 0.11f);
-}
-template <>
-inline fisheye_rig make_rig<fisheye_rig>() {
-  return {{190.9f, 190.8f, 254.9f, 256.8f, 0.0034f, 0.0007f, -0.0020f, 0.0002f},
-          {190.4f, 190.5f, 252.6f, 255.0f, 0.0040f, -0.0010f, -0.0010f, 0.0001f},
-          turn(0.1, 1, 0.2, 0.03, {-0.1, 0.002, 0.001}).cast<float>()};
-}
-
-/// Two pairs and a single camera, none in the body's frame.
-using three_camera_rig = ft::multi_rig<3>;
-template <>
-inline three_camera_rig make_rig<three_camera_rig>() {
-  return {{{{435.2f, 436.1f, 367.2f, 252.3f},
-            0.11,
-            turn(0.02, -1, 0.1, 0.25, {0.1, 0.02, -0.05}).cast<float>()},
-           {{300.5f, 301.5f, 320.2f, 240.1f},
-            0,
-            turn(-0.3, 0.1, 1, 0.3, {-0.2, 0.1, 0.02}).cast<float>()},
-           {{380.3f, 379.1f, 330.7f, 242.3f},
-            0.2,
-            turn(1, 0.5, -0.02, 0.2, {-0.1, 0.03, 0.04}).cast<float>()}}};
-}
 
 /// Pixel of a point given in the frame of the pose, in double.
 inline ft::vec2<double> pixel_of(ft::rectified_rig const& rig, ft::vec3<double> p, int) {
@@ -104,8 +64,8 @@ scene make_scene(Rig const& rig, int n, double share_of_outliers, unsigned seed)
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> unit(-1, 1);
   scene s;
-  s.truth = turn(0.3, -0.7, 0.2, 0.8, {0.5, -0.2, 1.1});
-  s.start = (turn(unit(random), unit(random), unit(random), 0.04, {0.05, -0.04, 0.06}) * s.truth)
+  s.truth = turn({0.3, -0.7, 0.2}, 0.8, {0.5, -0.2, 1.1});
+  s.start = (turn({unit(random), unit(random), unit(random)}, 0.04, {0.05, -0.04, 0.06}) * s.truth)
                 .template cast<float>();
   for (int i = 0; i < n; ++i) {
     double const depth = 2 + 5 * (1 + unit(random));
@@ -206,8 +166,8 @@ double robust_descent(Rig const& rig, motion const& T_cw, std::vector<ft::observ
     double const side = k % 2 == 0 ? 1 : -1;
     double const d[3] = {k / 2 % 3 == 0 ? side : 0, k / 2 % 3 == 1 ? side : 0,
                          k / 2 % 3 == 2 ? side : 0};
-    motion const step = k < 6 ? turn(d[0], d[1], d[2], 1e-3, {0, 0, 0})
-                              : turn(1, 0, 0, 0, {1e-3 * d[0], 1e-3 * d[1], 1e-3 * d[2]});
+    motion const step = k < 6 ? turn({d[0], d[1], d[2]}, 1e-3, {0, 0, 0})
+                              : turn({0, 0, 0}, {1e-3 * d[0], 1e-3 * d[1], 1e-3 * d[2]});
     least = std::min(least, robust_cost(rig, step * T_cw, all));
   }
   return here - least;
@@ -292,7 +252,7 @@ protected:
 
   template <typename Rig>
   void check_recovery() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     for (int const n : {3, 4, 10, 127, 255, 256, 257, 600}) {
       auto const s = make_scene(rig, n, 0, static_cast<unsigned>(n));
       auto const r = solve(rig, s.observations, s.start);
@@ -310,7 +270,7 @@ protected:
 
   template <typename Rig>
   void check_too_few() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const s = make_scene(rig, 2, 0, 1);
     for (std::size_t n = 0; n < 3; ++n) {
       std::vector<ft::observation> const few(
@@ -326,7 +286,7 @@ protected:
   /// with ten it is that of the others alone.
   template <typename Rig>
   void check_first_round_alone() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     for (unsigned seed = 0; seed < 8; ++seed) {
       for (int const n : {3, 8, 9, 10, 11}) {
         SCOPED_TRACE(std::to_string(n) + " observations, seed " + std::to_string(seed));
@@ -353,7 +313,7 @@ protected:
   /// Observations that no pose explains.
   template <typename Rig>
   void check_points_behind() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto s = make_scene(rig, 60, 0, 3);
     for (auto& o : s.observations) {
       ft::vec3<double> const seen = s.truth * ft::vec3<double>{o.point.x, o.point.y, o.point.z};
@@ -371,7 +331,7 @@ protected:
   template <typename Rig>
   result solve_with(scene& s, std::size_t at, ft::observation const& bad) {
     s.observations[at] = bad;
-    return solve(make_rig<Rig>(), s.observations, s.start);
+    return solve(example_rig<Rig>(), s.observations, s.start);
   }
   template <typename Rig>
   std::vector<ft::observation> bad_observations(ft::observation const& good) {
@@ -387,7 +347,7 @@ protected:
   }
   template <typename Rig>
   void check_bad_observation_is_flagged() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const s = make_scene(rig, 100, 0, 4);
     for (std::size_t const at : {0, 1, 99}) {
       for (auto const& bad : bad_observations<Rig>(s.observations[at])) {
@@ -400,7 +360,7 @@ protected:
   }
   template <typename Rig>
   void check_bad_observation_spoils_nothing() {
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const s = make_scene(rig, 100, 0, 5);
     for (auto const& bad : bad_observations<Rig>(s.observations[7])) {
       auto copy = s;
@@ -413,7 +373,7 @@ protected:
   template <typename Rig>
   void check_jacobian(double step, double tolerance, bool stereo) {
     auto const& exec = backend.exec;
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto s = make_scene(rig, 100, 0, 6);
     for (auto& o : s.observations) {
       if (!stereo) { o.right_u = -1; }
@@ -445,7 +405,7 @@ protected:
   template <typename Rig>
   void check_frames() {
     auto const& exec = backend.exec;
-    auto const rig = make_rig<Rig>();
+    auto const rig = example_rig<Rig>();
     auto const geometry = ft::pyramid_geometry::make(752, 480, 8, 1.2f);
     constexpr int batch = 3;
     constexpr int capacity = 160;
@@ -578,7 +538,7 @@ TYPED_TEST(pose_unit, a_fisheye_observation_that_is_no_number_spoils_no_other) {
   this->template check_bad_observation_spoils_nothing<fisheye_rig>();
 }
 TYPED_TEST(pose_unit, an_error_beyond_the_range_of_float_spoils_no_other) {
-  auto const rig = make_rig<ft::rectified_rig>();
+  auto const rig = example_rig<ft::rectified_rig>();
   auto s = make_scene(rig, 50, 0, 7);
   auto const clean = this->solve(rig, s.observations, s.start);
   ft::observation far = s.observations[10];
@@ -593,7 +553,7 @@ TYPED_TEST(pose_unit, an_error_beyond_the_range_of_float_spoils_no_other) {
   EXPECT_EQ(r.pose.t.z, clean.pose.t.z);
 }
 TYPED_TEST(pose_unit, a_fisheye_point_that_is_no_number_is_not_at_the_principal_point) {
-  auto const rig = make_rig<fisheye_rig>();
+  auto const rig = example_rig<fisheye_rig>();
   auto s = make_scene(rig, 50, 0, 7);
   s.start = s.truth.template cast<float>();  // so that this observation alone is in question
   s.observations[10].point = {nan, nan, nan};
@@ -678,7 +638,7 @@ TYPED_TEST(pose_unit, fisheye_frames_let_go_of_outliers) {
 
 /// A little below and above each limit; in pairs that pull the pose in opposite directions.
 TYPED_TEST(pose_unit, outliers_are_beyond_95_percent_of_their_degrees_of_freedom) {
-  auto const rig = make_rig<ft::rectified_rig>();
+  auto const rig = example_rig<ft::rectified_rig>();
   auto s = make_scene(rig, 300, 0, 31);
   s.start = s.truth.template cast<float>();
   std::size_t const clean = s.observations.size();
@@ -707,7 +667,7 @@ TYPED_TEST(pose_unit, outliers_are_beyond_95_percent_of_their_degrees_of_freedom
 }
 
 TYPED_TEST(pose_unit, a_perfect_start_stays) {
-  auto const rig = make_rig<ft::rectified_rig>();
+  auto const rig = example_rig<ft::rectified_rig>();
   auto const s = make_scene(rig, 50, 0, 8);
   auto const r = this->solve(rig, s.observations, s.truth.template cast<float>());
   EXPECT_LT(distance(r.pose, s.truth), 1e-5);
@@ -715,7 +675,7 @@ TYPED_TEST(pose_unit, a_perfect_start_stays) {
 }
 
 TYPED_TEST(pose_unit, repeated_runs_give_the_same_bits) {
-  auto const rig = make_rig<fisheye_rig>();
+  auto const rig = example_rig<fisheye_rig>();
   auto const s = make_scene(rig, 333, 0.2, 9);
   auto const first = this->solve(rig, s.observations, s.start);
   auto const second = this->solve(rig, s.observations, s.start);

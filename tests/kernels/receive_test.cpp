@@ -112,15 +112,15 @@ public:
     v.batch = batch_;
     return v;
   }
-  /// Level 0 of image i is source `of(i)`, in whole quads as far as the row reaches; nothing else
-  /// was written.
+  /// Level 0 of image i is source `of(i)` from its first row on, in whole quads as far as the row
+  /// reaches; nothing else was written.
   template <typename Which>
   void expect_received(Exec const& exec, Which const& of) const {
     auto const& g = geometry_;
     bytes want(at(g.bytes) * at(batch_), untouched);
     for (int i = 0; i < batch_; ++i) {
       auto const from = at(of(i));
-      for (int y = 0; y < g.height[0]; ++y) {
+      for (int y = list_.data()[i].first_row; y < g.height[0]; ++y) {
         auto const row =
             sources_[from]->contents.begin() + static_cast<std::ptrdiff_t>(y) * strides_[from];
         std::copy(row, row + round_up(g.width[0]),
@@ -251,6 +251,19 @@ TYPED_TEST(receive_unit, a_recording_reads_where_the_images_lie_when_it_runs) {
   all.list()[2] = first;
   recorded.replay(exec, queue);
   all.expect_received(exec, [](int i) { return (i + 1) % 3; });
+}
+
+TYPED_TEST(receive_unit, leaves_the_rows_above_the_first_one_alone) {
+  auto const& exec = this->backend.exec;
+  for (int const height : {40, 200}) {
+    typename TestFixture::images_type const all(exec, 100, height, 4, 700);
+    exec.wait();
+    all.list()[0].first_row = height - 1;
+    all.list()[1].first_row = 7;
+    all.list()[2].first_row = height;
+    ft::receive_images(exec, all.list(), all.pyramid());
+    all.expect_received(exec);
+  }
 }
 
 // ---- which memory -----------------------------------------------------------------------------

@@ -277,6 +277,44 @@ TYPED_TEST(extractor_unit, an_image_does_not_depend_on_its_place_in_the_batch) {
   EXPECT_EQ(together[1].count(), 0u);
 }
 
+/// The second of every three images is absent.
+TYPED_TEST(extractor_unit, absent_images_have_no_keypoints_and_change_no_others) {
+  constexpr int w = 320;
+  constexpr int h = 240;
+  auto const p = size(w, h);
+  std::vector<image> images;
+  for (unsigned i = 0; i < 6; ++i) { images.push_back(noise(w, h, 60 + i)); }
+  typename TestFixture::extractor whole(this->backend.exec, p, 6);
+  typename TestFixture::extractor partial(this->backend.exec, p, 6, {}, {0b010, 3});
+  // Memory that the device reads in place. The absent images have a source that nothing reads.
+  constexpr ft::memory_space staging = ft::staging_space<typename TypeParam::exec_type>;
+  constexpr std::size_t bytes = std::size_t{w} * h;
+  ft::buffer<std::uint8_t, staging> const pixels(6 * bytes);
+  ft::buffer<ft::image_source, staging> const sources(6);
+  for (std::size_t i = 0; i < 6; ++i) {
+    std::copy(images[i].begin(), images[i].end(), pixels.data() + i * bytes);
+    sources.data()[i] = {pixels.data() + i * bytes, w};
+  }
+  for (int round = 0; round < 2; ++round) {
+    whole.extract_from(this->backend.exec, sources.data());
+    partial.extract_from(this->backend.exec, sources.data());
+    auto const all = this->read(whole);
+    auto const some = this->read(partial);
+    for (std::size_t i = 0; i < 6; ++i) {
+      EXPECT_GT(all[i].count(), 100u);
+      if (i % 3 == 1) {
+        EXPECT_EQ(some[i].count(), 0u) << i;
+      } else {
+        EXPECT_TRUE(some[i] == all[i]) << i;
+      }
+    }
+  }
+  EXPECT_THROW(typename TestFixture::extractor(this->backend.exec, p, 6, {}, {1, 0}),
+               ft::bad_argument);
+  EXPECT_THROW(typename TestFixture::extractor(this->backend.exec, p, 6, {}, {1, 33}),
+               ft::bad_argument);
+}
+
 TYPED_TEST(extractor_unit, rows_of_a_larger_image_may_be_given) {
   auto const params = size(200, 150);
   image const pixels = test::random_image(200, 150, 14);

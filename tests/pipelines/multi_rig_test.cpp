@@ -51,11 +51,7 @@ struct rig_frame {
 
 template <int N>
 std::vector<rig_frame> make_walk(ft::multi_rig<N> const& rig, unsigned seed, int frames) {
-  constexpr int side = 400;
-  std::vector<image> walls;
-  for (unsigned w = 0; w < 6; ++w) {
-    walls.push_back(test::random_image(side, side, 100 * seed + w));
-  }
+  auto const walls = test::room::make_walls(seed);
   std::vector<rig_frame> walk;
   float const turn = seed % 2 == 0 ? 1.0f : -1.0f;
   for (int i = 0; i < frames; ++i) {
@@ -65,10 +61,10 @@ std::vector<rig_frame> make_walk(ft::multi_rig<N> const& rig, unsigned seed, int
     rig_frame f{{}, T_bw};
     for (ft::rig_camera const& c : rig.of) {
       ft::pose const T_cw = c.T_cb * T_bw;
-      f.images.push_back(test::room::render(c.camera, walls, side, T_cw));
+      f.images.push_back(test::room::render(c.camera, walls, T_cw));
       ft::pose T_rw = T_cw;
       T_rw.t.x -= static_cast<float>(c.baseline);
-      f.images.push_back(c.single() ? image{} : test::room::render(c.camera, walls, side, T_rw));
+      f.images.push_back(c.single() ? image{} : test::room::render(c.camera, walls, T_rw));
     }
     walk.push_back(f);
   }
@@ -291,15 +287,7 @@ TYPED_TEST(multi_rig, gives_the_bits_of_the_host) {
 
 // ---- the whole odometry ------------------------------------------------------------------------
 
-ft::odometry_params odometry_params() {
-  ft::odometry_params p;
-  p.orb = test::room::params().orb;
-  p.map_slots = 8192;
-  p.local_points = 4096;
-  p.keyframes = 20;
-  p.window_points = 4096;
-  return p;
-}
+ft::odometry_params odometry_params() { return test::room::odometry_params(8192); }
 
 template <typename Exec, typename Rig>
 std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,

@@ -14,15 +14,20 @@ class allocation_count {
 public:
   allocation_count() {
     total() = 0;
+    taken() = 0;
     counting() = true;
   }
   allocation_count(allocation_count const&) = delete;
   allocation_count& operator=(allocation_count const&) = delete;
   ~allocation_count() { counting() = false; }
   long so_far() const { return total(); }
+  std::size_t bytes() const { return taken(); }
 
   static void* take(std::size_t bytes, std::size_t alignment) {
-    if (counting()) { ++total(); }
+    if (counting()) {
+      ++total();
+      taken() += bytes;
+    }
     void* p = nullptr;
     std::size_t const size = bytes == 0 ? 1 : bytes;
     if (alignment <= alignof(std::max_align_t)) {
@@ -45,6 +50,10 @@ private:
   }
   static long& total() {
     thread_local long value = 0;
+    return value;
+  }
+  static std::size_t& taken() {
+    thread_local std::size_t value = 0;
     return value;
   }
 };

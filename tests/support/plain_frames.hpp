@@ -227,15 +227,15 @@ private:
   int slots() const { return static_cast<int>(map.points.size()); }
   int count(int c) const { return *in_.frame.camera(b_, c).count; }
 
-  /// Limit of depth of a camera: as many baselines as `near` is of the longest one.
+  /// Limit of depth of a camera. The fisheye pairs of the tests lie along x.
   float near([[maybe_unused]] int c) const {
     if constexpr (Rig::searches > 1) {
-      double longest = 0;
-      for (auto const& of : in_.rig.of) { longest = std::max(longest, of.baseline); }
-      auto const own = static_cast<float>(in_.rig.of[c].baseline);
-      return own / static_cast<float>(longest) * params_.near;
+      return params_.near_depth * static_cast<float>(in_.rig.of[c].baseline);
+    } else if constexpr (Rig::rectified) {
+      return params_.near_depth * static_cast<float>(in_.rig.baseline);
+    } else {
+      return params_.near_depth * std::abs(in_.rig.T_rl.t.x);
     }
-    return params_.near;
   }
   /// Left keypoints that are to become points.
   std::set<int> wanted() const {
@@ -347,13 +347,30 @@ private:
     }
     return in_camera;
   }
+  /// Of a pixel of a level of `to` of `from` pixels, whose position is multiplied by the scale.
+  double in_image(float x, int octave, int from, int to) const {
+    auto const& g = in_.geometry;
+    auto const at = static_cast<double>(x);
+    if (!g.exact) { return at; }
+    return (at / static_cast<double>(g.scale[octave]) + 0.5) * from / to - 0.5;
+  }
+  double column(float x, int octave) const {
+    return in_image(x, octave, in_.geometry.width[0], in_.geometry.width[octave]);
+  }
+  double row(float y, int octave) const {
+    return in_image(y, octave, in_.geometry.height[0], in_.geometry.height[octave]);
+  }
   ft::vec3<double> seen_at(int c, int i) const {
     if constexpr (Rig::rectified) {
       auto const k = in_.frame.camera(b_, c);
-      auto const& camera = in_.rig.pair(c).camera;
-      auto const z = static_cast<double>(in_.depth[(b_ * Rig::searches + c) * capacity() + i]);
-      return {z * static_cast<double>((k.x(i) - camera.cx) / camera.fx),
-              z * static_cast<double>((k.y(i) - camera.cy) / camera.fy), z};
+      auto const camera = in_.rig.pair(c).camera.template cast<double>();
+      int const o = k.octave(i);
+      // A disparity is the difference of two columns.
+      double const wider = column(1, o) - column(0, o);
+      double const z =
+          static_cast<double>(in_.depth[(b_ * Rig::searches + c) * capacity() + i]) / wider;
+      return {z * (column(k.x(i), o) - camera.cx) / camera.fx,
+              z * (row(k.y(i), o) - camera.cy) / camera.fy, z};
     } else {
       return plain_wide(in_.point[b_ * capacity() + i]);
     }
@@ -368,8 +385,11 @@ private:
         int const slot = holder[index(n)];
         bool const holds = slot >= 0 && claims_[index(c)].at(slot) == n;
         float const right = Rig::rectified ? in_.frame.right_x[b_ * in_.frame.numbers() + n] : -1;
-        made.cameras.back().push_back({k.x(i), k.y(i), right, k.octave(i), holds ? slot : -1,
-                                       holds ? map.points[index(slot)].number : 0});
+        int const o = k.octave(i);
+        made.cameras.back().push_back(
+            {static_cast<float>(column(k.x(i), o)), static_cast<float>(row(k.y(i), o)),
+             right < 0 ? -1 : static_cast<float>(column(right, o)), o, holds ? slot : -1,
+             holds ? map.points[index(slot)].number : 0});
         bool first = holds;
         for (int before = 0; before < c; ++before) {
           first = first && claims_[index(before)].count(slot) == 0;

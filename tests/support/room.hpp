@@ -12,6 +12,7 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/odometry_types.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
@@ -50,6 +51,17 @@ inline ft::tracker_params params() {
   return p;
 }
 
+/// @param map_slots half of which are in a local map or an adjustment
+inline ft::odometry_params odometry_params(int map_slots) {
+  ft::odometry_params p;
+  p.orb = params().orb;
+  p.map_slots = map_slots;
+  p.local_points = map_slots / 2;
+  p.keyframes = 20;
+  p.window_points = map_slots / 2;
+  return p;
+}
+
 using image = std::vector<std::uint8_t>;
 
 inline ft::gray_view view(image const& i) { return {i.data(), width, height, width}; }
@@ -82,10 +94,20 @@ hit look(Camera const& camera, ft::pose const& T_wc, float u, float v) {
            origin[2] + nearest * direction[2]}};
 }
 
-/// The image of a camera at T_cw, with a texture on each wall.
+constexpr int wall_side = 400;  ///< texels
+
+/// The textures of a room's six walls.
+inline std::vector<image> make_walls(unsigned seed) {
+  std::vector<image> walls;
+  for (unsigned w = 0; w < 6; ++w) {
+    walls.push_back(test::random_image(wall_side, wall_side, 100 * seed + w));
+  }
+  return walls;
+}
+
+/// The image of a camera at T_cw.
 template <typename Camera>
-image render(Camera const& camera, std::vector<image> const& walls, int texture_side,
-             ft::pose const& T_cw) {
+image render(Camera const& camera, std::vector<image> const& walls, ft::pose const& T_cw) {
   constexpr double texels = 50;  // per metre
   auto const T_wc = T_cw.inverse();
   image out(at(width) * at(height));
@@ -95,7 +117,7 @@ image render(Camera const& camera, std::vector<image> const& walls, int texture_
       double const p[3] = {h.point.x, h.point.y, h.point.z};
       double const s = (p[(h.wall / 2 + 1) % 3] + 20) * texels;
       double const t = (p[(h.wall / 2 + 2) % 3] + 20) * texels;
-      out[at(v) * at(width) + at(u)] = test::texture_at(walls[at(h.wall)], texture_side, s, t);
+      out[at(v) * at(width) + at(u)] = test::texture_at(walls[at(h.wall)], wall_side, s, t);
     }
   }
   return out;
@@ -109,11 +131,7 @@ struct stereo_frame {
 /// A short walk through the room of a seed.
 template <typename Rig>
 std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
-  constexpr int side = 400;
-  std::vector<image> walls;
-  for (unsigned w = 0; w < 6; ++w) {
-    walls.push_back(test::random_image(side, side, 100 * seed + w));
-  }
+  auto const walls = make_walls(seed);
   std::vector<stereo_frame> walk;
   float const turn = seed % 2 == 0 ? 1.0f : -1.0f;
   for (int i = 0; i < frames; ++i) {
@@ -128,11 +146,10 @@ std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
     if constexpr (Rig::rectified) {
       ft::pose T_rw = T_cw;
       T_rw.t.x -= rig.baseline_length().value;
-      walk.push_back(
-          {render(rig.camera, walls, side, T_cw), render(rig.camera, walls, side, T_rw), T_cw});
+      walk.push_back({render(rig.camera, walls, T_cw), render(rig.camera, walls, T_rw), T_cw});
     } else {
-      walk.push_back({render(rig.left, walls, side, T_cw),
-                      render(rig.right, walls, side, rig.T_rl * T_cw), T_cw});
+      walk.push_back(
+          {render(rig.left, walls, T_cw), render(rig.right, walls, rig.T_rl * T_cw), T_cw});
     }
   }
   return walk;

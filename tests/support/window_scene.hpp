@@ -8,57 +8,13 @@
 #include <random>
 #include <vector>
 
-#include "ft/cameras/kannala_brandt.hpp"
-#include "ft/cameras/multi_rig.hpp"
-#include "ft/cameras/pinhole.hpp"
-#include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/window/adjust_window.hpp"
+#include "tests/support/example_rigs.hpp"
 
 namespace test {
-
-using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
-using motion = ft::rigid<double>;
-
-/// A turn about (x, y, z) by its length, rad, then a translation. Source: Rodrigues' formula.
-inline motion turn(ft::vec3<double> w, ft::vec3<double> t) {
-  double const angle = std::sqrt(ft::dot(w, w));
-  if (angle == 0) { return {ft::mat3<double>::identity(), t}; }
-  double const x = w.x / angle;
-  double const y = w.y / angle;
-  double const z = w.z / angle;
-  double const c = std::cos(angle);
-  double const s = std::sin(angle);
-  double const d = 1 - c;
-  return {{{c + x * x * d, x * y * d - z * s, x * z * d + y * s, y * x * d + z * s, c + y * y * d,
-            y * z * d - x * s, z * x * d - y * s, z * y * d + x * s, c + z * z * d}},
-          t};
-}
-
-template <typename Rig>
-Rig window_rig();
-template <>
-inline ft::rectified_rig window_rig<ft::rectified_rig>() {
-  return ft::rectified_rig::make({435.2f, 436.1f, 367.2f, 252.3f}, 0.11f);
-}
-template <>
-inline fisheye_rig window_rig<fisheye_rig>() {
-  return {{190.9f, 190.8f, 254.9f, 256.8f, 0.0034f, 0.0007f, -0.0020f, 0.0002f},
-          {190.4f, 190.5f, 252.6f, 255.0f, 0.0040f, -0.0010f, -0.0010f, 0.0001f},
-          turn({0.003, 0.03, 0.006}, {-0.1, 0.002, 0.001}).cast<float>()};
-}
-
-/// Two pairs and a single camera between them, none in the body's frame.
-using three_camera_rig = ft::multi_rig<3>;
-template <>
-inline three_camera_rig window_rig<three_camera_rig>() {
-  auto const at = [](ft::vec3<double> w, ft::vec3<double> t) { return turn(w, t).cast<float>(); };
-  return {{{{435.2f, 436.1f, 367.2f, 252.3f}, 0.11, at({0.02, -0.25, 0.01}, {0.1, 0.02, -0.05})},
-           {{300.5f, 301.5f, 320.2f, 240.1f}, 0, at({-0.1, 0.05, 0.3}, {-0.2, 0.1, 0.02})},
-           {{380.3f, 379.1f, 330.7f, 242.3f}, 0.2, at({0.1, 0.2, -0.02}, {-0.1, 0.03, 0.04})}}};
-}
 
 /// Pixel of a point given in the frame of the pose, from the models' equations, and for a
 /// rectified pair its column in the right image.

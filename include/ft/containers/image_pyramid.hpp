@@ -36,6 +36,26 @@ struct pyramid_geometry {
   float inv_sigma2[max_levels] = {};
   int tap_offset[max_levels] = {};  ///< first resize tap of a level: its columns, then its rows
   int taps = 0;
+  /// How the position of a keypoint becomes one in the input image. False: it is one, as in
+  /// ORB-SLAM3. True: it is that of the middle of the level's pixel, as build_pyramid() resizes.
+  bool exact = false;
+
+  /// Column and row in the input image of a keypoint, whose own are those at the level of its
+  /// octave times `scale`. Pixels; 0 is the middle of the first one. Times `scale`, what the level
+  /// shows is up to (scale - 1) / 2 pixels too far left and up, and a level's whole number of
+  /// pixels changes its scale by up to half a pixel of the level.
+  FT_HOST_DEVICE float column(float x, int octave) const {
+    return exact ? resized(x, octave, width[0], width[octave]) : x;
+  }
+  FT_HOST_DEVICE float row(float y, int octave) const {
+    return exact ? resized(y, octave, height[0], height[octave]) : y;
+  }
+  /// The depth that belongs to the disparity of column().
+  FT_HOST_DEVICE float depth(float z, int octave) const {
+    if (!exact) { return z; }
+    strict_float const wide = static_cast<float>(width[octave]);
+    return (strict_float(z) * (scale[octave] * wide / static_cast<float>(width[0]))).value;
+  }
 
   /// Patch diameter of a keypoint of an octave, pixels of the input image.
   FT_HOST_DEVICE int patch_size(int octave) const {
@@ -71,6 +91,25 @@ struct pyramid_geometry {
     }
     return g;
   }
+
+private:
+  /// @param from,to pixels of the input image and of the level along the axis
+  FT_HOST_DEVICE float resized(float x, int octave, int from, int to) const {
+    strict_float const ratio = strict_float(static_cast<float>(from)) / static_cast<float>(to);
+    strict_float const middle = strict_float(x) * inv_scale[octave] + 0.5f;
+    return (middle * ratio - 0.5f).value;
+  }
+};
+
+/// Images of a batch that never come, the same ones in every rig: the right images of single
+/// cameras. No stage computes anything of them.
+struct absent_images {
+  std::uint32_t mask = 0;  ///< bit i: image i of a rig is absent
+  int period = 1;          ///< images of a rig, up to 32
+
+  FT_HOST_DEVICE bool has(int image) const {
+    return mask != 0 && (mask >> (image % period) & 1u) != 0;
+  }
 };
 
 /// Levels of a batch of images, without borders.
@@ -78,6 +117,7 @@ struct image_pyramid_view {
   pyramid_geometry geometry;
   std::uint8_t* data = nullptr;
   int batch = 0;
+  absent_images absent{};  ///< black
 
   FT_HOST_DEVICE image_view<std::uint8_t> level(int image, int l) const {
     return {data + image * geometry.bytes + geometry.offset[l], geometry.width[l],

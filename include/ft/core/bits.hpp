@@ -42,5 +42,14 @@ FT_HOST_DEVICE inline int trailing_zeros(std::uint64_t v) {
 #endif
 }
 
+/// Index of the highest set bit. @pre v is not 0
+FT_HOST_DEVICE inline int highest_bit(std::uint64_t v) {
+#if defined(__CUDA_ARCH__)
+  return 63 - __clzll(static_cast<long long>(v));
+#else
+  return 63 - __builtin_clzll(v);
+#endif
+}
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -96,8 +96,10 @@ FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Arg
 /// @throws cuda_error
 template <int Threads, typename Op>
 FT_HIDDEN std::size_t extra_scratch(cuda_exec const&, int items) {
+  // A kernel that nvcc had not optimised was refused with 321 bytes less than the limit.
+  constexpr std::size_t reserve = 1024;
   constexpr std::size_t declared =
-      sizeof(typename Op::scratch) + sizeof(typename block_group<Threads>::scratch) + 64;
+      sizeof(typename Op::scratch) + sizeof(typename block_group<Threads>::scratch) + reserve;
   constexpr std::size_t usual = 48 * 1024;
   detail::shared_memory_limits const limits;
   std::size_t const limit = items <= limits.multiprocessors

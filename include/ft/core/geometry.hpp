@@ -20,6 +20,12 @@ struct vec3 {
   friend FT_HOST_DEVICE vec3 operator+(vec3 a, vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
   friend FT_HOST_DEVICE vec3 operator-(vec3 a, vec3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
   friend FT_HOST_DEVICE vec3 operator-(vec3 a) { return {-a.x, -a.y, -a.z}; }
+  template <typename U>
+  FT_HOST_DEVICE vec3<U> cast() const {
+    using P = plain_scalar_t<U>;
+    return {U(static_cast<P>(to_plain(x))), U(static_cast<P>(to_plain(y))),
+            U(static_cast<P>(to_plain(z)))};
+  }
 };
 
 /// Sums of three products are x0 + (x1 + x2) here and below, as in Eigen: systems that use Eigen
@@ -73,7 +79,26 @@ struct mat3 {
     }
     return c;
   }
+  template <typename U>
+  FT_HOST_DEVICE mat3<U> cast() const {
+    using P = plain_scalar_t<U>;
+    mat3<U> c;
+    for (int i = 0; i < 9; ++i) { c.m[i] = U(static_cast<P>(to_plain(m[i]))); }
+    return c;
+  }
 };
+
+template <typename S>
+FT_HOST_DEVICE vec3<S> scaled(vec3<S> v, S s) {
+  return {v.x * s, v.y * s, v.z * s};
+}
+template <typename S>
+FT_HOST_DEVICE mat3<S> scaled(mat3<S> const& a, S s) {
+  mat3<S> c;
+  FT_UNROLL
+  for (int i = 0; i < 9; ++i) { c.m[i] = a.m[i] * s; }
+  return c;
+}
 
 /// A rigid motion x -> R x + t, in metres. Named `T_ab`, it maps coordinates in frame b to frame a.
 template <typename S>
@@ -96,7 +121,6 @@ struct rigid {
   /// rotation. A pose that is fed back through products and inverses, such as a prediction with
   /// constant velocity, doubles its error of orthonormality every frame unless this is called.
   FT_HOST_DEVICE rigid orthonormalized() const {
-    auto const scaled = [](vec3<S> v, S s) { return vec3<S>{v.x * s, v.y * s, v.z * s}; };
     auto const unit = [&](vec3<S> v) { return scaled(v, S(1) / scalar::sqrt(dot(v, v))); };
     vec3<S> const a = unit({R.m[0], R.m[1], R.m[2]});
     vec3<S> const second{R.m[3], R.m[4], R.m[5]};
@@ -107,12 +131,7 @@ struct rigid {
   }
   template <typename U>
   FT_HOST_DEVICE rigid<U> cast() const {
-    using P = plain_scalar_t<U>;
-    rigid<U> r;
-    for (int i = 0; i < 9; ++i) { r.R.m[i] = U(static_cast<P>(to_plain(R.m[i]))); }
-    r.t = {U(static_cast<P>(to_plain(t.x))), U(static_cast<P>(to_plain(t.y))),
-           U(static_cast<P>(to_plain(t.z)))};
-    return r;
+    return {R.template cast<U>(), t.template cast<U>()};
   }
 };
 

@@ -66,6 +66,7 @@ struct blur_tile {
     constexpr int th = blur_layout::tile_height;
     int const tiles = layout.first[layout.levels];
     int const image = item / tiles;
+    if (from.absent.has(image)) { return; }
     int const tile = item % tiles;
     int l = 0;
     while (tile >= layout.first[l + 1]) { ++l; }

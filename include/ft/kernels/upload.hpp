@@ -21,7 +21,8 @@ inline namespace FT_ABI {
 struct alignas(16) image_source {
   /// A multiple of 16, rows of `stride` readable bytes; null if the image was uploaded before.
   std::uint8_t const* data = nullptr;
-  int stride = 0;  ///< a multiple of 16, at least the width
+  int stride = 0;     ///< a multiple of 16, at least the width
+  int first_row = 0;  ///< rows above were uploaded before
 };
 
 /// A block of host memory and its destination.
@@ -76,6 +77,7 @@ struct receive_parts {
     int const parts = in.of_images + ceil_div(first.quads + second.quads, quads);
     if constexpr (Group::max_threads == 1) {
       for (int part = item; part < parts; part += fetchers) {
+        if (in.is_absent(part)) { continue; }
         in.hold_sources(g, part);
         for (int i = 0; i < quads; ++i) {
           route const w = in.route_of(part, i);
@@ -106,6 +108,10 @@ private:
     int of_images;  ///< chunks of all images
     int held = -1;  ///< index of the sources in scratch, in units of sources_held
 
+    /// Whether a chunk is that of an image that never comes.
+    FT_HOST_DEVICE bool is_absent(int part) const {
+      return part < of_images && to.absent.has(part / of_image);
+    }
     /// Quad i of a chunk.
     FT_HOST_DEVICE route route_of(int part, int i) const {
       int const image = part / of_image;
@@ -122,7 +128,9 @@ private:
       int const at = (part - image * of_image) * quads + i;
       int const y = at / of_row;
       image_source const& from = s.sources()[image % sources_held];
-      if (y >= level.height || from.data == nullptr) { return {nullptr, nullptr}; }
+      if (y < from.first_row || y >= level.height || from.data == nullptr) {
+        return {nullptr, nullptr};
+      }
       auto const x = static_cast<std::ptrdiff_t>(16 * (at - y * of_row));
       return {
           reinterpret_cast<quad const*>(from.data + static_cast<std::ptrdiff_t>(y) * from.stride +
@@ -153,7 +161,7 @@ private:
     quad* place[in_flight];
     auto const load = [&](int k, int part) {
       place[k] = nullptr;
-      if (part >= parts) { return; }
+      if (part >= parts || in.is_absent(part)) { return; }
       in.hold_sources(g, part);
       if (g.rank() >= quads) { return; }
       route const w = in.route_of(part, g.rank());
@@ -169,7 +177,7 @@ private:
         if (part >= parts) { break; }
         if (place[k] != nullptr) { *place[k] = loaded[k]; }
         load(k, part + in_flight * fetchers);
-        if (arrivals.overlapping() && part < in.of_images) {
+        if (arrivals.overlapping() && part < in.of_images && !in.is_absent(part)) {
           arrive(g, arrivals.received + part, quads);
         }
       }
@@ -179,8 +187,8 @@ private:
 
 }  // namespace detail
 
-/// Copies level 0 of all images of a batch, and two blocks. Asynchronous on `exec`: inputs must
-/// stay unchanged until it is done. Allocates nothing; one launch.
+/// Copies level 0 of all images of a batch that are not absent, and two blocks. Asynchronous on
+/// `exec`: inputs must stay unchanged until it is done. Allocates nothing; one launch.
 /// @param sources [to.batch] in host memory that the executor's threads can read; read when the
 ///   launch runs
 /// @param to must have a geometry even if its batch is 0

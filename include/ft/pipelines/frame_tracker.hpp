@@ -54,6 +54,8 @@ inline namespace FT_ABI {
 ///   multi_rig, whose cameras give one pose, that of its body. "Camera pair" means a rig below
 template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
+  static_assert(std::is_same_v<typename detail::rig_parts<Rig>::searched_rig, Rig>,
+                "only an odometry rectifies, undistorts or takes depth images");
   using stages_type = detail::frame_stages<Exec, Rig>;
 
 public:
@@ -67,23 +69,10 @@ public:
   /// @throws bad_argument, std::bad_alloc, cuda_error
   frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1) {
     check(rig, params, batch);
-    auto& s = stages_;
-    s.rig = rig;
-    s.params = params;
-    s.batch = batch;
-    std::vector<stereo_overlap> overlaps;
-    for (int i = 0; !Rig::rectified && i < Rig::images * batch; ++i) {
-      overlaps.push_back(params.overlap[i % 2]);
-    }
-    s.extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps);
-    s.matcher = stereo_matcher<Exec, Rig>(rig, s.extractor);
-    s.frustum.max_x = static_cast<float>(params.orb.width);
-    s.frustum.max_y = static_cast<float>(params.orb.height);
-    s.frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
-    s.frustum.levels = params.orb.levels;
-    images_ = detail::frame_images<Exec>(geometry(), rig, batch);
-    s.take_memory(images_.sources());
-    s.initialize(exec);
+    stages_.prepare(exec, rig, params, batch);
+    images_ = detail::frame_images<Exec>(geometry(), detail::absent_images_of(rig), batch);
+    stages_.take_memory(images_.sources());
+    stages_.initialize(exec);
     updates_ = buffer<point_update, space>(static_cast<std::size_t>(params.updates));
     staged_updates_ = buffer<point_update, staging>(static_cast<std::size_t>(params.updates));
     exec.wait();

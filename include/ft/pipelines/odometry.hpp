@@ -20,13 +20,15 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/pipelines/detail/rectifying_parts.hpp"
+#include "ft/pipelines/detail/rgbd_parts.hpp"
+#include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/odometry_types.hpp"
 
 namespace ft {
@@ -41,23 +43,28 @@ inline namespace FT_ABI {
 /// the last frame, pose, choice of the local map, search in it, pose, keyframe. The newest
 /// keyframes and their points are adjusted beside that, on a stream of their own or on a thread; a
 /// result enters a fixed number of frames later. So the answers for a camera depend on its images
-/// and time stamps only, not on the batch, the executor or the time that anything takes.
+/// and time stamps, and of an IMU on the samples that came before each frame, not on the batch, the
+/// executor or the time that anything takes.
 ///
 /// The constructor allocates all memory; track() allocates none. The map is bounded: keyframes and
 /// points leave with the oldest keyframe. See tracking_rules for states and keyframes.
 ///
 /// Move-only. A moved-from odometry refuses every call with bad_argument. Not thread-safe;
 /// instances are independent.
-/// @tparam Rig rectified_rig, stereo_rig of any two cameras, or multi_rig, of which "camera pair"
-///   means all cameras below
+/// @tparam Rig rectified_rig; distorted_pair, whose images are rectified; stereo_rig of any two
+///   cameras, whose images are searched as they are; rgbd_rig; or multi_rig. "Camera pair" means a
+///   rig below
 template <typename Exec, typename Rig = rectified_rig>
 class odometry {
   using stages_type = detail::odometry_stages<Exec, Rig>;
+  using parts_of_rig = detail::rig_parts<Rig>;
+  using input_type = typename parts_of_rig::template input<Exec>;
 
 public:
   static constexpr memory_space space = Exec::space;
   static constexpr int cameras = stages_type::cameras;  ///< whose keypoints are searched
-  using images_type = std::conditional_t<Rig::images == 2, stereo_images, rig_images<Rig::images>>;
+  /// stereo_images, rgbd_images of an rgbd_rig, or rig_images of a multi_rig
+  using images_type = typename input_type::images_type;
 
   odometry() = default;
   /// Waits for its own set-up. On the host it starts a thread, which sleeps unless keyframes are
@@ -75,11 +82,7 @@ public:
   tracking const* track(images_type const* images, std::int64_t const* time_ns) {
     parts& p = made();
     for (int b = 0; b < p.stages.batch; ++b) { p.require_later(b, time_ns[b]); }
-    for (int b = 0; b < p.stages.batch; ++b) {
-      for (int i = 0; i < Rig::images; ++i) {
-        if (!p.images.absent(p.images.number(b, i))) { p.images.take(b, i, images[b][i]); }
-      }
-    }
+    for (int b = 0; b < p.stages.batch; ++b) { p.stages.input.take(b, images[b]); }
     p.set_inputs(time_ns);
     p.adjustments.end_before(p.exec, p.frame);
     p.graph.replay(p.exec, [&](Exec const& e) { p.queue(e); });
@@ -108,6 +111,16 @@ public:
     in.T_cw = T_world_camera.inverse();
     in.predicted = 1;
   }
+  /// A sample of camera pair b's IMU. Samples of one IMU come in order; a frame uses those that
+  /// came before its track() call. May be called from another thread, also during track().
+  /// @throws bad_argument without odometry_params::imu, for a pair that does not exist, for numbers
+  ///   that are not finite, or for a time that is not after that of the sample before
+  void add_imu(imu_measurement const& sample, int b = 0) {
+    parts& p = made();
+    detail::require(p.stages.has_imu(), "the odometry was made without an IMU");
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    p.stages.inertial.queue(b).add(sample);
+  }
   /// Camera pair b begins anew with its next frame: no map, no motion, any time stamp.
   /// @throws bad_argument for a pair that does not exist
   void reset(int b = 0) {
@@ -118,13 +131,15 @@ public:
     p.stages.own.inputs[b].predicted = 0;
     p.begun[i] = 0;
     p.results[i] = {};
+    if (p.stages.has_imu()) { p.stages.inertial.queue(b).clear(); }
   }
   /// Copies the mask of a camera, which holds until the next one. Keypoints come from where it is
   /// not 0. @throws bad_argument as orb_extractor::set_mask
   void set_mask(int b, int camera, gray_view mask) {
     parts& p = made();
-    p.images.require_camera(b, camera);
-    p.stages.extractor.set_mask(p.exec, p.images.number(b, camera), mask);
+    auto const& images = p.stages.input.images();
+    images.require_camera(b, camera);
+    p.stages.extractor.set_mask(p.exec, images.number(b, camera), mask);
     p.exec.wait();
   }
 
@@ -158,7 +173,7 @@ public:
   }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. Any time stamp may follow.
-  /// Waits, and allocates.
+  /// What was known about an IMU is forgotten. Waits, and allocates.
   /// @throws error, with nothing changed, for a file that is truncated, damaged, or was written
   ///   with other capacities; bad_argument for a pair that does not exist
   void load_map(std::istream& from, int b = 0) {
@@ -168,6 +183,7 @@ public:
     auto const i = static_cast<std::size_t>(b);
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
+    p.stages.inertial.forget(p.exec, b);
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }
@@ -179,10 +195,16 @@ public:
     return made().clock.times();
   }
 
+  /// Memory taken for all camera pairs, without what CUDA takes for graphs and streams.
+  allocated_bytes memory_bytes() const {
+    parts const& p = made();
+    return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
+           p.stages.input.allocated();
+  }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
   odometry_params const& params() const { return made().stages.settings; }
-  Rig const& rig() const { return made().stages.rig; }
+  Rig const& rig() const { return made().rig; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }
   /// Executor memory, for user-defined stages.
   odometry_map_view map() const { return made().stages.own.map; }
@@ -191,8 +213,8 @@ private:
   /// At a fixed address: recordings and the adjustments refer to it.
   struct parts {
     Exec exec;
+    Rig rig;
     stages_type stages;
-    detail::frame_images<Exec> images;
     stage_clock<Exec> clock;
     recording<Exec> graph;
     std::vector<tracking> results;
@@ -200,14 +222,16 @@ private:
     std::vector<unsigned char> begun;  ///< whether there was one
     long long frame = 0;
     int stamp = 0;
-    detail::odometry_adjustments<Exec, Rig> adjustments;  ///< last: it ends first
+    /// last: it ends first
+    detail::odometry_adjustments<Exec, typename parts_of_rig::searched_rig> adjustments;
 
-    parts(Exec const& e, Rig const& rig, odometry_params const& params, int batch)
+    parts(Exec const& e, Rig const& of, odometry_params const& params, int batch)
         : exec(e),
+          rig(of),
           results(static_cast<std::size_t>(batch)),
           times(results.size()),
           begun(results.size()),
-          adjustments(prepared(rig, params, batch), stages.own, rig, params) {
+          adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
       if (params.measure_stages) { clock.enable(); }
       if (params.use_graphs) {
         graph.record(exec, [&](Exec const& to) { queue(to); });
@@ -217,23 +241,22 @@ private:
     parts& operator=(parts const&) = delete;
 
     /// Takes all memory and initialises it.
-    Exec const& prepared(Rig const& rig, odometry_params const& params, int batch) {
-      stages.rig = rig;
+    Exec const& prepared(odometry_params const& params, int batch) {
       stages.settings = params;
-      stages.params = tracker_params_of(params);
-      stages.batch = batch;
-      std::vector<stereo_overlap> overlaps;
-      for (int i = 0; !Rig::rectified && i < Rig::images * batch; ++i) {
-        overlaps.push_back(params.overlap[i % 2]);
+      if (params.imu.present) {
+        stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
       }
-      stages.extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps);
-      stages.matcher = stereo_matcher<Exec, Rig>(rig, stages.extractor);
-      stages.frustum.max_x = static_cast<float>(params.orb.width);
-      stages.frustum.max_y = static_cast<float>(params.orb.height);
-      stages.frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
-      stages.frustum.levels = params.orb.levels;
-      images = detail::frame_images<Exec>(stages.geometry(), rig, batch);
-      stages.take_all_memory(images.sources(), params.adjustment_delay);
+      stages.settings.orb.exact_positions = true;
+      stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
+                              batch, parts_of_rig::absent(rig));
+      stages.input = input_type(exec, rig, stages.geometry(), batch);
+      stages.matcher = parts_of_rig::make_matcher(rig, stages.extractor, stages.input);
+      image_bounds const seen = parts_of_rig::bounds(rig, params.orb.width, params.orb.height);
+      stages.frustum.min_x = seen.min_x;
+      stages.frustum.min_y = seen.min_y;
+      stages.frustum.max_x = seen.max_x;
+      stages.frustum.max_y = seen.max_y;
+      stages.take_all_memory(params.adjustment_delay);
       stages.initialize_all(exec);
       exec.wait();
       return exec;
@@ -260,6 +283,8 @@ private:
       for (int b = 0; b < stages.batch; ++b) {
         stages.own.inputs[b].time_ns = time_ns[b];
         stages.own.inputs[b].stamp = stamp;
+        auto const i = static_cast<std::size_t>(b);
+        if (stages.has_imu()) { stages.inertial.set_input(b, begun[i] != 0, times[i], time_ns[b]); }
       }
     }
     void take_outputs(std::int64_t const* time_ns) {
@@ -269,6 +294,9 @@ private:
         begun[i] = 1;
         stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
         results[i] = detail::tracking_of(stages.own.outputs[b]);
+        if (stages.has_imu()) {
+          results[i].imu = detail::imu_tracking_of(stages.inertial.outputs[b]);
+        }
       }
     }
   };

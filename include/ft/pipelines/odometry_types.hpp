@@ -7,12 +7,13 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/core/views.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/window/workspace.hpp"
+#include "ft/pipelines/imu_params.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/rig_images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -30,27 +31,10 @@ struct odometry_params {
   int window_points = 1 << 12;     ///< points of an adjustment, at most
   window_params adjustment;        ///< how they are adjusted
   int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
+  imu_params imu;                  ///< present or not
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
-};
-
-/// The images of one camera pair: grey, of the size that the odometry was made for. They are read
-/// in place if the executor's threads can read them and if address and stride are multiples of 16,
-/// and copied otherwise.
-struct stereo_images {
-  gray_view left;
-  gray_view right;
-
-  gray_view const& operator[](int i) const { return i == 0 ? left : right; }
-};
-/// The same of a multi_rig: image 2 c is that of camera c, image 2 c + 1 the right one of its pair,
-/// not read for a single camera.
-template <int N>
-struct rig_images {
-  gray_view of[N];
-
-  gray_view const& operator[](int i) const { return of[i]; }
 };
 
 /// What is known about a camera after a frame.
@@ -72,10 +56,11 @@ struct tracking {
   int keyframes = 0;      ///< made so far
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
   /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
-  /// optimisation with its robust weights: errors of keypoints, not of map points. 0 for the frame
-  /// that begins the first map, whose pose is exact; infinite on the diagonal for a frame that was
-  /// not tracked.
+  /// optimisation without the IMU, with its robust weights: errors of keypoints, not of map points.
+  /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
+  /// frame that was not tracked.
   double covariance[36] = {};
+  imu_tracking imu;  ///< what the IMU says, if there is one
 };
 
 /// A map point in host memory.

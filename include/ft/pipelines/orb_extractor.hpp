@@ -34,6 +34,10 @@ struct orb_params {
   /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
   int mask_width = 0;
   int mask_height = 0;
+  /// Poses and map points take keypoints where they are in the image, and not where ORB-SLAM3 takes
+  /// them to be; see pyramid_geometry::exact. The keypoints themselves are the same. An odometry
+  /// always does so.
+  bool exact_positions = false;
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
 };
@@ -53,14 +57,18 @@ public:
   /// @param overlaps one per image (fisheye pairs), or none. Columns in pixels, both ends included,
   ///   infinity allowed. Keypoints inside come last; mono_count() counts the others. An overlap may
   ///   reach beyond the image; one outside the image holds no keypoint
+  /// @param absent images that are never uploaded: they cost nothing and have no keypoints
   /// @throws bad_argument naming the value and the limit, also for an overlap with a NaN or with
   ///   its left end right of its right one; std::bad_alloc or cuda_error if memory is short
   orb_extractor(Exec const& exec, orb_params const& params, int batch,
-                std::vector<stereo_overlap> const& overlaps = {})
+                std::vector<stereo_overlap> const& overlaps = {}, absent_images const& absent = {})
       : params_(checked(params, batch, overlaps)) {
+    detail::require_range("period of absent images", absent.period, 1, 32);
     detail::extraction<Exec> s;
+    s.pyramid.absent = absent;
     s.geometry =
         pyramid_geometry::make(params.width, params.height, params.levels, params.scale_factor);
+    s.geometry.exact = params.exact_positions;
     s.thresholds = {params.ini_threshold, params.min_threshold};
     s.ties = params.ties;
     s.blur_tiles = blur_layout::make(s.geometry);

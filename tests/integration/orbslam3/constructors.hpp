@@ -15,9 +15,11 @@ enum class sensor { stereo, rgbd, monocular, fisheye_stereo, fisheye_monocular }
 
 /// The steps of a constructor that are the CPU's or the shim's.
 struct steps {
+  std::function<void(frame&)> calibrate;  ///< mK and mDistCoef; by default there is no distortion
   std::function<void(frame&)> features;   ///< keypoints, descriptors, monoLeft, monoRight
   std::function<void(frame&)> undistort;  ///< mvKeysUn; by default the keypoints as they are
   std::function<void(frame&)> stereo;     ///< none for monocular
+  std::function<void(frame&)> grid;       ///< mGrid, mGridRight; by default they stay empty
 };
 
 /// "Set no stereo fisheye information", which is done last.
@@ -38,6 +40,7 @@ inline matrix joined(matrix const& above, matrix const& below) {
 inline frame construct(sensor kind, unsigned long id, steps const& by) {
   frame f;
   f.mnId = id;
+  if (by.calibrate) { by.calibrate(f); }
   by.features(f);
   auto const undistort = [&] {
     f.mvKeysUn = f.mvKeys;
@@ -64,10 +67,15 @@ inline frame construct(sensor kind, unsigned long id, steps const& by) {
   f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
   f.mnMaxX = 640;  // of the first frame; static in the original
   f.mnMaxY = 480;
+  auto const grid = [&] {
+    if (by.grid) { by.grid(f); }
+  };
   if (kind == sensor::fisheye_stereo) {
+    grid();
     undistort();
   } else {
     set_no_pair(f);
+    grid();
   }
   return f;
 }

@@ -160,6 +160,7 @@ struct frame_pair {
       f = r.frame(i);
       if (!extract) { continue; }
       gpu.extract(r.image(i, 0), r.image(i, 1), f);
+      if (!r.fisheye()) { gpu.undistort(f); }
       stereo_of(gpu, f, r.fisheye());
     }
   }

@@ -34,6 +34,7 @@ struct matrix {
 
   /// @param type 0 = CV_8UC1, 5 = CV_32FC1
   void create(int r, int c, int type) {
+    type_ = type;
     rows = r;
     cols = c;
     step = static_cast<std::size_t>(c) * (type == 5 ? 4 : 1);
@@ -44,7 +45,7 @@ struct matrix {
   void resize(std::size_t r) {
     if (r > static_cast<std::size_t>(rows)) {
       matrix larger;
-      larger.create(static_cast<int>(r), cols, step == static_cast<std::size_t>(cols) ? 0 : 5);
+      larger.create(static_cast<int>(r), cols, type_);
       if (data != nullptr) {
         std::memcpy(larger.data, data, static_cast<std::size_t>(rows) * step);
       }
@@ -52,16 +53,18 @@ struct matrix {
     }
     rows = static_cast<int>(r);
   }
+  int type() const { return type_; }
   matrix clone() const {
     matrix m;
     if (data != nullptr) {
-      m.create(rows, cols, step == static_cast<std::size_t>(cols) ? 0 : 5);
+      m.create(rows, cols, type_);
       std::memcpy(m.data, data, static_cast<std::size_t>(rows) * step);
     }
     return m;
   }
 
 private:
+  int type_ = 0;
   std::shared_ptr<std::vector<unsigned char>> memory_;
 };
 struct point2f {
@@ -277,6 +280,10 @@ struct frame {
   std::vector<keypoint> mvKeys;
   std::vector<keypoint> mvKeysRight;
   std::vector<keypoint> mvKeysUn;
+  matrix mK;  ///< set before the constructor's body, like the next
+  matrix mDistCoef;
+  std::vector<std::size_t> mGrid[64][48];
+  std::vector<std::size_t> mGridRight[64][48];
   matrix mDescriptors;
   matrix mDescriptorsRight;
   std::vector<float> mvuRight;

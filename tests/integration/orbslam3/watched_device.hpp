@@ -24,10 +24,9 @@ public:
   int capacity() const override { return to_->capacity(); }
   int cameras() const override { return to_->cameras(); }
   ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
-  void extract(int b, ft::orbslam3::grey_image const& left,
-               ft::orbslam3::grey_image const& right) override {
+  void extract(ft::orbslam3::extraction_request const& r) override {
     on_call("extract");
-    to_->extract(b, left, right);
+    to_->extract(r);
   }
   void wait_for_features() override {
     on_call("wait_for_features");

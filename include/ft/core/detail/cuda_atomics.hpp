@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Atomic operations of a device with acquire and release semantics: libcu++'s.
+/// @file Atomic operations of a device with acquire and release semantics, at the scope of the
+/// device. In PTX, which is what cuda::atomic_ref gives: its header takes nvcc two seconds a unit.
 #pragma once
-
-#include <cuda/atomic>
 
 #include "ft/core/config.hpp"
 
@@ -10,13 +9,13 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-using device_atomic = cuda::atomic_ref<unsigned, cuda::thread_scope_device>;
-
 __device__ inline void increment_release(unsigned* address) {
-  device_atomic(*address).fetch_add(1u, cuda::memory_order_release);
+  asm volatile("red.release.gpu.add.u32 [%0], %1;" : : "l"(address), "r"(1u) : "memory");
 }
 __device__ inline unsigned load_acquire(unsigned const* address) {
-  return device_atomic(*const_cast<unsigned*>(address)).load(cuda::memory_order_acquire);
+  unsigned value;
+  asm volatile("ld.acquire.gpu.b32 %0, [%1];" : "=r"(value) : "l"(address) : "memory");
+  return value;
 }
 
 }  // namespace detail

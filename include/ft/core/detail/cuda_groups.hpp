@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The groups of a device: a warp and a block.
 ///
-/// Scans of a warp are CUB's. Other collectives are written by hand, because those of CUB or
-/// cooperative groups are slower here:
+/// Collectives are written by hand. Those of CUB and cooperative groups do not fit:
+/// - the warp's scan has the instructions of cub::WarpScan, whose header takes nvcc six seconds a
+///   unit;
 /// - reductions: cub::WarpReduce leaves the result in one lane, but every caller needs it in all
 ///   lanes. The reduce of cooperative groups exchanges both words of a 64-bit minimum in each step,
 ///   which makes match_left_keypoint 7 % longer than two `redux` instructions do;
@@ -14,7 +15,6 @@
 #pragma once
 
 #include <cstring>
-#include <cub/warp/warp_scan.cuh>
 #include <type_traits>
 
 #include "ft/core/bits.hpp"
@@ -79,13 +79,22 @@ __device__ T warp_reduce(T value, Op op) {
   }
 }
 
-/// Sum of the lower lanes' values; `total` gets the sum of all.
+/// Sum of the lower lanes' values; `total` gets the sum of all. The shuffle's own predicate says
+/// whether there is a lane so far below.
 __device__ inline int warp_exclusive_scan(int value, int& total) {
-  using scan = cub::WarpScan<int>;
-  typename scan::TempStorage unused;  // that of a whole warp is empty
-  int before;
-  scan(unused).ExclusiveSum(value, before, total);
-  return before;
+  int sum = value;
+  FT_UNROLL
+  for (int step = 0; step < 5; ++step) {
+    int next;
+    asm volatile(
+        "{ .reg .s32 below; .reg .pred there; shfl.sync.up.b32 below|there, %1, %2, %3, %4;"
+        " @there add.s32 below, below, %5; mov.s32 %0, below; }"
+        : "=r"(next)
+        : "r"(sum), "r"(1 << step), "r"(0), "r"(0xffffffffu), "r"(sum));
+    sum = next;
+  }
+  total = __shfl_sync(0xffffffffu, sum, 31);
+  return sum - value;
 }
 
 /// Bitonic merge sort of n distinct keys, for any n, by all threads of a group.

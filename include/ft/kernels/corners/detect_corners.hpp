@@ -32,6 +32,7 @@ struct detect_cell {
                                  corners_view const& out, corner_params const& params) const {
     corner_layout const& layout = out.layout;
     int const image = item / layout.cells;
+    if (pyramid.absent.has(image)) { return; }
     int const cell = item - image * layout.cells;
     int const l = layout.level_of(cell);
     int const in_level = cell - layout.first_cell[l];
@@ -74,8 +75,8 @@ void clear_corners(Exec const& exec, corners_view const& corners) {
   fill_bytes(exec, corners.progress, 0, levels * sizeof(unsigned long long));
 }
 
-/// Detects the corners of all images into `out.list` and `out.list_count`, per level in any order.
-/// Asynchronous on `exec`; allocates nothing; one launch.
+/// Detects the corners of all images that are not absent into `out.list` and `out.list_count`, per
+/// level in any order. Asynchronous on `exec`; allocates nothing; one launch.
 /// @pre clear_corners() was called once for `out`; every call resets `out.progress` to 0
 template <typename Exec>
 void detect_corners(Exec const& exec, image_pyramid_view const& pyramid,

@@ -16,6 +16,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/views.hpp"
 #include "ft/kernels/images/undistort.hpp"
 
 namespace ft {
@@ -41,6 +42,54 @@ struct depth_images_view {
 };
 static_assert(std::is_trivially_copyable<depth_images_view<float>>::value, "passed to kernels");
 
+/// A depth image of 16-bit integers or floats, registered to a grey one.
+struct depth_view {
+  void const* data = nullptr;
+  int width = 0;
+  int height = 0;
+  std::ptrdiff_t pitch = 0;  ///< bytes from row to row
+  bool is_float = false;
+
+  depth_view() = default;
+  depth_view(image_view<std::uint16_t const> const& of)  // NOLINT(google-explicit-constructor)
+      : depth_view(of, false) {}
+  depth_view(image_view<float const> const& of)  // NOLINT(google-explicit-constructor)
+      : depth_view(of, true) {}
+
+private:
+  template <typename T>
+  depth_view(image_view<T const> const& of, bool floats)
+      : data(of.data),
+        width(of.width),
+        height(of.height),
+        pitch(static_cast<std::ptrdiff_t>(of.stride) * static_cast<std::ptrdiff_t>(sizeof(T))),
+        is_float(floats) {}
+};
+
+/// Where the pixels of a depth image are.
+struct depth_source {
+  void const* data = nullptr;  ///< memory that the executor's threads can read
+  std::ptrdiff_t pitch = 0;    ///< bytes from row to row
+  int is_float = 0;
+};
+
+/// Depth images of a batch, each in a place and a format of its own.
+struct depth_sources_view {
+  depth_source const* of = nullptr;  ///< [batch]
+  int width = 0;
+  int height = 0;
+  int batch = 0;
+
+  /// A pixel of image b. @pre inside the image
+  FT_HOST_DEVICE float at(int b, int x, int y) const {
+    depth_source const& from = of[b];
+    char const* const row = static_cast<char const*>(from.data) + y * from.pitch;
+    if (from.is_float != 0) { return reinterpret_cast<float const*>(row)[x]; }
+    return static_cast<float>(reinterpret_cast<std::uint16_t const*>(row)[x]);
+  }
+};
+static_assert(std::is_trivially_copyable<depth_sources_view>::value, "passed to kernels");
+
 /// Parameters of associate_depth().
 struct depth_params {
   float bf = 0;         ///< virtual baseline times fx of the undistorted camera, metres * pixels
@@ -62,13 +111,14 @@ struct depth_params {
 namespace detail {
 
 /// Item: a keypoint.
-template <typename T>
+/// @tparam Images depth_images_view or depth_sources_view
+template <typename Images>
 struct associate_keypoint_depth {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, pixels_view const& raw,
-                                 pixels_view const& undistorted, depth_images_view<T> const& images,
+                                 pixels_view const& undistorted, Images const& images,
                                  depth_params const& params, stereo_matches_view const& out) const {
     int const image = item / raw.capacity;
     int const i = item % raw.capacity;
@@ -83,8 +133,9 @@ struct associate_keypoint_depth {
       // Inside after truncation. NaN is outside.
       if (u > -1.0f && u < static_cast<float>(images.width) && v > -1.0f &&
           v < static_cast<float>(images.height)) {
-        T const value = images.at(image, static_cast<int>(u), static_cast<int>(v));
-        strict_float const d = strict_float(static_cast<float>(value)) * params.scale;
+        auto const value =
+            static_cast<float>(images.at(image, static_cast<int>(u), static_cast<int>(v)));
+        strict_float const d = strict_float(value) * params.scale;
         strict_float const column = undistorted.x(item) - params.bf / d;
         if (d > 0.0f && d >= params.min_depth && d <= params.max_depth && scalar::is_finite(d) &&
             scalar::is_finite(column)) {
@@ -99,6 +150,27 @@ struct associate_keypoint_depth {
     out.score(item) = score;
   }
 };
+
+/// @throws bad_argument for what associate_depth() refuses, except of the images' memory
+template <typename Images>
+void require_association(pixels_view const& raw, pixels_view const& undistorted,
+                         Images const& images, depth_params const& params,
+                         stereo_matches_view const& out) {
+  params.check();
+  require_pixels("raw keypoints", raw);
+  require_pixels("undistorted keypoints", undistorted);
+  require_same_shape("raw and undistorted keypoints", raw, undistorted);
+  require(array_of<field::right_x>(out) != nullptr && array_of<field::depth>(out) != nullptr &&
+              array_of<field::score>(out) != nullptr && out.count != nullptr,
+          "the matches are null");
+  require_same_shape("keypoints and matches", raw, out);
+  require_range("depth image width", images.width, 1, max_image_side);
+  require_range("depth image height", images.height, 1, max_image_side);
+  if (images.batch != raw.batch) {
+    throw bad_argument("ft: " + std::to_string(images.batch) + " depth images for " +
+                       std::to_string(raw.batch) + " images of keypoints, must be as many");
+  }
+}
 
 }  // namespace detail
 
@@ -120,30 +192,30 @@ template <typename Exec, typename T>
 void associate_depth(Exec const& exec, pixels_view const& raw, pixels_view const& undistorted,
                      depth_images_view<T> const& images, depth_params const& params,
                      stereo_matches_view const& out) {
-  params.check();
-  detail::require_pixels("raw keypoints", raw);
-  detail::require_pixels("undistorted keypoints", undistorted);
-  detail::require_same_shape("raw and undistorted keypoints", raw, undistorted);
-  detail::require(array_of<field::right_x>(out) != nullptr &&
-                      array_of<field::depth>(out) != nullptr &&
-                      array_of<field::score>(out) != nullptr && out.count != nullptr,
-                  "the matches are null");
-  detail::require_same_shape("keypoints and matches", raw, out);
   detail::require(images.data != nullptr, "the depth images are null");
-  detail::require_range("depth image width", images.width, 1, max_image_side);
-  detail::require_range("depth image height", images.height, 1, max_image_side);
-  if (images.batch != raw.batch) {
-    throw bad_argument("ft: " + std::to_string(images.batch) + " depth images for " +
-                       std::to_string(raw.batch) + " images of keypoints, must be as many");
-  }
+  detail::require_association(raw, undistorted, images, params, out);
   constexpr auto pixel = static_cast<std::ptrdiff_t>(sizeof(T));
   detail::require(images.pitch >= images.width * pixel,
                   "the depth images' pitch is below their width in bytes");
   detail::require(images.pitch % pixel == 0 && images.step % pixel == 0 && images.step >= 0 &&
                       reinterpret_cast<std::uintptr_t>(images.data) % sizeof(T) == 0,
                   "the depth images' address, pitch and step must be multiples of a pixel");
-  for_each_item<per_thread>(exec, raw.batch * raw.capacity, detail::associate_keypoint_depth<T>{},
-                            raw, undistorted, images, params, out);
+  for_each_item<per_thread>(exec, raw.batch * raw.capacity,
+                            detail::associate_keypoint_depth<depth_images_view<T>>{}, raw,
+                            undistorted, images, params, out);
+}
+
+/// The same with images that lie anywhere; the table of their places is read when the launch runs.
+/// @pre each place of the table is that of an image of the stated size
+template <typename Exec>
+void associate_depth(Exec const& exec, pixels_view const& raw, pixels_view const& undistorted,
+                     depth_sources_view const& images, depth_params const& params,
+                     stereo_matches_view const& out) {
+  detail::require(images.of != nullptr, "the table of depth images is null");
+  detail::require_association(raw, undistorted, images, params, out);
+  for_each_item<per_thread>(exec, raw.batch * raw.capacity,
+                            detail::associate_keypoint_depth<depth_sources_view>{}, raw,
+                            undistorted, images, params, out);
 }
 
 }  // namespace FT_ABI

@@ -14,6 +14,7 @@
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/point_masks.hpp"
+#include "ft/kernels/map/slot_rows.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -29,7 +30,12 @@ struct window_input {
   int const* flags = nullptr;  ///< [batch] 1 = gather
   pyramid_geometry geometry;
   window_selection params;
+  bool partners = false;  ///< the keyframes are those of two cameras that are not rectified
 };
+
+/// Share of its weight that a stereo match keeps which was chosen for its parallax. It holds the
+/// depth of a point that nothing else holds.
+inline constexpr float chosen_weight = 1.0f / 1024;
 
 /// Where the contents of a window_problem_view come from.
 struct window_sources_view {
@@ -39,7 +45,10 @@ struct window_sources_view {
   int* keypoint = nullptr;       ///< [batch][points][views][cameras] number of an observation's
                                  ///< keypoint; undefined where the point is not seen
   int* left_out = nullptr;       ///< [batch] points for which there was no room
-  int* point_of_slot = nullptr;  ///< [batch][slots] workspace of gather_window
+  int* point_of_slot = nullptr;  ///< [batch][slots] -1 = not in the window
+  unsigned* chosen = nullptr;    ///< [batch][ceil(slots / 32)] workspace of gather_window
+  rigid<double>* correction = nullptr;  ///< [batch] workspace of apply_window: old to new camera
+                                        ///< frame of the window's newest keyframe, inverse
 };
 
 /// Places the arrays into an arena.
@@ -54,6 +63,8 @@ inline void carve(carver& c, window_sources_view& v, window_capacity const& size
       c.take<int>(detail::checked_mul(points, static_cast<std::size_t>(size.views * size.cameras)));
   v.left_out = c.take<int>(b);
   v.point_of_slot = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(slots)));
+  v.chosen = c.take<unsigned>(b * static_cast<std::size_t>(ceil_div(slots, 32)));
+  v.correction = c.take<rigid<double>>(b);
 }
 
 namespace detail {
@@ -95,24 +106,22 @@ private:
                                            window_problem_view const& problem,
                                            window_sources_view const& sources) {
     point_records_view const& r = map.records;
-    map_points_view const points = map.points.slice(b);
     int const used = r.used[b];
-    int found = 0;
-    for (int first = 0; first < used; first += g.size()) {
-      int const slot = first + g.rank();
-      bool const is = slot < used && moving.meets(r.mask(b, slot), r.words);
-      int here = 0;
-      int const i = found + g.exclusive_count(is, here);
-      found += here;
-      bool const fits = is && i < problem.points;
-      if (slot < used) { sources.point_of_slot[r.at(b, slot)] = fits ? i : -1; }
-      if (!fits) { continue; }
-      vec3<float> const p = get<field::position>(points, slot);
-      problem.position[problem.point(b, i)] = {static_cast<double>(p.x), static_cast<double>(p.y),
-                                               static_cast<double>(p.z)};
+    int* const point_of_slot = sources.point_of_slot + r.at(b, 0);
+    unsigned* const chosen =
+        sources.chosen + static_cast<std::ptrdiff_t>(b) * ceil_div(r.slots, 32);
+    for (int slot = used + g.rank(); slot < r.slots; slot += g.size()) { point_of_slot[slot] = -1; }
+    slot_rows<Group> const rows(g, chosen, used);
+    rows.flag([&](int slot) { return position_set::of(r.mask(b, slot), r.words); },
+              [&](int slot, position_set const& seen) {
+                point_of_slot[slot] = -1;
+                return moving.meets(seen);
+              });
+    int const found = rows.list([&](int slot, int i) {
+      if (i >= problem.points) { return; }
+      point_of_slot[slot] = i;
       sources.slot[problem.point(b, i)] = slot;
-      sources.number[problem.point(b, i)] = r.number[r.at(b, slot)];
-    }
+    });
     if (g.rank() == 0) {
       problem.point_count[b] = min_of(found, problem.points);
       sources.left_out[b] = max_of(found - problem.points, 0);
@@ -120,7 +129,8 @@ private:
   }
 };
 
-/// Item: a camera of a view of a batch entry. Writes its observations. After choose_window.
+/// Item: a camera of a view of a batch entry. Writes its observations, and its share of the points.
+/// After choose_window.
 struct gather_view {
   using scratch = no_scratch;
 
@@ -128,11 +138,21 @@ struct gather_view {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, window_input const& in,
                                  odometry_map_view const& map, window_problem_view const& problem,
                                  window_sources_view const& sources) const {
+    int const shares = problem.views * problem.cameras;
     int const c = item % problem.cameras;
     int const v = item / problem.cameras % problem.views;
-    int const b = item / problem.cameras / problem.views;
-    if (in.flags[b] == 0 || v >= problem.view_count[b]) { return; }
-    for (int p = g.rank(); p < problem.point_count[b]; p += g.size()) {
+    int const b = item / shares;
+    if (in.flags[b] == 0) { return; }
+    int const points = problem.point_count[b];
+    for (int p = item % shares * g.size() + g.rank(); p < points; p += shares * g.size()) {
+      int const slot = sources.slot[problem.point(b, p)];
+      vec3<float> const at = get<field::position>(map.points.slice(b), slot);
+      problem.position[problem.point(b, p)] = {static_cast<double>(at.x), static_cast<double>(at.y),
+                                               static_cast<double>(at.z)};
+      sources.number[problem.point(b, p)] = map.records.number[map.records.at(b, slot)];
+    }
+    if (v >= problem.view_count[b]) { return; }
+    for (int p = g.rank(); p < points; p += g.size()) {
       problem.seen[problem.sighting(b, p, v, c)] = {0, 0, -1, 0};
     }
     g.sync();
@@ -148,11 +168,21 @@ struct gather_view {
       if (map.records.number[record] != keyframes.holder_number[at]) { continue; }
       int const p = sources.point_of_slot[record];
       if (p < 0) { continue; }
+      float weight = in.geometry.inv_sigma2[keyframes.octave[at]];
+      if (in.partners && c == 1 && made_by(map, b, slot, position)) { weight *= chosen_weight; }
       std::ptrdiff_t const to = problem.sighting(b, p, v, c);
-      problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at],
-                          in.geometry.inv_sigma2[keyframes.octave[at]]};
+      problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at], weight};
       sources.keypoint[to] = keypoint;
     }
+  }
+
+private:
+  /// Whether the keyframe at a position is the oldest of several that see a point.
+  FT_HOST_DEVICE static bool made_by(odometry_map_view const& map, int b, int slot, int position) {
+    if (get<field::observations>(map.points.slice(b), slot) < 2) { return false; }
+    position_set const seen = position_set::of(map.records.mask(b, slot), map.records.words);
+    keyframes_view const& keyframes = map.keyframes;
+    return seen.first(keyframes.position(keyframes.oldest(b))) == position;
   }
 };
 
@@ -165,6 +195,10 @@ struct gather_view {
 /// its map or of the ring. The points are those that a keyframe sees that does not stay, in
 /// ascending order of slots. Those for which there is no room are left out, the highest slots.
 ///
+/// The stereo match of two cameras that are not rectified made its point because it has enough
+/// parallax: those whose errors increase it are taken, the others are not. So the right keypoint of
+/// the oldest keyframe that sees a point counts for little (chosen_weight) if others see it, too.
+///
 /// Asynchronous on `exec`; allocates nothing; two launches.
 /// @throws bad_argument for parameters out of range, or for a problem of another shape
 template <typename Exec>
@@ -176,7 +210,7 @@ void gather_window(Exec const& exec, window_input const& in, odometry_map_view c
                   "the windows have another shape than the map's keyframes");
   for_each_item<per_block<1024>>(exec, problem.batch, detail::choose_window{}, in, map, problem,
                                  sources);
-  for_each_item<per_block<256>>(exec, problem.batch * problem.views * problem.cameras,
+  for_each_item<per_block<512>>(exec, problem.batch * problem.views * problem.cameras,
                                 detail::gather_view{}, in, map, problem, sources);
 }
 

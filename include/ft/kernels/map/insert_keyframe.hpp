@@ -19,7 +19,7 @@ inline namespace FT_ABI {
 ///    more and found in less than 1 / `cull_share` of them are removed.
 /// 2. Keypoints that hold a point observe it: of several of a camera the one with the lowest
 ///    number. The right keypoint of a stereo match holds what the left one holds.
-/// 3. Left keypoints with a stereo point and no map point become points: those up to `near`, and
+/// 3. Left keypoints with a stereo point and no map point become points: those that are near, and
 ///    more of the nearest until `wanted_near_points` stereo points are taken, counting those that
 ///    hold a map point (ties by number). Slots and numbers ascend with the number of the keypoint.
 /// 4. The oldest keyframe leaves a full ring. If slots are still short, more of the oldest leave.
@@ -41,7 +41,7 @@ template <typename Exec, typename Rig>
 void insert_keyframe(Exec const& exec, keyframe_input<Rig> const& in, keyframe_params const& params,
                      odometry_map_view const& map, keyframe_result const& out,
                      keyframe_workspace const& work) {
-  detail::require_range("limit of near points", params.near, 1e-6f, 1e9f);
+  detail::require_range("near depth", params.near_depth, 1e-3f, 1e6f);
   detail::require_range("wanted near points", params.wanted_near_points, 0, 1 << 24);
   detail::require_range("frames before culling", params.cull_after, 1, 1 << 24);
   detail::require_range("share of culling", params.cull_share, 1, 1 << 24);
@@ -51,8 +51,8 @@ void insert_keyframe(Exec const& exec, keyframe_input<Rig> const& in, keyframe_p
                   "the map's keyframes have another shape than the frames");
   for_each_item<per_block<1024>>(exec, in.frame.batch, detail::place_keyframe<Rig>{}, in, params,
                                  map, out, work);
-  for_each_item<per_thread>(exec, in.frame.batch * in.frame.numbers(),
-                            detail::record_keypoint<Rig>{}, in, map, work);
+  for_each_item<per_warp>(exec, in.frame.batch * in.frame.numbers(), detail::record_keypoint<Rig>{},
+                          in, map, work);
 }
 
 }  // namespace FT_ABI

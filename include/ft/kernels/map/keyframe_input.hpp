@@ -8,6 +8,7 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -23,6 +24,17 @@ enum class keyframe_order : int {
   add = 1,
   begin_map = 2,  ///< empties the map first
 };
+
+/// Keypoints of camera c up to this depth are near, metres: `near_depth` baselines of its own pair.
+template <typename Rig>
+FT_HOST_DEVICE float near_limit(Rig const& rig, int c, float near_depth) {
+  if constexpr (Rig::rectified) {
+    return (rig.pair(c).baseline_length() * near_depth).value;
+  } else {
+    static_cast<void>(c);
+    return (rig.baseline_length() * near_depth).value;
+  }
+}
 
 /// The frames that may become keyframes. `frame.holder` is read and written.
 template <typename Rig>
@@ -42,7 +54,7 @@ struct keyframe_input {
 };
 
 struct keyframe_params {
-  float near = 0;                ///< limit of depth, metres; of the pair with the longest baseline
+  float near_depth = 0;          ///< as in near_limit()
   int wanted_near_points = 100;  ///< stereo points that a camera gives a keyframe at least, near or
                                  ///< not
   int cull_after = 10;           ///< frames in view after which a point has to have proved itself
@@ -56,9 +68,12 @@ struct keyframe_result {
 };
 
 struct keyframe_workspace {
-  int* claim = nullptr;       ///< [batch][cameras][slots] lowest keypoint that holds the point
-  int* free_slots = nullptr;  ///< [batch][numbers] slots for new points, ascending
-  int* new_points = nullptr;  ///< [batch][numbers] keypoints to become points, ascending
+  int* claim = nullptr;  ///< [batch][cameras][slots] lowest keypoint that holds the point; defined
+                         ///< for points that a keypoint holds
+  unsigned char* claimed = nullptr;  ///< [batch][slots] 1 = a keypoint holds the point
+  unsigned* free_rows = nullptr;     ///< [batch][rows of 32 slots] a bit for each free slot
+  int* free_slots = nullptr;         ///< [batch][numbers] slots for new points, ascending
+  int* new_points = nullptr;         ///< [batch][numbers] keypoints to become points, ascending
 
   /// Index into `claim`. @param slots of the map
   FT_HOST_DEVICE static std::ptrdiff_t at(int b, int c, int slot, int cameras, int slots) {
@@ -74,6 +89,8 @@ inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int
                                      static_cast<std::size_t>(capacity));
   v.claim = c.take<int>(
       detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
+  v.claimed = c.take<unsigned char>(b * static_cast<std::size_t>(slots));
+  v.free_rows = c.take<unsigned>(b * static_cast<std::size_t>(ceil_div(slots, 32)));
   v.free_slots = c.take<int>(n);
   v.new_points = c.take<int>(n);
 }

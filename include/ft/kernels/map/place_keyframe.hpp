@@ -5,7 +5,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -13,14 +12,14 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/map/keyframe_task.hpp"
 #include "ft/kernels/map/point_masks.hpp"
 #include "ft/kernels/map/select_new_points.hpp"
+#include "ft/kernels/map/slot_rows.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
-
-inline constexpr int unclaimed = std::numeric_limits<int>::max();
 
 struct place_scratch {
   int freed[max_keyframes];  ///< points that become free when the keyframe of an age leaves
@@ -36,8 +35,7 @@ struct place_keyframe {
   using scratch = place_scratch;
   using input = keyframe_input<Rig>;
   static constexpr int chosen = -2;  ///< holder of a keypoint that is to become a point
-  /// Cameras whose keypoints may have a depth.
-  static constexpr int depth_cameras = Rig::rectified ? Rig::cameras : 1;
+  static constexpr int depth_cameras = keyframe_task<Rig>::depth_cameras;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, input const& in,
@@ -70,49 +68,7 @@ struct place_keyframe {
   }
 
 private:
-  struct task {
-    input const& in;
-    keyframe_params const& params;
-    odometry_map_view const& map;
-    keyframe_workspace const& work;
-    int b;
-    int made;   ///< number of the newest keyframe before this one
-    int count;  ///< keyframes before this one
-    int used;   ///< slots that may be in use
-
-    FT_HOST_DEVICE int position() const { return map.keyframes.position(made + 1); }
-    /// Index of the first keypoint of all cameras.
-    FT_HOST_DEVICE std::ptrdiff_t first() const {
-      return static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
-    }
-    /// Depths of camera c's keypoints.
-    FT_HOST_DEVICE float const* depth(int c) const {
-      return in.depth + (static_cast<std::ptrdiff_t>(b) * depth_cameras + c) * in.frame.capacity();
-    }
-    /// Limit of depth of camera c.
-    FT_HOST_DEVICE float near(int c) const {
-      if constexpr (Rig::searches > 1) {
-        strict_float const share = in.rig.pair(c).baseline_length() / in.rig.baseline_length();
-        return (share * params.near).value;
-      }
-      return params.near;
-    }
-    FT_HOST_DEVICE int* holders() const { return in.frame.holder + first(); }
-    FT_HOST_DEVICE int const* partners() const {
-      if (in.frame.partner == nullptr) { return nullptr; }
-      return in.frame.partner + first();
-    }
-    FT_HOST_DEVICE int keypoints(int c) const { return *in.frame.camera(b, c).count; }
-    FT_HOST_DEVICE int& claim(int c, int slot) const {
-      return work.claim[work.at(b, c, slot, in.frame.cameras, map.records.slots)];
-    }
-    /// Whether a keypoint of this frame holds the point.
-    FT_HOST_DEVICE bool claimed(int slot) const {
-      bool is = false;
-      for (int c = 0; c < in.frame.cameras; ++c) { is = is || claim(c, slot) != unclaimed; }
-      return is;
-    }
-  };
+  using task = keyframe_task<Rig>;
   struct room {
     int alive;  ///< points that stay
     int used;   ///< slots up to the last of them
@@ -124,16 +80,25 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static int cull(Group g, task const& t, bool all) {
     point_records_view const& r = t.map.records;
+    struct sightings_of_point {
+      int number, visible, found;
+    };
     int alive = 0;
-    for (int slot = g.rank(); slot < t.used; slot += g.size()) {
-      std::ptrdiff_t const at = r.at(t.b, slot);
-      bool const seldom =
-          r.visible[at] >= t.params.cull_after &&
-          static_cast<std::int64_t>(r.found[at]) * t.params.cull_share < r.visible[at];
-      if (all || seldom) { r.number[at] = 0; }
-      alive += static_cast<int>(r.number[at] != 0);
-      for (int c = 0; c < t.in.frame.cameras; ++c) { t.claim(c, slot) = unclaimed; }
-    }
+    each_slot(
+        g, 0, t.used,
+        [&](int slot) {
+          std::ptrdiff_t const at = r.at(t.b, slot);
+          return sightings_of_point{r.number[at], r.visible[at], r.found[at]};
+        },
+        [&](int slot, sightings_of_point const& of) {
+          bool const seldom =
+              of.visible >= t.params.cull_after &&
+              static_cast<std::int64_t>(of.found) * t.params.cull_share < of.visible;
+          bool const goes = all || seldom;
+          if (goes) { r.number[r.at(t.b, slot)] = 0; }
+          alive += static_cast<int>(of.number != 0 && !goes);
+          t.claimed(slot) = 0;
+        });
     alive = g.reduce(alive, sum_op{});
     g.sync();
     return alive;
@@ -159,7 +124,8 @@ private:
       stereo_keypoints const of{t.depth(c), t.keypoints(c), first, t.holders() + first,
                                 t.work.new_points + t.first()};
       depth_limit const limit =
-          nearest_depths(g, of.depth, of.count, t.near(c), t.params.wanted_near_points);
+          nearest_depths(g, of.depth, of.count, near_limit(t.in.rig, c, t.params.near_depth),
+                         t.params.wanted_near_points);
       listed = list_free(g, of, limit, chosen, listed);
     }
     g.sync();
@@ -185,9 +151,27 @@ private:
     int const capacity = t.in.frame.capacity();
     for (int n = g.rank(); n < t.in.frame.numbers(); n += g.size()) {
       int const slot = t.holders()[n];
+      if (slot < 0) { continue; }
+      for (int c = 0; c < t.in.frame.cameras; ++c) { t.claim(c, slot) = unclaimed; }
+      t.claimed(slot) = 1;
+    }
+    g.sync();
+    for (int n = g.rank(); n < t.in.frame.numbers(); n += g.size()) {
+      int const slot = t.holders()[n];
       if (slot >= 0) { atomic_min(&t.claim(n / capacity, slot), n); }
     }
     g.sync();
+  }
+
+  struct slot_state {
+    int number;
+    unsigned char claimed;
+    position_set seen;
+  };
+  FT_HOST_DEVICE static slot_state read_slot(task const& t, int slot) {
+    point_records_view const& r = t.map.records;
+    return {r.number[r.at(t.b, slot)], t.claimed(slot),
+            position_set::of(r.mask(t.b, slot), r.words)};
   }
 
   /// The oldest keyframe leaves a full ring, and more of them while slots are short.
@@ -201,17 +185,17 @@ private:
       for (int age = g.rank(); age < t.count; age += g.size()) { s.freed[age] = 0; }
       g.sync();
       int held = 0;
-      for (int slot = g.rank(); slot < t.used; slot += g.size()) {
-        if (!t.map.records.holds_point(t.b, slot)) { continue; }
-        ++held;
-        if (t.claimed(slot)) { continue; }
-        int newest = 0;
-        each_position(t.map.records.mask(t.b, slot), t.map.records.words, [&](int p) {
-          int const first = keyframes.position(oldest);
-          newest = max_of(newest, p >= first ? p - first : p - first + keyframes.positions);
-        });
-        atomic_add(s.freed + newest, 1);
-      }
+      int const begin = keyframes.position(oldest);
+      each_slot(
+          g, 0, t.used, [&](int slot) { return read_slot(t, slot); },
+          [&](int, slot_state const& of) {
+            if (of.number == 0) { return; }
+            ++held;
+            if (of.claimed != 0) { return; }
+            int const newest = of.seen.last(begin);
+            int const age = newest >= begin ? newest - begin : newest - begin + keyframes.positions;
+            atomic_add(s.freed + age, 1);
+          });
       free -= g.reduce(held, sum_op{});
       g.sync();
     }
@@ -234,17 +218,20 @@ private:
     point_records_view const& r = t.map.records;
     auto const free_slots = t.work.free_slots + t.first();
     int const end = min_of(r.slots, t.used + wanted);
+    int const end_used = t.used;
     room found{0, 0, 0};
-    for (int first = 0; first < end; first += g.size()) {
-      int const slot = first + g.rank();
-      bool const stays = slot < t.used && update_mask(s, t, slot);
-      found.alive += static_cast<int>(stays);
-      if (stays) { found.used = slot + 1; }
-      int here = 0;
-      int const place = found.free + g.exclusive_count(slot < end && !stays, here);
-      if (slot < end && !stays && place < wanted) { free_slots[place] = slot; }
-      found.free += here;
-    }
+    slot_rows<Group> const rows(
+        g, t.work.free_rows + static_cast<std::ptrdiff_t>(t.b) * ceil_div(r.slots, 32), end);
+    rows.flag([&](int slot) { return read_slot(t, slot); },
+              [&](int slot, slot_state const& of) {
+                bool const stays = slot < end_used && update_mask(s, t, slot, of);
+                found.alive += static_cast<int>(stays);
+                if (stays) { found.used = slot + 1; }
+                return !stays;
+              });
+    found.free = rows.list([&](int slot, int place) {
+      if (place < wanted) { free_slots[place] = slot; }
+    });
     found.alive = g.reduce(found.alive, sum_op{});
     found.used = g.reduce(found.used, max_op{});
     g.sync();
@@ -252,31 +239,28 @@ private:
   }
 
   /// @return whether the slot holds a point
-  FT_HOST_DEVICE static bool update_mask(scratch const& s, task const& t, int slot) {
-    point_records_view const& r = t.map.records;
-    bool const alive = r.holds_point(t.b, slot);
-    bool const held = alive && t.claimed(slot);
-    int const position = t.position();
-    std::uint64_t* const mask = r.mask(t.b, slot);
-    std::uint64_t before = 0;
-    std::uint64_t after = 0;
-    std::uint64_t changed = 0;
-    for (int w = 0; w < r.words; ++w) {
-      std::uint64_t const old = mask[w];
-      std::uint64_t now = alive ? old & ~s.leaving.words[w] : 0;
-      if (held && position / 64 == w) { now |= std::uint64_t{1} << (position % 64); }
-      before |= old;
-      after |= now;
-      changed |= old ^ now;
-      if (now != old) { mask[w] = now; }
+  FT_HOST_DEVICE static bool update_mask(scratch const& s, task const& t, int slot,
+                                         slot_state const& before) {
+    bool const alive = before.number != 0;
+    position_set after;
+    bool changed = false;
+    FT_UNROLL
+    for (int w = 0; w < mask_words; ++w) {
+      after.words[w] = alive ? before.seen.words[w] & ~s.leaving.words[w] : 0;
     }
-    if (after == 0) {
-      if (before != 0) { free_slot(t.map, t.b, slot); }
+    if (alive && before.claimed != 0) { after.add(t.position()); }
+    FT_UNROLL
+    for (int w = 0; w < mask_words; ++w) {
+      changed = changed || after.words[w] != before.seen.words[w];
+    }
+    if (!changed) { return after.count() != 0; }
+    if (after.count() == 0) {
+      free_slot(t.map, t.b, slot);
       return false;
     }
-    if (changed != 0) {
-      get<field::observations>(t.map.points.slice(t.b), slot) = r.observers(t.b, slot);
-    }
+    point_records_view const& r = t.map.records;
+    after.write(r.mask(t.b, slot), r.words);
+    get<field::observations>(t.map.points.slice(t.b), slot) = after.count();
     return true;
   }
 

@@ -20,11 +20,13 @@ namespace detail {
 /// Item: a keypoint number of a batch entry. After place_keyframe.
 template <typename Rig>
 struct record_keypoint {
-  using scratch = no_scratch;
+  struct scratch {
+    descriptor_distances distance;
+  };
   using input = keyframe_input<Rig>;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, input const& in,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, input const& in,
                                  odometry_map_view const& map,
                                  keyframe_workspace const& work) const {
     frame_view const& frame = in.frame;
@@ -32,35 +34,46 @@ struct record_keypoint {
     int const number = item % frame.numbers();
     int const c = number / frame.capacity();
     int const i = number % frame.capacity();
-    if (in.order[b] == keyframe_order::none) { return; }
-    keypoints_view const keypoints = frame.camera(b, c);
-    if (i >= *keypoints.count) { return; }
-    keyframes_view const& to = map.keyframes;
-    std::ptrdiff_t const at = to.at(b, to.position(to.made[b]), number);
+    if (in.order[b] == keyframe_order::none || i >= *frame.camera(b, c).count) { return; }
     int const slot = frame.holder[item];
     auto const claim = [&](int camera) {
       return work.claim[work.at(b, camera, slot, frame.cameras, map.records.slots)];
     };
     bool const holds = slot >= 0 && claim(c) == number;
-    to.x[at] = get<field::x>(keypoints, i);
-    to.y[at] = get<field::y>(keypoints, i);
-    to.octave[at] = get<field::octave>(keypoints, i);
-    to.right_x[at] = right_column(frame, b, c, i);
-    to.holder[at] = holds ? slot : -1;
-    to.holder_number[at] = holds ? map.records.number[map.records.at(b, slot)] : 0;
+    if (g.rank() == 0) { write_keypoint(in, map, b, number, holds ? slot : -1); }
     if (!holds) { return; }
     // Of several cameras the first one's keypoint describes the point.
     for (int before = 0; before < c; ++before) {
       if (claim(before) != unclaimed) { return; }
     }
-    if (map.records.described[map.records.at(b, slot)] == 0) {
-      place_point(in, map, b, number, slot);
-    }
-    add_descriptor(map, b, slot, get<field::orb>(keypoints, i));
-    get<field::normal>(map.points.slice(b), slot) = mean_direction(map, b, slot);
+    std::ptrdiff_t const at = map.records.at(b, slot);
+    int const described = map.records.described[at];
+    g.sync();
+    if (described == 0 && g.rank() == 0) { place_point(in, map, b, number, slot); }
+    add_descriptor(g, s.distance, map, at, described + 1, get<field::orb>(frame.camera(b, c), i));
+    vec3<float> const normal = mean_direction(g, map, b, slot);
+    if (g.rank() == 0) { array_of<field::normal>(map.points)[at] = normal; }
   }
 
 private:
+  /// @param slot that the keypoint observes, -1 = none
+  FT_HOST_DEVICE static void write_keypoint(input const& in, odometry_map_view const& map, int b,
+                                            int number, int slot) {
+    int const c = number / in.frame.capacity();
+    int const i = number % in.frame.capacity();
+    keypoints_view const keypoints = in.frame.camera(b, c);
+    keyframes_view const& to = map.keyframes;
+    std::ptrdiff_t const at = to.at(b, to.position(to.made[b]), number);
+    int const octave = get<field::octave>(keypoints, i);
+    to.x[at] = in.geometry.column(get<field::x>(keypoints, i), octave);
+    to.y[at] = in.geometry.row(get<field::y>(keypoints, i), octave);
+    to.octave[at] = octave;
+    float const right_x = right_column(in.frame, b, c, i);
+    to.right_x[at] = right_x < 0 ? -1.0f : in.geometry.column(right_x, octave);
+    to.holder[at] = slot;
+    to.holder_number[at] = slot >= 0 ? map.records.number[map.records.at(b, slot)] : 0;
+  }
+
   FT_HOST_DEVICE static float right_column(frame_view const& frame, int b, int c, int i) {
     if (!Rig::rectified || frame.right_x == nullptr) { return -1.0f; }
     return frame
@@ -71,12 +84,15 @@ private:
   FT_HOST_DEVICE static vec3<float> stereo_point(input const& in, int b, int c, int i) {
     if constexpr (Rig::rectified) {
       keypoints_view const keypoints = in.frame.camera(b, c);
-      strict_float const x = get<field::x>(keypoints, i);
-      strict_float const y = get<field::y>(keypoints, i);
+      int const octave = get<field::octave>(keypoints, i);
+      strict_float const x = in.geometry.column(get<field::x>(keypoints, i), octave);
+      strict_float const y = in.geometry.row(get<field::y>(keypoints, i), octave);
       auto const ray =
           in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
-      float const z = in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() +
-                               c * in.frame.capacity() + i];
+      float const z =
+          in.geometry.depth(in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() +
+                                     c * in.frame.capacity() + i],
+                            octave);
       return {(ray.x * z).value, (ray.y * z).value, z};
     } else {
       static_cast<void>(c);

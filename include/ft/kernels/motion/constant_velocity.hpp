@@ -106,6 +106,8 @@ struct motion_params {
   double even = 0.05;
   /// A prediction covers at most this many motions; a longer gap needs a wide search.
   double longest = 5;
+  /// Seconds after which a camera that is not found is thought to stand still.
+  double memory = 1;
 };
 
 /// The last motion of a camera, for a prediction with constant velocity. All functions give the
@@ -142,10 +144,14 @@ struct constant_velocity {
   }
   /// Forgets the motion: predicts none.
   FT_HOST_DEVICE void rest() { *this = at_rest(); }
-  /// Half the motion in the same interval.
-  FT_HOST_DEVICE void slow_down() {
-    motion =
-        detail::part_of_motion(motion.cast<strict_double>(), strict_double(0.5)).cast<double>();
+  /// The camera was not seen for `interval` ns: the motion that is believed to go on shrinks by the
+  /// share of params.memory that this is. Nothing happens if the interval is not above 0.
+  FT_HOST_DEVICE void slow_down(std::int64_t interval, motion_params const& params = {}) {
+    using real = strict_double;
+    if (interval <= 0) { return; }
+    real const gone = real(static_cast<double>(interval)) / (real(1e9) * real(params.memory));
+    real const share = max_of(real(1) - gone, real(0));
+    motion = detail::part_of_motion(motion.cast<real>(), share).cast<double>();
   }
 };
 

@@ -10,22 +10,25 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/odometry/state.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 /// Result of a frame's searches. Executor memory.
+template <typename Rig>
 struct searched_frames {
+  /// The first cameras, whose keypoints may have a depth.
+  static constexpr int depth_cameras = Rig::rectified ? Rig::cameras : 1;
+  Rig rig;
   frame_view frame;
   /// [batch][depth_cameras * capacity] of left keypoints, metres; not above 0 = none
   float const* depth;
-  float near;    ///< points nearer than this become map points, metres
   int* inliers;  ///< [batch] of the last pose; 0 is written for a frame that is not tracked
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;  ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                            ///< a map point from before the frame
-  int depth_cameras = 1;   ///< the first cameras, whose keypoints may have a depth
 };
 
 namespace detail {
@@ -39,16 +42,16 @@ struct keypoint_counts {
 struct judge_camera_frame {
   using scratch = no_scratch;
 
-  template <typename Group>
+  template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
-                                 searched_frames const& in,
+                                 searched_frames<Rig> const& in,
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
     bool const found = before.plan == search_plan::follow    ? inliers >= rules.min_inliers
                        : before.plan == search_plan::recover ? inliers >= rules.min_recovered
                                                              : false;
-    keypoint_counts const counts = release_and_count(g, b, in, found);
+    keypoint_counts const counts = release_and_count(g, b, in, rules.near_depth, found);
     g.sync();
     if (g.rank() != 0) { return; }
     camera_track t = before;
@@ -67,6 +70,7 @@ struct judge_camera_frame {
     }
     if (state.order[b] != keyframe_order::none) {
       t.keyframe = state.T_cw[b];
+      t.keyframe_ns = t.time_ns;
       t.new_keyframe = 1;
       ++t.map_keyframes;
       ++t.keyframes;
@@ -82,9 +86,10 @@ struct judge_camera_frame {
   }
 
 private:
-  template <typename Group>
-  FT_HOST_DEVICE static keypoint_counts release_and_count(Group g, int b, searched_frames const& in,
-                                                          bool found) {
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static keypoint_counts release_and_count(Group g, int b,
+                                                          searched_frames<Rig> const& in,
+                                                          float near_depth, bool found) {
     frame_view const& frame = in.frame;
     auto const first = static_cast<std::ptrdiff_t>(b) * frame.numbers();
     float const* const depth =
@@ -97,7 +102,7 @@ private:
       bool const held = there && frame.holder[first + i] >= 0;
       in.matched[first + i] = held ? 1 : 0;
       if (!there || c >= in.depth_cameras) { continue; }
-      bool const is_near = depth[i] > 0 && depth[i] < in.near;
+      bool const is_near = depth[i] > 0 && depth[i] <= near_limit(in.rig, c, near_depth);
       n.with_depth += static_cast<int>(depth[i] > 0);
       n.held += static_cast<int>(held);
       n.near_held += static_cast<int>(is_near && held);
@@ -130,7 +135,7 @@ private:
     bool const usable = counts.with_depth >= rules.min_stereo_points;
     if (had_map) {
       state.T_cw[b] = t.predicted;
-      t.velocity.slow_down();
+      t.velocity.slow_down(t.interval_ns, rules.motion);
       ++t.lost_frames;
       t.lost_with_features = usable ? t.lost_with_features + 1 : 0;
       t.state =
@@ -151,7 +156,9 @@ private:
     bool const short_of_near =
         n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
     auto const kept = mul(rules.keep_share, static_cast<float>(t.reference_tracked));
-    return short_of_near || static_cast<float>(n.held) < kept;
+    auto const age = mul(static_cast<double>(t.time_ns - t.keyframe_ns), 1e-9);
+    bool const old = rules.keyframe_period_s > 0 && !(age < rules.keyframe_period_s);
+    return short_of_near || old || static_cast<float>(n.held) < kept;
   }
 };
 
@@ -161,10 +168,10 @@ private:
 /// whether a new map is begun and whether an adjustment begins; keeps the pose and the motion.
 /// Keypoints of a frame that is not tracked release what they hold. Asynchronous on `exec`;
 /// allocates nothing; one launch.
-template <typename Exec>
-void judge_frames(Exec const& exec, tracking_rules const& rules, searched_frames const& in,
+template <typename Exec, typename Rig>
+void judge_frames(Exec const& exec, tracking_rules const& rules, searched_frames<Rig> const& in,
                   odometry_state_view const& state) {
-  for_each_item<per_block<256>>(exec, state.batch, detail::judge_camera_frame{}, rules, in, state);
+  for_each_item<per_block<512>>(exec, state.batch, detail::judge_camera_frame{}, rules, in, state);
 }
 
 }  // namespace FT_ABI

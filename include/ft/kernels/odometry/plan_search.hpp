@@ -39,16 +39,19 @@ struct plan_camera_search {
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
     if (g.rank() != 0) { return; }
-    int const attempt = t.lost_frames % recovery_attempts;
+    // A frame without points was no attempt.
+    int const attempt = t.lost_with_features % recovery_attempts;
     bool const recovers = plan == search_plan::recover;
     state.mode[b] = recovers ? local_map_mode::newest : local_map_mode::by_votes;
     // Without a motion to go on from, the camera may be far from each of the places.
-    bool const first = (attempt < recovery_places) == t.velocity.known();
+    bool const guided = t.guided != 0;
+    bool const first =
+        guided ? attempt % 2 == 0 : (attempt < recovery_places) == t.velocity.known();
     state.radius_factor[b] = !recovers ? 1.0f
                              : first   ? rules.first_wide_search
                                        : rules.later_wide_search;
     if (recovers) {
-      int const place = attempt % recovery_places;
+      int const place = guided ? 0 : attempt % recovery_places;
       rigid<double> const T = place == 0 ? t.predicted : place == 1 ? state.T_cw[b] : t.keyframe;
       start.T_cw[b] = T.template cast<float>();
       start.stamp[b] += 1;

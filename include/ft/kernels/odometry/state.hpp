@@ -38,13 +38,16 @@ struct tracking_rules {
   int wanted_near_points = 100;  ///< near points that a keyframe should have at least
   int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
   float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
-  float near_depth = 50;         ///< points nearer than this many baselines become map points
+  double keyframe_period_s = 0;  ///< a keyframe is made if the last one is older; 0: no such rule
+  float near_depth = 50;         ///< near is what is at most this many baselines away, of its own
+                                 ///< pair in a rig of several; near keypoints become map points
   motion_params motion;
 };
 
-/// Attempts to find a lost camera, one a frame, in turn: at the predicted pose, at the last one and
-/// at the newest keyframe's, each with the first radius and then with the later one. After the
-/// first frame of a map no motion is known; then the radii change places.
+/// Attempts to find a lost camera, one in each frame with enough stereo points, in turn: at the
+/// predicted pose, at the last one and at the newest keyframe's, each with the first radius and
+/// then with the later one. After the first frame of a map no motion is known; then the radii
+/// change places. A prediction with an IMU is the only place, with both radii by turns.
 inline constexpr int recovery_places = 3;
 inline constexpr int recovery_attempts = 2 * recovery_places;
 
@@ -70,15 +73,17 @@ struct camera_track {
   std::int64_t interval_ns;  ///< from the last frame to it; 0 = it is the first
   tracking_state state;
   search_plan plan;
-  int begun;               ///< 1 = a frame was seen
-  int lost_frames;         ///< in a row
-  int lost_with_features;  ///< of these, the last ones in a row with enough stereo points
-  int reference_tracked;   ///< left keypoints with a map point, of the last keyframe
-  int maps;                ///< begun
-  int map_keyframes;       ///< made in this map
-  int keyframes;           ///< made in all maps
-  int new_keyframe;        ///< 1 = since the last adjustment was begun
-  int adjusting;           ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
+  std::int64_t keyframe_ns;  ///< of the newest keyframe
+  int begun;                 ///< 1 = a frame was seen
+  int guided;                ///< 1 = `predicted` comes from an IMU
+  int lost_frames;           ///< in a row
+  int lost_with_features;    ///< of these, the last ones in a row with enough stereo points
+  int reference_tracked;     ///< left keypoints with a map point, of the last keyframe
+  int maps;                  ///< begun
+  int map_keyframes;         ///< made in this map
+  int keyframes;             ///< made in all maps
+  int new_keyframe;          ///< 1 = since the last adjustment was begun
+  int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
 
   FT_HOST_DEVICE static camera_track initial() {
     camera_track t{};

@@ -74,9 +74,11 @@ FT_HOST_DEVICE point_equations<Number> monocular_equations(mat3<Number> const& P
 
 /// Adds an observation to the sums of the gradient and of the curvature.
 /// @param p the point
-template <typename Number>
+/// @param sums the first 27 are added to
+template <typename Number, int Terms>
 FT_HOST_DEVICE void add_motion_terms(vec3<Number> p, point_equations<Number> const& point,
-                                     float (&sums)[pose_terms]) {
+                                     plain_scalar_t<Number> (&sums)[Terms]) {
+  static_assert(Terms >= 27, "6 of the gradient, 21 of the curvature");
   auto const add = [&](int at, Number v) { sums[at] += v.value; };
   auto const add_vector = [&](int at, vec3<Number> v) {
     add(at, v.x);

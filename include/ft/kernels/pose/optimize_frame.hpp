@@ -25,7 +25,7 @@ inline namespace FT_ABI {
 struct frames_in_map {
   frame_view frame;
   map_points_view map;
-  pyramid_geometry geometry;  ///< the weight of a keypoint depends on its octave
+  pyramid_geometry geometry;  ///< position and weight of a keypoint depend on its octave
 };
 
 /// Inputs and outputs of optimize_frame_poses(), in the executor's memory.
@@ -80,8 +80,11 @@ struct optimize_frame {
           static_cast<std::ptrdiff_t>(b) * (Rig::cameras * frame.capacity());
       float const right =
           Rig::rectified && frame.right_x != nullptr ? frame.right_x[first + number] : -1.0f;
-      observation const o{points.position(holder[number]),      kp.x(k), kp.y(k), right,
-                          in.geometry.inv_sigma2[kp.octave(k)], c};
+      int const octave = kp.octave(k);
+      observation const o{
+          points.position(holder[number]),  in.geometry.column(kp.x(k), octave),
+          in.geometry.row(kp.y(k), octave), right < 0 ? right : in.geometry.column(right, octave),
+          in.geometry.inv_sigma2[octave],   c};
       out.items[at + i] = o;
       solver.prepare(i, o);
     }

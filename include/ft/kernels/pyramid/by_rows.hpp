@@ -77,6 +77,7 @@ struct resize_band {
                                  resize_tap const* all_taps, int l) const {
     int const in_image = bands(pyramid.geometry, l);
     int const image = item / in_image;
+    if (pyramid.absent.has(image)) { return; }
     int const first = item % in_image * rows;
     gray_view const from = pyramid.level(image, l - 1);
     auto const to = pyramid.level(image, l);

@@ -70,6 +70,7 @@ struct resize_tile {
                                  int group_index) const {
     tile_group const& group = tiles.group[group_index];
     int const image = item / (group.columns * group.rows);
+    if (pyramid.absent.has(image)) { return; }
     int const in_image = item - image * group.columns * group.rows;
     int const row = in_image / group.columns;
     int const levels = group.last - group.first + 1;

@@ -136,8 +136,8 @@ private:
     fisheye_stereo_params const& params = stereo.params;
     constexpr bool by_halves =
         Group::max_threads == 32 && std::is_same<decltype(rig.left), decltype(rig.right)>::value;
-    vec2<strict_float> const pl{pair.left.x(pair.i), pair.left.y(pair.i)};
-    vec2<strict_float> const pr{pair.right.x(pair.j), pair.right.y(pair.j)};
+    vec2<strict_float> const pl = position(stereo.geometry, pair.left, pair.i);
+    vec2<strict_float> const pr = position(stereo.geometry, pair.right, pair.j);
     float const sigma2_l = stereo.geometry.sigma2[pair.left.octave(pair.i)];
     float const sigma2_r = stereo.geometry.sigma2[pair.right.octave(pair.j)];
     auto const cam_l = rig.left.template cast<strict_float>();
@@ -175,6 +175,12 @@ private:
       return near_enough(cam_l.project(in_l).pixel, pl, sigma2_l, params) &&
              near_enough(cam_r.project(in_r).pixel, pr, sigma2_r, params);
     }
+  }
+  /// Of keypoint i in its input image, pixels.
+  FT_HOST_DEVICE static vec2<strict_float> position(pyramid_geometry const& geometry,
+                                                    keypoints_view const& keypoints, int i) {
+    int const octave = keypoints.octave(i);
+    return {geometry.column(keypoints.x(i), octave), geometry.row(keypoints.y(i), octave)};
   }
   template <typename Group>
   FT_HOST_DEVICE static vec3<strict_float> shuffled(Group g, vec3<strict_float> v, int from) {

@@ -23,9 +23,6 @@ FT_HOST_DEVICE inline vec3<window_real> to_real(vec3<double> const& v) { return 
 FT_HOST_DEVICE inline vec3<double> from_real(vec3<window_real> const& v) {
   return {v.x.value, v.y.value, v.z.value};
 }
-FT_HOST_DEVICE inline vec3<window_real> scaled(vec3<window_real> v, window_real s) {
-  return {v.x * s, v.y * s, v.z * s};
-}
 /// Row vector v times A.
 FT_HOST_DEVICE inline vec3<window_real> row_times(vec3<window_real> v, mat3<window_real> const& A) {
   return {v.x * A.m[0] + (v.y * A.m[3] + v.z * A.m[6]),

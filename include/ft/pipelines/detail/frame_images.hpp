@@ -2,7 +2,6 @@
 /// @file Addresses of the images of a tracker's next frame in host memory.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -27,6 +26,18 @@ struct staged_images {
   image_source* sources = nullptr;  ///< [batch][images]
 };
 
+/// Which images of a frame no camera has: the right ones of single cameras.
+template <typename Rig>
+absent_images absent_images_of(Rig const& rig) {
+  absent_images absent{0, Rig::images};
+  if constexpr (Rig::rectified) {
+    for (int c = 0; c < Rig::cameras; ++c) {
+      absent.mask |= static_cast<std::uint32_t>(rig.pair(c).single()) << (2 * c + 1);
+    }
+  }
+  return absent;
+}
+
 /// Staging memory for the images of rigs, and the address from which frames fetch each image: that
 /// memory, or a buffer of the caller. Images that no camera has are never fetched.
 template <typename Exec>
@@ -35,13 +46,14 @@ public:
   static constexpr memory_space staging = staging_space<Exec>;
 
   frame_images() = default;
-  template <typename Rig>
-  frame_images(pyramid_geometry const& geometry, Rig const& rig, int batch)
+  /// @param absent its period is the number of a rig's images
+  frame_images(pyramid_geometry const& geometry, absent_images const& absent, int batch)
       : width_(geometry.width[0]),
         height_(geometry.height[0]),
         stride_(geometry.stride[0]),
-        images_(Rig::images) {
-    std::size_t const n = Rig::images * static_cast<std::size_t>(batch);
+        images_(absent.period),
+        absent_(absent) {
+    std::size_t const n = static_cast<std::size_t>(images_) * static_cast<std::size_t>(batch);
     memory_ = owner<staged_images, staging>([&](carver& c, staged_images& s) {
       s.batch = batch;
       s.pixels = c.take<std::uint8_t>(checked_mul(n, image_bytes()));
@@ -49,14 +61,9 @@ public:
     });
     std::memset(memory_->pixels, 0, n * image_bytes());
     given_.assign(n, false);
-    for (int i = 0; i < Rig::images * batch; ++i) {
-      bool absent = false;
-      if constexpr (Rig::rectified) {
-        absent = i % 2 == 1 && rig.pair(i % Rig::images / 2).single();
-      }
-      absent_.push_back(absent);
+    for (int i = 0; i < images_ * batch; ++i) {
       memory_->sources[i] = {};
-      if (!absent) { use_own_memory(i); }
+      if (!absent.has(i)) { use_own_memory(i); }
     }
   }
 
@@ -110,12 +117,12 @@ public:
   /// Number of an image in the batch.
   int number(int b, int camera) const { return images_ * b + camera; }
   /// Whether no camera has image i of the batch.
-  bool absent(int i) const { return absent_[static_cast<std::size_t>(i)]; }
+  bool absent(int i) const { return absent_.has(i); }
   /// @throws bad_argument if a camera has no image yet
   void require_given() const {
     require_made();
     for (std::size_t i = 0; i < given_.size(); ++i) {
-      if (!given_[i] && !absent_[i]) {
+      if (!given_[i] && !absent(static_cast<int>(i))) {
         auto const n = static_cast<std::size_t>(images_);
         throw bad_argument("ft: camera " + std::to_string(i % n) + " of pair " +
                            std::to_string(i / n) + " was never given an image");
@@ -127,9 +134,12 @@ public:
   image_source const* sources() const { return memory_->sources; }  ///< [batch][images]
   /// Of all images that are fetched.
   std::size_t bytes() const {
-    auto const n = std::count(absent_.begin(), absent_.end(), false);
-    return static_cast<std::size_t>(n) * image_bytes();
+    std::size_t fetched = 0;
+    for (int i = 0; i < images_ * batch(); ++i) { fetched += absent(i) ? 0 : 1; }
+    return fetched * image_bytes();
   }
+
+  allocated_bytes allocated() const { return {0, memory_.bytes()}; }
 
 private:
   std::size_t image_bytes() const {
@@ -153,7 +163,7 @@ private:
   int images_ = 0;  ///< of a rig
   owner<staged_images, staging> memory_;
   std::vector<bool> given_;
-  std::vector<bool> absent_;
+  absent_images absent_;
 };
 
 }  // namespace detail

@@ -118,6 +118,7 @@ struct twin {
         host_memory([&](carver& c) { carve(c, host, batch, sizes...); }) {
     std::memset(host_memory.data(), 0, host_memory.bytes());
   }
+  allocated_bytes allocated() const { return {device_memory.bytes(), host_memory.bytes()}; }
   block_source source() const {
     // The padding of an arena exceeds the partial quad that the transfer cuts off.
     static_assert(alignment >= 2 * sizeof(receive_parts::quad), "all that is carved is copied");
@@ -148,9 +149,10 @@ struct frame_memory {
   twin<local_input, space, staging> local;
   tracked_frame_view result;  ///< staging memory, to which a device writes directly
 
-  /// @param early whether both searches are in flight at once
+  /// @param cells of the keypoints' grids @param early whether both searches are in flight at once
   /// @throws bad_argument, std::bad_alloc, cuda_error
-  void take(frame_shape const& shape, tracker_params const& p, bool early) {
+  void take(frame_shape const& shape, tracker_params const& p, grid_geometry const& cells,
+            bool early) {
     auto const b = static_cast<std::size_t>(shape.batch);
     require_items("keypoints of a batch", static_cast<std::size_t>(shape.images) * b,
                   static_cast<std::size_t>(shape.capacity));
@@ -159,7 +161,7 @@ struct frame_memory {
     frame.cameras = shape.cameras;
     frame.keypoint_step = shape.images;
     frame.camera_step = shape.images / shape.cameras;
-    take_device_memory(shape, p, early);
+    take_device_memory(shape, p, cells, early);
     if (!early) { local_work = last_work; }
     result.capacity = shape.capacity;
     result.cameras = shape.cameras;
@@ -173,6 +175,11 @@ struct frame_memory {
     std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
     motion = twin<motion_input, space, staging>(shape.batch);
     local = twin<local_input, space, staging>(shape.batch, p.local_points);
+  }
+
+  allocated_bytes bytes() const {
+    return allocated_bytes{memory_.bytes(), staging_memory_.bytes()} + motion.allocated() +
+           local.allocated();
   }
 
   /// State before the first frame: empty grids, no motion, no holders.
@@ -217,7 +224,8 @@ struct frame_memory {
   }
 
 private:
-  void take_device_memory(frame_shape const& shape, tracker_params const& p, bool early) {
+  void take_device_memory(frame_shape const& shape, tracker_params const& p,
+                          grid_geometry const& cells, bool early) {
     int const batch = shape.batch;
     int const cameras = shape.cameras;
     int const capacity = shape.capacity;
@@ -226,8 +234,6 @@ private:
     int const last_points = searched * capacity;  // of a search
     int const windows = early ? last_points : max_of(last_points, p.local_points);
     auto const b = static_cast<std::size_t>(batch);
-    grid_geometry const cells = grid_geometry::over(0, 0, static_cast<float>(p.orb.width),
-                                                    static_cast<float>(p.orb.height));
     memory_ = arena<space>([&](carver& c) {
       carve(c, map, p.map_slots, batch);
       carve(c, frame.grids, cells, capacity, cameras * batch);

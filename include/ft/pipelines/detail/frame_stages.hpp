@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
@@ -23,8 +24,10 @@
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
+#include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/detail/frame_packing.hpp"
+#include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
@@ -42,12 +45,15 @@ public:
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
   static constexpr int cameras = Rig::cameras;
+  using parts_of_rig = rig_parts<Rig>;
+  using searched_rig = typename parts_of_rig::searched_rig;
+  static constexpr bool undistorts = parts_of_rig::undistorts;
 
-  Rig rig{};
+  searched_rig rig{};
   tracker_params params;
   int batch = 0;
   orb_extractor<Exec> extractor;
-  stereo_matcher<Exec, Rig> matcher;
+  typename parts_of_rig::template matcher<Exec> matcher;
   frame_memory<Exec> memory;
   frustum_params frustum;
   local_search_params local_params;       ///< of the next search in the local map
@@ -69,13 +75,17 @@ public:
   void distribute(Exec const& exec) const { features().distribute(exec); }
   void blur(Exec const& exec) const { features().blur(exec); }
   void order(Exec const& exec) const {
-    features().order(exec, keypoint_grids<rectified>{memory.frame.grids, matcher.right_rows()});
+    features().order(exec, grids_of(matcher, memory.frame.grids));
   }
   void describe(Exec const& exec) const { features().describe(exec); }
 
   // ---- stereo
 
   void match_stereo(Exec const& exec) { matcher.match_sorted(exec, extractor); }
+  /// If keypoints are moved before they are searched: two launches.
+  void undistort(Exec const& exec) const {
+    if constexpr (undistorts) { matcher.undistort(exec, extractor, memory.frame.grids); }
+  }
   /// Concurrent stereo matching of pairs that are not rectified.
   side_branch<Exec>& stereo_branch() { return stereo_branch_; }
 
@@ -130,8 +140,9 @@ public:
 
   side_branch<Exec>& result_branch() { return result_branch_; }
   void pack_keypoints(Exec const& exec) const {
-    for_each_item<per_thread>(exec, batch * memory.frame.numbers(), detail::pack_keypoints<Rig>{},
-                              rig, memory.frame, matcher.depth(),
+    for_each_item<per_thread>(exec, batch * memory.frame.numbers(),
+                              detail::pack_keypoints<searched_rig>{}, rig, memory.frame,
+                              matcher.depth(),
                               static_cast<vec3<float> const*>(matcher.fisheye_matches().point),
                               memory.result, memory.last);
   }
@@ -160,11 +171,36 @@ public:
 
   // ---- state
 
+  /// Makes extractor and matcher. take_memory() and initialize() follow.
+  /// @throws bad_argument, std::bad_alloc, cuda_error
+  void prepare(Exec const& exec, Rig const& of, tracker_params const& p, int pairs) {
+    prepare_features(exec, of, p, pairs, detail::absent_images_of(of));
+    matcher = stereo_matcher<Exec, Rig>(rig, extractor);
+  }
+  /// Makes the extractor alone: the matcher is the caller's. @param absent as in orb_extractor
+  void prepare_features(Exec const& exec, searched_rig const& of, tracker_params const& p,
+                        int pairs, absent_images const& absent) {
+    rig = of;
+    params = p;
+    batch = pairs;
+    std::vector<stereo_overlap> overlaps;
+    for (int i = 0; !rectified && i < Rig::images * batch; ++i) {
+      overlaps.push_back(params.overlap[i % 2]);
+    }
+    extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps, absent);
+    frustum.max_x = static_cast<float>(params.orb.width);
+    frustum.max_y = static_cast<float>(params.orb.height);
+    frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
+    frustum.levels = params.orb.levels;
+  }
   /// @param images [batch][images]
   void take_memory(image_source const* images) {
     sources = images;
-    memory.take(frame_shape::of<Rig>(capacity(), batch), params, lists_local_early());
+    memory.take(frame_shape::of<Rig>(capacity(), batch), params,
+                grid_geometry::over(frustum.min_x, frustum.min_y, frustum.max_x, frustum.max_y),
+                lists_local_early());
     memory.frame.keypoints = extractor.keypoints();
+    if constexpr (undistorts) { memory.frame.keypoints = matcher.keypoints(extractor); }
     if constexpr (rectified) {
       memory.frame.right_x = array_of<field::right_x>(matcher.matches());
     } else {
@@ -179,6 +215,9 @@ public:
     memory.set_last(exec, b, T_cw, holders);
   }
   void forget_stamps(Exec const& exec) const { memory.forget_stamps(exec); }
+  allocated_bytes bytes() const {
+    return allocated_bytes{extractor.bytes() + matcher.bytes(), 0} + memory.bytes();
+  }
   int capacity() const { return extractor.capacity(); }
   pyramid_geometry const& geometry() const { return extractor.geometry(); }
 
@@ -193,8 +232,8 @@ private:
   pose const* pose_of_motion() const {
     return params.optimize_last ? memory.poses : memory.motion.device.predicted;
   }
-  last_search<Rig> last_input() const {
-    last_search<Rig> search;
+  last_search<searched_rig> last_input() const {
+    last_search<searched_rig> search;
     search.rig = rig;
     search.T_cw = memory.motion.device.predicted;
     search.last_T_cw = memory.last.T_cw;
@@ -205,13 +244,15 @@ private:
     search.geometry = geometry();
     search.params.window_radius = params.window_radius;
     search.params.retry_below = params.enough_matches;
+    search.params.min_x = frustum.min_x;
+    search.params.min_y = frustum.min_y;
     search.params.max_x = frustum.max_x;
     search.params.max_y = frustum.max_y;
     search.stamps = stamps();
     return search;
   }
-  local_search<Rig> local_input() const {
-    local_search<Rig> search;
+  local_search<searched_rig> local_input() const {
+    local_search<searched_rig> search;
     search.rig = rig;
     search.T_cw = pose_of_motion();
     search.slots = memory.local.device.slots;

@@ -11,6 +11,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/kernels/window/adjust_window.hpp"
+#include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/work_beside.hpp"
 
@@ -28,6 +29,7 @@ struct adjustment_work {
   int* selected = nullptr;               ///< [batch] executor memory
   int const* staged_selected = nullptr;  ///< [runs][batch] staging memory
   int runs = 1;
+  odometry_inertial<Exec> const* inertial = nullptr;
   recording<Exec> graph;
 
   void enqueue(Exec const& exec, int run) {
@@ -37,6 +39,7 @@ struct adjustment_work {
   }
   void adjust(Exec const& exec) const {
     adjust_window(exec, rig, window, selected, params, workspace);
+    if (inertial->present()) { inertial->estimate(exec, selected, window); }
   }
 };
 
@@ -48,11 +51,13 @@ class odometry_adjustments {
 
 public:
   /// @param delay frames, 1 or more
-  odometry_adjustments(Exec const& exec, odometry_memory<Exec> const& memory, Rig const& rig,
+  odometry_adjustments(Exec const& exec, odometry_memory<Exec> const& memory,
+                       odometry_inertial<Exec> const& inertial, Rig const& rig,
                        odometry_params const& params)
       : memory_(memory), runs_(static_cast<std::size_t>(params.adjustment_delay), -1) {
     work_type work;
     work.rig = rig;
+    work.inertial = &inertial;
     work.window = memory.window;
     work.workspace = memory.window_work;
     work.params = params.adjustment;

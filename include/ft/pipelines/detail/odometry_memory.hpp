@@ -63,7 +63,7 @@ struct odometry_memory {
   odometry_output* outputs = nullptr;  ///< [batch] staging memory, which a device writes
   unsigned char* matched = nullptr;    ///< [batch][numbers] staging memory, likewise
   int* staged_selected = nullptr;      ///< [runs][batch] staging memory
-  std::size_t bytes() const { return memory_.bytes(); }
+  allocated_bytes bytes() const { return {memory_.bytes(), staging_memory_.bytes()}; }
 
   /// @param runs adjustments in flight, at most @throws bad_argument, std::bad_alloc, cuda_error
   void take(frame_shape const& shape, odometry_params const& p, int runs) {

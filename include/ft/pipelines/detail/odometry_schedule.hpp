@@ -17,11 +17,13 @@ template <typename Line, typename Stages>
 void queue_odometry_motion(Line& line, Stages& s) {
   auto const branch = line.fork(s.beginning_branch());
   s.read_inputs(branch);
+  if (s.has_imu()) { s.integrate(branch); }
   s.apply_adjustment(branch);
   s.predict(line.on(branch));
   line.end_of_branch(branch, "motion");
   queue_images(line, s, false);
   line.join(s.beginning_branch());
+  if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
   s.list_last_frame(line.then("search last frame"));
   if constexpr (Stages::rectified) {
     s.match_stereo(line.with("stereo"));
@@ -47,9 +49,11 @@ void queue_odometry(Line& line, Stages& s) {
   s.pack_keypoints(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
+  if (s.has_imu()) { s.optimize_inertial(line.then("pose local map")); }
   s.judge(line.then("keyframe"));
   s.count_points(line.then("keyframe"));
   s.insert(line.then("keyframe"));
+  if (s.has_imu()) { s.keep_inertial(line.then("keyframe")); }
   s.gather(line.then("keyframe"));
   line.join(s.result_branch());
   s.pack_matches(line.then("result"), s.outcome_of_local());

@@ -15,6 +15,7 @@
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
 #include "ft/pipelines/odometry_types.hpp"
@@ -35,6 +36,8 @@ public:
 
   odometry_params settings;
   odometry_memory<Exec> own;
+  odometry_inertial<Exec> inertial;
+  typename rig_parts<Rig>::template input<Exec> input;
 
   // ---- the beginning, beside images and keypoints
 
@@ -42,15 +45,22 @@ public:
   void read_inputs(Exec const& exec) const { read_odometry_inputs(exec, own.inputs, own.state); }
   void apply_adjustment(Exec const& exec) const {
     apply_window(exec, own.state.apply, own.window, own.sources, own.map, own.state.T_cw);
+    if (has_imu()) { inertial.apply(exec, own); }
   }
+  bool has_imu() const { return inertial.present(); }
+  void integrate(Exec const& exec) const { inertial.integrate(exec, own.inputs); }
   void predict(Exec const& exec) const {
-    predict_frames(exec, own.inputs, settings.rules, own.state,
-                   predicted_frames{memory.motion.device.predicted, memory.last.T_cw,
-                                    memory.motion.device.stamp});
+    predicted_frames const out{memory.motion.device.predicted, memory.last.T_cw,
+                               memory.motion.device.stamp};
+    predict_frames(exec, own.inputs, settings.rules, own.state, out);
+    if (has_imu()) { inertial.predict(exec, own, out); }
   }
   /// Images alone: the other inputs come with read_inputs().
   void upload(Exec const& exec, bool /*with_local*/) const {
-    this->extractor.stages().upload(exec, this->sources, {}, {});
+    input.upload(exec, this->extractor.stages());
+  }
+  bool pyramid_overlaps_upload() const {
+    return input.overlaps_pyramid && base::pyramid_overlaps_upload();
   }
 
   // ---- the local map
@@ -67,15 +77,18 @@ public:
 
   // ---- the end
 
+  void optimize_inertial(Exec const& exec) const {
+    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+  }
+  void keep_inertial(Exec const& exec) const { inertial.keep(exec, own); }
   void judge(Exec const& exec) const {
-    searched_frames in{};
+    searched_frames<typename base::searched_rig> in{};
+    in.rig = this->rig;
     in.frame = memory.frame;
     in.depth = this->matcher.depth();
-    in.near = near();
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
-    in.depth_cameras = memory.result.depth_cameras;
     judge_frames(exec, settings.rules, in, own.state);
   }
   void count_points(Exec const& exec) const {
@@ -87,7 +100,7 @@ public:
     count_sightings(exec, memory.frame, in, own.map);
   }
   void insert(Exec const& exec) const {
-    keyframe_input<Rig> in{};
+    keyframe_input<typename base::searched_rig> in{};
     in.rig = this->rig;
     in.frame = memory.frame;
     in.order = own.state.order;
@@ -97,13 +110,14 @@ public:
     in.point = this->matcher.fisheye_matches().point;
     in.geometry = this->geometry();
     keyframe_params p;
-    p.near = near();
+    p.near_depth = settings.rules.near_depth;
     p.wanted_near_points = settings.rules.wanted_near_points;
     insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
   }
   void gather(Exec const& exec) const {
-    gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
-                  own.sources);
+    gather_window(exec, {own.state.gather, this->geometry(), settings.window, !Rig::rectified},
+                  own.map, own.window, own.sources);
+    if (has_imu()) { inertial.gather(exec, own); }
   }
   void pack_outputs(Exec const& exec) const {
     tracking_facts const facts{
@@ -117,10 +131,11 @@ public:
 
   // ---- state
 
-  /// @param images [batch][images] @param runs adjustments in flight, at most
-  void take_all_memory(image_source const* images, int runs) {
-    base::take_memory(images);
+  /// @param runs adjustments in flight, at most
+  void take_all_memory(int runs) {
+    base::take_memory(input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
+    inertial.take(settings.imu, settings, memory.observations.capacity, this->batch);
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
@@ -136,6 +151,7 @@ public:
   void initialize_all(Exec const& exec) {
     memory.initialize(exec);
     own.initialize(exec);
+    inertial.initialize(exec);
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
@@ -166,7 +182,6 @@ public:
   }
 
 private:
-  float near() const { return mul(settings.rules.near_depth, this->rig.baseline_length().value); }
   local_map_view local_map() const {
     local_map_view v;
     v.capacity = this->params.local_points;

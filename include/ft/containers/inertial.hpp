@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Inertial measurements, their integrals, and the state of a body with an IMU.
+///
+/// The body's frame is the IMU's. The world's z axis points up. Source of terms and formulas:
+/// Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017.
+#pragma once
+
+#include <cstddef>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Gravity where the world's z axis points up, m/s^2.
+FT_HOST_DEVICE constexpr vec3<float> standard_gravity() { return {0.0f, 0.0f, -9.81f}; }
+
+/// Specific force and angular rate at one moment, in the body's frame.
+struct imu_sample {
+  double time_s;
+  vec3<float> accel;  ///< m/s^2; at rest it points up, 9.81 long
+  vec3<float> gyro;   ///< rad/s
+};
+
+/// What an IMU shows in excess of specific force and angular rate.
+struct imu_bias {
+  vec3<float> gyro;   ///< rad/s
+  vec3<float> accel;  ///< m/s^2
+};
+
+/// Noise of an IMU as densities, as its settings give them.
+struct imu_noise {
+  float gyro = 1.7e-4f;          ///< rad/s / sqrt(Hz)
+  float accel = 2e-3f;           ///< m/s^2 / sqrt(Hz)
+  float gyro_walk = 1.9393e-5f;  ///< rad/s^2 / sqrt(Hz)
+  float accel_walk = 3e-3f;      ///< m/s^3 / sqrt(Hz)
+  float rate_hz = 200;
+};
+
+/// The same as variances of one sample.
+struct imu_variances {
+  float measured[6];  ///< gyro x 3, accelerometer x 3
+  float walk[6];      ///< added to the biases' covariance with each step; gyro, accelerometer
+};
+
+/// Where an IMU is mounted.
+struct imu_mount {
+  rigid<float> T_bc;  ///< left camera to body, metres
+  rigid<float> T_cb;  ///< its inverse
+};
+
+/// What came of an integration.
+enum class integration_status : int {
+  integrated = 0,
+  no_samples,  ///< the queue was empty, or there was no interval
+  one_sample,  ///< no step can be made from one sample
+  no_steps,    ///< all samples were older than the interval: an integral over no time
+  unordered,   ///< times of samples that do not ascend
+  not_finite,  ///< a sample or a time is NaN or infinite
+  gap,         ///< the samples leave out a longer time than the limit
+  repeated,    ///< integrated, but two samples have one time: a step of no duration among others
+  wrong_rate,  ///< the samples come much more or much less often than the noise was stated for
+  too_many,    ///< more steps than there is memory for
+};
+
+/// Whether an integral of that status says how the body moved.
+FT_HOST_DEVICE constexpr bool usable(integration_status status) {
+  return status == integration_status::integrated || status == integration_status::repeated;
+}
+
+/// The time between two images, and the samples among which the ones between them are.
+struct imu_interval {
+  double from_s, to_s;  ///< stamps of the images
+  int first, count;     ///< of the samples, oldest first
+};
+
+/// Constant motion for a while: what the samples at both ends of a step average to.
+struct imu_step {
+  vec3<float> accel;  ///< m/s^2
+  vec3<float> gyro;   ///< rad/s
+  float dt;           ///< seconds
+};
+
+/// Which samples an interval takes.
+struct imu_selection {
+  int dropped;  ///< older than the interval
+  int taken;    ///< the next ones, of which the steps are made
+  /// What a queue loses at its front. The sample at or after the second image opens the next
+  /// interval and stays.
+  int removed;
+  int steps;
+  integration_status status;
+
+  /// Whether the reference marks the frame as preintegrated: its integral, if any, may be read.
+  FT_HOST_DEVICE bool marks_frame() const { return status != integration_status::one_sample; }
+};
+
+/// Selections and steps of many intervals.
+struct imu_steps_view {
+  int intervals = 0;
+  int capacity = 0;                 ///< steps of an interval
+  imu_selection* chosen = nullptr;  ///< [intervals]
+  imu_step* steps = nullptr;        ///< [intervals][capacity]
+
+  FT_HOST_DEVICE imu_step* of(int interval) const {
+    return steps + static_cast<std::ptrdiff_t>(interval) * capacity;
+  }
+};
+static_assert(std::is_trivially_copyable<imu_steps_view>::value, "passed to kernels");
+
+inline void carve(carver& c, imu_steps_view& v, int intervals, int capacity) {
+  v.intervals = intervals;
+  v.capacity = capacity;
+  auto const n = static_cast<std::size_t>(intervals);
+  v.chosen = c.take<imu_selection>(n);
+  v.steps = c.take<imu_step>(detail::checked_mul(n, static_cast<std::size_t>(capacity)));
+}
+
+/// Preintegrated measurements between two images, in the body's frame at the first one.
+struct preintegrated {
+  float dT;                ///< seconds
+  mat3<float> dR;          ///< second body to first
+  vec3<float> dV;          ///< m/s, without gravity
+  vec3<float> dP;          ///< metres, without gravity and initial velocity
+  mat3<float> JRg;         ///< derivatives by the biases: of dR (right-hand tangent) by the gyro's,
+  mat3<float> JVg;         ///< of dV by the gyro's,
+  mat3<float> JVa;         ///< of dV by the accelerometer's,
+  mat3<float> JPg;         ///< of dP by the gyro's,
+  mat3<float> JPa;         ///< of dP by the accelerometer's
+  float C[81];             ///< row-major covariance: rotation, velocity, position
+  float walk[6];           ///< variances of the biases' change: gyro, accelerometer
+  imu_bias bias;           ///< with which was integrated
+  vec3<float> mean_accel;  ///< mean of the rotated specific force, for an initialisation, m/s^2
+  vec3<float> mean_gyro;   ///< rad/s
+  int steps;
+  integration_status status;
+};
+static_assert(std::is_trivially_copyable<preintegrated>::value, "copied between memories");
+
+/// A body's motion and the biases of its IMU.
+template <typename S>
+struct inertial_state {
+  mat3<S> R;   ///< body to world
+  vec3<S> p;   ///< position in the world, metres
+  vec3<S> v;   ///< velocity in the world, m/s
+  vec3<S> bg;  ///< rad/s
+  vec3<S> ba;  ///< m/s^2
+};
+
+/// A state as frames store it: with the camera's pose as a quaternion.
+struct stored_inertial_state {
+  quaternion<float> q_cw;  ///< world to left camera
+  vec3<float> t_cw;        ///< metres
+  vec3<float> v;           ///< of the body in the world, m/s
+  imu_bias bias;
+};
+
+/// What past measurements say about the state of a frame: a state and an information matrix.
+struct inertial_prior {
+  inertial_state<double> state;
+  /// Row-major 15 x 15, of a small change: rotation (right-hand tangent), position in the body's
+  /// frame, velocity, gyro bias, accelerometer bias.
+  double information[225];
+  int known;  ///< 0: none
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,336 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file How an initialisation of a body with an IMU is solved. Not API.
+#pragma once
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/initialization_system.hpp"
+#include "ft/kernels/inertial/wide_rotation.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The steps of an initialisation. Members are what the steps hand on.
+struct inertial_initializer {
+  static constexpr int most_unknowns = 13;
+  static constexpr int refinements = 5;
+  using system = least_squares<most_unknowns>;
+
+  /// Factors of the unknowns, 0 at first.
+  struct unknown_row {
+    wide x[most_unknowns];
+    FT_HOST_DEVICE unknown_row() {
+      for (int i = 0; i < most_unknowns; ++i) { x[i] = 0.0; }
+    }
+  };
+
+  /// Places of the unknowns.
+  enum : int { velocity = 0, position = 3, bias = 6, direction = 9 };
+
+  initialization_window const& in;
+  initialization_params const& params;
+  wide_mat3 R_cb;
+  wide_vec3 t_cb;
+  bool resting;
+  wide_vec3 gyro_bias, gravity;
+  wide_vec3 basis[3];  ///< of the changes of gravity, m/s^2 each
+  int directions;      ///< how many of them: 3 at first, then 2
+  wide scale;
+  wide x[most_unknowns];
+
+  FT_HOST_DEVICE inertial_initializer(initialization_window const& window,
+                                      initialization_params const& p)
+      : in(window), params(p) {
+    R_cb = in.mount.T_cb.R.cast<wide>();
+    t_cb = in.mount.T_cb.t.cast<wide>();
+    gyro_bias = gravity = {0.0, 0.0, 0.0};
+    resting = false;
+    directions = 3;
+    basis[0] = {1.0, 0.0, 0.0};
+    basis[1] = {0.0, 1.0, 0.0};
+    basis[2] = {0.0, 0.0, 1.0};
+    scale = 1.0;
+    for (int i = 0; i < most_unknowns; ++i) { x[i] = 0.0; }
+  }
+
+  FT_HOST_DEVICE int pose_of(int k) const { return resting ? 0 : k; }
+  FT_HOST_DEVICE wide_mat3 camera_rotation(int k) const {
+    return in.T_wc[pose_of(k)].R.cast<wide>();
+  }
+  FT_HOST_DEVICE wide_mat3 rotation(int k) const { return camera_rotation(k) * R_cb; }
+  /// The camera's position from its first one, in the unit of the poses.
+  FT_HOST_DEVICE wide_vec3 camera(int k) const {
+    return in.T_wc[pose_of(k)].t.cast<wide>() - in.T_wc[0].t.cast<wide>();
+  }
+  /// From the camera's position to the body's, metres.
+  FT_HOST_DEVICE wide_vec3 lever(int k) const { return camera_rotation(k) * t_cb; }
+  FT_HOST_DEVICE int unknowns() const {
+    return direction + directions + (scale_is_sought() ? 1 : 0);
+  }
+  FT_HOST_DEVICE bool scale_is_sought() const { return !params.known_scale; }
+
+  FT_HOST_DEVICE initialization_status check_input() const {
+    if (in.count < params.least_keyframes) { return initialization_status::few_keyframes; }
+    wide sum = 0.0;
+    for (int k = 0; k < in.count; ++k) {
+      for (int i = 0; i < 9; ++i) { sum += in.T_wc[k].R.m[i]; }
+      sum += dot(camera(k), camera(k));
+      if (k + 1 == in.count) { break; }
+      preintegrated const& p = in.integrals[k];
+      if (!usable(p.status) || p.steps < 1 || p.dT <= 0) {
+        return initialization_status::no_integral;
+      }
+      sum += static_cast<double>(p.dT);
+      wide_vec3 const v = p.dV.cast<wide>() + p.dP.cast<wide>() + p.bias.gyro.cast<wide>() +
+                          p.bias.accel.cast<wide>();
+      sum += v.x + (v.y + v.z);
+      for (int i = 0; i < 9; ++i) {
+        sum += static_cast<double>(p.dR.m[i]) + static_cast<double>(p.JRg.m[i]);
+        sum += static_cast<double>(p.JVg.m[i]) + static_cast<double>(p.JVa.m[i]);
+        sum += static_cast<double>(p.JPg.m[i]) + static_cast<double>(p.JPa.m[i]);
+      }
+    }
+    return scalar::is_finite(sum) ? initialization_status::initialized
+                                  : initialization_status::not_finite;
+  }
+
+  FT_HOST_DEVICE void find_rest() {
+    if (scale_is_sought()) { return; }
+    bool still = true;
+    wide const angle = static_cast<double>(params.rest_angle);
+    wide_mat3 const first = camera_rotation(0);
+    for (int k = 1; k < in.count; ++k) {
+      still = still && norm_of(camera(k)) <= wide(static_cast<double>(params.rest_distance));
+      wide_mat3 const R = camera_rotation(k);
+      wide sum = 0.0;
+      for (int i = 0; i < 9; ++i) { sum += (R.m[i] - first.m[i]) * (R.m[i] - first.m[i]); }
+      // the sum is 8 sin^2 of half the angle
+      still = still && sum <= wide(2.0) * angle * angle;
+    }
+    resting = still;
+  }
+
+  /// Gauss-Newton on the rotations of all intervals.
+  FT_HOST_DEVICE bool find_gyro_bias(inertial_initialization& out) {
+    least_squares<3> equations;
+    wide squares = 0.0;
+    FT_NO_UNROLL
+    for (int step = 0; step <= refinements; ++step) {
+      equations.begin(3);
+      squares = 0.0;
+      FT_NO_UNROLL
+      for (int k = 0; k + 1 < in.count; ++k) {
+        wide_mat3 const seen = rotation(k).transposed() * rotation(k + 1);
+        wide_mat3 const J = in.integrals[k].JRg.cast<wide>();
+        wide_mat3 const off = rotation_at(in.integrals[k], gyro_bias).transposed() * seen;
+        wide_vec3 const r = rotation_log(off);
+        for (int i = 0; i < 3; ++i) {
+          wide const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
+          equations.add(row, component(r, i), 1.0);
+        }
+        squares += dot(r, r);
+      }
+      if (!equations.factor()) { return false; }
+      if (step == refinements) { break; }
+      wide d[3] = {equations.b[0], equations.b[1], equations.b[2]};
+      equations.solve(d);
+      gyro_bias = gyro_bias + wide_vec3{d[0], d[1], d[2]};
+    }
+    wide const rms = scalar::sqrt(squares / wide(3.0 * (in.count - 1)));
+    // two poses bound an interval
+    wide const given = wide(1.4142135623730951 * params.rotation_sigma);
+    wide sum = 0.0;
+    for (int i = 0; i < 3; ++i) {
+      wide const row[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
+      sum += equations.variance(row);
+    }
+    out.rotation_rms = static_cast<float>(rms.value);
+    out.gyro_bias_sigma =
+        static_cast<float>((max_of(given, rms) * scalar::sqrt(sum / wide(3.0))).value);
+    return true;
+  }
+
+  /// Row of one axis of a keyframe's position, and its right-hand side.
+  FT_HOST_DEVICE wide fill_row(joined_integrals const& joined, int k, int axis,
+                               wide (&row)[most_unknowns]) const {
+    row[velocity + axis] = joined.T;
+    row[position + axis] = 1.0;
+    for (int j = 0; j < 3; ++j) { row[bias + j] = joined.E.m[3 * axis + j]; }
+    wide const fall = wide(0.5) * joined.T * joined.T;
+    for (int j = 0; j < directions; ++j) { row[direction + j] = fall * component(basis[j], axis); }
+    wide const seen = component(camera(k), axis);
+    wide right =
+        component(lever(k), axis) - component(joined.D, axis) - fall * component(gravity, axis);
+    if (scale_is_sought()) {
+      row[direction + directions] = -seen;
+    } else {
+      right += seen;
+    }
+    return right;
+  }
+
+  /// Builds the system, and sums the squares that the last solution leaves.
+  FT_HOST_DEVICE wide build(system& equations) const {
+    equations.begin(unknowns());
+    wide const sigma = scale * wide(static_cast<double>(params.position_sigma));
+    wide const weight = wide(1.0) / (sigma * sigma);
+    wide squares = 0.0;
+    joined_integrals joined = joined_integrals::none();
+    FT_NO_UNROLL
+    for (int k = 0; k < in.count; ++k) {
+      for (int axis = 0; axis < 3; ++axis) {
+        unknown_row row;
+        wide const right = fill_row(joined, k, axis, row.x);
+        equations.add(row.x, right, weight);
+        wide off = right;
+        for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
+        squares += off * off;
+      }
+      if (k + 1 < in.count) { joined.append(in.integrals[k], rotation(k), gyro_bias); }
+    }
+    wide const prior = static_cast<double>(params.accel_bias_sigma);
+    for (int i = 0; i < 3; ++i) { equations.pull_to_zero(bias + i, wide(1.0) / (prior * prior)); }
+    if (resting) {
+      // it can have moved by the distance of rest
+      wide const slow = wide(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / joined.T;
+      for (int i = 0; i < 3; ++i) {
+        equations.pull_to_zero(velocity + i, wide(1.0) / (slow * slow));
+      }
+    }
+    return squares;
+  }
+
+  /// Gravity on its sphere, and two directions to change it in.
+  FT_HOST_DEVICE bool set_gravity(wide_vec3 g) {
+    wide const length = norm_of(g);
+    wide const G = static_cast<double>(params.gravity);
+    if (!(length > wide(0.1) * G)) { return false; }
+    gravity = scaled(g, G / length);
+    wide_vec3 const a{scalar::abs(g.x), scalar::abs(g.y), scalar::abs(g.z)};
+    wide_vec3 const other = a.x <= a.y && a.x <= a.z ? wide_vec3{1.0, 0.0, 0.0}
+                            : a.y <= a.z             ? wide_vec3{0.0, 1.0, 0.0}
+                                                     : wide_vec3{0.0, 0.0, 1.0};
+    wide_vec3 const side = cross(gravity, other);
+    basis[0] = scaled(side, G / norm_of(side));
+    basis[1] = scaled(cross(gravity, basis[0]), wide(1.0) / G);
+    directions = 2;
+    return true;
+  }
+
+  /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored.
+  FT_HOST_DEVICE bool solve(system& equations, wide& squares) {
+    FT_NO_UNROLL
+    for (int step = 0; step <= refinements; ++step) {
+      build(equations);
+      wide next[most_unknowns];
+      for (int i = 0; i < most_unknowns; ++i) { next[i] = equations.b[i]; }
+      if (!equations.factor()) { return false; }
+      equations.solve(next);
+      wide_vec3 g = gravity;
+      for (int j = 0; j < directions; ++j) { g = g + scaled(basis[j], next[direction + j]); }
+      if (scale_is_sought()) { scale = next[direction + directions]; }
+      if (!(scale > wide(0.0)) || !set_gravity(g)) { return false; }
+      for (int i = 0; i < direction; ++i) { x[i] = next[i]; }
+      for (int i = direction; i < most_unknowns; ++i) { x[i] = 0.0; }
+      if (scale_is_sought()) { x[direction + directions] = scale; }
+    }
+    squares = build(equations);
+    return equations.factor();
+  }
+};
+
+/// The least turn that makes a direction point along z.
+FT_HOST_DEVICE inline mat3<double> turn_upwards(wide_vec3 up) {
+  wide const c = up.z;
+  wide_mat3 R{{1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0}};  // half a turn about x
+  if (c > wide(-1.0 + 1e-12)) {
+    wide const k = wide(1.0) / (wide(1.0) + c);
+    R = {{wide(1.0) - k * up.x * up.x, -(k * up.x * up.y), -up.x, -(k * up.x * up.y),
+          wide(1.0) - k * up.y * up.y, -up.y, up.x, up.y, c}};
+  }
+  return R.cast<double>();
+}
+
+/// Writes gravity, the last state and, if asked for, all velocities.
+/// @return the integrals of the whole window
+FT_HOST_DEVICE inline joined_integrals describe_state(inertial_initializer const& of,
+                                                      inertial_initialization& out,
+                                                      vec3<double>* velocities) {
+  initialization_window const& in = of.in;
+  wide_vec3 const v0{of.x[0], of.x[1], of.x[2]};
+  wide_vec3 const ba{of.x[6], of.x[7], of.x[8]};
+  joined_integrals joined = joined_integrals::none();
+  wide_vec3 v = v0;
+  int const last = in.count - 1;
+  FT_NO_UNROLL
+  for (int k = 0; k <= last; ++k) {
+    if (k > 0) { joined.append(in.integrals[k - 1], of.rotation(k - 1), of.gyro_bias); }
+    v = v0 + scaled(of.gravity, joined.T) + joined.U + joined.W * ba;
+    if (velocities != nullptr) { velocities[k] = v.cast<double>(); }
+  }
+  wide_vec3 const from_origin = of.camera(last) + in.T_wc[0].t.cast<wide>();
+  out.newest.R = of.rotation(last).cast<double>();
+  out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).cast<double>();
+  out.newest.v = v.cast<double>();
+  out.newest.bg = of.gyro_bias.cast<double>();
+  out.newest.ba = ba.cast<double>();
+  out.gravity = of.gravity.cast<double>();
+  wide const G = static_cast<double>(of.params.gravity);
+  out.R_up = turn_upwards(scaled(of.gravity, wide(-1.0) / G));
+  out.scale = of.scale.value;
+  return joined;
+}
+
+/// Writes standard deviations and what the poses are off by.
+/// @param squares of what the poses are off by, summed
+FT_HOST_DEVICE inline void describe_certainty(inertial_initializer const& of,
+                                              inertial_initializer::system const& equations,
+                                              wide squares, joined_integrals const& joined,
+                                              inertial_initialization& out) {
+  using I = inertial_initializer;
+  int const count = of.in.count;
+  wide const sigma = of.scale * wide(static_cast<double>(of.params.position_sigma));
+  wide const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
+  // the given deviation may be too small
+  wide const factor = max_of(wide(1.0), scalar::sqrt(squares / freedom) / sigma);
+  auto const deviation = [&](wide variance) {
+    return static_cast<float>((factor * scalar::sqrt(variance)).value);
+  };
+  wide tilt = 0.0;
+  for (int j = 0; j < of.directions; ++j) {
+    I::unknown_row row;
+    row.x[I::direction + j] = 1.0;
+    tilt += equations.variance(row.x);
+  }
+  wide most = 0.0;
+  wide moving = 0.0;
+  for (int axis = 0; axis < 3; ++axis) {
+    I::unknown_row row;
+    row.x[I::bias + axis] = 1.0;
+    most = max_of(most, equations.variance(row.x));
+    for (int j = 0; j < 3; ++j) { row.x[I::bias + j] = joined.W.m[3 * axis + j]; }
+    row.x[I::velocity + axis] = 1.0;
+    for (int j = 0; j < of.directions; ++j) {
+      row.x[I::direction + j] = joined.T * component(of.basis[j], axis);
+    }
+    moving += equations.variance(row.x);
+  }
+  out.position_rms =
+      static_cast<float>(scalar::sqrt(squares / wide(static_cast<double>(3 * count))).value);
+  out.tilt_sigma = deviation(tilt);
+  out.accel_bias_sigma = deviation(most);
+  out.velocity_sigma = deviation(moving);
+  if (of.scale_is_sought()) {
+    I::unknown_row row;
+    row.x[I::direction + of.directions] = 1.0;
+    out.scale_sigma = deviation(equations.variance(row.x) / (of.scale * of.scale));
+  }
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

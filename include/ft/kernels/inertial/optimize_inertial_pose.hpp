@@ -1,0 +1,275 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: states of frames from their map points and their IMU.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/containers/observations.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/inertial/inertial_problem.hpp"
+#include "ft/kernels/inertial/inertial_residual.hpp"
+#include "ft/kernels/inertial/inertial_solver.hpp"
+#include "ft/kernels/inertial/information.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/kernels/inertial/visual_residual.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Numbers that a structure of nothing else begins with, for checks that threads share.
+template <typename T>
+struct leading_numbers {
+  T const* first;
+  int count;
+
+  template <typename Group>
+  FT_HOST_DEVICE bool finite(Group g) const {
+    bool good = true;
+    for (int k = g.rank(); k < count; k += g.size()) { good = good && scalar::is_finite(first[k]); }
+    return good;
+  }
+};
+
+/// One item: a problem.
+template <typename Rig>
+struct optimize_inertial_pose {
+  using scratch = inertial_scratch;
+  Rig rig;
+  imu_mount mount;
+  inertial_pose_params params;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, inertial_poses const& in) const {
+    bool const both = in.from_last_frame[b] != 0;
+    inertial_pose_result& result = in.result[b];
+    auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
+    inertial_observations const seen{in.observations + at, in.distance + at, in.outlier + at,
+                                     clamp(in.count[b], 0, in.capacity)};
+    for (int i = g.rank(); i < seen.count; i += g.size()) { seen.outlier[i] = 0; }
+    inertial_solver<Group, Rig> const solver{g, s, rig, seen, both};
+    inertial_pose_status const refused = inspect(g, b, in, both);
+    if (refused != inertial_pose_status::optimised) {
+      if (g.rank() == 0) { refuse(b, in, refused); }
+      return;
+    }
+    load(g, s, b, in, solver);
+    run(g, s, in.chi2 + at * inertial_rounds, in.capacity, solver, result);
+    solver.marginalize(in.next_prior[b].information);
+    write_states(g, s, b, in);
+  }
+
+private:
+  /// Why a problem is refused; `optimised` if it is not.
+  template <typename Group>
+  FT_HOST_DEVICE inertial_pose_status inspect(Group g, int b, inertial_poses const& in,
+                                              bool both) const {
+    preintegrated const& integral = in.integral[b];
+    bool const steps = usable(integral.status) && integral.steps > 0;
+    preintegrated const& walked = walk_of(b, in, both);
+    bool const walk_steps = usable(walked.status) && walked.steps > 0;
+    bool const known = !both || (in.prior != nullptr && in.prior[b].known != 0);
+    bool good = numbers(integral).finite(g) && numbers(in.first[b]).finite(g) &&
+                numbers(in.start[b]).finite(g);
+    if (both && known) { good = good && numbers(in.prior[b]).finite(g); }
+    for (int k = g.rank(); k < 6; k += g.size()) {
+      good = good && walked.walk[k] > 0 && scalar::is_finite(1.0f / walked.walk[k]);
+    }
+    good = !g.any(!good);
+    if (!steps || !walk_steps) { return inertial_pose_status::no_integral; }
+    if (!known) { return inertial_pose_status::no_prior; }
+    if (!good || !(integral.dT > 0)) { return inertial_pose_status::not_finite; }
+    return inertial_pose_status::optimised;
+  }
+  /// The integral whose walk counts.
+  FT_HOST_DEVICE preintegrated const& walk_of(int b, inertial_poses const& in, bool both) const {
+    bool const slip = params.reference_quirks && both && in.since_keyframe != nullptr;
+    return slip ? in.since_keyframe[b] : in.integral[b];
+  }
+  FT_HOST_DEVICE static leading_numbers<float> numbers(preintegrated const& v) {
+    static_assert(offsetof(preintegrated, steps) == 160 * sizeof(float), "160 floats");
+    return {&v.dT, 160};
+  }
+  FT_HOST_DEVICE static leading_numbers<float> numbers(stored_inertial_state const& v) {
+    static_assert(sizeof(stored_inertial_state) == 16 * sizeof(float), "16 floats");
+    return {&v.q_cw.x, 16};
+  }
+  FT_HOST_DEVICE static leading_numbers<double> numbers(inertial_prior const& v) {
+    static_assert(offsetof(inertial_prior, known) == 246 * sizeof(double), "246 doubles");
+    return {&v.state.R.m[0], 246};
+  }
+
+  FT_HOST_DEVICE static void refuse(int b, inertial_poses const& in, inertial_pose_status status) {
+    inertial_pose_result& result = in.result[b];
+    result.stored = in.start[b];
+    result.status = status;
+    result.tracked = 0;
+    result.inliers = 0;
+    result.rounds = 0;
+    in.next_prior[b].known = 0;
+  }
+
+  /// Fills scratch. Ends with a sync.
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE void load(Group g, scratch& s, int b, inertial_poses const& in,
+                           Solver const& solver) const {
+    preintegrated const& integral = in.integral[b];
+    if (solver.is_thread(0)) {
+      s.mount = pose_mount::of(mount);
+      s.frame = cast_state<wide>(body_state(in.start[b], mount));
+      s.T_cw = s.mount.pose_of(s.frame);
+    }
+    if (solver.is_thread(1)) {
+      s.first = cast_state<wide>(body_state(in.first[b], mount));
+      s.link =
+          inertial_link::of(integral, in.gravity == nullptr ? standard_gravity() : in.gravity[b]);
+    }
+    if (solver.is_thread(2)) {
+      s.prior_weight = 1.0;
+      if (solver.both) { s.prior = cast_state<wide>(in.prior[b].state); }
+    }
+    for (int k = g.rank(); solver.both && k < 225; k += g.size()) {
+      s.prior_H[k] = in.prior[b].information[k];
+    }
+    preintegrated const& walked = walk_of(b, in, solver.both);
+    for (int k = g.rank(); k < 6; k += g.size()) {
+      s.walk[k] = scalar::reciprocal(wide(static_cast<double>(walked.walk[k])));
+    }
+    s.rows.clear(g);
+    information_of(g, s.matrices, integral, params.reference_quirks, s.omega);
+  }
+
+  /// All rounds, and the recovery of outliers.
+  /// @param chi2 [inertial_rounds][capacity]
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE void run(Group g, scratch& s, float* chi2, int capacity, Solver const& solver,
+                          inertial_pose_result& result) const {
+    constexpr int steps = 10;
+    constexpr int enough_terms = 10;
+    constexpr int few_inliers = 30;
+    int const count = solver.seen.count;
+    int const others = solver.both ? 4 : 3;  // terms that are no observations
+    bool early = false;
+    int rounds = 0;
+    int inliers = 0;
+    FT_NO_UNROLL
+    for (bool more = true; more && rounds < inertial_rounds; ++rounds) {
+      float* const judged = chi2 + static_cast<std::ptrdiff_t>(rounds) * capacity;
+      auto last = Solver::outcome::moved;
+      FT_NO_UNROLL
+      for (int step = 0; last == Solver::outcome::moved && step < steps; ++step) {
+        last = solver.step(rounds + 1 < inertial_rounds, judged);
+      }
+      early = early || last == Solver::outcome::undetermined;
+      inliers = classify(g, s, rounds, judged, solver);
+      if (g.rank() == 0) { result.round_state[rounds] = cast_state<double>(s.frame); }
+      more = count + others >= enough_terms;
+    }
+    int tracked = inliers;
+    if (inliers < few_inliers) { tracked = recover(g, s, solver); }
+    if (g.rank() == 0) {
+      result.status = early ? inertial_pose_status::ended_early : inertial_pose_status::optimised;
+      result.tracked = tracked;
+      result.inliers = inliers;
+      result.rounds = rounds;
+    }
+  }
+
+  /// Flags the observations after a round. Returns the number of inliers, to all threads.
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE int classify(Group g, scratch& s, int round, float* chi2,
+                              Solver const& solver) const {
+    constexpr float mono[inertial_rounds] = {12.0f, 7.5f, 5.991f, 5.991f};
+    constexpr float stereo[inertial_rounds] = {15.6f, 9.8f, 7.815f, 7.815f};
+    float const mono_limit = solver.both ? mono[inertial_rounds - 1] : mono[round];
+    auto const& seen = solver.seen;
+    int good = 0;
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < seen.count; i += g.size()) {
+      visual_residual<Rig> const r(rig, s.T_cw, seen.items[i]);
+      // Those that took part keep the error before the last step.
+      if (seen.outlier[i] != 0) { chi2[i] = static_cast<float>(r.chi2.value); }
+      bool const is_mono = r.rows == 2;
+      strict_float limit = is_mono ? mono_limit : stereo[round];
+      if (is_mono && seen.distance[i] < 10.0f) { limit *= strict_float(1.5f); }
+      // Written so that a NaN is an outlier.
+      bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > wide(0.0));
+      seen.outlier[i] = inlier ? 0 : 1;
+      good += static_cast<int>(inlier);
+    }
+    return g.reduce(good, sum_op{});
+  }
+
+  /// Takes outliers that are not far off in again. Returns the number of observations that are not.
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE int recover(Group g, scratch& s, Solver const& solver) const {
+    auto const& seen = solver.seen;
+    int good = 0;
+    FT_NO_UNROLL
+    for (int i = g.rank(); i < seen.count; i += g.size()) {
+      visual_residual<Rig> const r(rig, s.T_cw, seen.items[i]);
+      bool const near = static_cast<float>(r.chi2.value) < (r.rows == 2 ? 18.0f : 24.0f);
+      if (near) { seen.outlier[i] = 0; }
+      good += static_cast<int>(near);
+    }
+    return g.reduce(good, sum_op{});
+  }
+
+  /// The frame's state, as stored and for the next prior, whose information is written.
+  template <typename Group>
+  FT_HOST_DEVICE void write_states(Group g, scratch const& s, int b,
+                                   inertial_poses const& in) const {
+    inertial_prior& next = in.next_prior[b];
+    if (g.rank() == 0) {
+      next.state = cast_state<double>(s.frame);
+      next.known = 1;
+      in.result[b].stored = stored_state(cast_state<float>(s.frame), mount);
+    }
+    g.sync();
+    bool const spoilt = g.any(!numbers(next).finite(g));
+    if (spoilt && g.rank() == 0) { refuse(b, in, inertial_pose_status::not_finite); }
+  }
+};
+
+inline void require_finite_pose(rigid<float> const& T) {
+  for (float const v : T.R.m) { require_finite("imu mount rotation", v); }
+  require_finite("imu mount x", T.t.x);
+  require_finite("imu mount y", T.t.y);
+  require_finite("imu mount z", T.t.z);
+}
+
+}  // namespace detail
+
+/// States of frames from the map points that their keypoints hold, the integral of their IMU, and
+/// either the last keyframe, which is fixed, or the last frame with its prior; and the prior for
+/// the frame that follows. Up to four rounds of ten Gauss-Newton steps with robust weights, after
+/// each of which outliers are told from inliers. A round ends before its tenth step where a step is
+/// below 1e-10 in all components. Host and device give the same bits.
+///
+/// Asynchronous on `exec`; allocates nothing; one launch with a block for each problem, which do
+/// not depend on each other. Source: Forster et al., "On-manifold preintegration for real-time
+/// visual-inertial odometry", T-RO 2017; Campos et al., "ORB-SLAM3", T-RO 2021.
+/// @param rig rectified_rig (also for one camera: observations without a right column), stereo_rig
+///   or multi_rig, in which T_cw is the pose of the rig's body
+/// @param mount of the IMU to the frame of T_cw
+/// @param in arrays in the executor's memory
+/// @throws bad_argument for a negative number of problems or a mount that is not finite
+template <typename Exec, typename Rig>
+void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& mount,
+                             inertial_poses const& in, inertial_pose_params const& params = {}) {
+  detail::require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
+  detail::require_finite_pose(mount.T_bc);
+  detail::require_finite_pose(mount.T_cb);
+  for_each_item<per_block<sum_lanes>>(exec, in.problems,
+                                      detail::optimize_inertial_pose<Rig>{rig, mount, params}, in);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

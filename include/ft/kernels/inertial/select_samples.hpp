@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: selects the samples of an IMU that lie between two images, and makes the steps of
+/// an integration of them.
+#pragma once
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+struct selection_params {
+  /// A sample that is this much older than an image counts as taken with it.
+  double early_s = 0.001;
+  /// The longest time without a sample, also at the ends of the interval, where samples are
+  /// extrapolated. Infinity: any, as in the reference.
+  double longest_gap_s = 0.1;
+  /// For which the noise is stated. Intervals of other rates are refused: the time between samples
+  /// may be a third of this rate's, or three times as long. 0: any rate.
+  float rate_hz = 0;
+  static constexpr double rate_tolerance = 3;
+};
+
+namespace detail {
+
+FT_HOST_DEVICE inline bool is_finite(imu_sample const& s) {
+  return scalar::is_finite(s.time_s) && scalar::is_finite(s.accel.x) &&
+         scalar::is_finite(s.accel.y) && scalar::is_finite(s.accel.z) &&
+         scalar::is_finite(s.gyro.x) && scalar::is_finite(s.gyro.y) && scalar::is_finite(s.gyro.z);
+}
+
+/// What the samples from `first` to `last` are like.
+struct sample_facts {
+  bool finite = true;
+  bool ascending = true;   ///< equal stamps included
+  bool repeated = false;   ///< two equal stamps
+  bool bad_end = false;    ///< a first or last step cannot be interpolated
+  double longest = 0;      ///< time without a sample, s
+  double shortest = 1e30;  ///< time between two samples, s
+
+  FT_HOST_DEVICE void add(double time) {
+    longest = max_of(longest, time);
+    shortest = min_of(shortest, time);
+    ascending = ascending && time >= 0;
+    repeated = repeated || time == 0;
+  }
+};
+
+FT_HOST_DEVICE inline sample_facts inspect(span<imu_sample const> samples,
+                                           imu_interval const& between) {
+  sample_facts facts;
+  int const n = samples.size;
+  for (int i = 0; i < n; ++i) {
+    facts.finite = facts.finite && is_finite(samples[i]);
+    if (i > 0) { facts.add(samples[i].time_s - samples[i - 1].time_s); }
+  }
+  if (n > 2) {
+    facts.bad_end =
+        samples[0].time_s == samples[1].time_s || samples[n - 2].time_s == samples[n - 1].time_s;
+  }
+  facts.longest = max_of(facts.longest, samples[0].time_s - between.from_s);
+  facts.longest = max_of(facts.longest, between.to_s - samples[n - 1].time_s);
+  return facts;
+}
+
+/// What comes of integrating these samples.
+FT_HOST_DEVICE inline integration_status judge(span<imu_sample const> samples,
+                                               imu_interval const& between,
+                                               selection_params const& params, int capacity) {
+  sample_facts const facts = inspect(samples, between);
+  if (!facts.finite) { return integration_status::not_finite; }
+  if (!facts.ascending) { return integration_status::unordered; }
+  int const pairs = samples.size - 1;
+  if (pairs == 0) { return integration_status::one_sample; }
+  if (facts.bad_end) { return integration_status::unordered; }
+  if (!(facts.longest <= params.longest_gap_s)) { return integration_status::gap; }
+  if (params.rate_hz > 0 && pairs > 1) {
+    double const period = 1.0 / static_cast<double>(params.rate_hz);
+    double const mean = (samples[pairs].time_s - samples[0].time_s) / static_cast<double>(pairs);
+    if (facts.shortest > params.rate_tolerance * period || mean * params.rate_tolerance < period) {
+      return integration_status::wrong_rate;
+    }
+  }
+  if (pairs > capacity) { return integration_status::too_many; }
+  return facts.repeated ? integration_status::repeated : integration_status::integrated;
+}
+
+/// Mean of a signal over a step. Where an image cuts the step off, or comes after the samples,
+/// `cut` is that share of the time between both samples.
+FT_HOST_DEVICE inline vec3<float> mean_of(vec3<float> from, vec3<float> to, strict_float cut) {
+  auto const one = [cut](strict_float a, strict_float b) {
+    return ((a + b - (b - a) * cut) * strict_float(0.5f)).value;
+  };
+  return {one(from.x, to.x), one(from.y, to.y), one(from.z, to.z)};
+}
+
+FT_HOST_DEVICE inline imu_step make_step(span<imu_sample const> s, imu_interval const& between,
+                                         int i) {
+  auto const narrow = [](double v) { return static_cast<float>(v); };
+  int const last = s.size - 2;
+  if (last == 0) { return {s[0].accel, s[0].gyro, narrow(between.to_s - between.from_s)}; }
+  imu_sample const& a = s[i];
+  imu_sample const& b = s[i + 1];
+  double const begin = i == 0 ? between.from_s : a.time_s;
+  double const end = i == last ? between.to_s : b.time_s;
+  strict_float cut = 0.0f;
+  if (i == 0 || i == last) {
+    double const outside = i == 0 ? a.time_s - between.from_s : b.time_s - between.to_s;
+    cut = strict_float(narrow(outside)) / strict_float(narrow(b.time_s - a.time_s));
+  }
+  return {mean_of(a.accel, b.accel, cut), mean_of(a.gyro, b.gyro, cut), narrow(end - begin)};
+}
+
+}  // namespace detail
+
+/// Selects the samples between two images and makes their steps. Equal bits on every executor.
+/// Measurements change linearly between samples; what lies before the first or after the last one
+/// is extrapolated. A selection whose status is not usable() has no steps.
+/// @param queue samples, oldest first
+/// @param steps memory for as many as `capacity`
+FT_HOST_DEVICE inline imu_selection select_samples(span<imu_sample const> queue,
+                                                   imu_interval const& between,
+                                                   selection_params const& params, imu_step* steps,
+                                                   int capacity) {
+  imu_selection out{0, 0, 0, 0, integration_status::no_samples};
+  if (queue.size == 0) { return out; }
+  if (!(scalar::is_finite(between.from_s) && scalar::is_finite(between.to_s))) {
+    out.status = integration_status::not_finite;
+    return out;
+  }
+  if (!(between.from_s < between.to_s)) {
+    out.status = integration_status::unordered;
+    return out;
+  }
+  int first = 0;
+  while (first < queue.size && queue[first].time_s < between.from_s - params.early_s) { ++first; }
+  out.dropped = first;
+  int end = first;
+  // A stamp that is not finite belongs to no time: the walk goes over it.
+  while (end < queue.size && !(queue[end].time_s >= between.to_s - params.early_s &&
+                               scalar::is_finite(queue[end].time_s))) {
+    ++end;
+  }
+  out.removed = end;
+  out.taken = min_of(end + 1, queue.size) - first;
+  if (out.taken == 0) {
+    out.status = integration_status::no_steps;
+    return out;
+  }
+  span<imu_sample const> const taken{queue.data + first, out.taken};
+  out.status = detail::judge(taken, between, params, capacity);
+  if (end < queue.size) {
+    bool const ahead = end + 1 < queue.size && queue[end + 1].time_s < queue[end].time_s;
+    if (ahead) { out.status = integration_status::unordered; }
+    // A faulty sample that stayed would spoil the next intervals, too.
+    if (ahead || !detail::is_finite(queue[end])) { ++out.removed; }
+  }
+  if (!usable(out.status)) { return out; }
+  out.steps = out.taken - 1;
+  for (int i = 0; i < out.steps; ++i) { steps[i] = detail::make_step(taken, between, i); }
+  return out;
+}
+
+namespace detail {
+
+/// Item: an interval.
+struct select_interval {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, imu_sample const* samples,
+                                 imu_interval const* intervals, selection_params const& params,
+                                 imu_steps_view const& out) const {
+    imu_interval const between = intervals[item];
+    out.chosen[item] = ft::select_samples({samples + between.first, between.count}, between, params,
+                                          out.of(item), out.capacity);
+  }
+};
+
+}  // namespace detail
+
+/// Selects the samples of many intervals; see the function for one.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param samples of all queues, which may overlap; each interval says where its own are
+/// @param intervals [out.intervals]
+template <typename Exec>
+void select_samples(Exec const& exec, imu_sample const* samples, imu_interval const* intervals,
+                    selection_params const& params, imu_steps_view const& out) {
+  for_each_item<per_thread>(exec, out.intervals, detail::select_interval{}, samples, intervals,
+                            params, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: the beginning of a frame of an odometry with an IMU, which tells what is to be
+/// integrated, and predicts the frame's state.
+#pragma once
+
+#include "ft/containers/inertial.hpp"
+#include "ft/containers/keyframes.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/inertial/predict.hpp"
+#include "ft/kernels/inertial/preintegrate.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/kernels/odometry/begin_frame.hpp"
+#include "ft/kernels/odometry/inertial_track.hpp"
+#include "ft/kernels/odometry/state.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// What a prediction with the IMU reads besides its own state.
+struct inertial_prediction {
+  odometry_input const* inputs;  ///< [batch]
+  imu_mount mount;
+  keyframes_view keyframes;  ///< an adjustment may have moved them
+};
+
+/// Longest time over which a state is predicted from the newest keyframe, s. Later the camera is
+/// searched for as without an IMU.
+inline constexpr float longest_bridge_s = 5.0f;
+
+namespace detail {
+
+/// A state at another pose of the camera.
+FT_HOST_DEVICE inline stored_inertial_state at_pose(stored_inertial_state state,
+                                                    rigid<double> const& T_cw) {
+  auto const T = T_cw.cast<strict_double>();
+  quaternion<strict_double> const q = quaternion_of(T.R);
+  auto const narrow = [](strict_double v) { return static_cast<float>(v.value); };
+  state.q_cw = {narrow(q.x), narrow(q.y), narrow(q.z), narrow(q.w)};
+  state.t_cw = {narrow(T.t.x), narrow(T.t.y), narrow(T.t.z)};
+  return state;
+}
+/// The camera's pose of a state.
+FT_HOST_DEVICE inline rigid<double> pose_of(stored_inertial_state const& state) {
+  using real = strict_double;
+  auto const widen = [](float v) { return real(static_cast<double>(v)); };
+  quaternion<real> const q{widen(state.q_cw.x), widen(state.q_cw.y), widen(state.q_cw.z),
+                           widen(state.q_cw.w)};
+  rigid<real> const T{rotation_of(q),
+                      {widen(state.t_cw.x), widen(state.t_cw.y), widen(state.t_cw.z)}};
+  return T.orthonormalized().cast<double>();
+}
+
+/// Item: a camera. Says what is integrated up to its next frame.
+struct begin_inertial_frame {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_input const* inputs,
+                                 inertial_input const* samples, int capacity,
+                                 inertial_view const& v) const {
+    inertial_input const& in = samples[b];
+    inertial_track& t = v.tracks[b];
+    if (inputs[b].reset != 0) {
+      t = inertial_track::initial();
+      v.prior[b].known = 0;
+    }
+    v.intervals[b] = {in.from_s, in.to_s, b * capacity, in.samples};
+    v.starts[2 * b] = {b, 1, t.last.bias};
+    v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
+    t.restarts = 0;
+  }
+};
+
+/// Item: a camera. Predicts its state, where the IMU says one.
+struct predict_inertial_frame {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, inertial_prediction const& in,
+                                 odometry_state_view const& state, predicted_frames const& out,
+                                 inertial_view const& v) const {
+    inertial_track& t = v.tracks[b];
+    t.source = inertial_source::none;
+    t.status = v.from_last(b).status;
+    camera_track& track = state.tracks[b];
+    track.guided = 0;
+    if (!t.known() || !track.has_map()) { return; }
+    if (state.apply[b] != 0) { follow_map(t, b, in.keyframes); }
+    bool const follows = t.follows != 0 && state.apply[b] == 0;
+    if (follows && usable(v.from_last(b).status)) {
+      t.source = inertial_source::last_frame;
+    } else if (t.keyframe_moves != 0 && usable(v.from_keyframe(b).status) &&
+               v.from_keyframe(b).dT < longest_bridge_s) {
+      t.source = inertial_source::last_keyframe;
+    } else {
+      return;
+    }
+    bool const from_last = t.source == inertial_source::last_frame;
+    preintegrated const& integral = from_last ? v.from_last(b) : v.from_keyframe(b);
+    inertial_state<float> const start = body_state(from_last ? t.last : t.keyframe, in.mount);
+    t.predicted = stored_state(predict_state(start, integral, t.gravity), in.mount);
+    if (!is_finite(t.predicted)) {
+      t.source = inertial_source::none;
+      return;
+    }
+    if (in.inputs[b].predicted != 0) { return; }
+    track.guided = 1;
+    track.predicted = pose_of(t.predicted);
+    out.T_cw[b] = track.predicted.template cast<float>();
+  }
+
+private:
+  /// The newest keyframe is where the map has it now.
+  FT_HOST_DEVICE static void follow_map(inertial_track& t, int b, keyframes_view const& keyframes) {
+    int const made = keyframes.made[b];
+    if (made == 0) { return; }
+    t.keyframe = at_pose(t.keyframe, keyframes.T_cw[keyframes.at(b, keyframes.position(made))]);
+  }
+};
+
+}  // namespace detail
+
+/// Says for every camera which samples lie before its next frame, and which integrals they enter.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param inputs, samples [batch] host memory that the executor's threads can read
+/// @param capacity samples of a camera
+template <typename Exec>
+void begin_inertial_frames(Exec const& exec, odometry_input const* inputs,
+                           inertial_input const* samples, int capacity, inertial_view const& v) {
+  for_each_item<per_thread>(exec, v.batch, detail::begin_inertial_frame{}, inputs, samples,
+                            capacity, v);
+}
+
+/// Predicts the states of cameras with their IMUs, after predict_frames(), whose prediction is
+/// replaced unless it is the caller's. From the last frame; where the map has changed since, or
+/// that was not optimised with the IMU, from the newest keyframe. Asynchronous on `exec`; allocates
+/// nothing; one launch.
+template <typename Exec>
+void predict_inertial_frames(Exec const& exec, inertial_prediction const& in,
+                             odometry_state_view const& state, predicted_frames const& out,
+                             inertial_view const& v) {
+  for_each_item<per_thread>(exec, v.batch, detail::predict_inertial_frame{}, in, state, out, v);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry with an IMU keeps of each camera from frame to frame.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/inertial/inertial_problem.hpp"
+#include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/predict.hpp"
+#include "ft/kernels/inertial/preintegrate.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// From what a frame's state is predicted and optimised.
+enum class inertial_source : int {
+  none = 0,       ///< the IMU says nothing about this frame
+  last_keyframe,  ///< the map has changed since the last frame, or that has no prior
+  last_frame,
+};
+
+/// What is kept of the IMU of one camera. The world is the odometry's.
+struct inertial_track {
+  int estimates;        ///< of gravity and biases that entered their means; 0 = unknown
+  vec3<float> gravity;  ///< weighted mean of the estimates, m/s^2
+  imu_bias bias;        ///< likewise
+  /// Sums of the estimates' weights, in which older ones count less: 1 / rad^2, s^2 / rad^2 and
+  /// s^4 / m^2.
+  float tilt_weight, gyro_weight, accel_weight;
+  stored_inertial_state last;       ///< of the last frame
+  stored_inertial_state keyframe;   ///< of the newest keyframe
+  stored_inertial_state predicted;  ///< of the current frame
+  inertial_source source;           ///< of the prediction
+  int follows;                      ///< 1 = `last` comes from an optimisation, which left a prior
+  /// 1 = the velocities of `last` and of `keyframe` are known. They are not after a frame about
+  /// which the IMU said nothing, until an estimate or an optimisation gives them anew.
+  int moves, keyframe_moves;
+  int restarts;   ///< 1 = the integral from the newest keyframe begins with the next interval
+  int optimizes;  ///< 1 = the current frame's pose is optimised with the IMU
+  integration_status status;  ///< of the samples since the last frame
+
+  FT_HOST_DEVICE bool known() const { return estimates > 0; }
+  FT_HOST_DEVICE static inertial_track initial() {
+    inertial_track t{};
+    t.last.q_cw = t.keyframe.q_cw = t.predicted.q_cw = {0, 0, 0, 1};
+    t.restarts = 1;
+    t.status = integration_status::no_samples;
+    return t;
+  }
+};
+
+/// Inputs of a frame from the host, one camera.
+struct inertial_input {
+  double from_s, to_s;  ///< stamps of the last image and of this one; equal = there was none
+  int samples;          ///< among which the ones between them are
+};
+
+/// What the poses of the current frames are optimised from. Executor memory.
+struct inertial_inputs {
+  int* from_last_frame = nullptr;          ///< [batch] as in inertial_poses, like the others
+  stored_inertial_state* first = nullptr;  ///< [batch]
+  stored_inertial_state* start = nullptr;  ///< [batch]
+  vec3<float>* gravity = nullptr;          ///< [batch]
+  preintegrated* integral = nullptr;       ///< [batch]
+  float* distance = nullptr;               ///< [batch][observations]
+  int* count = nullptr;                    ///< [batch]
+};
+
+/// The IMUs of all cameras. Executor memory.
+struct inertial_view {
+  int batch = 0;
+  int positions = 0;                  ///< of the keyframe ring
+  inertial_track* tracks = nullptr;   ///< [batch]
+  imu_interval* intervals = nullptr;  ///< [batch] from the last frame to the current one
+  imu_steps_view steps;               ///< of these
+  integral_start* starts = nullptr;   ///< [2 * batch]
+  /// [2 * batch] to the current frame: 2 b from the last frame, 2 b + 1 from the newest keyframe
+  preintegrated* integrals = nullptr;
+  /// [batch][positions] from the keyframe before to that at a position
+  preintegrated* between = nullptr;
+  inertial_prior* prior = nullptr;  ///< [batch] of the last frames, then of the current ones
+  inertial_inputs inputs;           ///< of the poses of the current frames
+  inertial_poses poses{};           ///< reads these inputs
+
+  FT_HOST_DEVICE preintegrated& from_last(int b) const { return integrals[2 * b]; }
+  FT_HOST_DEVICE preintegrated& from_keyframe(int b) const { return integrals[2 * b + 1]; }
+};
+
+struct inertial_capacity {
+  int positions;     ///< of the keyframe ring
+  int samples;       ///< between two images
+  int observations;  ///< of a frame
+};
+
+inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  auto const n = b * static_cast<std::size_t>(size.observations);
+  v.batch = batch;
+  v.positions = size.positions;
+  v.tracks = c.take<inertial_track>(b);
+  v.intervals = c.take<imu_interval>(b);
+  carve(c, v.steps, batch, size.samples);
+  v.starts = c.take<integral_start>(2 * b);
+  v.integrals = c.take<preintegrated>(2 * b);
+  v.between = c.take<preintegrated>(b * static_cast<std::size_t>(size.positions));
+  v.prior = c.take<inertial_prior>(b);
+  inertial_inputs& in = v.inputs;
+  in.from_last_frame = c.take<int>(b);
+  in.first = c.take<stored_inertial_state>(b);
+  in.start = c.take<stored_inertial_state>(b);
+  in.gravity = c.take<vec3<float>>(b);
+  in.integral = c.take<preintegrated>(b);
+  in.distance = c.take<float>(n);
+  in.count = c.take<int>(b);
+  inertial_poses& p = v.poses;
+  p.problems = batch;
+  p.capacity = size.observations;
+  p.from_last_frame = in.from_last_frame;
+  p.first = in.first;
+  p.start = in.start;
+  p.gravity = in.gravity;
+  p.integral = in.integral;
+  p.distance = in.distance;
+  p.count = in.count;
+  p.prior = v.prior;
+  p.next_prior = v.prior;
+  p.result = c.take<inertial_pose_result>(b);
+  p.outlier = c.take<unsigned char>(n);
+  p.chi2 = c.take<float>(n * inertial_rounds);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

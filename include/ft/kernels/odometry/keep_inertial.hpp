@@ -1,0 +1,258 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: the end of a frame of an odometry with an IMU, and the estimation of gravity and
+/// biases from its keyframes.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/containers/keyframes.hpp"
+#include "ft/containers/window_problem.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/initialize.hpp"
+#include "ft/kernels/inertial/predict.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/kernels/map/gather_window.hpp"
+#include "ft/kernels/odometry/begin_inertial.hpp"
+#include "ft/kernels/odometry/inertial_track.hpp"
+#include "ft/kernels/odometry/state.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Estimations of gravity and biases from the keyframes of adjustments. Executor memory.
+struct inertial_windows {
+  int views = 0;                       ///< keyframes of an adjustment at most
+  rigid<double>* T_wc = nullptr;       ///< [batch][views] adjusted poses
+  preintegrated* integrals = nullptr;  ///< [batch][views] from each keyframe to the next one
+  int* counts = nullptr;               ///< [batch] keyframes
+  int* newest = nullptr;               ///< [batch] number of the last of them
+  inertial_initialization* results = nullptr;  ///< [batch]
+};
+
+inline void carve(carver& c, inertial_windows& v, int views, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  auto const n = b * static_cast<std::size_t>(views);
+  v.views = views;
+  v.T_wc = c.take<rigid<double>>(n);
+  v.integrals = c.take<preintegrated>(n);
+  v.counts = c.take<int>(b);
+  v.newest = c.take<int>(b);
+  v.results = c.take<inertial_initialization>(b);
+}
+
+/// How estimates become means.
+struct inertial_mean {
+  float gravity = 9.81f;  ///< length of its mean, m/s^2
+  float keep = 0.98f;     ///< share of the weights of all estimates before that a new one leaves
+};
+
+namespace detail {
+
+/// Item: a camera. Keeps its state, and the integral of a new keyframe.
+struct keep_inertial_frame {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_state_view const& state,
+                                 keyframes_view const& keyframes, inertial_view const& v,
+                                 inertial_track* out) const {
+    keep(b, state, keyframes, v);
+    out[b] = v.tracks[b];
+  }
+
+private:
+  FT_HOST_DEVICE static void keep(int b, odometry_state_view const& state,
+                                  keyframes_view const& keyframes, inertial_view const& v) {
+    inertial_track& t = v.tracks[b];
+    camera_track const& track = state.tracks[b];
+    keyframe_order const order = state.order[b];
+    bool const tracked =
+        track.has_map() && track.lost_frames == 0 && order != keyframe_order::begin_map;
+    bool const optimized = tracked && t.optimizes != 0;
+    if (optimized) {
+      t.last = v.poses.result[b].stored;
+      t.moves = 1;
+    } else {
+      if (t.source == inertial_source::none) {
+        t.moves = 0;
+      } else {
+        t.last = t.predicted;
+      }
+      t.last = at_pose(t.last, state.T_cw[b]);
+      v.prior[b].known = 0;
+    }
+    t.follows = optimized ? 1 : 0;
+    if (order == keyframe_order::none) { return; }
+    preintegrated& link = v.between[static_cast<std::ptrdiff_t>(b) * v.positions +
+                                    keyframes.position(keyframes.made[b])];
+    link = v.from_keyframe(b);
+    if (order == keyframe_order::begin_map) { link.status = integration_status::no_samples; }
+    t.keyframe = t.last;
+    t.keyframe_moves = t.moves;
+    t.restarts = 1;
+  }
+};
+
+/// Item: a camera. Gathers the integrals between the keyframes of its adjustment.
+struct gather_integrals {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, int const* flags,
+                                 keyframes_view const& keyframes,
+                                 window_problem_view const& problem,
+                                 window_sources_view const& sources, inertial_view const& v,
+                                 inertial_windows const& out) const {
+    if (flags[b] == 0) { return; }
+    int const views = problem.view_count[b];
+    auto const first = static_cast<std::ptrdiff_t>(b) * out.views;
+    for (int k = g.rank(); k + 1 < views; k += g.size()) {
+      int const number = sources.keyframe[problem.view(b, k + 1)];
+      out.integrals[first + k] =
+          v.between[static_cast<std::ptrdiff_t>(b) * v.positions + keyframes.position(number)];
+    }
+    if (g.rank() == 0) {
+      out.counts[b] = views;
+      out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
+    }
+  }
+};
+
+/// Item: a camera. Estimates its gravity and biases.
+struct estimate_window {
+  using scratch = no_scratch;
+  imu_mount mount;
+  initialization_params params;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, int const* selected,
+                                 window_problem_view const& problem,
+                                 inertial_windows const& v) const {
+    if (selected[b] == 0) { return; }
+    auto const first = static_cast<std::ptrdiff_t>(b) * v.views;
+    for (int k = 0; k < v.counts[b]; ++k) {
+      v.T_wc[first + k] =
+          problem.T_cw[problem.view(b, k)].template cast<strict_double>().inverse().cast<double>();
+    }
+    // Keyframes before an interval without an integral say nothing of those after it.
+    int from = 0;
+    for (int k = 0; k + 1 < v.counts[b]; ++k) {
+      if (!usable(v.integrals[first + k].status)) { from = k + 1; }
+    }
+    v.results[b] = initialize_window(
+        {v.T_wc + first + from, v.integrals + first + from, v.counts[b] - from, mount}, params);
+  }
+};
+
+/// Item: a camera whose adjustment ends with this frame. Takes its estimate over.
+struct apply_inertial_estimate {
+  using scratch = no_scratch;
+  inertial_mean mean;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, int const* flags,
+                                 keyframes_view const& keyframes, inertial_windows const& windows,
+                                 inertial_view const& v) const {
+    inertial_initialization const& found = windows.results[b];
+    inertial_track& t = v.tracks[b];
+    // An uncertain estimate has a small weight. Alone it is none.
+    bool const uncertain = found.status == initialization_status::little_motion;
+    bool const solved = found.tilt_sigma > 0;
+    if (flags[b] == 0 || !(found.succeeded() || (t.known() && uncertain && solved))) { return; }
+    ++t.estimates;
+    mix(t.gravity, t.tilt_weight, found.gravity, found.tilt_sigma);
+    vec3<strict_float> const g = t.gravity.cast<strict_float>();
+    t.gravity =
+        scaled(g, strict_float(mean.gravity) / scalar::sqrt(dot(g, g))).template cast<float>();
+    mix(t.bias.gyro, t.gyro_weight, found.newest.bg, found.gyro_bias_sigma);
+    mix(t.bias.accel, t.accel_weight, found.newest.ba, found.accel_bias_sigma);
+    if (uncertain) { return; }
+    t.keyframe.bias = t.last.bias = t.bias;
+    if (find_velocity(b, found, t, keyframes, windows.newest[b], v)) { t.keyframe_moves = 1; }
+  }
+
+private:
+  /// Adds an estimate to a weighted mean.
+  FT_HOST_DEVICE void mix(vec3<float>& value, float& weight, vec3<double> const& found,
+                          float sigma) const {
+    using real = strict_float;
+    real const own = real(1.0f) / (real(sigma) * real(sigma) + real(1e-12f));
+    if (!scalar::is_finite(own)) { return; }
+    real const all = real(mean.keep) * real(weight) + own;
+    vec3<real> const old = value.cast<real>();
+    vec3<real> const now{static_cast<float>(found.x), static_cast<float>(found.y),
+                         static_cast<float>(found.z)};
+    value = (old + scaled(now - old, own / all)).template cast<float>();
+    weight = all.value;
+  }
+  /// The velocity at the newest keyframe, which may have been made since the adjustment began.
+  /// @return false where an integral since then is missing
+  FT_HOST_DEVICE static bool find_velocity(int b, inertial_initialization const& found,
+                                           inertial_track& t, keyframes_view const& keyframes,
+                                           int number, inertial_view const& v) {
+    inertial_state<float> now{found.newest.R.cast<float>(), found.newest.p.cast<float>(),
+                              found.newest.v.cast<float>(), t.bias.gyro, t.bias.accel};
+    for (int k = number + 1; k <= keyframes.made[b]; ++k) {
+      preintegrated const& link =
+          v.between[static_cast<std::ptrdiff_t>(b) * v.positions + keyframes.position(k)];
+      if (!usable(link.status)) { return false; }
+      now = predict_state(now, link, t.gravity);
+    }
+    t.keyframe.v = now.v;
+    return true;
+  }
+};
+
+}  // namespace detail
+
+/// Keeps the states of all cameras after a frame, and the integrals of new keyframes. Asynchronous
+/// on `exec`; allocates nothing; one launch.
+/// @param out [batch] host memory that the executor's threads can write: the states
+template <typename Exec>
+void keep_inertial_frames(Exec const& exec, odometry_state_view const& state,
+                          keyframes_view const& keyframes, inertial_view const& v,
+                          inertial_track* out) {
+  for_each_item<per_thread>(exec, v.batch, detail::keep_inertial_frame{}, state, keyframes, v, out);
+}
+
+/// Gathers the integrals between the keyframes of adjustments that begin, after gather_window().
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param flags [batch] 1 = gather
+template <typename Exec>
+void gather_inertial_windows(Exec const& exec, int const* flags, keyframes_view const& keyframes,
+                             window_problem_view const& problem, window_sources_view const& sources,
+                             inertial_view const& v, inertial_windows const& out) {
+  for_each_item<per_warp>(exec, v.batch, detail::gather_integrals{}, flags, keyframes, problem,
+                          sources, v, out);
+}
+
+/// Estimates gravity and biases from adjusted keyframes. Asynchronous on `exec`; allocates nothing;
+/// one launch.
+/// @param selected [batch] cameras that are 0 are not touched
+template <typename Exec>
+void estimate_inertial_windows(Exec const& exec, int const* selected,
+                               window_problem_view const& problem, imu_mount const& mount,
+                               initialization_params const& params, inertial_windows const& v) {
+  for_each_item<per_thread>(exec, problem.batch, detail::estimate_window{mount, params}, selected,
+                            problem, v);
+}
+
+/// Takes estimates over: gravity and biases as means of the latest ones, and the velocity of the
+/// newest keyframe. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param flags [batch] 1 = the adjustment ends with this frame
+template <typename Exec>
+void apply_inertial_estimates(Exec const& exec, int const* flags, keyframes_view const& keyframes,
+                              inertial_windows const& windows, inertial_mean const& mean,
+                              inertial_view const& v) {
+  for_each_item<per_thread>(exec, v.batch, detail::apply_inertial_estimate{mean}, flags, keyframes,
+                            windows, v);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The IMUs of an odometry: memory, samples that wait for their frame, and stages.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/containers/observations.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/inertial/calibration.hpp"
+#include "ft/kernels/inertial/optimize_inertial_pose.hpp"
+#include "ft/kernels/inertial/preintegrate.hpp"
+#include "ft/kernels/inertial/select_samples.hpp"
+#include "ft/kernels/odometry/begin_inertial.hpp"
+#include "ft/kernels/odometry/inertial_poses.hpp"
+#include "ft/kernels/odometry/inertial_track.hpp"
+#include "ft/kernels/odometry/keep_inertial.hpp"
+#include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/imu_params.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Samples of one IMU that wait for their frame. Any thread may add; one takes.
+class sample_queue {
+public:
+  /// @throws bad_argument for numbers that are not finite, or a time that is not after the last one
+  void add(imu_measurement const& m) {
+    for (float const v : {m.accel.x, m.accel.y, m.accel.z}) {
+      require_finite("a specific force of the IMU", v);
+    }
+    for (float const v : {m.gyro.x, m.gyro.y, m.gyro.z}) {
+      require_finite("an angular rate of the IMU", v);
+    }
+    std::lock_guard<std::mutex> const lock(mutex_);
+    if (any_ && m.time_ns <= last_ns_) {
+      throw bad_argument("ft: the time of an IMU sample is " + std::to_string(m.time_ns) +
+                         " ns, must be after " + std::to_string(last_ns_));
+    }
+    any_ = true;
+    last_ns_ = m.time_ns;
+    waiting_.push_back(m);
+  }
+  /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
+  /// @param base_ns time 0 of the copies @return their number; above `capacity`, no more are copied
+  int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    auto const late = std::find_if(waiting_.begin(), waiting_.end(),
+                                   [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
+    auto const end = late == waiting_.end() ? late : late + 1;
+    int n = 0;
+    for (auto m = waiting_.begin(); m != end; ++m, ++n) {
+      if (n < capacity) {
+        to[n] = {static_cast<double>(m->time_ns - base_ns) * 1e-9, m->accel, m->gyro};
+      }
+    }
+    waiting_.erase(waiting_.begin(), late);
+    return n;
+  }
+  void clear() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    waiting_.clear();
+    any_ = false;
+  }
+
+private:
+  std::mutex mutex_;
+  std::vector<imu_measurement> waiting_;  ///< oldest first
+  std::int64_t last_ns_ = 0;
+  bool any_ = false;
+};
+
+/// Memory and stages. All stages are asynchronous on their executor and allocate nothing.
+template <typename Exec>
+class odometry_inertial {
+public:
+  inertial_track* outputs = nullptr;  ///< [batch] staging memory, which a device writes
+
+  bool present() const { return params_.present; }
+  allocated_bytes bytes() const { return {memory_.bytes(), staging_memory_.bytes()}; }
+
+  /// @param observations of a frame @throws bad_argument, std::bad_alloc, cuda_error
+  void take(imu_params const& params, odometry_params const& p, int observations, int batch) {
+    params_ = params;
+    if (!present()) { return; }
+    check(params, p);
+    if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
+    mount_ = mount_of(params.T_bc);
+    variances_ = variances_of(params.noise);
+    batch_ = batch;
+    views_ = p.window.moving + p.window.fixed;
+    memory_ = arena<Exec::space>([&](carver& c) {
+      carve(c, view_, {p.keyframes, params.samples, observations}, batch);
+      carve(c, windows_, views_, batch);
+    });
+    auto const b = static_cast<std::size_t>(batch);
+    staging_memory_ = arena<staging>([&](carver& c) {
+      inputs_ = c.take<inertial_input>(b);
+      outputs = c.take<inertial_track>(b);
+      samples_ = c.take<imu_sample>(b * static_cast<std::size_t>(params.samples));
+    });
+    std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
+    queues_ = std::make_unique<sample_queue[]>(b);
+    base_ns_.assign(b, 0);
+  }
+  void initialize(Exec const& exec) {
+    if (!present()) { return; }
+    fill_bytes(exec, memory_.data(), 0, memory_.bytes());
+    for (int b = 0; b < batch_; ++b) { outputs[b] = inertial_track::initial(); }
+    copy(exec, view_.tracks, static_cast<inertial_track const*>(outputs),
+         static_cast<std::size_t>(batch_));
+  }
+
+  /// Forgets what is known about the IMU of camera pair b. Waits.
+  void forget(Exec const& exec, int b) {
+    if (!present()) { return; }
+    queue(b).clear();
+    outputs[b] = inertial_track::initial();
+    copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs + b), std::size_t{1});
+    fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
+    exec.wait();
+  }
+  sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
+  /// Before a frame: its samples and times. @param begun whether there was a frame before it
+  void set_input(int b, bool begun, std::int64_t from_ns, std::int64_t to_ns) {
+    auto const i = static_cast<std::size_t>(b);
+    if (!begun) { base_ns_[i] = from_ns = to_ns; }
+    auto const seconds = [&](std::int64_t t) {
+      return static_cast<double>(t - base_ns_[i]) * 1e-9;
+    };
+    imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
+    auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
+    int const n = queue(b).take(base_ns_[i], to_ns - early_ns, params_.samples, to);
+    inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples)};
+  }
+
+  // ---- stages, in order
+
+  void integrate(Exec const& exec, odometry_input const* inputs) const {
+    begin_inertial_frames(exec, inputs, inputs_, params_.samples, view_);
+    select_samples(exec, samples_, view_.intervals, params_.selection, view_.steps);
+    preintegrate(exec, view_.steps, {view_.starts, 2 * batch_}, variances_, view_.integrals);
+  }
+  /// After the adjustment was applied to the map.
+  void apply(Exec const& exec, odometry_memory<Exec> const& own) const {
+    apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_,
+                             {params_.initialization.gravity}, view_);
+  }
+  void predict(Exec const& exec, odometry_memory<Exec> const& own,
+               predicted_frames const& out) const {
+    predict_inertial_frames(exec, {own.inputs, mount_, own.map.keyframes}, own.state, out, view_);
+  }
+  template <typename Rig>
+  void optimize(Exec const& exec, Rig const& rig, odometry_state_view const& state,
+                frame_view const& frame, observations_view const& seen, pose* T_cw) const {
+    prepare_inertial_poses(exec, seen, state, view_);
+    inertial_poses poses = view_.poses;
+    poses.observations = seen.items;
+    optimize_inertial_poses(exec, rig, mount_, poses);
+    take_inertial_poses(exec, seen, frame, T_cw, view_);
+  }
+  void keep(Exec const& exec, odometry_memory<Exec> const& own) const {
+    keep_inertial_frames(exec, own.state, own.map.keyframes, view_, outputs);
+  }
+  void gather(Exec const& exec, odometry_memory<Exec> const& own) const {
+    gather_inertial_windows(exec, own.state.gather, own.map.keyframes, own.window, own.sources,
+                            view_, windows_);
+  }
+  /// Beside tracking, after an adjustment. @param selected [batch] its cameras
+  void estimate(Exec const& exec, int const* selected, window_problem_view const& problem) const {
+    estimate_inertial_windows(exec, selected, problem, mount_, params_.initialization, windows_);
+  }
+
+private:
+  static constexpr memory_space staging = staging_space<Exec>;
+
+  static void check(imu_params const& imu, odometry_params const& p) {
+    require_range("imu.samples", imu.samples, 2, 1 << 20);
+    require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
+    require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
+    require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
+    imu.initialization.check();
+    require_range("imu.initialization.least_keyframes", imu.initialization.least_keyframes, 3,
+                  p.window.moving + p.window.fixed);
+    require(imu.initialization.known_scale, "the scale of an odometry's map is known");
+  }
+
+  imu_params params_;
+  imu_mount mount_{};
+  imu_variances variances_{};
+  int batch_ = 0;
+  int views_ = 0;
+  inertial_view view_;
+  inertial_windows windows_;
+  inertial_input* inputs_ = nullptr;  ///< [batch] staging memory, which a device reads
+  imu_sample* samples_ = nullptr;     ///< [batch][samples] likewise
+  arena<Exec::space> memory_;
+  arena<staging> staging_memory_;
+  std::unique_ptr<sample_queue[]> queues_;
+  std::vector<std::int64_t> base_ns_;
+};
+
+/// What a caller is told of an IMU.
+inline imu_tracking imu_tracking_of(inertial_track const& t) {
+  imu_tracking out;
+  out.samples = t.status;
+  out.known = t.known();
+  if (!out.known) { return out; }
+  auto const widen = [](vec3<float> v) {
+    return vec3<double>{static_cast<double>(v.x), static_cast<double>(v.y),
+                        static_cast<double>(v.z)};
+  };
+  out.predicted = t.source != inertial_source::none;
+  out.optimized = t.follows != 0;
+  out.velocity = widen(t.last.v);
+  out.gravity = widen(t.gravity);
+  out.bias = t.last.bias;
+  return out;
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

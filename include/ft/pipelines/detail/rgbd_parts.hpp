@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The parts of an RGB-D rig.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+
+#include "ft/cameras/rgbd_rig.hpp"
+#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/frame.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/stereo_matches.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/grid.hpp"
+#include "ft/kernels/images/depth_association.hpp"
+#include "ft/kernels/images/undistort.hpp"
+#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/pipelines/detail/frame_memory.hpp"
+#include "ft/pipelines/detail/rig_parts.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The places of the depth images of a batch.
+struct depth_places {
+  depth_source* of = nullptr;  ///< [batch]
+};
+inline void carve(carver& c, depth_places& v, int batch) {
+  v.of = c.take<depth_source>(static_cast<std::size_t>(batch));
+}
+
+/// The images of the next frame of a batch of RGB-D cameras. Of a depth image only the pixels of
+/// keypoints are read, so it is not uploaded: it stays where it is, or is copied to staging memory
+/// if the executor cannot read it there.
+template <typename Exec, typename Camera>
+class rig_input<Exec, rgbd_rig<Camera>> {
+public:
+  using images_type = rgbd_images;
+  static constexpr bool overlaps_pyramid = true;
+  static constexpr memory_space staging = staging_space<Exec>;
+
+  rig_input() = default;
+  rig_input(Exec const&, rgbd_rig<Camera> const&, pyramid_geometry const& geometry, int batch)
+      : images_(geometry, {0, 1}, batch),
+        places_(batch),
+        width_(geometry.width[0]),
+        height_(geometry.height[0]) {
+    if (Exec::asynchronous) {
+      staged_ = buffer<float, staging>(
+          checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(pixels())));
+    }
+  }
+
+  frame_images<Exec> const& images() const { return images_; }
+  depth_sources_view depths() const {
+    return {places_.device.of, width_, height_, images_.batch()};
+  }
+  /// @throws bad_argument for an image that is null or of another size
+  void take(int b, rgbd_images const& given) {
+    require_depth(given.depth);
+    images_.take(b, 0, given.gray);
+    places_.host.of[b] = place_of(b, given.depth);
+  }
+  /// Enqueues the copy of the images, and of the places of the depth images.
+  void upload(Exec const& exec, extraction<Exec> const& to) const {
+    to.upload(exec, images_.sources(), places_.source(), {});
+  }
+
+  allocated_bytes allocated() const {
+    return images_.allocated() + places_.allocated() + allocated_bytes{0, staged_.bytes()};
+  }
+
+private:
+  std::ptrdiff_t pixels() const { return static_cast<std::ptrdiff_t>(width_) * height_; }
+  void require_depth(depth_view const& depth) const {
+    require(depth.data != nullptr, "the depth image is null");
+    auto const row = static_cast<std::ptrdiff_t>(width_) * pixel_bytes(depth);
+    require(depth.width == width_ && depth.height == height_ && depth.pitch >= row,
+            "the depth image's size is not that of the grey one, or its stride is below its width");
+  }
+  static std::ptrdiff_t pixel_bytes(depth_view const& depth) {
+    return depth.is_float ? std::ptrdiff_t{sizeof(float)} : std::ptrdiff_t{sizeof(std::uint16_t)};
+  }
+  depth_source place_of(int b, depth_view const& depth) const {
+    auto const* const first = static_cast<char const*>(depth.data);
+    std::ptrdiff_t const row = width_ * pixel_bytes(depth);
+    char const* const last = first + (height_ - 1) * depth.pitch + (row - 1);
+    void const* const there = Exec::host_address(first);
+    if (there != nullptr && Exec::host_address(last) != nullptr) {
+      return {there, depth.pitch, depth.is_float ? 1 : 0};
+    }
+    auto* const to = reinterpret_cast<char*>(staged_.data() + b * pixels());
+    for (int y = 0; y < height_; ++y) {
+      std::memcpy(to + y * row, first + y * depth.pitch, static_cast<std::size_t>(row));
+    }
+    return {to, row, depth.is_float ? 1 : 0};
+  }
+
+  frame_images<Exec> images_;
+  twin<depth_places, Exec::space, staging> places_;
+  int width_ = 0;
+  int height_ = 0;
+  buffer<float, staging> staged_;  ///< [batch][image], large enough for both formats
+};
+
+/// Depths and virtual right columns of the keypoints of RGB-D cameras: a stereo_matcher of theirs.
+template <typename Exec, typename Camera>
+class depth_matcher {
+public:
+  static constexpr bool undistorts = !std::is_same<Camera, pinhole<float>>::value;
+
+  depth_matcher() = default;
+  depth_matcher(rgbd_rig<Camera> const& rig, orb_extractor<Exec> const& extractor,
+                depth_sources_view const& depths)
+      : rig_(rig), depths_(depths) {
+    params_.bf = rig.pair().bf();
+    params_.scale = rig.depth_scale;
+    params_.min_depth = rig.min_depth;
+    params_.max_depth = rig.max_depth;
+    memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
+      carve(c, m.matches, extractor.capacity(), extractor.batch());
+      if (undistorts) { carve(c, m.undistorted, extractor.capacity(), extractor.batch()); }
+    });
+  }
+
+  void match_sorted(Exec const& exec, orb_extractor<Exec> const& extractor) const {
+    pixels_view const raw = extractor.keypoints();
+    associate_depth(exec, raw, undistorts ? memory_->undistorted : raw, depths_, params_,
+                    memory_->matches);
+  }
+  /// Moves keypoints to where the undistorted camera sees them, and sorts them into grids.
+  void undistort(Exec const& exec, orb_extractor<Exec> const& extractor,
+                 feature_grid_view const& cells) const {
+    undistort_keypoints(exec, rig_.camera, rig_.undistorted(), extractor.keypoints(),
+                        {memory_->undistorted, nullptr});
+    build_grid<nearest_cell>(exec, keypoints(extractor), 0, 1, extractor.batch(), cells);
+  }
+  /// The keypoints that are searched.
+  keypoints_view keypoints(orb_extractor<Exec> const& extractor) const {
+    keypoints_view const raw = extractor.keypoints();
+    return undistorts ? with_columns(raw, memory_->undistorted) : raw;
+  }
+  std::size_t bytes() const { return memory_.bytes(); }  ///< of executor memory
+  stereo_matches_view matches() const { return memory_->matches; }
+  float const* depth() const { return array_of<field::depth>(memory_->matches); }
+  static fisheye_matches_view fisheye_matches() { return {}; }
+
+private:
+  struct memory {
+    stereo_matches_view matches;
+    pixels_view undistorted;
+  };
+  rgbd_rig<Camera> rig_{};
+  depth_sources_view depths_;
+  depth_params params_;
+  owner<memory, Exec::space> memory_;
+};
+
+template <typename Exec, typename Camera>
+auto grids_of(depth_matcher<Exec, Camera> const&, feature_grid_view const& cells) {
+  if constexpr (depth_matcher<Exec, Camera>::undistorts) {
+    static_cast<void>(cells);
+    return no_grids{};
+  } else {
+    return keypoint_grids<false>{cells, {}};
+  }
+}
+
+template <typename Camera>
+struct rig_parts<rgbd_rig<Camera>> {
+  using searched_rig = rectified_rig;
+  template <typename Exec>
+  using input = rig_input<Exec, rgbd_rig<Camera>>;
+  template <typename Exec>
+  using matcher = depth_matcher<Exec, Camera>;
+  static constexpr bool undistorts = matcher<host_exec>::undistorts;
+
+  static rectified_rig searched(rgbd_rig<Camera> const& rig) { return rig.pair(); }
+  static absent_images absent(rgbd_rig<Camera> const&) { return {}; }
+  template <typename Exec>
+  static matcher<Exec> make_matcher(rgbd_rig<Camera> const& rig,
+                                    orb_extractor<Exec> const& extractor, input<Exec> const& in) {
+    return {rig, extractor, in.depths()};
+  }
+  static image_bounds bounds(rgbd_rig<Camera> const& rig, int width, int height) {
+    if (undistorts) { return undistorted_bounds(rig.camera, rig.undistorted(), width, height); }
+    return {0, 0, static_cast<float>(width), static_cast<float>(height)};
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry knows about an IMU, and what it tells of it.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/select_samples.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The IMU of a rig. All numbers come from its calibration, but for the last four.
+struct imu_params {
+  bool present = false;
+  /// From the frame of poses to the IMU's: the left camera, of a distorted_pair the rectified one,
+  /// or a multi_rig's body.
+  rigid<double> T_bc = rigid<double>::identity();
+  imu_noise noise;
+  int samples = 4096;          ///< between two frames, at most: with more, there is a gap
+  selection_params selection;  ///< a rate_hz of 0 becomes the noise's
+  initialization_params initialization = {9.81f, true, 8};
+  double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
+};
+
+/// A sample of an IMU.
+struct imu_measurement {
+  std::int64_t time_ns;  ///< on the images' clock
+  vec3<float> accel;     ///< specific force, m/s^2; at rest it points up, 9.81 long
+  vec3<float> gyro;      ///< rad/s
+};
+
+/// What the IMU says about a frame.
+struct imu_tracking {
+  bool known = false;      ///< gravity, velocity and biases are known; the rest is 0 until then
+  bool optimized = false;  ///< the frame's pose was optimised with the IMU
+  bool predicted = false;  ///< the frame's pose was predicted with the IMU
+  vec3<double> velocity = {0, 0, 0};  ///< of the IMU in the world, m/s
+  vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
+  imu_bias bias{};
+  integration_status samples = integration_status::no_samples;  ///< those since the last frame
+};
+
+}  // namespace FT_ABI
+}  // namespace ft

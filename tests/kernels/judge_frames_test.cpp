@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+// Frames of an odometry, judged: which keypoints are near, and what follows for keyframes.
+#include "ft/kernels/odometry/judge_frame.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <string>
+
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/plain_map.hpp"
+
+namespace judge_frames_test {
+
+constexpr int keypoints = 40;
+
+struct arrays {
+  ft::keypoints_view keypoints;
+  int* holder = nullptr;
+  float* depth = nullptr;
+  int* inliers = nullptr;
+  ft::pose* T_cw = nullptr;
+  unsigned char* matched = nullptr;
+  ft::odometry_state_view state;
+};
+
+/// A frame that is tracked and has few points, on an executor.
+template <typename Exec, typename Rig>
+struct room {
+  static constexpr int cameras = Rig::cameras;
+  Exec const& exec;
+  Rig rig;
+  ft::tracking_rules rules;
+  test::mirrored<Exec, arrays> data;
+
+  room(Exec const& executor, Rig const& of)
+      : exec(executor), rig(of), data([](ft::carver& c, arrays& v) {
+          auto const n = static_cast<std::size_t>(cameras) * keypoints;
+          carve(c, v.keypoints, keypoints, Rig::images);
+          v.holder = c.take<int>(n);
+          v.depth = c.take<float>(n);
+          v.inliers = c.take<int>(1);
+          v.T_cw = c.take<ft::pose>(1);
+          v.matched = c.take<unsigned char>(n);
+          carve(c, v.state, 1);
+        }) {
+    rules.wanted_near_points = 10;
+    rules.new_near_points = 5;
+    rules.near_depth = 10;
+    arrays const& v = data.host;
+    std::fill_n(v.keypoints.count, Rig::images, keypoints);
+    std::fill_n(v.holder, cameras * keypoints, -1);
+    std::fill_n(v.depth, cameras * keypoints, -1.0f);
+    *v.inliers = rules.min_inliers;
+    *v.T_cw = ft::pose::identity();
+    v.state.tracks[0] = ft::camera_track::initial();
+    v.state.tracks[0].state = ft::tracking_state::tracking;
+    v.state.tracks[0].plan = ft::search_plan::follow;
+    v.state.T_cw[0] = ft::rigid<double>::identity();
+  }
+  /// Whether the frame becomes a keyframe with so many keypoints of camera c at a depth.
+  bool asks_for_keyframe(int c, int count, float depth) {
+    arrays const& v = data.host;
+    std::fill_n(v.depth + c * keypoints, count, depth);
+    data.push(exec);
+    std::fill_n(v.depth + c * keypoints, count, -1.0f);
+    arrays const& there = data.device;
+    ft::searched_frames<Rig> in{};
+    in.rig = rig;
+    in.frame.keypoints = there.keypoints;
+    in.frame.cameras = cameras;
+    in.frame.batch = 1;
+    in.frame.keypoint_step = Rig::images;
+    in.frame.camera_step = Rig::images / cameras;
+    in.frame.holder = there.holder;
+    in.depth = there.depth;
+    in.inliers = there.inliers;
+    in.T_cw = there.T_cw;
+    in.matched = there.matched;
+    ft::judge_frames(exec, rules, in, there.state);
+    ft::keyframe_order order{};
+    ft::copy(exec, &order, static_cast<ft::keyframe_order const*>(there.state.order), 1);
+    exec.wait();
+    return order == ft::keyframe_order::add;
+  }
+};
+
+template <typename Backend>
+class JudgeFrames : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(JudgeFrames, test::backends);
+
+TYPED_TEST(JudgeFrames, NearIsMeasuredInBaselinesOfThePair) {
+  TypeParam backend;
+  ft::pinhole<float> const camera{400.0f, 400.0f, 320.0f, 240.0f};
+  ft::multi_rig<3> const rig{{{camera, 0.1, ft::pose::identity()},
+                              {camera, 0.4, ft::pose::identity()},
+                              {camera, 0.2, ft::pose::identity()}}};
+  room<typename TypeParam::exec_type, ft::multi_rig<3>> r(backend.exec, rig);
+  float const limit[3] = {1, 4, 2};  // metres: ten baselines
+  for (int c = 0; c < 3; ++c) {
+    SCOPED_TRACE("camera " + std::to_string(c));
+    EXPECT_TRUE(r.asks_for_keyframe(c, 6, limit[c]));
+    EXPECT_FALSE(r.asks_for_keyframe(c, 5, limit[c])) << "too few new points";
+    EXPECT_FALSE(r.asks_for_keyframe(c, 6, 1.01f * limit[c])) << "none is near";
+  }
+}
+
+TYPED_TEST(JudgeFrames, NearIsMeasuredInTheBaselineOfARectifiedPair) {
+  TypeParam backend;
+  auto const rig = ft::rectified_rig::make({400.0f, 400.0f, 320.0f, 240.0f}, 0.3);
+  room<typename TypeParam::exec_type, ft::rectified_rig> r(backend.exec, rig);
+  EXPECT_TRUE(r.asks_for_keyframe(0, 6, 2.99f));
+  EXPECT_FALSE(r.asks_for_keyframe(0, 6, 3.01f));
+}
+
+}  // namespace judge_frames_test

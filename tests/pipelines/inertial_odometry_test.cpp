@@ -1,0 +1,329 @@
+// SPDX-License-Identifier: Apache-2.0
+// An odometry with an IMU: a camera that walks through a rendered room, with samples computed from
+// the walk's own formula; blindness, and what is refused.
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <thread>
+#include <vector>
+
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/room.hpp"
+
+namespace inertial_odometry_test {
+
+using test::room::stereo_frame;
+using vector = ft::vec3<double>;
+using matrix = ft::mat3<double>;
+constexpr std::int64_t period = 50'000'000;
+constexpr int frame_count = 40;
+
+std::vector<stereo_frame> const& walk() {
+  static auto const frames = test::room::make_walk(test::room::rig(), 0, frame_count);
+  return frames;
+}
+/// The orientation of make_walk() at a time in frames.
+matrix orientation(double step) {
+  double const yaw = 0.012 * step, pitch = 0.006 * step;
+  double const c = std::cos(yaw), s = std::sin(yaw), cp = std::cos(pitch), sp = std::sin(pitch);
+  return matrix{{c, 0, s, 0, 1, 0, -s, 0, c}} * matrix{{1, 0, 0, 0, cp, -sp, 0, sp, cp}};
+}
+constexpr double seconds = 0.05;  // of a frame
+vector true_velocity() { return {0.02 / seconds, -0.01 / seconds, 0.05 / seconds}; }
+constexpr double gravity = 9.81;
+
+// A mount, and biases, that nothing can be right without.
+ft::rigid<double> mount() {
+  double const c = std::cos(0.4), s = std::sin(0.4);
+  return {{{c, -s, 0, s, c, 0, 0, 0, 1}}, {0.05, -0.02, 0.03}};
+}
+vector const gyro_bias{0.004, -0.006, 0.003};
+vector const accel_bias{0.02, -0.03, 0.01};
+
+ft::vec3<float> narrow(vector const& v) {
+  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
+}
+vector axis_of(matrix const& dR) {  // of a small rotation
+  return {0.5 * (dR.m[7] - dR.m[5]), 0.5 * (dR.m[2] - dR.m[6]), 0.5 * (dR.m[3] - dR.m[1])};
+}
+
+/// The sample at a time in frames. The y axis of the walk's world points down.
+ft::imu_measurement sample_at(double step) {
+  ft::rigid<double> const T_bc = mount();
+  matrix const R_cb = T_bc.R.transposed();
+  vector const t_cb = T_bc.inverse().t;  // where the body is, in the camera's frame
+  auto const body = [&](double at) {     // its orientation and position in the world
+    matrix const R = orientation(at);
+    vector const p = R * t_cb;
+    return ft::rigid<double>{R * R_cb, {p.x + 0.02 * at, p.y - 0.01 * at, p.z + 0.05 * at}};
+  };
+  double const h = 1e-3;  // frames
+  auto const before = body(step - h), now = body(step), after = body(step + h);
+  vector const turn = axis_of(before.R.transposed() * after.R);
+  double const dt = h * seconds;
+  vector const moved = (after.t - now.t) - (now.t - before.t);
+  vector const force{moved.x / (dt * dt), moved.y / (dt * dt) - gravity, moved.z / (dt * dt)};
+  vector const rate{turn.x / (2 * dt), turn.y / (2 * dt), turn.z / (2 * dt)};
+  return {static_cast<std::int64_t>(std::llround((step + 1) * static_cast<double>(period))),
+          narrow(now.R.transposed() * force + accel_bias), narrow(rate + gyro_bias)};
+}
+
+ft::odometry_params params() {
+  auto p = test::room::odometry_params(4096);
+  p.imu.present = true;
+  p.imu.T_bc = mount();
+  p.imu.keyframe_period_s = 0.1;
+  p.imu.initialization.least_keyframes = 8;
+  return p;
+}
+
+/// Tracks frames [0, frames), with 200 samples a second. @param blind frames that are black
+template <typename Exec>
+std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = {}) {
+  auto frames = walk();
+  for (int const i : blind) {
+    auto& f = frames[static_cast<std::size_t>(i)];
+    f.left.assign(f.left.size(), 0);
+    f.right.assign(f.right.size(), 0);
+  }
+  ft::odometry<Exec> odo(exec, test::room::rig(), params());
+  std::vector<ft::tracking> all;
+  int samples = 0;
+  for (int i = 0; i < frame_count; ++i) {
+    while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++)); }
+    auto const& f = frames[static_cast<std::size_t>(i)];
+    all.push_back(
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+  }
+  return all;
+}
+
+double length(vector const& v) { return std::sqrt(ft::dot(v, v)); }
+double error_of(ft::tracking const& t, int frame) {
+  auto const& f = walk()[static_cast<std::size_t>(frame)];
+  return length(t.T_world_camera.t - f.T_cw.cast<double>().inverse().t);
+}
+
+template <typename Backend>
+class inertial_odometry : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(inertial_odometry, test::backends);
+
+TYPED_TEST(inertial_odometry, finds_gravity_velocity_and_biases) {
+  TypeParam backend;
+  auto const all = run(backend.exec);
+  EXPECT_FALSE(all.front().imu.known);
+  EXPECT_EQ(all.front().imu.samples, ft::integration_status::unordered);  // no time has passed
+  auto const& last = all.back();
+  ASSERT_TRUE(last.imu.known);
+  EXPECT_TRUE(last.imu.predicted);
+  EXPECT_TRUE(last.imu.optimized);
+  EXPECT_EQ(last.imu.samples, ft::integration_status::integrated);
+  // Less than a second of a smooth walk: gravity within 2 degrees, biases within some sigma.
+  vector const down{0, gravity, 0};
+  EXPECT_LT(length(last.imu.gravity - down), 0.35);
+  EXPECT_NEAR(length(last.imu.gravity), gravity, 1e-3);
+  auto const gyro = last.imu.bias.gyro;
+  EXPECT_NEAR(static_cast<double>(gyro.x), gyro_bias.x, 3e-3);
+  EXPECT_NEAR(static_cast<double>(gyro.y), gyro_bias.y, 3e-3);
+  EXPECT_NEAR(static_cast<double>(gyro.z), gyro_bias.z, 3e-3);
+  // The body moves around the camera by less than 2 cm/s.
+  EXPECT_LT(length(last.imu.velocity - true_velocity()), 0.1);
+  for (int i = 0; i < frame_count; ++i) {
+    EXPECT_EQ(all[static_cast<std::size_t>(i)].state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(all[static_cast<std::size_t>(i)], i), 0.02) << i;
+  }
+}
+
+TYPED_TEST(inertial_odometry, bridges_black_images) {
+  TypeParam backend;
+  std::vector<int> blind;
+  for (int i = 30; i < 36; ++i) { blind.push_back(i); }
+  auto const all = run(backend.exec, blind);
+  ASSERT_TRUE(all[29].imu.known);
+  for (int i = 30; i < 36; ++i) {
+    auto const& t = all[static_cast<std::size_t>(i)];
+    EXPECT_NE(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_TRUE(t.imu.predicted) << i;
+    EXPECT_FALSE(t.imu.optimized) << i;
+    EXPECT_LT(error_of(t, i), 0.05) << i;
+  }
+  for (int i = 37; i < frame_count; ++i) {
+    auto const& t = all[static_cast<std::size_t>(i)];
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(t, i), 0.03) << i;
+  }
+  EXPECT_EQ(all.back().maps, 1);
+}
+
+TYPED_TEST(inertial_odometry, works_without_samples) {
+  TypeParam backend;
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  for (int i = 0; i < 12; ++i) {
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    auto const t =
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_FALSE(t.imu.known);
+    EXPECT_EQ(t.imu.samples, ft::integration_status::no_samples);
+  }
+}
+
+TYPED_TEST(inertial_odometry, takes_samples_from_another_thread) {
+  TypeParam backend;
+  auto const want = run(backend.exec);
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  std::atomic<int> frame{-1}, added{-1};
+  std::thread imu([&] {  // a frame ahead, while the frame before is tracked
+    int samples = 0;
+    for (int i = 0; i < frame_count; ++i) {
+      while (frame < i - 1) { std::this_thread::yield(); }
+      while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++)); }
+      added = i;
+    }
+  });
+  for (int i = 0; i < frame_count; ++i) {
+    while (added < i) { std::this_thread::yield(); }
+    frame = i;
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    auto const t =
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    auto const& w = want[static_cast<std::size_t>(i)];
+    EXPECT_EQ(std::memcmp(&t.T_world_camera, &w.T_world_camera, sizeof t.T_world_camera), 0) << i;
+  }
+  imu.join();
+}
+
+// Without the samples of three frames no velocity is known, until keyframes tell it again.
+TYPED_TEST(inertial_odometry, a_gap_in_the_samples_harms_no_pose) {
+  TypeParam backend;
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  bool known = false;
+  for (int i = 0; i < frame_count; ++i) {
+    for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
+      if (i < 30 || i >= 33) { odo.add_imu(sample_at(0.25 * k)); }
+    }
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    auto const t =
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(t, i), 0.02) << i;
+    if (i == 29) { known = t.imu.known; }
+    if (i == 32 || i == 34) { EXPECT_FALSE(t.imu.predicted) << i; }
+  }
+  EXPECT_TRUE(known);
+}
+
+// The keyframes after a gap are enough, although the adjustment has older ones, too.
+TYPED_TEST(inertial_odometry, an_early_gap_delays_what_is_known_no_longer_than_it_must) {
+  TypeParam backend;
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::tracking last;
+  for (int i = 0; i < frame_count; ++i) {
+    for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
+      if (i < 12 || i >= 15) { odo.add_imu(sample_at(0.25 * k)); }
+    }
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    if (i < 20) { EXPECT_FALSE(last.imu.known) << i; }
+  }
+  EXPECT_TRUE(last.imu.known);
+  EXPECT_LT(error_of(last, frame_count - 1), 0.02);
+}
+
+TYPED_TEST(inertial_odometry, cameras_of_a_batch_have_imus_of_their_own) {
+  TypeParam backend;
+  auto const want = run(backend.exec);
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 2);
+  int samples = 0;
+  for (int i = 0; i < frame_count; ++i) {
+    while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++), 1); }
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    ft::stereo_images const image{test::room::view(f.left), test::room::view(f.right)};
+    ft::stereo_images const images[2] = {image, image};
+    std::int64_t const times[2] = {(i + 1) * period, (i + 1) * period};
+    ft::tracking const* const t = odo.track(images, times);
+    EXPECT_FALSE(t[0].imu.known) << i;
+    auto const& w = want[static_cast<std::size_t>(i)];
+    EXPECT_EQ(std::memcmp(&t[1].T_world_camera, &w.T_world_camera, sizeof w.T_world_camera), 0)
+        << i;
+  }
+}
+
+TYPED_TEST(inertial_odometry, begins_anew_after_a_reset) {
+  TypeParam backend;
+  auto const want = run(backend.exec);
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  for (int round = 0; round < 2; ++round) {
+    int samples = 0;
+    for (int i = 0; i < frame_count; ++i) {
+      while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++)); }
+      auto const& f = walk()[static_cast<std::size_t>(i)];
+      auto const t =
+          odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+      auto const& w = want[static_cast<std::size_t>(i)];
+      EXPECT_EQ(t.imu.known, w.imu.known) << i;
+      EXPECT_EQ(std::memcmp(&t.imu.bias, &w.imu.bias, sizeof w.imu.bias), 0) << i;
+    }
+    odo.reset();
+  }
+}
+
+TYPED_TEST(inertial_odometry, refuses_bad_input_and_goes_on) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  ft::odometry without(backend.exec, rig, test::room::odometry_params(4096));
+  EXPECT_THROW(without.add_imu(sample_at(0)), ft::bad_argument);
+  ft::odometry odo(backend.exec, rig, params());
+  EXPECT_THROW(odo.add_imu(sample_at(0), 1), ft::bad_argument);
+  auto nan = sample_at(0);
+  nan.gyro.y = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THROW(odo.add_imu(nan), ft::bad_argument);
+  odo.add_imu(sample_at(1));
+  EXPECT_THROW(odo.add_imu(sample_at(1)), ft::bad_argument);
+  EXPECT_THROW(odo.add_imu(sample_at(0.5)), ft::bad_argument);
+  odo.add_imu(sample_at(1.25));
+  odo.reset();
+  odo.add_imu(sample_at(0));  // time begins anew
+  auto p = params();
+  p.imu.T_bc.R.m[0] = 2;
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  p = params();
+  p.imu.noise.gyro = 0;
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  p = params();
+  p.imu.initialization.least_keyframes = p.window.moving + p.window.fixed + 1;
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  p = params();
+  p.imu.initialization.known_scale = false;
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+}
+
+#if defined(__CUDACC__)
+
+TEST(InertialOdometryParity, HostAndDeviceGiveTheSameBits) {
+  if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
+  test::cuda_backend backend;
+  std::vector<std::vector<int>> const blindness{{}, {30, 31, 32, 33}};
+  for (auto const& blind : blindness) {
+    auto const host = run(ft::host_exec(), blind);
+    auto const device = run(backend.exec, blind);
+    for (std::size_t i = 0; i < host.size(); ++i) {
+      EXPECT_EQ(std::memcmp(&host[i].T_world_camera, &device[i].T_world_camera,
+                            sizeof host[i].T_world_camera),
+                0)
+          << i;
+      EXPECT_EQ(std::memcmp(&host[i].imu.bias, &device[i].imu.bias, sizeof(ft::imu_bias)), 0) << i;
+      EXPECT_EQ(std::memcmp(&host[i].imu.velocity, &device[i].imu.velocity, sizeof(vector)), 0)
+          << i;
+    }
+  }
+}
+
+#endif
+
+}  // namespace inertial_odometry_test

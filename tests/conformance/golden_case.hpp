@@ -18,6 +18,7 @@
 #include "tests/conformance/golden_inertial.hpp"
 #include "tests/conformance/golden_inertial_pose.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words.hpp"
 #include "tests/conformance/image_file.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
@@ -89,11 +90,13 @@ private:
   std::string image_path_;
 };
 
-/// All that a golden folder holds: a sequence, a case, or what IMUs measured.
+/// All that a golden folder holds: a sequence, a case, what IMUs measured, or words and recovery.
 template <typename Exec>
 conformance_table run_golden(Exec const& exec, std::string const& folder) {
   conformance_table table;
-  if (is_inertial(folder)) {
+  if (is_words(folder)) {
+    run_words(exec, folder, table);
+  } else if (is_inertial(folder)) {
     golden_inertial<Exec>(exec, folder).run(table);
     run_inertial_poses(exec, folder, table);
   } else if (exists(folder + "/case.json")) {

@@ -16,10 +16,11 @@
 
 namespace {
 
-/// Whether a folder holds a golden sequence or a golden case.
+/// Whether a folder holds a golden sequence, a golden case, or what golden_words has.
 bool is_golden(std::filesystem::path const& folder) {
   return std::filesystem::exists(folder / "params.json") ||
-         std::filesystem::exists(folder / "case.json");
+         std::filesystem::exists(folder / "case.json") ||
+         std::filesystem::is_directory(folder / "two_view");
 }
 
 std::vector<std::string> folders_of(std::string const& root) {
@@ -40,8 +41,8 @@ std::vector<std::string> folders_of(std::string const& root) {
 
 constexpr int skipped = 77;
 
-/// Where recorded answers are by default: sequences, cases of the tie rule std_sort, and IMUs;
-/// those of them that are there. None where there are no sequences.
+/// Where recorded answers are by default: sequences, cases of the tie rule std_sort, IMUs, and
+/// words; those of them that are there. None where there are no sequences.
 std::vector<std::string> default_roots() {
   char const* const data = std::getenv("FT_DATA");
   std::string const root = data == nullptr ? "../shared" : data;
@@ -56,6 +57,7 @@ std::vector<std::string> default_roots() {
   };
   add(root + "/golden_std_sort", "the tie rule std_sort is");
   add(root + "/golden_inertial", "the inertial stages are");
+  add(root + "/golden_words", "the stages of words and recovery are");
   return roots;
 }
 
@@ -80,6 +82,8 @@ char const* const inertial_stages[] = {
     "changed_bias",  "imu_prediction", "imu_information",      "inertial_pose_flags",
     "inertial_pose", "inertial_prior", "inertial_pose_chained"};
 
+char const* const words_stages[] = {"counter_draws"};
+
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {
   std::vector<std::string> names(std::begin(all_stages), std::end(all_stages));
@@ -89,6 +93,10 @@ std::vector<std::string> needed_stages(std::vector<std::string> const& folders) 
   if (inertial) {
     names.insert(names.end(), std::begin(inertial_stages), std::end(inertial_stages));
   }
+  bool const words = std::any_of(folders.begin(), folders.end(), [](std::string const& f) {
+    return std::filesystem::is_directory(f + "/two_view");
+  });
+  if (words) { names.insert(names.end(), std::begin(words_stages), std::end(words_stages)); }
   return names;
 }
 
@@ -171,7 +179,7 @@ int main(int argc, char** argv) {
       "Runs every stage of ft on recorded inputs and counts the answers that are identical.");
   app.add_option("--golden", golden,
                  "a golden folder, or a folder of them; several may be given; default: "
-                 "$FT_DATA/golden, golden_std_sort and golden_inertial");
+                 "$FT_DATA/golden, golden_std_sort, golden_inertial and golden_words");
   app.add_option("--backend", backend, "host or cuda")
       ->check(CLI::IsMember({"host", "cuda"}))
       ->capture_default_str();

@@ -39,6 +39,14 @@ constexpr char const* npy_type<std::int32_t>() {
   return "<i4";
 }
 template <>
+constexpr char const* npy_type<std::uint32_t>() {
+  return "<u4";
+}
+template <>
+constexpr char const* npy_type<std::uint64_t>() {
+  return "<u8";
+}
+template <>
 constexpr char const* npy_type<float>() {
   return "<f4";
 }

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Bags of words of frames: which words of a vocabulary their descriptors are, and which
+/// descriptors share a node of it. Source: Gálvez-López and Tardós, "Bags of binary words for fast
+/// place recognition in image sequences", T-RO 2012.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "ft/core/config.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The distinct words of a batch of frames, each with its value.
+struct word_list_view {
+  int frames = 0;
+  int capacity = 0;               ///< words of a frame
+  int* count = nullptr;           ///< [frames]
+  std::uint32_t* word = nullptr;  ///< [frames][capacity] ascending
+  double* value = nullptr;        ///< [frames][capacity]
+
+  FT_HOST_DEVICE std::ptrdiff_t at(int frame) const {
+    return static_cast<std::ptrdiff_t>(frame) * capacity;
+  }
+};
+static_assert(std::is_trivially_copyable<word_list_view>::value, "passed to kernels");
+
+inline void carve(carver& c, word_list_view& v, int frames, int capacity) {
+  v.frames = frames;
+  v.capacity = capacity;
+  auto const f = static_cast<std::size_t>(frames);
+  auto const n = detail::checked_mul(f, static_cast<std::size_t>(capacity));
+  v.count = c.take<int>(f);
+  v.word = c.take<std::uint32_t>(n);
+  v.value = c.take<double>(n);
+}
+
+/// The keypoints of a batch of frames, grouped by the node of the vocabulary that their descriptors
+/// pass. A frame of two cameras has the left keypoints, then the right ones.
+struct node_groups_view {
+  int frames = 0;
+  int capacity = 0;               ///< keypoints of a frame
+  int* count = nullptr;           ///< [frames] groups
+  std::uint32_t* node = nullptr;  ///< [frames][capacity] ascending
+  int* start = nullptr;           ///< [frames][capacity + 1] first of a group in `keypoint`
+  int* keypoint = nullptr;        ///< [frames][capacity] ascending within a group
+
+  FT_HOST_DEVICE std::ptrdiff_t at(int frame) const {
+    return static_cast<std::ptrdiff_t>(frame) * capacity;
+  }
+  FT_HOST_DEVICE std::ptrdiff_t start_at(int frame) const {
+    return static_cast<std::ptrdiff_t>(frame) * (capacity + 1);
+  }
+};
+static_assert(std::is_trivially_copyable<node_groups_view>::value, "passed to kernels");
+
+inline void carve(carver& c, node_groups_view& v, int frames, int capacity) {
+  v.frames = frames;
+  v.capacity = capacity;
+  auto const f = static_cast<std::size_t>(frames);
+  auto const wide = static_cast<std::size_t>(capacity);
+  auto const n = detail::checked_mul(f, wide);
+  v.count = c.take<int>(f);
+  v.node = c.take<std::uint32_t>(n);
+  v.start = c.take<int>(detail::checked_mul(f, wide + 1));
+  v.keypoint = c.take<int>(n);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

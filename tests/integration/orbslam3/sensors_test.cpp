@@ -259,6 +259,20 @@ TEST_P(extracted_frames, refuse_images_of_another_size_or_number) {
   EXPECT_GT(f.N, 100);
 }
 
+TEST_P(extracted_frames, without_undistorted_keypoints_are_refused) {
+  auto const s = settings_for(sensor::stereo);
+  accelerator gpu(make(s), s);
+  stand_in::frame f;
+  gpu.extract(grey(1), grey(1, 9), f);
+  gpu.compute_stereo_matches(f);
+  f.mvpMapPoints.resize(f.mvKeys.size());
+  f.mvbOutlier.resize(f.mvKeys.size());
+  ASSERT_TRUE(f.mvKeysUn.empty());
+  EXPECT_THROW(gpu.search_by_projection(f, f, 7, false), ft::bad_argument);
+  gpu.undistort(f);
+  EXPECT_EQ(gpu.search_by_projection(f, f, 7, false), 0);  // it holds no points
+}
+
 TEST_P(extracted_frames, refuse_settings_that_cannot_be) {
   auto const refused = [](auto const& change) {
     auto s = settings_for(sensor::stereo);

@@ -12,32 +12,24 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <exception>
 #include <random>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
-#if defined(__GLIBC__)
-#include <malloc.h>
-#endif
-
 #include "ft/pipelines/odometry.hpp"
+#include "tests/end_to_end/soak_scene.hpp"
 #include "tests/support/process_memory.hpp"
 
 namespace odometry_soak {
 
-constexpr int width = 320;
-constexpr int height = 240;
+using namespace soak_scene;
+
 constexpr int lap = 240;          ///< frames to and fro
 constexpr int life = 2000;        ///< frames until the camera begins anew
 constexpr int undisturbed = 100;  ///< frames of these without a mishap, at first
 constexpr std::int64_t period = 50'000'000;
-
-using image = std::vector<std::uint8_t>;
-
-ft::rectified_rig rig() { return ft::rectified_rig::make({200, 200, 159.5f, 119.5f}, 0.2f); }
 
 ft::odometry_params params() {
   ft::odometry_params p;
@@ -52,50 +44,18 @@ ft::odometry_params params() {
   return p;
 }
 
-/// Blocks of several sizes, each with a grey of its own, at (s, t) texels.
-std::uint8_t texture(double s, double t) {
-  unsigned grey = 0;
-  for (int const block : {37, 17, 7}) {
-    auto const x = static_cast<unsigned>(static_cast<int>(std::floor(s)) / block);
-    auto const y = static_cast<unsigned>(static_cast<int>(std::floor(t)) / block);
-    unsigned h = x * 73856093u ^ y * 19349663u ^ static_cast<unsigned>(block) * 83492791u;
-    h = (h ^ h >> 13) * 0x5bd1e995u;
-    grey += (h ^ h >> 15) % 86;
-  }
-  return static_cast<std::uint8_t>(grey);
-}
-
 /// Metres to the right of the start.
 double place(int frame) { return 1.5 * (1 - std::cos(frame * 6.283185307 / lap)); }
 
-/// A tilted wall from `x` metres to the right of the start.
-image render(double x) {
-  auto const camera = rig().camera.cast<double>();
-  image out(static_cast<std::size_t>(width) * height);
-  for (int v = 0; v < height; ++v) {
-    for (int u = 0; u < width; ++u) {
-      auto const d = camera.unproject({static_cast<double>(u), static_cast<double>(v)}).direction;
-      double const depth = (3 - 0.3 * x) / (0.3 * d.x + 0.1 * d.y + 1);
-      out[static_cast<std::size_t>(v * width + u)] =
-          texture((x + depth * d.x + 100) * 90, (depth * d.y + 100) * 90);
-    }
-  }
-  return out;
-}
-
 struct gallery {
   std::vector<image> left, right;
-  image black = image(static_cast<std::size_t>(width) * height);
-  image noise[2] = {black, black};
+  image black = image(pixels);
+  image noisy[2] = {noise(0), noise(1)};
 
   gallery() {
     for (int i = 0; i <= lap / 2; ++i) {
-      left.push_back(render(place(i)));
-      right.push_back(render(place(i) + 0.2));
-    }
-    std::mt19937 random(3);
-    for (auto& n : noise) {
-      for (auto& p : n) { p = static_cast<std::uint8_t>(random()); }
+      left.push_back(render(place(i), 0));
+      right.push_back(render(place(i) + 0.2, 0));
     }
   }
   static ft::gray_view view(image const& i) { return {i.data(), width, height, width}; }
@@ -109,13 +69,6 @@ struct gallery {
 
 void check(bool good, char const* what, int frame) {
   if (!good) { throw std::runtime_error(std::string(what) + " at frame " + std::to_string(frame)); }
-}
-
-/// FNV-1a over a pose.
-void add(std::uint64_t& digest, ft::rigid<double> const& T) {
-  unsigned char bytes[sizeof T];
-  std::memcpy(bytes, &T, sizeof T);
-  for (unsigned char const b : bytes) { digest = (digest ^ b) * 1099511628211ull; }
 }
 
 void check_answer(ft::tracking const& t, ft::odometry_params const& p, int frame) {
@@ -147,8 +100,8 @@ outcome run(Exec const& exec, int frames) {
   ft::odometry<Exec> odometry(exec, rig(), params());
   outcome r;
   std::mt19937 random(7);
-  std::uint64_t first_digest = 0;
-  std::uint64_t digest = 14695981039346656037ull;
+  std::uint64_t first_seen = 0;
+  digest seen_now;
   test::usage warm;
   std::int64_t time = 0;
   int at = 0;
@@ -160,7 +113,7 @@ outcome run(Exec const& exec, int frames) {
       if (n > 0) { odometry.reset(); }
       at = dark = noisy = 0;
       time = 0;
-      digest = 14695981039346656037ull;
+      seen_now = {};
     }
     if (age >= undisturbed) {
       auto const k = random() % 1000;
@@ -171,7 +124,7 @@ outcome run(Exec const& exec, int frames) {
     }
     ft::stereo_images images = seen.at(at++);
     if (dark > 0 && dark-- > 0) { images = {seen.view(seen.black), seen.view(seen.black)}; }
-    if (noisy > 0 && noisy-- > 0) { images = {seen.view(seen.noise[0]), seen.view(seen.noise[1])}; }
+    if (noisy > 0 && noisy-- > 0) { images = {seen.view(seen.noisy[0]), seen.view(seen.noisy[1])}; }
     ft::tracking const t = odometry.track(images, time += period);
     check_answer(t, odometry.params(), n);
     r.tracked += static_cast<int>(t.state == ft::tracking_state::tracking);
@@ -180,11 +133,11 @@ outcome run(Exec const& exec, int frames) {
       auto const& p = t.T_world_camera.t;
       double const error = std::hypot(p.x - place(age), p.y, p.z);
       r.worst = std::max(r.worst, error);
-      add(digest, t.T_world_camera);
+      seen_now.add(&t.T_world_camera, 1);
     }
     if (age + 1 == undisturbed) {
-      if (n < life) { first_digest = digest; }
-      check(digest == first_digest, "other poses than in the first life", n);
+      if (n < life) { first_seen = seen_now.value(); }
+      check(seen_now.value() == first_seen, "other poses than in the first life", n);
       ++r.lives;
     }
     if (n % 500 == 499) {
@@ -213,37 +166,14 @@ int run_and_tell(Exec const& exec, int frames) {
   return good ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 
-int run_on_backend(int frames) {
-#if defined(__CUDACC__)
-  int devices = 0;
-  if (cudaGetDeviceCount(&devices) != cudaSuccess || devices == 0) {
-    std::puts("no CUDA device was found: nothing was run");
-    char const* const required = std::getenv("FT_REQUIRE_GPU");
-    return required != nullptr && std::string(required) == "1" ? EXIT_FAILURE : 77;
-  }
-  cudaStream_t stream = nullptr;
-  ft::throw_on_error(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking),
-                     "cudaStreamCreateWithFlags");
-  int const status = run_and_tell(ft::cuda_exec(stream), frames);
-  static_cast<void>(cudaStreamDestroy(stream));
-  return status;
-#else
-  return run_and_tell(ft::host_exec(), frames);
-#endif
-}
-
 }  // namespace odometry_soak
 
 int main(int argc, char** argv) {
-  // Large blocks go back to the system when they are freed, so that they do not look like growth.
-#if defined(__GLIBC__)
-  mallopt(M_MMAP_THRESHOLD, 1 << 16);
-  mallopt(M_TRIM_THRESHOLD, 1 << 16);
-#endif
   try {
     int const frames = argc > 1 ? std::atoi(argv[1]) : 2000;
     if (frames < 200) { throw std::runtime_error("200 frames or more"); }
-    return odometry_soak::run_on_backend(frames);
+    return soak_scene::on_backend(
+        [&](auto const& exec) { return odometry_soak::run_and_tell(exec, frames); });
   } catch (std::exception const& e) {
     std::fprintf(stderr, "odometry_soak: %s\n", e.what());
     return EXIT_FAILURE;

@@ -8,7 +8,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <string>
 #include <vector>
 
@@ -18,6 +17,7 @@
 #include "ft/kernels/images/rectify.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 
 namespace distorted_pair_test {
@@ -78,22 +78,6 @@ std::vector<ft::tracking> run(Exec const& exec, Rig const& of, ft::odometry_para
                             period * static_cast<std::int64_t>(all.size() + 1)));
   }
   return all;
-}
-
-void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::tracking> const& b) {
-  ASSERT_EQ(a.size(), b.size());
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    SCOPED_TRACE("frame " + std::to_string(i));
-    EXPECT_EQ(std::memcmp(&a[i].T_world_camera, &b[i].T_world_camera, sizeof a[i].T_world_camera),
-              0);
-    EXPECT_EQ(std::memcmp(a[i].covariance, b[i].covariance, sizeof a[i].covariance), 0);
-    EXPECT_EQ(a[i].state, b[i].state);
-    EXPECT_EQ(a[i].inliers, b[i].inliers);
-    EXPECT_EQ(a[i].keypoints, b[i].keypoints);
-    EXPECT_EQ(a[i].stereo_points, b[i].stereo_points);
-    EXPECT_EQ(a[i].map_points, b[i].map_points);
-    EXPECT_EQ(a[i].keyframes, b[i].keyframes);
-  }
 }
 
 // ---- the rig ----------------------------------------------------------------------------------
@@ -196,11 +180,11 @@ TYPED_TEST(distorted_pair_odometry, gives_what_images_give_that_were_rectified_b
   auto const inside = run(backend.exec, rig(), params(), walk());
   auto const images = rectified_outside(backend.exec, rig(), walk());
   EXPECT_NE(images[0].left, walk()[0].left);
-  expect_same(inside, run(backend.exec, rig().target, params(), images));
+  test::expect_same(inside, run(backend.exec, rig().target, params(), images));
   auto p = params();
   p.use_graphs = false;
   p.measure_stages = true;
-  expect_same(inside, run(backend.exec, rig(), p, walk()));
+  test::expect_same(inside, run(backend.exec, rig(), p, walk()));
 }
 
 TYPED_TEST(distorted_pair_odometry, a_batch_gives_what_its_pairs_give_alone) {
@@ -220,7 +204,7 @@ TYPED_TEST(distorted_pair_odometry, a_batch_gives_what_its_pairs_give_alone) {
   for (unsigned b = 0; b < 2; ++b) {
     SCOPED_TRACE("pair " + std::to_string(b));
     auto const end = walk(b).begin() + 10;
-    expect_same(together[b], run(backend.exec, rig(), params(), {walk(b).begin(), end}));
+    test::expect_same(together[b], run(backend.exec, rig(), params(), {walk(b).begin(), end}));
   }
 }
 
@@ -272,8 +256,8 @@ TYPED_TEST(distorted_pair_odometry, refuses_bad_input) {
 TEST(DistortedPairParity, HostAndDeviceGiveTheSameBits) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
-  expect_same(run(backend.exec, rig(), params(), walk()),
-              run(ft::host_exec(), rig(), params(), walk()));
+  test::expect_same(run(backend.exec, rig(), params(), walk()),
+                    run(ft::host_exec(), rig(), params(), walk()));
 }
 
 #endif

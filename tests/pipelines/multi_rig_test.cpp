@@ -8,13 +8,13 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/tracking.hpp"
 
@@ -325,11 +325,6 @@ double rms_of(std::vector<ft::tracking> const& seen, std::vector<rig_frame> cons
   return std::sqrt(sum / static_cast<double>(seen.size()));
 }
 
-bool same_pose(ft::tracking const& a, ft::tracking const& b) {
-  return std::memcmp(&a.T_world_camera, &b.T_world_camera, sizeof a.T_world_camera) == 0 &&
-         a.inliers == b.inliers && a.keyframe == b.keyframe && a.map_points == b.map_points;
-}
-
 TYPED_TEST(multi_rig, odometry_of_one_pair_has_the_bits_of_a_rectified_rig) {
   TypeParam backend;
   ft::multi_rig<1> const one{{pair_at(ft::pose::identity())}};
@@ -337,7 +332,7 @@ TYPED_TEST(multi_rig, odometry_of_one_pair_has_the_bits_of_a_rectified_rig) {
   auto const a = follow(backend.exec, one, walk);
   auto const b = follow(backend.exec, test::room::rig(), walk);
   EXPECT_GE(a.back().keyframes, 2);
-  for (std::size_t f = 0; f < a.size(); ++f) { EXPECT_TRUE(same_pose(a[f], b[f])) << f; }
+  for (std::size_t f = 0; f < a.size(); ++f) { EXPECT_TRUE(test::same(a[f], b[f])) << f; }
 }
 
 TYPED_TEST(multi_rig, odometry_of_two_pairs_is_as_exact_as_the_better_one) {
@@ -388,7 +383,7 @@ TYPED_TEST(multi_rig, odometry_gives_the_bits_of_the_host) {
   auto const here = follow(backend.exec, rig, walk);
   auto const host = follow(ft::host_exec{}, rig, walk);
   for (std::size_t f = 0; f < here.size(); ++f) {
-    EXPECT_TRUE(same_pose(here[f], host[f])) << f;
+    EXPECT_TRUE(test::same(here[f], host[f])) << f;
     EXPECT_LT(error_of(here[f], walk[f].T_cw, walk[0].T_cw), 0.02) << f;
   }
 }

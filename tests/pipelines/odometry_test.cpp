@@ -19,6 +19,7 @@
 
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 
 namespace odometry_test {
@@ -48,20 +49,6 @@ double error_of(ft::tracking const& t, stereo_frame const& now, stereo_frame con
   auto const truth = (T_0w * T_wc).t;
   auto const d = t.T_world_camera.t - truth;
   return std::sqrt(ft::dot(d, d));
-}
-
-bool same(ft::tracking const& a, ft::tracking const& b) {
-  return std::memcmp(&a.T_world_camera, &b.T_world_camera, sizeof a.T_world_camera) == 0 &&
-         a.state == b.state && a.keyframe == b.keyframe && a.inliers == b.inliers &&
-         a.keypoints == b.keypoints && a.stereo_points == b.stereo_points &&
-         a.local_points == b.local_points && a.left_out == b.left_out &&
-         a.map_points == b.map_points && a.maps == b.maps && a.keyframes == b.keyframes &&
-         std::memcmp(a.covariance, b.covariance, sizeof a.covariance) == 0;
-}
-
-void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::tracking> const& b) {
-  ASSERT_EQ(a.size(), b.size());
-  for (std::size_t i = 0; i < a.size(); ++i) { EXPECT_TRUE(same(a[i], b[i])) << "frame " << i; }
 }
 
 template <typename Exec, typename Rig>
@@ -125,11 +112,11 @@ TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_
   auto const rig = test::room::rig();
   auto p = params();
   auto const first = run(backend.exec, rig, p, walk(rig, 0));
-  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
-  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+  test::expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+  test::expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
   p.use_graphs = false;
   p.measure_stages = true;
-  expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
+  test::expect_same(first, run(backend.exec, rig, p, walk(rig, 0)));
 }
 
 TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
@@ -149,9 +136,9 @@ TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
   }
   for (std::size_t b = 0; b < 3; ++b) {
     SCOPED_TRACE("camera " + std::to_string(b));
-    expect_same(together[b], alone[b]);
+    test::expect_same(together[b], alone[b]);
   }
-  EXPECT_FALSE(same(alone[0].back(), alone[1].back()));
+  EXPECT_FALSE(test::same(alone[0].back(), alone[1].back()));
 }
 
 /// A walk in which a number of frames are black.
@@ -255,7 +242,7 @@ TYPED_TEST(odometry_pipeline, a_reset_camera_is_as_a_new_one) {
     EXPECT_EQ(t.state, ft::tracking_state::tracking);
     EXPECT_EQ(t.maps, 1);
     EXPECT_LT(error_of(t, walk(rig, 1)[i], walk(rig, 1)[0]), 0.02);
-    if (i < 3) { EXPECT_TRUE(same(t, fresh[i])) << i; }
+    if (i < 3) { EXPECT_TRUE(test::same(t, fresh[i])) << i; }
   }
 }
 
@@ -334,7 +321,7 @@ TYPED_TEST(odometry_pipeline, refuses_bad_input_and_goes_on) {
     EXPECT_THROW(odo.stage_times(), ft::bad_argument);
     all.push_back(odo.track(images, now));
   }
-  expect_same(all, good);
+  test::expect_same(all, good);
 }
 
 TYPED_TEST(odometry_pipeline, refuses_parameters_out_of_range) {
@@ -377,7 +364,7 @@ TYPED_TEST(odometry_pipeline, moves) {
     EXPECT_THROW(odo.track(images_of(f), time), ft::bad_argument);  // NOLINT: it says so
     odo = std::move(other);
   }
-  expect_same(all, good);
+  test::expect_same(all, good);
 }
 
 TYPED_TEST(odometry_pipeline, finds_its_place_in_a_saved_map) {
@@ -484,7 +471,7 @@ TEST(OdometryOnTheHost, SaysWhatMemoryItTook) {
 template <typename Rig>
 void expect_parity(ft::cuda_exec const& device, Rig const& rig, ft::odometry_params const& p,
                    std::vector<stereo_frame> const& frames) {
-  expect_same(run(device, rig, p, frames), run(ft::host_exec(), rig, p, frames));
+  test::expect_same(run(device, rig, p, frames), run(ft::host_exec(), rig, p, frames));
 }
 
 TEST(OdometryParity, HostAndDeviceGiveTheSameBits) {

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <limits>
 #include <memory>
 #include <string>
@@ -17,6 +16,7 @@
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 
 namespace rgbd_odometry_test {
@@ -117,21 +117,6 @@ std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_par
   return all;
 }
 
-void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::tracking> const& b) {
-  ASSERT_EQ(a.size(), b.size());
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    SCOPED_TRACE("frame " + std::to_string(i));
-    EXPECT_EQ(std::memcmp(&a[i].T_world_camera, &b[i].T_world_camera, sizeof a[i].T_world_camera),
-              0);
-    EXPECT_EQ(std::memcmp(a[i].covariance, b[i].covariance, sizeof a[i].covariance), 0);
-    EXPECT_EQ(a[i].state, b[i].state);
-    EXPECT_EQ(a[i].inliers, b[i].inliers);
-    EXPECT_EQ(a[i].stereo_points, b[i].stereo_points);
-    EXPECT_EQ(a[i].map_points, b[i].map_points);
-    EXPECT_EQ(a[i].keyframes, b[i].keyframes);
-  }
-}
-
 template <typename Backend>
 class rgbd_odometry : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(rgbd_odometry, test::backends);
@@ -215,7 +200,7 @@ TYPED_TEST(rgbd_odometry, takes_depth_in_metres) {
     all.push_back(
         odo.track(rounded.images_in_metres(), period * static_cast<std::int64_t>(all.size() + 1)));
   }
-  expect_same(all, in_units);
+  test::expect_same(all, in_units);
 }
 
 TYPED_TEST(rgbd_odometry, a_batch_gives_what_its_cameras_give_alone) {
@@ -233,8 +218,8 @@ TYPED_TEST(rgbd_odometry, a_batch_gives_what_its_cameras_give_alone) {
   for (unsigned b = 0; b < 2; ++b) {
     SCOPED_TRACE("camera " + std::to_string(b));
     auto const& frames = walk(rig, b);
-    expect_same(together[b],
-                run(backend.exec, rig, params(), {frames.begin(), frames.begin() + 10}));
+    test::expect_same(together[b],
+                      run(backend.exec, rig, params(), {frames.begin(), frames.begin() + 10}));
   }
 }
 
@@ -310,7 +295,7 @@ TYPED_TEST(rgbd_odometry, refuses_bad_images_and_goes_on) {
     EXPECT_THROW(odo.track(bad, now), ft::bad_argument);
     all.push_back(odo.track(images, now));
   }
-  expect_same(all, good);
+  test::expect_same(all, good);
 }
 
 TYPED_TEST(rgbd_odometry, refuses_bad_rigs) {
@@ -361,10 +346,10 @@ TEST(RgbdOdometryOnTheHost, AllocatesNothingInAFrame) {
 TEST(RgbdOdometryParity, HostAndDeviceGiveTheSameBits) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
-  expect_same(run(backend.exec, plain(), params(), walk(plain())),
-              run(ft::host_exec(), plain(), params(), walk(plain())));
-  expect_same(run(backend.exec, distorted(), params(), walk(distorted())),
-              run(ft::host_exec(), distorted(), params(), walk(distorted())));
+  test::expect_same(run(backend.exec, plain(), params(), walk(plain())),
+                    run(ft::host_exec(), plain(), params(), walk(plain())));
+  test::expect_same(run(backend.exec, distorted(), params(), walk(distorted())),
+                    run(ft::host_exec(), distorted(), params(), walk(distorted())));
 }
 
 #endif

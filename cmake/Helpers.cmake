@@ -62,7 +62,7 @@ endfunction()
 
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
 # One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
-# parts of it do. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
+# parts of it do; with FT_FAST_DEVICE_CODE one is made of all that need a device. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
 # the target ft_host_tests builds all others.
 function(ft_add_test)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
@@ -79,20 +79,24 @@ function(ft_add_test)
   else()
     add_dependencies(ft_host_tests ${arg_NAME})
   endif()
+  set(shards ${FT_TEST_SHARDS})
+  if("gpu" IN_LIST arg_LABELS AND FT_FAST_DEVICE_CODE)
+    set(shards 1)  # compiled where no GPU is: all of its tests skip
+  endif()
   set(properties TIMEOUT 600)
-  if(FT_TEST_SHARDS)
+  if(shards)
     set(properties TIMEOUT 1800)
   endif()
   if(arg_LABELS)
     string(REPLACE ";" "\\;" labels "${arg_LABELS}")
     list(APPEND properties LABELS "${labels}")
   endif()
-  if(FT_TEST_SHARDS)
-    math(EXPR last "${FT_TEST_SHARDS} - 1")
+  if(shards)
+    math(EXPR last "${shards} - 1")
     foreach(shard RANGE ${last})
       add_test(NAME ${arg_NAME}_${shard} COMMAND ${arg_NAME} WORKING_DIRECTORY ${PROJECT_BINARY_DIR})
       set_tests_properties(${arg_NAME}_${shard} PROPERTIES ${properties}
-        ENVIRONMENT "GTEST_TOTAL_SHARDS=${FT_TEST_SHARDS};GTEST_SHARD_INDEX=${shard}")
+        ENVIRONMENT "GTEST_TOTAL_SHARDS=${shards};GTEST_SHARD_INDEX=${shard}")
     endforeach()
     return()
   endif()

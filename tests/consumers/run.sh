@@ -18,6 +18,12 @@ trap 'rm -rf "$work"' EXIT
 consumers=$ft_root/tests/consumers
 cuda=OFF
 if ft_find_nvcc; then cuda=ON; fi
+# Without a GPU device code is only compiled. CUDA 12.9 and newer have this.
+fast=
+if [[ $cuda == ON ]] && ! nvidia-smi -L 2>/dev/null | grep -q '^GPU' &&
+    nvcc --help | grep -q -- --Ofast-compile; then
+  fast=--Ofast-compile=max
+fi
 
 heading() { printf -- '-- consumer: %s\n' "$*"; }
 
@@ -46,7 +52,7 @@ cmake_consumer() {
   heading "$name, CONSUMER_CUDA=$language, C++$standard"
   dir=$(mktemp -d "$work/$name-XXXX")
   build_project "$consumers/$name" "$dir" -DCONSUMER_CUDA="$language" \
-    -DCMAKE_CXX_STANDARD="$standard" -DCMAKE_CUDA_FLAGS="-std=c++$standard" "${@:4}"
+    -DCMAKE_CXX_STANDARD="$standard" -DCMAKE_CUDA_FLAGS="-std=c++$standard $fast" "${@:4}"
   run "$dir/consumer"
   local -A year=([17]=201703 [20]=202002)
   grep -q "C++ ${year[$standard]}" "$work/out"
@@ -55,7 +61,7 @@ cmake_consumer() {
 # several_units CONFIGURE_OPTION...: two units in a program, two shared libraries in a process
 several_units() {
   heading "several_units, CONSUMER_CUDA=$cuda"
-  build_project "$consumers/several_units" "$work/several_units" -DCONSUMER_CUDA="$cuda" "$@"
+  build_project "$consumers/several_units" "$work/several_units" -DCONSUMER_CUDA="$cuda" -DCMAKE_CUDA_FLAGS="$fast" "$@"
   tests_of "$work/several_units"
 }
 
@@ -128,7 +134,7 @@ quietly cmake --install "$build" --prefix "$prefix"
 modes=(OFF)
 if [[ $cuda == ON ]]; then
   modes+=(LINKED ON)
-  consume example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON  # the longest first
+  consume example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON -DCMAKE_CUDA_FLAGS="$fast"  # the longest first
 fi
 consume example host -DCMAKE_PREFIX_PATH="$prefix"
 consume several_units -DCMAKE_PREFIX_PATH="$prefix"

@@ -136,7 +136,7 @@ TEST(Track, GeneratedFisheyeSequence) {
 
 // 23 m, whole pixels and a short baseline: depths from single pairs would make it 1 % too short.
 TEST(Track, FisheyeLapKeepsItsScale) {
-  if (test::effort(100) < 100) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   temp_folder const folder;
   std::string const sequence = generated(300, {"--rig", "fisheye"});
   ASSERT_TRUE(succeeded(track(sequence, folder.path("out"), {"--threads", "0"})));
@@ -216,6 +216,7 @@ TEST(Track, RealtimeDropsNothingWhereThereIsTime) {
 }
 
 TEST(Track, DroppedFramesCostNoOthers) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   strings const walk{"--width", "376", "--height", "240", "--fps", "15"};
   for (int const every : {5, 7, 9}) {
     spoilt_sequence const s(150, walk);
@@ -230,6 +231,7 @@ TEST(Track, DroppedFramesCostNoOthers) {
 
 // The camera turns by degrees a frame where it sees again: nothing is known of its motion.
 TEST(Track, AfterALongGapOneNewMapIsEnough) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   spoilt_sequence const s(200, {"--width", "564", "--height", "360"});
   int const left = s.drop([](int i) { return i >= 2 && i < 183; });
   ASSERT_EQ(left, 19);
@@ -740,7 +742,7 @@ TEST(Options, FullDisk) {
 // ---- recorded data
 
 TEST(Recorded, Kitti) {
-  if (test::effort(100) < 100) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   SEQ_TEST_SHARED_OR_SKIP(shared);
   temp_folder const folder;
   std::string const sequence = shared + "/data/kitti_0926_stereo";

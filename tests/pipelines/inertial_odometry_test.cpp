@@ -220,6 +220,7 @@ TYPED_TEST(inertial_odometry, a_gap_in_the_samples_harms_no_pose) {
 
 // The keyframes after a gap are enough, although the adjustment has older ones, too.
 TYPED_TEST(inertial_odometry, an_early_gap_delays_what_is_known_no_longer_than_it_must) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   ft::odometry odo(backend.exec, test::room::rig(), params());
   ft::tracking last;
@@ -255,6 +256,7 @@ TYPED_TEST(inertial_odometry, cameras_of_a_batch_have_imus_of_their_own) {
 }
 
 TYPED_TEST(inertial_odometry, begins_anew_after_a_reset) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto const want = run(backend.exec);
   ft::odometry odo(backend.exec, test::room::rig(), params());

@@ -336,6 +336,7 @@ TYPED_TEST(multi_rig, odometry_of_one_pair_has_the_bits_of_a_rectified_rig) {
 }
 
 TYPED_TEST(multi_rig, odometry_of_two_pairs_is_as_exact_as_the_better_one) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto const rig = two_pairs();
   auto const walk = make_walk(rig, 0, 16);
@@ -375,6 +376,7 @@ TYPED_TEST(multi_rig, odometry_goes_on_while_one_pair_is_black) {
 }
 
 TYPED_TEST(multi_rig, odometry_gives_the_bits_of_the_host) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   ft::multi_rig<3> const rig{{pair_at(turned(0.1f, {0.1f, 0.02f, 0.2f})),
                               single_at(turned(-0.1f, {-0.2f, 0, 0.1f})),

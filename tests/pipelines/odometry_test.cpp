@@ -87,6 +87,7 @@ TYPED_TEST(odometry_pipeline, follows_a_walk_with_a_rectified_pair) {
 }
 
 TYPED_TEST(odometry_pipeline, follows_a_walk_with_two_fisheye_cameras) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   follows_a_walk(backend.exec, test::room::fisheye(), 0.03);
 }
@@ -108,6 +109,7 @@ TYPED_TEST(odometry_pipeline, tells_the_covariance_of_a_pose) {
 }
 
 TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_launch) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto const rig = test::room::rig();
   auto p = params();
@@ -225,6 +227,7 @@ TYPED_TEST(odometry_pipeline, waits_for_a_frame_with_points) {
 }
 
 TYPED_TEST(odometry_pipeline, a_reset_camera_is_as_a_new_one) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto const rig = test::room::rig();
   auto const fresh = run(backend.exec, rig, params(), walk(rig, 1));

@@ -185,6 +185,7 @@ TYPED_TEST(rgbd_odometry, keypoints_of_a_distorted_camera_are_undistorted) {
 }
 
 TYPED_TEST(rgbd_odometry, takes_depth_in_metres) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto rig = plain();
   auto const in_units = run(backend.exec, rig, params(), walk(rig));

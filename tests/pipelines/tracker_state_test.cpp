@@ -143,8 +143,8 @@ std::vector<snapshot> two_frames(Exec const& exec, Rig const& rig, ft::tracker_p
 TYPED_TEST(tracker_state_test, the_last_state_is_the_results_pose_and_holders) {
   auto const& exec = this->exec();
   for_both_rigs([&](auto const& rig) {
-    for (bool const use_graphs : {true, false}) {
-      for (bool const whole : {true, false}) {
+    for (bool const use_graphs : test::both(true)) {
+      for (bool const whole : test::both(true)) {
         SCOPED_TRACE(std::string(use_graphs ? "graphs" : "launch by launch") +
                      (whole ? ", one call" : ", two halves"));
         auto p = params();
@@ -414,7 +414,7 @@ TYPED_TEST(tracker_state_test, a_frame_needs_no_local_map) {
 
 TYPED_TEST(tracker_state_test, parameters_of_relocalize_are_of_that_call_alone) {
   auto const& exec = this->exec();
-  for (bool const use_graphs : {true, false}) {
+  for (bool const use_graphs : test::both(true)) {
     SCOPED_TRACE(use_graphs ? "graphs" : "launch by launch");
     auto p = params();
     p.use_graphs = use_graphs;
@@ -597,8 +597,8 @@ TYPED_TEST(tracker_state_test, stages_have_the_names_of_the_schedule_and_times_w
   auto const& exec = this->exec();
   for_both_rigs([&](auto const& rig) {
     using rig_type = std::decay_t<decltype(rig)>;
-    for (bool const use_graphs : {true, false}) {
-      for (bool const optimize : {true, false}) {
+    for (bool const use_graphs : test::both(true)) {
+      for (bool const optimize : test::both(true)) {
         auto p = params();
         p.use_graphs = use_graphs;
         p.optimize_last = p.optimize_local = optimize;
@@ -639,10 +639,10 @@ TYPED_TEST(tracker_state_test, measured_calls_give_the_bits_of_others) {
   auto const& exec = this->exec();
   for_both_rigs([&](auto const& rig) {
     using rig_type = std::decay_t<decltype(rig)>;
-    for (bool const optimize : {true, false}) {
+    for (bool const optimize : test::both(true)) {
       SCOPED_TRACE(optimize ? "with pose optimisation" : "without pose optimisation");
       std::vector<snapshot> wanted;
-      for (bool const use_graphs : {true, false}) {
+      for (bool const use_graphs : test::both(true)) {
         for (bool const measure : {false, true}) {
           SCOPED_TRACE(std::string(use_graphs ? "graphs" : "launch by launch") +
                        (measure ? ", measured" : ""));
@@ -788,7 +788,7 @@ TEST(tracker_graphs, measuring_adds_events_that_no_launch_depends_on) {
   test::cuda_backend const backend;
   for_both_rigs([&](auto const& rig) {
     using rig_type = std::decay_t<decltype(rig)>;
-    for (bool const optimize : {true, false}) {
+    for (bool const optimize : test::both(true)) {
       auto p = params();
       p.use_graphs = false;  // a call enqueues what its graph would hold
       p.optimize_last = p.optimize_local = optimize;

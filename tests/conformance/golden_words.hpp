@@ -12,6 +12,7 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words_transform.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {
@@ -46,7 +47,7 @@ void compare_draws(conformance_table& table, std::string const& folder, int amon
 
 template <typename Exec>
 void run_words(Exec const& exec, std::string const& folder, conformance_table& table) {
-  (void)exec;
+  golden_transform<Exec>(exec, folder).run(table);
   for (auto const& at : cases_of(folder, "pnp")) {
     compare_draws<6>(table, at, read_npy<float>(at + "/X.npy").rows());
   }

@@ -14,6 +14,12 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// How alike two bags of words are.
+enum class word_scoring { l1, l2, chi_square, kl, bhattacharyya, dot_product };
+
+/// What a word of a frame counts: its frequency in the frame, its rarity, both, or 1.
+enum class word_weighting { tf_idf, tf, idf, binary };
+
 /// The distinct words of a batch of frames, each with its value.
 struct word_list_view {
   int frames = 0;

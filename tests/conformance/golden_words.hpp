@@ -13,6 +13,7 @@
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_database.hpp"
+#include "tests/conformance/golden_words_transform.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {
@@ -47,13 +48,14 @@ void compare_draws(conformance_table& table, std::string const& folder, int amon
 
 template <typename Exec>
 void run_words(Exec const& exec, std::string const& folder, conformance_table& table) {
+  golden_transform<Exec>(exec, folder).run(table);
   for (auto const& at : cases_of(folder, "pnp")) {
     compare_draws<6>(table, at, read_npy<float>(at + "/X.npy").rows());
   }
   for (auto const& at : cases_of(folder, "two_view")) {
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());
   }
-  compare_scores(exec, folder + "/scoring", table);
+  golden_scores<Exec>(exec, folder).run(table["word_scoring"]);
   for (auto const& at : cases_of(folder, "database")) { compare_database(exec, at, table); }
 }
 

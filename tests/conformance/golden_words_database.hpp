@@ -2,14 +2,19 @@
 /// @file Compares scores of bags of words, and queries of a keyframe database, with golden_words.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
 
+#include "ft/containers/vocabulary.hpp"
 #include "ft/kernels/words/score.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words_transform.hpp"
+#include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
+#include "tests/support/plain_vocabulary.hpp"
 #include "tests/support/word_database.hpp"
 
 namespace test {
@@ -29,20 +34,41 @@ double score_of_bags(Exec const& exec, word_bag const& a, word_bag const& b,
   return from_exec(exec, score.data(), 1)[0];
 }
 
-/// Scores of recorded bags; where there are none, the transform makes them.
+/// Bags of words by the transform, with vocabulary kimera of another scoring and weighting.
 template <typename Exec>
-void compare_scores(Exec const& exec, std::string const& folder, conformance_table& table) {
-  for (int s = 0; s < 6; ++s) {
-    for (int w = 0; w < 4; ++w) {
-      std::string const name = folder + "/s" + std::to_string(s) + "_w" + std::to_string(w);
-      if (!exists(name + "_0_bow_word.npy")) { continue; }
-      double const got = score_of_bags(exec, read_bag(name + "_0_"), read_bag(name + "_1_"),
-                                       static_cast<ft::word_scoring>(s));
-      double const want = read_npy<double>(name + "_score.npy")(0);
-      table["word_scoring"].add(got == want, got - want);
+class golden_scores {
+public:
+  golden_scores(Exec const& exec, std::string const& folder)
+      : exec_(exec), folder_(folder), vocabulary_(golden_vocabulary(folder, "kimera")) {}
+
+  void run(stage_result& r) {
+    for (int s = 0; s < 6; ++s) {
+      for (int w = 0; w < 4; ++w) {
+        vocabulary_.header.scoring = static_cast<ft::word_scoring>(s);
+        vocabulary_.header.weighting = static_cast<ft::word_weighting>(w);
+        auto const made = ft::upload(exec_, ft::make_vocabulary(vocabulary_.arrays()).view());
+        double const got =
+            score_of_bags(exec_, bag_of(made.view(), "euroc_mono_0"),
+                          bag_of(made.view(), "euroc_mono_1"), vocabulary_.header.scoring);
+        double const want = read_npy<double>(folder_ + "/scoring/s" + std::to_string(s) + "_w" +
+                                             std::to_string(w) + "_score.npy")(0);
+        r.add(got == want, got - want);
+      }
     }
   }
-}
+
+private:
+  word_bag bag_of(ft::vocabulary_view const& vocabulary, std::string const& frame) const {
+    auto const orb =
+        descriptors_of(read_npy<std::uint8_t>(folder_ + "/frames/" + frame + "/desc.npy"));
+    auto const words = words_of(exec_, vocabulary, orb, 4);
+    return {words.bag_word, words.bag_value};
+  }
+
+  Exec exec_;
+  std::string folder_;
+  plain_vocabulary vocabulary_;
+};
 
 /// A recorded database, and its queries one after the other.
 template <typename Exec>

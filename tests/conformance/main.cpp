@@ -82,8 +82,9 @@ char const* const inertial_stages[] = {
     "changed_bias",  "imu_prediction", "imu_information",      "inertial_pose_flags",
     "inertial_pose", "inertial_prior", "inertial_pose_chained"};
 
-char const* const words_stages[] = {"counter_draws", "word_scoring", "database_common",
-                                    "database_score", "database_query"};
+char const* const words_stages[] = {"counter_draws",   "vocabulary_text",  "transform_features",
+                                    "transform_bag",   "transform_groups", "word_scoring",
+                                    "database_common", "database_score",   "database_query"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

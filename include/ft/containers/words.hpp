@@ -75,5 +75,32 @@ inline void carve(carver& c, node_groups_view& v, int frames, int capacity) {
   v.keypoint = c.take<int>(n);
 }
 
+/// A keypoint or a node that has no word.
+inline constexpr std::uint32_t no_word = 0xffffffffu;
+
+/// What a vocabulary says about each descriptor of a batch of frames.
+struct feature_words_view {
+  int frames = 0;
+  int capacity = 0;               ///< descriptors of a frame
+  std::uint32_t* word = nullptr;  ///< [frames][capacity] the word, also one that is stopped
+  std::uint32_t* node = nullptr;  ///< [frames][capacity] node of its group
+  double* weight = nullptr;       ///< [frames][capacity] of the word; not positive: stopped
+
+  FT_HOST_DEVICE std::ptrdiff_t at(int frame) const {
+    return static_cast<std::ptrdiff_t>(frame) * capacity;
+  }
+};
+static_assert(std::is_trivially_copyable<feature_words_view>::value, "passed to kernels");
+
+inline void carve(carver& c, feature_words_view& v, int frames, int capacity) {
+  v.frames = frames;
+  v.capacity = capacity;
+  auto const n =
+      detail::checked_mul(static_cast<std::size_t>(frames), static_cast<std::size_t>(capacity));
+  v.word = c.take<std::uint32_t>(n);
+  v.node = c.take<std::uint32_t>(n);
+  v.weight = c.take<double>(n);
+}
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -166,6 +166,7 @@
 #include "ft/pipelines/odometry.hpp"
 #include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/place_recognition.hpp"
 #include "ft/pipelines/rig_images.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/version.hpp"

@@ -35,6 +35,7 @@
 #include "ft/containers/stereo_matches.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/vocabulary_files.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/arithmetic.hpp"

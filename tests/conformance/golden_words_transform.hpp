@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "ft/containers/vocabulary.hpp"
-#include "ft/containers/vocabulary_files.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/kernels/words/transform.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/support/memory.hpp"

@@ -2,13 +2,17 @@
 /// @file Vocabularies as plain arrays, and those that a rule makes.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <numeric>
+#include <random>
 #include <vector>
 
 #include "ft/containers/vocabulary.hpp"
 #include "ft/core/counter_draws.hpp"
+#include "tests/support/random.hpp"
 
 namespace test {
 
@@ -77,6 +81,50 @@ inline plain_vocabulary drawn_vocabulary(int k, int levels) {
     std::uint64_t const r = draws.bits(number, 63);
     v.word[i] = node - inner;
     v.weight[i] = r % 97 == 0 ? 0.0 : static_cast<double>(1 + (r >> 32) % 1024) / 128.0;
+  }
+  return v;
+}
+
+/// Nodes get other ids, the root keeps 0.
+inline plain_vocabulary with_shuffled_ids(plain_vocabulary const& v, unsigned seed) {
+  std::vector<int> id(v.parent.size());
+  std::iota(id.begin(), id.end(), 0);
+  std::shuffle(id.begin() + 1, id.end(), std::mt19937(seed));
+  plain_vocabulary shuffled = v;
+  for (std::size_t i = 0; i < id.size(); ++i) {
+    std::size_t const to = at(id[i]);
+    shuffled.parent[to] = i == 0 ? -1 : id[at(v.parent[i])];
+    shuffled.orb[to] = v.orb[i];
+    shuffled.weight[to] = v.weight[i];
+    shuffled.word[to] = v.word[i];
+  }
+  return shuffled;
+}
+
+/// A vocabulary with leaves at all depths, siblings that are equal, words in any order, and weights
+/// that are zero or negative. Parents have lower ids than their children.
+/// @param leaves chance of a node above the last level to be one, percent
+inline plain_vocabulary random_vocabulary(generator& random, int k, int levels, int leaves) {
+  plain_vocabulary v;
+  v.header = {k, levels, ft::word_scoring::l1, ft::word_weighting::tf_idf};
+  std::vector<int> depth{0};
+  std::vector<int> words;
+  for (int node = 0; node < v.nodes(); ++node) {
+    bool const leaf = depth[at(node)] == levels || (node > 0 && random.chance(leaves));
+    int const children = leaf ? 0 : random.from_to(1, k);
+    for (int c = 0; c < children; ++c) {
+      bool const equal = c > 0 && random.chance(15);
+      auto const d = equal ? v.orb.back() : random.flipped(v.orb[at(node)], 90);
+      v.add(node, d);
+      depth.push_back(depth[at(node)] + 1);
+    }
+    if (children == 0 && node > 0) { words.push_back(node); }
+  }
+  std::shuffle(words.begin(), words.end(), std::mt19937(static_cast<unsigned>(v.nodes())));
+  for (std::size_t w = 0; w < words.size(); ++w) {
+    v.word[at(words[w])] = static_cast<int>(w);
+    double const weight = static_cast<double>(random.real(0.01f, 9.0f));
+    v.weight[at(words[w])] = random.chance(10) ? 0.0 : random.chance(5) ? -weight : weight;
   }
   return v;
 }

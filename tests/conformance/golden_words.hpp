@@ -12,6 +12,7 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {
@@ -46,12 +47,12 @@ void compare_draws(conformance_table& table, std::string const& folder, int amon
 
 template <typename Exec>
 void run_words(Exec const& exec, std::string const& folder, conformance_table& table) {
-  (void)exec;
   for (auto const& at : cases_of(folder, "pnp")) {
     compare_draws<6>(table, at, read_npy<float>(at + "/X.npy").rows());
   }
   for (auto const& at : cases_of(folder, "two_view")) {
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());
+    compare_two_view(exec, at, table);
   }
 }
 

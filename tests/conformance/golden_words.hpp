@@ -15,6 +15,7 @@
 #include "tests/conformance/golden_words_database.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
 #include "tests/conformance/golden_words_transform.hpp"
+#include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {
@@ -56,6 +57,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
   }
   for (auto const& at : cases_of(folder, "two_view")) {
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());
+    compare_two_view(exec, at, table);
   }
   golden_scores<Exec>(exec, folder).run(table["word_scoring"]);
   for (auto const& at : cases_of(folder, "database")) { compare_database(exec, at, table); }

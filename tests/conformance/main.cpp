@@ -86,7 +86,8 @@ char const* const words_stages[] = {
     "counter_draws",    "vocabulary_text", "transform_features", "transform_bag",
     "transform_groups", "pnp_rays",        "pnp_limits",         "pnp_poses",
     "pnp_counts",       "pnp_calls",       "pnp_call_poses",     "pnp_refined",
-    "word_scoring",     "database_common", "database_score",     "database_query"};
+    "word_scoring",     "database_common", "database_score",     "database_query",
+    "two_view",         "two_view_scores", "two_view_motion",    "two_view_points"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: the motion between two images of one camera, and points, from matched keypoints:
+/// how a map starts with one camera. Source: Mur-Artal, Montiel and Tardos, "ORB-SLAM: a versatile
+/// and accurate monocular SLAM system", T-RO 2015, section IV.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/two_view/check_motions.hpp"
+#include "ft/kernels/two_view/choose_model.hpp"
+#include "ft/kernels/two_view/prepare.hpp"
+#include "ft/kernels/two_view/problem.hpp"
+#include "ft/kernels/two_view/try_samples.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The motion with most points.
+struct motion_choice {
+  two_view_status status;
+  int motion;  ///< the first of equals
+};
+
+/// Last step. Item: a pair of images.
+struct finish_pair {
+  struct scratch {
+    motion_choice taken;
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair, two_view_params const& params,
+                                 two_view_workspace const& w,
+                                 two_view_reconstructions const& out) const {
+    std::ptrdiff_t const from = std::ptrdiff_t{pair} * w.capacity;
+    for (int i = g.rank(); i < w.capacity; i += g.size()) {
+      out.point[from + i] = {0, 0, 0};
+      out.flags[from + i] = 0;
+    }
+    if (g.rank() == 0) {
+      s.taken = choose(w.chosen[pair], w.checked + std::ptrdiff_t{w.most_motions} * pair, params);
+      out.result[pair] = describe(s.taken, pair, w);
+    }
+    g.sync();  // also before keypoints that other threads have cleared are written
+    if (w.chosen[pair].model == two_view_model::none) { return; }
+    bool const made = s.taken.status == two_view_status::reconstructed;
+    checked_point const* const points =
+        w.point + (std::ptrdiff_t{w.most_motions} * pair + s.taken.motion) * w.capacity;
+    for (int i = g.rank(); i < w.prepared[pair].matches; i += g.size()) {
+      std::ptrdiff_t const to = from + w.keypoint[from + i];
+      unsigned flags = w.inlier[from + i] != 0 ? two_view_flag::inlier : 0u;
+      if (made && points[i].key != no_point_key) {
+        out.point[to] = points[i].X;
+        flags |= two_view_flag::point;
+        if (check_motion::is_triangulated(points[i])) { flags |= two_view_flag::triangulated; }
+      }
+      out.flags[to] = static_cast<std::uint8_t>(flags);
+    }
+  }
+
+private:
+  FT_HOST_DEVICE static motion_choice choose(chosen_model const& c, checked_motion const* checked,
+                                             two_view_params const& params) {
+    int at = 0;
+    for (int k = 1; k < c.motions; ++k) {
+      if (checked[k].points > checked[at].points) { at = k; }
+    }
+    if (c.status != two_view_status::reconstructed) { return {c.status, at}; }
+    int const best = checked[at].points;
+    double const share = mul(0.9, static_cast<double>(c.inliers));
+    bool const homography = c.model == two_view_model::homography;
+    bool const enough = homography ? best > params.min_points && best > share
+                                   : best >= max_of(static_cast<int>(share), params.min_points);
+    if (!enough) { return {two_view_status::too_few_points, at}; }
+    for (int k = 0; k < c.motions; ++k) {
+      double const points = checked[k].points;
+      bool const rival =
+          homography ? points >= mul(0.75, double(best)) : points > mul(0.7, double(best));
+      if (k != at && rival) { return {two_view_status::ambiguous, at}; }
+    }
+    float const parallax = checked[at].parallax;
+    bool const wide_enough =
+        homography ? parallax >= params.min_parallax_deg : parallax > params.min_parallax_deg;
+    return {wide_enough ? two_view_status::reconstructed : two_view_status::little_parallax, at};
+  }
+
+  FT_HOST_DEVICE static two_view_result describe(motion_choice const& taken, int pair,
+                                                 two_view_workspace const& w) {
+    chosen_model const& c = w.chosen[pair];
+    two_view_result r{};
+    r.status = taken.status;
+    r.model = c.model;
+    r.T_21 = pose::identity();
+    r.matches = w.prepared[pair].matches;
+    r.inliers = c.inliers;
+    r.score_H = static_cast<float>(c.score[0]);
+    r.score_F = static_cast<float>(c.score[1]);
+    r.ratio = static_cast<float>(c.ratio);
+    r.sample_H = c.sample[0];
+    r.sample_F = c.sample[1];
+    r.motions = c.motions;
+    std::ptrdiff_t const first = std::ptrdiff_t{w.most_motions} * pair;
+    for (int k = 0; k < c.motions; ++k) {
+      r.points_of[k] = w.checked[first + k].points;
+      r.parallax_of[k] = w.checked[first + k].parallax;
+    }
+    if (c.motions > 0) { r.parallax = r.parallax_of[taken.motion]; }
+    mat3<double> const* const models = w.model + std::ptrdiff_t{2} * pair * w.samples;
+    if (r.sample_H >= 0) { r.H_21 = models[r.sample_H].cast<float>(); }
+    if (r.sample_F >= 0) { r.F_21 = models[w.samples + r.sample_F].cast<float>(); }
+    if (taken.status == two_view_status::reconstructed) {
+      r.T_21 = w.motion[first + taken.motion].cast<float>();
+      r.points = w.checked[first + taken.motion].points;
+      r.triangulated = w.checked[first + taken.motion].triangulated;
+    }
+    return r;
+  }
+};
+
+}  // namespace detail
+
+/// Reconstructs a batch of pairs of images. Translations have length 1.
+///
+/// Samples of eight matches make homographies and fundamental matrices. A match adds to the score
+/// of a model what its squared errors, in units of their variance, are below a limit, in both
+/// images. The model with the better score says which motions are possible; that which puts most of
+/// the matches in front of both cameras is taken, if no other one comes near and the rays are not
+/// almost parallel. Good points whose rays are almost parallel are among the points, but not
+/// triangulated.
+///
+/// Bad input has a status of its own (two_view_status). Keypoints without a match count in the
+/// normalisation of pixels, so they must be finite. Computed in double; the same bits on every
+/// executor. Asynchronous on `exec`; allocates nothing; five launches.
+/// @throws bad_argument for null views, other shapes than the workspace's, or parameters out of
+///   range
+template <typename Exec>
+void reconstruct_two_views(Exec const& exec, two_view_input const& in,
+                           two_view_params const& params, two_view_reconstructions const& out,
+                           two_view_workspace const& workspace) {
+  detail::require_two_views(in, params, out, workspace);
+  int const pairs = in.first.batch;
+  for_each_item<per_block<sum_lanes>>(exec, pairs, detail::prepare_pair{}, in, workspace);
+  for_each_item<per_warp>(exec, 2 * pairs * params.samples, detail::try_sample{}, in, params,
+                          workspace);
+  for_each_item<per_block<256>>(exec, pairs, detail::choose_model{}, in, params, workspace);
+  for_each_item<per_block<256>>(exec, pairs * workspace.most_motions, detail::check_motion{}, in,
+                                params, workspace);
+  for_each_item<per_block<256>>(exec, pairs, detail::finish_pair{}, params, workspace, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -230,11 +230,15 @@ private:
       return counts_features() ? static_cast<double>(words) : 0.0;
     }
     bool const squares = header.scoring == word_scoring::l2;
-    double sum = 0;
-    for (int base = 0; base < words; base += warp.size()) {
-      int const i = base + warp.rank();
+    auto const term_of = [&](int i) {
       strict_double const v = i < words ? value[i] : 0.0;
-      double const term = squares ? (v * v).value : ::fabs(v.value);
+      return squares ? (v * v).value : ::fabs(v.value);
+    };
+    double sum = 0;
+    double next = term_of(warp.rank());
+    for (int base = 0; base < words; base += warp.size()) {
+      double const term = next;
+      next = term_of(base + warp.size() + warp.rank());  // loaded while this one is summed
       FT_UNROLL
       for (int k = 0; k < warp.size(); ++k) { sum += warp.shuffle(term, k); }
     }

@@ -8,9 +8,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/detail/paired_eigen.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
-#include "ft/kernels/pnp/small_matrices.hpp"
+#include "ft/kernels/matrices/paired_eigen.hpp"
+#include "ft/kernels/matrices/small_matrices.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -13,8 +13,8 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/kernels/matrices/small_matrices.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
-#include "ft/kernels/pnp/small_matrices.hpp"
 #include "ft/kernels/pose/se3.hpp"
 
 namespace ft {

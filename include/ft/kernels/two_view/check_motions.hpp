@@ -12,9 +12,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/small_eigen.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -8,8 +8,8 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/small_eigen.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -12,8 +12,8 @@
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/symmetric_eigen.hpp"
+#include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/small_eigen.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"
 
 namespace ft {

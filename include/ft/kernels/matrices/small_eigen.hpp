@@ -6,6 +6,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/kernels/matrices/small_matrices.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -101,11 +102,6 @@ FT_HOST_DEVICE inline small_eigen<3> eigen_of_square(wide_mat3 const& M) {
   for (int k = 0; k < 9; ++k) { eigen.a[k] = S.m[k]; }
   eigen.diagonalize();
   return eigen;
-}
-
-FT_HOST_DEVICE inline wide determinant(wide_mat3 const& M) {
-  return dot(wide_vec3{M.m[0], M.m[1], M.m[2]},
-             cross(wide_vec3{M.m[3], M.m[4], M.m[5]}, wide_vec3{M.m[6], M.m[7], M.m[8]}));
 }
 
 /// A matrix as the sum of d_k u_k v_k^T, with d descending.

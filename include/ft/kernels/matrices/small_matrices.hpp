@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What a pose from six points needs of 3 x 3 and 6 x 6 matrices, in strict doubles.
+/// @file Norms, determinants, orthogonal factors, ranks and solutions of 3 x 3 and 6 x 6 matrices,
+/// in strict doubles.
 #pragma once
 
 #include <cstdint>

@@ -20,6 +20,7 @@
 #include "tests/conformance/golden_words_input.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
+#include "tests/support/word_groups.hpp"
 
 namespace test {
 

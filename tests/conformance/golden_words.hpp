@@ -12,6 +12,7 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words_pnp.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
 #include "tests/support/npy.hpp"
 
@@ -39,6 +40,7 @@ template <typename Exec>
 void run_words(Exec const& exec, std::string const& folder, conformance_table& table) {
   for (auto const& at : cases_of(folder, "pnp")) {
     compare_draws<6>(table, at, read_npy<float>(at + "/X.npy").rows());
+    compare_pnp(exec, at, folder, table);
   }
   for (auto const& at : cases_of(folder, "two_view")) {
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());

@@ -12,6 +12,8 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
+#include "tests/conformance/golden_words_pnp.hpp"
+#include "tests/conformance/golden_words_searches.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
 
@@ -20,16 +22,6 @@ namespace test {
 /// Whether a folder holds the recorded answers of words and recovery.
 inline bool is_words(std::string const& folder) {
   return std::filesystem::is_directory(folder + "/two_view");
-}
-
-/// The cases of a stage, in the order of their names.
-inline std::vector<std::string> cases_of(std::string const& folder, std::string const& stage) {
-  std::vector<std::string> found;
-  for (auto const& entry : std::filesystem::directory_iterator(folder + "/" + stage)) {
-    found.push_back(entry.path().string());
-  }
-  std::sort(found.begin(), found.end());
-  return found;
 }
 
 /// The samples of a case, from the seed of the case.
@@ -49,11 +41,13 @@ template <typename Exec>
 void run_words(Exec const& exec, std::string const& folder, conformance_table& table) {
   for (auto const& at : cases_of(folder, "pnp")) {
     compare_draws<6>(table, at, read_npy<float>(at + "/X.npy").rows());
+    compare_pnp(exec, at, folder, table);
   }
   for (auto const& at : cases_of(folder, "two_view")) {
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());
     compare_two_view(exec, at, table);
   }
+  compare_words_searches(exec, folder, table);
 }
 
 }  // namespace test

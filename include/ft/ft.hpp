@@ -167,6 +167,7 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/map_files.hpp"
+#include "ft/pipelines/monocular_start.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/orb_extractor.hpp"

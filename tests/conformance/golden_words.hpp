@@ -14,6 +14,7 @@
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_database.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
+#include "tests/conformance/golden_words_searches.hpp"
 #include "tests/conformance/golden_words_transform.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
@@ -23,16 +24,6 @@ namespace test {
 /// Whether a folder holds the recorded answers of words and recovery.
 inline bool is_words(std::string const& folder) {
   return std::filesystem::is_directory(folder + "/two_view");
-}
-
-/// The cases of a stage, in the order of their names.
-inline std::vector<std::string> cases_of(std::string const& folder, std::string const& stage) {
-  std::vector<std::string> found;
-  for (auto const& entry : std::filesystem::directory_iterator(folder + "/" + stage)) {
-    found.push_back(entry.path().string());
-  }
-  std::sort(found.begin(), found.end());
-  return found;
 }
 
 /// The samples of a case, from the seed of the case.
@@ -61,6 +52,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
   }
   golden_scores<Exec>(exec, folder).run(table["word_scoring"]);
   for (auto const& at : cases_of(folder, "database")) { compare_database(exec, at, table); }
+  compare_words_searches(exec, folder, table);
 }
 
 }  // namespace test

@@ -82,12 +82,18 @@ char const* const inertial_stages[] = {
     "changed_bias",  "imu_prediction", "imu_information",      "inertial_pose_flags",
     "inertial_pose", "inertial_prior", "inertial_pose_chained"};
 
-char const* const words_stages[] = {
-    "counter_draws",    "vocabulary_text", "transform_features", "transform_bag",
-    "transform_groups", "pnp_rays",        "pnp_limits",         "pnp_poses",
-    "pnp_counts",       "pnp_calls",       "pnp_call_poses",     "pnp_refined",
-    "word_scoring",     "database_common", "database_score",     "database_query",
-    "two_view",         "two_view_scores", "two_view_motion",    "two_view_points"};
+char const* const words_stages[] = {"counter_draws",      "vocabulary_text",
+                                    "transform_features", "transform_bag",
+                                    "transform_groups",   "pnp_rays",
+                                    "pnp_limits",         "pnp_poses",
+                                    "pnp_counts",         "pnp_calls",
+                                    "pnp_call_poses",     "pnp_refined",
+                                    "word_scoring",       "database_common",
+                                    "database_score",     "database_query",
+                                    "two_view",           "two_view_scores",
+                                    "two_view_motion",    "two_view_points",
+                                    "search_by_words",    "search_initial_matches",
+                                    "search_keyframe"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

@@ -128,13 +128,13 @@ FT_HOST_DEVICE inline singular_vectors singular_vectors_of(wide_mat3 const& M) {
   for (int k = 0; k < 3; ++k) {
     s.v[k] = {eigen.v[order[k]], eigen.v[3 + order[k]], eigen.v[6 + order[k]]};
   }
-  auto const unit = [](wide_vec3 x, wide& length) {
-    length = scalar::sqrt(dot(x, x));
-    return scaled(x, wide(1.0) / length);
-  };
-  s.u[0] = unit(M * s.v[0], s.d[0]);
-  wide_vec3 const second = M * s.v[1];
-  s.u[1] = unit(second - scaled(s.u[0], dot(s.u[0], second)), s.d[1]);
+  wide_vec3 const longest = M * s.v[0];
+  s.d[0] = norm(longest);
+  s.u[0] = unit(longest);
+  wide_vec3 second = M * s.v[1];
+  second = second - scaled(s.u[0], dot(s.u[0], second));
+  s.d[1] = norm(second);
+  s.u[1] = unit(second);
   s.u[2] = cross(s.u[0], s.u[1]);
   s.d[2] = dot(s.u[2], M * s.v[2]);
   if (s.d[2] < wide(0.0)) {

@@ -84,7 +84,7 @@ struct assignment_context {
   }
   FT_HOST_DEVICE int slot(int camera, int i) const { return windows.at(camera, b, i).slot; }
   FT_HOST_DEVICE bool observed(int slot) const {
-    return slot >= 0 && points.observations(slot) > 0;
+    return slot >= 0 && (params.all_observed || points.observations(slot) > 0);
   }
   /// Whether an observed point has held a keypoint since before the search. Such keypoints are not
   /// listed.

@@ -76,7 +76,7 @@ struct list_candidates {
       bool const listed = c < frame.cameras && place < s.found[c];
       int const k = listed ? entry_keypoint(s.list[c][place / 4].entry[place % 4]) : 0;
       int const slot = listed && holder != nullptr ? holder[c * frame.capacity() + k] : -1;
-      bits |= g.ballot(keeps(in.points(), slot)) << base;
+      bits |= g.ballot(keeps(in, in.points(), slot)) << base;
     }
     return bits;
   }
@@ -113,8 +113,9 @@ private:
   }
   /// Whether the point in a slot, -1 = none, is observed and so keeps its keypoints. Exception: a
   /// keypoint that an unobserved point takes over as a stereo partner.
-  FT_HOST_DEVICE static bool keeps(map_points_view const& points, int slot) {
-    return slot >= 0 && points.observations(slot) > 0;
+  FT_HOST_DEVICE static bool keeps(frame_search const& in, map_points_view const& points,
+                                   int slot) {
+    return slot >= 0 && (in.params.all_observed || points.observations(slot) > 0);
   }
 
   /// Lists the candidates of a point in each camera and calls use(camera, list, listing).
@@ -140,7 +141,7 @@ private:
           if (k >= 0) {
             int const held = holder == nullptr ? -1 : holder[c * frame.capacity() + k];
             distance = candidate_distance(w, kp, c == 0 ? right_x : nullptr, wanted, k, limit);
-            if (distance >= 0 && keeps(points, held)) {
+            if (distance >= 0 && keeps(in, points, held)) {
               distance = -1;
               found.left_out = true;
             }
@@ -149,7 +150,7 @@ private:
           list.add(g, distance, k);
         });
       }
-      found.observed = w.slot >= 0 && keeps(points, w.slot);
+      found.observed = w.slot >= 0 && keeps(in, points, w.slot);
       use(c, list, found);
       if (in.params.kind == search_kind::last_frame && frame.cameras == 2) {
         left_empty = g.ballot(found.in_window) == 0;

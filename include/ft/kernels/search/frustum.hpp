@@ -51,6 +51,24 @@ struct viewpoint {
   }
 };
 
+namespace detail {
+
+/// Whether a distance, metres, is one from which a map point is expected to be seen.
+FT_HOST_DEVICE inline bool sees_from(strict_float distance, map_points_view const& map, int slot) {
+  return distance >= strict_float(0.8f) * map.min_distance(slot) &&
+         distance <= strict_float(1.2f) * map.max_distance(slot);
+}
+/// The octave in which a map point is expected from that distance.
+FT_HOST_DEVICE inline int expected_level(strict_float distance, float max_distance,
+                                         frustum_params const& params) {
+  strict_float const ratio = strict_float(max_distance) / distance;
+  float const level =
+      ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
+  return static_cast<int>(clamp(level, 0.0f, static_cast<float>(params.levels - 1)));
+}
+
+}  // namespace detail
+
 /// Tests one map point against one camera.
 /// @param bf baseline times focal length; 0 without a column in a right image
 template <typename Camera>
@@ -73,23 +91,16 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const&
   vec3<strict_float> const view =
       P - vec3<strict_float>{from.centre.x, from.centre.y, from.centre.z};
   strict_float const distance = scalar::sqrt(dot(view, view));
-  float const max_distance = map.max_distance(slot);
-  if (!(distance >= strict_float(0.8f) * map.min_distance(slot) &&
-        distance <= strict_float(1.2f) * max_distance)) {
-    return none;
-  }
+  if (!detail::sees_from(distance, map, slot)) { return none; }
   vec3<float> const n = map.normal(slot);
   strict_float const cosine = dot(view, {n.x, n.y, n.z}) / distance;
   if (!(cosine >= params.min_cosine)) { return none; }
-  strict_float const ratio = strict_float(max_distance) / distance;
-  float const level =
-      ::ceilf((strict_float(log_rounded(ratio.value)) / params.log_scale_factor).value);
   return {x,
           y,
           (seen.pixel.x - bf * (strict_float(1.0f) / Pc.z)).value,
           cosine.value,
           scalar::sqrt(dot(Pc, Pc)).value,
-          static_cast<int>(clamp(level, 0.0f, static_cast<float>(params.levels - 1)))};
+          detail::expected_level(distance, map.max_distance(slot), params)};
 }
 
 struct local_search_params {

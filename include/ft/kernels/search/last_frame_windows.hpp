@@ -24,6 +24,22 @@ struct last_frame_view {
   int cameras = 1;
   /// [batch][cameras * capacity] slot of an inlier map point, -1 = none.
   int const* holder = nullptr;
+
+  /// Keypoints of batch entry b in both cameras. A search takes the left ones first, then the right
+  /// ones.
+  FT_HOST_DEVICE int count(int b) const {
+    return keypoints.count[keypoint_step * b] +
+           (cameras == 2 ? keypoints.count[keypoint_step * b + 1] : 0);
+  }
+  /// Number of keypoint i of batch entry b in that order.
+  FT_HOST_DEVICE int number(int b, int i) const {
+    int const left_count = keypoints.count[keypoint_step * b];
+    return i < left_count ? i : keypoints.capacity + i - left_count;
+  }
+  /// Slot that keypoint i of batch entry b holds.
+  FT_HOST_DEVICE int slot(int b, int i) const {
+    return holder[static_cast<std::ptrdiff_t>(b) * cameras * keypoints.capacity + number(b, i)];
+  }
 };
 
 struct last_search_params {
@@ -76,13 +92,8 @@ struct last_frame_windows {
   static constexpr int cameras = Rig::cameras / searches;  ///< of a search
   static constexpr bool lists_by_column = false;           ///< see frame_search
 
-  /// Number of keypoints of the last frame. The search takes the left ones first, then the right
-  /// ones.
-  FT_HOST_DEVICE static int count(search const& in, int b) {
-    last_frame_view const& last = in.last;
-    return last.keypoints.count[last.keypoint_step * b] +
-           (last.cameras == 2 ? last.keypoints.count[last.keypoint_step * b + 1] : 0);
-  }
+  /// Number of keypoints of the last frame.
+  FT_HOST_DEVICE static int count(search const& in, int b) { return in.last.count(b); }
   FT_HOST_DEVICE static window_pair find(search const& in, map_points_view const& map, int b, int i,
                                          search_windows_view const& /*to*/, bool /*writes*/) {
     return project(in, map, b, i, in.params.window_radius);
@@ -140,14 +151,10 @@ private:
     int slot;   ///< of its map point, -1 = none
   };
   FT_HOST_DEVICE static keypoint keypoint_of(last_frame_view const& last, int b, int i) {
-    int const left_count = last.keypoints.count[last.keypoint_step * b];
-    int const camera = i < left_count ? 0 : 1;
-    int const k = i < left_count ? i : i - left_count;
-    int const number = camera * last.keypoints.capacity + k;
-    int const slot =
-        last.holder[static_cast<std::ptrdiff_t>(b) * last.cameras * last.keypoints.capacity +
-                    number];
-    return {last.keypoint_step * b + camera, k, slot};
+    int const number = last.number(b, i);
+    int const camera = number < last.keypoints.capacity ? 0 : 1;
+    int const k = number - camera * last.keypoints.capacity;
+    return {last.keypoint_step * b + camera, k, last.slot(b, i)};
   }
 
   /// Radius and octaves. The octaves depend on whether the camera has moved along its axis by more

@@ -31,6 +31,8 @@ struct search_params {
   float ratio = 0.8f;
   /// Ignores and overwrites the holders of the frame before the search.
   bool from_empty = false;
+  /// Every point keeps its keypoints, as if all were observed; see search_workspace.
+  bool all_observed = false;
 };
 
 /// Four candidates of a window, each packed as distance << 23 | keypoint. Loaded at once.

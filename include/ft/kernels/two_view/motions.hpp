@@ -9,6 +9,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/matrices/small_eigen.hpp"
+#include "ft/kernels/matrices/small_matrices.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 
 namespace ft {
@@ -34,20 +35,14 @@ FT_HOST_DEVICE inline int motions_of_fundamental(wide_mat3 const& F, pinhole<wid
                                                  rigid<double>* out) {
   wide_mat3 const K = calibration_matrix(camera);
   singular_vectors const s = singular_vectors_of(K.transposed() * (F * K));
+  wide_mat3 const Vt = from_rows(s.v[0], s.v[1], s.v[2]);
   auto const turned = [&](wide sign) {
-    wide_mat3 R;
-    wide_vec3 const u[3] = {scaled(s.u[1], sign), scaled(s.u[0], -sign), s.u[2]};
-    auto const row = [&](int i, wide a, wide b, wide c) {
-      R.m[3 * i] = a * s.v[0].x + (b * s.v[1].x + c * s.v[2].x);
-      R.m[3 * i + 1] = a * s.v[0].y + (b * s.v[1].y + c * s.v[2].y);
-      R.m[3 * i + 2] = a * s.v[0].z + (b * s.v[1].z + c * s.v[2].z);
-    };
-    row(0, u[0].x, u[1].x, u[2].x);
-    row(1, u[0].y, u[1].y, u[2].y);
-    row(2, u[0].z, u[1].z, u[2].z);
+    wide_mat3 const UW =
+        from_rows(scaled(s.u[1], sign), scaled(s.u[0], -sign), s.u[2]).transposed();
+    wide_mat3 const R = UW * Vt;
     return determinant(R) < wide(0.0) ? scaled(R, wide(-1.0)) : R;
   };
-  wide_vec3 const t = scaled(s.u[2], scalar::reciprocal(scalar::sqrt(dot(s.u[2], s.u[2]))));
+  wide_vec3 const t = unit(s.u[2]);
   wide_mat3 const R[2] = {turned(1.0), turned(-1.0)};
   for (int k = 0; k < 4; ++k) { out[k] = wide_motion{R[k % 2], k < 2 ? t : -t}.cast<double>(); }
   return 4;
@@ -70,12 +65,9 @@ FT_HOST_DEVICE inline int motions_of_homography(wide_mat3 const& H, pinhole<wide
   wide const apart = 1.00001;
   // written so that a NaN fails
   if (!(d1 / d2 >= apart && d2 / d3 >= apart)) { return 0; }
-  auto const columns = [](wide_vec3 const(&c)[3]) {
-    return wide_mat3{{c[0].x, c[1].x, c[2].x, c[0].y, c[1].y, c[2].y, c[0].z, c[1].z, c[2].z}};
-  };
-  wide_mat3 const U = columns(sv.u);
-  wide_mat3 const V = columns(sv.v);
-  wide const s = determinant(U) * determinant(V) < zero ? -1.0 : 1.0;
+  wide_mat3 const U = from_rows(sv.u[0], sv.u[1], sv.u[2]).transposed();
+  wide_mat3 const Vt = from_rows(sv.v[0], sv.v[1], sv.v[2]);
+  wide const s = determinant(U) * determinant(Vt) < zero ? -1.0 : 1.0;
   wide const above = d1 * d1 - d2 * d2;
   wide const below = d2 * d2 - d3 * d3;
   wide const both = d1 * d1 - d3 * d3;
@@ -90,8 +82,8 @@ FT_HOST_DEVICE inline int motions_of_homography(wide_mat3 const& H, pinhole<wide
     wide const cosine = (d1 * d3 + d * d2 * d2) / divisor;
     wide_mat3 const turned{{cosine, zero, -(d * sine), zero, d, zero, sine, zero, d * cosine}};
     wide_vec3 const t = U * wide_vec3{turn < 2 ? x1 : -x1, zero, -(d * (turn % 2 == 0 ? x3 : -x3))};
-    wide_mat3 const R = scaled(U * (turned * V.transposed()), s);
-    out[k] = wide_motion{R, scaled(t, scalar::reciprocal(scalar::sqrt(dot(t, t))))}.cast<double>();
+    wide_mat3 const R = scaled(U * (turned * Vt), s);
+    out[k] = wide_motion{R, unit(t)}.cast<double>();
   }
   return 8;
 }

@@ -11,7 +11,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/inertial/symmetric_eigen.hpp"
+#include "ft/kernels/matrices/paired_eigen.hpp"
 #include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"
@@ -41,7 +41,7 @@ struct try_sample {
   struct scratch {
     int taken[size];
     wide rows[2 * size * unknowns];
-    symmetric_eigen eigen;
+    paired_eigen<unknowns> eigen;
   };
 
   template <typename Group>
@@ -128,10 +128,7 @@ private:
     }
     g.sync();
     s.eigen.diagonalize(g, unknowns);
-    int least = 0;
-    for (int k = 1; k < unknowns; ++k) {
-      if (s.eigen.value(k, unknowns) < s.eigen.value(least, unknowns)) { least = k; }
-    }
+    int const least = s.eigen.smallest(unknowns);
     wide_mat3 M;
     for (int k = 0; k < 9; ++k) { M.m[k] = s.eigen.v[unknowns * k + least]; }
     return M;

@@ -123,6 +123,7 @@
 #include "ft/kernels/pnp/gather_pnp.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
+#include "ft/kernels/pnp/paired_eigen.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 #include "ft/kernels/pnp/refine_pnp.hpp"
 #include "ft/kernels/pnp/refine_pose.hpp"

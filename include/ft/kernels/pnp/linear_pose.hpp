@@ -8,8 +8,8 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/detail/paired_eigen.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/kernels/pnp/paired_eigen.hpp"
 #include "ft/kernels/pnp/small_matrices.hpp"
 
 namespace ft {

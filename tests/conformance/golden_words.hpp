@@ -13,6 +13,7 @@
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
+#include "tests/conformance/golden_words_reloc.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
 #include "tests/support/npy.hpp"
 
@@ -46,6 +47,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
     compare_draws<8>(table, at, read_npy<std::int32_t>(at + "/matches.npy").rows());
   }
   compare_words_searches(exec, folder, table);
+  compare_relocalizations(exec, folder, table);
 }
 
 }  // namespace test

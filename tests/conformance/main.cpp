@@ -82,10 +82,13 @@ char const* const inertial_stages[] = {
     "changed_bias",  "imu_prediction", "imu_information",      "inertial_pose_flags",
     "inertial_pose", "inertial_prior", "inertial_pose_chained"};
 
-char const* const words_stages[] = {
-    "counter_draws",  "pnp_rays",       "pnp_limits",  "pnp_poses",       "pnp_counts",
-    "pnp_calls",      "pnp_call_poses", "pnp_refined", "search_by_words", "search_initial_matches",
-    "search_keyframe"};
+char const* const words_stages[] = {"counter_draws",   "pnp_rays",
+                                    "pnp_limits",      "pnp_poses",
+                                    "pnp_counts",      "pnp_calls",
+                                    "pnp_call_poses",  "pnp_refined",
+                                    "search_by_words", "search_initial_matches",
+                                    "search_keyframe", "relocalize",
+                                    "relocalize_pose"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

@@ -53,7 +53,7 @@ template <typename Exec>
 void clear(Exec const& exec, relocalization_view const& v) {
   auto const b = static_cast<std::size_t>(v.batch);
   fill_bytes(exec, v.found_now, 0, b * sizeof(int));
-  fill_bytes(exec, v.found_in, 0, b * static_cast<std::size_t>(v.slots) * sizeof(int));
+  fill_bytes(exec, v.found_in, 0xff, b * static_cast<std::size_t>(v.slots) * sizeof(int));
   fill_bytes(exec, v.outlier, 0, b * static_cast<std::size_t>(v.numbers));
 }
 

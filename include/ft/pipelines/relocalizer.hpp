@@ -121,7 +121,9 @@ public:
     detail::require_range("candidates of match()", count_, candidates.count, candidates.count);
     start(exec, in, seed);
     relocalization out;
-    for (int alive = count_; alive > 0 && out.rounds < params_.rounds;) {
+    int alive = 0;
+    for (int c = 0; c < count_; ++c) { alive += staging_->alive[c]; }
+    while (alive > 0 && out.rounds < params_.rounds) {
       ++out.rounds;
       solve(exec);
       alive = 0;

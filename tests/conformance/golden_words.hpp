@@ -14,6 +14,7 @@
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_database.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
+#include "tests/conformance/golden_words_reloc.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
 #include "tests/conformance/golden_words_transform.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
@@ -53,6 +54,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
   golden_scores<Exec>(exec, folder).run(table["word_scoring"]);
   for (auto const& at : cases_of(folder, "database")) { compare_database(exec, at, table); }
   compare_words_searches(exec, folder, table);
+  compare_relocalizations(exec, folder, table);
 }
 
 }  // namespace test

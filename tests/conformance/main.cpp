@@ -93,7 +93,8 @@ char const* const words_stages[] = {"counter_draws",      "vocabulary_text",
                                     "two_view",           "two_view_scores",
                                     "two_view_motion",    "two_view_points",
                                     "search_by_words",    "search_initial_matches",
-                                    "search_keyframe"};
+                                    "search_keyframe",    "relocalize",
+                                    "relocalize_pose"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

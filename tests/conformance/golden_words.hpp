@@ -14,6 +14,7 @@
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
+#include "tests/conformance/golden_words_start.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
 
@@ -48,6 +49,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
     compare_two_view(exec, at, table);
   }
   compare_words_searches(exec, folder, table);
+  compare_starts(exec, folder, table["monocular_start"]);
 }
 
 }  // namespace test

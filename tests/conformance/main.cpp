@@ -89,7 +89,7 @@ char const* const words_stages[] = {"counter_draws",   "pnp_rays",
                                     "search_by_words", "search_initial_matches",
                                     "search_keyframe", "two_view",
                                     "two_view_scores", "two_view_motion",
-                                    "two_view_points"};
+                                    "two_view_points", "monocular_start"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

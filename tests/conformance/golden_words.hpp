@@ -16,6 +16,7 @@
 #include "tests/conformance/golden_words_pnp.hpp"
 #include "tests/conformance/golden_words_reloc.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
+#include "tests/conformance/golden_words_start.hpp"
 #include "tests/conformance/golden_words_transform.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
 #include "tests/support/npy.hpp"
@@ -55,6 +56,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
   for (auto const& at : cases_of(folder, "database")) { compare_database(exec, at, table); }
   compare_words_searches(exec, folder, table);
   compare_relocalizations(exec, folder, table);
+  compare_starts(exec, folder, table["monocular_start"]);
 }
 
 }  // namespace test

@@ -94,7 +94,7 @@ char const* const words_stages[] = {"counter_draws",      "vocabulary_text",
                                     "two_view_motion",    "two_view_points",
                                     "search_by_words",    "search_initial_matches",
                                     "search_keyframe",    "relocalize",
-                                    "relocalize_pose"};
+                                    "relocalize_pose",    "monocular_start"};
 
 /// The stages that recorded answers in these folders are of.
 std::vector<std::string> needed_stages(std::vector<std::string> const& folders) {

@@ -5,19 +5,18 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <cstring>
 #include <memory>
-#include <string>
+#include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/inertial.hpp"
-#include "ft/core/execution.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
-#include "integration/orbslam3/rigs.hpp"
+#include "integration/orbslam3/options.hpp"
 #include "tests/integration/orbslam3/constructors.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
 #include "tests/support/inertial_poses.hpp"
@@ -77,9 +76,8 @@ inline stand_in::pose_constraint* constraint_of(ft::inertial_prior const& from) 
   if (from.known == 0) { return nullptr; }
   auto const H = matrix_of<15, 15>(from.information);
   auto const& s = from.state;
-  auto* const to = new stand_in::pose_constraint(matrix_of<3, 3>(s.R.m), vector_of(s.p),
-                                                 vector_of(s.v), vector_of(s.bg),
-                                                 vector_of(s.ba), H);
+  auto* const to = new stand_in::pose_constraint(
+      matrix_of<3, 3>(s.R.m), vector_of(s.p), vector_of(s.v), vector_of(s.bg), vector_of(s.ba), H);
   to->H = H;
   return to;
 }
@@ -176,18 +174,10 @@ private:
   }
 };
 
-/// The stage itself, on the host.
-inline void optimize_directly(inertial_setup const& setup, test::inertial_pose_batch& b) {
-  ft::inertial_pose_params params;
-  params.reference_quirks = setup.settings.reference_quirks;
-  auto const run = [&](auto const& rig) {
-    test::optimize(ft::host_exec(1), rig, setup.mount, params, b);
-  };
-  if (setup.settings.left.kind == ft::orbslam3::lens::pinhole) {
-    run(ft::orbslam3::rig_of<ft::rectified_rig>(setup.settings));
-  } else {
-    run(ft::orbslam3::rig_of<ft::orbslam3::fisheye_rig>(setup.settings));
-  }
+inline ft::orbslam3::stage stage_of(test::inertial_pose_batch const& b, std::size_t i) {
+  using ft::orbslam3::stage;
+  return b.from_last_frame[i] != 0 ? stage::pose_inertial_last_frame
+                                   : stage::pose_inertial_last_keyframe;
 }
 
 }  // namespace orbslam3_test

@@ -1,147 +1,41 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses with an IMU through the shim: the stage's own answers to the bit, recorded chains of the
-// reference, frames that are refused, and verify.
+// Poses with an IMU through the shim: the stage's own answers to the bit, frames that are refused,
+// and verify.
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
-#include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
 #include <functional>
 #include <limits>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "ft/kernels/inertial/stored_state.hpp"
 #include "integration/orbslam3/front_end.hpp"
-#include "tests/conformance/inertial_case.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
 #include "tests/integration/orbslam3/inertial_frames.hpp"
+#include "tests/integration/orbslam3/inertial_problems.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
-#include "tests/support/effort.hpp"
-#include "tests/support/inertial_scene.hpp"
 
 namespace orbslam3_test {
 
-namespace inertial {
+namespace inertial_shim {
 
 using accelerator = ft::orbslam3::accelerator<stand_in::types>;
 using front_end = ft::orbslam3::front_end<stand_in::types>;
 using verifier = ft::orbslam3::verifier<stand_in::types>;
 using ft::orbslam3::difference;
 using ft::orbslam3::stage;
-using test::inertial_pose_batch;
-
-stage stage_of(inertial_pose_batch const& b, std::size_t i) {
-  return b.from_last_frame[i] != 0 ? stage::pose_inertial_last_frame
-                                   : stage::pose_inertial_last_keyframe;
-}
-
-// ---- random problems ----------------------------------------------------------------------------
-
-/// Orders observations as keypoints are, with weights of octaves.
-void as_keypoints(inertial_setup const& setup, inertial_pose_batch& b) {
-  auto const& s = setup.settings;
-  auto const g = ft::pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor);
-  for (std::size_t i = 0; i < b.size(); ++i) {
-    std::vector<std::pair<ft::observation, float>> all;
-    for (std::size_t k = 0; k < b.observations[i].size(); ++k) {
-      all.emplace_back(b.observations[i][k], b.distance[i][k]);
-    }
-    std::stable_partition(all.begin(), all.end(), [](auto const& o) { return o.first.camera == 0; });
-    for (std::size_t k = 0; k < all.size(); ++k) {
-      ft::observation& o = all[k].first;
-      o.inv_sigma2 = *std::min_element(g.inv_sigma2, g.inv_sigma2 + s.levels, [&](float x, float y) {
-        return std::abs(x - o.inv_sigma2) < std::abs(y - o.inv_sigma2);
-      });
-      if (s.bf == 0) { o.right_u = -1; }
-      b.observations[i][k] = o;
-      b.distance[i][k] = all[k].second;
-    }
-  }
-}
-
-template <typename Rig>
-void add_problems(inertial_setup& setup, inertial_pose_batch& b, unsigned seed) {
-  test::inertial_scene<Rig> scene(seed);
-  setup.mount = scene.mount;
-  int const counts[] = {0, 6, 40, 250};
-  for (int i = 0; i < 8; ++i) {
-    test::inertial_shape shape;
-    shape.observations = counts[i / 2];
-    shape.from_last_frame = i % 2 == 1;
-    shape.pixel_noise = 0.7;
-    shape.outliers_percent = 15;
-    scene.add(b, shape);
-    // Since the keyframe the walk is another one: three times as long.
-    if (!shape.from_last_frame) { continue; }
-    for (float& w : b.since_keyframe.back().walk) { w *= 3; }
-    b.since_keyframe.back().steps *= 3;
-  }
-}
-
-/// Problems of one kind of sensor, and their answers by the stage itself.
-struct random_problems {
-  inertial_setup setup;
-  inertial_pose_batch batch;
-
-  explicit random_problems(sensor kind, bool quirks = true, unsigned seed = 4) {
-    auto& s = setup.settings;
-    s.width = 752;
-    s.height = 480;
-    s.features = 500;
-    s.most_keypoints = 300;
-    s.map_points = 2048;
-    s.local_points = 1024;
-    s.images = kind == sensor::stereo || kind == sensor::fisheye_stereo ? 2 : 1;
-    s.reference_quirks = quirks;
-    using ft::orbslam3::lens;
-    if (kind == sensor::fisheye_stereo) {
-      auto const rig = test::inertial_rig<test::inertial_fisheye_rig>();
-      s.left.kind = s.right.kind = lens::kannala_brandt;
-      std::memcpy(s.left.values, &rig.left, sizeof s.left.values);
-      std::memcpy(s.right.values, &rig.right, sizeof s.right.values);
-      s.T_rl = ft::orbslam3::to_transform(rig.T_rl);
-      add_problems<test::inertial_fisheye_rig>(setup, batch, seed);
-    } else {
-      auto const rig = test::inertial_rig<ft::rectified_rig>();
-      std::memcpy(s.left.values, &rig.camera, 4 * sizeof(float));
-      s.bf = kind == sensor::monocular ? 0.0f : 0.11f * rig.camera.fx;
-      add_problems<ft::rectified_rig>(setup, batch, seed);
-    }
-    as_keypoints(setup, batch);
-    optimize_directly(setup, batch);
-  }
-};
-sensor const kinds[] = {sensor::stereo, sensor::rgbd, sensor::monocular, sensor::fisheye_stereo};
-
-/// Expects in a frame what the stage answered to problem i, to the bit.
-void expect_answer(inertial_pose_batch const& b, std::size_t i, stand_in::frame& f, int tracked) {
-  ft::inertial_pose_result const& want = b.result[i];
-  EXPECT_EQ(tracked, want.tracked);
-  auto const state = stored_state_of(f);
-  EXPECT_EQ(std::memcmp(&state, &want.stored, sizeof state), 0);
-  for (int k = 0; k < b.count[i]; ++k) {
-    ASSERT_EQ(f.mvbOutlier[static_cast<std::size_t>(k)], b.outlier[b.at(i, k)] != 0) << k;
-  }
-  ASSERT_NE(f.mpcpi, nullptr);
-  auto const prior = ft::orbslam3::prior_of(*f.mpcpi);
-  EXPECT_EQ(std::memcmp(&prior, &b.next_prior[i], sizeof prior), 0);
-}
 
 class inertial_poses : public on_executor {};
 
 TEST_P(inertial_poses, are_those_of_the_stage_to_the_bit) {
-  for (sensor const kind : kinds) {
+  for (sensor const kind : all_sensors) {
     for (bool const quirks : {true, false}) {
       random_problems const p(kind, quirks);
       accelerator gpu(make(p.setup.settings), p.setup.settings);
@@ -257,6 +151,7 @@ TEST_P(inertial_poses, are_the_same_after_a_search_that_started_another_pose) {
       int const n = searching.inertial_pose_optimization(f, stage::pose_inertial_last_frame);
       set(other);
       EXPECT_EQ(alone.inertial_pose_optimization(other, stage::pose_inertial_last_frame), n);
+      EXPECT_NE(n, ft::orbslam3::inertial_refused);
       auto const got = stored_state_of(f);
       auto const want = stored_state_of(other);
       EXPECT_EQ(std::memcmp(&got, &want, sizeof got), 0);
@@ -297,7 +192,9 @@ TEST_P(inertial_poses, that_lack_what_they_start_from_are_the_cpus) {
       [](inertial_moment& m) { m.since_keyframe.C.setZero(); },
       [](inertial_moment& m) { m.since_last.NgaWalk.diagonal().setZero(); },
       [](inertial_moment& m) { m.since_last.dP.x() = nan; },
-      [](inertial_moment& m) { m.current.SetVelocity({0, nan, 0}); },
+      [](inertial_moment& m) {
+        m.current.SetVelocity({0, nan, 0});
+      },
       [](inertial_moment& m) { m.last.mpcpi->H(4, 4) = static_cast<double>(nan); },
   };
   change const of_keyframe[] = {
@@ -354,9 +251,9 @@ TEST_P(inertial_poses, are_the_cpus_by_option_and_are_never_bypassed) {
   ft::orbslam3::set_modes(o, "pose_inertial_last_frame", ft::orbslam3::stage_mode::host);
   front_end gpu(make(p.setup.settings), p.setup.settings, o);
   inertial_moment at(p.setup, p.batch, 7);
-  EXPECT_EQ(gpu.inertial_pose_optimization(at.current, stage::pose_inertial_last_frame,
-                                           [] { return 5; }),
-            5);
+  EXPECT_EQ(
+      gpu.inertial_pose_optimization(at.current, stage::pose_inertial_last_frame, [] { return 5; }),
+      5);
   EXPECT_TRUE(gpu.uses(stage::pose_inertial_last_keyframe));
   for (auto const s : {stage::pose_inertial_last_frame, stage::pose_inertial_last_keyframe}) {
     EXPECT_THROW(
@@ -371,8 +268,8 @@ class inertial_verify : public on_executor {
 protected:
   /// Runs problem i with verify; the CPU is another accelerator, whose answer `plant` changes.
   /// @return what differed
-  static std::vector<std::string> verified(
-      random_problems const& p, std::size_t i, std::function<int(stand_in::frame&)> const& plant) {
+  static std::vector<std::string> verified(random_problems const& p, std::size_t i,
+                                           std::function<int(stand_in::frame&)> const& plant) {
     auto const& s = p.setup.settings;
     accelerator gpu(make(s), s);
     accelerator cpu(make(s), s);
@@ -393,7 +290,7 @@ protected:
 };
 
 TEST_P(inertial_verify, finds_nothing_where_the_cpu_has_the_same_answer) {
-  for (sensor const kind : kinds) {
+  for (sensor const kind : all_sensors) {
     random_problems const p(kind);
     for (std::size_t i = 0; i < p.batch.size(); ++i) {
       SCOPED_TRACE(std::string(name_of(kind)) + " problem " + std::to_string(i));
@@ -494,6 +391,6 @@ INSTANTIATE_TEST_SUITE_P(executors, inertial_poses, ::testing::ValuesIn(executor
 INSTANTIATE_TEST_SUITE_P(executors, inertial_verify, ::testing::ValuesIn(executors()),
                          executor_name);
 
-}  // namespace inertial
+}  // namespace inertial_shim
 
 }  // namespace orbslam3_test

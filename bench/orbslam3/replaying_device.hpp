@@ -95,6 +95,11 @@ public:
     while (replaying_ && work_ && work_()) {}
     return answer(buffer, [&] { return device_->optimize_pose(buffer, T_cw); });
   }
+  float* point_distances() override { return device_->point_distances(); }
+  ft::orbslam3::inertial_result optimize_inertial_pose(
+      ft::orbslam3::inertial_request const& r) override {
+    return device_->optimize_inertial_pose(r);
+  }
 
   void meanwhile(std::function<bool()> work) override {
     work_ = work;

@@ -12,12 +12,13 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "ft/core/execution.hpp"
-#include "ft/kernels/images/depth_association.hpp"
 #include "integration/orbslam3/cell_lists.hpp"
 #include "integration/orbslam3/conversions.hpp"
+#include "integration/orbslam3/depth_stereo.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/frame_changes.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/local_room.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
@@ -156,37 +157,7 @@ public:
   template <typename Image>
   void compute_stereo_from_depth(frame_type& frame, Image const& depth) {
     stage_timer timer(sums(stage::stereo), *device_);
-    int const n = static_cast<int>(frame.mvKeys.size());
-    frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
-    frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
-    if (n == 0) { return; }
-    using columns = soa<memory_space::host, field::x, field::y>;
-    columns raw(n);
-    columns undistorted(n);
-    stereo_matches<memory_space::host> found(n);
-    auto const put = [n](columns const& to, auto const& keys) {
-      for (int i = 0; i < n; ++i) {
-        get<field::x>(to.view(), i) = keys[static_cast<std::size_t>(i)].pt.x;
-        get<field::y>(to.view(), i) = keys[static_cast<std::size_t>(i)].pt.y;
-      }
-      *to.view().count = n;
-    };
-    put(raw, frame.mvKeys);
-    put(undistorted, frame.mvKeysUn);
-    depth_images_view<float> const image{
-        reinterpret_cast<float const*>(depth.data),
-        depth.cols,
-        depth.rows,
-        static_cast<std::ptrdiff_t>(static_cast<std::size_t>(depth.step)),
-        0,
-        1};
-    depth_params params;
-    params.bf = settings_.bf;
-    associate_depth(host_exec(1), raw.view(), undistorted.view(), image, params, found.view());
-    for (int i = 0; i < n; ++i) {
-      frame.mvuRight[static_cast<std::size_t>(i)] = get<field::right_x>(found.view(), i);
-      frame.mvDepth[static_cast<std::size_t>(i)] = get<field::depth>(found.view(), i);
-    }
+    fill_stereo_from_depth(frame, depth, settings_.bf);
   }
 
   // ---- tracking
@@ -268,26 +239,43 @@ public:
     }
     if (options_[which] == stage_mode::bypass) { return held; }
     if (held < 3) { return 0; }
-    int const b = frames_.bind(frame, -1);
-    bool changed = false;
     map_call_end const end(mirror_);
-    {
-      // As in the original, map points are locked while they are read. The lock is not held while
-      // waiting for the device.
-      std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
-      mirror_.begin_call();
-      changed = gather_holders(b, frame, false);
-    }
-    if (changed) { device_->send(b, frame_part::holder); }
-    mirror_.flush();
+    int const b = bind_with_points(frame);
     transform const start = transform_of(frame.GetPose());
     pose_result const result = timer.on_device([&] { return device_->optimize_pose(b, start); });
-    frame_arrays const& a = device_->frame(b);
-    frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      if (a.holder[number] < 0 && holds(frame, i)) { frame.mvbOutlier[i] = true; }
-    });
+    write_outliers(b, frame);
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
     return result.inliers;
+  }
+
+  /// Optimizer::PoseInertialOptimizationLastFrame(&frame) and ...LastKeyFrame(&frame), with
+  /// bRecInit false: pose, velocity, bias, mpcpi, mvbOutlier; returns the number of observations
+  /// without outliers. Of the last frame mpcpi is deleted, if it was read.
+  ///
+  /// Returns inertial_refused, and changes nothing, if the last keyframe, the last frame, its
+  /// prior or an integral is not there, an integral has no steps, or a number is not finite.
+  /// @param which pose_inertial_last_frame or pose_inertial_last_keyframe
+  int inertial_pose_optimization(frame_type& frame, stage which) {
+    stage_timer timer(sums(which), *device_);
+    bool const from_last = which == stage::pose_inertial_last_frame;
+    if (!can_optimize_inertial(frame, which)) { return inertial_refused; }
+    inertial_request request = inertial_request_of(frame, from_last);
+    map_call_end const end(mirror_);
+    request.buffer = bind_with_points(frame);
+    float* const distance = device_->point_distances();
+    frames_.for_each_number(frame, [&](std::size_t i, int number) {
+      distance[number] = holds(frame, i) ? frame.mvpMapPoints[i]->mTrackDepth : 0.0f;
+    });
+    auto const result = timer.on_device([&] { return device_->optimize_inertial_pose(request); });
+    if (result.refused) { return inertial_refused; }
+    write_outliers(request.buffer, frame);
+    take_inertial_result(frame, from_last, result);
+    return result.tracked;
+  }
+  /// Whether the frame has what it would start from.
+  bool can_optimize_inertial(frame_type const& frame, stage which) const {
+    return has_inertial_start(frame, which == stage::pose_inertial_last_frame,
+                              settings_.reference_quirks);
   }
 
   // ---- map
@@ -364,6 +352,27 @@ private:
   }
   void send_holders(int b, frame_type const& frame, bool inliers_only) {
     if (gather_holders(b, frame, inliers_only)) { device_->send(b, frame_part::holder); }
+  }
+  /// The buffer of a frame and of the points that it holds, for a pose. As in the original, map
+  /// points are locked while they are read. The lock is not held while waiting for the device.
+  int bind_with_points(frame_type const& frame) {
+    int const b = frames_.bind(frame, -1);
+    bool changed = false;
+    {
+      std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
+      mirror_.begin_call();
+      changed = gather_holders(b, frame, false);
+    }
+    if (changed) { device_->send(b, frame_part::holder); }
+    mirror_.flush();
+    return b;
+  }
+  /// Flags the keypoints whose points a pose has released, and no other that holds a point.
+  void write_outliers(int b, frame_type& frame) const {
+    frame_arrays const& a = device_->frame(b);
+    frames_.for_each_number(frame, [&](std::size_t i, int number) {
+      if (holds(frame, i)) { frame.mvbOutlier[i] = a.holder[number] < 0; }
+    });
   }
   /// Copies the device's matches to the frame's keypoints.
   void write_matches(int b, frame_type& frame) const {

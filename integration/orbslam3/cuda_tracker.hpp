@@ -14,6 +14,7 @@
 
 #include "ft/core/cuda_handles.hpp"
 #include "integration/orbslam3/executor_tracker.hpp"
+#include "integration/orbslam3/make_tracker_on.hpp"
 
 namespace ft {
 namespace orbslam3 {

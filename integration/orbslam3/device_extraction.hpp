@@ -135,7 +135,6 @@ public:
 
   /// Keypoints per image for which a frame has room.
   int capacity() const { return std::max(extractor_.capacity(), settings_.most_keypoints); }
-  orb_extractor<Exec>& extractor() { return extractor_; }
   pyramid_geometry const& geometry() const { return extractor_.geometry(); }
   std::size_t images_bytes() const {
     return static_cast<std::size_t>(settings_.images) * image_bytes();
@@ -203,6 +202,17 @@ public:
     copy_rows(exec, {extractor_.pyramid().data, pyramid_bytes}, {images_, image_bytes()},
               image_bytes(), settings_.images);
     extractor_.build_pyramids(exec);
+  }
+  /// Enqueues the download of a level. @return its bytes
+  std::size_t download_level(Exec const& exec, int image, int level, unsigned char* to,
+                             std::size_t stride) {
+    detail::require_range("image", image, 0, settings_.images - 1);
+    detail::require_range("pyramid level", level, 0, settings_.levels - 1);
+    auto const from = extractor_.pyramid().level(image, level);
+    auto const width = static_cast<std::size_t>(from.width);
+    copy_rows(exec, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)}, width,
+              from.height);
+    return width * static_cast<std::size_t>(from.height);
   }
   /// Enqueues the stereo matching of a frame's keypoints from the pyramids, and the download of the
   /// matches.

@@ -7,6 +7,7 @@
 #include <functional>
 
 #include "integration/orbslam3/helper_threads.hpp"
+#include "integration/orbslam3/inertial_types.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
@@ -16,9 +17,9 @@ namespace orbslam3 {
 /// implementation is executor_tracker.hpp, compiled by the executor's compiler (nvcc for CUDA).
 ///
 /// Calls that return results wait for them; send() and change_map() are asynchronous. Arrays from
-/// frame(), local_slots() and recorded_sights() may be written while nothing is enqueued, which is
-/// between a call that waits and the next send(). One thread at a time, except for
-/// what says otherwise. All throw ft::error (bad_argument, cuda_error).
+/// frame(), local_slots(), recorded_sights() and point_distances() may be written while nothing is
+/// enqueued, which is between a call that waits and the next send(). One thread at a time, except
+/// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -86,6 +87,13 @@ public:
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
+
+  /// By keypoint number: distances of the points held, metres. Of points beyond 10 m an observation
+  /// without a right column may err less.
+  virtual float* point_distances() = 0;
+  /// Starts from the holders in the buffer and point_distances(); the holders of outliers become
+  /// -1, unless the request is refused.
+  virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
 
   /// Sets what calls do while they wait: `work` returns whether more of it is left. A device calls
   /// it until it has nothing to wait for, the host until nothing is left.

@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <cstring>
 #include <functional>
-#include <memory>
 #include <utility>
 
 #include "ft/core/error.hpp"
@@ -16,6 +15,7 @@
 #include "integration/orbslam3/call_graphs.hpp"
 #include "integration/orbslam3/device_extraction.hpp"
 #include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/device_inertial.hpp"
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
@@ -44,7 +44,8 @@ public:
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
         frames_(exec_, s, extraction_.capacity()),
-        searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
+        searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
+        inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
     map_.reserve(exec_, s.map_points);
     exec_.wait();
     extraction_.record(exec_, frames_);
@@ -119,14 +120,8 @@ public:
   }
 
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
-    detail::require_range("image", image, 0, settings_.images - 1);
-    detail::require_range("pyramid level", level, 0, settings_.levels - 1);
-    auto const from = extraction_.extractor().pyramid().level(image, level);
-    copy_rows(exec_, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)},
-              static_cast<std::size_t>(from.width), from.height);
+    count_download(extraction_.download_level(exec_, image, level, to, stride));
     wait();
-    bytes_.results += static_cast<std::size_t>(from.width) * static_cast<std::size_t>(from.height);
-    ++bytes_.downloads;
   }
   int level_width(int level) const override { return extraction_.geometry().width[level]; }
   int level_height(int level) const override { return extraction_.geometry().height[level]; }
@@ -191,7 +186,7 @@ public:
            });
     clock_.mark(exec_, 3);
     start_pose(pose_ahead::after::last_frame, r.current, r.T_cw);
-    count_download(sizeof(int) + holder_bytes());
+    count_download(sizeof(int) + frames_.holder_bytes());
     wait_for_matches();
     return searches_.matches();
   }
@@ -227,7 +222,7 @@ public:
     start_pose(pose_ahead::after::local_map, r.buffer, r.T_cw);
     sights_there_.wait();
     points_in_view const found = searches_.in_view();
-    count_download(sizeof(int) + holder_bytes() +
+    count_download(sizeof(int) + frames_.holder_bytes() +
                    static_cast<std::size_t>(found.count) *
                        (sizeof(int) + searched * sizeof(sight)));
     in_flight_ = true;
@@ -251,8 +246,25 @@ public:
       clock_.mark(exec, 2);
       searches_.download_pose(exec, frames_.arrays(buffer).holder, call.frame);
     });
-    finish(sizeof(pose) + sizeof(int) + holder_bytes());
+    finish(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
     return searches_.optimized();
+  }
+
+  float* point_distances() override { return inertial_.distances(); }
+  inertial_result optimize_inertial_pose(inertial_request const& r) override {
+    drop_pose(true);
+    int const mount = inertial_.set(r);
+    begin(inertial_.input_bytes());
+    auto const call = context_of(r.buffer);
+    replay(call_key::of(6, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
+      inertial_.upload(exec);
+      clock_.mark(exec, 1);
+      inertial_.queue(exec, {call.frame, call.map, call.geometry});
+      clock_.mark(exec, 2);
+      inertial_.download(exec, frames_.arrays(r.buffer).holder, call.frame);
+    });
+    finish(inertial_.output_bytes + frames_.holder_bytes());
+    return inertial_.result();
   }
 
   void meanwhile(std::function<bool()> work) override { work_ = std::move(work); }
@@ -267,9 +279,6 @@ private:
 
   context context_of(int buffer) const {
     return {frames_.view(buffer), map_.view(), extraction_.geometry()};
-  }
-  std::size_t holder_bytes() const {
-    return static_cast<std::size_t>(frames_.numbers()) * sizeof(int);
   }
   template <typename Queue>
   void replay(call_key const& key, Queue const& queue) {
@@ -338,8 +347,8 @@ private:
   /// The result of the optimisation that was started.
   pose_result take_pose(int buffer) {
     wait();
-    count_download(sizeof(pose) + sizeof(int) + holder_bytes());
-    std::memcpy(frames_.arrays(buffer).holder, searches_.kept(), holder_bytes());
+    count_download(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
+    std::memcpy(frames_.arrays(buffer).holder, searches_.kept(), frames_.holder_bytes());
     return searches_.optimized();
   }
   /// Does without the optimisation that was started. It has changed the frame's holders, which are
@@ -369,6 +378,7 @@ private:
   device_frames<Exec, Rig> frames_;
   device_map<Exec> map_;
   device_searches<Exec, Rig> searches_;
+  device_inertial<Exec, Rig> inertial_;
   call_graphs<Exec> graphs_;
   stream_mark<Exec> sights_there_;
   stream_mark<Exec> matches_there_;
@@ -383,15 +393,6 @@ private:
   traffic bytes_;
   device_times times_;
 };
-
-/// The tracker for the kind of cameras in the settings.
-template <typename Exec>
-std::unique_ptr<device_tracker> make_tracker_on(Exec const& exec, settings const& s) {
-  if (s.left.kind == lens::pinhole) {
-    return std::make_unique<executor_tracker<Exec, rectified_rig>>(exec, s);
-  }
-  return std::make_unique<executor_tracker<Exec, fisheye_rig>>(exec, s);
-}
 
 }  // namespace FT_ABI
 }  // namespace orbslam3

@@ -14,20 +14,13 @@
 #include "ft/core/views.hpp"
 #include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/frame_changes.hpp"
 #include "integration/orbslam3/scale_tables.hpp"
 
 namespace ft {
 namespace orbslam3 {
 
 inline constexpr int grey_type = 0;  ///< CV_8UC1
-
-/// Replaces a value. @param changed set if the value was different
-template <typename T>
-inline void replace(T& value, T const& now, bool& changed) {
-  if (std::memcmp(&value, &now, sizeof now) == 0) { return; }
-  value = now;
-  changed = true;
-}
 
 /// The device's buffers and the frames in them.
 template <typename Frame>
@@ -356,43 +349,19 @@ private:
     frame_arrays const& a = device_->frame(b);
     bool moved = false;
     for (int c = 0; c < (two_cameras() ? 2 : 1); ++c) {
-      auto const& all = keys(frame, c);
-      for (int i = 0; i < a.count[c]; ++i) {
-        int const at = c * a.capacity + i;
-        auto const& pt = all[static_cast<std::size_t>(i)].pt;
-        replace(a.x[at], pt.x, moved);
-        replace(a.y[at], pt.y, moved);
-      }
+      replace_positions(a, c, keys(frame, c), moved);
     }
     if (moved) { device_->send(b, frame_part::positions); }
     if (settings_.left.kind == lens::kannala_brandt) {
-      check_partners(b, frame);
-    } else if (settings_.bf != 0) {
-      bool changed = false;
-      for (int i = 0; i < a.count[0]; ++i) {
-        auto const at = static_cast<std::size_t>(i);
-        float const u = at < frame.mvuRight.size() ? frame.mvuRight[at] : -1.0f;
-        replace(a.right_x[i], u, changed);
+      if (replace_partners(a, frame.mvLeftToRightMatch, frame.mvRightToLeftMatch)) {
+        device_->send(b, frame_part::partner);
       }
-      if (changed) { device_->send(b, frame_part::right_x); }
+    } else if (settings_.bf != 0 && replace_right_columns(a, frame.mvuRight)) {
+      device_->send(b, frame_part::right_x);
     }
     resident_[b].checked = true;
   }
-  void check_partners(int b, Frame const& frame) {
-    frame_arrays const& a = device_->frame(b);
-    bool changed = false;
-    auto const of = [](std::vector<int> const& partners, int i) {
-      auto const at = static_cast<std::size_t>(i);
-      return at < partners.size() ? partners[at] : -1;
-    };
-    for (int i = 0; i < a.capacity; ++i) {
-      int const j = i < a.count[0] ? of(frame.mvLeftToRightMatch, i) : -1;
-      int const back = i < a.count[1] ? of(frame.mvRightToLeftMatch, i) : -1;
-      replace(a.partner[i], j < 0 ? -1 : a.capacity + j, changed);
-      replace(a.partner[a.capacity + i], back, changed);
-    }
-    if (changed) { device_->send(b, frame_part::partner); }
-  }
+
   device_tracker* device_;
   settings settings_;
   scale_tables tables_{settings_};

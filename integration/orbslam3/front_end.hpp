@@ -179,6 +179,24 @@ public:
         [&] { return both_->pose_optimization(frame, which, cpu); });
   }
 
+  /// Where the frame lacks what it starts from, or a number is not finite, the CPU's own code
+  /// decides what becomes of that frame. The accelerator goes on with the next one.
+  /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame, as `which` says
+  template <typename Cpu>
+  int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
+    if (uses(which) && !gpu_->can_optimize_inertial(frame, which)) { return cpu(); }
+    bool refused = false;
+    int const answer = either(
+        which, cpu,
+        [&] {
+          int const tracked = gpu_->inertial_pose_optimization(frame, which);
+          refused = tracked == inertial_refused;
+          return tracked;
+        },
+        [&] { return both_->inertial_pose_optimization(frame, which, cpu); });
+    return refused ? cpu() : answer;
+  }
+
   /// To be called before a map point is deleted.
   void forget(map_point const* point) {
     if (works_) { gpu_->forget(point); }

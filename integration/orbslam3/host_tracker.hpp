@@ -4,7 +4,7 @@
 
 #include <memory>
 
-#include "integration/orbslam3/executor_tracker.hpp"
+#include "integration/orbslam3/make_tracker_on.hpp"
 
 namespace ft {
 namespace orbslam3 {

@@ -25,8 +25,10 @@ enum class stage {
   pose_local_map,
   pose_reference_keyframe,
   pose_relocalization,
+  pose_inertial_last_frame,
+  pose_inertial_last_keyframe,
 };
-inline constexpr int stage_count = 10;
+inline constexpr int stage_count = 12;
 
 inline char const* name_of(stage s) {
   constexpr char const* names[stage_count] = {"extract",
@@ -38,7 +40,9 @@ inline char const* name_of(stage s) {
                                               "search_local_map",
                                               "pose_local_map",
                                               "pose_reference_keyframe",
-                                              "pose_relocalization"};
+                                              "pose_relocalization",
+                                              "pose_inertial_last_frame",
+                                              "pose_inertial_last_keyframe"};
   return names[static_cast<int>(s)];
 }
 

@@ -12,6 +12,7 @@
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/keypoint_sets.hpp"
+#include "integration/orbslam3/verify_inertial.hpp"
 #include "integration/orbslam3/verify_report.hpp"
 
 namespace ft {
@@ -203,6 +204,22 @@ public:
       log_.compare("translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
     }
     return gpu.inliers;
+  }
+
+  /// If the accelerator refuses the frame, that is a difference, and the CPU's answer is kept.
+  /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame
+  template <typename Cpu>
+  int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
+    begin(frame, which);
+    inertial_trials<frame_type> trials(frame);
+    auto cpu_first = trials.run(cpu);
+    auto gpu = trials.run([&] { return gpu_->inertial_pose_optimization(frame, which); });
+    auto const cpu_again = trials.run(cpu);
+    inertial_comparison(log_, tolerances_, cpu_first, cpu_again, gpu)
+        .add(frame.mvpMapPoints, inertial_steps(frame, which == stage::pose_inertial_last_frame));
+    auto& kept = gpu.tracked == inertial_refused ? cpu_first : gpu;
+    trials.keep(kept);
+    return kept.tracked;
   }
 
 private:

@@ -39,6 +39,13 @@ struct tolerances {
   double depth = 1e-3;   ///< metres, and relative to a depth
   double cosine = 1e-5;  ///< of viewing angles
   double pose = 1e-4;    ///< of each entry
+  // Of poses with an IMU. Numbers of a frame may also differ by two roundings of a float.
+  double turn = 2e-6;         ///< of each entry of a rotation
+  double position = 2e-6;     ///< metres
+  double velocity = 1e-5;     ///< m/s
+  double gyro_bias = 1e-8;    ///< rad/s
+  double accel_bias = 3e-6;   ///< m/s^2
+  double information = 2e-6;  ///< of the square root of both diagonal entries' product
 };
 
 /// Counts and prints differences. For one thread.

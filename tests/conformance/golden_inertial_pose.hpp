@@ -16,6 +16,7 @@
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/inertial_case.hpp"
+#include "tests/conformance/inertial_steps.hpp"
 #include "tests/support/inertial_poses.hpp"
 #include "tests/support/memory.hpp"
 
@@ -48,7 +49,7 @@ private:
   template <typename Rig>
   void run_rig(conformance_table& table, Rig const& rig) const {
     inertial_pose_batch all;
-    for (int s = 0; s < chain_.count(); ++s) { add_step(all, s); }
+    for (int s = 0; s < chain_.count(); ++s) { add_recorded_step(all, chain_, s); }
     optimize(exec_, rig, chain_.calibration.mount, quirks(), all);
     for (int s = 0; s < chain_.count(); ++s) { compare_step(table, all, s); }
     run_chained(table["inertial_pose_chained"], rig);
@@ -57,25 +58,6 @@ private:
     ft::inertial_pose_params params;
     params.reference_quirks = true;
     return params;
-  }
-
-  /// The recorded inputs of step s.
-  void add_step(inertial_pose_batch& b, int s) const {
-    int const from = chain_.mode(s);
-    b.from_last_frame.push_back(from);
-    b.first.push_back(state_at(from != 0 ? chain_.lf_state : chain_.kf_state, s).stored);
-    b.start.push_back(state_at(chain_.pred_state, s).stored);
-    b.integral.push_back(from != 0 ? chain_.frame_integral(s) : chain_.keyframe_integral(s));
-    b.since_keyframe.push_back(chain_.keyframe_integral(s));
-    b.prior.push_back(chain_.prior(s));
-    b.count.push_back(chain_.observation_count(s));
-    b.observations.emplace_back();
-    b.distance.emplace_back();
-    for (int i = 0; i < chain_.observation_count(s); ++i) {
-      auto const o = chain_.observation(chain_.obs_start(s) + i);
-      b.observations.back().push_back({o.point, o.u, o.v, o.right_u, o.inverse_sigma2, o.camera});
-      b.distance.back().push_back(o.depth);
-    }
   }
 
   /// Whether a round judged observation i of step s by an error within 0.1 % of a limit.
@@ -106,35 +88,22 @@ private:
     r.add(result.status == ft::inertial_pose_status::optimised);
   }
 
-  struct state_limits {
-    double turn, position, velocity, gyro_bias, accel_bias;
-  };
   static void compare_states(stage_result& r, ft::inertial_state<double> const& got,
-                             ft::inertial_state<double> const& want, state_limits const& limit) {
-    auto const turn = want.R.transposed() * got.R;
-    auto const& m = turn.m;
-    ft::vec3<double> const axis{m[7] - m[5], m[2] - m[6], m[3] - m[1]};
-    add_difference(r, std::atan2(std::sqrt(dot(axis, axis)), m[0] + m[4] + m[8] - 1), limit.turn);
-    auto const apart = [](ft::vec3<double> a, ft::vec3<double> b) {
-      return std::sqrt(dot(a - b, a - b));
-    };
-    add_difference(r, apart(got.p, want.p), limit.position);
-    add_difference(r, apart(got.v, want.v), limit.velocity);
-    add_difference(r, apart(got.bg, want.bg), limit.gyro_bias);
-    add_difference(r, apart(got.ba, want.ba), limit.accel_bias);
+                             ft::inertial_state<double> const& want,
+                             inertial_state_distance const& limit) {
+    auto const d = distance_between(got, want);
+    add_difference(r, d.turn, limit.turn);
+    add_difference(r, d.position, limit.position);
+    add_difference(r, d.velocity, limit.velocity);
+    add_difference(r, d.gyro_bias, limit.gyro_bias);
+    add_difference(r, d.accel_bias, limit.accel_bias);
   }
   /// A difference that is not a number is outside any tolerance.
   static void add_difference(stage_result& r, double difference, double tolerance) {
     r.add(difference <= tolerance, difference);
   }
-  /// A stored state, in double precision.
   ft::inertial_state<double> widened(ft::stored_inertial_state const& s) const {
-    ft::quaternion<double> q{s.q_cw.x, s.q_cw.y, s.q_cw.z, s.q_cw.w};
-    auto const R_wc = ft::detail::rotation_of(q).transposed();
-    auto const T_cb = chain_.calibration.mount.T_cb.cast<double>();
-    auto const p = R_wc * (T_cb.t - s.t_cw.cast<double>());
-    return {R_wc * T_cb.R, p, s.v.cast<double>(), s.bias.gyro.cast<double>(),
-            s.bias.accel.cast<double>()};
+    return wide_state_of(s, chain_.calibration.mount);
   }
 
   void compare_step(conformance_table& table, inertial_pose_batch const& got, int s) const {
@@ -142,7 +111,7 @@ private:
     compare_decisions(table["inertial_pose_flags"], got, b, s);
     auto const& result = got.result[b];
     auto& states = table["inertial_pose"];
-    state_limits const limit{2e-6, 2e-6, 1e-5, 1e-8, 3e-6};
+    inertial_state_distance const limit{2e-6, 2e-6, 1e-5, 1e-8, 3e-6};
     for (int r = 0; r < std::min(result.rounds, chain_.rounds(s)); ++r) {
       compare_states(states, result.round_state[r], wide_state_at(&chain_.round_state(s, 21 * r)),
                      limit);
@@ -177,7 +146,7 @@ private:
     ft::inertial_prior prior{};
     for (int s = 0; s < chain_.count(); ++s) {
       inertial_pose_batch one;
-      add_step(one, s);
+      add_recorded_step(one, chain_, s);
       if (s > 0 && chain_.mode(s) != 0) {
         one.first[0] = last;
         one.prior[0] = prior;

@@ -12,6 +12,8 @@
 #include <map>
 #include <mutex>
 #include <vector>
+
+#include "tests/integration/orbslam3/stand_in_motion.hpp"
 #if FT_TEST_OPENCV
 #include <opencv2/core.hpp>
 #else
@@ -82,35 +84,6 @@ struct keypoint {
   int class_id = -1;
 };
 #endif
-
-/// Of Sophus::SE3f, which stores a quaternion and rotates points by it. Keeps the matrix as well,
-/// so that recorded poses pass through unchanged.
-class se3 {
-public:
-  se3() = default;
-  se3(Eigen::Quaternionf const& q, Eigen::Vector3f const& t)
-      : q_(q), R_(q.toRotationMatrix()), t_(t) {}
-  se3(Eigen::Matrix3f const& R, Eigen::Vector3f const& t)
-      : q_(Eigen::Quaternionf(R).normalized()), R_(R), t_(t) {}
-  Eigen::Quaternionf unit_quaternion() const { return q_; }
-  Eigen::Matrix3f rotationMatrix() const { return R_; }
-  Eigen::Vector3f translation() const { return t_; }
-  se3 inverse() const {
-    se3 const back(q_.conjugate(), Eigen::Vector3f::Zero());
-    return {q_.conjugate(), back * Eigen::Vector3f(t_ * -1.0f)};
-  }
-  Eigen::Vector3f operator*(Eigen::Vector3f const& p) const {
-    Eigen::Vector3f turned = q_.vec().cross(p);
-    turned += turned;
-    Eigen::Vector3f const rotated = p + q_.w() * turned + q_.vec().cross(turned);
-    return rotated + t_;
-  }
-
-private:
-  Eigen::Quaternionf q_ = Eigen::Quaternionf::Identity();
-  Eigen::Matrix3f R_ = Eigen::Matrix3f::Identity();
-  Eigen::Vector3f t_ = Eigen::Vector3f::Zero();
-};
 
 class map_point;
 
@@ -264,10 +237,6 @@ struct fisheye_camera : camera {
   std::vector<int> mvLappingArea = {0, 0};
 };
 
-/// What the original leaves uninitialised has these here, so that whoever reads it is seen.
-inline constexpr int garbage = 0x5a5a5a5a;
-inline constexpr float garbage_number = -3.4e20f;
-
 /// Of ORB_SLAM3::Frame. Its constructors give the members their values: see constructors.hpp.
 struct frame {
   unsigned long mnId = 0;
@@ -304,12 +273,25 @@ struct frame {
   // Static in the original.
   float mnMinX = 0, mnMinY = 0, mnMaxX = 0, mnMaxY = 0;
 
+  bias mImuBias;
+  calibration mImuCalib;
+  preintegrated* mpImuPreintegrated = nullptr;  ///< since the last keyframe
+  key_frame* mpLastKeyFrame = nullptr;
+  frame* mpPrevFrame = nullptr;
+  preintegrated* mpImuPreintegratedFrame = nullptr;  ///< since the last frame
+  pose_constraint* mpcpi = nullptr;                  ///< copies of a frame share it
+
   se3 GetPose() const { return T_cw; }
   void SetPose(se3 const& T) { T_cw = T; }
   se3 GetRelativePoseTlr() { return T_lr; }
+  Eigen::Vector3f GetVelocity() const { return velocity_; }
+  void SetVelocity(Eigen::Vector3f v) { velocity_ = v; }
 
   se3 T_cw;
   se3 T_lr;  ///< right camera to left camera, of a fisheye pair
+
+private:
+  Eigen::Vector3f velocity_{garbage_number, garbage_number, garbage_number};
 };
 
 struct types {

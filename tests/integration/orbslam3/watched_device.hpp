@@ -87,6 +87,12 @@ public:
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }
+  float* point_distances() override { return to_->point_distances(); }
+  ft::orbslam3::inertial_result optimize_inertial_pose(
+      ft::orbslam3::inertial_request const& r) override {
+    on_call("optimize_inertial_pose");
+    return to_->optimize_inertial_pose(r);
+  }
   void meanwhile(std::function<bool()> work) override { to_->meanwhile(std::move(work)); }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }

@@ -1,18 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any bytes where a calibration, a list of frames, ground truth or an image is expected: read, or
-// refused with seq::error. The first byte says which file they are.
+// Any bytes where a calibration, a list of frames, ground truth, an image or a vocabulary is
+// expected: read, or refused with seq::error or ft::error. The first byte says which file they are.
 #include <unistd.h>
 
+#include <cstddef>
+#include <cstdint>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <sstream>
 #include <string>
 #include <vector>
 
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/image_io.hpp"
 #include "examples/sequence/reader.hpp"
+#include "ft/containers/vocabulary.hpp"
+#include "ft/containers/vocabulary_files.hpp"
+#include "ft/containers/vocabulary_text.hpp"
+#include "ft/core/error.hpp"
 #include "tests/fuzz/input.hpp"
 
 namespace {
@@ -160,13 +168,71 @@ void read_picture(folder const& files, std::string const& bytes) {
   } catch (seq::error const&) {}
 }
 
+/// What a stage relies on: children in range and below their parents, words in range.
+void check_vocabulary(ft::vocabulary_view const& v) {
+  fuzz::require(v.nodes >= 1 && v.header.levels <= ft::max_vocabulary_levels, "it has a root");
+  std::vector<int> depth(static_cast<std::size_t>(v.nodes));
+  int words = 0;
+  for (int i = 0; i < v.nodes; ++i) {
+    auto const& c = v.children[i];
+    fuzz::require(c.count >= 0 && c.count <= v.header.branching, "a warp has a lane a child");
+    fuzz::require(c.count == 0 || (c.first > i && c.first + c.count <= v.nodes),
+                  "children lie after their parent");
+    for (int k = 0; k < c.count; ++k) {
+      auto& of_child = depth[static_cast<std::size_t>(c.first + k)];
+      of_child = depth[static_cast<std::size_t>(i)] + 1;
+      fuzz::require(of_child <= v.header.levels, "no node is deeper than the header says");
+    }
+    bool const leaf = i > 0 && c.count == 0;
+    fuzz::require(leaf == (v.word[i] < static_cast<std::uint32_t>(v.words)), "leaves are words");
+    words += static_cast<int>(leaf);
+  }
+  fuzz::require(words == v.words, "each word has a node");
+}
+
+void read_vocabulary_text(std::string const& bytes) {
+  std::istringstream in(bytes);
+  try {
+    check_vocabulary(ft::read_vocabulary_text(in).view());
+  } catch (ft::error const&) {}
+}
+
+/// @param mend gives the file the checksum of its bytes, which no fuzzer guesses
+void load_vocabulary(std::string bytes, bool mend) {
+  if (mend && bytes.size() > 52) {
+    ft::detail::vocabulary_file_head head;
+    std::memcpy(&head, bytes.data(), sizeof head);
+    std::size_t const nodes = (bytes.size() - 52) / ft::detail::vocabulary_node_bytes;
+    bytes.resize(52 + nodes * ft::detail::vocabulary_node_bytes);
+    head.nodes = static_cast<std::int32_t>(nodes);
+    std::memcpy(bytes.data(), &head, sizeof head);
+    ft::detail::checksum sum;
+    std::size_t at = 0;
+    for (std::size_t const part :
+         {sizeof head, nodes, 4 * nodes, 4 * nodes, 8 * nodes, 32 * nodes}) {
+      sum.add(bytes.data() + at, part);
+      at += part;
+    }
+    std::uint64_t const value = sum.value();
+    std::memcpy(bytes.data() + at, &value, sizeof value);
+  }
+  std::istringstream in(bytes);
+  try {
+    auto const read = ft::load_vocabulary(in);
+    check_vocabulary(read.view());
+    std::ostringstream again;
+    ft::save_vocabulary(again, read.view());
+    fuzz::require(again.str() == bytes, "a file that is read is written as it was");
+  } catch (ft::error const&) {}
+}
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
   if (size == 0) { return 0; }
   static sequences const s;
   std::string const bytes(reinterpret_cast<char const*>(data) + 1, size - 1);
-  switch (data[0] % 12) {
+  switch (data[0] % 15) {
     case 1:
       s.open_with("euroc", "mav0/cam0/sensor.yaml", bytes);
       break;
@@ -196,6 +262,15 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 10:
       s.open_with("euroc", "mav0/imu0/sensor.yaml", bytes);
+      break;
+    case 12:
+      read_vocabulary_text(bytes);
+      break;
+    case 13:
+      load_vocabulary(bytes, false);
+      break;
+    case 14:
+      load_vocabulary(bytes, true);
       break;
     default:
       read_settings(s.files(), bytes);

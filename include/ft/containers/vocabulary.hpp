@@ -42,7 +42,7 @@ struct vocabulary_header {
 };
 
 /// Children of a node: `count` consecutive ones.
-struct node_children {
+struct alignas(8) node_children {
   int first;
   int count;
 };

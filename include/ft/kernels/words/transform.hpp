@@ -17,6 +17,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/stereo/hamming.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -87,31 +88,55 @@ struct find_word {
     node_children below = v.nodes > 0 ? v.children[0] : node_children{0, 0};
     FT_NO_UNROLL
     for (int depth = 1; below.count > 0; ++depth) {
-      static_assert(max_branching <= 32, "a child's number has five bits of the key");
-      unsigned nearest = ~0u;
-      node_children below_nearest{0, 0};
-      for (int c = g.rank(); c < below.count; c += g.size()) {
-        int const child = below.first + c;
-        node_children const next = v.children[child];
-        auto const key = static_cast<unsigned>(hamming(mine, v.orb[child]) * 32 + c);
-        if (key < nearest) {
-          nearest = key;
-          below_nearest = next;
-        }
-      }
-      int const c = static_cast<int>(g.reduce(nearest, min_op{}) % 32);
-      at = below.first + c;
+      at = nearest_child(g, mine, v, below);
       if (depth <= group_depth) { group = at; }
-      int const holder = c % g.size();
-      below.first = g.shuffle(below_nearest.first, holder);
-      below.count = g.shuffle(below_nearest.count, holder);
     }
     if (g.rank() == 0) {
-      bool const is_word = at > 0;
+      std::uint32_t word = no_word;
+      std::uint32_t node = 0;
+      double weight = 0;
+      if (at > 0) {  // three loads in flight together
+        word = v.word[at];
+        node = v.node[group];
+        weight = v.weight[at];
+      }
       auto const to = out.at(frame) + i;
-      out.word[to] = is_word ? v.word[at] : no_word;
-      out.node[to] = is_word ? v.node[group] : 0;
-      out.weight[to] = is_word ? v.weight[at] : 0.0;
+      out.word[to] = word;
+      out.node[to] = node;
+      out.weight[to] = weight;
+    }
+  }
+
+private:
+  /// The first of the nearest children. @param below in: the children; out: the nearest one's
+  template <typename Group>
+  FT_HOST_DEVICE FT_INLINE static int nearest_child(Group g, descriptor const& mine,
+                                                    vocabulary_view const& v,
+                                                    node_children& below) {
+    if constexpr (Group::max_threads > 1) {
+      static_assert(max_branching <= 32 && Group::max_threads == 32, "a lane a child");
+      // Lanes without a child load the first one, so that no load depends on a branch.
+      bool const there = g.rank() < below.count;
+      int const child = below.first + (there ? g.rank() : 0);
+      descriptor const of_child = v.orb[child];
+      node_children const below_child = v.children[child];
+      auto const key = static_cast<unsigned>(hamming_by_adders(mine, of_child) * 32 + g.rank());
+      int const nearest = static_cast<int>(g.reduce(there ? key : ~0u, min_op{}) % 32);
+      int const at = below.first + nearest;
+      below = {g.shuffle(below_child.first, nearest), g.shuffle(below_child.count, nearest)};
+      return at;
+    } else {
+      int at = below.first;
+      int nearest = hamming(mine, v.orb[at]);
+      for (int child = at + 1; child < below.first + below.count; ++child) {
+        int const distance = hamming(mine, v.orb[child]);
+        if (distance < nearest) {
+          nearest = distance;
+          at = child;
+        }
+      }
+      below = v.children[at];
+      return at;
     }
   }
 };
@@ -230,11 +255,15 @@ private:
       return counts_features() ? static_cast<double>(words) : 0.0;
     }
     bool const squares = header.scoring == word_scoring::l2;
-    double sum = 0;
-    for (int base = 0; base < words; base += warp.size()) {
-      int const i = base + warp.rank();
+    auto const term_of = [&](int i) {
       strict_double const v = i < words ? value[i] : 0.0;
-      double const term = squares ? (v * v).value : ::fabs(v.value);
+      return squares ? (v * v).value : ::fabs(v.value);
+    };
+    double sum = 0;
+    double next = term_of(warp.rank());
+    for (int base = 0; base < words; base += warp.size()) {
+      double const term = next;
+      next = term_of(base + warp.size() + warp.rank());  // loaded while this one is summed
       FT_UNROLL
       for (int k = 0; k < warp.size(); ++k) { sum += warp.shuffle(term, k); }
     }

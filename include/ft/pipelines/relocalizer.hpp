@@ -80,14 +80,16 @@ public:
     memory_ = owner<memory, space>([&](carver& c, memory& m) { place(c, m); });
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
       auto const n = static_cast<std::size_t>(capacity_.candidates);
-      s.number = c.template take<int>(n);
+      s.place = c.template take<int>(n);
+      s.row = c.template take<int>(n);
+      s.number = c.template take<int>(1);
       s.result = c.template take<pnp_result>(n);
       s.alive = c.template take<int>(n);
       s.T_cw = c.template take<pose>(1);
     });
   }
 
-  /// Matches the frame with each candidate by words: the first step of relocalize(). Asynchronous.
+  /// Matches the frame with each candidate by words: the first step of relocalize(). Waits.
   /// @param candidates rows of keyframes, the best first
   /// @throws bad_argument for inputs of another shape than the constructor's, likewise below
   void match(Exec const& exec, relocalization_input const& in, slot_list candidates) {
@@ -95,11 +97,12 @@ public:
     memory const& m = memory_.view();
     count_ = candidates.count;
     auto const n = static_cast<std::size_t>(count_);
-    for (int i = 0; i < count_; ++i) { staging_->number[i] = i; }
-    copy(exec, m.place, static_cast<int const*>(staging_->number), n);
-    exec.wait();
-    for (int i = 0; i < count_; ++i) { staging_->number[i] = candidates.data[i]; }
-    copy(exec, m.row, static_cast<int const*>(staging_->number), n);
+    for (int i = 0; i < count_; ++i) {
+      staging_->place[i] = i;
+      staging_->row[i] = candidates.data[i];
+    }
+    copy(exec, m.place, static_cast<int const*>(staging_->place), n);
+    copy(exec, m.row, static_cast<int const*>(staging_->row), n);
     fill_bytes(exec, m.frame_row, 0, n * sizeof(int));
     words_search search;
     search.keyframes = in.keyframes;
@@ -190,7 +193,9 @@ private:
     search_buffers search;
   };
   struct staging {
-    int* number = nullptr;  ///< [candidates]
+    int* place = nullptr;
+    int* row = nullptr;
+    int* number = nullptr;  ///< one, of read()
     pnp_result* result = nullptr;
     int* alive = nullptr;
     pose* T_cw = nullptr;

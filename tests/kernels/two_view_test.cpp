@@ -9,6 +9,7 @@
 #include <cstring>
 #include <limits>
 #include <random>
+#include <set>
 #include <vector>
 
 #include "ft/kernels/two_view/reconstruct.hpp"
@@ -310,6 +311,65 @@ TYPED_TEST(TwoViews, CheckPointsAsTheRuleSays) {
       EXPECT_NEAR(static_cast<double>(got.result.parallax_of[k]), want, 1e-4 + 0.02 / (1 + want));
     }
   }
+}
+
+/// What becomes of the motions that were checked.
+two_view_status decide_plainly(ft::two_view_result const& r, ft::two_view_params const& params) {
+  if (r.motions == 0) { return two_view_status::no_motion; }
+  std::vector<int> points(r.points_of, r.points_of + r.motions);
+  auto const best = std::max_element(points.begin(), points.end());
+  float const parallax = r.parallax_of[best - points.begin()];
+  std::vector<int> others;
+  for (auto p = points.begin(); p != points.end(); ++p) {
+    if (p != best) { others.push_back(*p); }
+  }
+  int const second = *std::max_element(others.begin(), others.end());
+  if (r.model == two_view_model::homography) {
+    if (!(*best > params.min_points && *best > 0.9 * r.inliers)) {
+      return two_view_status::too_few_points;
+    }
+    if (!(second < 0.75 * *best)) { return two_view_status::ambiguous; }
+    return parallax >= params.min_parallax_deg ? two_view_status::reconstructed
+                                               : two_view_status::little_parallax;
+  }
+  if (*best < std::max(static_cast<int>(0.9 * r.inliers), params.min_points)) {
+    return two_view_status::too_few_points;
+  }
+  if (second > 0.7 * *best) { return two_view_status::ambiguous; }
+  return parallax > params.min_parallax_deg ? two_view_status::reconstructed
+                                            : two_view_status::little_parallax;
+}
+
+TYPED_TEST(TwoViews, DecideAsTheRuleSays) {
+  TypeParam backend;
+  std::mt19937 random(12);
+  std::vector<two_view_scene> scenes;
+  for (int i = 0; i < 30; ++i) {
+    scene_kind const kinds[] = {scene_kind::general, scene_kind::plane, scene_kind::rotation};
+    scenes.push_back(make_two_views(random, {kinds[i % 3], 60 + 2 * i, 0.1 * (i % 5), 10, 0}));
+  }
+  std::set<two_view_status> seen;
+  for (float const ratio : {-1.0f, 0.5f, 2.0f}) {
+    for (float const parallax : {1.0f, 7.0f}) {
+      ft::two_view_params params;
+      params.samples = 20;
+      params.homography_ratio = ratio;
+      params.min_parallax_deg = parallax;
+      params.min_points = 40;
+      for (auto const& got : reconstruct(backend.exec, scenes, params)) {
+        auto const& r = got.result;
+        seen.insert(r.status);
+        EXPECT_EQ(r.status, decide_plainly(r, params));
+        EXPECT_EQ(r.points, r.status == two_view_status::reconstructed
+                                ? *std::max_element(r.points_of, r.points_of + r.motions)
+                                : 0);
+      }
+    }
+  }
+  EXPECT_EQ(seen.count(two_view_status::reconstructed), 1u);
+  EXPECT_EQ(seen.count(two_view_status::too_few_points), 1u);
+  EXPECT_EQ(seen.count(two_view_status::ambiguous), 1u);
+  EXPECT_EQ(seen.count(two_view_status::little_parallax), 1u);
 }
 
 // ---- no answer ----------------------------------------------------------------------------------

@@ -512,6 +512,8 @@ TYPED_TEST(search_keyframe, nothing_is_found_without_points_or_keypoints) {
 TYPED_TEST(search_keyframe, refuses_views_of_another_shape) {
   auto const& exec = this->backend.exec;
   ft::keyframe_search<pinhole> in;
+  in.frustum.levels = levels;
+  in.frustum.log_scale_factor = ft::log_rounded(1.2f);
   ft::frame_view frame;
   frame.batch = 0;
   ft::search_buffers buffers;
@@ -524,6 +526,25 @@ TYPED_TEST(search_keyframe, refuses_views_of_another_shape) {
   frame.cameras = 1;
   buffers.windows.cameras = 2;
   EXPECT_THROW(ft::search_keyframe(exec, in, frame, {}, buffers), ft::bad_argument);
+  buffers.windows.cameras = 1;
+  in.frustum.levels = 0;
+  EXPECT_THROW(ft::search_keyframe(exec, in, frame, {}, buffers), ft::bad_argument);
+  in.frustum.levels = levels;
+  in.frustum.log_scale_factor = 0;
+  EXPECT_THROW(ft::search_keyframe(exec, in, frame, {}, buffers), ft::bad_argument);
+}
+
+TYPED_TEST(search_keyframe, distances_without_a_number_are_none) {
+  float const infinity = std::numeric_limits<float>::infinity();
+  entry far = one_point();
+  far.points[0] = {{0, 0, 1e30f}, 0, infinity, {}, false};  // the square of its distance overflows
+  entry without = one_point();
+  without.points[0].most = std::numeric_limits<float>::quiet_NaN();
+  entry here = one_point();
+  here.points[0] = {{0, 0, 0}, 0, 0, {}, false};
+  for (auto const& o : search<1>(this->backend.exec, {far, without, here}, plain_camera, {})) {
+    EXPECT_EQ(o.count, 0);
+  }
 }
 
 }  // namespace search_keyframe_test

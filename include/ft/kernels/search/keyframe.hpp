@@ -99,7 +99,8 @@ struct keyframe_windows {
     }
     auto const view = P - from.centre.template cast<strict_float>();
     strict_float const distance = scalar::sqrt(dot(view, view));
-    if (!sees_from(distance, points, slot)) { return out; }
+    bool const finite = distance > strict_float(0.0f) && scalar::is_finite(distance);
+    if (!finite || !sees_from(distance, points, slot)) { return out; }
     int const level = expected_level(distance, points.max_distance(slot), bounds);
     search_window& w = out.of[0];
     w.x = x;
@@ -160,7 +161,7 @@ struct assign_keyframe_points {
 /// Asynchronous on `exec`; allocates nothing; two launches, of which only the first is concurrent
 /// with its predecessor if `exec` says so.
 /// @throws bad_argument if frame, keyframe and search do not agree in their number of cameras, or
-///   there are fewer windows than keypoints of a keyframe
+///   there are fewer windows than keypoints of a keyframe, or the levels of the image are not given
 template <typename Exec, typename Camera, int Cameras>
 void search_keyframe(Exec const& exec, keyframe_search<Camera, Cameras> const& search,
                      frame_view const& frame, map_points_view const& map,
@@ -168,6 +169,8 @@ void search_keyframe(Exec const& exec, keyframe_search<Camera, Cameras> const& s
   detail::require_range("cameras of the frame", frame.cameras, Cameras, Cameras);
   detail::require_range("cameras of the keyframe", search.keyframe.cameras, Cameras, Cameras);
   detail::require_range("cameras of the windows", buffers.windows.cameras, Cameras, Cameras);
+  detail::require_range("levels of the image", search.frustum.levels, 1, max_levels);
+  detail::require_range("log_scale_factor", search.frustum.log_scale_factor, 1e-6f, 1e6f);
   detail::require_range("windows of a frame", buffers.windows.capacity,
                         Cameras * search.keyframe.keypoints.capacity, 1 << 24);
   for_each_item<per_warp>(exec, buffers.windows.batch * buffers.windows.capacity,

@@ -49,7 +49,8 @@ Eigen::Matrix<T, Rows, Columns> matrix_of(T const* rows) {
   return m;
 }
 
-/// The steps of an integral, which are private: each adds to the variance of the gyro's walk.
+/// The steps of an integral, which are private: each adds to the variance of the gyro's walk. None,
+/// one and more are told apart; the number of some thousand may be off by one.
 template <typename Integral>
 int steps_of(Integral const& integral) {
   float const n = integral.C(9, 9) / integral.NgaWalk.diagonal()(0);

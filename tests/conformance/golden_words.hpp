@@ -13,6 +13,7 @@
 #include "ft/core/counter_draws.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/golden_words_pnp.hpp"
+#include "tests/conformance/golden_words_reloc.hpp"
 #include "tests/conformance/golden_words_searches.hpp"
 #include "tests/conformance/golden_words_start.hpp"
 #include "tests/conformance/golden_words_two_view.hpp"
@@ -50,6 +51,7 @@ void run_words(Exec const& exec, std::string const& folder, conformance_table& t
   }
   compare_words_searches(exec, folder, table);
   compare_starts(exec, folder, table["monocular_start"]);
+  compare_relocalizations(exec, folder, table);
 }
 
 }  // namespace test

@@ -134,6 +134,7 @@ struct words_keyframe {
 /// A vocabulary as its rule or its arrays say.
 class words_tree {
 public:
+  words_tree() = default;
   words_tree(std::string const& root, std::string const& name) : made_up_(name == "synth_k10_L6") {
     if (made_up_) { return; }
     std::string const at = root + "/vocabularies/" + name;
@@ -204,7 +205,7 @@ private:
     return ft::counter_draws{12345}.bits(static_cast<std::uint64_t>(node), x);
   }
 
-  bool made_up_;
+  bool made_up_ = false;
   int levels_ = 6;
   std::vector<ft::descriptor> orb_;
   std::vector<double> weight_;

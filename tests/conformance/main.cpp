@@ -87,7 +87,8 @@ char const* const words_stages[] = {"counter_draws",   "pnp_rays",
                                     "pnp_counts",      "pnp_calls",
                                     "pnp_call_poses",  "pnp_refined",
                                     "search_by_words", "search_initial_matches",
-                                    "search_keyframe", "two_view",
+                                    "search_keyframe", "relocalize",
+                                    "relocalize_pose", "two_view",
                                     "two_view_scores", "two_view_motion",
                                     "two_view_points", "monocular_start"};
 

@@ -43,6 +43,7 @@ struct words_groups {
 template <typename Exec>
 class uploaded_groups {
 public:
+  uploaded_groups() = default;
   uploaded_groups(Exec const& exec, std::vector<words_groups> const& frames, int capacity)
       : memory_(
             [&](ft::carver& c) { carve(c, view_, static_cast<int>(frames.size()), capacity); }) {

@@ -8,8 +8,8 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/detail/paired_eigen.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/kernels/pnp/paired_eigen.hpp"
 #include "ft/kernels/pnp/small_matrices.hpp"
 
 namespace ft {
@@ -144,7 +144,9 @@ FT_HOST_DEVICE rigid<wide> general_pose(Group g, mlpnp_scratch& s, pnp_selection
   return disagreement(from, minus) < disagreement(from, plus) ? minus : plus;
 }
 
-/// The pose of points in a plane through the world's origin, whose moments have the rank 2.
+/// The pose of points in a plane through the world's origin, whose moments have the rank 2. The
+/// scale is the reference's: a product of columns where rows are meant, so that the distance of a
+/// plane that lies straight before the camera comes out too large.
 /// @param moments sum of X X^T
 template <typename Group>
 FT_HOST_DEVICE rigid<wide> plane_pose(Group g, mlpnp_scratch& s, pnp_selection const& from,

@@ -11,7 +11,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/detail/paired_eigen.hpp"
+#include "ft/kernels/pnp/paired_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/small_eigen.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"

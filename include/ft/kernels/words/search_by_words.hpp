@@ -200,7 +200,9 @@ private:
     for (int at = c.range.begin + g.rank(); at < c.range.end; at += g.size()) {
       if (c.source[at] >= 0) { continue; }
       int const k = c.keypoint[at];
-      int const distance = hamming(wanted, at == c.range.begin + g.rank() ? c.first : c.orb[k]);
+      descriptor other = c.first;
+      if (at != c.range.begin + g.rank()) { other = c.orb[k]; }
+      int const distance = hamming(wanted, other);
       if (k < c.first_right) {
         left.add(distance, at);
       } else {

@@ -128,7 +128,6 @@
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/odometry/state.hpp"
-#include "ft/kernels/pnp/gather_pnp.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
 #include "ft/kernels/pnp/problem.hpp"

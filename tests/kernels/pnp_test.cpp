@@ -15,7 +15,6 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/kernels/pnp/gather_pnp.hpp"
 #include "ft/kernels/pnp/refine_pnp.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "tests/support/backends.hpp"
@@ -353,75 +352,6 @@ TYPED_TEST(Pnp, leaves_problems_alone_that_are_not_active) {
   b.problems().active = nullptr;
   ft::continue_pnp(exec, camera, b.problems(), {}, b.results(), b.work());
   EXPECT_GT(b.result(1).done, before.done);
-}
-
-// ---- problems from matches ----------------------------------------------------------------------
-
-TYPED_TEST(Pnp, gathers_matches_in_the_order_of_the_keypoints) {
-  auto const& exec = this->backend.exec;
-  constexpr auto space = TypeParam::exec_type::space;
-  constexpr int keypoints = 90;
-  constexpr int count = 81;
-  constexpr int points = 50;
-  constexpr int rows = 4;
-  std::mt19937 random(14);
-  auto const real = [&] { return static_cast<float>(random() % 60000u) / 100.0f; };
-  ft::keypoints<ft::memory_space::host> kp(keypoints);
-  ft::map_points<ft::memory_space::host> map(points);
-  for (int k = 0; k < keypoints; ++k) {
-    kp.view().x(k) = real();
-    kp.view().y(k) = real();
-    kp.view().octave(k) = static_cast<int>(random() % 8u);
-  }
-  *kp.view().count = count;
-  for (int i = 0; i < points; ++i) { map.view().position(i) = {real(), real(), real()}; }
-  *map.view().count = points;
-  std::vector<int> match(rows * keypoints, -1);  // the first problem has none
-  for (int k = 0; k < keypoints; ++k) {
-    match[at(keypoints + k)] = k % points;  // of all, those behind the count included
-    match[at(2 * keypoints + k)] = static_cast<int>(random() % 100u) - 40;  // some are no slots
-    match[at(3 * keypoints + k)] = 1;
-  }
-  ft::frames_in_map in;
-  ft::keypoints<space> const d_kp(keypoints);
-  ft::map_points<space> const d_map(points);
-  ft::copy(exec, d_kp.view(), kp.view());
-  ft::copy(exec, d_map.view(), map.view());
-  exec.wait();
-  in.frame.keypoints = d_kp.view();
-  in.map = d_map.view();
-  in.geometry = ft::pyramid_geometry::make(640, 480, 8, 1.2f);
-  batch<typename TypeParam::exec_type> b(exec, std::vector<pnp_scene>(rows), {}, keypoints);
-  auto const d_match = test::to_exec(exec, match);
-  auto const active = test::to_exec(exec, std::vector<int>{1, 1, 1, 0});
-  b.problems().active = active.data();
-  ft::gather_pnp(exec, in, d_match.data(), b.problems());
-  auto const got = test::from_exec(exec, b.problems().count, rows);
-  auto const n = at(rows * keypoints);
-  auto const pixel = test::from_exec(exec, b.problems().pixel, n);
-  auto const point = test::from_exec(exec, b.problems().point, n);
-  auto const error = test::from_exec(exec, b.problems().max_error2, n);
-  auto const number = test::from_exec(exec, b.problems().keypoint, n);
-  for (int row = 0; row < 3; ++row) {
-    int i = row * keypoints;
-    for (int k = 0; k < count; ++k) {
-      int const slot = match[at(row * keypoints + k)];
-      if (slot < 0 || slot >= points) { continue; }
-      EXPECT_EQ(number[at(i)], k);
-      EXPECT_EQ(pixel[at(i)].x, in.geometry.column(kp.view().x(k), kp.view().octave(k)));
-      EXPECT_EQ(pixel[at(i)].y, in.geometry.row(kp.view().y(k), kp.view().octave(k)));
-      EXPECT_EQ(point[at(i)].z, map.view().position(slot).z);
-      EXPECT_EQ(error[at(i)], in.geometry.sigma2[kp.view().octave(k)] * 5.991f);
-      ++i;
-    }
-    EXPECT_EQ(got[at(row)], i - row * keypoints) << row;
-  }
-  EXPECT_EQ(got[0], 0);
-  EXPECT_EQ(got[1], count);
-  EXPECT_EQ(got[3], 0);  // not active: as it was
-  batch<typename TypeParam::exec_type> small(exec, std::vector<pnp_scene>(rows), {}, keypoints - 1);
-  EXPECT_THROW(ft::gather_pnp(exec, in, d_match.data(), small.problems()), ft::bad_argument);
-  EXPECT_THROW(ft::gather_pnp(exec, in, nullptr, b.problems()), ft::bad_argument);
 }
 
 // ---- bad input ----------------------------------------------------------------------------------

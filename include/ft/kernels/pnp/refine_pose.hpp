@@ -21,7 +21,7 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-inline constexpr double no_number = std::numeric_limits<double>::quiet_NaN();
+inline constexpr double not_solved = std::numeric_limits<double>::quiet_NaN();
 
 /// A rotation as its vector w, |w| the angle, and a translation.
 struct pose_vector {
@@ -33,7 +33,7 @@ struct pose_vector {
 FT_HOST_DEVICE inline wide_vec3 rotation_vector(wide_mat3 const& R) {
   auto const& m = R.m;
   wide const c = (m[0] + m[4] + m[8] - wide(1.0)) * wide(0.5);
-  if (!(c <= wide(1.0) && c >= wide(-1.0))) { return {no_number, no_number, no_number}; }
+  if (!(c <= wide(1.0) && c >= wide(-1.0))) { return {not_solved, not_solved, not_solved}; }
   wide const angle = strict_atan2(scalar::sqrt((wide(1.0) - c) * (wide(1.0) + c)), c);
   wide const sine = strict_sin_cos(angle).sine;
   return scaled(wide_vec3{m[7] - m[5], m[2] - m[6], m[3] - m[1]}, angle / (sine + sine));
@@ -181,8 +181,8 @@ FT_HOST_DEVICE pnp_pose mlpnp(Group g, mlpnp_scratch& s, pnp_selection const& fr
   for (int k = 0; k < 9; ++k) { valid = valid && scalar::is_finite(T.R.m[k]); }
   pnp_pose out{T.template cast<double>(), valid};
   if (!valid) {
-    for (double& k : out.T_cw.R.m) { k = no_number; }
-    out.T_cw.t = {no_number, no_number, no_number};
+    for (double& k : out.T_cw.R.m) { k = not_solved; }
+    out.T_cw.t = {not_solved, not_solved, not_solved};
   }
   return out;
 }

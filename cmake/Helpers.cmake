@@ -5,17 +5,32 @@ include(GoogleTest)
 
 add_custom_target(ft_host_tests)
 
+# The host's half of CUDA programs that do not run is not optimised.
 if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+  string(REGEX REPLACE "-O[1-3]" "-O0" CMAKE_CUDA_FLAGS_RELEASE "${CMAKE_CUDA_FLAGS_RELEASE}")
   include(CheckCompilerFlag)
   check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_FAST_COMPILE)  # CUDA 12.9 and newer
 endif()
 
-# Warnings, sanitizers and language settings of one of our targets. One with OPTIMIZED_DEVICE_CODE has it whatever
-# FT_FAST_DEVICE_CODE says.
-function(ft_target_defaults target)
-  cmake_parse_arguments(PARSE_ARGV 1 arg "OPTIMIZED_DEVICE_CODE" "" "")
-  if(FT_HAS_FAST_COMPILE AND NOT arg_OPTIMIZED_DEVICE_CODE)
+# FT_FAST_DEVICE_CODE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
+# optimisations. One with OPTIMIZED_DEVICE_CODE has the machine code, optimised as users have it.
+function(ft_set_fast_device_code target)
+  list(GET CMAKE_CUDA_ARCHITECTURES -1 newest)
+  if(ARGN)
+    set_target_properties(${target} PROPERTIES CUDA_ARCHITECTURES ${newest})
+    return()
+  endif()
+  set_target_properties(${target} PROPERTIES CUDA_ARCHITECTURES ${newest}-virtual)
+  if(FT_HAS_FAST_COMPILE)
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--Ofast-compile=max>)
+  endif()
+endfunction()
+
+# Warnings, sanitizers and language settings of one of our targets.
+# ft_target_defaults(target [OPTIMIZED_DEVICE_CODE])
+function(ft_target_defaults target)
+  if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+    ft_set_fast_device_code(${target} ${ARGN})
   endif()
   set(warnings -Wall -Wextra -Wshadow -Wconversion)
   set(host_warnings ${warnings} -Wpedantic)
@@ -47,12 +62,13 @@ endfunction()
 # Programs and benches have all architectures. Tests, which take the compiler longest, have those of
 # FT_TEST_CUDA_ARCHITECTURES: by default the newest, and the oldest one's PTX, which other GPUs translate.
 function(ft_set_test_architectures target)
+  if(FT_FAST_DEVICE_CODE)
+    return()
+  endif()
   set(architectures ${CMAKE_CUDA_ARCHITECTURES})
   list(GET architectures 0 oldest)
   list(GET architectures -1 newest)
-  if(FT_TEST_CUDA_ARCHITECTURES STREQUAL "newest")
-    set(architectures ${newest})
-  elseif(FT_TEST_CUDA_ARCHITECTURES)
+  if(FT_TEST_CUDA_ARCHITECTURES)
     set(architectures ${FT_TEST_CUDA_ARCHITECTURES})
   elseif(oldest MATCHES "^[0-9]+$" AND NOT oldest STREQUAL newest)
     set(architectures ${oldest}-virtual ${newest})
@@ -148,14 +164,25 @@ endfunction()
 
 # ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
 # One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
-# sources as CUDA, through generated units that include them. The plain host program, and it alone, compiles
-# each source by itself.
+# sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
+# stay alone in the plain host program.
 function(ft_add_stage_tests)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
-  set(units ${arg_SOURCES})
-  if(FT_SANITIZE)
-    ft_make_units(units ${arg_NAME}_host cpp ${arg_SOURCES})
+  set(together)
+  set(alone)
+  foreach(source IN LISTS arg_SOURCES)
+    get_source_file_property(options ${source} COMPILE_OPTIONS)
+    if(FT_TEST_BATCH EQUAL 1 OR (options AND NOT FT_SANITIZE))
+      list(APPEND alone ${source})
+    else()
+      list(APPEND together ${source})
+    endif()
+  endforeach()
+  set(units)
+  if(together)
+    ft_make_units(units ${arg_NAME}_host cpp ${together})
   endif()
+  list(APPEND units ${alone})
   ft_add_test(NAME ${arg_NAME}_host SOURCES ${units} LIBS ft::ft ${arg_LIBS}
               LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
   if(FT_HAS_CUDA)

@@ -111,28 +111,24 @@ build_all() {
   cmake --build "$1" --parallel "$jobs"
 }
 
-# What tests are compiled for: the GPU that they will run on, or without one the newest architecture alone.
-# A GPU that nvcc does not know translates PTX, which is the default.
-test_architecture() {
+# Tests are compiled for the GPU that they will run on; one that nvcc does not know translates the default, PTX.
+# Without a GPU device code is only compiled, which is done fast.
+cuda_options() {
   local capability
   capability=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | head -1 || true)
   if [[ ! $capability =~ ^[0-9]+\.[0-9]+$ ]]; then
-    echo newest
+    echo "-DFT_FAST_DEVICE_CODE=ON"
   elif nvcc --list-gpu-arch | grep -qx "compute_${capability/./}"; then
-    echo "${capability/./}"
+    echo "-DFT_TEST_CUDA_ARCHITECTURES=${capability/./}"
   fi
-}
-
-# Without a GPU device code is only compiled, not run: fast, but for the conformance program.
-fast_device_code() {
-  if nvidia-smi -L 2>/dev/null | grep -q '^GPU'; then echo OFF; else echo ON; fi
 }
 
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
+  local cuda
+  read -ra cuda <<<"$(cuda_options)"
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=6 \
-    -DFT_TEST_CUDA_ARCHITECTURES="$(test_architecture)" -DFT_FAST_DEVICE_CODE="$(fast_device_code)"
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=6 "${cuda[@]}"
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests

@@ -8,6 +8,7 @@
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_changes.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
 namespace ft {

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <functional>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -99,6 +100,18 @@ public:
   ft::orbslam3::inertial_result optimize_inertial_pose(
       ft::orbslam3::inertial_request const& r) override {
     return device_->optimize_inertial_pose(r);
+  }
+
+  void load_vocabulary(std::string const& path) override { device_->load_vocabulary(path); }
+  bool has_vocabulary() const override { return device_->has_vocabulary(); }
+  ft::orbslam3::word_lists transform_words(ft::orbslam3::descriptor_rows const& rows) override {
+    return device_->transform_words(rows);
+  }
+  ft::orbslam3::word_arrays& words_of(ft::orbslam3::word_side side) override {
+    return device_->words_of(side);
+  }
+  ft::orbslam3::word_matches search_by_words(ft::orbslam3::word_search_request const& r) override {
+    return device_->search_by_words(r);
   }
 
   void meanwhile(std::function<bool()> work) override {

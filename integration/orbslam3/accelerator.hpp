@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -18,12 +19,14 @@
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_changes.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/held_points.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/local_room.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/statistics.hpp"
+#include "integration/orbslam3/word_stages.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -175,7 +178,7 @@ public:
     last_frame_request request;
     request.current = frames_.bind(current, frames_.find(last));
     request.last = frames_.bind_last(last, request.current);
-    send_holders(request.last, last, true);
+    held_.send(request.last, last, true);
     mirror_.flush();
     request.T_cw = transform_of(current.GetPose());
     rotation_of(current.GetPose(), request.rotation);
@@ -184,7 +187,7 @@ public:
     request.window_radius = th;
     request.ignore_motion_direction = mono;
     int const matches = timer.on_device([&] { return device_->search_last_frame(request); });
-    write_matches(request.current, current);
+    held_.write_matches(request.current, current);
     return matches;
   }
 
@@ -203,7 +206,7 @@ public:
     mirror_.begin_call();
     local_map_request request;
     request.buffer = frames_.bind(frame, -1);
-    send_holders(request.buffer, frame, false);
+    held_.send(request.buffer, frame, false);
     int const tested = local_.gather(request, frame, points, far_points, far_threshold);
     mirror_.flush();
     if (tested == 0) { return 0; }
@@ -217,7 +220,7 @@ public:
     int const matches = timer.on_device([&] { return device_->local_matches(); });
     // The original then searches nothing, not even the points that skip the frustum test.
     if (seen.count == 0) { return 0; }
-    write_matches(request.buffer, frame);
+    held_.write_matches(request.buffer, frame);
     return matches;
   }
 
@@ -240,10 +243,10 @@ public:
     if (options_[which] == stage_mode::bypass) { return held; }
     if (held < 3) { return 0; }
     map_call_end const end(mirror_);
-    int const b = bind_with_points(frame);
+    int const b = held_.bind(frame);
     transform const start = transform_of(frame.GetPose());
     pose_result const result = timer.on_device([&] { return device_->optimize_pose(b, start); });
-    write_outliers(b, frame);
+    held_.write_outliers(b, frame);
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
     return result.inliers;
   }
@@ -261,14 +264,14 @@ public:
     if (!can_optimize_inertial(frame, which)) { return inertial_refused; }
     inertial_request request = inertial_request_of(frame, from_last);
     map_call_end const end(mirror_);
-    request.buffer = bind_with_points(frame);
+    request.buffer = held_.bind(frame);
     float* const distance = device_->point_distances();
     frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      distance[number] = holds(frame, i) ? frame.mvpMapPoints[i]->mTrackDepth : 0.0f;
+      distance[number] = held_.holds(frame, i) ? frame.mvpMapPoints[i]->mTrackDepth : 0.0f;
     });
     auto const result = timer.on_device([&] { return device_->optimize_inertial_pose(request); });
     if (result.refused) { return inertial_refused; }
-    write_outliers(request.buffer, frame);
+    held_.write_outliers(request.buffer, frame);
     take_inertial_result(frame, from_last, result);
     return result.tracked;
   }
@@ -276,6 +279,51 @@ public:
   bool can_optimize_inertial(frame_type const& frame, stage which) const {
     return has_inertial_start(frame, which == stage::pose_inertial_last_frame,
                               settings_.reference_quirks);
+  }
+
+  // ---- words
+
+  /// Reads the vocabulary of compute_bow(): DBoW2's text, beside which ft's binary form is written,
+  /// or that form. Takes a second or so for a text of a million nodes. Before other threads call.
+  /// @throws error if there is none that can be read
+  void load_vocabulary(std::string const& path) { device_->load_vocabulary(path); }
+
+  /// Whether compute_bow() can be called: there are a vocabulary, and descriptors. From any thread.
+  template <typename Frame>
+  bool can_compute_bow(Frame const& frame) const {
+    return can_transform(*device_, frame);
+  }
+  /// Frame::ComputeBoW, KeyFrame::ComputeBoW: mBowVec and mFeatVec, unless the frame has words.
+  /// From any thread: mapping computes those of keyframes.
+  /// @throws bad_argument unless can_compute_bow()
+  template <typename Frame>
+  void compute_bow(Frame& frame) {
+    if (!frame.mBowVec.empty()) { return; }
+    std::lock_guard<std::mutex> const lock(words_mutex_);
+    stage_timer timer(sums(stage::transform), *device_);
+    transform_frame(*device_, timer, frame);
+  }
+
+  /// ORBmatcher(ratio, orientation_check).SearchByBoW(&keyframe, frame, matches): `matches` gets an
+  /// entry for each keypoint of the frame. Returns their number.
+  ///
+  /// Returns words_refused, and changes nothing, if one of both has no words or no descriptors,
+  /// more keypoints than there is room for, or words of keypoints that it does not have.
+  template <typename KeyFrame>
+  int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
+                    float ratio, bool orientation_check = true) {
+    stage_timer timer(sums(stage::search_by_bow), *device_);
+    std::vector<map_point*> const points = keyframe.GetMapPointMatches();
+    if (!put_word_search(*device_, keyframe, frame, points)) { return words_refused; }
+    word_matches const found = timer.on_device_timed([&] {
+      return device_->search_by_words({ratio, orientation_check});
+    });
+    matches.assign(static_cast<std::size_t>(frame.mDescriptors.rows), nullptr);
+    for (std::size_t i = 0; i < matches.size(); ++i) {
+      int const from = found.match[i];
+      if (from >= 0) { matches[i] = points[static_cast<std::size_t>(from)]; }
+    }
+    return found.count;
   }
 
   // ---- map
@@ -315,8 +363,7 @@ private:
   static bool reads_map(options const& o) {
     for (int i = 0; i < stage_count; ++i) {
       auto const s = static_cast<stage>(i);
-      bool const of_images = s < stage::search_last_frame;
-      if (!of_images && o[s] == stage_mode::device) { return true; }
+      if (orbslam3::reads_map(s) && o[s] == stage_mode::device) { return true; }
     }
     return false;
   }
@@ -334,62 +381,16 @@ private:
     frames_.took(request.buffer, frame);
   }
 
-  static bool holds(frame_type const& frame, std::size_t i) {
-    return i < frame.mvpMapPoints.size() && frame.mvpMapPoints[i] != nullptr;
-  }
-  /// Collects the slots of the points that a frame's keypoints hold.
-  /// @return whether they have changed
-  bool gather_holders(int b, frame_type const& frame, bool inliers_only) {
-    frame_arrays const& a = device_->frame(b);
-    bool changed = false;
-    frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      prefetch_number(frame.mvpMapPoints, i + 16);
-      bool const held = holds(frame, i) && !(inliers_only && frame.mvbOutlier[i]);
-      int const slot = held ? mirror_.visit(frame.mvpMapPoints[i], a.holder[number]) : -1;
-      replace(a.holder[number], slot, changed);
-    });
-    return changed;
-  }
-  void send_holders(int b, frame_type const& frame, bool inliers_only) {
-    if (gather_holders(b, frame, inliers_only)) { device_->send(b, frame_part::holder); }
-  }
-  /// The buffer of a frame and of the points that it holds, for a pose. As in the original, map
-  /// points are locked while they are read. The lock is not held while waiting for the device.
-  int bind_with_points(frame_type const& frame) {
-    int const b = frames_.bind(frame, -1);
-    bool changed = false;
-    {
-      std::unique_lock<std::mutex> const lock(map_point::mGlobalMutex);
-      mirror_.begin_call();
-      changed = gather_holders(b, frame, false);
-    }
-    if (changed) { device_->send(b, frame_part::holder); }
-    mirror_.flush();
-    return b;
-  }
-  /// Flags the keypoints whose points a pose has released, and no other that holds a point.
-  void write_outliers(int b, frame_type& frame) const {
-    frame_arrays const& a = device_->frame(b);
-    frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      if (holds(frame, i)) { frame.mvbOutlier[i] = a.holder[number] < 0; }
-    });
-  }
-  /// Copies the device's matches to the frame's keypoints.
-  void write_matches(int b, frame_type& frame) const {
-    frame_arrays const& a = device_->frame(b);
-    frames_.for_each_number(frame, [&](std::size_t i, int number) {
-      if (a.holder[number] >= 0) { frame.mvpMapPoints[i] = mirror_.owner(a.holder[number]); }
-    });
-  }
-
   std::unique_ptr<device_tracker> device_;
   settings settings_;
   options options_;
   map_mirror<map_point> mirror_;
   frame_exchange<frame_type> frames_{*device_, settings_};
+  held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
   local_room room_{*device_};
   cell_lists cells_{device_->helpers()};
+  std::mutex words_mutex_;  ///< of transform_words() and its statistics
   statistics statistics_{};
 };
 

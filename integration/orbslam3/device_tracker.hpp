@@ -5,10 +5,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <string>
 
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/inertial_types.hpp"
 #include "integration/orbslam3/plain_types.hpp"
+#include "integration/orbslam3/word_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -20,6 +22,8 @@ namespace orbslam3 {
 /// frame(), local_slots(), recorded_sights() and point_distances() may be written while nothing is
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
+///
+/// The calls about words depend on no frame here. bytes() and times() do not count them.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -94,6 +98,16 @@ public:
   /// Starts from the holders in the buffer and point_distances(); the holders of outliers become
   /// -1, unless the request is refused.
   virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
+
+  /// Reads a vocabulary, as read_vocabulary() of vocabulary_file.hpp. For set-up: allocates.
+  virtual void load_vocabulary(std::string const& path) = 0;
+  virtual bool has_vocabulary() const = 0;
+  /// Words of a frame's descriptors and the groups of its keypoints; without a vocabulary none.
+  /// From any thread, one at a time, beside all other calls but load_vocabulary().
+  virtual word_lists transform_words(descriptor_rows const& rows) = 0;
+  /// What the next search_by_words() reads: up to cameras() * capacity() keypoints.
+  virtual word_arrays& words_of(word_side side) = 0;
+  virtual word_matches search_by_words(word_search_request const& request) = 0;
 
   /// Sets what calls do while they wait: `work` returns whether more of it is left. A device calls
   /// it until it has nothing to wait for, the host until nothing is left.

@@ -23,6 +23,7 @@
 #include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/stream_mark.hpp"
+#include "integration/orbslam3/word_calls.hpp"
 #include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
@@ -33,7 +34,7 @@ inline namespace FT_ABI {
 /// measure(true) they are enqueued launch by launch.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
-class executor_tracker : public device_tracker {
+class executor_tracker : public word_calls<Exec> {
   static constexpr int searched = searched_cameras<Rig>;
 
 public:
@@ -47,6 +48,7 @@ public:
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
         inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
     map_.reserve(exec_, s.map_points);
+    this->make_words(exec_, cameras() * capacity(), s.levels_up);
     exec_.wait();
     extraction_.record(exec_, frames_);
     sights_there_.make();
@@ -271,7 +273,10 @@ public:
 
   traffic bytes() const override { return bytes_; }
   void reset_bytes() override { bytes_ = {}; }
-  void measure(bool on) override { clock_.measure(on); }
+  void measure(bool on) override {
+    clock_.measure(on);
+    this->measure_words(on);
+  }
   device_times times() const override { return times_; }
 
 private:
@@ -282,11 +287,7 @@ private:
   }
   template <typename Queue>
   void replay(call_key const& key, Queue const& queue) {
-    if (clock_.measuring()) {
-      queue(exec_);
-    } else {
-      graphs_.replay(exec_, key, queue);
-    }
+    clock_.measuring() ? queue(exec_) : graphs_.replay(exec_, key, queue);
   }
 
   /// Marks the start of a call, before its first launch.

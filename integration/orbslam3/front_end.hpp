@@ -3,6 +3,7 @@
 /// ORB-SLAM3's own code, or in both to compare them.
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <exception>
 #include <iostream>
@@ -38,11 +39,14 @@ public:
   /// @param make_settings called for the settings
   /// @param detection hooks if they are compiled in, unless FT_ORBSLAM3_COMPARE=1; the other
   ///   options come from the environment
+  /// @param vocabulary see options::vocabulary; FT_ORBSLAM3_VOCABULARY replaces it
   template <typename MakeSettings>
-  front_end(MakeSettings const& make_settings, change_detection detection) {
+  front_end(MakeSettings const& make_settings, change_detection detection,
+            std::string const& vocabulary = {}) {
     attempt([&] {
       options o;
       o.detection = detection;
+      o.vocabulary = vocabulary;
       o = from_environment(o);
       settings const s = make_settings();
       start(make_tracker(s), s, o);
@@ -197,6 +201,44 @@ public:
     return refused ? cpu() : answer;
   }
 
+  /// From any thread: mapping computes the words of keyframes.
+  /// @param cpu Frame::ComputeBoW or KeyFrame::ComputeBoW
+  template <typename Frame, typename Cpu>
+  void compute_bow(Frame& frame, Cpu const& cpu) {
+    bool const here =
+        frame.mBowVec.empty() && uses(stage::transform) && gpu_->can_compute_bow(frame);
+    if (here && attempt([&] {
+          if (verified(stage::transform)) {
+            both_->compute_bow(frame, cpu);
+          } else {
+            gpu_->compute_bow(frame);
+          }
+        })) {
+      return;
+    }
+    cpu();
+  }
+
+  /// Without words of both, the CPU's own code searches.
+  /// @param ratio,orientation_check the arguments of ORBmatcher
+  /// @param cpu ORBmatcher::SearchByBoW of the keyframe and the frame, into `matches`
+  template <typename KeyFrame, typename Cpu>
+  int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
+                    float ratio, bool orientation_check, Cpu const& cpu) {
+    bool refused = false;
+    int const answer = either(
+        stage::search_by_bow, cpu,
+        [&] {
+          int const n = gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check);
+          refused = n == words_refused;
+          return n;
+        },
+        [&] {
+          return both_->search_by_bow(keyframe, frame, matches, ratio, orientation_check, cpu);
+        });
+    return refused ? cpu() : answer;
+  }
+
   /// To be called before a map point is deleted.
   void forget(map_point const* point) {
     if (works_) { gpu_->forget(point); }
@@ -215,11 +257,21 @@ public:
 private:
   void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
     gpu_ = std::make_unique<accelerator<Types>>(std::move(device), s, o);
+    load_vocabulary(o);
     if (o.verify) {
       both_ = std::make_unique<verifier<Types>>(*gpu_, nullptr);
       both_->print_frames(std::cerr);
     }
     works_ = true;
+  }
+  /// Without a vocabulary only the transform stays the CPU's.
+  void load_vocabulary(options const& o) {
+    if (o.vocabulary.empty() || o[stage::transform] == stage_mode::host) { return; }
+    try {
+      gpu_->load_vocabulary(o.vocabulary);
+    } catch (std::exception const& e) {
+      std::cerr << "ft: " << e.what() << "; ORB-SLAM3's own code finds the words\n";
+    }
   }
   /// @return whether it succeeded
   template <typename Call>
@@ -255,15 +307,17 @@ private:
   template <typename Cpu, typename Gpu, typename Both>
   int either(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
     int answer = 0;
-    bool const verified = both_ != nullptr && gpu_->chosen()[s] == stage_mode::device;
-    bool const done = uses(s) && attempt([&] { answer = verified ? on_both() : on_gpu(); });
+    bool const done = uses(s) && attempt([&] { answer = verified(s) ? on_both() : on_gpu(); });
     return done ? answer : cpu();
+  }
+  bool verified(stage s) const {
+    return both_ != nullptr && gpu_->chosen()[s] == stage_mode::device;
   }
 
   std::unique_ptr<accelerator<Types>> gpu_;  ///< kept after a failure: the hooks use its queue
   std::unique_ptr<verifier<Types>> both_;
-  bool works_ = false;
-  std::size_t most_told_ = 0;  ///< points of a local map that had no room
+  std::atomic<bool> works_{false};  ///< mapping reads it, too
+  std::size_t most_told_ = 0;       ///< points of a local map that had no room
 };
 
 // The calls in the constructors of Frame take a pointer. With nullptr the CPU does everything, as

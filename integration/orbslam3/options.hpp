@@ -27,8 +27,10 @@ enum class stage {
   pose_relocalization,
   pose_inertial_last_frame,
   pose_inertial_last_keyframe,
+  transform,
+  search_by_bow,
 };
-inline constexpr int stage_count = 12;
+inline constexpr int stage_count = 14;
 
 inline char const* name_of(stage s) {
   constexpr char const* names[stage_count] = {"extract",
@@ -42,9 +44,14 @@ inline char const* name_of(stage s) {
                                               "pose_reference_keyframe",
                                               "pose_relocalization",
                                               "pose_inertial_last_frame",
-                                              "pose_inertial_last_keyframe"};
+                                              "pose_inertial_last_keyframe",
+                                              "transform",
+                                              "search_by_bow"};
   return names[static_cast<int>(s)];
 }
+
+/// Whether a stage reads map points on the device.
+inline bool reads_map(stage s) { return s >= stage::search_last_frame && s < stage::transform; }
 
 enum class stage_mode {
   device,  ///< run by the accelerator
@@ -59,6 +66,9 @@ struct options {
   bool statistics = false;
   bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
   std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device
+  /// File of the vocabulary for `transform`, which front_end loads: DBoW2's text, or ft's binary
+  /// form. Empty: ORB-SLAM3's own code transforms.
+  std::string vocabulary;
 
   stage_mode& operator[](stage s) { return modes[static_cast<std::size_t>(s)]; }
   stage_mode operator[](stage s) const { return modes[static_cast<std::size_t>(s)]; }
@@ -100,7 +110,7 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
 
 /// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
 /// stages, FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds
-/// changes of map points by comparing.
+/// changes of map points by comparing; FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
 /// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
   auto const text = [](char const* name) {
@@ -117,6 +127,8 @@ inline options from_environment(options o = {}) {
   bool compare = false;
   flag("FT_ORBSLAM3_COMPARE", compare);
   if (compare) { o.detection = change_detection::compare; }
+  std::string const path = text("FT_ORBSLAM3_VOCABULARY");
+  if (!path.empty()) { o.vocabulary = path; }
   return o;
 }
 

@@ -68,6 +68,8 @@ struct settings {
   bool orientation_check = true;  ///< of the search from the last frame
   /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
   bool poses_ahead = true;
+  /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.
+  int levels_up = 4;
 };
 
 /// Radial-tangential distortion of a pinhole camera in OpenCV's notation, and its camera matrix,

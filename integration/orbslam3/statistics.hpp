@@ -103,21 +103,30 @@ public:
       stage_timer* timer;
       clock::time_point begin;
       ~span() {
-        if (timer->sums_ == nullptr) { return; }
-        timer->on_device_ += microseconds(begin, clock::now());
-        device_times const times = timer->device_->times();
-        timer->sums_->kernel += times.kernel;
-        timer->sums_->transfer += times.transfer;
+        if (timer->sums_ != nullptr) { timer->add(begin, timer->device_->times()); }
       }
     };
     span const around{this, sums_ != nullptr ? clock::now() : clock::time_point{}};
     return call();
+  }
+  /// Runs a device call whose result has its times.
+  template <typename Call>
+  auto on_device_timed(Call const& call) {
+    auto const begin = sums_ != nullptr ? clock::now() : clock::time_point{};
+    auto const result = call();
+    if (sums_ != nullptr) { add(begin, result.times); }
+    return result;
   }
 
 private:
   using clock = std::chrono::steady_clock;
   static double microseconds(clock::time_point a, clock::time_point b) {
     return std::chrono::duration<double, std::micro>(b - a).count();
+  }
+  void add(clock::time_point begin, device_times const& times) {
+    on_device_ += microseconds(begin, clock::now());
+    sums_->kernel += times.kernel;
+    sums_->transfer += times.transfer;
   }
   stage_statistics* sums_;
   device_tracker* device_;

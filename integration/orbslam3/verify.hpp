@@ -14,6 +14,8 @@
 #include "integration/orbslam3/keypoint_sets.hpp"
 #include "integration/orbslam3/verify_inertial.hpp"
 #include "integration/orbslam3/verify_report.hpp"
+#include "integration/orbslam3/verify_tracked.hpp"
+#include "integration/orbslam3/verify_words.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -39,7 +41,10 @@ public:
   void print_frames(std::ostream& out) { log_.print_frames(out); }
   /// Ends the last frame's line and prints the number of frames and calls, and of those with
   /// differences.
-  void summary(std::ostream& out) { log_.summary(out); }
+  void summary(std::ostream& out) {
+    elsewhere_.add_to(log_);
+    log_.summary(out);
+  }
 
   /// Image features of a frame: compared as sets first, then in order.
   /// @param cpu fills the frame as Frame::ExtractORB of all images does
@@ -164,8 +169,8 @@ public:
     count_visible(gpu, 1);
     compare_matches(cpu_first.held, cpu_again.held, gpu.held);
     for (std::size_t i = 0; i < points.size(); ++i) {
-      compare_tracked(static_cast<long>(i), frame.Nleft != -1, cpu_first.seen[i], cpu_again.seen[i],
-                      gpu.seen[i]);
+      compare_tracked<map_point>(log_, tolerances_, static_cast<long>(i), frame.Nleft != -1,
+                                 {cpu_first.seen[i], cpu_again.seen[i], gpu.seen[i]});
     }
     return gpu.held.matches;
   }
@@ -222,41 +227,44 @@ public:
     return kept.tracked;
   }
 
-private:
-  /// The values that the frustum test writes into a map point.
-  struct tracked {
-    bool in_view, in_view_right;
-    int level, level_right;
-    float x, y, depth, cosine, right_x, right_y, depth_right, cosine_right;
+  /// @param cpu Frame::ComputeBoW
+  template <typename Cpu>
+  void compute_bow(frame_type& frame, Cpu const& cpu) {
+    begin(frame, stage::transform);
+    verify_words(log_, frame, cpu, [&] { gpu_->compute_bow(frame); });
+  }
+  /// From any thread. What differs is added to the line of the frame that tracking is at.
+  /// @param cpu KeyFrame::ComputeBoW
+  template <typename KeyFrame, typename Cpu>
+  void compute_bow(KeyFrame& keyframe, Cpu const& cpu) {
+    elsewhere_.make(keyframe.mnFrameId, stage::transform, [&](difference_log& log) {
+      verify_words(log, keyframe, cpu, [&] { gpu_->compute_bow(keyframe); });
+    });
+  }
 
-    explicit tracked(map_point const& p)
-        : in_view(p.mbTrackInView),
-          in_view_right(p.mbTrackInViewR),
-          level(p.mnTrackScaleLevel),
-          level_right(p.mnTrackScaleLevelR),
-          x(p.mTrackProjX),
-          y(p.mTrackProjY),
-          depth(p.mTrackDepth),
-          cosine(p.mTrackViewCos),
-          right_x(p.mTrackProjXR),
-          right_y(p.mTrackProjYR),
-          depth_right(p.mTrackDepthR),
-          cosine_right(p.mTrackViewCosR) {}
-    void restore(map_point& p) const {
-      p.mbTrackInView = in_view;
-      p.mbTrackInViewR = in_view_right;
-      p.mnTrackScaleLevel = level;
-      p.mnTrackScaleLevelR = level_right;
-      p.mTrackProjX = x;
-      p.mTrackProjY = y;
-      p.mTrackDepth = depth;
-      p.mTrackViewCos = cosine;
-      p.mTrackProjXR = right_x;
-      p.mTrackProjYR = right_y;
-      p.mTrackDepthR = depth_right;
-      p.mTrackViewCosR = cosine_right;
-    }
-  };
+  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept.
+  /// @param cpu ORBmatcher::SearchByBoW with the same arguments; returns its matches
+  template <typename KeyFrame, typename Cpu>
+  int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
+                    float ratio, bool orientation_check, Cpu const& cpu) {
+    begin(frame, stage::search_by_bow);
+    auto const run = [&](auto const& call) {
+      matches.clear();
+      int const n = call();
+      return matched{n, matches};
+    };
+    matched const cpu_first = run(cpu);
+    matched const gpu = run(
+        [&] { return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check); });
+    matched const cpu_again = run(cpu);
+    compare_matches(cpu_first, cpu_again, gpu);
+    matched const& kept = gpu.matches == words_refused ? cpu_first : gpu;
+    matches = kept.points;
+    return kept.matches;
+  }
+
+private:
+  using tracked = tracked_values<map_point>;
   static std::vector<tracked> tracked_of(std::vector<map_point*> const& points) {
     std::vector<tracked> all;
     all.reserve(points.size());
@@ -283,7 +291,10 @@ private:
     Pose pose;
     std::vector<bool> outliers;
   };
-  void begin(frame_type const& frame, stage s) { log_.begin(frame.mnId, s); }
+  void begin(frame_type const& frame, stage s) {
+    log_.begin(frame.mnId, s);
+    elsewhere_.add_to(log_);
+  }
 
   template <typename List, std::size_t Columns, std::size_t Rows>
   static std::vector<List> cells_of(List const (&grid)[Columns][Rows]) {
@@ -350,39 +361,19 @@ private:
       return p == nullptr ? -1.0 : static_cast<double>(p->mnId);
     };
     log_.compare("matches", -1, cpu.matches, again.matches, gpu.matches);
+    if (gpu.points.size() != cpu.points.size()) {
+      log_.compare("keypoints of the search", -1, cpu.points.size(), gpu.points.size());
+      return;
+    }
     for (std::size_t i = 0; i < cpu.points.size(); ++i) {
       log_.compare("map point of keypoint", static_cast<long>(i), id(cpu.points[i]),
                    id(again.points[i]), id(gpu.points[i]));
     }
   }
-  void compare_tracked(long at, bool two_cameras, tracked const& a, tracked const& b,
-                       tracked const& g) {
-    double const pixels = tolerances_.pixels;
-    log_.compare("point in view", at, a.in_view, b.in_view, g.in_view);
-    log_.compare("point in right view", at, a.in_view_right, b.in_view_right, g.in_view_right);
-    if (a.in_view && g.in_view) {
-      log_.compare("octave of point", at, a.level, b.level, g.level);
-      log_.compare("x of point", at, a.x, b.x, g.x, pixels);
-      log_.compare("y of point", at, a.y, b.y, g.y, pixels);
-      log_.compare("distance of point", at, a.depth, b.depth, g.depth, tolerances_.depth);
-      log_.compare("cosine of point", at, a.cosine, b.cosine, g.cosine, tolerances_.cosine);
-      if (!two_cameras) {
-        log_.compare("right column of point", at, a.right_x, b.right_x, g.right_x, pixels);
-      }
-    }
-    if (a.in_view_right && g.in_view_right) {
-      log_.compare("right octave of point", at, a.level_right, b.level_right, g.level_right);
-      log_.compare("right x of point", at, a.right_x, b.right_x, g.right_x, pixels);
-      log_.compare("right y of point", at, a.right_y, b.right_y, g.right_y, pixels);
-      log_.compare("right distance of point", at, a.depth_right, b.depth_right, g.depth_right,
-                   tolerances_.depth);
-      log_.compare("right cosine of point", at, a.cosine_right, b.cosine_right, g.cosine_right,
-                   tolerances_.cosine);
-    }
-  }
 
   accelerator<Types>* gpu_;
   difference_log log_;
+  calls_elsewhere elsewhere_;
   tolerances tolerances_;
 };
 

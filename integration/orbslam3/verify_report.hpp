@@ -90,6 +90,15 @@ public:
   void add_number(char const* what, long number) {
     add({stage_, frame_, what, -1, 0, static_cast<double>(number), true});
   }
+  /// Adds a call that was made elsewhere, with what differed, after begin() of this frame's call.
+  void add_call(stage s, std::vector<difference> const& found) {
+    stage const here = std::exchange(stage_, s);
+    before_call_ = differences_;
+    ++tallies_[static_cast<std::size_t>(s)].calls;
+    for (difference const& d : found) { add(d); }
+    stage_ = here;
+    before_call_ = differences_;
+  }
 
   /// Ends the last frame's line and prints the number of frames and calls, and of those with
   /// differences.

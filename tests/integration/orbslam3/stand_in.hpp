@@ -237,6 +237,29 @@ struct fisheye_camera : camera {
   std::vector<int> mvLappingArea = {0, 0};
 };
 
+/// Of DBoW2: words with their values, and the keypoints of each node.
+class bow_vector : public std::map<unsigned, double> {};
+class feature_vector : public std::map<unsigned, std::vector<unsigned>> {};
+
+/// Of ORB_SLAM3::KeyFrame.
+struct key_frame {
+  se3 T_cw;
+  Eigen::Vector3f velocity = Eigen::Vector3f::Zero();
+  bias imu_bias;
+  unsigned long mnFrameId = 0;
+  int NLeft = -1;
+  std::vector<keypoint> mvKeys, mvKeysUn, mvKeysRight;
+  matrix mDescriptors;
+  bow_vector mBowVec;
+  feature_vector mFeatVec;
+  std::vector<map_point*> points;  ///< mvpMapPoints, which is not public
+
+  se3 GetPose() const { return T_cw; }
+  Eigen::Vector3f GetVelocity() const { return velocity; }
+  bias GetImuBias() const { return imu_bias; }
+  std::vector<map_point*> GetMapPointMatches() const { return points; }
+};
+
 /// Of ORB_SLAM3::Frame. Its constructors give the members their values: see constructors.hpp.
 struct frame {
   unsigned long mnId = 0;
@@ -263,6 +286,8 @@ struct frame {
   std::vector<map_point*> mvpMapPoints;
   std::vector<bool> mvbOutlier;
   std::map<unsigned long, point2f> mmProjectPoints;
+  bow_vector mBowVec;
+  feature_vector mFeatVec;
   int mnScaleLevels = garbage;
   float mfScaleFactor = garbage_number;
   float mfLogScaleFactor = garbage_number;

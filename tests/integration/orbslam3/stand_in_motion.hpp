@@ -79,15 +79,4 @@ struct pose_constraint {
   matrix15 H;
 };
 
-/// Of KeyFrame.
-struct key_frame {
-  se3 T_cw;
-  Eigen::Vector3f velocity = Eigen::Vector3f::Zero();
-  bias imu_bias;
-
-  se3 GetPose() const { return T_cw; }
-  Eigen::Vector3f GetVelocity() const { return velocity; }
-  bias GetImuBias() const { return imu_bias; }
-};
-
 }  // namespace stand_in

@@ -93,6 +93,19 @@ public:
     on_call("optimize_inertial_pose");
     return to_->optimize_inertial_pose(r);
   }
+  void load_vocabulary(std::string const& path) override { to_->load_vocabulary(path); }
+  bool has_vocabulary() const override { return to_->has_vocabulary(); }
+  ft::orbslam3::word_lists transform_words(ft::orbslam3::descriptor_rows const& rows) override {
+    on_call("transform_words");
+    return to_->transform_words(rows);
+  }
+  ft::orbslam3::word_arrays& words_of(ft::orbslam3::word_side side) override {
+    return to_->words_of(side);
+  }
+  ft::orbslam3::word_matches search_by_words(ft::orbslam3::word_search_request const& r) override {
+    on_call("search_by_words");
+    return to_->search_by_words(r);
+  }
   void meanwhile(std::function<bool()> work) override { to_->meanwhile(std::move(work)); }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }

@@ -60,7 +60,7 @@ int draw_octave(generator& random) {
 }
 /// Noise of a keypoint's position, pixels of the input image.
 float noise(generator& random, int octave) {
-  return random.real(-0.8f, 0.8f) * std::pow(drawn_camera::scale, static_cast<float>(octave));
+  return random.real(-0.6f, 0.6f) * std::pow(drawn_camera::scale, static_cast<float>(octave));
 }
 
 void add(drawn_image& to, float x, float y, float angle, int octave, bits_256 const& orb) {
@@ -196,7 +196,7 @@ drawn_place draw_place(drawn_tree const& tree, int keyframes, int seen, unsigned
   place_drawer drawer{generator(seed), tree, {}};
   drawer.see_points();
   for (int k = 0; k + 1 < keyframes; ++k) { drawer.add_keyframe(0, 45); }
-  drawer.add_keyframe(seen, 8);
+  drawer.add_keyframe(seen, 4);
   return std::move(drawer.place);
 }
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // The section of words, relocalisation and the start with one camera.
-#include <algorithm>
 #include <cstdio>
 #include <vector>
 
@@ -12,7 +11,7 @@ namespace bench {
 namespace {
 
 /// Times a case, and adds its row to the results.
-seq::statistics time_case(context const& c, char const* name, words_case const& what) {
+void time_case(context const& c, char const* name, words_case const& what) {
   auto const runner = make_words_runner(what);
   // All inputs are checked, before and after.
   int found = 0;
@@ -40,7 +39,6 @@ seq::statistics time_case(context const& c, char const* name, words_case const& 
   std::printf(" %10.1f %10.1f", t.p50, t.p99);
   if (what.backend == backend_type::host) { std::printf(" %8d", found); }
   std::fflush(stdout);
-  return t;
 }
 
 }  // namespace

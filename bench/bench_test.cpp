@@ -272,4 +272,27 @@ TEST(inertial, poses_are_found) {
   }
 }
 
+TEST(words, stages_find_what_their_inputs_show) {
+  using bench::words_stage;
+  for (auto const b : backends()) {
+    bench::words_case what;
+    what.backend = b;
+    what.levels = 4;
+    for (auto const stage :
+         {words_stage::transform, words_stage::query, words_stage::search, words_stage::solve,
+          words_stage::relocalize, words_stage::two_views, words_stage::start}) {
+      what.stage = stage;
+      // Scores of an earlier query count, so places are further apart than neighbours.
+      what.count = stage == words_stage::query ? 200 : 3;
+      auto const runner = bench::make_words_runner(what);
+      for (int i = 0; i < bench::words_runner::inputs + 1; ++i) {
+        EXPECT_GE(runner->run(), 0);
+        int found = 0;
+        EXPECT_NO_THROW(found = runner->found()) << name_of(b) << " " << static_cast<int>(stage);
+        EXPECT_GT(found, 0);
+      }
+    }
+  }
+}
+
 }  // namespace bench_test

@@ -44,7 +44,8 @@ int main(int argc, char** argv) {
       "graph (launches and bytes a frame), kernels (their registers and memory), "
       "ablation (one choice switched at a time), tie_rules (of the quadtree), odometry "
       "(images in, poses out), map_stages (its stages, keyframes apart), gpus (a batch on "
-      "each device), host_stages (one host thread, next to OpenCV). Default: all");
+      "each device), inertial (poses with an IMU), words (places, relocalisation, the start with "
+      "one camera), host_stages (one host thread, next to OpenCV). Default: all");
   app.add_option("--json", json_path, "write all figures to this file");
   app.add_option("--backend", backend,
                  "auto (a device if one is found, else the host), host, cuda or both")
@@ -150,6 +151,7 @@ int main(int argc, char** argv) {
       if (wanted("map_stages")) { bench::map_stages_section(context, b); }
       if (wanted("gpus") && b == bench::backend_type::cuda) { bench::gpus_section(context); }
       if (wanted("inertial")) { bench::inertial_section(context, b); }
+      if (wanted("words")) { bench::words_section(context, b); }
       if (wanted("ablation")) { bench::ablation_section(context, b, backend != "cuda"); }
     }
     if (wanted("host_stages") && (backend != "cuda" || !only.empty())) {

@@ -13,10 +13,10 @@
 namespace bench {
 
 inline std::vector<std::string> const& all_sections() {
-  static std::vector<std::string> const names{"cameras",  "frame",     "fisheye",    "stages",
-                                              "batch",    "streams",   "graph",      "kernels",
-                                              "ablation", "tie_rules", "odometry",   "map_stages",
-                                              "gpus",     "inertial",  "host_stages"};
+  static std::vector<std::string> const names{"cameras",  "frame",     "fisheye",  "stages",
+                                              "batch",    "streams",   "graph",    "kernels",
+                                              "ablation", "tie_rules", "odometry", "map_stages",
+                                              "gpus",     "inertial",  "words",    "host_stages"};
   return names;
 }
 

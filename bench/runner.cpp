@@ -9,6 +9,7 @@ std::unique_ptr<odometry_runner> make_host_odometry(scene const& s, frame_option
 std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
 std::unique_ptr<window_runner> make_host_windows(window_case const& what);
 std::unique_ptr<inertial_runner> make_host_inertial(inertial_case const& what);
+std::unique_ptr<words_runner> make_host_words(words_case const& what);
 
 #if FT_BENCH_HAS_CUDA
 std::unique_ptr<frame_runner> make_cuda_rectified(scene const& s, frame_options const& how);
@@ -17,6 +18,7 @@ std::unique_ptr<odometry_runner> make_cuda_odometry(scene const& s, frame_option
 std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
 std::unique_ptr<window_runner> make_cuda_windows(window_case const& what);
 std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const& what);
+std::unique_ptr<words_runner> make_cuda_words(words_case const& what);
 #else
 namespace {
 [[noreturn]] void no_cuda() { throw std::runtime_error("built without CUDA"); }
@@ -28,6 +30,7 @@ std::unique_ptr<odometry_runner> make_cuda_odometry(scene const&, frame_options 
 std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
 std::unique_ptr<window_runner> make_cuda_windows(window_case const&) { no_cuda(); }
 std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const&) { no_cuda(); }
+std::unique_ptr<words_runner> make_cuda_words(words_case const&) { no_cuda(); }
 }  // namespace
 std::string cuda_description() { return {}; }
 int cuda_devices() { return 0; }
@@ -59,6 +62,10 @@ std::unique_ptr<window_runner> make_window_runner(window_case const& what) {
 
 std::unique_ptr<inertial_runner> make_inertial_runner(inertial_case const& what) {
   return what.backend == backend_type::host ? make_host_inertial(what) : make_cuda_inertial(what);
+}
+
+std::unique_ptr<words_runner> make_words_runner(words_case const& what) {
+  return what.backend == backend_type::host ? make_host_words(what) : make_cuda_words(what);
 }
 
 }  // namespace bench

@@ -260,6 +260,45 @@ public:
 /// @throws std::runtime_error
 std::unique_ptr<inertial_runner> make_inertial_runner(inertial_case const& what);
 
+// ---- words, relocalisation, a start with one camera ---------------------------------------------
+
+enum class words_stage {
+  transform,   ///< of frames of 1200 descriptors
+  query,       ///< of one frame, to a database of keyframes
+  search,      ///< by words, between one frame and keyframes
+  solve,       ///< poses of candidates, 100 correspondences each, all hypotheses
+  relocalize,  ///< one frame, against candidates of which the last one sees its place
+  two_views,   ///< a motion and points, from the matches of a search
+  start,       ///< the same with the grid and the search before it: ft::monocular_start::add()
+};
+
+struct words_case {
+  backend_type backend = backend_type::host;
+  words_stage stage = words_stage::transform;
+  int count = 1;   ///< frames of a transform; else keyframes or candidates; pairs: 1
+  int levels = 6;  ///< of the vocabulary, whose nodes have ten children
+};
+
+/// Calls a stage with eight inputs in turn. On the host with one thread.
+class words_runner {
+public:
+  static constexpr int inputs = 8;
+
+  words_runner() = default;
+  words_runner(words_runner const&) = delete;
+  words_runner& operator=(words_runner const&) = delete;
+  virtual ~words_runner() = default;
+
+  /// Time of a call with the next input, microseconds. Of a relocalisation by the wall clock.
+  virtual double run() = 0;
+  /// What the last call found: words of a frame, places, matches, inliers or points.
+  /// @throws std::runtime_error if it is not what the input shows
+  virtual int found() = 0;
+};
+
+/// @throws std::runtime_error
+std::unique_ptr<words_runner> make_words_runner(words_case const& what);
+
 // ---- the machine ------------------------------------------------------------------------------
 
 /// "name, driver for CUDA x, runtime y"; empty without a device.

@@ -75,6 +75,10 @@ void gpus_section(context const& c);
 /// Poses with an IMU, and integrals, one and many: array "inertial".
 void inertial_section(context const& c, backend_type b);
 
+/// Stages of words, relocalisation and the start with one camera, next to a device with one host
+/// thread as well: array "words".
+void words_section(context const& c, backend_type b);
+
 /// The host executor's stages on one thread next to OpenCV's: array "host_stages".
 void host_stages_section(context const& c);
 

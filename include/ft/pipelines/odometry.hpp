@@ -10,10 +10,12 @@
 #include <memory>
 #include <ostream>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/vocabulary.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -24,6 +26,7 @@
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
+#include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/detail/rectifying_parts.hpp"
@@ -59,6 +62,9 @@ class odometry {
   using stages_type = detail::odometry_stages<Exec, Rig>;
   using parts_of_rig = detail::rig_parts<Rig>;
   using input_type = typename parts_of_rig::template input<Exec>;
+  using recovery_type =
+      std::conditional_t<detail::recognizes_places_of<Rig>, detail::odometry_recovery<Exec, Rig>,
+                         detail::no_recovery>;
 
 public:
   static constexpr memory_space space = Exec::space;
@@ -87,6 +93,7 @@ public:
     p.adjustments.end_before(p.exec, p.frame);
     p.graph.replay(p.exec, [&](Exec const& e) { p.queue(e); });
     p.exec.wait();
+    if (p.recovery != nullptr) { p.recovery->after_frame(p.exec, p.stages, p.frame); }
     p.adjustments.begin_after(p.frame);
     p.take_outputs(time_ns);
     ++p.frame;
@@ -99,6 +106,25 @@ public:
     return *track(&images, &time_ns);
   }
 
+  /// From now on, lost cameras are also looked up among their map's keyframes by the words of a
+  /// vocabulary. track() does that after each frame that was not found, one camera after the other;
+  /// it waits for several steps. A camera that is found is `tracking` at once. A new map begins
+  /// only after that, in the frame in which it would without. Words of a new keyframe are computed
+  /// after its frame, which does not wait for them. Comes before the first frame; allocates.
+  /// Keyframes of a loaded map are not looked up.
+  /// @param words in executor memory, valid as long as this
+  /// @throws bad_argument after the first frame, for parameters out of range, a vocabulary that was
+  ///   never made, or an odometry with an IMU; std::bad_alloc, cuda_error
+  void recognize_places(vocabulary_view const& words, place_recovery const& params = {}) {
+    static_assert(detail::recognizes_places_of<Rig>,
+                  "places are recognised with a rectified_rig or a stereo_rig");
+    parts& p = made();
+    detail::require(p.frame == 0, "places are recognised from the first frame on");
+    detail::require(!p.stages.has_imu(), "places are not recognised by an odometry with an IMU");
+    p.recovery = std::make_unique<recovery_type>(p.exec, words, params, p.stages);
+    p.stages.recognizes_places = true;
+    p.record();
+  }
   /// Predicts the pose of camera pair b in its next frame, instead of the motion model: from wheels
   /// or an IMU. A camera that is lost is searched for there, too.
   /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
@@ -184,6 +210,7 @@ public:
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
     p.stages.inertial.forget(p.exec, b);
+    if (p.recovery != nullptr) { p.recovery->forget(p.exec, b); }
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }
@@ -199,7 +226,8 @@ public:
   allocated_bytes memory_bytes() const {
     parts const& p = made();
     return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
-           p.stages.input.allocated();
+           p.stages.input.allocated() +
+           (p.recovery != nullptr ? p.recovery->bytes() : allocated_bytes{});
   }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
@@ -222,6 +250,7 @@ private:
     std::vector<unsigned char> begun;  ///< whether there was one
     long long frame = 0;
     int stamp = 0;
+    std::unique_ptr<recovery_type> recovery;  ///< or none
     /// last: it ends first
     detail::odometry_adjustments<Exec, typename parts_of_rig::searched_rig> adjustments;
 
@@ -233,9 +262,7 @@ private:
           begun(results.size()),
           adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
       if (params.measure_stages) { clock.enable(); }
-      if (params.use_graphs) {
-        graph.record(exec, [&](Exec const& to) { queue(to); });
-      }
+      record();
     }
     parts(parts const&) = delete;
     parts& operator=(parts const&) = delete;
@@ -260,6 +287,10 @@ private:
       stages.initialize_all(exec);
       exec.wait();
       return exec;
+    }
+    void record() {
+      if (!stages.settings.use_graphs) { return; }
+      graph.record(exec, [&](Exec const& to) { queue(to); });
     }
     void queue(Exec const& to) {
       detail::stage_line<Exec> line(to, clock);

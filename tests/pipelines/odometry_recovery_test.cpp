@@ -118,7 +118,7 @@ TYPED_TEST(OdometryRecovery, FindsACameraThatWasCarriedAway) {
       EXPECT_GE(t.inliers, 30);
       EXPECT_FALSE(std::isinf(t.covariance[0]));
       ++found;
-      RecordProperty("jump_" + std::to_string(jump),
+      this->RecordProperty("jump_" + std::to_string(jump),
                      std::to_string(i + 1) + " frames, " +
                          std::to_string(error_of(t, frame.T_cw)) + " m");
       break;

@@ -10,7 +10,6 @@
 #include <memory>
 #include <ostream>
 #include <string>
-#include <type_traits>
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
@@ -63,8 +62,7 @@ class odometry {
   using parts_of_rig = detail::rig_parts<Rig>;
   using input_type = typename parts_of_rig::template input<Exec>;
   using recovery_type =
-      std::conditional_t<detail::recognizes_places_of<Rig>, detail::odometry_recovery<Exec, Rig>,
-                         detail::no_recovery>;
+      typename detail::recovery_of<Exec, typename parts_of_rig::searched_rig>::type;
 
 public:
   static constexpr memory_space space = Exec::space;
@@ -93,7 +91,7 @@ public:
     p.adjustments.end_before(p.exec, p.frame);
     p.graph.replay(p.exec, [&](Exec const& e) { p.queue(e); });
     p.exec.wait();
-    if (p.recovery != nullptr) { p.recovery->after_frame(p.exec, p.stages, p.frame); }
+    if (p.recovery != nullptr) { p.recovery->after_frame(p.exec, p.stages); }
     p.adjustments.begin_after(p.frame);
     p.take_outputs(time_ns);
     ++p.frame;
@@ -106,20 +104,19 @@ public:
     return *track(&images, &time_ns);
   }
 
-  /// From now on, lost cameras are also looked up among their map's keyframes by the words of a
-  /// vocabulary. track() does that after each frame that was not found, one camera after the other;
-  /// it waits for several steps. A camera that is found is `tracking` at once. A new map begins
-  /// only after that, in the frame in which it would without. Words of a new keyframe are computed
-  /// after its frame, which does not wait for them. Comes before the first frame; allocates.
-  /// Keyframes of a loaded map are not looked up.
+  /// From now on, a camera whose frame was not found is also looked up among the keyframes of its
+  /// map, by the words of a vocabulary. If it is found, it is `tracking` at once. Otherwise a new
+  /// map may begin, in the frame in which it would without. track() waits for several steps in such
+  /// a frame, one camera after the other. Call it before the first frame. Waits, and allocates.
+  ///
+  /// Words of a keyframe are computed after its frame, and leave with the keyframe. Files of maps
+  /// have none: keyframes of a loaded map are not looked up.
   /// @param words in executor memory, valid as long as this
-  /// @throws bad_argument after the first frame, for parameters out of range, a vocabulary that was
-  ///   never made, or an odometry with an IMU; std::bad_alloc, cuda_error
+  /// @throws bad_argument after the first frame, for parameters out of range, a vocabulary without
+  ///   words, an odometry with an IMU, or a multi_rig; std::bad_alloc, cuda_error
   void recognize_places(vocabulary_view const& words, place_recovery const& params = {}) {
-    static_assert(detail::recognizes_places_of<Rig>,
-                  "places are recognised with a rectified_rig or a stereo_rig");
     parts& p = made();
-    detail::require(p.frame == 0, "places are recognised from the first frame on");
+    detail::require(p.frame == 0, "places are recognised from the first frame on, not later");
     detail::require(!p.stages.has_imu(), "places are not recognised by an odometry with an IMU");
     p.recovery = std::make_unique<recovery_type>(p.exec, words, params, p.stages);
     p.stages.recognizes_places = true;

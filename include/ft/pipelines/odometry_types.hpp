@@ -41,8 +41,8 @@ struct odometry_params {
 /// How lost cameras are found by the words of a vocabulary.
 struct place_recovery {
   int levels_up = 4;                     ///< see transform_params
-  int candidates = 16;                   ///< keyframes that are tried, at most, the most alike first
-  std::uint64_t seed = 0;                ///< of the samples of the poses that are tried
+  int candidates = 16;                   ///< keyframes that are tried: those that are most alike
+  std::uint64_t seed = 0;                ///< of the samples of poses, with the time of the frame
   relocalization_params relocalization;  ///< `frustum` is that of the odometry
 };
 

@@ -40,8 +40,7 @@ struct keypoint_counts {
 
 /// The frame is tracked at pose T.
 FT_HOST_DEVICE inline void keep_pose(camera_track& t, rigid<double>& T_cw, pose const& T) {
-  rigid<double> const now =
-      T.cast<strict_double>().orthonormalized().cast<double>();
+  rigid<double> const now = T.cast<strict_double>().orthonormalized().cast<double>();
   if (t.lost_frames == 0) {
     t.velocity.observe(T_cw, now, t.interval_ns);
   } else {
@@ -102,9 +101,7 @@ struct judge_camera_frame {
       in.inliers[b] = 0;
       miss(t, b, counts, rules, state);
     }
-    if (state.order[b] != keyframe_order::none) {
-      note_keyframe(t, state.T_cw[b]);
-    }
+    if (state.order[b] != keyframe_order::none) { note_keyframe(t, state.T_cw[b]); }
     bool const gathers = t.adjusting == 0 && t.new_keyframe != 0 && t.map_keyframes > 1;
     state.gather[b] = gathers ? 1 : 0;
     if (gathers) {

@@ -27,9 +27,9 @@ struct looked_up_frames {
   pose const* found_T_cw = nullptr;        ///< [batch] of frames whose place is known
   int const* found_inliers = nullptr;      ///< [batch] likewise
   // Written, for cameras that were lost.
-  pose* T_cw = nullptr;      ///< [batch]
-  int* inliers = nullptr;    ///< [batch]
-  int* matches = nullptr;    ///< [batch]
+  pose* T_cw = nullptr;              ///< [batch]
+  int* inliers = nullptr;            ///< [batch]
+  int* matches = nullptr;            ///< [batch]
   unsigned char* matched = nullptr;  ///< [batch][numbers] as in searched_frames
   keyframe_order* begins = nullptr;  ///< [batch] begin_map for new maps; of all cameras
 };

@@ -131,8 +131,7 @@ struct list_live_keyframe {
     keyframes_view const& ring = map.keyframes;
     int const row = words.row(b, p);
     std::uint32_t const number = words.database.number[row];
-    bool const live = number != 0 && ring.holds(b, static_cast<int>(number)) &&
-                      ring.position(static_cast<int>(number)) == p;
+    bool const live = number != 0 && ring.holds(b, static_cast<int>(number));
     g.sync();
     if (!live && g.rank() == 0) {
       words.database.number[row] = 0;

@@ -5,9 +5,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
-#include <type_traits>
 
+#include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/keyframe_words.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -27,14 +26,9 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Whether the cameras of a rig can be found by words.
-template <typename Rig>
-inline constexpr bool recognizes_places_of = std::is_same<Rig, rectified_rig>::value;
-template <typename Left, typename Right>
-inline constexpr bool recognizes_places_of<stereo_rig<Left, Right>> = true;
-
 /// Keeps the words of keyframes, and looks up the places of lost cameras. Allocates nothing after
 /// its construction.
+/// @tparam Rig that is searched: a rectified_rig or a stereo_rig
 template <typename Exec, typename Rig>
 class odometry_recovery {
   static constexpr memory_space space = Exec::space;
@@ -52,11 +46,11 @@ public:
     int const numbers = ring.numbers();
     memory_ = owner<memory, space>([&](carver& c, memory& m) {
       auto const b = static_cast<std::size_t>(ring.batch);
-      carve(c, m.keyframes, size, max_of(words.words, 1), ring.batch);
+      carve(c, m.keyframes, size, words.words, ring.batch);
       carve(c, m.descriptors, numbers, ring.batch);
       carve(c, m.words, ring.batch, numbers);
       carve(c, m.transform, ring.batch, numbers);
-      carve(c, m.query, 1, m.keyframes.database_of(0));
+      carve(c, m.query, 1, m.keyframes.slice(0).database);
       carve(c, m.candidates, 1, ring.positions);
       carve(c, m.observations, numbers, 1);
       m.map = c.template take<int>(1);
@@ -80,7 +74,7 @@ public:
     relocalizer_ = relocalizer<Exec, Rig>(
         stages.rig, params_.relocalization,
         {ring.capacity, ring.capacity, stages.own.map.records.slots, params_.candidates});
-    clear(exec, memory_->keyframes);
+    clear(exec, memory_->keyframes.database);
     fill_bytes(exec, memory_->map, 0, sizeof(int));
     *staging_->number = ring.capacity;
     copy(exec, memory_->first_right, static_cast<int const*>(staging_->number), 1);
@@ -90,7 +84,7 @@ public:
   /// After a frame, and the wait for it: keeps the words of new keyframes, looks up lost cameras,
   /// and begins the maps of those that stay lost. Waits, if a camera is lost.
   template <typename Stages>
-  void after_frame(Exec const& exec, Stages const& stages, long long frame) {
+  void after_frame(Exec const& exec, Stages const& stages) {
     staging const& s = staging_.view();
     int const batch = stages.own.state.batch;
     bool any = false;
@@ -109,7 +103,7 @@ public:
     keep(exec, stages, stages.own.state.order);
     if (!lost) { return; }
     for (int b = 0; b < batch; ++b) {
-      if (s.outcome[b] == place_outcome::unknown && look_up(exec, stages, b, frame)) {
+      if (s.outcome[b] == place_outcome::unknown && look_up(exec, stages, b)) {
         s.outcome[b] = place_outcome::known;
       }
     }
@@ -118,9 +112,7 @@ public:
   }
 
   /// Forgets the keyframes of camera b.
-  void forget(Exec const& exec, int b) const {
-    forget_keyframe_words(exec, memory_->keyframes, b);
-  }
+  void forget(Exec const& exec, int b) const { clear(exec, memory_->keyframes.slice(b).database); }
   allocated_bytes bytes() const {
     return {memory_.bytes() + relocalizer_.bytes(), staging_.bytes()};
   }
@@ -134,11 +126,11 @@ private:
     query_workspace query;
     place_candidates_view candidates;
     observations_view observations;
-    int* map = nullptr;          ///< [1] 0
-    int* first_right = nullptr;  ///< [1]
-    int* live = nullptr;         ///< [positions][numbers] of the camera that is looked up
-    pose* T_cw = nullptr;        ///< [batch] found
-    int* inliers = nullptr;      ///< [batch] found
+    int* map = nullptr;                ///< [1] 0
+    int* first_right = nullptr;        ///< [1]
+    int* live = nullptr;               ///< [positions][numbers] of the camera that is looked up
+    pose* T_cw = nullptr;              ///< [batch] found
+    int* inliers = nullptr;            ///< [batch] found
     keyframe_order* begins = nullptr;  ///< [batch]
   };
   struct staging {
@@ -151,7 +143,7 @@ private:
   };
 
   static place_recovery const& checked(vocabulary_view const& words, place_recovery const& p) {
-    require(words.nodes > 0, "the vocabulary was never made, or was moved from");
+    require(words.words > 0, "the vocabulary has no words, was never made, or was moved from");
     require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
     require_range("candidates", p.candidates, 1, max_keyframes);
     return p;
@@ -172,13 +164,14 @@ private:
 
   /// Looks up camera b. @return whether it was found; then its keypoints hold what they see
   template <typename Stages>
-  bool look_up(Exec const& exec, Stages const& stages, int b, long long frame) {
+  bool look_up(Exec const& exec, Stages const& stages, int b) {
     memory const& m = memory_.view();
     list_live_keyframes(exec, stages.own.map, b, m.keyframes, m.live);
     slot_list const candidates = query(exec, b);
     if (candidates.count == 0) { return false; }
     relocalization_input const in = input_of(stages, b);
-    auto const seed = params_.seed + (static_cast<std::uint64_t>(frame) << 16);
+    // The time, not a count of frames: a camera's answers do not depend on the batch.
+    auto const seed = params_.seed + static_cast<std::uint64_t>(stages.own.inputs[b].time_ns);
     relocalization const found = relocalizer_.relocalize(exec, in, candidates, seed);
     if (!found.found) { return false; }
     // Once more from there, for the outliers and the covariance.
@@ -196,23 +189,17 @@ private:
   slot_list query(Exec const& exec, int b) const {
     memory const& m = memory_.view();
     staging const& s = staging_.view();
-    word_list_view bag = m.words.bag;
-    bag.frames = 1;
-    bag.count += b;
-    bag.word += m.words.bag.at(b);
-    bag.value += m.words.bag.at(b);
-    query_database(exec, {bag, m.map}, m.keyframes.database_of(b), words_.header.scoring,
-                   m.candidates, m.query);
+    query_database(exec, {m.words.bag.slice(b, 1), m.map}, m.keyframes.slice(b).database,
+                   words_.header.scoring, m.candidates, m.query);
     copy(exec, s.number, static_cast<int const*>(m.candidates.count), 1);
     copy(exec, s.candidates, static_cast<place_candidate const*>(m.candidates.of),
          static_cast<std::size_t>(m.candidates.capacity));
     exec.wait();
     int const count = *s.number;
-    std::sort(s.candidates, s.candidates + count,
-              [](place_candidate const& x, place_candidate const& y) {
-                return x.score != y.score ? x.score > y.score
-                                          : x.keyframe.number > y.keyframe.number;
-              });
+    std::sort(
+        s.candidates, s.candidates + count, [](place_candidate const& x, place_candidate const& y) {
+          return x.score != y.score ? x.score > y.score : x.keyframe.number > y.keyframe.number;
+        });
     int const kept = min_of(count, params_.candidates);
     for (int i = 0; i < kept; ++i) { s.rows[i] = s.candidates[i].keyframe.slot; }
     return {s.rows, kept};
@@ -226,23 +213,16 @@ private:
     in.frame = stages.memory.frame.slice(b);
     in.map = stages.own.map.points.slice(b);
     in.geometry = stages.geometry();
-    node_groups_view groups = m.words.groups;
-    groups.frames = 1;
-    groups.count += b;
-    groups.node += m.words.groups.at(b);
-    groups.start += m.words.groups.start_at(b);
-    groups.keypoint += m.words.groups.at(b);
-    in.words = {groups, array_of<field::orb>(in.frame.keypoints),
+    in.words = {m.words.groups.slice(b, 1), array_of<field::orb>(in.frame.keypoints),
                 array_of<field::angle>(in.frame.keypoints),
                 Rig::cameras == 2 ? m.first_right : nullptr};
-    std::ptrdiff_t const first = m.keyframes.at(b, 0);
-    in.keyframes = {m.keyframes.groups_of(b), m.keyframes.orb + first, m.keyframes.angle + first,
-                    nullptr};
+    keyframe_words_view const rows = m.keyframes.slice(b);
+    in.keyframes = {rows.groups, rows.orb, rows.angle, nullptr};
     auto& kp = in.keyframe_keypoints;
     kp.capacity = ring.capacity;
     kp.batch = ring.positions * ring.cameras;
     kp.count = ring.keypoints + ring.at(b, 0) * ring.cameras;
-    static_cast<column<field::angle>&>(kp).data = m.keyframes.angle + first;
+    static_cast<column<field::angle>&>(kp).data = rows.angle;
     static_cast<column<field::octave>&>(kp).data = ring.octave + ring.at(b, 0, 0);
     in.holder = m.live;
     return in;
@@ -278,11 +258,30 @@ private:
 
 /// Rigs whose cameras are not found by words.
 struct no_recovery {
+  /// @throws bad_argument
+  template <typename... Arguments>
+  explicit no_recovery(Arguments const&...) {
+    throw bad_argument("ft: places are not recognised with a multi_rig");
+  }
   template <typename Exec, typename Stages>
-  void after_frame(Exec const&, Stages const&, long long) const {}
+  void after_frame(Exec const&, Stages const&) const {}
   template <typename Exec>
   void forget(Exec const&, int) const {}
   allocated_bytes bytes() const { return {}; }
+};
+
+/// The recovery of an odometry. @tparam Rig that is searched
+template <typename Exec, typename Rig>
+struct recovery_of {
+  using type = no_recovery;
+};
+template <typename Exec>
+struct recovery_of<Exec, rectified_rig> {
+  using type = odometry_recovery<Exec, rectified_rig>;
+};
+template <typename Exec, typename Left, typename Right>
+struct recovery_of<Exec, stereo_rig<Left, Right>> {
+  using type = odometry_recovery<Exec, stereo_rig<Left, Right>>;
 };
 
 }  // namespace detail

@@ -18,6 +18,7 @@
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/pipelines/odometry.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/odometry_answers.hpp"
@@ -60,30 +61,31 @@ stereo_frame see(Rig const& rig, std::vector<image> const& in, ft::pose const& T
   }
 }
 
-/// The frames of all steps.
-std::vector<stereo_frame> const& walk() {
-  static auto const frames = [] {
-    std::vector<stereo_frame> all;
-    for (int i = 0; i < steps; ++i) {
-      all.push_back(see(test::room::rig(), walls(), pose_at(static_cast<float>(i))));
-    }
-    return all;
-  }();
+/// The frame of a step, rendered once.
+stereo_frame const& step(int i) {
+  static std::vector<stereo_frame> frames(steps);
+  stereo_frame& f = frames[at(i)];
+  if (f.left.empty()) { f = see(test::room::rig(), walls(), pose_at(static_cast<float>(i))); }
+  return f;
+}
+std::vector<stereo_frame> walk(int first, int count) {
+  std::vector<stereo_frame> frames;
+  for (int i = 0; i < count; ++i) { frames.push_back(step(first + i)); }
   return frames;
 }
 stereo_frame const& black() {
   static stereo_frame const frame = [] {
     image const none(at(test::room::width) * at(test::room::height));
-    return stereo_frame{none, none, walk()[0].T_cw};
+    return stereo_frame{none, none, step(0).T_cw};
   }();
   return frame;
 }
 /// Some steps, black images, and a place that was seen `back` steps before the last one.
 std::vector<stereo_frame> carried_back(int first, int count, int back) {
-  std::vector<stereo_frame> frames(walk().begin() + first, walk().begin() + first + count);
+  auto frames = walk(first, count);
   frames.push_back(black());
   frames.push_back(black());
-  frames.push_back(walk()[at(first + count - 1 - back)]);
+  frames.push_back(step(first + count - 1 - back));
   return frames;
 }
 
@@ -118,15 +120,21 @@ ft::place_recovery how() {
   return p;
 }
 
-/// Descriptors of the map of an odometry on the host.
-template <typename Odometry>
-std::vector<ft::descriptor> descriptors_of(Odometry const& odo) {
-  auto const map = odo.map();
-  std::vector<ft::descriptor> all;
-  for (int slot = 0; slot < map.records.used[0]; ++slot) {
-    if (map.records.holds_point(0, slot)) { all.push_back(map.points.orb(slot)); }
-  }
-  return all;
+/// A vocabulary that is trained with the keypoints of some frames.
+ft::vocabulary<ft::memory_space::host> const& trained() {
+  static auto const words = [] {
+    ft::host_exec const exec;
+    ft::orb_extractor<ft::host_exec> extractor(exec, params().orb, 1);
+    std::vector<ft::descriptor> all;
+    for (int i = 0; i < steps; i += 4) {
+      extractor.upload(exec, 0, test::room::view(step(i).left));
+      extractor.extract(exec);
+      auto const keypoints = extractor.keypoints();
+      for (int k = 0; k < *keypoints.count; ++k) { all.push_back(keypoints.orb(k)); }
+    }
+    return ft::make_vocabulary(test::trained_vocabulary(all, 10, 3).arrays());
+  }();
+  return words;
 }
 
 /// Places of its map that a camera is carried to, each far from the one before.
@@ -158,13 +166,13 @@ template <typename Odometry>
 journey carry(Odometry& odo) {
   journey j;
   std::int64_t time = 0;
-  for (auto const& f : walk()) { odo.track(images_of(f), time += period); }
-  EXPECT_TRUE(is_right(odo.last(), walk().back().T_cw, walk()[0].T_cw));
+  for (int i = 0; i < steps; ++i) { odo.track(images_of(step(i)), time += period); }
+  EXPECT_TRUE(is_right(odo.last(), step(steps - 1).T_cw, step(0).T_cw));
   for (auto const& f : jumps()) {
     bool found = false;
     for (int i = 0; i < 3 && !found; ++i) {
       auto const t = odo.track(images_of(f), time += period);
-      found = is_right(t, f.T_cw, walk()[0].T_cw);
+      found = is_right(t, f.T_cw, step(0).T_cw);
       j.wrong += static_cast<int>(!found && t.state == ft::tracking_state::tracking);
     }
     j.found += static_cast<int>(found);
@@ -175,22 +183,6 @@ ft::odometry_params patient() {
   auto p = params();
   p.rules.patience = 1000;
   return p;
-}
-
-/// A journey without a vocabulary, and the vocabulary that is trained with its map.
-struct control {
-  journey done;
-  ft::vocabulary<ft::memory_space::host> words;
-};
-control const& without_words() {
-  static control const made = [] {
-    ft::odometry odo(ft::host_exec(), test::room::rig(), patient());
-    control c;
-    c.done = carry(odo);
-    c.words = ft::make_vocabulary(test::trained_vocabulary(descriptors_of(odo), 10, 3).arrays());
-    return c;
-  }();
-  return made;
 }
 
 template <typename Odometry>
@@ -218,7 +210,7 @@ protected:
 
   void SetUp() override {
     test::on_backend<Backend>::SetUp();
-    if (!this->IsSkipped()) { words = ft::upload(exec, without_words().words.view()); }
+    if (!this->IsSkipped()) { words = ft::upload(exec, trained().view()); }
   }
 };
 TYPED_TEST_SUITE(OdometryRecovery, test::backends);
@@ -233,14 +225,16 @@ TYPED_TEST(OdometryRecovery, FindsACameraThatWasCarriedAway) {
   EXPECT_EQ(odo.last().maps, 1);
   EXPECT_GE(odo.last().inliers, 30);
   EXPECT_LT(odo.last().covariance[0], 1e-3);
-  EXPECT_LT(without_words().done.found, all / 2) << "the words did not make the difference";
+  ft::odometry plain(this->exec, test::room::rig(), patient());
+  journey const without = carry(plain);
+  EXPECT_LT(without.found, all / 2) << "the words did not make the difference";
   this->RecordProperty("found", with.found);
-  this->RecordProperty("found_without_words", without_words().done.found);
+  this->RecordProperty("found_without_words", without.found);
 }
 
 TYPED_TEST(OdometryRecovery, ClaimsNoPlaceThatWasNeverSeen) {
   // The new map begins in the frame in which it does without a vocabulary.
-  std::vector<stereo_frame> frames(walk().begin(), walk().begin() + 6);
+  auto frames = walk(0, 6);
   auto const other = test::room::make_walls(3);
   for (int i = 0; i < 7; ++i) {
     frames.push_back(see(test::room::rig(), other, pose_at(static_cast<float>(i))));
@@ -340,7 +334,7 @@ ft::vocabulary<Exec::space> use_file(Exec const& exec, std::istream& file,
 
 TYPED_TEST(OdometryRecovery, ForgetsTheKeyframesOfAMapThatIsReplaced) {
   std::stringstream file;
-  ft::save_vocabulary(file, without_words().words.view());
+  ft::save_vocabulary(file, trained().view());
   ft::odometry odo(this->exec, test::room::rig(), narrow());
   auto const loaded = use_file(this->exec, file, odo);
   auto const frames = carried_back(0, 9, 7);
@@ -362,7 +356,7 @@ TYPED_TEST(OdometryRecovery, RefusesWhatCannotBe) {
   p = how();
   p.levels_up = -1;
   EXPECT_THROW(odo.recognize_places(view, p), ft::bad_argument);
-  odo.track(images_of(walk()[0]), period);
+  odo.track(images_of(step(0)), period);
   EXPECT_THROW(odo.recognize_places(view, how()), ft::bad_argument);
   auto with_imu = params();
   with_imu.imu.present = true;
@@ -380,7 +374,7 @@ TYPED_TEST(OdometryRecovery, RefusesWhatCannotBe) {
 TEST(OdometryRecoveryOnTheHost, AllocatesNothingInAFrame) {
   auto const frames = carried_back(0, 9, 7);
   ft::odometry odo(ft::host_exec(1), test::room::rig(), narrow());
-  odo.recognize_places(without_words().words.view(), how());
+  odo.recognize_places(trained().view(), how());
   test::allocation_count const allocations;
   auto const one = std::make_unique<int>(1);
   if (allocations.so_far() == 0) { GTEST_SKIP() << "this program does not count allocations"; }
@@ -396,7 +390,7 @@ TEST(OdometryRecoveryParity, HostAndDeviceGiveTheSameBits) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
   auto const frames = carried_back(0, 9, 7);
-  auto const& host = without_words().words;
+  auto const& host = trained();
   auto const words = ft::upload(backend.exec, host.view());
   test::expect_same(run_with_words(backend.exec, frames, words.view()),
                     run_with_words(ft::host_exec(), frames, host.view()));

@@ -36,6 +36,18 @@ struct frame_view {
   FT_HOST_DEVICE int numbers() const { return cameras * keypoints.capacity; }
   FT_HOST_DEVICE int image(int b, int c) const { return keypoint_step * b + camera_step * c; }
   FT_HOST_DEVICE keypoints_view camera(int b, int c) const { return keypoints.slice(image(b, c)); }
+  /// Only batch entry b.
+  frame_view slice(int b) const {
+    frame_view v = *this;
+    auto const first = static_cast<std::ptrdiff_t>(b) * numbers();
+    v.keypoints = keypoints.slice(image(b, 0));
+    v.grids = grids.slice(cameras * b);
+    v.batch = 1;
+    if (right_x != nullptr) { v.right_x += first; }
+    if (partner != nullptr) { v.partner += first; }
+    if (holder != nullptr) { v.holder += first; }
+    return v;
+  }
   /// The frame as a batch of the independent searches of a rig; search s of batch entry b is entry
   /// `searches * b + s`.
   frame_view of_searches(int searches) const {

@@ -31,6 +31,10 @@ struct word_list_view {
   FT_HOST_DEVICE std::ptrdiff_t at(int frame) const {
     return static_cast<std::ptrdiff_t>(frame) * capacity;
   }
+  /// Some of the frames.
+  word_list_view slice(int first, int number) const {
+    return {number, capacity, count + first, word + at(first), value + at(first)};
+  }
 };
 static_assert(std::is_trivially_copyable<word_list_view>::value, "passed to kernels");
 
@@ -59,6 +63,15 @@ struct node_groups_view {
   }
   FT_HOST_DEVICE std::ptrdiff_t start_at(int frame) const {
     return static_cast<std::ptrdiff_t>(frame) * (capacity + 1);
+  }
+  /// Some of the frames.
+  node_groups_view slice(int first, int number) const {
+    return {number,
+            capacity,
+            count + first,
+            node + at(first),
+            start + start_at(first),
+            keypoint + at(first)};
   }
 };
 static_assert(std::is_trivially_copyable<node_groups_view>::value, "passed to kernels");

@@ -14,6 +14,7 @@
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/vocabulary.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -24,6 +25,7 @@
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
+#include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/detail/rectifying_parts.hpp"
@@ -59,6 +61,8 @@ class odometry {
   using stages_type = detail::odometry_stages<Exec, Rig>;
   using parts_of_rig = detail::rig_parts<Rig>;
   using input_type = typename parts_of_rig::template input<Exec>;
+  using recovery_type =
+      typename detail::recovery_of<Exec, typename parts_of_rig::searched_rig>::type;
 
 public:
   static constexpr memory_space space = Exec::space;
@@ -87,6 +91,7 @@ public:
     p.adjustments.end_before(p.exec, p.frame);
     p.graph.replay(p.exec, [&](Exec const& e) { p.queue(e); });
     p.exec.wait();
+    if (p.recovery != nullptr) { p.recovery->after_frame(p.exec, p.stages); }
     p.adjustments.begin_after(p.frame);
     p.take_outputs(time_ns);
     ++p.frame;
@@ -99,6 +104,24 @@ public:
     return *track(&images, &time_ns);
   }
 
+  /// From now on, a camera whose frame was not found is also looked up among the keyframes of its
+  /// map, by the words of a vocabulary. If it is found, it is `tracking` at once. Otherwise a new
+  /// map may begin, in the frame in which it would without. track() waits for several steps in such
+  /// a frame, one camera after the other. Call it before the first frame. Waits, and allocates.
+  ///
+  /// Words of a keyframe are computed after its frame, and leave with the keyframe. Files of maps
+  /// have none: keyframes of a loaded map are not looked up.
+  /// @param words in executor memory, valid as long as this
+  /// @throws bad_argument after the first frame, for parameters out of range, a vocabulary without
+  ///   words, an odometry with an IMU, or a multi_rig; std::bad_alloc, cuda_error
+  void recognize_places(vocabulary_view const& words, place_recovery const& params = {}) {
+    parts& p = made();
+    detail::require(p.frame == 0, "places are recognised from the first frame on, not later");
+    detail::require(!p.stages.has_imu(), "places are not recognised by an odometry with an IMU");
+    p.recovery = std::make_unique<recovery_type>(p.exec, words, params, p.stages);
+    p.stages.recognizes_places = true;
+    p.record();
+  }
   /// Predicts the pose of camera pair b in its next frame, instead of the motion model: from wheels
   /// or an IMU. A camera that is lost is searched for there, too.
   /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
@@ -184,6 +207,7 @@ public:
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
     p.stages.inertial.forget(p.exec, b);
+    if (p.recovery != nullptr) { p.recovery->forget(p.exec, b); }
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }
@@ -199,7 +223,8 @@ public:
   allocated_bytes memory_bytes() const {
     parts const& p = made();
     return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
-           p.stages.input.allocated();
+           p.stages.input.allocated() +
+           (p.recovery != nullptr ? p.recovery->bytes() : allocated_bytes{});
   }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
@@ -222,6 +247,7 @@ private:
     std::vector<unsigned char> begun;  ///< whether there was one
     long long frame = 0;
     int stamp = 0;
+    std::unique_ptr<recovery_type> recovery;  ///< or none
     /// last: it ends first
     detail::odometry_adjustments<Exec, typename parts_of_rig::searched_rig> adjustments;
 
@@ -233,9 +259,7 @@ private:
           begun(results.size()),
           adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
       if (params.measure_stages) { clock.enable(); }
-      if (params.use_graphs) {
-        graph.record(exec, [&](Exec const& to) { queue(to); });
-      }
+      record();
     }
     parts(parts const&) = delete;
     parts& operator=(parts const&) = delete;
@@ -260,6 +284,10 @@ private:
       stages.initialize_all(exec);
       exec.wait();
       return exec;
+    }
+    void record() {
+      if (!stages.settings.use_graphs) { return; }
+      graph.record(exec, [&](Exec const& to) { queue(to); });
     }
     void queue(Exec const& to) {
       detail::stage_line<Exec> line(to, clock);

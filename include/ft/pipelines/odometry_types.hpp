@@ -13,6 +13,7 @@
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/pipelines/imu_params.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/relocalization_types.hpp"
 #include "ft/pipelines/rig_images.hpp"
 
 namespace ft {
@@ -35,6 +36,14 @@ struct odometry_params {
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
+};
+
+/// How lost cameras are found by the words of a vocabulary.
+struct place_recovery {
+  int levels_up = 4;                     ///< see transform_params
+  int candidates = 16;                   ///< keyframes that are tried: those that are most alike
+  std::uint64_t seed = 0;                ///< of the samples of poses, with the time of the frame
+  relocalization_params relocalization;  ///< `frustum` is that of the odometry
 };
 
 /// What is known about a camera after a frame.

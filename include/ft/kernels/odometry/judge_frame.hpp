@@ -38,6 +38,39 @@ struct keypoint_counts {
   int with_depth = 0, held = 0, near_held = 0, near_free = 0;
 };
 
+/// The frame is tracked at pose T.
+FT_HOST_DEVICE inline void keep_pose(camera_track& t, rigid<double>& T_cw, pose const& T) {
+  rigid<double> const now = T.cast<strict_double>().orthonormalized().cast<double>();
+  if (t.lost_frames == 0) {
+    t.velocity.observe(T_cw, now, t.interval_ns);
+  } else {
+    t.velocity.rest();
+  }
+  T_cw = now;
+  t.lost_frames = 0;
+  t.lost_with_features = 0;
+  t.state = tracking_state::tracking;
+}
+
+/// The frame begins a new map.
+FT_HOST_DEVICE inline void begin_map(camera_track& t) {
+  t.leave_map();
+  t.velocity.rest();
+  t.lost_frames = 0;
+  t.lost_with_features = 0;
+  t.state = tracking_state::tracking;
+  ++t.maps;
+}
+
+/// The frame becomes a keyframe.
+FT_HOST_DEVICE inline void note_keyframe(camera_track& t, rigid<double> const& T_cw) {
+  t.keyframe = T_cw;
+  t.keyframe_ns = t.time_ns;
+  t.new_keyframe = 1;
+  ++t.map_keyframes;
+  ++t.keyframes;
+}
+
 /// Item: a camera.
 struct judge_camera_frame {
   using scratch = no_scratch;
@@ -68,13 +101,7 @@ struct judge_camera_frame {
       in.inliers[b] = 0;
       miss(t, b, counts, rules, state);
     }
-    if (state.order[b] != keyframe_order::none) {
-      t.keyframe = state.T_cw[b];
-      t.keyframe_ns = t.time_ns;
-      t.new_keyframe = 1;
-      ++t.map_keyframes;
-      ++t.keyframes;
-    }
+    if (state.order[b] != keyframe_order::none) { note_keyframe(t, state.T_cw[b]); }
     bool const gathers = t.adjusting == 0 && t.new_keyframe != 0 && t.map_keyframes > 1;
     state.gather[b] = gathers ? 1 : 0;
     if (gathers) {
@@ -112,21 +139,6 @@ private:
             g.reduce(n.near_held, sum_op{}), g.reduce(n.near_free, sum_op{})};
   }
 
-  /// The frame is tracked at pose T.
-  FT_HOST_DEVICE static void keep_pose(camera_track& t, rigid<double>& T_cw, pose const& T) {
-    rigid<double> const now =
-        T.template cast<strict_double>().orthonormalized().template cast<double>();
-    if (t.lost_frames == 0) {
-      t.velocity.observe(T_cw, now, t.interval_ns);
-    } else {
-      t.velocity.rest();
-    }
-    T_cw = now;
-    t.lost_frames = 0;
-    t.lost_with_features = 0;
-    t.state = tracking_state::tracking;
-  }
-
   /// The frame is not tracked. The motion goes on, slower and slower, until the camera is found or
   /// a new map is begun where it is thought to be.
   FT_HOST_DEVICE static void miss(camera_track& t, int b, keypoint_counts const& counts,
@@ -142,12 +154,7 @@ private:
           t.lost_frames < recovery_attempts ? tracking_state::recovering : tracking_state::lost;
     }
     if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
-    t.leave_map();
-    t.velocity.rest();
-    t.lost_frames = 0;
-    t.lost_with_features = 0;
-    t.state = tracking_state::tracking;
-    ++t.maps;
+    begin_map(t);
     state.order[b] = keyframe_order::begin_map;
   }
 

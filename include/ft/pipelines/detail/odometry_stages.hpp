@@ -2,6 +2,8 @@
 /// @file The stages of a frame of an odometry, on its memory.
 #pragma once
 
+#include <limits>
+
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/side_branch.hpp"
@@ -38,6 +40,8 @@ public:
   odometry_memory<Exec> own;
   odometry_inertial<Exec> inertial;
   typename rig_parts<Rig>::template input<Exec> input;
+  /// Whether lost cameras begin a new map after the frame, not in it.
+  bool recognizes_places = false;
 
   // ---- the beginning, beside images and keypoints
 
@@ -89,7 +93,9 @@ public:
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
-    judge_frames(exec, settings.rules, in, own.state);
+    tracking_rules rules = settings.rules;
+    if (recognizes_places) { rules.patience = std::numeric_limits<int>::max(); }
+    judge_frames(exec, rules, in, own.state);
   }
   void count_points(Exec const& exec) const {
     sightings_input in;
@@ -99,11 +105,13 @@ public:
     in.stamps = {memory.motion.device.stamp, memory.stamps};
     count_sightings(exec, memory.frame, in, own.map);
   }
-  void insert(Exec const& exec) const {
+  void insert(Exec const& exec) const { insert(exec, own.state.order); }
+  /// @param order [batch] instead of that of the state
+  void insert(Exec const& exec, keyframe_order const* order) const {
     keyframe_input<typename base::searched_rig> in{};
     in.rig = this->rig;
     in.frame = memory.frame;
-    in.order = own.state.order;
+    in.order = order;
     in.T_cw = own.state.T_cw;
     in.time_ns = own.state.time_ns;
     in.depth = this->matcher.depth();

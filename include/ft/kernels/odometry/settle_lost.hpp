@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: what follows for a lost camera after its place was looked up.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/frame.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/odometry/judge_frame.hpp"
+#include "ft/kernels/odometry/state.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Whether the place of a camera was looked up, and known.
+enum class place_outcome : int { not_lost = 0, unknown = 1, known = 2 };
+
+/// Frames of cameras, of which some were lost and looked up. Executor memory, unless said
+/// otherwise.
+struct looked_up_frames {
+  frame_view frame;
+  place_outcome const* outcome = nullptr;  ///< [batch] memory that the executor's threads read
+  pose const* found_T_cw = nullptr;        ///< [batch] of frames whose place is known
+  int const* found_inliers = nullptr;      ///< [batch] likewise
+  // Written, for cameras that were lost.
+  pose* T_cw = nullptr;              ///< [batch]
+  int* inliers = nullptr;            ///< [batch]
+  int* matches = nullptr;            ///< [batch]
+  unsigned char* matched = nullptr;  ///< [batch][numbers] as in searched_frames
+  keyframe_order* begins = nullptr;  ///< [batch] begin_map for new maps; of all cameras
+};
+
+namespace detail {
+
+/// Item: a camera.
+struct settle_lost_camera {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
+                                 looked_up_frames const& in,
+                                 odometry_state_view const& state) const {
+    if (g.rank() == 0) { in.begins[b] = keyframe_order::none; }
+    if (in.outcome[b] == place_outcome::not_lost) { return; }
+    bool const found =
+        in.outcome[b] == place_outcome::known && in.found_inliers[b] >= rules.min_recovered;
+    int held = 0;
+    auto const first = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+    for (int i = g.rank(); i < in.frame.numbers(); i += g.size()) {
+      int const c = i / in.frame.capacity();
+      bool const there = i - c * in.frame.capacity() < *in.frame.camera(b, c).count;
+      int& holder = in.frame.holder[first + i];
+      if (!found || !there) { holder = -1; }
+      in.matched[first + i] = holder >= 0 ? 1 : 0;
+      held += static_cast<int>(holder >= 0);
+    }
+    held = g.reduce(held, sum_op{});
+    if (g.rank() != 0) { return; }
+    camera_track t = state.tracks[b];
+    if (found) {
+      keep_pose(t, state.T_cw[b], in.found_T_cw[b]);
+      in.T_cw[b] = state.T_cw[b].template cast<float>();
+      in.inliers[b] = in.found_inliers[b];
+      in.matches[b] = held;
+    } else if (t.lost_with_features >= rules.patience) {
+      // The adjustment of the old map that this frame gathered is not begun.
+      if (state.gather[b] != 0) { t.adjusting = 0; }
+      state.gather[b] = 0;
+      begin_map(t);
+      note_keyframe(t, state.T_cw[b]);
+      in.begins[b] = state.order[b] = keyframe_order::begin_map;
+    }
+    state.tracks[b] = t;
+  }
+};
+
+}  // namespace detail
+
+/// Lost cameras whose place is known are tracked at the pose that was found, if it has
+/// min_recovered inliers. The others begin a new map if `patience` is at its end, as judge_frames()
+/// decides without a look-up. Keypoints of a frame that is not found hold nothing. Asynchronous on
+/// `exec`; allocates nothing; one launch.
+template <typename Exec>
+void settle_lost_frames(Exec const& exec, tracking_rules const& rules, looked_up_frames const& in,
+                        odometry_state_view const& state) {
+  for_each_item<per_block<256>>(exec, state.batch, detail::settle_lost_camera{}, rules, in, state);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,289 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Finds lost cameras of an odometry by words, in calls beside the recorded frame.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/keyframe_words.hpp"
+#include "ft/containers/vocabulary.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/odometry/settle_lost.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
+#include "ft/kernels/words/keyframe_words.hpp"
+#include "ft/kernels/words/query_database.hpp"
+#include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+#include "ft/pipelines/relocalizer.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Keeps the words of keyframes, and looks up the places of lost cameras. Allocates nothing after
+/// its construction.
+/// @tparam Rig that is searched: a rectified_rig or a stereo_rig
+template <typename Exec, typename Rig>
+class odometry_recovery {
+  static constexpr memory_space space = Exec::space;
+
+public:
+  /// @param stages of the odometry, with all memory
+  /// @throws bad_argument for parameters out of range, or a vocabulary that was never made;
+  ///   std::bad_alloc, cuda_error
+  template <typename Stages>
+  odometry_recovery(Exec const& exec, vocabulary_view const& words, place_recovery const& params,
+                    Stages const& stages)
+      : words_(words), params_(checked(words, params)) {
+    keyframes_view const& ring = stages.own.map.keyframes;
+    keyframes_capacity const size{ring.positions, ring.cameras, ring.capacity};
+    int const numbers = ring.numbers();
+    memory_ = owner<memory, space>([&](carver& c, memory& m) {
+      auto const b = static_cast<std::size_t>(ring.batch);
+      carve(c, m.keyframes, size, words.words, ring.batch);
+      carve(c, m.descriptors, numbers, ring.batch);
+      carve(c, m.words, ring.batch, numbers);
+      carve(c, m.transform, ring.batch, numbers);
+      carve(c, m.query, 1, m.keyframes.slice(0).database);
+      carve(c, m.candidates, 1, ring.positions);
+      carve(c, m.observations, numbers, 1);
+      m.map = c.template take<int>(1);
+      m.first_right = c.template take<int>(1);
+      m.live = c.template take<int>(static_cast<std::size_t>(ring.positions) *
+                                    static_cast<std::size_t>(numbers));
+      m.T_cw = c.template take<pose>(b);
+      m.inliers = c.template take<int>(b);
+      m.begins = c.template take<keyframe_order>(b);
+    });
+    staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
+      auto const b = static_cast<std::size_t>(ring.batch);
+      s.wanted = c.template take<int>(b);
+      s.outcome = c.template take<place_outcome>(b);
+      s.number = c.template take<int>(1);
+      s.candidates = c.template take<place_candidate>(static_cast<std::size_t>(ring.positions));
+      s.rows = c.template take<int>(static_cast<std::size_t>(params_.candidates));
+      s.T_cw = c.template take<pose>(1);
+    });
+    params_.relocalization.frustum = stages.frustum;
+    relocalizer_ = relocalizer<Exec, Rig>(
+        stages.rig, params_.relocalization,
+        {ring.capacity, ring.capacity, stages.own.map.records.slots, params_.candidates});
+    clear(exec, memory_->keyframes.database);
+    fill_bytes(exec, memory_->map, 0, sizeof(int));
+    *staging_->number = ring.capacity;
+    copy(exec, memory_->first_right, static_cast<int const*>(staging_->number), 1);
+    exec.wait();
+  }
+
+  /// After a frame, and the wait for it: keeps the words of new keyframes, looks up lost cameras,
+  /// and begins the maps of those that stay lost. Waits, if a camera is lost.
+  template <typename Stages>
+  void after_frame(Exec const& exec, Stages const& stages) {
+    staging const& s = staging_.view();
+    int const batch = stages.own.state.batch;
+    bool any = false;
+    bool lost = false;
+    for (int b = 0; b < batch; ++b) {
+      odometry_output const& out = stages.own.outputs[b];
+      bool const is_lost =
+          out.state == tracking_state::recovering || out.state == tracking_state::lost;
+      s.wanted[b] = is_lost || out.keyframe != 0 ? 1 : 0;
+      s.outcome[b] = is_lost ? place_outcome::unknown : place_outcome::not_lost;
+      any = any || s.wanted[b] != 0;
+      lost = lost || is_lost;
+    }
+    if (!any) { return; }
+    describe(exec, stages.memory.frame);
+    keep(exec, stages, stages.own.state.order);
+    if (!lost) { return; }
+    for (int b = 0; b < batch; ++b) {
+      if (s.outcome[b] == place_outcome::unknown && look_up(exec, stages, b)) {
+        s.outcome[b] = place_outcome::known;
+      }
+    }
+    settle(exec, stages);
+    exec.wait();
+  }
+
+  /// Forgets the keyframes of camera b.
+  void forget(Exec const& exec, int b) const { clear(exec, memory_->keyframes.slice(b).database); }
+  allocated_bytes bytes() const {
+    return {memory_.bytes() + relocalizer_.bytes(), staging_.bytes()};
+  }
+
+private:
+  struct memory {
+    keyframe_words_view keyframes;
+    descriptors_view descriptors;  ///< of the frames
+    frame_words_view words;        ///< likewise
+    transform_workspace transform;
+    query_workspace query;
+    place_candidates_view candidates;
+    observations_view observations;
+    int* map = nullptr;                ///< [1] 0
+    int* first_right = nullptr;        ///< [1]
+    int* live = nullptr;               ///< [positions][numbers] of the camera that is looked up
+    pose* T_cw = nullptr;              ///< [batch] found
+    int* inliers = nullptr;            ///< [batch] found
+    keyframe_order* begins = nullptr;  ///< [batch]
+  };
+  struct staging {
+    int* wanted = nullptr;             ///< [batch] which a device reads
+    place_outcome* outcome = nullptr;  ///< [batch] likewise
+    int* number = nullptr;
+    place_candidate* candidates = nullptr;  ///< [positions]
+    int* rows = nullptr;                    ///< [candidates]
+    pose* T_cw = nullptr;
+  };
+
+  static place_recovery const& checked(vocabulary_view const& words, place_recovery const& p) {
+    require(words.words > 0, "the vocabulary has no words, was never made, or was moved from");
+    require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
+    require_range("candidates", p.candidates, 1, max_keyframes);
+    return p;
+  }
+
+  /// Words and groups of the wanted frames.
+  void describe(Exec const& exec, frame_view const& frame) const {
+    memory const& m = memory_.view();
+    gather_descriptors(exec, frame, staging_->wanted, m.descriptors);
+    transform_to_words(exec, words_, m.descriptors, {params_.levels_up}, m.words, m.transform);
+    if (frame.cameras > 1) { number_keypoints(exec, frame, m.words.groups); }
+  }
+  template <typename Stages>
+  void keep(Exec const& exec, Stages const& stages, keyframe_order const* order) const {
+    keep_keyframe_words(exec, stages.memory.frame, order, stages.own.map.keyframes, memory_->words,
+                        memory_->keyframes);
+  }
+
+  /// Looks up camera b. @return whether it was found; then its keypoints hold what they see
+  template <typename Stages>
+  bool look_up(Exec const& exec, Stages const& stages, int b) {
+    memory const& m = memory_.view();
+    list_live_keyframes(exec, stages.own.map, b, m.keyframes, m.live);
+    slot_list const candidates = query(exec, b);
+    if (candidates.count == 0) { return false; }
+    relocalization_input const in = input_of(stages, b);
+    // The time, not a count of frames: a camera's answers do not depend on the batch.
+    auto const seed = params_.seed + static_cast<std::uint64_t>(stages.own.inputs[b].time_ns);
+    relocalization const found = relocalizer_.relocalize(exec, in, candidates, seed);
+    if (!found.found) { return false; }
+    // Once more from there, for the outliers and the covariance.
+    *staging_->T_cw = found.T_cw;
+    copy(exec, m.T_cw + b, static_cast<pose const*>(staging_->T_cw), 1);
+    frame_poses poses{m.T_cw + b, m.T_cw + b, m.observations,
+                      stages.own.information + static_cast<std::ptrdiff_t>(b) * information_terms};
+    poses.observations.inliers = m.inliers + b;
+    optimize_frame_poses(exec, stages.rig, {in.frame, in.map, in.geometry}, poses);
+    exec.wait();
+    return true;
+  }
+
+  /// Rows of the keyframes that look like frame b, the best first.
+  slot_list query(Exec const& exec, int b) const {
+    memory const& m = memory_.view();
+    staging const& s = staging_.view();
+    query_database(exec, {m.words.bag.slice(b, 1), m.map}, m.keyframes.slice(b).database,
+                   words_.header.scoring, m.candidates, m.query);
+    copy(exec, s.number, static_cast<int const*>(m.candidates.count), 1);
+    copy(exec, s.candidates, static_cast<place_candidate const*>(m.candidates.of),
+         static_cast<std::size_t>(m.candidates.capacity));
+    exec.wait();
+    int const count = *s.number;
+    std::sort(
+        s.candidates, s.candidates + count, [](place_candidate const& x, place_candidate const& y) {
+          return x.score != y.score ? x.score > y.score : x.keyframe.number > y.keyframe.number;
+        });
+    int const kept = min_of(count, params_.candidates);
+    for (int i = 0; i < kept; ++i) { s.rows[i] = s.candidates[i].keyframe.slot; }
+    return {s.rows, kept};
+  }
+
+  template <typename Stages>
+  relocalization_input input_of(Stages const& stages, int b) const {
+    memory const& m = memory_.view();
+    keyframes_view const& ring = stages.own.map.keyframes;
+    relocalization_input in;
+    in.frame = stages.memory.frame.slice(b);
+    in.map = stages.own.map.points.slice(b);
+    in.geometry = stages.geometry();
+    in.words = {m.words.groups.slice(b, 1), array_of<field::orb>(in.frame.keypoints),
+                array_of<field::angle>(in.frame.keypoints),
+                Rig::cameras == 2 ? m.first_right : nullptr};
+    keyframe_words_view const rows = m.keyframes.slice(b);
+    in.keyframes = {rows.groups, rows.orb, rows.angle, nullptr};
+    auto& kp = in.keyframe_keypoints;
+    kp.capacity = ring.capacity;
+    kp.batch = ring.positions * ring.cameras;
+    kp.count = ring.keypoints + ring.at(b, 0) * ring.cameras;
+    static_cast<column<field::angle>&>(kp).data = rows.angle;
+    static_cast<column<field::octave>&>(kp).data = ring.octave + ring.at(b, 0, 0);
+    in.holder = m.live;
+    return in;
+  }
+
+  /// States, new maps and results after the look-ups.
+  template <typename Stages>
+  void settle(Exec const& exec, Stages const& stages) const {
+    memory const& m = memory_.view();
+    looked_up_frames in;
+    in.frame = stages.memory.frame;
+    in.outcome = staging_->outcome;
+    in.found_T_cw = m.T_cw;
+    in.found_inliers = m.inliers;
+    in.T_cw = stages.memory.poses;
+    in.inliers = stages.memory.observations.inliers;
+    in.matches = stages.memory.local_work.matches;
+    in.matched = stages.own.matched;
+    in.begins = m.begins;
+    settle_lost_frames(exec, stages.settings.rules, in, stages.own.state);
+    stages.insert(exec, m.begins);
+    keep(exec, stages, m.begins);
+    stages.pack_matches(exec, stages.outcome_of_local());
+    stages.pack_outputs(exec);
+  }
+
+  vocabulary_view words_;
+  place_recovery params_;
+  relocalizer<Exec, Rig> relocalizer_;
+  owner<memory, space> memory_;
+  owner<staging, staging_space<Exec>> staging_;
+};
+
+/// Rigs whose cameras are not found by words.
+struct no_recovery {
+  /// @throws bad_argument
+  template <typename... Arguments>
+  explicit no_recovery(Arguments const&...) {
+    throw bad_argument("ft: places are not recognised with a multi_rig");
+  }
+  template <typename Exec, typename Stages>
+  void after_frame(Exec const&, Stages const&) const {}
+  template <typename Exec>
+  void forget(Exec const&, int) const {}
+  allocated_bytes bytes() const { return {}; }
+};
+
+/// The recovery of an odometry. @tparam Rig that is searched
+template <typename Exec, typename Rig>
+struct recovery_of {
+  using type = no_recovery;
+};
+template <typename Exec>
+struct recovery_of<Exec, rectified_rig> {
+  using type = odometry_recovery<Exec, rectified_rig>;
+};
+template <typename Exec, typename Left, typename Right>
+struct recovery_of<Exec, stereo_rig<Left, Right>> {
+  using type = odometry_recovery<Exec, stereo_rig<Left, Right>>;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

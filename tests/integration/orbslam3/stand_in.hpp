@@ -13,7 +13,7 @@
 #include <mutex>
 #include <vector>
 
-#include "tests/integration/orbslam3/stand_in_motion.hpp"
+#include "stand_in_motion.hpp"  // also used by a project outside, without the root in its path
 #if FT_TEST_OPENCV
 #include <opencv2/core.hpp>
 #else

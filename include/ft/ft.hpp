@@ -107,6 +107,7 @@
 #include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
 #include "ft/kernels/keypoints/pattern.hpp"
+#include "ft/kernels/keypoints/refine_positions.hpp"
 #include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/count_sightings.hpp"

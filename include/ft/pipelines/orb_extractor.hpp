@@ -38,6 +38,9 @@ struct orb_params {
   /// them to be; see pyramid_geometry::exact. The keypoints themselves are the same. An odometry
   /// always does so.
   bool exact_positions = false;
+  /// Keypoints lie between pixels, as refine_positions() places them: not those of ORB-SLAM3. An
+  /// odometry of a stereo_rig does so.
+  bool refine_positions = false;
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
 };
@@ -71,6 +74,7 @@ public:
     s.geometry.exact = params.exact_positions;
     s.thresholds = {params.ini_threshold, params.min_threshold};
     s.ties = params.ties;
+    s.refines = params.refine_positions;
     s.blur_tiles = blur_layout::make(s.geometry);
     corner_layout const cells = corner_layout::make(s.geometry);
     distribution_layout const quad = distribution_layout::make(s.geometry, params.features);

@@ -18,6 +18,7 @@
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/refine_positions.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
@@ -35,6 +36,7 @@ struct extraction {
   blur_layout blur_tiles;
   corner_params thresholds;
   tie_rule ties = tie_rule::stable;
+  bool refines = false;  ///< positions
   image_pyramid_view pyramid;
   image_pyramid_view blurred;
   corners_view corners;
@@ -50,6 +52,7 @@ struct extraction {
   frame_arrivals arrivals;
 
   description_source described_in() const { return {pyramid, blurred, pattern}; }
+  bool refines_positions() const { return refines; }
   bool has_masks() const { return masks.data != nullptr; }
   /// Whether tiles of the pyramid wait for their rows while later rows are still being uploaded.
   bool pyramid_overlaps_upload() const { return Exec::asynchronous && tiles.groups == 1; }
@@ -92,6 +95,8 @@ struct extraction {
     describe_corners(exec,
                      describing_view{described_in(), kept, place, keypoints, arrivals, overlaps});
   }
+  /// Moves keypoints, which are in their grids already, by up to half a pixel of their levels.
+  void refine(Exec const& exec) const { refine_positions(exec, pyramid, keypoints); }
 
   /// Initialises memory that is read before the first image has written it.
   void initialize(Exec const& exec) const {
@@ -129,6 +134,8 @@ struct extraction_with {
   void blur(Exec const& exec) const { stages.blur(exec); }
   void order(Exec const& exec) const { stages.order(exec, grids); }
   void describe(Exec const& exec) const { stages.describe(exec); }
+  bool refines_positions() const { return stages.refines; }
+  void refine(Exec const& exec) const { stages.refine(exec); }
 };
 
 }  // namespace detail

@@ -80,6 +80,7 @@ void queue_features(Line& line, Features const& f) {
   f.blur(line.with("blur"));
   f.order(line.then("order"));
   f.describe(line.with("descriptors"));
+  if (f.refines_positions()) { f.refine(line.then("descriptors")); }
 }
 
 /// Images and inputs of a frame, and its keypoints. @param with_local also uploads the local map

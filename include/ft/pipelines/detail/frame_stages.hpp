@@ -78,6 +78,8 @@ public:
     features().order(exec, grids_of(matcher, memory.frame.grids));
   }
   void describe(Exec const& exec) const { features().describe(exec); }
+  bool refines_positions() const { return features().refines_positions(); }
+  void refine(Exec const& exec) const { features().refine(exec); }
 
   // ---- stereo
 

@@ -6,7 +6,7 @@
 
 ft_build_packages=(build-essential cmake ninja-build ccache libtbb-dev libeigen3-dev libpng-dev
   libjpeg-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
-ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang python3 pkg-config git)
+ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang python3 python3-dev python3-venv pkg-config git)
 # Not every release has them; without them the formatting is not checked, the documentation not made, the
 # evaluation not tested over MPI.
 ft_optional_packages=(clang-format-14 doxygen openmpi-bin libopenmpi-dev)

@@ -11,7 +11,7 @@ usage() {
 usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
-  --quick   without the sanitizers, the fuzzers, the consumer projects and the benches; of CUDA only the
+  --quick   without Python, the sanitizers, the fuzzers, the consumer projects and the benches; of CUDA only the
             conformance program, track_sequence and the headers
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
@@ -107,6 +107,29 @@ fuzz() {
   ((status == 77)) || return "$status"
 }
 
+# The package in an environment of its own, and its tests. Skipped, and said so, where pip cannot fetch what it
+# needs. ft_sequence has the options of the build before, so that ccache has it already.
+test_python() {
+  local venv=$build/python-venv pip
+  if ! python3 -m venv "$venv"; then
+    echo "python3 cannot make an environment: the Python package is not tested"
+    return 0
+  fi
+  pip=$venv/bin/pip
+  if ! "$pip" install --quiet --disable-pip-version-check numpy pytest nanobind scikit-build-core ninja; then
+    echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
+    return 0
+  fi
+  "$pip" install --quiet --no-build-isolation --no-deps -C build-dir="$build/python" \
+    -C cmake.define.FT_WARNINGS_AS_ERRORS=ON -C cmake.define.FT_FAST_DEVICE_CODE=ON \
+    -C cmake.define.CMAKE_BUILD_PARALLEL_LEVEL="$jobs" "$ft_root"
+  local status=0
+  (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
+    tee "$build/pytest.log" || status=$?
+  summaries+=("$(tail -1 "$build/pytest.log") (Python)")
+  return "$status"
+}
+
 build_all() {
   cmake --build "$1" --parallel "$jobs"
 }
@@ -180,6 +203,7 @@ else
   if ((!quick)); then step "Examples, benches: build" build_all "$build"; fi
 fi
 if ((!quick)); then
+  step "Python: package and tests" test_python
   step "Sanitizers: configure" cmake --preset host-asan
   step "Sanitizers: build" build_all "$asan"
   step "Sanitizers: tests" run_sanitizer_tests

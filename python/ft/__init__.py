@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""FastTrack: the tracking front-end of visual(-inertial) SLAM on CPU threads and GPUs, with the same bits on both.
+
+Lengths are in metres, positions in images in pixels, times in nanoseconds. T_a_b maps points of b to a. A mistake of the
+caller raises ValueError, anything else RuntimeError.
+"""
+
+from ._ft import (
+    DoubleSphere, ExtendedUnified, FieldOfView, KannalaBrandt, Pinhole, PlaceRecognition, RadTan, Tracking, Unified,
+    __version__, devices,
+)
+from .features import Keypoints, OrbExtractor, StereoMatcher, StereoMatches
+from .odometry import Odometry
+from .rigs import DistortedPair, FisheyePair, Imu, RectifiedPair, RgbdCamera
+from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, read_tum
+
+__all__ = [
+    "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
+    "Keypoints", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan", "RectifiedPair", "RgbdCamera",
+    "Sequence", "StereoMatcher", "StereoMatches", "Tracking", "Trajectory", "Unified", "__version__", "devices",
+    "evaluate", "read_sequence", "read_tum",
+]

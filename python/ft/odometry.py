@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images in, poses out."""
+
+import numpy as np
+
+from . import _ft
+from .features import _options
+
+
+class Odometry:
+    """Tracks a camera pair, or an RGB-D camera, in a map that it makes; with batch > 1 that many of the same kind, each
+    in its own map.
+
+    rig: RectifiedPair, DistortedPair, FisheyePair or RgbdCamera. width, height: of the images; of a DistortedPair, of
+    the rectified ones. imu: ft.Imu, or None. near_depth: map points are made up to this many baselines away. map_slots,
+    keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
+    an adjustment, moving and fixed. features, levels ...: as those of OrbExtractor. device: auto (a GPU if there is
+    one), host or cuda. Raises ValueError for values out of range.
+
+    Not to be used by two threads at a time; other threads run while a frame is tracked.
+    """
+
+    def __init__(self, rig, width, height, *, imu=None, batch=1, device="auto", near_depth=50.0, map_slots=1 << 14,
+                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, **options):
+        all_options = _options(width, height, **options)
+        all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
+                           local_points=local_points, window_moving=window[0], window_fixed=window[1],
+                           window_points=window_points)
+        self.rig = rig
+        self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
+
+    def track(self, left, right, time_ns, stream=0):
+        """Tracks a frame, and returns ft.Tracking.
+
+        left, right: (height, width) uint8, rows may be padded; of an RGB-D camera the grey image and the depth image,
+        uint16 or float32. time_ns: when they were taken, nanoseconds; later than the frame before. With batch > 1:
+        sequences of these, and a list is returned. On a GPU images may lie on the device: anything with __dlpack__, such as
+        arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of rows are multiples of
+        16 bytes. stream: handle of the CUDA stream that wrote them, 0 = the default stream. Raises ValueError for another shape, type or time; then nothing has
+        changed.
+        """
+        if self._pipeline.batch == 1 and not isinstance(left, (list, tuple)):
+            return self._pipeline.track([(left, right)], [int(time_ns)], stream)[0]
+        return self._pipeline.track(list(zip(left, right)), [int(t) for t in time_ns], stream)
+
+    def add_imu(self, time_ns, accel, gyro, b=0):
+        """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in
+        order; a frame uses those that came before its track(). Any thread may call this."""
+        self._pipeline.add_imu(int(time_ns), accel, gyro, b)
+
+    def predict(self, T_world_camera, b=0):
+        """Where the camera is expected in the next frame, (4, 4) float64."""
+        self._pipeline.predict(np.ascontiguousarray(T_world_camera, dtype=np.float64), b)
+
+    def reset(self, b=0):
+        """Begins anew with the next frame."""
+        self._pipeline.reset(b)
+
+    def set_mask(self, mask, camera=0, b=0):
+        """Keypoints come from where the mask, uint8 of the size mask_size, is not 0."""
+        self._pipeline.set_mask(mask, camera, b)
+
+    def recognize_places(self, vocabulary, candidates=16):
+        """From the first frame on, a lost camera is also looked up among the keyframes of its map, by the words of a
+        vocabulary's file. Not with an IMU."""
+        self._pipeline.recognize_places(str(vocabulary), candidates)
+
+    def keypoints(self, b=0):
+        """Left keypoints of the last frame: x, y, octave, depth (-1 = none), point (slot of the map point held, -1 =
+        none), matched (to a point from before this frame)."""
+        return self._pipeline.keypoints(b)
+
+    def map(self, b=0):
+        """The map: position (n, 3), normal, number, keyframes_that_see_it; keyframe_time_ns, keyframe_T_world_camera."""
+        return self._pipeline.map(b)
+
+    def save_map(self, b=0):
+        """The map as bytes for load_map()."""
+        return self._pipeline.save_map(b)
+
+    def load_map(self, data, b=0):
+        """Replaces the map; the camera is searched for in it. Raises RuntimeError for damaged bytes."""
+        self._pipeline.load_map(data, b)
+
+    @property
+    def memory_bytes(self):
+        """Memory that was taken, of the host or of the device."""
+        return self._pipeline.memory_bytes

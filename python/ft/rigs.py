@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs of cameras, and the IMU on them. Lengths are in metres, parameters of cameras in pixels."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+IDENTITY = np.eye(4)
+
+
+def _matrix(values):
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _values(camera):
+    """The parameters of a camera model, or of a list of numbers."""
+    return [float(v) for v in getattr(camera, "parameters", camera)]
+
+
+def _plain(kind, left, right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth_scale=1.0, raw=(0, 0)):
+    return {
+        "kind": kind, "left": _values(left), "right": _values(right), "wanted": _values(wanted),
+        "T_right_left": _matrix(T_right_left), "baseline": float(baseline), "depth_scale": float(depth_scale),
+        "raw_width": int(raw[0]), "raw_height": int(raw[1]),
+    }
+
+
+@dataclass
+class RectifiedPair:
+    """Two equal pinholes whose rows correspond. `camera`: fx, fy, cx, cy."""
+
+    camera: object
+    baseline: float
+
+    def _plain(self):
+        return _plain("rectified", self.camera, baseline=self.baseline)
+
+
+@dataclass
+class DistortedPair:
+    """Two cameras with radial-tangential distortion (ft.RadTan, or fx, fy, cx, cy, k1, k2, p1, p2, k3 ...). Their
+    images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4) maps points
+    of the left camera to the right one. `size` is width and height of the images that come in."""
+
+    left: object
+    right: object
+    T_right_left: np.ndarray
+    wanted: object
+    size: tuple
+
+    def _plain(self):
+        return _plain("distorted", self.left, self.right, self.wanted, self.T_right_left, raw=self.size)
+
+
+@dataclass
+class FisheyePair:
+    """Two Kannala-Brandt cameras (ft.KannalaBrandt, or fx, fy, cx, cy, k1, k2, k3, k4), whose images are searched as they
+    are. `T_right_left` (4, 4) maps points of the left camera to the right one."""
+
+    left: object
+    right: object
+    T_right_left: np.ndarray
+
+    def _plain(self):
+        return _plain("fisheye", self.left, self.right, T_right_left=self.T_right_left)
+
+
+@dataclass
+class RgbdCamera:
+    """A camera (ft.Pinhole, ft.RadTan, or their parameters) with registered depth images, uint16 or float32.
+    `depth_scale` is metres per unit; `baseline` is that of the virtual pair that keypoints with depth count as."""
+
+    camera: object
+    baseline: float = 0.08
+    depth_scale: float = 1.0
+
+    def _plain(self):
+        return _plain("rgbd", self.camera, baseline=self.baseline, depth_scale=self.depth_scale)
+
+
+@dataclass
+class Imu:
+    """An IMU. `T_imu_camera` (4, 4) maps points of the left camera to the IMU. Densities: rad/s/sqrt(Hz),
+    m/s^2/sqrt(Hz), and of the biases' walks rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)."""
+
+    T_imu_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    gyro_noise: float = 1.7e-4
+    accel_noise: float = 2e-3
+    gyro_walk: float = 2e-5
+    accel_walk: float = 3e-3
+    rate_hz: float = 200.0
+
+    def __post_init__(self):
+        self.T_imu_camera = _matrix(self.T_imu_camera)

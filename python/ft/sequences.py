@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded sequences, trajectories and their errors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import _ft
+from .rigs import FisheyePair, Imu, RectifiedPair
+
+
+@dataclass
+class Frame:
+    """A stereo pair: images (height, width) uint8, taken at time_ns."""
+
+    time_ns: int
+    left: np.ndarray
+    right: np.ndarray
+
+
+@dataclass
+class Trajectory:
+    """Times (n), nanoseconds, and poses (n, 4, 4): T_world_camera."""
+
+    time_ns: np.ndarray
+    poses: np.ndarray
+
+    @classmethod
+    def of(cls, poses):
+        """A Trajectory, or a sequence of pairs of a time and a (4, 4) matrix."""
+        if isinstance(poses, cls):
+            return poses
+        times = np.array([t for t, _ in poses], dtype=np.int64)
+        return cls(times, np.array([T for _, T in poses], dtype=np.float64).reshape(-1, 4, 4))
+
+    def __len__(self):
+        return len(self.time_ns)
+
+    def write_tum(self, file):
+        """time tx ty tz qx qy qz qw, a line a pose."""
+        _ft.write_tum(str(file), self.time_ns.tolist(), np.ascontiguousarray(self.poses))
+
+    def write_kitti(self, file):
+        """12 numbers a pose."""
+        _ft.write_kitti(str(file), self.time_ns.tolist(), np.ascontiguousarray(self.poses))
+
+
+class Sequence:
+    """Frames on disk, decoded when they are asked for; fisheye pairs as they are, others rectified."""
+
+    def __init__(self, files):
+        self._files = files
+        rig = files.rig
+        self.width, self.height = rig["width"], rig["height"]
+        if rig["kind"] == "fisheye":
+            self.rig = FisheyePair(rig["left"], rig["right"], rig["T_right_left"])
+        else:
+            self.rig = RectifiedPair(rig["left"][:4], rig["baseline"])
+        self.name = files.name
+        self.ground_truth = Trajectory(*files.ground_truth)
+        self.ground_truth_has_orientation = files.ground_truth_has_orientation
+        samples = files.imu
+        self.imu = None
+        self.imu_samples = []
+        if samples is not None:
+            self.imu_samples = list(zip(samples.pop("time_ns").tolist(), samples.pop("accel"), samples.pop("gyro")))
+            self.imu = Imu(**samples)
+
+    def __len__(self):
+        return len(self._files)
+
+    def __getitem__(self, i):
+        return Frame(*self._files.load(i))
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self)))
+
+
+def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False):
+    """Opens a folder in EuRoC (ASL) or KITTI odometry layout. calibration: a file or folder in place of the sequence's
+    own. max_frames: 0 = all. imu: also reads mav0/imu0. Raises RuntimeError that names the file and what is wrong."""
+    return Sequence(_ft.SequenceFiles.open(str(folder), str(calibration), keep_fisheye, max_frames, imu))
+
+
+def read_tum(file):
+    """A Trajectory from a file in TUM format."""
+    return Trajectory(*_ft.read_tum(str(file)))
+
+
+def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
+    """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations in degrees; None where
+    there is too little. orientation: whether the ground truth has orientations."""
+    a, b = Trajectory.of(poses), Trajectory.of(truth)
+    return _ft.evaluate_arrays(a.time_ns.tolist(), np.ascontiguousarray(a.poses), b.time_ns.tolist(),
+                               np.ascontiguousarray(b.poses), orientation, interval_s)

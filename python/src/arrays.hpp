@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Arrays of Python as plain views, and back.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <initializer_list>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "python/src/api.hpp"
+
+namespace ftpy {
+
+namespace nb = nanobind;
+
+using any_array = nb::ndarray<nb::ro>;
+
+/// Keeps the arrays of a call.
+class arrays {
+public:
+  /// @param gpu whether images may lie on the device
+  explicit arrays(bool gpu = false) : gpu_(gpu) {}
+  bool on_device() const { return on_device_; }  ///< whether one of them does
+
+  /// @throws argument_error naming what is wrong with it
+  any_array take(nb::handle given, std::string const& name) {
+    any_array a;
+    if (given.is_none() || !nb::try_cast(given, a)) {
+      throw argument_error(name + " is not an array: it must be a NumPy array, or have __dlpack__");
+    }
+    kept_.push_back(a);
+    return a;
+  }
+  image gray(nb::handle given, std::string const& name) {
+    any_array const a = take(given, name);
+    if (a.ndim() != 2) {
+      throw argument_error(name + " has " + std::to_string(a.ndim()) +
+                           " dimensions, must have 2 (rows, columns)");
+    }
+    if (a.dtype() != nb::dtype<std::uint8_t>()) {
+      throw argument_error(name + " has another type than uint8");
+    }
+    require_rows(a, name);
+    require_place(a, name);
+    return {static_cast<std::uint8_t const*>(a.data()), static_cast<int>(a.shape(1)),
+            static_cast<int>(a.shape(0)),
+            static_cast<int>(a.shape(0) > 1 ? a.stride(0) : a.shape(1))};
+  }
+  depth_image depth(nb::handle given, std::string const& name) {
+    any_array const a = take(given, name);
+    bool const is_float = a.dtype() == nb::dtype<float>();
+    if (a.ndim() != 2) { throw argument_error(name + " must have 2 dimensions (rows, columns)"); }
+    if (!is_float && a.dtype() != nb::dtype<std::uint16_t>()) {
+      throw argument_error(name + " has another type than uint16 and float32");
+    }
+    require_rows(a, name);
+    require_place(a, name);
+    auto const bytes =
+        static_cast<std::ptrdiff_t>(is_float ? sizeof(float) : sizeof(std::uint16_t));
+    auto const row = static_cast<std::ptrdiff_t>(
+        a.shape(0) > 1 ? a.stride(0) : static_cast<std::int64_t>(a.shape(1)));
+    return {a.data(), static_cast<int>(a.shape(1)), static_cast<int>(a.shape(0)), row * bytes,
+            is_float};
+  }
+  /// Of doubles, one after the other. @param shape what it must have
+  double const* doubles(nb::handle given, std::string const& name,
+                        std::initializer_list<std::size_t> shape) {
+    any_array const a = take(given, name);
+    bool same = a.ndim() == shape.size() && a.dtype() == nb::dtype<double>();
+    std::size_t n = 1;
+    std::size_t i = 0;
+    for (std::size_t const s : shape) {
+      same = same && a.shape(i) == s;
+      n *= s;
+      ++i;
+    }
+    std::int64_t step = static_cast<std::int64_t>(n);
+    for (i = 0; same && i < a.ndim(); ++i) {
+      step /= static_cast<std::int64_t>(a.shape(i));
+      same = a.stride(i) == step || a.shape(i) == 1;
+    }
+    if (!same || a.device_type() != nb::device::cpu::value) {
+      std::string text;
+      for (std::size_t const s : shape) { text += (text.empty() ? "" : ", ") + std::to_string(s); }
+      throw argument_error(name + " must be a float64 array of shape (" + text +
+                           ") without gaps, on the host");
+    }
+    return static_cast<double const*>(a.data());
+  }
+  /// An image that a graph reads in place if it is on the device.
+  image framed(nb::handle given, std::string const& name) {
+    bool const before = on_device_;
+    on_device_ = false;
+    image const v = gray(given, name);
+    bool const aligned = reinterpret_cast<std::uintptr_t>(v.data) % 16 == 0 && v.stride % 16 == 0 &&
+                         v.width % 16 == 0;
+    if (on_device_ && !aligned) {
+      throw argument_error(name +
+                           " on the device needs an address, a width and a distance of rows "
+                           "that are multiples of 16");
+    }
+    on_device_ = on_device_ || before;
+    return v;
+  }
+  pose matrix(nb::handle given, std::string const& name) {
+    double const* const from = doubles(given, name, {4, 4});
+    pose m;
+    for (std::size_t i = 0; i < 16; ++i) { m[i] = from[i]; }
+    if (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1) {
+      throw argument_error(name + " is no rigid motion: its last row must be 0 0 0 1");
+    }
+    return m;
+  }
+
+private:
+  static void require_rows(any_array const& a, std::string const& name) {
+    if (a.shape(0) == 0 || a.shape(1) == 0) { throw argument_error(name + " is empty"); }
+    bool const columns = a.shape(1) == 1 || a.stride(1) == 1;
+    bool const rows = a.shape(0) == 1 || a.stride(0) >= static_cast<std::int64_t>(a.shape(1));
+    if (!columns || !rows) {
+      throw argument_error(name +
+                           " has pixels of a row that are not next to each other, or rows "
+                           "that overlap: numpy.ascontiguousarray() helps");
+    }
+  }
+  void require_place(any_array const& a, std::string const& name) {
+    if (a.device_type() == nb::device::cpu::value) { return; }
+    if (!gpu_ || a.device_type() != nb::device::cuda::value) {
+      throw argument_error(name + " is not in host memory, where this object works");
+    }
+    on_device_ = true;
+  }
+
+  bool gpu_;
+  bool on_device_ = false;
+  std::vector<any_array> kept_;
+};
+
+/// A NumPy array that owns the numbers.
+template <typename T>
+nb::object to_numpy(std::vector<T> values, std::initializer_list<std::size_t> shape) {
+  auto* const owned = new std::vector<T>(std::move(values));
+  nb::capsule const owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  std::vector<std::size_t> const sizes(shape);
+  return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), sizes.size(), sizes.data(), owner));
+}
+template <typename T>
+nb::object to_numpy(std::vector<T> values) {
+  std::size_t const n = values.size();
+  return to_numpy(std::move(values), {n});
+}
+inline nb::object to_numpy(pose const& m) {
+  return to_numpy(std::vector<double>(m.begin(), m.end()), {4, 4});
+}
+inline nb::object to_numpy(std::array<double, 3> const& v) {
+  return to_numpy(std::vector<double>(v.begin(), v.end()));
+}
+
+void bind_features(nb::module_& m);
+void bind_odometry(nb::module_& m);
+void bind_places(nb::module_& m);
+void bind_sequences(nb::module_& m);
+void bind_cameras(nb::module_& m);
+
+/// The rig of a rig object of ft.rigs.
+rig rig_of(nb::handle given);
+
+/// Whether `device`, "auto", "host" or "cuda", is a GPU.
+inline bool on_gpu(std::string const& device) {
+  if (device != "auto" && device != "host" && device != "cuda") {
+    throw argument_error("device is '" + device + "', must be auto, host or cuda");
+  }
+  bool const there = device != "host" && !cuda_devices().empty();
+  if (device == "cuda" && !there) {
+    throw argument_error("device 'cuda': there is no GPU, or the package was built without CUDA");
+  }
+  return there;
+}
+
+}  // namespace ftpy

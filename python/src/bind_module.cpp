@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <nanobind/stl/vector.h>
+
+#include "examples/sequence/types.hpp"
+#include "ft/core/error.hpp"
+#include "ft/version.hpp"
+#include "python/src/arrays.hpp"
+
+namespace ftpy {
+namespace {
+
+/// Exceptions of C++ as those of Python.
+void translate(std::exception_ptr const& p, void*) {
+  try {
+    std::rethrow_exception(p);
+  } catch (argument_error const& e) {
+    PyErr_SetString(PyExc_ValueError, e.what());
+  } catch (ft::bad_argument const& e) { PyErr_SetString(PyExc_ValueError, e.what()); }
+}
+
+std::vector<std::string> devices() {
+  std::vector<std::string> all{"host"};
+  for (std::string const& name : cuda_devices()) { all.push_back("cuda: " + name); }
+  return all;
+}
+
+}  // namespace
+}  // namespace ftpy
+
+NB_MODULE(_ft, m) {
+  m.doc() = "The extension of the package ft.";
+  m.attr("__version__") = std::to_string(ft::version_major) + "." +
+                          std::to_string(ft::version_minor) + "." +
+                          std::to_string(ft::version_patch);
+  nanobind::register_exception_translator(ftpy::translate);
+  m.def("devices", ftpy::devices,
+        "Where work can run: 'host', and a line 'cuda: NAME' for each GPU that can be used.");
+  ftpy::bind_cameras(m);
+  ftpy::bind_features(m);
+  ftpy::bind_odometry(m);
+  ftpy::bind_places(m);
+  ftpy::bind_sequences(m);
+}

@@ -1,0 +1,272 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <nanobind/stl/vector.h>
+
+#include "python/src/arrays.hpp"
+
+namespace ftpy {
+
+rig rig_of(nb::handle given) {
+  if (!nb::hasattr(given, "_plain")) {
+    throw argument_error(
+        "the rig is none of ft.RectifiedPair, ft.DistortedPair, ft.FisheyePair "
+        "and ft.RgbdCamera");
+  }
+  nb::object const d = given.attr("_plain")();
+  arrays kept;
+  rig r;
+  r.kind = nb::cast<std::string>(d["kind"]);
+  r.left = nb::cast<std::vector<double>>(d["left"]);
+  r.right = nb::cast<std::vector<double>>(d["right"]);
+  r.wanted = nb::cast<std::vector<double>>(d["wanted"]);
+  r.T_right_left = kept.matrix(d["T_right_left"], "T_right_left");
+  r.baseline = nb::cast<double>(d["baseline"]);
+  r.depth_scale = nb::cast<double>(d["depth_scale"]);
+  r.raw_width = nb::cast<int>(d["raw_width"]);
+  r.raw_height = nb::cast<int>(d["raw_height"]);
+  return r;
+}
+
+namespace {
+
+std::unique_ptr<odometry> make(odometry_options const& o, bool gpu) {
+  std::string const& kind = o.of.kind;
+#define FTPY_MAKE(name) gpu ? cuda::name(o) : host::name(o)
+  if (kind == "rectified") { return FTPY_MAKE(make_rectified_odometry); }
+  if (kind == "distorted") { return FTPY_MAKE(make_distorted_odometry); }
+  if (kind == "fisheye") { return FTPY_MAKE(make_fisheye_odometry); }
+  return FTPY_MAKE(make_rgbd_odometry);
+#undef FTPY_MAKE
+}
+
+class bound_odometry {
+public:
+  bound_odometry(nb::handle of, nb::handle options, nb::handle inertial,
+                 std::string const& device) {
+    auto const get = [&](char const* name) { return nb::cast<int>(options[name]); };
+    odometry_options o;
+    o.of = rig_of(of);
+    o.orb.width = width_ = get("width");
+    o.orb.height = height_ = get("height");
+    o.orb.features = get("features");
+    o.orb.levels = get("levels");
+    o.orb.scale_factor = nb::cast<double>(options["scale_factor"]);
+    o.orb.ini_threshold = get("ini_threshold");
+    o.orb.min_threshold = get("min_threshold");
+    o.orb.mask_width = get("mask_width");
+    o.orb.mask_height = get("mask_height");
+    o.orb.threads = get("threads");
+    o.batch = batch_ = get("batch");
+    o.near_depth = nb::cast<double>(options["near_depth"]);
+    o.map_slots = get("map_slots");
+    o.keyframes = get("keyframes");
+    o.local_points = get("local_points");
+    o.window_moving = get("window_moving");
+    o.window_fixed = get("window_fixed");
+    o.window_points = get("window_points");
+    if (!inertial.is_none()) { o.inertial = imu_of(inertial); }
+    is_rgbd_ = o.of.kind == "rgbd";
+    if (o.of.kind == "distorted" && o.of.raw_width > 0) {
+      width_ = o.of.raw_width;
+      height_ = o.of.raw_height;
+    }
+    bool const gpu = gpu_ = on_gpu(device);
+    nb::gil_scoped_release const released;
+    inner_ = make(o, gpu);
+  }
+
+  /// @param given pairs of arrays
+  std::vector<tracking> track(nb::sequence const& given, std::vector<std::int64_t> const& time_ns,
+                              std::uintptr_t stream) {
+    arrays kept(gpu_);
+    std::vector<frame_images> images;
+    for (nb::handle const h : given) {
+      frame_images f;
+      std::string const b = batch_ > 1 ? " of camera pair " + std::to_string(images.size()) : "";
+      f.left = kept.framed(h[0], is_rgbd_ ? "the grey image" + b : "the left image" + b);
+      require_size(f.left.width, f.left.height, "the left or grey image" + b);
+      if (is_rgbd_) {
+        f.depth = kept.depth(h[1], "the depth image" + b);
+        require_size(f.depth.width, f.depth.height, "the depth image" + b);
+      } else {
+        f.right = kept.framed(h[1], "the right image" + b);
+        require_size(f.right.width, f.right.height, "the right image" + b);
+      }
+      images.push_back(f);
+    }
+    if (static_cast<int>(images.size()) != batch_ || images.size() != time_ns.size()) {
+      throw argument_error(std::to_string(images.size()) + " frames and " +
+                           std::to_string(time_ns.size()) + " times, must be " +
+                           std::to_string(batch_) + " of each");
+    }
+    nb::gil_scoped_release const released;
+    if (kept.on_device()) { inner_->wait_for(stream); }
+    return inner_->track(images, time_ns);
+  }
+  void add_imu(std::int64_t time_ns, nb::handle accel, nb::handle gyro, int b) {
+    inner_->add_imu(b, time_ns, vector(accel, "accel"), vector(gyro, "gyro"));
+  }
+  void predict(nb::handle T_world_camera, int b) {
+    arrays kept;
+    inner_->predict(b, kept.matrix(T_world_camera, "T_world_camera"));
+  }
+  void reset(int b) { inner_->reset(b); }
+  void set_mask(nb::handle mask, int camera, int b) {
+    arrays kept;
+    image const v = kept.gray(mask, "mask");
+    nb::gil_scoped_release const released;
+    inner_->set_mask(b, camera, v);
+  }
+  void recognize_places(std::string const& vocabulary, int candidates) {
+    nb::gil_scoped_release const released;
+    inner_->recognize_places(vocabulary, candidates);
+  }
+  nb::dict keypoints(int b) const {
+    require_camera(b);
+    tracked_keypoints k = inner_->keypoints(b);
+    nb::dict d;
+    d["x"] = to_numpy(std::move(k.x));
+    d["y"] = to_numpy(std::move(k.y));
+    d["octave"] = to_numpy(std::move(k.octave));
+    d["depth"] = to_numpy(std::move(k.depth));
+    d["point"] = to_numpy(std::move(k.point));
+    d["matched"] = to_numpy(std::move(k.matched)).attr("astype")("bool");
+    return d;
+  }
+  nb::dict map(int b) const {
+    map_arrays m;
+    {
+      nb::gil_scoped_release const released;
+      m = inner_->map(b);
+    }
+    std::size_t const points = m.number.size();
+    std::size_t const keyframes = m.keyframe_time_ns.size();
+    nb::dict d;
+    d["position"] = to_numpy(std::move(m.position), {points, 3});
+    d["normal"] = to_numpy(std::move(m.normal), {points, 3});
+    d["number"] = to_numpy(std::move(m.number));
+    d["keyframes_that_see_it"] = to_numpy(std::move(m.seen));
+    d["keyframe_time_ns"] = to_numpy(std::move(m.keyframe_time_ns));
+    d["keyframe_T_world_camera"] = to_numpy(std::move(m.keyframe_pose), {keyframes, 4, 4});
+    return d;
+  }
+  nb::bytes save_map(int b) const {
+    std::string bytes;
+    {
+      nb::gil_scoped_release const released;
+      bytes = inner_->save_map(b);
+    }
+    return nb::bytes(bytes.data(), bytes.size());
+  }
+  void load_map(nb::bytes const& bytes, int b) {
+    std::string const copy(bytes.c_str(), bytes.size());
+    nb::gil_scoped_release const released;
+    inner_->load_map(b, copy);
+  }
+  std::size_t memory_bytes() const { return inner_->memory_bytes(); }
+  int batch() const { return batch_; }
+
+private:
+  static imu imu_of(nb::handle given) {
+    arrays kept;
+    imu i;
+    i.T_imu_camera = kept.matrix(given.attr("T_imu_camera"), "T_imu_camera");
+    i.gyro_noise = nb::cast<double>(given.attr("gyro_noise"));
+    i.accel_noise = nb::cast<double>(given.attr("accel_noise"));
+    i.gyro_walk = nb::cast<double>(given.attr("gyro_walk"));
+    i.accel_walk = nb::cast<double>(given.attr("accel_walk"));
+    i.rate_hz = nb::cast<double>(given.attr("rate_hz"));
+    return i;
+  }
+  static std::array<double, 3> vector(nb::handle given, char const* name) {
+    std::array<double, 3> v{};
+    if (nb::len(given) != 3) { throw argument_error(std::string(name) + " must have 3 numbers"); }
+    for (std::size_t i = 0; i < 3; ++i) { v[i] = nb::cast<double>(given[i]); }
+    return v;
+  }
+  void require_size(int width, int height, std::string const& name) const {
+    if (width == width_ && height == height_) { return; }
+    throw argument_error(name + " has shape (" + std::to_string(height) + ", " +
+                         std::to_string(width) + "), must have (" + std::to_string(height_) + ", " +
+                         std::to_string(width_) + ")");
+  }
+  void require_camera(int b) const {
+    if (b >= 0 && b < batch_) { return; }
+    throw argument_error("camera pair " + std::to_string(b) + " does not exist, there are " +
+                         std::to_string(batch_));
+  }
+
+  std::unique_ptr<odometry> inner_;
+  int width_ = 0, height_ = 0, batch_ = 1;
+  bool is_rgbd_ = false;
+  bool gpu_ = false;
+};
+
+void bind_tracking(nb::module_& m) {
+  nb::class_<tracking>(m, "Tracking", "What is known about a camera after a frame.")
+      .def_prop_ro(
+          "T_world_camera", [](tracking const& t) { return to_numpy(t.T_world_camera); },
+          "(4, 4) float64: maps points of the left camera to the world, metres. The world is the "
+          "left camera of the first frame with a map.")
+      .def_ro("state", &tracking::state, "initialising, tracking, recovering or lost")
+      .def_prop_ro("tracked", [](tracking const& t) { return t.state == "tracking"; })
+      .def_ro("keyframe", &tracking::keyframe, "whether the frame became a keyframe")
+      .def_ro("inliers", &tracking::inliers, "keypoints that agree with the pose")
+      .def_ro("keypoints", &tracking::keypoints, "of the left image")
+      .def_ro("stereo_points", &tracking::stereo_points, "of these, with a depth")
+      .def_ro("local_points", &tracking::local_points, "map points that were searched")
+      .def_ro("left_out", &tracking::left_out, "map points for which there was no room")
+      .def_ro("map_points", &tracking::map_points, "in the map")
+      .def_ro("maps", &tracking::maps, "begun so far")
+      .def_ro("keyframes", &tracking::keyframes, "made so far")
+      .def_prop_ro(
+          "covariance",
+          [](tracking const& t) {
+            return to_numpy(std::vector<double>(t.covariance.begin(), t.covariance.end()), {6, 6});
+          },
+          "(6, 6) float64 of a small rotation, then translation, in the camera's frame: rad, m")
+      .def_ro("imu_known", &tracking::imu_known, "gravity, velocity and biases are known")
+      .def_ro("imu_optimized", &tracking::imu_optimized)
+      .def_prop_ro(
+          "velocity", [](tracking const& t) { return to_numpy(t.velocity); },
+          "(3,) of the IMU in the world, m/s")
+      .def_prop_ro(
+          "gravity", [](tracking const& t) { return to_numpy(t.gravity); },
+          "(3,) in the world, m/s^2")
+      .def_prop_ro(
+          "gyro_bias", [](tracking const& t) { return to_numpy(t.gyro_bias); }, "(3,) rad/s")
+      .def_prop_ro(
+          "accel_bias", [](tracking const& t) { return to_numpy(t.accel_bias); }, "(3,) m/s^2")
+      .def("__repr__", [](tracking const& t) {
+        pose const& T = t.T_world_camera;
+        return "<ft.Tracking " + t.state + ", " + std::to_string(t.inliers) + " inliers, at " +
+               std::to_string(T[3]) + " " + std::to_string(T[7]) + " " + std::to_string(T[11]) +
+               " m>";
+      });
+}
+
+}  // namespace
+
+void bind_odometry(nb::module_& m) {
+  bind_tracking(m);
+  nb::class_<bound_odometry>(m, "OdometryPipeline", "See ft.Odometry.")
+      .def(nb::init<nb::handle, nb::handle, nb::handle, std::string const&>(), nb::arg("rig"),
+           nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
+      .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns"),
+           nb::arg("stream") = 0)
+      .def("add_imu", &bound_odometry::add_imu, nb::arg("time_ns"), nb::arg("accel"),
+           nb::arg("gyro"), nb::arg("b") = 0)
+      .def("predict", &bound_odometry::predict, nb::arg("T_world_camera"), nb::arg("b") = 0)
+      .def("reset", &bound_odometry::reset, nb::arg("b") = 0)
+      .def("set_mask", &bound_odometry::set_mask, nb::arg("mask"), nb::arg("camera") = 0,
+           nb::arg("b") = 0)
+      .def("recognize_places", &bound_odometry::recognize_places, nb::arg("vocabulary"),
+           nb::arg("candidates") = 16)
+      .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
+      .def("map", &bound_odometry::map, nb::arg("b") = 0)
+      .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
+      .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)
+      .def_prop_ro("memory_bytes", &bound_odometry::memory_bytes)
+      .def_prop_ro("batch", &bound_odometry::batch);
+}
+
+}  // namespace ftpy

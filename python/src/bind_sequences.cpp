@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <nanobind/stl/vector.h>
+
+#include "examples/sequence/evaluation.hpp"
+#include "examples/sequence/reader.hpp"
+#include "python/src/arrays.hpp"
+
+namespace ftpy {
+namespace {
+
+pose plain(Eigen::Isometry3d const& T) {
+  pose m{};
+  for (int r = 0; r < 4; ++r) {
+    for (int c = 0; c < 4; ++c) { m[static_cast<std::size_t>(4 * r + c)] = T.matrix()(r, c); }
+  }
+  return m;
+}
+
+std::vector<double> camera_values(seq::camera_intrinsics const& c) {
+  std::vector<double> v{c.fx, c.fy, c.cx, c.cy};
+  v.insert(v.end(), c.distortion.begin(), c.distortion.end());
+  return v;
+}
+
+nb::object array_of(seq::image image) {
+  auto const h = static_cast<std::size_t>(image.height);
+  auto const w = static_cast<std::size_t>(image.width);
+  return to_numpy(std::move(image.pixels), {h, w});
+}
+
+/// Times (n) and poses (n, 4, 4).
+nb::tuple arrays_of(seq::trajectory const& t) {
+  std::vector<std::int64_t> time;
+  std::vector<double> T;
+  for (auto const& p : t) {
+    time.push_back(p.time_ns);
+    pose const m = plain(p.T_world_camera);
+    T.insert(T.end(), m.begin(), m.end());
+  }
+  std::size_t const n = time.size();
+  return nb::make_tuple(to_numpy(std::move(time)), to_numpy(std::move(T), {n, 4, 4}));
+}
+
+seq::trajectory trajectory_of(std::vector<std::int64_t> const& time, nb::handle poses,
+                              std::string const& name) {
+  arrays kept;
+  double const* m = kept.doubles(poses, name, {time.size(), 4, 4});
+  seq::trajectory t;
+  for (std::size_t i = 0; i < time.size(); ++i, m += 16) {
+    if (i > 0 && time[i] <= time[i - 1]) { throw argument_error(name + ": times must ascend"); }
+    seq::stamped_pose p;
+    p.time_ns = time[i];
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 4; ++c) { p.T_world_camera.matrix()(r, c) = m[4 * r + c]; }
+    }
+    t.push_back(p);
+  }
+  return t;
+}
+
+nb::dict rig_dict(seq::sequence const& s) {
+  seq::stereo_rig const& r = s.rig();
+  nb::dict d;
+  d["kind"] = s.fisheye() ? "fisheye" : "rectified";
+  d["left"] = camera_values(r.left);
+  d["right"] = camera_values(r.right);
+  d["T_right_left"] = to_numpy(plain(r.T_left_right.inverse()));
+  d["baseline"] = r.baseline();
+  d["width"] = r.left.width;
+  d["height"] = r.left.height;
+  return d;
+}
+
+nb::object imu_dict(seq::sequence const& s) {
+  if (!s.imu()) { return nb::none(); }
+  auto const& i = *s.imu();
+  std::vector<std::int64_t> time;
+  std::vector<double> accel;
+  std::vector<double> gyro;
+  for (auto const& sample : i.samples) {
+    time.push_back(sample.time_ns);
+    accel.insert(accel.end(), {sample.accel.x(), sample.accel.y(), sample.accel.z()});
+    gyro.insert(gyro.end(), {sample.gyro.x(), sample.gyro.y(), sample.gyro.z()});
+  }
+  std::size_t const n = time.size();
+  nb::dict d;
+  d["T_imu_camera"] = to_numpy(plain(i.T_imu_left));
+  d["gyro_noise"] = i.calibration.noise.gyro;
+  d["accel_noise"] = i.calibration.noise.accel;
+  d["gyro_walk"] = i.calibration.noise.gyro_walk;
+  d["accel_walk"] = i.calibration.noise.accel_walk;
+  d["rate_hz"] = i.calibration.rate_hz;
+  d["time_ns"] = to_numpy(std::move(time));
+  d["accel"] = to_numpy(std::move(accel), {n, 3});
+  d["gyro"] = to_numpy(std::move(gyro), {n, 3});
+  return d;
+}
+
+nb::dict errors_of(seq::trajectory_error const& e) {
+  auto const number = [](std::optional<double> const& v) -> nb::object {
+    return v ? nb::object(nb::float_(*v)) : nb::object(nb::none());
+  };
+  nb::dict d;
+  d["pairs"] = e.pairs;
+  d["path_m"] = e.path_m;
+  d["ate_m"] = number(e.ate_rmse_m);
+  d["rpe_m"] = number(e.rpe_rmse_m);
+  d["ate_deg"] = number(e.ate_rotation_rmse_deg);
+  d["rpe_deg"] = number(e.rpe_rotation_rmse_deg);
+  d["T_truth_estimate"] = to_numpy(plain(e.T_truth_estimate));
+  return d;
+}
+
+}  // namespace
+
+void bind_sequences(nb::module_& m) {
+  nb::class_<seq::sequence>(m, "SequenceFiles", "See ft.read_sequence.")
+      .def_static(
+          "open",
+          [](std::string const& folder, std::string const& calibration, bool keep_fisheye,
+             int max_frames, bool imu) {
+            nb::gil_scoped_release const released;
+            return seq::sequence::open(folder, {calibration, keep_fisheye, max_frames, imu});
+          },
+          nb::arg("folder"), nb::arg("calibration"), nb::arg("keep_fisheye"), nb::arg("max_frames"),
+          nb::arg("imu"))
+      .def("__len__", &seq::sequence::size)
+      .def_prop_ro("name", &seq::sequence::name)
+      .def_prop_ro("layout", &seq::sequence::layout)
+      .def_prop_ro("rig", rig_dict)
+      .def_prop_ro("imu", imu_dict)
+      .def_prop_ro("ground_truth",
+                   [](seq::sequence const& s) { return arrays_of(s.ground_truth()); })
+      .def_prop_ro("ground_truth_has_orientation", &seq::sequence::ground_truth_has_orientation)
+      .def(
+          "load",
+          [](seq::sequence const& s, int i) {
+            if (i < 0 || i >= s.size()) { throw nb::index_error("no such frame"); }
+            seq::stereo_frame f;
+            {
+              nb::gil_scoped_release const released;
+              f = s.load(i);
+            }
+            return nb::make_tuple(f.time_ns, array_of(std::move(f.left)),
+                                  array_of(std::move(f.right)));
+          },
+          nb::arg("i"));
+  m.def(
+      "evaluate_arrays",
+      [](std::vector<std::int64_t> const& time, nb::handle poses,
+         std::vector<std::int64_t> const& truth_time, nb::handle truth, bool orientation,
+         double interval_s) {
+        return errors_of(seq::evaluate(trajectory_of(time, poses, "the estimate"),
+                                       trajectory_of(truth_time, truth, "the ground truth"),
+                                       orientation, interval_s));
+      },
+      nb::arg("time_ns"), nb::arg("poses"), nb::arg("truth_time_ns"), nb::arg("truth"),
+      nb::arg("orientation"), nb::arg("interval_s"));
+  m.def(
+      "write_tum",
+      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+        seq::write_tum(file, trajectory_of(time, poses, "the trajectory"));
+      },
+      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      "Writes poses (n, 4, 4) in TUM format.");
+  m.def(
+      "write_kitti",
+      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+        seq::write_kitti_poses(file, trajectory_of(time, poses, "the trajectory"));
+      },
+      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      "Writes poses (n, 4, 4) in KITTI's format: 12 numbers a line.");
+  m.def(
+      "read_tum", [](std::string const& file) { return arrays_of(seq::read_tum(file)); },
+      nb::arg("file"), "Times (n) and poses (n, 4, 4) of a file in TUM format.");
+}
+
+}  // namespace ftpy

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+import gc
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, effort
+
+import ft
+
+
+def follow(odometry, walk, frames):
+    return [odometry.track(*walk.frame(i)) for i in range(frames)]
+
+
+def test_the_walk_is_found(walk, device):
+    poses = follow(walk.odometry(device=device), walk, 15)
+    assert all(p.tracked for p in poses)
+    for i, p in enumerate(poses):
+        assert np.allclose(p.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    assert poses[0].keyframe and poses[-1].map_points > 100 and poses[-1].maps == 1
+    assert poses[-1].covariance.shape == (6, 6) and np.all(np.diag(poses[-1].covariance) > 0)
+
+
+def test_host_and_gpu_agree_to_the_bit(walk, device):
+    a = follow(walk.odometry(), walk, 8)
+    b = follow(walk.odometry(device=device), walk, 8)
+    assert all(np.array_equal(p.T_world_camera, q.T_world_camera) for p, q in zip(a, b))
+
+
+def test_a_batch_tracks_each_camera_as_alone(walk):
+    both = walk.odometry(batch=2)
+    alone = walk.odometry()
+    for i in range(6):
+        a, b = walk.frame(i), walk.frame(i + 3)
+        got = both.track([a[0], b[0]], [a[1], b[1]], [a[2], a[2]])
+        assert np.array_equal(got[0].T_world_camera, alone.track(*a).T_world_camera)
+        assert got[1].tracked
+
+
+def test_depth_images_replace_the_right_one(walk):
+    odometry = ft.Odometry(ft.RgbdCamera(CAMERA, depth_scale=0.001), WIDTH, HEIGHT, features=400, device="host")
+    for i in range(8):
+        left, _, t = walk.frame(i)
+        depth = walk.depth(i)
+        pose = odometry.track(left, depth, t)
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    assert odometry.track(left, depth.astype(np.float32), t + 1).tracked
+
+
+def test_distorted_images_are_rectified(walk):
+    T = np.eye(4)
+    T[0, 3] = -BASELINE
+    rig = ft.DistortedPair(CAMERA, CAMERA, T, CAMERA, (WIDTH, HEIGHT))
+    odometry = ft.Odometry(rig, WIDTH, HEIGHT, features=400, device="host")
+    for i in range(5):
+        assert np.allclose(odometry.track(*walk.frame(i)).T_world_camera[:2, 3], walk.position(i), atol=0.01)
+
+
+def test_fisheye_images_are_searched_as_they_are(walk):
+    T = np.eye(4)
+    T[0, 3] = -BASELINE
+    lens = (*CAMERA, 1 / 3, 2 / 15, 0, 0)  # nearly a pinhole: tan
+    odometry = ft.Odometry(ft.FisheyePair(lens, lens, T), WIDTH, HEIGHT, features=400, device="host")
+    for i in range(6):
+        pose = odometry.track(*walk.frame(i))
+    assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(5), atol=0.02)
+
+
+def test_a_map_goes_out_and_in(walk):
+    first = walk.odometry()
+    follow(first, walk, 6)
+    saved = first.save_map()
+    points = first.map()
+    assert points["position"].shape == (len(points["number"]), 3)
+    z = points["position"][:, 2]
+    assert np.mean((abs(z - NEAR) < 0.1) | (abs(z - FAR) < 0.3)) > 0.9
+    second = walk.odometry()
+    second.load_map(saved)
+    assert second.track(*walk.frame(6)).tracked
+    with pytest.raises(RuntimeError):
+        second.load_map(saved[:-10])
+
+
+def test_keypoints_hold_points(walk):
+    odometry = walk.odometry()
+    follow(odometry, walk, 3)
+    k = odometry.keypoints()
+    assert len(k["x"]) == len(k["matched"]) and k["matched"].sum() > 50
+    assert np.all(k["point"][k["matched"]] >= 0)
+    with pytest.raises(ValueError):
+        odometry.keypoints(1)
+
+
+def test_predict_and_reset(walk):
+    odometry = walk.odometry()
+    follow(odometry, walk, 3)
+    odometry.predict(odometry.track(*walk.frame(3)).T_world_camera)
+    assert odometry.track(*walk.frame(4)).tracked
+    odometry.reset()
+    again = odometry.track(*walk.frame(0))
+    assert again.maps == 1 and np.array_equal(again.T_world_camera, np.eye(4))
+    with pytest.raises(ValueError):
+        odometry.predict(np.diag([2.0, 1, 1, 1]))
+    with pytest.raises(ValueError):
+        odometry.predict(np.eye(3))
+
+
+def test_samples_of_an_imu_are_taken(walk):
+    odometry = walk.odometry(imu=ft.Imu())
+    for i in range(6):
+        for k in range(10):
+            odometry.add_imu(50_000_000 * i - 49_000_000 + 5_000_000 * k, (0, -9.81, 0), (0, 0, 0))
+        assert odometry.track(*walk.frame(i)).tracked
+    with pytest.raises(ValueError):
+        odometry.add_imu(0, (0, -9.81, 0), (0, 0, 0))
+    with pytest.raises(ValueError):
+        odometry.add_imu(10**12, (0, float("nan"), 0), (0, 0, 0))
+    with pytest.raises(ValueError):
+        walk.odometry().add_imu(0, (0, 0, 0), (0, 0, 0))
+
+
+def test_mistakes_are_named_and_change_nothing(walk):
+    odometry = walk.odometry()
+    left, right, t = walk.frame(0)
+    odometry.track(left, right, t)
+    for bad, word in ((left[:, ::2], "left image"), (left.astype(np.int32), "uint8"), (left[:-1], "shape"), (None, "left image")):
+        with pytest.raises(ValueError, match=word):
+            odometry.track(bad, right, t + 1)
+    with pytest.raises(ValueError, match="after"):
+        odometry.track(left, right, t)
+    assert odometry.track(*walk.frame(1)).tracked
+
+
+@pytest.mark.parametrize("make", [
+    lambda: ft.Odometry(ft.RectifiedPair(CAMERA, -1.0), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RectifiedPair((0, 1, 2, 3), 0.1), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RectifiedPair((1, 2, 3), 0.1), WIDTH, HEIGHT),
+    lambda: ft.Odometry("a rig", WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RectifiedPair(CAMERA, 0.1), 0, HEIGHT),
+    lambda: ft.Odometry(ft.RectifiedPair(CAMERA, 0.1), WIDTH, HEIGHT, batch=0),
+    lambda: ft.Odometry(ft.FisheyePair(CAMERA, CAMERA, 2 * np.eye(4)), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RgbdCamera(CAMERA, depth_scale=float("nan")), WIDTH, HEIGHT),
+])
+def test_rigs_that_cannot_be_are_refused(make):
+    with pytest.raises(ValueError):
+        make()
+
+
+def test_two_threads_have_a_tracker_each(walk):
+    want = follow(walk.odometry(threads=1), walk, 8)
+    got = [None, None]
+
+    def run(k):
+        got[k] = follow(walk.odometry(threads=1), walk, 8)
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in (0, 1)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    for poses in got:
+        assert all(np.array_equal(a.T_world_camera, b.T_world_camera) for a, b in zip(want, poses))
+
+
+def test_images_may_go_before_the_next_frame(walk):
+    odometry = walk.odometry()
+    want = follow(walk.odometry(), walk, 4)
+    for i in range(4):
+        left, right, t = (np.array(v) for v in walk.frame(i))
+        pose = odometry.track(left, right, int(t))
+        left[:] = 0
+        del left, right
+        gc.collect()
+        assert np.array_equal(pose.T_world_camera, want[i].T_world_camera)
+
+
+def test_memory_does_not_grow(walk):
+    resource = pytest.importorskip("resource")
+    odometry = walk.odometry(threads=1, keyframes=16)
+    frames = [walk.frame(i) for i in range(10)]
+    order = frames + frames[::-1]
+    for n in range(40):
+        odometry.track(*order[n % 20][:2], n + 1)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for n in range(40, 40 + effort(10_000)):
+        odometry.track(*order[n % 20][:2], n + 1)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 8 * 1024
+
+
+def test_ctrl_c_ends_a_loop():
+    program = """
+import sys; sys.path.insert(0, %r)
+from conftest import Walk
+walk = Walk(); odometry = walk.odometry(); n = 0
+left, right, _ = walk.frame(0)
+try:
+    while True:
+        odometry.track(left, right, n); n += 1
+        if n == 3: print('ready', flush=True)
+except KeyboardInterrupt:
+    print('stopped', n > 2)
+""" % __file__.rsplit("/", 1)[0]
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as p:
+        assert p.stdout.readline() == "ready\n"
+        p.send_signal(signal.SIGINT)
+        assert p.communicate(timeout=60)[0] == "stopped True\n"
+
+
+def test_images_on_the_device_are_read_in_place(walk):
+    cupy = pytest.importorskip("cupy")
+    if len(ft.devices()) < 2:
+        pytest.skip("no GPU, or built without CUDA")
+    odometry = walk.odometry(device="cuda")
+    want = follow(walk.odometry(), walk, 6)
+    stream = cupy.cuda.Stream(non_blocking=True)
+    for i in range(6):
+        left, right, t = walk.frame(i)
+        with stream:
+            a, b = cupy.asarray(left), cupy.asarray(right)
+        pose = odometry.track(a, b, t, stream=stream.ptr)
+        assert np.array_equal(pose.T_world_camera, want[i].T_world_camera)
+    with pytest.raises(ValueError, match="multiples of 16"):
+        odometry.track(cupy.zeros((HEIGHT, WIDTH + 1), cupy.uint8)[:, 1:], b, t + 1)
+    with pytest.raises(ValueError, match="host memory"):
+        walk.odometry().track(a, b, t)
+
+
+def test_tensors_of_torch_are_read_in_place(walk):
+    torch = pytest.importorskip("torch")
+    if len(ft.devices()) < 2 or not torch.cuda.is_available():
+        pytest.skip("no GPU, or built without CUDA")
+    batch = 64
+    odometry = walk.odometry(device="cuda", batch=batch)
+    want = follow(walk.odometry(), walk, 4)
+    for i in range(4):
+        left, right, t = walk.frame(i)
+        lefts = torch.from_numpy(left).cuda().expand(batch, HEIGHT, WIDTH).contiguous()
+        rights = torch.from_numpy(right).cuda().expand(batch, HEIGHT, WIDTH).contiguous()
+        poses = odometry.track(list(lefts), list(rights), [t] * batch)
+        assert all(np.array_equal(p.T_world_camera, want[i].T_world_camera) for p in poses)

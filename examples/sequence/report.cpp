@@ -206,6 +206,26 @@ json stages_of(detail::run_figures const& f) {
   return stages;
 }
 
+json vector_of(Eigen::Vector3d const& v) {
+  return json::array({number(v.x()), number(v.y()), number(v.z())});
+}
+
+json imu_of(run_report const& report) {
+  auto const imu = detail::imu_figures_of(report);
+  if (!imu) { return nullptr; }
+  json out = json::object();
+  out["known_from"] = imu->known_from ? json(*imu->known_from) : json(nullptr);
+  out["optimized"] = imu->optimized;
+  out["bridged"] = imu->bridged;
+  if (imu->known_from) {
+    out["velocity"] = vector_of(imu->last.velocity);
+    out["gyro_bias"] = vector_of(imu->last.gyro_bias);
+    out["accel_bias"] = vector_of(imu->last.accel_bias);
+    out["gravity"] = vector_of(imu->last.gravity);
+  }
+  return out;
+}
+
 }  // namespace
 
 void write_summary_json(std::string const& path, run_report const& report) {
@@ -250,6 +270,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["wall_s"] = number(report.wall_s);
   root["wall_fps"] = number(f.wall_fps);
   root["stages"] = stages_of(f);
+  root["imu"] = imu_of(report);
   root["options"] = report.options;
   // names come from the command line: bytes that are not UTF-8 must not prevent the summary
   detail::write_text(path, root.dump(2, ' ', false, json::error_handler_t::replace) + '\n');
@@ -278,11 +299,26 @@ std::string seconds(std::int64_t time_ns) {
   return (negative ? "-" : "") + std::to_string(ns / 1'000'000'000U) + '.' + fraction;
 }
 
+/// The columns of an IMU, empty while nothing is known.
+std::string imu_columns(frame_record const& r) {
+  if (!r.imu) { return std::string(10, ','); }
+  std::string text = r.imu->optimized ? ",1" : ",0";
+  for (Eigen::Vector3d const* const v : {&r.imu->velocity, &r.imu->gyro_bias, &r.imu->accel_bias}) {
+    for (int i = 0; i < 3; ++i) { text += ',' + detail::fixed((*v)[i], 6); }
+  }
+  return text;
+}
+
 }  // namespace
 
 void write_times_csv(std::string const& path, run_report const& report) {
   std::string text = "index,time_s,tracked,keyframe,keypoints,stereo_matches,inliers,local_points";
   for (std::string const& stage : report.stages) { text += ',' + csv_field(stage + "_ms"); }
+  if (report.with_imu) {
+    text +=
+        ",imu_optimized,velocity_x,velocity_y,velocity_z,gyro_bias_x,gyro_bias_y,gyro_bias_z,"
+        "accel_bias_x,accel_bias_y,accel_bias_z";
+  }
   text += '\n';
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);
@@ -295,6 +331,7 @@ void write_times_csv(std::string const& path, run_report const& report) {
       text += ',';
       if (auto const ms = detail::stage_time(r, s)) { text += detail::fixed(*ms, 6); }
     }
+    if (report.with_imu) { text += imu_columns(r); }
     text += '\n';
   }
   detail::write_text(path, text);

@@ -19,6 +19,15 @@ struct statistics {
 /// Population standard deviation; percentiles by nearest rank. All zero without samples.
 statistics summarise(std::vector<double> samples);
 
+/// What the IMU says about a frame, once gravity, velocity and biases are known.
+struct imu_record {
+  bool optimized = false;                                ///< the pose was optimised with the IMU
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();    ///< m/s, in the world
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< rad/s
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< m/s^2
+  Eigen::Vector3d gravity = Eigen::Vector3d::Zero();     ///< m/s^2, in the world
+};
+
 /// One processed frame.
 struct frame_record {
   int index = 0;
@@ -30,6 +39,7 @@ struct frame_record {
   int inliers = 0;  ///< keypoints matched to map points from before this frame
   int local_points = 0;
   std::vector<double> stage_ms;  ///< same order as run_report::stages
+  std::optional<imu_record> imu;
 };
 
 /// A frame drawn in the report.
@@ -56,6 +66,7 @@ struct run_report {
   int image_width = 0, image_height = 0;
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
   int maps = 0;                     ///< maps begun; more than one after a long loss
+  bool with_imu = false;            ///< the sequence's IMU was used
   std::vector<std::string> stages;  ///< names; the last one is "total"
   std::vector<frame_record> records;
   trajectory estimate;  ///< tracked frames only
@@ -76,7 +87,8 @@ struct run_report {
 void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
 /// ground truth), keyframes, map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms
-/// max_ms, warnings, stopped_at (null for a whole run), evo = figure -> command, and the rest.
+/// max_ms, imu (null without one), warnings, stopped_at (null for a whole run), evo = figure ->
+/// command, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

@@ -39,6 +39,18 @@ struct run_figures {
 
 run_figures figures_of(run_report const& report);
 
+/// What an IMU did in a run.
+struct imu_figures {
+  std::optional<int> known_from;  ///< index of the first frame with gravity, velocity and biases
+  int optimized = 0;              ///< frames whose pose was optimised with the IMU
+  int bridged = 0;  ///< frames that were not found, whose pose the IMU alone predicted
+  imu_record last;  ///< of the last frame with known values
+};
+/// Nothing without an IMU.
+std::optional<imu_figures> imu_figures_of(run_report const& report);
+/// Lines of the printed summary; empty without an IMU.
+std::string imu_lines(run_report const& report);
+
 /// A command that gives one of the figures, in the folder with trajectory.txt and groundtruth.txt.
 struct evo_command {
   std::string figure;

@@ -170,6 +170,7 @@ void write_html(std::string const& path, run_report const& report) {
   out += detail::time_section(report, f);
   out += detail::stage_table(f);
   out += detail::counts_section(report);
+  out += detail::imu_section(report);
   std::string const rest =
       options_section(report, f) +
       "<footer>Written by FastTrack. Self-contained: nothing is loaded from elsewhere.</footer>"

@@ -22,6 +22,8 @@ std::string time_section(run_report const& r, run_figures const& f);
 /// @pre as time_section
 std::string stage_table(run_figures const& f);
 std::string counts_section(run_report const& r);
+/// Velocity and biases over time. Empty without an IMU.
+std::string imu_section(run_report const& r);
 /// Pictures with keypoints; empty without samples. Where there are many keypoints, some of them.
 /// @param budget bytes that the section should have at most; the pictures get what the rest leaves
 std::string sample_section(run_report const& r, std::size_t budget);

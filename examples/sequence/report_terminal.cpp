@@ -123,7 +123,8 @@ void print_summary(std::ostream& out, run_report const& report) {
                             ? std::to_string(report.image_width) + " x " +
                                   std::to_string(report.image_height)
                             : "n/a");
-  text += '\n' + stage_lines(f) + '\n' + count_lines(report, f) + error_lines(report, f);
+  text += '\n' + stage_lines(f) + '\n' + count_lines(report, f) + error_lines(report, f) +
+          detail::imu_lines(report);
   for (std::string const& warning : report.warnings) { text += "  warning: " + warning + '\n'; }
   out << text << std::flush;
 }

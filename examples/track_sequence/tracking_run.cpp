@@ -126,7 +126,8 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
 
 /// Hands the IMU's samples on, up to the first one that is not before the frame.
 void tracking_run::add_imu(std::int64_t to_ns) {
-  if (!sequence_.imu()) { return; }
+  report_.with_imu = sequence_.imu().has_value();
+  if (!report_.with_imu) { return; }
   auto const& samples = sequence_.imu()->samples;
   auto const plain = [](Eigen::Vector3d const& v) {
     return std::array<double, 3>{v.x(), v.y(), v.z()};
@@ -156,6 +157,14 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
     record.stage_ms = outcome.stage_ms;
   } else {
     record.stage_ms = {outcome.stage_ms.back()};
+  }
+  if (outcome.imu.known) {
+    auto const vector = [](std::array<double, 3> const& v) {
+      return Eigen::Vector3d(v[0], v[1], v[2]);
+    };
+    record.imu = seq::imu_record{outcome.imu.optimized, vector(outcome.imu.velocity),
+                                 vector(outcome.imu.gyro_bias), vector(outcome.imu.accel_bias),
+                                 vector(outcome.imu.gravity)};
   }
   report_.records.push_back(std::move(record));
 }

@@ -26,13 +26,6 @@ struct rigid_pose {
     }
     return q;
   }
-  rigid_pose inverse() const {
-    rigid_pose r;
-    r.R = {R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]};
-    std::array<double, 3> const moved = r * t;  // r.t is 0
-    r.t = {-moved[0], -moved[1], -moved[2]};
-    return r;
-  }
 };
 
 /// An IMU, as its calibration has it; see ft::imu_params.
@@ -80,7 +73,7 @@ struct imu_outcome {
 struct frame_outcome {
   bool tracked = false;
   bool keyframe = false;
-  rigid_pose T_cw;  ///< world to left camera
+  rigid_pose T_wc;  ///< left camera to world
   int keypoints = 0;
   int stereo_matches = 0;
   int inliers = 0;  ///< matched map points, without this frame's new ones

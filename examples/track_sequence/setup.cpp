@@ -105,8 +105,7 @@ rigid_pose plain_pose(Eigen::Isometry3d const& T) {
   return p;
 }
 
-seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T_cw) {
-  rigid_pose const T = T_cw.inverse();
+seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T) {
   seq::stamped_pose s;
   s.time_ns = time_ns;
   for (int r = 0; r < 3; ++r) {

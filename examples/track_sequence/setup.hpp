@@ -25,7 +25,7 @@ std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options con
                                         std::string& backend);
 
 rigid_pose plain_pose(Eigen::Isometry3d const& T);
-/// @param T_cw world to camera
-seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T_cw);
+/// @param T camera to world
+seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T);
 
 }  // namespace app

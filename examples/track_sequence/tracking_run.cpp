@@ -119,8 +119,8 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
       odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
-  if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_cw)); }
-  if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_cw); }
+  if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_wc)); }
+  if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_wc); }
   add_sample(i, std::move(frame.left));
 }
 
@@ -185,8 +185,7 @@ void tracking_run::add_sample(int i, seq::image picture) {
 
 /// Adds the points that a keyframe begins, where they are then, to the report's cloud. When that is
 /// full, every second one goes, and of those to come as many are left out.
-void tracking_run::add_points(rigid_pose const& T_cw) {
-  rigid_pose const T_wc = T_cw.inverse();
+void tracking_run::add_points(rigid_pose const& T_wc) {
   for (seen_keypoint const& k : odometry_.keypoints()) {
     if (k.point < 0 || k.matched || !(k.depth > 0) || points_seen_++ % points_step_ != 0) {
       continue;

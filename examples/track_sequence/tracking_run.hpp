@@ -30,7 +30,7 @@ private:
   void add_imu(std::int64_t to_ns);
   void add_record(int i, std::int64_t time_ns, frame_outcome const& outcome);
   void add_sample(int i, seq::image picture);
-  void add_points(rigid_pose const& T_cw);
+  void add_points(rigid_pose const& T_wc);
   double arrival_ms(int i) const;
 
   arguments const& arguments_;

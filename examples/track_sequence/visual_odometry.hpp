@@ -52,7 +52,7 @@ public:
     bool const guessed = last_.keyframe && last_.inliers == 0 && last_.maps > 1;
     out.tracked = last_.state == ft::tracking_state::tracking && !guessed;
     out.keyframe = last_.keyframe;
-    out.T_cw = from_ft(last_.T_world_camera).inverse();
+    out.T_wc = from_ft(last_.T_world_camera);
     out.keypoints = last_.keypoints;
     out.stereo_matches = last_.stereo_points;
     out.inliers = last_.inliers;

@@ -28,6 +28,7 @@ std::vector<std::string> devices() {
 }  // namespace ftpy
 
 NB_MODULE(_ft, m) {
+  nanobind::set_leak_warnings(false);  // objects that live as long as the interpreter
   m.doc() = "The extension of the package ft.";
   m.attr("__version__") = std::to_string(ft::version_major) + "." +
                           std::to_string(ft::version_minor) + "." +

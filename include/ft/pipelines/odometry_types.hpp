@@ -53,6 +53,7 @@ struct tracking {
   /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
   tracking_state state = tracking_state::initialising;
+  bool metric = true;     ///< lengths are metres; false of a monocular_rig, whose unit it says
   bool keyframe = false;  ///< the frame became a keyframe
   int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
   int keypoints = 0;      ///< of the left image, or of those of all cameras of a multi_rig

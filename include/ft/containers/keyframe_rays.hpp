@@ -18,9 +18,9 @@ inline namespace FT_ABI {
 /// Rays and descriptors of the keypoints of a keyframes_view with one camera, in executor memory,
 /// indexed as there.
 struct keyframe_rays_view {
-  int* number = nullptr;         ///< [batch][positions] of the keyframe that they belong to, 0 = none
-  vec3<float>* ray = nullptr;    ///< [batch][positions][capacity] unit length, camera frame; 0 = none
-  descriptor* orb = nullptr;     ///< [batch][positions][capacity]
+  int* number = nullptr;       ///< [batch][positions] of the keyframe that they belong to, 0 = none
+  vec3<float>* ray = nullptr;  ///< [batch][positions][capacity] unit length, camera frame; 0 = none
+  descriptor* orb = nullptr;   ///< [batch][positions][capacity]
 };
 static_assert(std::is_trivially_copyable<keyframe_rays_view>::value, "passed to kernels");
 

@@ -227,8 +227,7 @@ public:
   allocated_bytes memory_bytes() const {
     parts const& p = made();
     return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
-           p.stages.input.allocated() +
-           p.stages.beginning.bytes() +
+           p.stages.input.allocated() + p.stages.beginning.bytes() +
            (p.recovery != nullptr ? p.recovery->bytes() : allocated_bytes{});
   }
   int batch() const { return made().stages.batch; }

@@ -25,11 +25,11 @@ namespace ft {
 inline namespace FT_ABI {
 
 struct triangulation_params {
-  int max_hamming = 50;         ///< largest Hamming distance of a match, bits
-  int min_shared = 15;          ///< points that an earlier keyframe shares with the frame
-  float max_cosine = 0.9998f;   ///< of the angle between the rays of a point
-  float chi2 = 5.991f;          ///< largest reprojection error, in units of variance
-  float octave_slack = 1.8f;    ///< of the ratio of distances, to that of octaves
+  int max_hamming = 50;        ///< largest Hamming distance of a match, bits
+  int min_shared = 15;         ///< points that an earlier keyframe shares with the frame
+  float max_cosine = 0.9998f;  ///< of the angle between the rays of a point
+  float chi2 = 5.991f;         ///< largest reprojection error, in units of variance
+  float octave_slack = 1.8f;   ///< of the ratio of distances, to that of octaves
 };
 
 /// Earlier keyframes with which a frame is matched.
@@ -38,10 +38,10 @@ inline constexpr std::uint32_t no_claim = 0xffffffffu;
 
 /// New points of frames that become keyframes. Executor memory.
 struct triangulated_view {
-  int* partner = nullptr;        ///< [batch][max_partners] numbers of keyframes, 0 = none
-  int* keyframe = nullptr;       ///< [batch][capacity] number of the keyframe that sees the point
-  int* keypoint = nullptr;       ///< [batch][capacity] and its keypoint; -1 = no point
-  std::uint32_t* rank = nullptr; ///< [batch][capacity] distance, then keypoint: lower ones win
+  int* partner = nullptr;          ///< [batch][max_partners] numbers of keyframes, 0 = none
+  int* keyframe = nullptr;         ///< [batch][capacity] number of the keyframe that sees the point
+  int* keypoint = nullptr;         ///< [batch][capacity] and its keypoint; -1 = no point
+  std::uint32_t* rank = nullptr;   ///< [batch][capacity] distance, then keypoint: lower ones win
   std::uint32_t* claim = nullptr;  ///< [batch][positions][capacity] best rank of a keypoint
   float* depth = nullptr;          ///< [batch][capacity] -1 = no point
   vec3<float>* point = nullptr;    ///< [batch][capacity] in the camera's frame
@@ -64,9 +64,9 @@ template <typename Rig>
 struct triangulation_input {
   Rig rig;
   frame_view frame;
-  keyframe_order const* order = nullptr;  ///< [batch]
-  keyframe_order const* begins = nullptr; ///< [batch] begin_map: the map is new, without partners
-  rigid<double> const* T_cw = nullptr;    ///< [batch]
+  keyframe_order const* order = nullptr;   ///< [batch]
+  keyframe_order const* begins = nullptr;  ///< [batch] begin_map: the map is new, without partners
+  rigid<double> const* T_cw = nullptr;     ///< [batch]
   pyramid_geometry geometry;
   triangulation_params params;
 };
@@ -100,7 +100,9 @@ struct choose_partners {
                                  triangulated_view const& out) const {
     keyframes_view const& kf = map.keyframes;
     for (int p = g.rank(); p < max_keyframes; p += g.size()) { s.votes[p] = 0; }
-    for (int i = g.rank(); i < max_partners; i += g.size()) { out.partner[b * max_partners + i] = 0; }
+    for (int i = g.rank(); i < max_partners; i += g.size()) {
+      out.partner[b * max_partners + i] = 0;
+    }
     g.sync();
     if (in.order[b] != keyframe_order::add || in.begins[b] == keyframe_order::begin_map) { return; }
     auto const first = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
@@ -176,8 +178,7 @@ struct match_along_lines {
     auto const T_1w = in.T_cw[b].template cast<real>();
     found best;
     for (int k = 0; k < max_partners && partner[k] != 0; ++k) {
-      auto const T_2w = map.keyframes
-                            .T_cw[map.keyframes.at(b, map.keyframes.position(partner[k]))]
+      auto const T_2w = map.keyframes.T_cw[map.keyframes.at(b, map.keyframes.position(partner[k]))]
                             .template cast<real>();
       camera_pair const T{T_2w * T_1w.inverse(), T_1w * T_2w.inverse()};
       match const m = nearest(g, in, map.keyframes, map.records, rays, b, partner[k], T, f1, orb);
@@ -187,10 +188,12 @@ struct match_along_lines {
     if (g.rank() != 0 || best.keyframe == 0) { return; }
     out.keyframe[item] = best.keyframe;
     out.keypoint[item] = best.at.keypoint;
-    out.rank[item] = static_cast<std::uint32_t>(best.at.distance) << 23 | static_cast<std::uint32_t>(i);
+    out.rank[item] =
+        static_cast<std::uint32_t>(best.at.distance) << 23 | static_cast<std::uint32_t>(i);
     out.depth[item] = best.point.z;
     out.point[item] = best.point;
-    std::ptrdiff_t const to = map.keyframes.at(b, map.keyframes.position(best.keyframe), best.at.keypoint);
+    std::ptrdiff_t const to =
+        map.keyframes.at(b, map.keyframes.position(best.keyframe), best.at.keypoint);
     atomic_min(reinterpret_cast<unsigned*>(out.claim + to), static_cast<unsigned>(out.rank[item]));
   }
 

@@ -29,12 +29,12 @@ struct map_beginnings {
   rigid<double>* T_21 = nullptr;         ///< [batch] first frame to the current one, scaled
   rigid<double>* first_T_cw = nullptr;   ///< [batch] of the first frame, if it becomes a keyframe
   std::int64_t* first_ns = nullptr;      ///< [batch] when the first frame was taken
-  keyframe_order* order = nullptr;  ///< [batch] of the first frame: begin_map, or none
-  int* count = nullptr;             ///< [batch] keypoints of a frame that may begin a map, else 0
-  pixels_view pixels;               ///< of the frame, in a pinhole of the same focal lengths
-  float* depth = nullptr;           ///< [batch][capacity] of the first frame's keypoints, -1 = none
-  vec3<float>* point = nullptr;     ///< [batch][capacity] in the first camera's frame
-  int* holder = nullptr;            ///< [batch][capacity] slots of the first frame's keypoints
+  keyframe_order* order = nullptr;       ///< [batch] of the first frame: begin_map, or none
+  int* count = nullptr;          ///< [batch] keypoints of a frame that may begin a map, else 0
+  pixels_view pixels;            ///< of the frame, in a pinhole of the same focal lengths
+  float* depth = nullptr;        ///< [batch][capacity] of the first frame's keypoints, -1 = none
+  vec3<float>* point = nullptr;  ///< [batch][capacity] in the first camera's frame
+  int* holder = nullptr;         ///< [batch][capacity] slots of the first frame's keypoints
 };
 
 inline void carve(carver& c, map_beginnings& v, int capacity, int batch) {
@@ -85,8 +85,8 @@ struct open_beginning {
                    real(static_cast<double>(rig.camera.cx));
     real const v = real(static_cast<double>(rig.camera.fy)) * (d.y / d.z) +
                    real(static_cast<double>(rig.camera.cy));
-    bool const good = seen.valid && d.z > real(0) && scalar::abs(u) < real(1e5) &&
-                      scalar::abs(v) < real(1e5);
+    bool const good =
+        seen.valid && d.z > real(0) && scalar::abs(u) < real(1e5) && scalar::abs(v) < real(1e5);
     out.pixels.x(item) = good ? static_cast<float>(u.value) : x;
     out.pixels.y(item) = good ? static_cast<float>(v.value) : y;
   }

@@ -128,8 +128,8 @@ public:
   static constexpr float farthest = 1e6f;  ///< all points are near
 
   /// Waits. @throws bad_argument, std::bad_alloc, cuda_error
-  void take(Exec const& exec, rig_type const& rig, keyframes_view const& ring,
-            grid_geometry const& grid) {
+  void take(Exec const& exec, rig_type const& rig, monocular_start_params const& params,
+            keyframes_view const& ring, grid_geometry const& grid) {
     ring_ = {ring.positions, ring.cameras, ring.capacity};
     batch_ = ring.batch;
     memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
@@ -142,7 +142,7 @@ public:
     });
     std::vector<pinhole<float>> const cameras(static_cast<std::size_t>(ring.batch),
                                               rig.undistorted());
-    start_ = monocular_start<Exec>(exec, {}, cameras, grid, ring.capacity);
+    start_ = monocular_start<Exec>(exec, params, cameras, grid, ring.capacity);
   }
   void initialize(Exec const& exec) const {
     for (int b = 0; b < batch_; ++b) { forget(exec, b); }
@@ -170,8 +170,8 @@ public:
     map_beginnings const begins = this->begins();
     for_each_item<per_thread>(exec, numbers, open_beginning<rig_type>{}, rig, frame, geometry,
                               static_cast<odometry_input const*>(own.inputs), int{rules.patience},
-                              static_cast<camera_track const*>(own.state.tracks),
-                              start_.progress(), begins);
+                              static_cast<camera_track const*>(own.state.tracks), start_.progress(),
+                              begins);
     start_frames frames;
     frames.keypoints = frame.keypoints;
     frames.keypoints.count = begins.count;

@@ -16,8 +16,8 @@
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
-#include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
+#include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
@@ -86,7 +86,8 @@ public:
 
   void optimize_inertial(Exec const& exec) const {
     if constexpr (!starts_from_motion) {
-      inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+      inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
+                        memory.poses);
     }
     static_cast<void>(exec);
   }
@@ -177,7 +178,8 @@ public:
     base::take_memory(input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
     if constexpr (starts_from_motion) {
-      beginning.take(exec, this->rig, own.map.keyframes, memory.frame.grids.geometry);
+      beginning.take(exec, this->rig, settings.start, own.map.keyframes,
+                     memory.frame.grids.geometry);
     }
     inertial.take(settings.imu, settings, memory.observations.capacity, this->batch);
     memory.map = own.map.points;

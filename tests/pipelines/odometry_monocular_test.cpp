@@ -32,8 +32,8 @@ std::vector<stereo_frame> const& walk() {
   return frames;
 }
 
-/// Root mean square error of the positions from frame `from` on, as a share of the path. The pose of
-/// that frame is taken as true, and the scale is the one that fits best.
+/// Root mean square error of the positions from frame `from` on, as a share of the path. The pose
+/// of that frame is taken as true, and the scale is the one that fits best.
 double error_of(std::vector<ft::tracking> const& all, std::size_t from,
                 std::vector<stereo_frame> const& frames) {
   auto const truth = [&](std::size_t i) {
@@ -94,6 +94,26 @@ TYPED_TEST(monocular_odometry, begins_from_motion_and_follows_a_walk) {
   }
   EXPECT_GT(all.back().keyframes, 2);
   EXPECT_LT(error_of(all, begin, walk()), 0.01);
+}
+
+TYPED_TEST(monocular_odometry, has_the_answers_of_the_host) {
+  TypeParam backend;
+  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params());
+  ft::host_exec const host(1);
+  ft::odometry<ft::host_exec, rig_type> other(host, rig(), params());
+  auto const all = run(odo, walk());
+  auto const expected = run(other, walk());
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].state, expected[i].state) << i;
+    EXPECT_EQ(all[i].inliers, expected[i].inliers) << i;
+    EXPECT_EQ(all[i].map_points, expected[i].map_points) << i;
+    for (int k = 0; k < 9; ++k) {
+      EXPECT_EQ(all[i].T_world_camera.R.m[k], expected[i].T_world_camera.R.m[k]) << i;
+    }
+    EXPECT_EQ(all[i].T_world_camera.t.x, expected[i].T_world_camera.t.x) << i;
+    EXPECT_EQ(all[i].T_world_camera.t.y, expected[i].T_world_camera.t.y) << i;
+    EXPECT_EQ(all[i].T_world_camera.t.z, expected[i].T_world_camera.t.z) << i;
+  }
 }
 
 TYPED_TEST(monocular_odometry, begins_anew_after_a_reset_with_the_same_answers) {

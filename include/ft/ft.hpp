@@ -9,6 +9,7 @@
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"

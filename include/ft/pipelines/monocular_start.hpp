@@ -131,6 +131,8 @@ public:
 
   // Views into executor memory, valid as long as the start. Contents are those of the last add().
   start_report const* reports() const { return memory_->start.report; }  ///< [cameras]
+  /// [cameras] whether each has a first frame, and the attempts since; all 0 = it begins anew
+  detail::start_progress* progress() const { return memory_->start.progress; }
   /// First frames; also those of the last start.
   keypoints_view first() const { return memory_->start.first; }
   /// Matches of the first frames' keypoints with the last frames. Of few_matches, and of no_motion:

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/containers/vocabulary.hpp"
@@ -21,6 +22,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
+#include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
@@ -54,8 +56,8 @@ inline namespace FT_ABI {
 /// Move-only. A moved-from odometry refuses every call with bad_argument. Not thread-safe;
 /// instances are independent.
 /// @tparam Rig rectified_rig; distorted_pair, whose images are rectified; stereo_rig of any two
-///   cameras, whose images are searched as they are; rgbd_rig; or multi_rig. "Camera pair" means a
-///   rig below
+///   cameras, whose images are searched as they are; rgbd_rig; multi_rig; or monocular_rig. "Camera
+///   pair" means a rig below
 template <typename Exec, typename Rig = rectified_rig>
 class odometry {
   using stages_type = detail::odometry_stages<Exec, Rig>;
@@ -67,7 +69,8 @@ class odometry {
 public:
   static constexpr memory_space space = Exec::space;
   static constexpr int cameras = stages_type::cameras;  ///< whose keypoints are searched
-  /// stereo_images, rgbd_images of an rgbd_rig, or rig_images of a multi_rig
+  /// stereo_images, rgbd_images of an rgbd_rig, rig_images of a multi_rig, or gray_view of a
+  /// monocular_rig
   using images_type = typename input_type::images_type;
 
   odometry() = default;
@@ -207,6 +210,7 @@ public:
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
     p.stages.inertial.forget(p.exec, b);
+    if constexpr (stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
     if (p.recovery != nullptr) { p.recovery->forget(p.exec, b); }
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
@@ -223,7 +227,7 @@ public:
   allocated_bytes memory_bytes() const {
     parts const& p = made();
     return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
-           p.stages.input.allocated() +
+           p.stages.input.allocated() + p.stages.beginning.bytes() +
            (p.recovery != nullptr ? p.recovery->bytes() : allocated_bytes{});
   }
   int batch() const { return made().stages.batch; }
@@ -282,7 +286,7 @@ private:
       stages.frustum.min_y = seen.min_y;
       stages.frustum.max_x = seen.max_x;
       stages.frustum.max_y = seen.max_y;
-      stages.take_all_memory(params.adjustment_delay);
+      stages.take_all_memory(exec, params.adjustment_delay);
       stages.initialize_all(exec);
       exec.wait();
       return exec;
@@ -324,6 +328,7 @@ private:
         begun[i] = 1;
         stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
         results[i] = detail::tracking_of(stages.own.outputs[b]);
+        results[i].metric = !stages_type::starts_from_motion;
         if (stages.has_imu()) {
           results[i].imu = detail::imu_tracking_of(stages.inertial.outputs[b]);
         }
@@ -353,6 +358,8 @@ private:
     detail::require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     detail::require_range("batch of camera pairs", batch, 1, 2048);
     detail::require_odometry_params(p);
+    detail::require(!is_monocular_v<Rig> || !p.imu.present,
+                    "an odometry of one camera has no scale for an IMU");
     return p;
   }
   static void require_motion(rigid<double> const& T) {

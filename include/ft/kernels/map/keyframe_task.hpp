@@ -19,6 +19,7 @@ inline constexpr int unclaimed = std::numeric_limits<int>::max();
 /// The new keyframe of a batch entry.
 template <typename Rig>
 struct keyframe_task {
+  using rig_type = Rig;
   /// Cameras whose keypoints may have a depth.
   static constexpr int depth_cameras = Rig::rectified ? Rig::cameras : 1;
 

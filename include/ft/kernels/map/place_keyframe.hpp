@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
@@ -94,7 +95,10 @@ private:
           bool const seldom =
               of.visible >= t.params.cull_after &&
               static_cast<std::int64_t>(of.found) * t.params.cull_share < of.visible;
-          bool const goes = all || seldom;
+          bool goes = all || seldom;
+          if constexpr (is_monocular_v<typename task::rig_type>) {
+            goes = goes || (of.number != 0 && is_doubtful(t, slot));
+          }
           if (goes) { r.number[r.at(t.b, slot)] = 0; }
           alive += static_cast<int>(of.number != 0 && !goes);
           t.claimed(slot) = 0;
@@ -102,6 +106,21 @@ private:
     alive = g.reduce(alive, sum_op{});
     g.sync();
     return alive;
+  }
+
+  /// Whether a point of one camera was not seen again soon after it was made, or has lost the
+  /// second of its observations: its depth is hardly known.
+  FT_HOST_DEVICE static bool is_doubtful(task const& t, int slot) {
+    keyframes_view const& keyframes = t.map.keyframes;
+    point_records_view const& r = t.map.records;
+    position_set const seen = position_set::of(r.mask(t.b, slot), r.words);
+    int const oldest = t.made - t.count + 1;
+    int const last = seen.last(keyframes.position(oldest));
+    if (last < 0) { return true; }
+    int const ago = (keyframes.position(t.made) - last + keyframes.positions) % keyframes.positions;
+    int const observers = seen.count();
+    bool const lonely = observers < 2 && ago > 0 && r.described[r.at(t.b, slot)] < 3;
+    return lonely || (observers < 3 && ago > 2);
   }
 
   template <typename Group>

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -82,7 +83,10 @@ private:
 
   /// The stereo point of a left keypoint, in its camera's frame.
   FT_HOST_DEVICE static vec3<float> stereo_point(input const& in, int b, int c, int i) {
-    if constexpr (Rig::rectified) {
+    if constexpr (is_monocular_v<Rig>) {
+      static_cast<void>(c);
+      return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
+    } else if constexpr (Rig::rectified) {
       keypoints_view const keypoints = in.frame.camera(b, c);
       int const octave = get<field::octave>(keypoints, i);
       strict_float const x = in.geometry.column(get<field::x>(keypoints, i), octave);

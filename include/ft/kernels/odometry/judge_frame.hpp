@@ -5,12 +5,14 @@
 
 #include <cstddef>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/monocular/begin_map.hpp"
 #include "ft/kernels/odometry/state.hpp"
 
 namespace ft {
@@ -29,6 +31,7 @@ struct searched_frames {
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;  ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                            ///< a map point from before the frame
+  map_beginnings begins;   ///< of a monocular_rig
 };
 
 namespace detail {
@@ -96,10 +99,14 @@ struct judge_camera_frame {
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
       state.order[b] =
-          needs_keyframe(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
+          needs_keyframe<Rig>(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
     } else {
       in.inliers[b] = 0;
-      miss(t, b, counts, rules, state);
+      if constexpr (is_monocular_v<Rig>) {
+        miss_one_camera(t, b, counts, rules, in.begins, state);
+      } else {
+        miss(t, b, counts, rules, state);
+      }
     }
     if (state.order[b] != keyframe_order::none) { note_keyframe(t, state.T_cw[b]); }
     bool const gathers = t.adjusting == 0 && t.new_keyframe != 0 && t.map_keyframes > 1;
@@ -130,7 +137,7 @@ private:
       in.matched[first + i] = held ? 1 : 0;
       if (!there || c >= in.depth_cameras) { continue; }
       bool const is_near = depth[i] > 0 && depth[i] <= near_limit(in.rig, c, near_depth);
-      n.with_depth += static_cast<int>(depth[i] > 0);
+      n.with_depth += static_cast<int>(is_monocular_v<Rig> || depth[i] > 0);
       n.held += static_cast<int>(held);
       n.near_held += static_cast<int>(is_near && held);
       n.near_free += static_cast<int>(is_near && !held);
@@ -145,19 +152,42 @@ private:
                                   tracking_rules const& rules, odometry_state_view const& state) {
     bool const had_map = t.has_map();
     bool const usable = counts.with_depth >= rules.min_stereo_points;
-    if (had_map) {
-      state.T_cw[b] = t.predicted;
-      t.velocity.slow_down(t.interval_ns, rules.motion);
-      ++t.lost_frames;
-      t.lost_with_features = usable ? t.lost_with_features + 1 : 0;
-      t.state =
-          t.lost_frames < recovery_attempts ? tracking_state::recovering : tracking_state::lost;
-    }
+    if (had_map) { drift(t, b, usable, rules, state); }
     if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
     begin_map(t);
     state.order[b] = keyframe_order::begin_map;
   }
+  /// The camera goes on as it is thought to.
+  FT_HOST_DEVICE static void drift(camera_track& t, int b, bool usable, tracking_rules const& rules,
+                                   odometry_state_view const& state) {
+    state.T_cw[b] = t.predicted;
+    t.velocity.slow_down(t.interval_ns, rules.motion);
+    ++t.lost_frames;
+    t.lost_with_features = usable ? t.lost_with_features + 1 : 0;
+    t.state = t.lost_frames < recovery_attempts ? tracking_state::recovering : tracking_state::lost;
+  }
+  /// The same for one camera without depths: a map begins with two keyframes when its motion is
+  /// known. The first one is where the camera is thought to have been, or the origin.
+  FT_HOST_DEVICE static void miss_one_camera(camera_track& t, int b, keypoint_counts const& counts,
+                                             tracking_rules const& rules,
+                                             map_beginnings const& begins,
+                                             odometry_state_view const& state) {
+    if (t.has_map()) { drift(t, b, counts.with_depth >= rules.min_stereo_points, rules, state); }
+    if (begins.report[b].outcome != start_outcome::started) { return; }
+    begin_map(t);
+    begins.order[b] = keyframe_order::begin_map;
+    begins.first_T_cw[b] = state.T_cw[b];
+    note_keyframe(t, state.T_cw[b]);
+    rigid<double> const now = (begins.T_21[b].template cast<strict_double>() *
+                               state.T_cw[b].template cast<strict_double>())
+                                  .orthonormalized()
+                                  .template cast<double>();
+    t.velocity.observe(state.T_cw[b], now, t.time_ns - begins.first_ns[b]);
+    state.T_cw[b] = now;
+    state.order[b] = keyframe_order::add;
+  }
 
+  template <typename Rig>
   FT_HOST_DEVICE static bool needs_keyframe(camera_track const& t, keypoint_counts const& n,
                                             tracking_rules const& rules) {
     bool const short_of_near =
@@ -165,6 +195,9 @@ private:
     auto const kept = mul(rules.keep_share, static_cast<float>(t.reference_tracked));
     auto const age = mul(static_cast<double>(t.time_ns - t.keyframe_ns), 1e-9);
     bool const old = rules.keyframe_period_s > 0 && !(age < rules.keyframe_period_s);
+    if constexpr (is_monocular_v<Rig>) {
+      return old || n.held < rules.wanted_near_points || static_cast<float>(n.held) < kept;
+    }
     return short_of_near || old || static_cast<float>(n.held) < kept;
   }
 };

@@ -149,7 +149,9 @@ private:
       mat3<real> const P = r.derivative(rig, o);
       vec3<real> const W{weight, weight, r.rows == 3 ? weight : real(0.0f)};
       vec3<real> const e{r.error[0], r.error[1], r.error[2]};
-      if constexpr (displaced) {
+      if constexpr (is_monocular_v<Rig>) {
+        add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
+      } else if constexpr (displaced) {
         add_motion_terms(r.in_body, displaced_equations(P, W, e), acc.of);
       } else if constexpr (Rig::rectified) {
         add_motion_terms(r.in_body, rectified_equations(P, W, e), acc.of);

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/observations.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -36,7 +37,12 @@ struct reprojection {
     in_camera = in_body;
     rows = 2;
     error[2] = Real(0);
-    if constexpr (Rig::rectified) {
+    if constexpr (is_monocular_v<Rig>) {
+      projection<Real> const p = project(rig.camera.template cast<Real>());
+      valid = p.valid;
+      error[0] = real(o.u) - p.pixel.x;
+      error[1] = real(o.v) - p.pixel.y;
+    } else if constexpr (Rig::rectified) {
       in_camera = rig.to_camera(o.camera, in_body);
       auto const& c = rig.pair(o.camera).camera;
       Real const inverse = scalar::reciprocal(in_camera.z);
@@ -74,7 +80,11 @@ struct reprojection {
   /// d prediction / d point in the frame of the pose: rows u, v, and the right column.
   FT_HOST_DEVICE mat3<Real> derivative(Rig const& rig, observation const& o) const {
     Real const zero = Real(0);
-    if constexpr (Rig::rectified) {
+    if constexpr (is_monocular_v<Rig>) {
+      static_assert(Differentiate, "derivative() needs the template argument Differentiate");
+      auto const& j = camera_derivative.m;
+      return {{j[0], j[1], j[2], j[3], j[4], j[5], zero, zero, zero}};
+    } else if constexpr (Rig::rectified) {
       auto const& c = rig.pair(o.camera).camera;
       Real const du = real(c.fx) * iz;
       Real const dv = real(c.fy) * iz;

@@ -5,6 +5,7 @@
 #include <type_traits>
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -70,7 +71,10 @@ struct window_residual {
   FT_HOST_DEVICE window_error first(int camera) const {
     window_error r;
     r.weight = wide(o.inv_sigma2);
-    if constexpr (Rig::rectified) {
+    if constexpr (is_monocular_v<Rig>) {
+      static_cast<void>(camera);
+      set(r, rig.camera.template cast<real>().project_with_jacobian(x));
+    } else if constexpr (Rig::rectified) {
       real const zero = real(0.0);
       vec3<real> const p = rig.to_camera(camera, x);
       auto const& k = rig.pair(camera).camera;
@@ -92,13 +96,15 @@ struct window_residual {
     }
     return r;
   }
-  FT_HOST_DEVICE bool has_second() const { return Rig::rectified && o.right_x >= 0; }
+  FT_HOST_DEVICE bool has_second() const {
+    return Rig::rectified && !is_monocular_v<Rig> && o.right_x >= 0;
+  }
   FT_HOST_DEVICE window_error second(window_params const& params, int camera = 0) const {
     window_error r;
     real const zero = real(0.0);
     r.e[1] = zero;
     r.J[1] = {zero, zero, zero};
-    if constexpr (Rig::rectified) {
+    if constexpr (Rig::rectified && !is_monocular_v<Rig>) {
       real const z = rig.to_camera(camera, x).z;
       real const iz = scalar::reciprocal(z);
       real const disparity = wide(rig.pair(camera).bf()) * iz;

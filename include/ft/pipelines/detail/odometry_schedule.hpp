@@ -50,9 +50,15 @@ void queue_odometry(Line& line, Stages& s) {
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
   if (s.has_imu()) { s.optimize_inertial(line.then("pose local map")); }
+  if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   s.judge(line.then("keyframe"));
   s.count_points(line.then("keyframe"));
+  if constexpr (Stages::starts_from_motion) {
+    s.insert_first(line.then("keyframe"));
+    s.triangulate(line.then("keyframe"));
+  }
   s.insert(line.then("keyframe"));
+  if constexpr (Stages::starts_from_motion) { s.enter_new_points(line.then("keyframe")); }
   if (s.has_imu()) { s.keep_inertial(line.then("keyframe")); }
   s.gather(line.then("keyframe"));
   line.join(s.result_branch());

@@ -16,6 +16,7 @@
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
+#include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
@@ -42,6 +43,8 @@ public:
   typename rig_parts<Rig>::template input<Exec> input;
   /// Whether lost cameras begin a new map after the frame, not in it.
   bool recognizes_places = false;
+  static constexpr bool starts_from_motion = rig_parts<Rig>::starts_from_motion;
+  map_beginning<Exec, Rig> beginning;  ///< empty unless it starts from motion
 
   // ---- the beginning, beside images and keypoints
 
@@ -82,7 +85,11 @@ public:
   // ---- the end
 
   void optimize_inertial(Exec const& exec) const {
-    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+    if constexpr (!starts_from_motion) {
+      inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
+                        memory.poses);
+    }
+    static_cast<void>(exec);
   }
   void keep_inertial(Exec const& exec) const { inertial.keep(exec, own); }
   void judge(Exec const& exec) const {
@@ -93,6 +100,7 @@ public:
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
+    if constexpr (starts_from_motion) { in.begins = beginning.begins(); }
     tracking_rules rules = settings.rules;
     if (recognizes_places) { rules.patience = std::numeric_limits<int>::max(); }
     judge_frames(exec, rules, in, own.state);
@@ -104,6 +112,26 @@ public:
     in.local = local_map();
     in.stamps = {memory.motion.device.stamp, memory.stamps};
     count_sightings(exec, memory.frame, in, own.map);
+  }
+  void look_for_start(Exec const& exec) {
+    if constexpr (starts_from_motion) {
+      beginning.look(exec, this->rig, memory.frame, this->geometry(), own, settings.rules);
+    }
+  }
+  void insert_first(Exec const& exec) const {
+    if constexpr (starts_from_motion) {
+      beginning.insert_first(exec, this->rig, memory.frame, this->geometry(), own);
+    }
+  }
+  void triangulate(Exec const& exec) const {
+    if constexpr (starts_from_motion) {
+      beginning.triangulate(exec, this->rig, memory.frame, this->geometry(), own);
+    }
+  }
+  void enter_new_points(Exec const& exec) const {
+    if constexpr (starts_from_motion) {
+      beginning.enter(exec, this->rig, memory.frame, this->geometry(), own);
+    }
   }
   void insert(Exec const& exec) const { insert(exec, own.state.order); }
   /// @param order [batch] instead of that of the state
@@ -120,6 +148,12 @@ public:
     keyframe_params p;
     p.near_depth = settings.rules.near_depth;
     p.wanted_near_points = settings.rules.wanted_near_points;
+    if constexpr (starts_from_motion) {
+      in.depth = beginning.points().depth;
+      in.point = beginning.points().point;
+      p.near_depth = beginning.farthest;
+      p.wanted_near_points = 0;
+    }
     insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
   }
   void gather(Exec const& exec) const {
@@ -140,14 +174,19 @@ public:
   // ---- state
 
   /// @param runs adjustments in flight, at most
-  void take_all_memory(int runs) {
+  void take_all_memory(Exec const& exec, int runs) {
     base::take_memory(input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
+    if constexpr (starts_from_motion) {
+      beginning.take(exec, this->rig, settings.start, own.map.keyframes,
+                     memory.frame.grids.geometry);
+    }
     inertial.take(settings.imu, settings, memory.observations.capacity, this->batch);
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
     beginning_branch_.make();
+    static_cast<void>(exec);
   }
   /// Forgets in which frames map points were matched. No frame has the number 0.
   void forget_frame_numbers(Exec const& exec) const {
@@ -159,6 +198,7 @@ public:
   void initialize_all(Exec const& exec) {
     memory.initialize(exec);
     own.initialize(exec);
+    if constexpr (starts_from_motion) { beginning.initialize(exec); }
     inertial.initialize(exec);
   }
 

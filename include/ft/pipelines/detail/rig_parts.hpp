@@ -61,6 +61,8 @@ struct rig_parts {
   using matcher = stereo_matcher<Exec, Rig>;
   /// Whether keypoints are moved before they are searched.
   static constexpr bool undistorts = false;
+  /// Whether maps begin from the motion of the camera.
+  static constexpr bool starts_from_motion = false;
 
   static Rig const& searched(Rig const& rig) { return rig; }
   static absent_images absent(Rig const& rig) { return absent_images_of(rig); }

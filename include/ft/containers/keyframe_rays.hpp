@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What keyframes keep of their keypoints for later triangulation.
+#pragma once
+
+#include <cstddef>
+#include <type_traits>
+
+#include "ft/containers/keyframes.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Rays and descriptors of the keypoints of a keyframes_view with one camera, in executor memory,
+/// indexed as there.
+struct keyframe_rays_view {
+  int* number = nullptr;       ///< [batch][positions] of the keyframe that they belong to, 0 = none
+  vec3<float>* ray = nullptr;  ///< [batch][positions][capacity] unit length, camera frame; 0 = none
+  descriptor* orb = nullptr;   ///< [batch][positions][capacity]
+};
+static_assert(std::is_trivially_copyable<keyframe_rays_view>::value, "passed to kernels");
+
+/// Places the arrays into an arena. clear() comes before the first use.
+inline void carve(carver& c, keyframe_rays_view& v, keyframes_capacity const& size, int batch) {
+  auto const n = detail::checked_mul(static_cast<std::size_t>(batch),
+                                     static_cast<std::size_t>(size.positions));
+  auto const all = detail::checked_mul(n, static_cast<std::size_t>(size.keypoints));
+  v.number = c.take<int>(n);
+  v.ray = c.take<vec3<float>>(all);
+  v.orb = c.take<descriptor>(all);
+}
+
+/// No keyframe of batch entry b has rays. Asynchronous if the executor is; allocates nothing.
+template <typename Exec>
+void forget_rays(Exec const& exec, keyframe_rays_view const& v, int positions, int b) {
+  fill_bytes(exec, v.number + static_cast<std::ptrdiff_t>(b) * positions, 0,
+             static_cast<std::size_t>(positions) * sizeof(int));
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -53,17 +53,28 @@ inline void carve(carver& c, map_beginnings& v, int capacity, int batch) {
 
 namespace detail {
 
+/// Inputs of open_beginning.
+template <typename Rig>
+struct beginning_input {
+  Rig rig;
+  frame_view frame;
+  pyramid_geometry geometry;
+  odometry_input const* inputs = nullptr;  ///< [batch]
+  camera_track const* tracks = nullptr;    ///< [batch]
+  int patience = 0;                        ///< of tracking_rules
+};
+
 /// Item: a keypoint. Its pixel in a pinhole; and which cameras look for a start.
 template <typename Rig>
 struct open_beginning {
   using scratch = no_scratch;
 
+  /// @param progress [batch] that of a camera that begins anew is cleared
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, Rig const& rig, frame_view const& frame,
-                                 pyramid_geometry const& geometry, odometry_input const* inputs,
-                                 int patience, camera_track const* tracks, start_progress* progress,
-                                 map_beginnings const& out) const {
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, beginning_input<Rig> const& in,
+                                 start_progress* progress, map_beginnings const& out) const {
     using real = strict_double;
+    auto const& [rig, frame, geometry, inputs, tracks, patience] = in;
     int const b = item / frame.capacity();
     int const i = item % frame.capacity();
     keypoints_view const kp = frame.camera(b, 0);

@@ -168,9 +168,9 @@ public:
             tracking_rules const& rules) {
     int const numbers = frame.batch * frame.capacity();
     map_beginnings const begins = this->begins();
-    for_each_item<per_thread>(exec, numbers, open_beginning<rig_type>{}, rig, frame, geometry,
-                              static_cast<odometry_input const*>(own.inputs), int{rules.patience},
-                              static_cast<camera_track const*>(own.state.tracks), start_.progress(),
+    beginning_input<rig_type> const in{rig,           frame, geometry, own.inputs, own.state.tracks,
+                                       rules.patience};
+    for_each_item<per_thread>(exec, numbers, open_beginning<rig_type>{}, in, start_.progress(),
                               begins);
     start_frames frames;
     frames.keypoints = frame.keypoints;

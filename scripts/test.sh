@@ -120,9 +120,9 @@ test_python() {
     echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
     return 0
   fi
-  "$pip" install --quiet --no-build-isolation --no-deps -C build-dir="$build/python" \
-    -C cmake.define.FT_WARNINGS_AS_ERRORS=ON -C cmake.define.FT_FAST_DEVICE_CODE=ON \
-    -C cmake.define.CMAKE_BUILD_PARALLEL_LEVEL="$jobs" "$ft_root"
+  CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" install --quiet --no-build-isolation --no-deps \
+    -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
+    -C cmake.define.FT_FAST_DEVICE_CODE=ON "$ft_root"
   local status=0
   (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
     tee "$build/pytest.log" || status=$?

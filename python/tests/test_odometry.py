@@ -192,8 +192,10 @@ def test_memory_does_not_grow(walk):
 
 
 def test_ctrl_c_ends_a_loop():
+    # Shells start what runs in the background with SIGINT ignored, and Python leaves that so.
     program = """
-import sys; sys.path.insert(0, %r)
+import signal, sys; sys.path.insert(0, %r)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from conftest import Walk
 walk = Walk(); odometry = walk.odometry(); n = 0
 left, right, _ = walk.frame(0)
@@ -205,9 +207,13 @@ except KeyboardInterrupt:
     print('stopped', n > 2)
 """ % __file__.rsplit("/", 1)[0]
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as p:
-        assert p.stdout.readline() == "ready\n"
-        p.send_signal(signal.SIGINT)
-        assert p.communicate(timeout=60)[0] == "stopped True\n"
+        try:
+            assert p.stdout.readline() == "ready\n"
+            p.send_signal(signal.SIGINT)
+            assert p.communicate(timeout=60)[0] == "stopped True\n"
+        finally:
+            p.kill()
+
 
 
 def test_images_on_the_device_are_read_in_place(walk):

@@ -223,16 +223,17 @@ private:
     std::uint32_t best = no_claim;
     real const pixel = real(2.5) / real(static_cast<double>(in.rig.camera.fx));
     for (int j = g.rank(); j < n; j += g.size()) {
+      // First what refuses most for the least.
       std::ptrdiff_t const at = first + j;
+      vec3<real> const f2 = rays.ray[at].template cast<real>();
+      real const off = scalar::abs(dot(f2, normal));
+      real const limit = pixel * real(static_cast<double>(in.geometry.scale[kf.octave[at]]));
+      if (!(off <= limit * length) || !(f2.z > real(0))) { continue; }
       int const distance = hamming(orb, rays.orb[at]);
       if (distance > in.params.max_hamming) { continue; }
       int const slot = kf.holder[at];
       bool const held = slot >= 0 && records.number[records.at(b, slot)] == kf.holder_number[at];
-      vec3<real> const f2 = rays.ray[at].template cast<real>();
-      if (held || !(f2.z > real(0))) { continue; }
-      real const off = scalar::abs(dot(f2, normal));
-      real const limit = pixel * real(static_cast<double>(in.geometry.scale[kf.octave[at]]));
-      if (!(off <= limit * length)) { continue; }
+      if (held) { continue; }
       std::uint32_t const key =
           static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(j);
       best = key < best ? key : best;

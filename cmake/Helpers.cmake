@@ -51,14 +51,6 @@ function(ft_target_defaults target)
   set_target_properties(${target} PROPERTIES CXX_EXTENSIONS OFF CUDA_EXTENSIONS OFF)
 endfunction()
 
-# The one unit of a program that has the pipeline in it, where most of its time goes: sanitizers, whose build
-# optimises little, optimise it.
-function(ft_optimize_pipeline target source)
-  if(FT_SANITIZE)
-    set_property(SOURCE ${source} TARGET_DIRECTORY ${target} APPEND PROPERTY COMPILE_OPTIONS -O2)
-  endif()
-endfunction()
-
 # Programs and benches have all architectures. Tests, which take the compiler longest, have those of
 # FT_TEST_CUDA_ARCHITECTURES: by default the newest, and the oldest one's PTX, which other GPUs translate.
 function(ft_set_test_architectures target)

@@ -151,7 +151,7 @@ configure_build() {
   local cuda
   read -ra cuda <<<"$(cuda_options)"
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=6 "${cuda[@]}"
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 "${cuda[@]}"
 }
 build_host() {
   cmake --build "$build" --parallel "$jobs" --target ft_host_tests
@@ -171,9 +171,9 @@ check_headers_with_clang() {
   echo "${#headers[@]} headers"
 }
 
-# Slow checkers repeat less. The examples call what the tests call.
+# Slow checkers repeat less.
 run_sanitizer_tests() {
-  FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan" -LE slow -E '^example_'
+  FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan" -LE slow
 }
 
 step "Dependencies" ft_install_missing test

@@ -173,7 +173,7 @@ check_headers_with_clang() {
 
 # Slow checkers repeat less.
 run_sanitizer_tests() {
-  FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan" -LE slow
+  FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan"
 }
 
 step "Dependencies" ft_install_missing test

@@ -97,7 +97,7 @@ void bind_cameras(nb::module_& m) {
   bound_camera<ft::kannala_brandt>::bind(m, "KannalaBrandt",
                                          "Fisheye: fx, fy, cx, cy, k1, k2, k3, k4.");
   bound_camera<ft::double_sphere>::bind(m, "DoubleSphere", "fx, fy, cx, cy, xi, alpha.");
-  bound_camera<ft::unified>::bind(m, "Unified", "fx, fy, cx, cy, and the model's parameter.");
+  bound_camera<ft::unified>::bind(m, "Unified", "fx, fy, cx, cy, xi, k1, k2, p1, p2.");
   bound_camera<ft::extended_unified>::bind(m, "ExtendedUnified", "fx, fy, cx, cy, alpha, beta.");
   bound_camera<ft::field_of_view>::bind(m, "FieldOfView", "fx, fy, cx, cy, w.");
 }

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -93,7 +92,6 @@ public:
   }
   ft::orbslam3::pose_result optimize_pose(int buffer,
                                           ft::orbslam3::transform const& T_cw) override {
-    while (replaying_ && work_ && work_()) {}
     return answer(buffer, [&] { return device_->optimize_pose(buffer, T_cw); });
   }
   float* point_distances() override { return device_->point_distances(); }
@@ -114,10 +112,6 @@ public:
     return device_->search_by_words(r);
   }
 
-  void meanwhile(std::function<bool()> work) override {
-    work_ = work;
-    device_->meanwhile(std::move(work));
-  }
   ft::orbslam3::traffic bytes() const override { return device_->bytes(); }
   void reset_bytes() override { device_->reset_bytes(); }
   void measure(bool on) override { device_->measure(on); }
@@ -160,7 +154,6 @@ private:
 
   std::unique_ptr<ft::orbslam3::device_tracker> device_;
   std::vector<noted_frame> frames_;
-  std::function<bool()> work_;
   int local_buffer_ = 0;
   std::size_t at_ = 0;
   std::size_t next_ = 0;

@@ -49,7 +49,6 @@ public:
         options_(o),
         mirror_(*device_, o.detection, s.map_points) {
     device_->measure(o.statistics);
-    device_->meanwhile([this] { return local_.work_ahead(); });
     if (!reads_map(options_)) { mirror_.changes().close(); }
   }
 

@@ -178,7 +178,6 @@ public:
   }
   /// Waits for the keypoints of extract(); stereo matches may still be in flight.
   void wait_for_features() const { features_there_.wait(); }
-  bool features_there() const { return features_there_.reached(); }
   /// Enqueues the same launch by launch, with marks of the clock.
   void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames,
                         extraction_request const& r, call_clock<Exec>& clock) {

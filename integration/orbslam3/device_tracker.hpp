@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <string>
 
 #include "integration/orbslam3/helper_threads.hpp"
@@ -108,10 +107,6 @@ public:
   /// What the next search_by_words() reads: up to cameras() * capacity() keypoints.
   virtual word_arrays& words_of(word_side side) = 0;
   virtual word_matches search_by_words(word_search_request const& request) = 0;
-
-  /// Sets what calls do while they wait: `work` returns whether more of it is left. A device calls
-  /// it until it has nothing to wait for, the host until nothing is left.
-  virtual void meanwhile(std::function<bool()> work) = 0;
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;

@@ -3,9 +3,13 @@
 #pragma once
 
 #include <algorithm>
+#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <iterator>
+#include <mutex>
+#include <new>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -13,8 +17,9 @@ namespace ft {
 namespace orbslam3 {
 
 /// Making the nodes of a map takes longer than the search of a local map. Most points are in view
-/// in the next frame again, so the nodes for that are made ahead, while the device works; they then
-/// get their positions, and the frame gets the whole map.
+/// in the next frame again, so a thread makes the nodes for that between two frames; they then get
+/// their positions, and the frame gets the whole map. begin(), put() for each point, move_to(): one
+/// thread at a time.
 /// @tparam Map std::map from a map point's mnId to a place
 template <typename Map>
 class drawn_points {
@@ -24,6 +29,22 @@ public:
 
   /// @param slots of the mirror; more are possible
   explicit drawn_points(int slots = 0) : nodes_(static_cast<std::size_t>(slots)) {}
+  drawn_points(drawn_points const&) = delete;
+  drawn_points& operator=(drawn_points const&) = delete;
+  ~drawn_points() {
+    {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      ended_ = true;
+    }
+    changed_.notify_all();
+    if (maker_.joinable()) { maker_.join(); }
+  }
+
+  /// Waits for the nodes of this frame. Before the first put().
+  void begin() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [this] { return !making_; });
+  }
 
   /// Adds a point; of equal ids the last one counts. @param slot of the point in the mirror
   void put(int slot, key id, place const& at) {
@@ -39,9 +60,9 @@ public:
     n.used = true;
   }
 
-  /// Moves the points since the last call into a map.
+  /// Moves the points since begin() into a map, and has the nodes for the next frame made.
   void move_to(Map& to) {
-    if (used_ < ready_ || ready_ < shown_.size() || !missing_.empty()) { follow(); }
+    if (used_ < shown_.size() || !missing_.empty()) { follow(); }
     if (to.empty()) {
       to.swap(next_);
     } else {
@@ -49,20 +70,15 @@ public:
       next_.clear();
     }
     ++round_;
-    ready_ = 0;
     used_ = 0;
-  }
-
-  /// Makes a few nodes for the next frame. @return whether some are left to be made
-  bool prepare() {
-    constexpr std::size_t at_a_time = 64;
-    std::size_t const end = std::min(ready_ + at_a_time, shown_.size());
-    for (; ready_ < end; ++ready_) {
-      shown const& s = shown_[ready_];
-      auto const at = next_.emplace_hint(next_.end(), s.id, place());
-      nodes_[static_cast<std::size_t>(s.slot)] = {at, round_, false};
+    {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      making_ = !shown_.empty();
     }
-    return ready_ < shown_.size();
+    if (!maker_.joinable()) {
+      maker_ = std::thread([this] { make(); });
+    }
+    changed_.notify_all();
   }
 
 private:
@@ -82,15 +98,42 @@ private:
     place at;
   };
 
+  /// The thread: makes a node for each point of the last frame.
+  void make() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    for (;;) {
+      changed_.wait(lock, [this] { return making_ || ended_; });
+      if (ended_) { return; }
+      lock.unlock();
+      try {
+        make_nodes();
+      } catch (std::bad_alloc const&) {  // put() makes them
+        next_.clear();
+        shown_.clear();
+        ++round_;
+      }
+      lock.lock();
+      making_ = false;
+      changed_.notify_all();
+    }
+  }
+
+  void make_nodes() {
+    for (shown const& s : shown_) {
+      auto const at = next_.emplace_hint(next_.end(), s.id, place());
+      nodes_[static_cast<std::size_t>(s.slot)] = {at, round_, false};
+    }
+  }
+
   /// Removes the nodes that were not used, and makes those that are missing.
   void follow() {
     other_.clear();
-    for (std::size_t i = 0; i < ready_; ++i) {
-      node const& n = nodes_[static_cast<std::size_t>(shown_[i].slot)];
-      if (n.used && n.at->first == shown_[i].id) {
-        other_.push_back(shown_[i]);
+    for (shown const& s : shown_) {
+      node const& n = nodes_[static_cast<std::size_t>(s.slot)];
+      if (n.used && n.at->first == s.id) {
+        other_.push_back(s);
       } else {
-        next_.erase(shown_[i].id);
+        next_.erase(s.id);
       }
     }
     std::sort(missing_.begin(), missing_.end(), [](added const& a, added const& b) {
@@ -112,12 +155,17 @@ private:
 
   Map next_;
   std::uint32_t round_ = 1;
-  std::size_t ready_ = 0;     ///< nodes of shown_ that next_ has
-  std::size_t used_ = 0;      ///< of these
+  std::size_t used_ = 0;      ///< nodes of this frame
   std::vector<shown> shown_;  ///< by the last frame, by id
   std::vector<shown> other_;
   std::vector<node> nodes_;  ///< by slot
   std::vector<added> missing_;
+
+  std::mutex mutex_;  ///< of the three below; all else belongs to the thread while making_
+  std::condition_variable changed_;
+  bool making_ = false;
+  bool ended_ = false;
+  std::thread maker_;
 };
 
 }  // namespace orbslam3

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <functional>
 #include <utility>
 
 #include "ft/core/error.hpp"
@@ -90,7 +89,6 @@ public:
       wait();
       times_ = clock_.read();
     } else {
-      work_until([&] { return extraction_.features_there(); });
       extraction_.wait_for_features();
       in_flight_ = extraction_.stereo_at_once();
     }
@@ -269,8 +267,6 @@ public:
     return inertial_.result();
   }
 
-  void meanwhile(std::function<bool()> work) override { work_ = std::move(work); }
-
   traffic bytes() const override { return bytes_; }
   void reset_bytes() override { bytes_ = {}; }
   void measure(bool on) override {
@@ -315,11 +311,6 @@ private:
     wait();
     times_ = clock_.read();
   }
-  /// Does the caller's work until `done`.
-  template <typename Done>
-  void work_until(Done const& done) {
-    while (work_ && work_() && !done()) {}
-  }
   /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
   /// while times are measured, so that each call has its own.
   void start_pose(pose_ahead::after search, int buffer, transform const& T_cw) {
@@ -337,7 +328,6 @@ private:
     if (pose_ahead_.started() < 0) {
       wait();
     } else {
-      work_until([&] { return matches_there_.reached(); });
       matches_there_.wait();
       change_queued_ = false;
       started_ = false;
@@ -364,7 +354,6 @@ private:
     if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
   }
   void wait() {
-    work_until([&] { return is_done(exec_); });
     exec_.wait();
     change_queued_ = false;
     started_ = false;
@@ -390,7 +379,6 @@ private:
   bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
   bool started_ = false;
-  std::function<bool()> work_;
   traffic bytes_;
   device_times times_;
 };

@@ -94,9 +94,6 @@ public:
     });
   }
 
-  /// Uses the time in which the device works. @return whether more is left to be done
-  bool work_ahead() { return drawn_.prepare(); }
-
 private:
   static constexpr int at_a_time = 256;  ///< points
 
@@ -197,6 +194,7 @@ private:
   }
   void draw(frame_type& frame, points_in_view const& seen) {
     using place = typename drawn_points<projections>::place;
+    drawn_.begin();
     for (int k = 0; k < seen.count; ++k) {
       sight const& left = seen.by[0][k];
       if (left.level < 0) { continue; }

@@ -17,10 +17,7 @@ public:
   void make() {}
   void set(Exec const&) {}
   void wait() const {}
-  /// Whether there is no time left for the caller's own work. The host is given any time.
-  bool reached() const { return false; }
 };
-inline bool is_done(host_exec const&) { return false; }
 
 /// The device of the thread that constructed the object, for other threads.
 template <typename Exec>
@@ -30,14 +27,6 @@ public:
 };
 
 #if defined(__CUDACC__)
-inline bool is_pending(cudaError_t status) {
-  if (status != cudaErrorNotReady) { return false; }
-  static_cast<void>(cudaGetLastError());  // that was none
-  return true;
-}
-/// Whether all work in the executor's stream is done.
-inline bool is_done(cuda_exec const& exec) { return !is_pending(cudaStreamQuery(exec.stream)); }
-
 /// Owns an event.
 template <>
 class stream_mark<cuda_exec> {
@@ -58,7 +47,6 @@ public:
   }
   /// Waits for the work that was enqueued before set(). @throws cuda_error
   void wait() const { ft::throw_on_error(cudaEventSynchronize(event_), "cudaEventSynchronize"); }
-  bool reached() const { return !is_pending(cudaEventQuery(event_)); }
 
 private:
   cudaEvent_t event_ = nullptr;

@@ -106,7 +106,6 @@ public:
     on_call("search_by_words");
     return to_->search_by_words(r);
   }
-  void meanwhile(std::function<bool()> work) override { to_->meanwhile(std::move(work)); }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }
   void measure(bool on) override { to_->measure(on); }

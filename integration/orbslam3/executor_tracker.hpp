@@ -34,7 +34,7 @@ inline namespace FT_ABI {
 /// measure(true) they are enqueued launch by launch.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
-class executor_tracker : public word_calls<Exec> {
+class executor_tracker : public word_calls<Exec, Rig> {
   static constexpr int searched = searched_cameras<Rig>;
 
 public:
@@ -48,7 +48,7 @@ public:
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
         inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
     map_.reserve(exec_, s.map_points);
-    this->make_words(exec_, cameras() * capacity(), s.levels_up);
+    this->make_words(exec_, s, capacity());
     exec_.wait();
     extraction_.record(exec_, frames_);
     sights_there_.make();
@@ -250,6 +250,21 @@ public:
     });
     finish(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
     return searches_.optimized();
+  }
+
+  int search_keyframe(keyframe_search_request const& r) override {
+    drop_pose(true);
+    searches_.set_pose(r.T_cw);
+    begin(searches_.input_bytes);
+    frames_.make_grid(exec_, r.frame, r.image);
+    auto const call = context_of(r.frame);
+    searches_.upload(exec_);
+    clock_.mark(exec_, 1);
+    searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
+    clock_.mark(exec_, 2);
+    searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
+    finish(sizeof(int) + frames_.holder_bytes());
+    return searches_.matches();
   }
 
   float* point_distances() override { return inertial_.distances(); }

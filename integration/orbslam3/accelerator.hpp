@@ -256,8 +256,8 @@ public:
   /// else 0: also for fewer than ten correspondences, which has no more. With other draws than the
   /// original's: equal calls have equal answers.
   ///
-  /// Returns recovery_refused, and changes nothing, for more keypoints than there is room for, or an
-  /// octave without an entry in mvLevelSigma2.
+  /// Returns recovery_refused, and changes nothing, for more keypoints than there is room for, or
+  /// an octave without an entry in mvLevelSigma2.
   /// @param matches by keypoint; bad ones are left out
   /// @param progress of this frame and these matches
   int solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
@@ -316,7 +316,7 @@ private:
   held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
   local_room room_{*device_};
-  std::mutex words_mutex_;  ///< of transform_words() and its statistics
+  std::mutex words_mutex_;          ///< of transform_words() and its statistics
   std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose
 };
 

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <functional>
 #include <utility>
 
 #include "ft/core/error.hpp"
@@ -19,6 +18,7 @@
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
@@ -36,11 +36,28 @@ inline namespace FT_ABI {
 template <typename Exec, typename Rig>
 class executor_tracker : public word_calls<Exec, Rig> {
   static constexpr int searched = searched_cameras<Rig>;
+  using calls = executor_calls<Exec>;
+  using calls::begin;
+  using calls::bytes_;
+  using calls::change_queued_;
+  using calls::clock_;
+  using calls::count_download;
+  using calls::exec_;
+  using calls::finish;
+  using calls::in_flight_;
+  using calls::start;
+  using calls::started_;
+  using calls::times_;
+  using calls::up_;
+  using calls::wait;
+  using calls::work_until;
 
 public:
+  using calls::settle;
+
   /// Allocates all memory, waits. @throws bad_argument naming the setting
   executor_tracker(Exec exec, settings const& s)
-      : exec_(std::move(exec)),
+      : word_calls<Exec, Rig>(std::move(exec)),
         settings_(checked<Rig>(s)),
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
@@ -81,8 +98,7 @@ public:
     stereo_of_ = extraction_.stereo_at_once() ? request.buffer : -1;
     bytes_.images += extraction_.images_bytes();
     ++bytes_.uploads;
-    bytes_.results += extraction_.result_bytes();
-    ++bytes_.downloads;
+    count_download(extraction_.result_bytes());
   }
 
   void wait_for_features() override {
@@ -116,9 +132,6 @@ public:
     extraction_.queue_stereo(exec_, frames_, buffer, false);
     clock_.mark(exec_, 2);
     finish(extraction_.stereo_bytes());
-  }
-  void settle() override {
-    if (in_flight_) { wait(); }
   }
 
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
@@ -284,15 +297,10 @@ public:
     return inertial_.result();
   }
 
-  void meanwhile(std::function<bool()> work) override { work_ = std::move(work); }
-
-  traffic bytes() const override { return bytes_; }
-  void reset_bytes() override { bytes_ = {}; }
   void measure(bool on) override {
     clock_.measure(on);
     this->measure_words(on);
   }
-  device_times times() const override { return times_; }
 
 private:
   using context = typename device_searches<Exec, Rig>::context;
@@ -305,36 +313,6 @@ private:
     clock_.measuring() ? queue(exec_) : graphs_.replay(exec_, key, queue);
   }
 
-  /// Marks the start of a call, before its first launch.
-  void start() {
-    settle();
-    if (!started_) { clock_.mark(exec_, 0); }
-    started_ = true;
-  }
-  /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
-  void begin(std::size_t staged = 0) {
-    start();
-    bool const collected = up_.flush(exec_) > 0;
-    if (collected || staged > 0) { ++bytes_.uploads; }
-    bytes_.frame += up_.take_bytes() + staged;
-    if (staged == 0) { clock_.mark(exec_, 1); }
-  }
-  void count_download(std::size_t bytes) {
-    ++bytes_.downloads;
-    bytes_.results += bytes;
-  }
-  /// @param bytes that are being downloaded
-  void finish(std::size_t bytes) {
-    count_download(bytes);
-    clock_.mark(exec_, 3);
-    wait();
-    times_ = clock_.read();
-  }
-  /// Does the caller's work until `done`.
-  template <typename Done>
-  void work_until(Done const& done) {
-    while (work_ && work_() && !done()) {}
-  }
   /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
   /// while times are measured, so that each call has its own.
   void start_pose(pose_ahead::after search, int buffer, transform const& T_cw) {
@@ -378,15 +356,6 @@ private:
     }
     if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
   }
-  void wait() {
-    work_until([&] { return is_done(exec_); });
-    exec_.wait();
-    change_queued_ = false;
-    started_ = false;
-    in_flight_ = false;
-  }
-
-  Exec exec_;
   thread_device<Exec> device_;
   settings settings_;
   helper_threads helpers_;
@@ -399,15 +368,7 @@ private:
   stream_mark<Exec> sights_there_;
   stream_mark<Exec> matches_there_;
   pose_ahead pose_ahead_;
-  word_mover<Exec> up_;
-  call_clock<Exec> clock_;
-  int stereo_of_ = -1;      ///< buffer whose stereo matches the extraction has enqueued
-  bool in_flight_ = false;  ///< the last call left work that it did not wait for
-  bool change_queued_ = false;
-  bool started_ = false;
-  std::function<bool()> work_;
-  traffic bytes_;
-  device_times times_;
+  int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 
 }  // namespace FT_ABI

@@ -189,8 +189,8 @@ public:
     resident_[b].id = frame.mnId;
     return b;
   }
-  /// Sends counts, angles and octaves of a frame or a keyframe. Returns the buffer, which then holds
-  /// no frame.
+  /// Sends counts, angles and octaves of a frame or a keyframe. Returns the buffer, which then
+  /// holds no frame.
   template <typename Any>
   int send_angles(Any const& frame, int keep) {
     int const b = 1 - keep;

@@ -126,15 +126,15 @@ public:
                   [&] { return gpu_->search_by_projection(current, last, th, mono); });
   }
 
-  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept. Likewise below.
+  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept. Likewise
+  /// below.
   /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
   template <typename KeyFrame, typename Found, typename Cpu>
   int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
                       int max_distance, Cpu const& cpu) {
     begin(frame, stage::search_keyframe);
-    return search(frame, cpu, [&] {
-      return gpu_->search_keyframe(frame, keyframe, found, th, max_distance);
-    });
+    return search(frame, cpu,
+                  [&] { return gpu_->search_keyframe(frame, keyframe, found, th, max_distance); });
   }
 
   /// The solver of the CPU goes on with each call, so it is called once.

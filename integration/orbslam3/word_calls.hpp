@@ -4,12 +4,13 @@
 
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "ft/core/config.hpp"
 #include "integration/orbslam3/device_bags.hpp"
 #include "integration/orbslam3/device_pnp.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/device_word_search.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
 namespace ft {
@@ -19,8 +20,10 @@ inline namespace FT_ABI {
 /// Base of a tracker on an executor. Each stage has a stream of its own: what tracking has started
 /// for the next call goes on.
 template <typename Exec, typename Rig>
-class word_calls : public device_tracker {
+class word_calls : public executor_calls<Exec> {
 public:
+  explicit word_calls(Exec exec) : executor_calls<Exec>(std::move(exec)) {}
+
   void load_vocabulary(std::string const& path) override { bags_->load(path); }
   bool has_vocabulary() const override { return bags_->loaded(); }
   word_lists transform_words(descriptor_rows const& rows) override {

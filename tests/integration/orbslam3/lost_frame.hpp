@@ -31,8 +31,8 @@ struct lost_frame : two_views {
   /// Keypoints that hold a point.
   int held() const {
     auto const& all = frame.mvpMapPoints;
-    return static_cast<int>(all.size() - static_cast<std::size_t>(
-                                             std::count(all.begin(), all.end(), nullptr)));
+    return static_cast<int>(all.size() -
+                            static_cast<std::size_t>(std::count(all.begin(), all.end(), nullptr)));
   }
 };
 

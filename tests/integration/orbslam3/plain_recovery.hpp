@@ -38,15 +38,14 @@ public:
           distance > p->GetMaxDistanceInvariance()) {
         continue;
       }
-      int const level = std::clamp(
-          static_cast<int>(std::ceil(std::log(p->raw_max_distance() / distance) /
-                                     std::log(factor_))),
-          0, levels_ - 1);
+      int const level =
+          std::clamp(static_cast<int>(
+                         std::ceil(std::log(p->raw_max_distance() / distance) / std::log(factor_))),
+                     0, levels_ - 1);
       auto const wanted = p->GetDescriptor();
       int best = 256;
       std::size_t best_k = 0;
-      for (auto const k :
-           left.area(uv.x(), uv.y(), th * scale(level), level - 1, level + 1)) {
+      for (auto const k : left.area(uv.x(), uv.y(), th * scale(level), level - 1, level + 1)) {
         int const d = hamming(wanted.data, descriptor(f, 0, k));
         if (f.mvpMapPoints[k] != nullptr || d >= best) { continue; }
         best = d;

@@ -211,8 +211,8 @@ TEST_P(recovery, poses_are_near_and_their_inliers_are_counted_by_plain_loops) {
         continue;
       }
       ++given;
-      float const share = error_share(v.settings.left, to.T_cw, matches[i]->GetWorldPos(),
-                                      v.left_keys()[i]);
+      float const share =
+          error_share(v.settings.left, to.T_cw, matches[i]->GetWorldPos(), v.left_keys()[i]);
       if (std::abs(share - 1) < 1e-2f) { continue; }  // another rounding decides
       EXPECT_EQ(to.inliers[i], share < 1) << i;
     }
@@ -229,7 +229,9 @@ TEST_P(recovery, poses_of_candidates_do_not_depend_on_the_calls_in_between) {
   accelerator gpu(make(a.settings), a.settings);
   std::vector<stand_in::map_point*> const of_a = a.matches();
   std::vector<stand_in::map_point*> of_b = b.matches();
-  for (std::size_t i = 0; i < of_b.size(); i += 9) { std::swap(of_b[i], of_b[of_b.size() - 1 - i]); }
+  for (std::size_t i = 0; i < of_b.size(); i += 9) {
+    std::swap(of_b[i], of_b[of_b.size() - 1 - i]);
+  }
   auto const calls_of = [&](lost_frame const& v, std::vector<stand_in::map_point*> const& matches,
                             std::function<void()> const& between) {
     std::vector<pose_variables> all(5);

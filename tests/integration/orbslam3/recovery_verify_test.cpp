@@ -112,14 +112,14 @@ TEST_P(recovery_verify, finds_each_difference_that_draws_do_not_explain) {
             }),
             list{"inliers by RANSAC"});
   // About the camera's centre, which stays; then of the centre alone.
-  EXPECT_EQ(solved([](pose_variables& to) {
-              Eigen::Matrix3f const turn =
-                  Eigen::AngleAxisf(0.2f, Eigen::Vector3f(1, 2, -1).normalized())
-                      .toRotationMatrix();
-              to.T_cw.topRows<3>() = (turn * to.T_cw.topRows<3>()).eval();
-              return true;
-            }),
-            list{"degrees between poses by RANSAC"});
+  EXPECT_EQ(
+      solved([](pose_variables& to) {
+        Eigen::Matrix3f const turn =
+            Eigen::AngleAxisf(0.2f, Eigen::Vector3f(1, 2, -1).normalized()).toRotationMatrix();
+        to.T_cw.topRows<3>() = (turn * to.T_cw.topRows<3>()).eval();
+        return true;
+      }),
+      list{"degrees between poses by RANSAC"});
   EXPECT_EQ(solved([](pose_variables& to) {
               to.T_cw(2, 3) += 1.5f;
               return true;

@@ -111,6 +111,13 @@ public:
   ft::orbslam3::word_matches search_by_words(ft::orbslam3::word_search_request const& r) override {
     return device_->search_by_words(r);
   }
+  int search_keyframe(ft::orbslam3::keyframe_search_request const& r) override {
+    return device_->search_keyframe(r);
+  }
+  ft::orbslam3::pnp_arrays& correspondences() override { return device_->correspondences(); }
+  ft::orbslam3::pnp_found solve_pnp(ft::orbslam3::pnp_progress& progress) override {
+    return device_->solve_pnp(progress);
+  }
 
   ft::orbslam3::traffic bytes() const override { return device_->bytes(); }
   void reset_bytes() override { device_->reset_bytes(); }

@@ -13,18 +13,16 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/cell_lists.hpp"
 #include "integration/orbslam3/conversions.hpp"
-#include "integration/orbslam3/depth_stereo.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/frame_changes.hpp"
-#include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/feature_stages.hpp"
 #include "integration/orbslam3/held_points.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/local_room.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/options.hpp"
+#include "integration/orbslam3/recovery_stages.hpp"
 #include "integration/orbslam3/statistics.hpp"
 #include "integration/orbslam3/word_stages.hpp"
 
@@ -37,129 +35,23 @@ namespace orbslam3 {
 /// frame that the CPU extracted is sent at its first use.
 /// @tparam Types with `frame` and `map_point`: ORB_SLAM3::Frame, ORB_SLAM3::MapPoint
 template <typename Types>
-class accelerator {
+class accelerator : public feature_stages<Types> {
+  using base = feature_stages<Types>;
+  using base::device_;
+  using base::frames_;
+  using base::options_;
+  using base::settings_;
+  using base::statistics_;
+  using base::sums;
+
 public:
-  using frame_type = typename Types::frame;
+  using typename base::frame_type;
   using map_point = typename Types::map_point;
 
   /// @param device from make_cuda_tracker() or make_host_tracker(), made from the same settings
   accelerator(std::unique_ptr<device_tracker> device, settings const& s, options const& o = {})
-      : device_(std::move(device)),
-        settings_(s),
-        options_(o),
-        mirror_(*device_, o.detection, s.map_points) {
-    device_->measure(o.statistics);
+      : base(std::move(device), s, o), mirror_(*device_, o.detection, s.map_points) {
     if (!reads_map(options_)) { mirror_.changes().close(); }
-  }
-
-  /// Whether the accelerator computes a stage; otherwise ORB-SLAM3's own code is called.
-  bool uses(stage s) const { return options_[s] != stage_mode::host; }
-  options const& chosen() const { return options_; }
-
-  // ---- features
-
-  /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
-  /// frame.mnId, mK, mDistCoef and the bounds.
-  /// @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
-  /// @throws bad_argument for an image of another size
-  template <typename Image>
-  void extract(Image const& left, Image const& right, frame_type& frame) {
-    detail::require(settings_.images == 2, "the settings are for one image");
-    extract_images(view_of(left), view_of(right), frame);
-  }
-  /// One image: monocular, RGB-D.
-  template <typename Image>
-  void extract(Image const& image, frame_type& frame) {
-    detail::require(settings_.images == 1, "the settings are for two images");
-    extract_images(view_of(image), {}, frame);
-  }
-
-  /// On request: a pyramid of the last extraction, as ORBextractor::mvImagePyramid but without the
-  /// border around the levels. @param image 0 left, 1 right
-  template <typename Image>
-  void download_pyramid(int image, std::vector<Image>& levels) {
-    levels.resize(static_cast<std::size_t>(settings_.levels));
-    for (int l = 0; l < settings_.levels; ++l) {
-      Image level;
-      level.create(device_->level_height(l), device_->level_width(l), grey_type);
-      device_->download_level(image, l, level.data, static_cast<std::size_t>(level.step));
-      levels[static_cast<std::size_t>(l)] = level;
-    }
-  }
-
-  /// Whether the frame is the last one that extract() filled.
-  bool extracted(frame_type const& frame) const { return frames_.is_extracted(frame); }
-
-  // ---- undistortion and grid
-
-  /// Whether undistort() can be called: extract() has filled the frame last. Other conditions: the
-  /// frame has no distortion, or it has one image and 4 or 5 coefficients.
-  bool can_undistort(frame_type const& frame) const { return frames_.is_undistorted(frame); }
-  /// Frame::UndistortKeyPoints: mvKeysUn. extract() has computed the positions.
-  /// @throws bad_argument unless can_undistort()
-  void undistort(frame_type& frame) {
-    stage_timer timer(sums(stage::undistort), *device_);
-    detail::require(can_undistort(frame), "the frame's keypoints are not undistorted here");
-    frames_.fill_undistorted(frame);
-  }
-  /// Frame::AssignFeaturesToGrid: mGrid, and mGridRight for two cameras. For frames from extract()
-  /// and from the CPU. Runs on the host, see cell_lists.
-  void assign_to_grid(frame_type& frame) {
-    stage_timer timer(sums(stage::grid), *device_);
-    bounds const image = frames_.bounds_of(frame);
-    cells_.fill(image, frames_.keys(frame, 0), frame.mGrid);
-    if (frames_.two_cameras()) { cells_.fill(image, frames_.keys(frame, 1), frame.mGridRight); }
-  }
-
-  // ---- stereo
-
-  /// Frame::ComputeStereoMatches: mvuRight and mvDepth of a frame that extract() has filled.
-  /// @throws bad_argument for another frame
-  void compute_stereo_matches(frame_type& frame) {
-    stage_timer timer(sums(stage::stereo), *device_);
-    int const b = frames_.extracted(frame);
-    if (!frames_.has_stereo(b)) {
-      timer.on_device([&] { device_->match_stereo(b); });
-      frames_.set_stereo(b);
-    }
-    frames_.fill_stereo(b, frame);
-  }
-  /// The same for a frame that the CPU has extracted. @param left,right the extractors'
-  /// mvImagePyramid; level 0 is used
-  template <typename Image>
-  void compute_stereo_matches(frame_type& frame, std::vector<Image> const& left,
-                              std::vector<Image> const& right) {
-    stage_timer timer(sums(stage::stereo), *device_);
-    detail::require(!left.empty() && !right.empty(), "the pyramids are empty");
-    int const b = frames_.load(frame, frame.mvKeys, true, -1);
-    timer.on_device([&] {
-      device_->build_pyramids(view_of(left.front()), view_of(right.front()));
-      device_->match_stereo(b);
-    });
-    frames_.set_stereo(b);
-    frames_.fill_stereo(b, frame);
-  }
-
-  /// Frame::ComputeStereoFishEyeMatches: partners, depths and points. For frames from extract() and
-  /// from the CPU.
-  void compute_stereo_fisheye_matches(frame_type& frame) {
-    stage_timer timer(sums(stage::stereo), *device_);
-    int b = frames_.find(frame);
-    if (b < 0) { b = frames_.load(frame, frame.mvKeys, true, -1); }
-    if (!frames_.has_stereo(b)) {
-      timer.on_device([&] { device_->match_stereo(b); });
-      frames_.set_stereo(b);
-    }
-    frames_.fill_fisheye_stereo(b, frame);
-  }
-
-  /// Frame::ComputeStereoFromRGBD: mvuRight and mvDepth from the depth image. Runs on the host: it
-  /// reads one pixel per keypoint, and sending the image would take longer.
-  /// @param depth metres, CV_32F
-  template <typename Image>
-  void compute_stereo_from_depth(frame_type& frame, Image const& depth) {
-    stage_timer timer(sums(stage::stereo), *device_);
-    fill_stereo_from_depth(frame, depth, settings_.bf);
   }
 
   // ---- tracking
@@ -325,6 +217,64 @@ public:
     return found.count;
   }
 
+  // ---- relocalisation
+
+  /// ORBmatcher(0.9, true).SearchByProjection(frame, &keyframe, found, th, max_distance): searches
+  /// the keyframe's points that are not in `found` in the frame, whose keypoints keep what they
+  /// hold. Returns the number of keypoints that take a point.
+  ///
+  /// Returns recovery_refused, and changes nothing, unless can_search_keyframe().
+  /// @param found with count(): std::set<MapPoint*>
+  /// @param th half side of a window at scale 1, pixels
+  /// @param max_distance largest Hamming distance of a match, bits
+  template <typename KeyFrame, typename Found>
+  int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
+                      int max_distance) {
+    stage_timer timer(sums(stage::search_keyframe), *device_);
+    std::vector<map_point*> const points = keyframe.GetMapPointMatches();
+    if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return recovery_refused; }
+    map_call_end const end(mirror_);
+    mirror_.begin_call();
+    keyframe_search_request request;
+    request.frame = frames_.bind(frame, -1);
+    request.keyframe = frames_.send_angles(keyframe, request.frame);
+    held_.send(request.frame, frame, false);
+    held_.send_searched(request.keyframe, keyframe, points, found);
+    mirror_.flush();
+    request.T_cw = transform_of(frame.GetPose());
+    request.image = frames_.bounds_of(frame);
+    request.window_radius = th;
+    request.max_hamming = max_distance;
+    int const matches = timer.on_device([&] { return device_->search_keyframe(request); });
+    held_.write_matches(request.frame, frame);
+    return matches;
+  }
+
+  /// MLPnPsolver::iterate(5, ...) with the parameters (0.99, 10, 300, 6, 0.5, 5.991): the next pose
+  /// of a frame from the points matched to the keypoints of its left camera. Returns 1 with a pose,
+  /// else 0: also for fewer than ten correspondences, which has no more. With other draws than the
+  /// original's: equal calls have equal answers.
+  ///
+  /// Returns recovery_refused, and changes nothing, for more keypoints than there is room for, or
+  /// an octave without an entry in mvLevelSigma2.
+  /// @param matches by keypoint; bad ones are left out
+  /// @param progress of this frame and these matches
+  int solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
+                pnp_progress& progress, pnp_answer const& to) {
+    stage_timer timer(sums(stage::solve_pnp), *device_);
+    if (!put_correspondences(frame, frames_.keys(frame, 0), matches, device_->correspondences(),
+                             pnp_keypoints_)) {
+      return recovery_refused;
+    }
+    pnp_progress turn = progress;
+    turn.seed += frame.mnId;
+    pnp_found const found = timer.on_device_timed([&] { return device_->solve_pnp(turn); });
+    turn.seed = progress.seed;
+    progress = turn;
+    take_pnp(found, pnp_keypoints_, matches.size(), to);
+    return static_cast<int>(found.any);
+  }
+
   // ---- map
 
   /// For the hooks: `point` has new values, which are visible under its lock. From any thread.
@@ -354,11 +304,6 @@ public:
 private:
   using map_call_end = typename map_mirror<map_point>::call_end;
 
-  template <typename Image>
-  static grey_image view_of(Image const& image) {
-    return {image.data, image.cols, image.rows,
-            static_cast<int>(static_cast<std::size_t>(image.step))};
-  }
   static bool reads_map(options const& o) {
     for (int i = 0; i < stage_count; ++i) {
       auto const s = static_cast<stage>(i);
@@ -366,31 +311,12 @@ private:
     }
     return false;
   }
-  stage_statistics* sums(stage s) {
-    return options_.statistics ? &statistics_[static_cast<std::size_t>(s)] : nullptr;
-  }
-
-  void extract_images(grey_image const& left, grey_image const& right, frame_type& frame) {
-    stage_timer timer(sums(stage::extract), *device_);
-    extraction_request const request =
-        frames_.begin_extraction(frame, left, right, uses(stage::undistort));
-    timer.on_device([&] { device_->extract(request); });
-    frames_.prepare(frame);
-    timer.on_device([&] { device_->wait_for_features(); });
-    frames_.took(request.buffer, frame);
-  }
-
-  std::unique_ptr<device_tracker> device_;
-  settings settings_;
-  options options_;
   map_mirror<map_point> mirror_;
-  frame_exchange<frame_type> frames_{*device_, settings_};
   held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fill_projections};
   local_room room_{*device_};
-  cell_lists cells_{device_->helpers()};
-  std::mutex words_mutex_;  ///< of transform_words() and its statistics
-  statistics statistics_{};
+  std::mutex words_mutex_;          ///< of transform_words() and its statistics
+  std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose
 };
 
 }  // namespace orbslam3

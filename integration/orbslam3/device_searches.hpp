@@ -14,6 +14,7 @@
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/keyframe.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/local_map.hpp"
 #include "ft/kernels/search/windows.hpp"
@@ -221,6 +222,19 @@ public:
     ft::search_last_frame(exec, search, c.frame, c.map, local_->buffers);
   }
 
+  void queue_keyframe(Exec const& exec, context const& c, keyframe_search_request const& r,
+                      device_frame const& keyframe) {
+    keyframe_search<left_camera_of<Rig>, searched> search;
+    search.camera = left_camera(rig_);
+    search.T_cw = &inputs_->T_cw;
+    search.keyframe = {keyframe.keypoints, 2, searched, keyframe.holder};
+    search.frustum = frustum_of(r.image);
+    search.geometry = c.geometry;
+    search.params = {r.window_radius, r.max_hamming, settings_.orientation_check};
+    local_->buffers.windows.capacity = searched * keypoints_;
+    ft::search_keyframe(exec, search, c.frame, c.map, local_->buffers);
+  }
+
   /// Enqueues the frustum test, the candidates, and the download of the points in view.
   void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
     local_->buffers.windows.capacity = local_.size_of(r.points);
@@ -290,18 +304,23 @@ public:
 private:
   static bool by_both(local_map_request const& r) { return !Rig::rectified && r.max_distance > 0; }
 
+  frustum_params frustum_of(bounds const& image) const {
+    frustum_params f;
+    f.min_x = image.min_x;
+    f.min_y = image.min_y;
+    f.max_x = image.max_x;
+    f.max_y = image.max_y;
+    f.log_scale_factor = log_rounded(settings_.scale_factor);
+    f.levels = settings_.levels;
+    return f;
+  }
   local_search<Rig> search_of(local_map_request const& r, pyramid_geometry const& geometry) const {
     local_search<Rig> search;
     search.rig = rig_;
     search.T_cw = &inputs_->T_cw;
     search.slots = local_->slots;
     search.slot_count = &inputs_->slots;
-    search.frustum.min_x = r.image.min_x;
-    search.frustum.min_y = r.image.min_y;
-    search.frustum.max_x = r.image.max_x;
-    search.frustum.max_y = r.image.max_y;
-    search.frustum.log_scale_factor = log_rounded(settings_.scale_factor);
-    search.frustum.levels = settings_.levels;
+    search.frustum = frustum_of(r.image);
     search.geometry = geometry;
     search.params.radius_factor = r.radius_factor;
     search.params.max_distance = Rig::rectified ? r.max_distance : 0;
@@ -324,7 +343,7 @@ private:
   std::vector<recorded_sight> recorded_;
   arena<space> memory_;
   arena<staging> host_memory_;
-  local_memory<Exec> local_;  ///< its buffers also serve the search from the last frame
+  local_memory<Exec> local_;  ///< its buffers also serve the other searches
 };
 
 }  // namespace FT_ABI

@@ -9,6 +9,7 @@
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/inertial_types.hpp"
 #include "integration/orbslam3/plain_types.hpp"
+#include "integration/orbslam3/recovery_types.hpp"
 #include "integration/orbslam3/word_types.hpp"
 
 namespace ft {
@@ -22,7 +23,8 @@ namespace orbslam3 {
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 ///
-/// The calls about words depend on no frame here. bytes() and times() do not count them.
+/// The calls about words and solve_pnp() depend on no frame here. bytes() and times() do not count
+/// them.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -91,6 +93,10 @@ public:
   /// Starts from the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
 
+  /// Starts from the holders in both buffers; fills frame(request.frame).holder. Returns the number
+  /// of keypoints that take a point.
+  virtual int search_keyframe(keyframe_search_request const& request) = 0;
+
   /// By keypoint number: distances of the points held, metres. Of points beyond 10 m an observation
   /// without a right column may err less.
   virtual float* point_distances() = 0;
@@ -107,6 +113,12 @@ public:
   /// What the next search_by_words() reads: up to cameras() * capacity() keypoints.
   virtual word_arrays& words_of(word_side side) = 0;
   virtual word_matches search_by_words(word_search_request const& request) = 0;
+
+  /// What the next solve_pnp() reads: up to capacity() correspondences.
+  virtual pnp_arrays& correspondences() = 0;
+  /// The next pose of these correspondences, by the rule of ft::continue_pnp().
+  /// @param progress of these correspondences; moved on
+  virtual pnp_found solve_pnp(pnp_progress& progress) = 0;
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;

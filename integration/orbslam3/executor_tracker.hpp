@@ -18,6 +18,7 @@
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
@@ -33,13 +34,29 @@ inline namespace FT_ABI {
 /// measure(true) they are enqueued launch by launch.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
-class executor_tracker : public word_calls<Exec> {
+class executor_tracker : public word_calls<Exec, Rig> {
   static constexpr int searched = searched_cameras<Rig>;
+  using calls = executor_calls<Exec>;
+  using calls::begin;
+  using calls::bytes_;
+  using calls::change_queued_;
+  using calls::clock_;
+  using calls::count_download;
+  using calls::exec_;
+  using calls::finish;
+  using calls::in_flight_;
+  using calls::start;
+  using calls::started_;
+  using calls::times_;
+  using calls::up_;
+  using calls::wait;
 
 public:
+  using calls::settle;
+
   /// Allocates all memory, waits. @throws bad_argument naming the setting
   executor_tracker(Exec exec, settings const& s)
-      : exec_(std::move(exec)),
+      : word_calls<Exec, Rig>(std::move(exec)),
         settings_(checked<Rig>(s)),
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
@@ -47,7 +64,7 @@ public:
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
         inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
     map_.reserve(exec_, s.map_points);
-    this->make_words(exec_, cameras() * capacity(), s.levels_up);
+    this->make_words(exec_, s, capacity());
     exec_.wait();
     extraction_.record(exec_, frames_);
     sights_there_.make();
@@ -80,8 +97,7 @@ public:
     stereo_of_ = extraction_.stereo_at_once() ? request.buffer : -1;
     bytes_.images += extraction_.images_bytes();
     ++bytes_.uploads;
-    bytes_.results += extraction_.result_bytes();
-    ++bytes_.downloads;
+    count_download(extraction_.result_bytes());
   }
 
   void wait_for_features() override {
@@ -114,9 +130,6 @@ public:
     extraction_.queue_stereo(exec_, frames_, buffer, false);
     clock_.mark(exec_, 2);
     finish(extraction_.stereo_bytes());
-  }
-  void settle() override {
-    if (in_flight_) { wait(); }
   }
 
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
@@ -250,6 +263,21 @@ public:
     return searches_.optimized();
   }
 
+  int search_keyframe(keyframe_search_request const& r) override {
+    drop_pose(true);
+    searches_.set_pose(r.T_cw);
+    begin(searches_.input_bytes);
+    frames_.make_grid(exec_, r.frame, r.image);
+    auto const call = context_of(r.frame);
+    searches_.upload(exec_);
+    clock_.mark(exec_, 1);
+    searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
+    clock_.mark(exec_, 2);
+    searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
+    finish(sizeof(int) + frames_.holder_bytes());
+    return searches_.matches();
+  }
+
   float* point_distances() override { return inertial_.distances(); }
   inertial_result optimize_inertial_pose(inertial_request const& r) override {
     drop_pose(true);
@@ -267,13 +295,10 @@ public:
     return inertial_.result();
   }
 
-  traffic bytes() const override { return bytes_; }
-  void reset_bytes() override { bytes_ = {}; }
   void measure(bool on) override {
     clock_.measure(on);
     this->measure_words(on);
   }
-  device_times times() const override { return times_; }
 
 private:
   using context = typename device_searches<Exec, Rig>::context;
@@ -286,31 +311,6 @@ private:
     clock_.measuring() ? queue(exec_) : graphs_.replay(exec_, key, queue);
   }
 
-  /// Marks the start of a call, before its first launch.
-  void start() {
-    settle();
-    if (!started_) { clock_.mark(exec_, 0); }
-    started_ = true;
-  }
-  /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
-  void begin(std::size_t staged = 0) {
-    start();
-    bool const collected = up_.flush(exec_) > 0;
-    if (collected || staged > 0) { ++bytes_.uploads; }
-    bytes_.frame += up_.take_bytes() + staged;
-    if (staged == 0) { clock_.mark(exec_, 1); }
-  }
-  void count_download(std::size_t bytes) {
-    ++bytes_.downloads;
-    bytes_.results += bytes;
-  }
-  /// @param bytes that are being downloaded
-  void finish(std::size_t bytes) {
-    count_download(bytes);
-    clock_.mark(exec_, 3);
-    wait();
-    times_ = clock_.read();
-  }
   /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
   /// while times are measured, so that each call has its own.
   void start_pose(pose_ahead::after search, int buffer, transform const& T_cw) {
@@ -353,14 +353,6 @@ private:
     }
     if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
   }
-  void wait() {
-    exec_.wait();
-    change_queued_ = false;
-    started_ = false;
-    in_flight_ = false;
-  }
-
-  Exec exec_;
   thread_device<Exec> device_;
   settings settings_;
   helper_threads helpers_;
@@ -373,14 +365,7 @@ private:
   stream_mark<Exec> sights_there_;
   stream_mark<Exec> matches_there_;
   pose_ahead pose_ahead_;
-  word_mover<Exec> up_;
-  call_clock<Exec> clock_;
-  int stereo_of_ = -1;      ///< buffer whose stereo matches the extraction has enqueued
-  bool in_flight_ = false;  ///< the last call left work that it did not wait for
-  bool change_queued_ = false;
-  bool started_ = false;
-  traffic bytes_;
-  device_times times_;
+  int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 
 }  // namespace FT_ABI

@@ -3,6 +3,7 @@
 /// send, and the transfer of extraction and stereo results into a frame.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -34,17 +35,23 @@ public:
   /// Whether the keypoints of two cameras are searched. Decided by the settings: a frame's
   /// constructor calls stereo before it sets Nleft.
   bool two_cameras() const { return device_->cameras() == 2; }
-  /// The keypoints with the positions that are searched.
-  auto const& keys(Frame const& frame, int camera) const {
+  /// The keypoints with the positions that are searched. @param frame or keyframe, likewise below
+  template <typename Any>
+  auto const& keys(Any const& frame, int camera) const {
     return camera == 1 ? frame.mvKeysRight : two_cameras() ? frame.mvKeys : frame.mvKeysUn;
   }
-  int count(Frame const& frame, int camera) const {
+  template <typename Any>
+  int count(Any const& frame, int camera) const {
     if (camera == 1 && !two_cameras()) { return 0; }
     return static_cast<int>(camera == 1 ? frame.mvKeysRight.size() : frame.mvKeys.size());
   }
+  template <typename Any>
+  bool fits(Any const& frame) const {
+    return std::max(count(frame, 0), count(frame, 1)) <= device_->capacity();
+  }
   /// Calls visit(index in the frame, number on the device) for all keypoints that may hold points.
-  template <typename Visit>
-  void for_each_number(Frame const& frame, Visit const& visit) const {
+  template <typename Any, typename Visit>
+  void for_each_number(Any const& frame, Visit const& visit) const {
     int const n = count(frame, 0);
     for (int i = 0; i < n; ++i) { visit(static_cast<std::size_t>(i), i); }
     int const right = count(frame, 1);
@@ -177,7 +184,16 @@ public:
     require_keys(frame);
     int b = find(frame);
     if (b >= 0 && b != keep) { return b; }
-    b = 1 - keep;
+    b = send_angles(frame, keep);
+    resident_[b].there = true;
+    resident_[b].id = frame.mnId;
+    return b;
+  }
+  /// Sends counts, angles and octaves of a frame or a keyframe. Returns the buffer, which then
+  /// holds no frame.
+  template <typename Any>
+  int send_angles(Any const& frame, int keep) {
+    int const b = 1 - keep;
     resident_[b] = {};
     frame_arrays const& a = device_->frame(b);
     for (int c = 0; c < 2; ++c) {
@@ -185,8 +201,6 @@ public:
       put_angles(a, c, count(frame, c), keys(frame, c));
     }
     device_->send(b, frame_part::octaves);
-    resident_[b].there = true;
-    resident_[b].id = frame.mnId;
     return b;
   }
 

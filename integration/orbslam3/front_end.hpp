@@ -189,16 +189,9 @@ public:
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     if (uses(which) && !gpu_->can_optimize_inertial(frame, which)) { return cpu(); }
-    bool refused = false;
-    int const answer = either(
-        which, cpu,
-        [&] {
-          int const tracked = gpu_->inertial_pose_optimization(frame, which);
-          refused = tracked == inertial_refused;
-          return tracked;
-        },
+    return unless_refused(
+        which, cpu, [&] { return gpu_->inertial_pose_optimization(frame, which); },
         [&] { return both_->inertial_pose_optimization(frame, which, cpu); });
-    return refused ? cpu() : answer;
   }
 
   /// From any thread: mapping computes the words of keyframes.
@@ -225,18 +218,38 @@ public:
   template <typename KeyFrame, typename Cpu>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check, Cpu const& cpu) {
-    bool refused = false;
-    int const answer = either(
+    return unless_refused(
         stage::search_by_bow, cpu,
-        [&] {
-          int const n = gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check);
-          refused = n == words_refused;
-          return n;
-        },
+        [&] { return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check); },
         [&] {
           return both_->search_by_bow(keyframe, frame, matches, ratio, orientation_check, cpu);
         });
-    return refused ? cpu() : answer;
+  }
+
+  /// Where the frame lacks descriptors, or there is no room, the CPU's own code searches.
+  /// @param found map points that are not searched: std::set<MapPoint*>
+  /// @param cpu ORBmatcher(0.9, true).SearchByProjection with these arguments
+  template <typename KeyFrame, typename Found, typename Cpu>
+  int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
+                      int max_distance, Cpu const& cpu) {
+    return unless_refused(
+        stage::search_keyframe, cpu,
+        [&] { return gpu_->search_keyframe(frame, keyframe, found, th, max_distance); },
+        [&] { return both_->search_keyframe(frame, keyframe, found, th, max_distance, cpu); });
+  }
+
+  /// The next pose of a candidate of relocalisation, and its inliers.
+  /// @param matches of the frame's keypoints
+  /// @param progress one for each candidate, by default constructed
+  /// @param to the variables that `cpu` writes to, too
+  /// @param cpu MLPnPsolver::iterate(5, ...)
+  template <typename Cpu>
+  bool solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
+                 pnp_progress& progress, pnp_answer const& to, Cpu const& cpu) {
+    int const found = unless_refused(
+        stage::solve_pnp, cpu, [&] { return gpu_->solve_pnp(frame, matches, progress, to); },
+        [&] { return static_cast<int>(both_->solve_pnp(frame, matches, progress, to, cpu)); });
+    return found != 0;
   }
 
   /// To be called before a map point is deleted.
@@ -255,6 +268,8 @@ public:
   }
 
 private:
+  static constexpr int refused = recovery_refused;
+
   void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
     gpu_ = std::make_unique<accelerator<Types>>(std::move(device), s, o);
     load_vocabulary(o);
@@ -309,6 +324,21 @@ private:
     int answer = 0;
     bool const done = uses(s) && attempt([&] { answer = verified(s) ? on_both() : on_gpu(); });
     return done ? answer : cpu();
+  }
+  /// either(), but the CPU's own code has what the accelerator refuses.
+  template <typename Cpu, typename Gpu, typename Both>
+  int unless_refused(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
+    static_assert(inertial_refused == refused && words_refused == refused, "one number for all");
+    bool left = false;
+    int const answer = either(
+        s, cpu,
+        [&] {
+          int const n = on_gpu();
+          left = n == refused;
+          return n;
+        },
+        on_both);
+    return left ? cpu() : answer;
   }
   bool verified(stage s) const {
     return both_ != nullptr && gpu_->chosen()[s] == stage_mode::device;

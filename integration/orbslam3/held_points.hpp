@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <mutex>
+#include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_changes.hpp"
@@ -28,8 +29,22 @@ public:
   static bool holds(frame_type const& frame, std::size_t i) {
     return i < frame.mvpMapPoints.size() && frame.mvpMapPoints[i] != nullptr;
   }
+  /// Sends the points that a frame's keypoints hold.
   void send(int b, frame_type const& frame, bool inliers_only) {
     if (gather(b, frame, inliers_only)) { device_->send(b, frame_part::holder); }
+  }
+  /// Likewise of a keyframe, those that are not bad and not in `found`.
+  template <typename KeyFrame, typename Found>
+  void send_searched(int b, KeyFrame const& keyframe, std::vector<map_point*> const& points,
+                     Found const& found) {
+    frame_arrays const& a = device_->frame(b);
+    frames_->for_each_number(keyframe, [&](std::size_t i, int number) {
+      map_point* const p = points[i];
+      bool const wanted = p != nullptr && found.count(p) == 0;
+      int const slot = wanted ? mirror_->visit(p, a.holder[number]) : -1;
+      a.holder[number] = wanted && !mirror_->bad(slot) ? slot : -1;
+    });
+    device_->send(b, frame_part::holder);
   }
   /// The buffer of a frame and of the points that it holds, for a pose. As in the original, map
   /// points are locked while they are read. The lock is not held while waiting for the device.

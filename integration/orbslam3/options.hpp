@@ -27,10 +27,12 @@ enum class stage {
   pose_relocalization,
   pose_inertial_last_frame,
   pose_inertial_last_keyframe,
+  search_keyframe,
   transform,
   search_by_bow,
+  solve_pnp,
 };
-inline constexpr int stage_count = 14;
+inline constexpr int stage_count = 16;
 
 inline char const* name_of(stage s) {
   constexpr char const* names[stage_count] = {"extract",
@@ -45,8 +47,10 @@ inline char const* name_of(stage s) {
                                               "pose_relocalization",
                                               "pose_inertial_last_frame",
                                               "pose_inertial_last_keyframe",
+                                              "search_keyframe",
                                               "transform",
-                                              "search_by_bow"};
+                                              "search_by_bow",
+                                              "solve_pnp"};
   return names[static_cast<int>(s)];
 }
 

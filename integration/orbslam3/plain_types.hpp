@@ -65,7 +65,7 @@ struct settings {
   bool reference_quirks = true;
   /// Enqueues stereo with the extraction, without a wait in between.
   bool stereo_with_extraction = true;
-  bool orientation_check = true;  ///< of the search from the last frame
+  bool orientation_check = true;  ///< of the searches from the last frame and a keyframe
   /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
   bool poses_ahead = true;
   /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.

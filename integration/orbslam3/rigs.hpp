@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstring>
+#include <type_traits>
+#include <utility>
 
 #include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
@@ -31,6 +33,18 @@ inline transform to_transform(pose const& p) {
   std::memcpy(static_cast<void*>(&T), &p, sizeof T);
   return T;
 }
+
+/// The camera that relocalisation finds points with.
+template <typename Rig>
+auto const& left_camera(Rig const& rig) {
+  if constexpr (Rig::rectified) {
+    return rig.camera;
+  } else {
+    return rig.left;
+  }
+}
+template <typename Rig>
+using left_camera_of = std::decay_t<decltype(left_camera(std::declval<Rig const&>()))>;
 
 /// The cameras of the settings. A single kannala_brandt camera becomes a pair without baseline
 /// whose right camera has no keypoints.

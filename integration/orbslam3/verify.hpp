@@ -12,7 +12,9 @@
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/keypoint_sets.hpp"
+#include "integration/orbslam3/verify_grid.hpp"
 #include "integration/orbslam3/verify_inertial.hpp"
+#include "integration/orbslam3/verify_recovery.hpp"
 #include "integration/orbslam3/verify_report.hpp"
 #include "integration/orbslam3/verify_tracked.hpp"
 #include "integration/orbslam3/verify_words.hpp"
@@ -92,8 +94,8 @@ public:
     clear_cells(frame.mGrid);
     clear_cells(frame.mGridRight);
     gpu_->assign_to_grid(frame);
-    compare_cells("cell of the grid", left, cells_of(frame.mGrid));
-    compare_cells("cell of the right grid", right, cells_of(frame.mGridRight));
+    compare_cells(log_, "cell of the grid", left, cells_of(frame.mGrid));
+    compare_cells(log_, "cell of the right grid", right, cells_of(frame.mGridRight));
   }
 
   /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches
@@ -120,17 +122,34 @@ public:
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
                            Cpu const& cpu) {
     begin(current, stage::search_last_frame);
-    auto const before = current.mvpMapPoints;
-    auto const run = [&](auto const& call) {
-      int const matches = call();
-      return matched{matches, std::exchange(current.mvpMapPoints, before)};
-    };
-    matched const cpu_first = run(cpu);
-    matched gpu = run([&] { return gpu_->search_by_projection(current, last, th, mono); });
-    matched const cpu_again = run(cpu);
-    current.mvpMapPoints = gpu.points;
-    compare_matches(cpu_first, cpu_again, gpu);
-    return gpu.matches;
+    return search(current, cpu,
+                  [&] { return gpu_->search_by_projection(current, last, th, mono); });
+  }
+
+  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept. Likewise
+  /// below.
+  /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
+  template <typename KeyFrame, typename Found, typename Cpu>
+  int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
+                      int max_distance, Cpu const& cpu) {
+    begin(frame, stage::search_keyframe);
+    return search(frame, cpu,
+                  [&] { return gpu_->search_keyframe(frame, keyframe, found, th, max_distance); });
+  }
+
+  /// The solver of the CPU goes on with each call, so it is called once.
+  /// @param to the variables that `cpu` writes to, too
+  /// @param cpu MLPnPsolver::iterate(); returns whether there is a pose
+  template <typename Cpu>
+  bool solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
+                 pnp_progress& progress, pnp_answer const& to, Cpu const& cpu) {
+    begin(frame, stage::solve_pnp);
+    pnp_trial const by_cpu(cpu() ? 1 : 0, to);
+    pnp_trial const by_gpu(gpu_->solve_pnp(frame, matches, progress, to), to);
+    compare_pnp(log_, tolerances_, by_cpu, by_gpu, matches);
+    pnp_trial const& kept = by_gpu.found == recovery_refused ? by_cpu : by_gpu;
+    kept.keep(to);
+    return kept.found == 1;
   }
 
   /// @param cpu the frustum test of all points and ORBmatcher::SearchByProjection; returns matches
@@ -275,6 +294,22 @@ private:
     int matches;
     std::vector<map_point*> points;
   };
+  /// A search that changes the points of a frame.
+  template <typename Cpu, typename Gpu>
+  int search(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu) {
+    auto const before = frame.mvpMapPoints;
+    auto const run = [&](auto const& call) {
+      int const matches = call();
+      return matched{matches, std::exchange(frame.mvpMapPoints, before)};
+    };
+    matched const cpu_first = run(cpu);
+    matched const gpu = run(on_gpu);
+    matched const cpu_again = run(cpu);
+    compare_matches(cpu_first, cpu_again, gpu);
+    matched const& kept = gpu.matches < 0 ? cpu_first : gpu;
+    frame.mvpMapPoints = kept.points;
+    return kept.matches;
+  }
   struct local_state {
     matched held;
     std::vector<tracked> seen;
@@ -296,32 +331,6 @@ private:
     elsewhere_.add_to(log_);
   }
 
-  template <typename List, std::size_t Columns, std::size_t Rows>
-  static std::vector<List> cells_of(List const (&grid)[Columns][Rows]) {
-    std::vector<List> all;
-    all.reserve(Columns * Rows);
-    for (auto const& column : grid) { all.insert(all.end(), column, column + Rows); }
-    return all;
-  }
-  template <typename List, std::size_t Columns, std::size_t Rows>
-  static void clear_cells(List (&grid)[Columns][Rows]) {
-    for (auto& column : grid) {
-      for (List& cell : column) { cell.clear(); }
-    }
-  }
-  /// The sizes of a cell, or the first two indices that differ.
-  template <typename List>
-  void compare_cells(char const* what, std::vector<List> const& cpu, std::vector<List> const& gpu) {
-    for (std::size_t c = 0; c < cpu.size(); ++c) {
-      auto const at = static_cast<long>(c);
-      if (cpu[c].size() != gpu[c].size()) {
-        log_.compare(what, at, cpu[c].size(), gpu[c].size());
-        continue;
-      }
-      auto const other = std::mismatch(cpu[c].begin(), cpu[c].end(), gpu[c].begin());
-      if (other.first != cpu[c].end()) { log_.compare(what, at, *other.first, *other.second); }
-    }
-  }
   template <typename T>
   void compare_numbers(char const* what, std::vector<T> const& cpu, std::vector<T> const& gpu,
                        double allowed, double relative) {

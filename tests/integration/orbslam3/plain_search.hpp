@@ -147,7 +147,7 @@ public:
     return static_cast<int>(taken.size()) - drop_rotated(f, taken);
   }
 
-private:
+protected:
   struct sight {
     float x, y, z, distance, cosine;
     int level;

@@ -87,6 +87,10 @@ public:
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }
+  int search_keyframe(ft::orbslam3::keyframe_search_request const& r) override {
+    on_call("search_keyframe");
+    return to_->search_keyframe(r);
+  }
   float* point_distances() override { return to_->point_distances(); }
   ft::orbslam3::inertial_result optimize_inertial_pose(
       ft::orbslam3::inertial_request const& r) override {
@@ -105,6 +109,11 @@ public:
   ft::orbslam3::word_matches search_by_words(ft::orbslam3::word_search_request const& r) override {
     on_call("search_by_words");
     return to_->search_by_words(r);
+  }
+  ft::orbslam3::pnp_arrays& correspondences() override { return to_->correspondences(); }
+  ft::orbslam3::pnp_found solve_pnp(ft::orbslam3::pnp_progress& progress) override {
+    on_call("solve_pnp");
+    return to_->solve_pnp(progress);
   }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }

@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -19,6 +18,7 @@
 #include "tests/conformance/golden_words_input.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/plain_words.hpp"
+#include "tests/integration/orbslam3/recorded_recovery.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
 #include "tests/support/npy.hpp"
@@ -28,11 +28,6 @@ namespace orbslam3_test {
 namespace word_golden {
 
 using accelerator = ft::orbslam3::accelerator<stand_in::types>;
-
-std::string recorded_words() {
-  char const* const data = std::getenv("FT_DATA");
-  return std::string(data == nullptr ? "../shared" : data) + "/golden_words";
-}
 
 /// A recorded frame as a keyframe and as a frame.
 struct recorded_frame {

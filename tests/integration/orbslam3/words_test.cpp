@@ -24,6 +24,7 @@
 #include "tests/integration/orbslam3/plain_words.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/two_views.hpp"
 
 namespace orbslam3_test {
 
@@ -36,7 +37,7 @@ using ft::orbslam3::difference;
 using ft::orbslam3::stage;
 using matches = std::vector<stand_in::map_point*>;
 
-constexpr int up = 2;  ///< levels
+constexpr int up = two_views::up;
 
 /// A folder of this process and test, which goes with it.
 class folder {
@@ -69,34 +70,6 @@ test::plain_vocabulary some_vocabulary() {
   for (int& w : v.word) { w = w < 0 ? -1 : words++; }
   return v;
 }
-
-/// A scene whose last frame is the keyframe; two cameras have both images' descriptors in one
-/// matrix, as ORB-SLAM3's have after the frame's constructor.
-struct two_views {
-  std::shared_ptr<scene> made;
-  scene& world;
-  ft::orbslam3::settings settings;
-  stand_in::frame frame;
-  stand_in::key_frame keyframe;
-
-  explicit two_views(sensor kind, unsigned seed = 3)
-      : made(std::make_shared<scene>(kind, seed, 500)), world(*made) {
-    settings = world.settings;
-    settings.most_keypoints = 2000;
-    settings.levels_up = up;
-    for (auto* const f : {&world.last, &world.current}) {
-      if (f->Nleft >= 0) {
-        f->mDescriptors = stand_in::joined(f->mDescriptors, f->mDescriptorsRight);
-      }
-    }
-    frame = world.current;
-    keyframe = keyframe_of(world.last);
-  }
-  void transform(plain_words const& by) {
-    by.transform(frame, settings.levels_up);
-    by.transform(keyframe, settings.levels_up);
-  }
-};
 
 class words : public on_executor {
 protected:

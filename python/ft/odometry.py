@@ -45,7 +45,7 @@ class Odometry:
         """
         if time_ns is None:
             *images, time_ns = images
-        if self._pipeline.batch == 1 and not isinstance(images[0], (list, tuple)):
+        if self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple))):
             return self._pipeline.track([images], [int(time_ns)], stream)[0]
         return self._pipeline.track(list(zip(*images)), [int(t) for t in time_ns], stream)
 

@@ -39,18 +39,20 @@ public:
     o.window_points = get("window_points");
     if (!inertial.is_none()) { o.inertial = imu_of(inertial); }
     is_rgbd_ = o.of.kind == "rgbd";
+    if (o.of.kind == "distorted" && o.of.raw_width > 0) {
+      width_ = o.of.raw_width;
+      height_ = o.of.raw_height;
+    }
+    gpu_ = on_gpu(device);
+    {
+      nb::gil_scoped_release const released;
+      inner_ = make(o, gpu_);
+    }
     for (int i = 0; i < batch_; ++i) {
       for (std::string const& name : image_names(o.of)) {
         names_.push_back(batch_ > 1 ? name + " of camera pair " + std::to_string(i) : name);
       }
     }
-    if (o.of.kind == "distorted" && o.of.raw_width > 0) {
-      width_ = o.of.raw_width;
-      height_ = o.of.raw_height;
-    }
-    bool const gpu = gpu_ = on_gpu(device);
-    nb::gil_scoped_release const released;
-    inner_ = make(o, gpu);
   }
 
   /// @param given sequences of the arrays of a rig

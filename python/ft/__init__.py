@@ -11,12 +11,13 @@ from ._ft import (
 )
 from .features import Keypoints, OrbExtractor, StereoMatcher, StereoMatches
 from .odometry import Odometry
-from .rigs import DistortedPair, FisheyePair, Imu, RectifiedPair, RgbdCamera
+from .rectification import Rectifier
+from .rigs import DistortedPair, FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera
 from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, read_tum
 
 __all__ = [
     "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
-    "Keypoints", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan", "RectifiedPair", "RgbdCamera",
-    "Sequence", "StereoMatcher", "StereoMatches", "Tracking", "Trajectory", "Unified", "__version__", "devices",
-    "evaluate", "read_sequence", "read_tum",
+    "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan",
+    "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher", "StereoMatches", "Tracking",
+    "Trajectory", "Unified", "__version__", "devices", "evaluate", "read_sequence", "read_tum",
 ]

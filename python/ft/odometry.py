@@ -8,14 +8,15 @@ from .features import _options
 
 
 class Odometry:
-    """Tracks a camera pair, or an RGB-D camera, in a map that it makes; with batch > 1 that many of the same kind, each
-    in its own map.
+    """Tracks the cameras of a rig in a map that it makes; with batch > 1 that many rigs of the same kind, each in its own
+    map.
 
-    rig: RectifiedPair, DistortedPair, FisheyePair or RgbdCamera. width, height: of the images; of a DistortedPair, of
-    the rectified ones. imu: ft.Imu, or None. near_depth: map points are made up to this many baselines away. map_slots,
-    keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
-    an adjustment, moving and fixed. features, levels ...: as those of OrbExtractor. device: auto (a GPU if there is
-    one), host or cuda. Raises ValueError for values out of range.
+    rig: RectifiedPair, DistortedPair, FisheyePair, RgbdCamera, MonocularCamera or MultiRig. width, height: of all
+    images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None; not with a MonocularCamera.
+    near_depth: map points are made up to this many baselines away. map_slots, keyframes, local_points, window_points:
+    limits of the map, of the local map and of adjustments. window: keyframes of an adjustment, moving and fixed.
+    features, levels ...: as those of OrbExtractor. device: auto (a GPU if there is one), host or cuda. Raises ValueError
+    for values out of range.
 
     Not to be used by two threads at a time; other threads run while a frame is tracked.
     """
@@ -29,19 +30,24 @@ class Odometry:
         self.rig = rig
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
 
-    def track(self, left, right, time_ns, stream=0):
+    def track(self, *images, time_ns=None, stream=0):
         """Tracks a frame, and returns ft.Tracking.
 
-        left, right: (height, width) uint8, rows may be padded; of an RGB-D camera the grey image and the depth image,
-        uint16 or float32. time_ns: when they were taken, nanoseconds; later than the frame before. With batch > 1:
-        sequences of these, and a list is returned. On a GPU images may lie on the device: anything with __dlpack__, such as
-        arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of rows are multiples of
-        16 bytes. stream: handle of the CUDA stream that wrote them, 0 = the default stream. Raises ValueError for another shape, type or time; then nothing has
-        changed.
+        track(left, right, time_ns) of a pair, track(grey, depth, time_ns) of an RgbdCamera, track(image, time_ns) of a
+        MonocularCamera, track(image, image, ..., time_ns) of a MultiRig: of each of its cameras in turn, of a pair left and
+        right. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
+
+        Images are (height, width) uint8, rows may be padded; a depth image is uint16 or float32. time_ns: when they were
+        taken, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
+        __dlpack__, such as arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of
+        rows are multiples of 16 bytes. stream: handle of the CUDA stream that wrote them, 0 = the default stream. Raises
+        ValueError for another number, shape, type, place or time; then nothing has changed.
         """
-        if self._pipeline.batch == 1 and not isinstance(left, (list, tuple)):
-            return self._pipeline.track([(left, right)], [int(time_ns)], stream)[0]
-        return self._pipeline.track(list(zip(left, right)), [int(t) for t in time_ns], stream)
+        if time_ns is None:
+            *images, time_ns = images
+        if self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple))):
+            return self._pipeline.track([images], [int(time_ns)], stream)[0]
+        return self._pipeline.track(list(zip(*images)), [int(t) for t in time_ns], stream)
 
     def add_imu(self, time_ns, accel, gyro, b=0):
         """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in
@@ -57,21 +63,25 @@ class Odometry:
         self._pipeline.reset(b)
 
     def set_mask(self, mask, camera=0, b=0):
-        """Keypoints come from where the mask, uint8 of the size mask_size, is not 0."""
+        """Keypoints come from where the mask, uint8 of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
+        of a MultiRig 2 c and 2 c + 1."""
         self._pipeline.set_mask(mask, camera, b)
 
     def recognize_places(self, vocabulary, candidates=16):
         """From the first frame on, a lost camera is also looked up among the keyframes of its map, by the words of a
-        vocabulary's file. Not with an IMU."""
+        vocabulary's file. Not with an IMU or a MultiRig."""
         self._pipeline.recognize_places(str(vocabulary), candidates)
 
     def keypoints(self, b=0):
-        """Left keypoints of the last frame: x, y, octave, depth (-1 = none), point (slot of the map point held, -1 =
-        none), matched (to a point from before this frame)."""
+        """Keypoints of the last frame, those of the left images, columns of n: x, y (pixels), camera (0, or its number in a
+        MultiRig), octave, depth (metres, -1 = none), point (slot of the map point held, -1 = none), matched (to a point
+        from before this frame)."""
         return self._pipeline.keypoints(b)
 
     def map(self, b=0):
-        """The map: position (n, 3), normal, number, keyframes_that_see_it; keyframe_time_ns, keyframe_T_world_camera."""
+        """The map, n points and k keyframes: position (n, 3) in the world, metres if `Tracking.metric`, normal (n, 3), the
+        mean viewing direction, number (n), keyframes_that_see_it (n); keyframe_time_ns (k), keyframe_T_world_camera
+        (k, 4, 4)."""
         return self._pipeline.map(b)
 
     def save_map(self, b=0):

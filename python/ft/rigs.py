@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from . import _ft
+
 IDENTITY = np.eye(4)
 
 
@@ -17,11 +19,12 @@ def _values(camera):
     return [float(v) for v in getattr(camera, "parameters", camera)]
 
 
-def _plain(kind, left, right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth_scale=1.0, raw=(0, 0)):
+def _plain(kind, left, right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth_scale=1.0, raw=(0, 0),
+           cameras=()):
     return {
         "kind": kind, "left": _values(left), "right": _values(right), "wanted": _values(wanted),
         "T_right_left": _matrix(T_right_left), "baseline": float(baseline), "depth_scale": float(depth_scale),
-        "raw_width": int(raw[0]), "raw_height": int(raw[1]),
+        "raw_width": int(raw[0]), "raw_height": int(raw[1]), "cameras": list(cameras),
     }
 
 
@@ -76,6 +79,48 @@ class RgbdCamera:
 
     def _plain(self):
         return _plain("rgbd", self.camera, baseline=self.baseline, depth_scale=self.depth_scale)
+
+
+@dataclass
+class MonocularCamera:
+    """One camera without any depth: ft.Pinhole (or fx, fy, cx, cy) or ft.KannalaBrandt, pixels. Its map begins when it
+    has moved. Nothing tells the scale: `Tracking.metric` is False, and the unit of length is the median depth of the
+    first points. Not with an IMU."""
+
+    camera: object
+
+    def _plain(self):
+        fisheye = isinstance(self.camera, _ft.KannalaBrandt)
+        if not fisheye and len(_values(self.camera)) != 4:
+            raise ValueError("the camera must be ft.Pinhole, its fx, fy, cx, cy, or ft.KannalaBrandt")
+        return _plain("monocular_fisheye" if fisheye else "monocular", self.camera)
+
+
+@dataclass
+class RigCamera:
+    """A camera of a MultiRig: the left one of a rectified pair or, with a `baseline` of 0, a single one. `camera`: fx, fy,
+    cx, cy, pixels. `baseline`: to the right camera of the pair, metres. `T_camera_body` (4, 4) maps points of the body to
+    the (left) camera."""
+
+    camera: object
+    baseline: float = 0.0
+    T_camera_body: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def _plain(self):
+        return {"camera": _values(self.camera), "baseline": float(self.baseline), "T_camera_body": _matrix(self.T_camera_body)}
+
+
+@dataclass
+class MultiRig:
+    """1 to 16 pinhole cameras fixed to a body, at least one of them a pair, in any order. One map and one pose, that of
+    the body, come from all of them. `cameras`: a list of RigCamera. A frame has an image for each single camera and two,
+    left and right, for each pair, in the order of `cameras`. A single camera makes no points: it finds those of the
+    pairs. Memory is taken for 4 cameras; from the fifth on for 16."""
+
+    cameras: list
+
+    def _plain(self):
+        return _plain("multi", (), cameras=[c._plain() for c in self.cameras])
 
 
 @dataclass

@@ -34,9 +34,17 @@ struct depth_image {
 /// A 4 x 4 matrix.
 using pose = std::array<double, 16>;
 
+/// A camera of a rig of several: the left one of a rectified pair or, with a baseline of 0, a
+/// single one.
+struct rig_camera {
+  std::vector<double> camera;  ///< fx, fy, cx, cy
+  double baseline = 0;
+  pose T_camera_body{};
+};
 struct rig {
-  std::string kind;                 ///< rectified, distorted, fisheye or rgbd
+  std::string kind;  ///< rectified, distorted, fisheye, rgbd, monocular, monocular_fisheye, multi
   std::vector<double> left, right;  ///< fx, fy, cx, cy, and the model's other parameters
+  std::vector<rig_camera> cameras;  ///< multi
   std::vector<double> wanted;       ///< distorted: fx, fy, cx, cy of both rectified cameras
   pose T_right_left{};
   double baseline = 0;
@@ -92,12 +100,13 @@ struct odometry_options {
   int window_moving = 10, window_fixed = 5, window_points = 1 << 12;
 };
 struct frame_images {
-  image left, right;
-  depth_image depth;
+  std::vector<image> grey;  ///< of each camera in turn; of a pair the left one, then the right one
+  depth_image depth;        ///< rgbd
 };
 struct tracking {
   pose T_world_camera{};
   std::string state;
+  bool metric = true;
   bool keyframe = false;
   int inliers = 0, keypoints = 0, stereo_points = 0, local_points = 0, left_out = 0;
   int map_points = 0, maps = 0, keyframes = 0;
@@ -105,10 +114,11 @@ struct tracking {
   bool imu_known = false, imu_optimized = false;
   std::array<double, 3> velocity{}, gravity{}, gyro_bias{}, accel_bias{};
 };
-/// Left keypoints of the last frame.
+/// Keypoints of the last frame, those of the left images.
 struct tracked_keypoints {
   std::vector<float> x, y, depth;
-  std::vector<int> octave, point;  ///< slot of the map point held, -1 = none
+  std::vector<int> camera, octave;
+  std::vector<int> point;  ///< slot of the map point held, -1 = none
   std::vector<std::uint8_t> matched;
 };
 struct map_arrays {
@@ -135,6 +145,35 @@ public:
   virtual std::string save_map(int b) const = 0;
   virtual void load_map(int b, std::string const& bytes) = 0;
   virtual std::size_t memory_bytes() const = 0;
+  /// track() of several frames in turn, [frames * batch]. @return what ft::odometry::track alone
+  /// took, nanoseconds, [frames]: for the bench
+  virtual std::vector<std::int64_t> track_timed(std::vector<frame_images> const& images,
+                                                std::vector<std::int64_t> const& time_ns) = 0;
+};
+
+/// A map of OpenCV's fixed-point form, and how the camera is turned.
+struct rectification {
+  std::vector<std::int16_t> position;   ///< [height][width][2]
+  std::vector<std::uint16_t> fraction;  ///< [height][width]
+  std::array<double, 9> R{};            ///< camera to rectified camera
+};
+struct rectified_image {
+  std::uint8_t* data = nullptr;
+  int stride = 0;
+};
+
+class rectifier {
+public:
+  virtual ~rectifier() = default;
+  virtual void wait_for(std::uintptr_t stream) = 0;  ///< see features
+  /// Waits until the pixels are there. @param out on the host, or where the executor works
+  virtual void rectify(image const (&given)[2], rectified_image const (&out)[2],
+                       std::uint8_t border) = 0;
+  /// Memory of the executor for a rectified image.
+  virtual std::shared_ptr<std::uint8_t> make_image() const = 0;
+  virtual rectification map(int camera) const = 0;
+  virtual double baseline() const = 0;
+  virtual int device() const = 0;  ///< number of the GPU
 };
 
 struct place_options {
@@ -163,14 +202,17 @@ public:
 std::vector<std::string> cuda_devices();
 
 // Factories of a device: `host`, and `cuda` where there is one.
-#define FTPY_FACTORIES(where)                                                       \
-  namespace where {                                                                 \
-  std::unique_ptr<features> make_features(feature_options const&, int, rig const&); \
-  std::unique_ptr<odometry> make_rectified_odometry(odometry_options const&);       \
-  std::unique_ptr<odometry> make_distorted_odometry(odometry_options const&);       \
-  std::unique_ptr<odometry> make_fisheye_odometry(odometry_options const&);         \
-  std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const&);            \
-  std::unique_ptr<places> make_places(place_options const&);                        \
+#define FTPY_FACTORIES(where)                                                                \
+  namespace where {                                                                          \
+  std::unique_ptr<features> make_features(feature_options const&, int, rig const&);          \
+  std::unique_ptr<odometry> make_rectified_odometry(odometry_options const&);                \
+  std::unique_ptr<odometry> make_distorted_odometry(odometry_options const&);                \
+  std::unique_ptr<odometry> make_fisheye_odometry(odometry_options const&);                  \
+  std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const&);                     \
+  std::unique_ptr<odometry> make_monocular_odometry(odometry_options const&);                \
+  std::unique_ptr<odometry> make_multi_odometry(odometry_options const&);                    \
+  std::unique_ptr<rectifier> make_rectifier(rig const&, int width, int height, int threads); \
+  std::unique_ptr<places> make_places(place_options const&);                                 \
   }
 FTPY_FACTORIES(host)
 FTPY_FACTORIES(cuda)

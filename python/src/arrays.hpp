@@ -52,6 +52,20 @@ public:
             static_cast<int>(a.shape(0)),
             static_cast<int>(a.shape(0) > 1 ? a.stride(0) : a.shape(1))};
   }
+  /// Of a given size, which can be written.
+  rectified_image written(nb::handle given, std::string const& name, int width, int height) {
+    nb::ndarray<> a;
+    if (given.is_none() || !nb::try_cast(given, a)) {
+      throw argument_error(name + " is not an array that can be written");
+    }
+    image const v = gray(given, name);
+    if (v.width != width || v.height != height) {
+      throw argument_error(name + " has shape (" + std::to_string(v.height) + ", " +
+                           std::to_string(v.width) + "), must have (" + std::to_string(height) +
+                           ", " + std::to_string(width) + ")");
+    }
+    return {static_cast<std::uint8_t*>(a.data()), v.stride};
+  }
   depth_image depth(nb::handle given, std::string const& name) {
     any_array const a = take(given, name);
     bool const is_float = a.dtype() == nb::dtype<float>();
@@ -165,11 +179,16 @@ inline nb::object to_numpy(std::array<double, 3> const& v) {
 void bind_features(nb::module_& m);
 void bind_odometry(nb::module_& m);
 void bind_places(nb::module_& m);
+void bind_rectifier(nb::module_& m);
 void bind_sequences(nb::module_& m);
 void bind_cameras(nb::module_& m);
 
 /// The rig of a rig object of ft.rigs.
 rig rig_of(nb::handle given);
+/// What the images of a frame of a rig are called.
+std::vector<std::string> image_names(rig const& of);
+/// @param options a dict of ft.features
+feature_options feature_options_of(nb::handle options);
 
 /// Whether `device`, "auto", "host" or "cuda", is a GPU.
 inline bool on_gpu(std::string const& device) {

@@ -20,19 +20,9 @@ nb::dict to_dict(keypoint_arrays k) {
 class feature_pipeline {
 public:
   feature_pipeline(nb::handle options, int batch, nb::handle of, std::string const& device) {
-    auto const get = [&](char const* name) { return nb::cast<int>(options[name]); };
-    feature_options o;
-    o.width = width_ = get("width");
-    o.height = height_ = get("height");
-    o.features = get("features");
-    o.levels = get("levels");
-    o.scale_factor = nb::cast<double>(options["scale_factor"]);
-    o.ini_threshold = get("ini_threshold");
-    o.min_threshold = get("min_threshold");
-    o.mask_width = get("mask_width");
-    o.mask_height = get("mask_height");
-    o.std_sort = nb::cast<bool>(options["std_sort"]);
-    o.threads = get("threads");
+    feature_options const o = feature_options_of(options);
+    width_ = o.width;
+    height_ = o.height;
     bool const gpu = gpu_ = on_gpu(device);
     rig const r = of.is_none() ? rig{} : rig_of(of);
     batch_ = batch;

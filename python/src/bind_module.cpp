@@ -40,5 +40,6 @@ NB_MODULE(_ft, m) {
   ftpy::bind_features(m);
   ftpy::bind_odometry(m);
   ftpy::bind_places(m);
+  ftpy::bind_rectifier(m);
   ftpy::bind_sequences(m);
 }

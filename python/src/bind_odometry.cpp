@@ -5,27 +5,6 @@
 
 namespace ftpy {
 
-rig rig_of(nb::handle given) {
-  if (!nb::hasattr(given, "_plain")) {
-    throw argument_error(
-        "the rig is none of ft.RectifiedPair, ft.DistortedPair, ft.FisheyePair "
-        "and ft.RgbdCamera");
-  }
-  nb::object const d = given.attr("_plain")();
-  arrays kept;
-  rig r;
-  r.kind = nb::cast<std::string>(d["kind"]);
-  r.left = nb::cast<std::vector<double>>(d["left"]);
-  r.right = nb::cast<std::vector<double>>(d["right"]);
-  r.wanted = nb::cast<std::vector<double>>(d["wanted"]);
-  r.T_right_left = kept.matrix(d["T_right_left"], "T_right_left");
-  r.baseline = nb::cast<double>(d["baseline"]);
-  r.depth_scale = nb::cast<double>(d["depth_scale"]);
-  r.raw_width = nb::cast<int>(d["raw_width"]);
-  r.raw_height = nb::cast<int>(d["raw_height"]);
-  return r;
-}
-
 namespace {
 
 std::unique_ptr<odometry> make(odometry_options const& o, bool gpu) {
@@ -34,6 +13,8 @@ std::unique_ptr<odometry> make(odometry_options const& o, bool gpu) {
   if (kind == "rectified") { return FTPY_MAKE(make_rectified_odometry); }
   if (kind == "distorted") { return FTPY_MAKE(make_distorted_odometry); }
   if (kind == "fisheye") { return FTPY_MAKE(make_fisheye_odometry); }
+  if (kind == "multi") { return FTPY_MAKE(make_multi_odometry); }
+  if (kind.rfind("monocular", 0) == 0) { return FTPY_MAKE(make_monocular_odometry); }
   return FTPY_MAKE(make_rgbd_odometry);
 #undef FTPY_MAKE
 }
@@ -45,16 +26,9 @@ public:
     auto const get = [&](char const* name) { return nb::cast<int>(options[name]); };
     odometry_options o;
     o.of = rig_of(of);
-    o.orb.width = width_ = get("width");
-    o.orb.height = height_ = get("height");
-    o.orb.features = get("features");
-    o.orb.levels = get("levels");
-    o.orb.scale_factor = nb::cast<double>(options["scale_factor"]);
-    o.orb.ini_threshold = get("ini_threshold");
-    o.orb.min_threshold = get("min_threshold");
-    o.orb.mask_width = get("mask_width");
-    o.orb.mask_height = get("mask_height");
-    o.orb.threads = get("threads");
+    o.orb = feature_options_of(options);
+    width_ = o.orb.width;
+    height_ = o.orb.height;
     o.batch = batch_ = get("batch");
     o.near_depth = nb::cast<double>(options["near_depth"]);
     o.map_slots = get("map_slots");
@@ -69,38 +43,38 @@ public:
       width_ = o.of.raw_width;
       height_ = o.of.raw_height;
     }
-    bool const gpu = gpu_ = on_gpu(device);
-    nb::gil_scoped_release const released;
-    inner_ = make(o, gpu);
+    gpu_ = on_gpu(device);
+    {
+      nb::gil_scoped_release const released;
+      inner_ = make(o, gpu_);
+    }
+    for (int i = 0; i < batch_; ++i) {
+      for (std::string const& name : image_names(o.of)) {
+        names_.push_back(batch_ > 1 ? name + " of camera pair " + std::to_string(i) : name);
+      }
+    }
   }
 
-  /// @param given pairs of arrays
+  /// @param given sequences of the arrays of a rig
   std::vector<tracking> track(nb::sequence const& given, std::vector<std::int64_t> const& time_ns,
                               std::uintptr_t stream) {
     arrays kept(gpu_);
-    std::vector<frame_images> images;
-    for (nb::handle const h : given) {
-      frame_images f;
-      std::string const b = batch_ > 1 ? " of camera pair " + std::to_string(images.size()) : "";
-      f.left = kept.framed(h[0], is_rgbd_ ? "the grey image" + b : "the left image" + b);
-      require_size(f.left.width, f.left.height, "the left or grey image" + b);
-      if (is_rgbd_) {
-        f.depth = kept.depth(h[1], "the depth image" + b);
-        require_size(f.depth.width, f.depth.height, "the depth image" + b);
-      } else {
-        f.right = kept.framed(h[1], "the right image" + b);
-        require_size(f.right.width, f.right.height, "the right image" + b);
-      }
-      images.push_back(f);
-    }
-    if (static_cast<int>(images.size()) != batch_ || images.size() != time_ns.size()) {
-      throw argument_error(std::to_string(images.size()) + " frames and " +
-                           std::to_string(time_ns.size()) + " times, must be " +
-                           std::to_string(batch_) + " of each");
-    }
+    std::vector<frame_images> const images = images_of(kept, given);
+    require_number(images.size(), time_ns.size(), static_cast<std::size_t>(batch_));
     nb::gil_scoped_release const released;
     if (kept.on_device()) { inner_->wait_for(stream); }
     return inner_->track(images, time_ns);
+  }
+  std::vector<std::int64_t> track_timed(nb::sequence const& given,
+                                        std::vector<std::int64_t> const& time_ns,
+                                        std::uintptr_t stream) {
+    arrays kept(gpu_);
+    std::vector<frame_images> const images = images_of(kept, given);
+    auto const batch = static_cast<std::size_t>(batch_);
+    require_number(images.size(), time_ns.size(), images.size() / batch * batch);
+    nb::gil_scoped_release const released;
+    if (kept.on_device()) { inner_->wait_for(stream); }
+    return inner_->track_timed(images, time_ns);
   }
   void add_imu(std::int64_t time_ns, nb::handle accel, nb::handle gyro, int b) {
     inner_->add_imu(b, time_ns, vector(accel, "accel"), vector(gyro, "gyro"));
@@ -126,6 +100,7 @@ public:
     nb::dict d;
     d["x"] = to_numpy(std::move(k.x));
     d["y"] = to_numpy(std::move(k.y));
+    d["camera"] = to_numpy(std::move(k.camera));
     d["octave"] = to_numpy(std::move(k.octave));
     d["depth"] = to_numpy(std::move(k.depth));
     d["point"] = to_numpy(std::move(k.point));
@@ -183,6 +158,35 @@ private:
     for (std::size_t i = 0; i < 3; ++i) { v[i] = nb::cast<double>(given[i]); }
     return v;
   }
+  std::vector<frame_images> images_of(arrays& kept, nb::sequence const& given) const {
+    std::size_t const of_rig = names_.size() / static_cast<std::size_t>(batch_);
+    std::vector<frame_images> all;
+    for (nb::handle const h : given) {
+      if (nb::len(h) != of_rig) {
+        throw argument_error("a frame of " + std::to_string(nb::len(h)) + " images, must be " +
+                             std::to_string(of_rig) + " of this rig");
+      }
+      frame_images f;
+      std::size_t const first = all.size() * of_rig % names_.size();
+      for (std::size_t i = 0; i < of_rig; ++i) {
+        std::string const& name = names_[first + i];
+        if (is_rgbd_ && i == 1) {
+          f.depth = kept.depth(h[i], name);
+          require_size(f.depth.width, f.depth.height, name);
+        } else {
+          f.grey.push_back(kept.framed(h[i], name));
+          require_size(f.grey.back().width, f.grey.back().height, name);
+        }
+      }
+      all.push_back(std::move(f));
+    }
+    return all;
+  }
+  static void require_number(std::size_t frames, std::size_t times, std::size_t wanted) {
+    if (frames == wanted && times == wanted) { return; }
+    throw argument_error(std::to_string(frames) + " frames and " + std::to_string(times) +
+                         " times, must be " + std::to_string(wanted) + " of each");
+  }
   void require_size(int width, int height, std::string const& name) const {
     if (width == width_ && height == height_) { return; }
     throw argument_error(name + " has shape (" + std::to_string(height) + ", " +
@@ -196,6 +200,7 @@ private:
   }
 
   std::unique_ptr<odometry> inner_;
+  std::vector<std::string> names_;  ///< [batch][images of the rig]
   int width_ = 0, height_ = 0, batch_ = 1;
   bool is_rgbd_ = false;
   bool gpu_ = false;
@@ -205,13 +210,16 @@ void bind_tracking(nb::module_& m) {
   nb::class_<tracking>(m, "Tracking", "What is known about a camera after a frame.")
       .def_prop_ro(
           "T_world_camera", [](tracking const& t) { return to_numpy(t.T_world_camera); },
-          "(4, 4) float64: maps points of the left camera to the world, metres. The world is the "
-          "left camera of the first frame with a map.")
+          "(4, 4) float64: maps points of the left camera, or of the body of a MultiRig, to the "
+          "world, which is that of the first frame with a map; metres if `metric`.")
       .def_ro("state", &tracking::state, "initialising, tracking, recovering or lost")
       .def_prop_ro("tracked", [](tracking const& t) { return t.state == "tracking"; })
+      .def_ro("metric", &tracking::metric,
+              "whether lengths are metres; False with one camera alone, whose unit is the median "
+              "depth of the first points")
       .def_ro("keyframe", &tracking::keyframe, "whether the frame became a keyframe")
       .def_ro("inliers", &tracking::inliers, "keypoints that agree with the pose")
-      .def_ro("keypoints", &tracking::keypoints, "of the left image")
+      .def_ro("keypoints", &tracking::keypoints, "of the left images")
       .def_ro("stereo_points", &tracking::stereo_points, "of these, with a depth")
       .def_ro("local_points", &tracking::local_points, "map points that were searched")
       .def_ro("left_out", &tracking::left_out, "map points for which there was no room")
@@ -240,7 +248,7 @@ void bind_tracking(nb::module_& m) {
         pose const& T = t.T_world_camera;
         return "<ft.Tracking " + t.state + ", " + std::to_string(t.inliers) + " inliers, at " +
                std::to_string(T[3]) + " " + std::to_string(T[7]) + " " + std::to_string(T[11]) +
-               " m>";
+               (t.metric ? " m>" : ">");
       });
 }
 
@@ -253,6 +261,9 @@ void bind_odometry(nb::module_& m) {
            nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
       .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns"),
            nb::arg("stream") = 0)
+      .def("track_timed", &bound_odometry::track_timed, nb::arg("images"), nb::arg("time_ns"),
+           nb::arg("stream") = 0,
+           "track() of several frames in turn, for the bench: what each took in C++, nanoseconds.")
       .def("add_imu", &bound_odometry::add_imu, nb::arg("time_ns"), nb::arg("accel"),
            nb::arg("gyro"), nb::arg("b") = 0)
       .def("predict", &bound_odometry::predict, nb::arg("T_world_camera"), nb::arg("b") = 0)

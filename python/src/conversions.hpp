@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
@@ -38,6 +39,14 @@ struct executor {
   ft::stream own;
   ft::event written;
   ft::cuda_exec exec{own.get()};
+  int device = current_device();
+
+private:
+  static int current_device() {
+    int i = 0;
+    ft::throw_on_error(cudaGetDevice(&i), "cudaGetDevice");
+    return i;
+  }
 };
 #else
 using exec_type = ft::host_exec;
@@ -45,6 +54,7 @@ struct executor {
   explicit executor(int threads) : exec(threads) {}
   void wait_for_stream(std::uintptr_t) {}
   ft::host_exec exec;
+  int device = 0;
 };
 #endif
 
@@ -136,6 +146,16 @@ inline kannala_brandt_rig fisheye_of(rig const& r) {
   return {camera_of<ft::kannala_brandt<float>>(r.left, "left"),
           camera_of<ft::kannala_brandt<float>>(r.right, "right"),
           to_ft(r.T_right_left).cast<float>()};
+}
+inline ft::distorted_pair<ft::radtan8<float>> distorted_of(rig const& r) {
+  using camera = ft::radtan8<float>;
+  auto pair = ft::distorted_pair<camera>::make(
+      camera_of<camera>(r.left, "left"), camera_of<camera>(r.right, "right"),
+      to_ft(r.T_right_left).cast<float>(), camera_of<ft::pinhole<float>>(r.wanted, "wanted"));
+  pair.width = r.raw_width;
+  pair.height = r.raw_height;
+  pair.check();
+  return pair;
 }
 
 }  // namespace ftpy

@@ -19,6 +19,9 @@ std::unique_ptr<odometry> make_rectified_odometry(odometry_options const&) { ref
 std::unique_ptr<odometry> make_distorted_odometry(odometry_options const&) { refuse(); }
 std::unique_ptr<odometry> make_fisheye_odometry(odometry_options const&) { refuse(); }
 std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const&) { refuse(); }
+std::unique_ptr<odometry> make_monocular_odometry(odometry_options const&) { refuse(); }
+std::unique_ptr<odometry> make_multi_odometry(odometry_options const&) { refuse(); }
+std::unique_ptr<rectifier> make_rectifier(rig const&, int, int, int) { refuse(); }
 std::unique_ptr<places> make_places(place_options const&) { refuse(); }
 
 }  // namespace cuda

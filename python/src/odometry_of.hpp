@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <fstream>
@@ -59,6 +60,7 @@ inline tracking plain(ft::tracking const& t) {
   tracking r;
   r.T_world_camera = from_ft(t.T_world_camera);
   r.state = name_of(t.state);
+  r.metric = t.metric;
   r.keyframe = t.keyframe;
   r.inliers = t.inliers;
   r.keypoints = t.keypoints;
@@ -125,18 +127,24 @@ public:
   }
   tracked_keypoints keypoints(int b) const override {
     ft::tracked_frame_view const& r = inner_.keypoints();
-    auto const first = static_cast<std::size_t>(b) * static_cast<std::size_t>(r.numbers());
-    auto const first_depth = static_cast<std::size_t>(b) *
-                             static_cast<std::size_t>(r.depth_cameras) *
-                             static_cast<std::size_t>(r.capacity);
-    auto const n = static_cast<std::size_t>(r.keypoints[b * r.cameras]);
+    auto const index = [](int i) { return static_cast<std::size_t>(i); };
     tracked_keypoints k;
-    k.x.assign(r.x + first, r.x + first + n);
-    k.y.assign(r.y + first, r.y + first + n);
-    k.octave.assign(r.octave + first, r.octave + first + n);
-    k.point.assign(r.holder + first, r.holder + first + n);
-    k.depth.assign(r.depth + first_depth, r.depth + first_depth + n);
-    k.matched.assign(inner_.matched() + first, inner_.matched() + first + n);
+    auto const append = [](auto& to, auto const* from, std::size_t n) {
+      to.insert(to.end(), from, from + n);
+    };
+    for (int c = 0; c < r.depth_cameras; ++c) {
+      std::size_t const n = index(r.keypoints[b * r.cameras + c]);
+      std::size_t const first = index(b) * index(r.numbers()) + index(c) * index(r.capacity);
+      std::size_t const first_depth =
+          (index(b) * index(r.depth_cameras) + index(c)) * index(r.capacity);
+      append(k.x, r.x + first, n);
+      append(k.y, r.y + first, n);
+      append(k.octave, r.octave + first, n);
+      append(k.point, r.holder + first, n);
+      append(k.depth, r.depth + first_depth, n);
+      append(k.matched, inner_.matched() + first, n);
+      k.camera.insert(k.camera.end(), n, c);
+    }
     return k;
   }
   map_arrays map(int b) const override {
@@ -171,9 +179,25 @@ public:
     });
   }
   std::size_t memory_bytes() const override { return inner_.memory_bytes().executor; }
+  std::vector<std::int64_t> track_timed(std::vector<frame_images> const& images,
+                                        std::vector<std::int64_t> const& time_ns) override {
+    return translated([&] {
+      std::vector<images_type> given;
+      for (frame_images const& f : images) { given.push_back(images_of(f)); }
+      auto const batch = static_cast<std::size_t>(inner_.batch());
+      std::vector<std::int64_t> spent;
+      for (std::size_t i = 0; i < given.size(); i += batch) {
+        auto const begin = std::chrono::steady_clock::now();
+        inner_.track(given.data() + i, time_ns.data() + i);
+        auto const end = std::chrono::steady_clock::now();
+        spent.push_back(std::chrono::duration_cast<std::chrono::nanoseconds>(end - begin).count());
+      }
+      return spent;
+    });
+  }
 
 private:
-  static images_type images_of(frame_images const& f) {
+  images_type images_of(frame_images const& f) const {
     if constexpr (std::is_same_v<images_type, ft::rgbd_images>) {
       depth_image const& d = f.depth;
       ft::depth_view v;
@@ -182,9 +206,20 @@ private:
       v.height = d.height;
       v.pitch = d.pitch;
       v.is_float = d.is_float;
-      return {to_ft(f.left), v};
+      return {to_ft(f.grey[0]), v};
+    } else if constexpr (std::is_same_v<images_type, ft::gray_view>) {
+      return to_ft(f.grey[0]);
+    } else if constexpr (std::is_same_v<images_type, ft::stereo_images>) {
+      return {to_ft(f.grey[0]), to_ft(f.grey[1])};
     } else {
-      return {to_ft(f.left), to_ft(f.right)};
+      images_type all;
+      std::size_t i = 0;
+      for (int c = 0; c < Rig::cameras; ++c) {
+        ft::rig_camera const& camera = inner_.rig().of[c];
+        if (camera.used) { all.of[2 * c] = to_ft(f.grey[i++]); }
+        if (!camera.single()) { all.of[2 * c + 1] = to_ft(f.grey[i++]); }
+      }
+      return all;
     }
   }
 

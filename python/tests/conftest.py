@@ -71,6 +71,11 @@ class Walk:
         x, y = self.position(i)
         return view(self.planes, x, y), view(self.planes, x + BASELINE, y), 50_000_000 * i
 
+    def images_at(self, i, offset, pair=True):
+        """Images of a camera, or of the left one of a pair, that lies at an offset in x and y from the left camera."""
+        x, y = np.add(self.position(i), offset)
+        return [view(self.planes, x + right, y) for right in ((0, BASELINE) if pair else (0,))]
+
     def depth(self, i):
         """Millimetres."""
         row = np.where(is_near(self.position(i)[1]), 1000 * NEAR, 1000 * FAR)
@@ -79,6 +84,11 @@ class Walk:
     def odometry(self, **options):
         options.setdefault("device", "host")
         return ft.Odometry(self.rig, WIDTH, HEIGHT, features=400, **options)
+
+
+def follow(odometry, walk, frames):
+    """What an odometry says of the first frames."""
+    return [odometry.track(*walk.frame(i)) for i in range(frames)]
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,9 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, effort
+from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, effort, follow
 
 import ft
-
-
-def follow(odometry, walk, frames):
-    return [odometry.track(*walk.frame(i)) for i in range(frames)]
 
 
 def test_the_walk_is_found(walk, device):
@@ -213,7 +209,6 @@ except KeyboardInterrupt:
             assert p.communicate(timeout=60)[0] == "stopped True\n"
         finally:
             p.kill()
-
 
 
 def test_images_on_the_device_are_read_in_place(walk):

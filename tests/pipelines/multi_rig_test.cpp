@@ -285,6 +285,31 @@ TYPED_TEST(multi_rig, gives_the_bits_of_the_host) {
   test::room::expect_same(here, track(ft::host_exec{}, rig, {&walk}));
 }
 
+TYPED_TEST(multi_rig, cameras_that_are_not_used_change_nothing) {
+  TypeParam backend;
+  auto const two = two_pairs();
+  ft::multi_rig<3> const three{{two.of[0], two.of[1], ft::rig_camera::none()}};
+  auto walk = make_walk(two, 0, 4);
+  auto const expected = track(backend.exec, two, {&walk});
+  for (rig_frame& f : walk) { f.images.resize(6); }
+  auto const seen = track(backend.exec, three, {&walk});
+  ASSERT_EQ(seen.size(), expected.size());
+  for (std::size_t f = 0; f < seen.size(); ++f) {
+    SCOPED_TRACE("frame " + std::to_string(f + 1));
+    EXPECT_GT(seen[f].inliers, 200);
+    EXPECT_EQ(seen[f].inliers, expected[f].inliers);
+    EXPECT_EQ(seen[f].keypoints[2], 0);
+    for (int c = 0; c < 2; ++c) { EXPECT_EQ(held(seen[f], c), held(expected[f], c)) << c; }
+    for (int k = 0; k < 9; ++k) { EXPECT_EQ(seen[f].T_cw.R.m[k], expected[f].T_cw.R.m[k]) << k; }
+    EXPECT_EQ(seen[f].T_cw.t.x, expected[f].T_cw.t.x);
+    EXPECT_EQ(seen[f].T_cw.t.y, expected[f].T_cw.t.y);
+    EXPECT_EQ(seen[f].T_cw.t.z, expected[f].T_cw.t.z);
+  }
+  ft::frame_tracker<decltype(backend.exec), ft::multi_rig<3>> tracker(backend.exec, three,
+                                                                      params());
+  EXPECT_THROW(tracker.set_image(0, 4, test::room::view(walk[0].images[0])), ft::bad_argument);
+}
+
 // ---- the whole odometry ------------------------------------------------------------------------
 
 ft::odometry_params odometry_params() { return test::room::odometry_params(8192); }

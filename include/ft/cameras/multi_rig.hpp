@@ -18,7 +18,14 @@ struct rig_camera {
   pinhole<float> camera;
   double baseline = 0;           ///< to the right camera of the pair, metres; 0 = a single camera
   pose T_cb = pose::identity();  ///< body to (left) camera
+  bool used = true;              ///< false: there is no such camera, see none()
 
+  /// No camera: it has no images and sees no point. Rigs of fewer than N cameras, whose number is
+  /// known at run time, fill a multi_rig<N> with these; they take memory and hardly any time.
+  static rig_camera none() {
+    constexpr float ahead = 1e9f;  // metres: all points are behind it
+    return {{1, 1, 0, 0}, 0, {mat3<float>::identity(), {0, 0, -ahead}}, false};
+  }
   /// Whether there is no right image.
   FT_HOST_DEVICE bool single() const { return !(baseline > 0); }
   /// Baseline times fx, metres * pixels; 0 for a single camera.

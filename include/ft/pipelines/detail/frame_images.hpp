@@ -26,13 +26,17 @@ struct staged_images {
   image_source* sources = nullptr;  ///< [batch][images]
 };
 
-/// Which images of a frame no camera has: the right ones of single cameras.
+/// Which images of a frame no camera has: the right ones of single cameras, and both of those that
+/// are not used.
 template <typename Rig>
 absent_images absent_images_of(Rig const& rig) {
   absent_images absent{0, Rig::images};
   if constexpr (Rig::rectified) {
     for (int c = 0; c < Rig::cameras; ++c) {
       absent.mask |= static_cast<std::uint32_t>(rig.pair(c).single()) << (2 * c + 1);
+      if constexpr (Rig::cameras > 1) {
+        absent.mask |= static_cast<std::uint32_t>(!rig.pair(c).used) << (2 * c);
+      }
     }
   }
   return absent;
@@ -111,7 +115,8 @@ public:
   void require_camera(int b, int camera) const {
     require_range("camera pair", b, 0, memory_->batch - 1);
     require_range("camera", camera, 0, images_ - 1);
-    require(!absent(number(b, camera)), "a single camera of a rig has no right image");
+    require(!absent(number(b, camera)),
+            "the rig has no such image: its camera is single, or not used");
   }
   void require_made() const { memory_.require_made("tracker"); }
   /// Number of an image in the batch.

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rectified images of a distorted pair."""
+
+from . import _ft
+from .rigs import RectifiedPair
+
+
+class Rectifier:
+    """Rectifies the images of a DistortedPair through tables that it computes once, bilinear: the pixels of cv2.remap with
+    the maps of cv2.initUndistortRectifyMap in fixed point.
+
+    rig: DistortedPair. width, height: of the rectified images, pixels. border: grey level of what lies outside the given
+    images. threads: of the host; 0 = all. device: auto (a GPU if there is one), host or cuda. Raises ValueError for a rig
+    that cannot be rectified in rows and for values out of range.
+
+    Not to be used by two threads at a time.
+    """
+
+    def __init__(self, rig, width, height, *, border=0, threads=0, device="auto"):
+        self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, device)
+        self.rig = RectifiedPair(rig.wanted, self._pipeline.baseline)  # that of the rectified images
+
+    def rectify(self, left, right, out=None, stream=0):
+        """Two rectified images (height, width) uint8, as a tuple, of two images (raw height, raw width) uint8, whose rows may
+        be padded. Of images in host memory arrays of NumPy; on a GPU, of images on the device (__dlpack__) arrays there, which
+        torch.from_dlpack and cupy.from_dlpack take. out: two arrays that are written in place of new ones, on the host or,
+        on a GPU, on the device; they must not overlap the images. stream: handle of the CUDA stream that wrote the images, 0
+        = the default stream. Returns when the pixels are there. Raises ValueError for another shape, type or place."""
+        return self._pipeline.rectify(left, right, out, stream)
+
+    def map(self, camera):
+        """How camera 0 (left) or 1 (right) is rectified: source positions (height, width, 2) int16 and their fractions
+        (height, width) uint16, as cv2.remap takes them; and the rotation (3, 3) of the camera's points into the
+        rectified one."""
+        return self._pipeline.map(camera)

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs of several cameras, and one camera from nothing."""
+
+import numpy as np
+import pytest
+from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, Walk
+
+import ft
+
+ASIDE, ABOVE = (0.3, 0.1), (0.15, -0.05)  # where other cameras of the body are, metres
+
+
+def mounted(offset, baseline=BASELINE):
+    """A camera that looks as the body does, from an offset in x and y."""
+    T = np.eye(4)
+    T[:2, 3] = np.negative(offset)
+    return ft.RigCamera(CAMERA, baseline, T)
+
+
+def odometry_of(rig, device="host", features=400, **options):
+    return ft.Odometry(rig, WIDTH, HEIGHT, features=features, device=device, **options)
+
+
+def images_of(walk, i):
+    return walk.images_at(i, (0, 0)) + walk.images_at(i, ASIDE)
+
+
+def test_two_pairs_have_one_pose(walk, device):
+    odometry = odometry_of(ft.MultiRig([mounted((0, 0)), mounted(ASIDE)]), device)
+    for i in range(12):
+        pose = odometry.track(*images_of(walk, i), 50_000_000 * i)
+        assert pose.tracked and pose.metric and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    keypoints = odometry.keypoints()
+    assert pose.keypoints == len(keypoints["x"])
+    for camera in (0, 1):
+        of_camera = keypoints["camera"] == camera
+        assert np.sum(keypoints["matched"] & of_camera) > 50
+        assert np.sum(keypoints["depth"][of_camera] > 0) > 50
+    assert set(keypoints["camera"]) == {0, 1}
+
+
+def test_a_second_pair_carries_on_alone(walk):
+    odometry = odometry_of(ft.MultiRig([mounted((0, 0)), mounted(ASIDE)]))
+    for i in range(8):
+        images = images_of(walk, i)
+        if i >= 4:
+            images[0] = images[1] = np.zeros_like(images[0])
+        pose = odometry.track(*images, 50_000_000 * i)
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+
+
+def test_a_rig_of_one_pair_has_the_answers_of_a_pair(walk):
+    rig, pair = odometry_of(ft.MultiRig([mounted((0, 0))])), walk.odometry()
+    for i in range(6):
+        a, b = rig.track(*walk.frame(i)), pair.track(*walk.frame(i))
+        assert a.keypoints == b.keypoints and a.inliers == b.inliers
+        assert np.array_equal(a.T_world_camera, b.T_world_camera)
+
+
+def test_a_single_camera_finds_the_points_of_a_pair(walk):
+    odometry = odometry_of(ft.MultiRig([mounted(ABOVE, baseline=0), mounted((0, 0))]))
+    for i in range(8):
+        images = walk.images_at(i, ABOVE, pair=False) + walk.images_at(i, (0, 0))
+        pose = odometry.track(*images, 50_000_000 * i)
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    keypoints = odometry.keypoints()
+    single = keypoints["camera"] == 0
+    assert np.all(keypoints["depth"][single] < 0) and np.sum(keypoints["matched"] & single) > 30
+
+
+def test_five_cameras_and_batches(walk):
+    offsets = [(0, 0), ASIDE, ABOVE, (-0.1, 0.05), (0.1, 0.1)]
+    rig = ft.MultiRig([mounted(o, BASELINE if k < 2 else 0) for k, o in enumerate(offsets)])
+    both, alone = odometry_of(rig, batch=2), odometry_of(rig)
+    images = lambda i: [image for k, o in enumerate(offsets) for image in walk.images_at(i, o, pair=k < 2)]
+    for i in range(4):
+        a, b = images(i), images(i + 2)
+        t = 50_000_000 * i
+        got = both.track(*zip(a, b), [t, t])
+        want = alone.track(*a, t)
+        assert got[0].inliers == want.inliers and np.array_equal(got[0].T_world_camera, want.T_world_camera)
+        assert got[1].tracked and np.allclose(want.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    assert max(alone.keypoints()["camera"]) == 4
+
+
+def scale_and_error(positions, truth):
+    """The scale that fits positions, from the first one on, to true ones, and the largest distance, as a share of the
+    path."""
+    a, b = np.array(positions) - positions[0], np.array(truth) - truth[0]
+    scale = np.sum(a * b) / np.sum(a * a)
+    return scale, np.max(np.linalg.norm(scale * a - b, axis=1)) / np.linalg.norm(b[-1])
+
+
+@pytest.mark.parametrize("camera", [CAMERA, ft.KannalaBrandt([*CAMERA, 1 / 3, 2 / 15, 0, 0])], ids=["pinhole", "fisheye"])
+def test_one_camera_makes_a_map_from_its_motion(walk, device, camera):
+    odometry = odometry_of(ft.MonocularCamera(camera), device, features=1000)
+    positions, truth, before = [], [], 0
+    for i in range(40):
+        pose = odometry.track(walk.frame(i)[0], 50_000_000 * i)
+        assert not pose.metric
+        if pose.tracked:
+            positions.append(pose.T_world_camera[:3, 3])
+            truth.append([*walk.position(i), 0.0])
+        else:
+            assert pose.state == "initialising"
+            before += 1
+    assert 0 < before < 12 and pose.maps == 1 and pose.map_points > 200
+    # A narrow image that moves sideways says little about turns, on which the share rests.
+    scale, error = scale_and_error(positions, truth)
+    assert error < 0.15
+    depths = scale * odometry.map()["position"][:, 2]
+    near, far = depths[depths < 2], depths[depths > 2]
+    assert len(near) > 50 and len(far) > 50 and abs(np.median(far) / np.median(near) / (FAR / NEAR) - 1) < 0.05
+    assert np.mean(abs(near / np.median(near) - 1) < 0.1) > 0.9 and np.mean(abs(far / np.median(far) - 1) < 0.1) > 0.9
+    assert np.all(odometry.keypoints()["depth"] < 0)
+
+
+def test_single_cameras_in_a_batch_track_as_alone(walk):
+    rig = ft.MonocularCamera(ft.Pinhole(CAMERA))
+    both, alone = odometry_of(rig, batch=2, features=1000), odometry_of(rig, features=1000)
+    other = Walk(7)
+    for i in range(12):
+        a, b, t = walk.frame(i)[0], other.frame(i)[0], 50_000_000 * i
+        got, want = both.track([a, b], [t, t]), alone.track(a, t)
+        assert got[0].state == want.state and np.array_equal(got[0].T_world_camera, want.T_world_camera)
+    assert want.tracked and got[1].tracked
+    both.reset(1)
+    got = both.track([a, b], [t + 1, 0])
+    assert got[0].tracked and got[1].state == "initialising"
+
+
+def test_images_of_a_rig_are_counted_and_named(walk):
+    left, right, t = walk.frame(0)
+    rig = odometry_of(ft.MultiRig([mounted((0, 0)), mounted(ABOVE, baseline=0)]))
+    with pytest.raises(ValueError, match="2 images, must be 3"):
+        rig.track(left, right, t)
+    with pytest.raises(ValueError, match="the image of camera 1 has shape"):
+        rig.track(left, right, left[1:], t)
+    with pytest.raises(ValueError, match="the right image of camera 0"):
+        rig.track(left, None, left, t)
+    single = odometry_of(ft.MonocularCamera(CAMERA))
+    with pytest.raises(ValueError, match="2 images, must be 1"):
+        single.track(left, right, t)
+    with pytest.raises(ValueError, match="0 images, must be 1"):
+        single.track(t)
+    assert single.track(left, time_ns=t).state == "initialising"
+    both = odometry_of(ft.MonocularCamera(CAMERA), batch=2)
+    with pytest.raises(ValueError, match="the image of camera pair 1"):
+        both.track([left, left.astype(float)], [t, t])
+
+
+@pytest.mark.parametrize("make, word", [
+    (lambda: ft.MultiRig([]), "0 cameras"),
+    (lambda: ft.MultiRig([mounted((0, 0))] * 17), "17 cameras, must have 1 to 16"),
+    (lambda: ft.MultiRig([mounted((0, 0), baseline=0)]), "stereo pair"),
+    (lambda: ft.MultiRig([mounted((0, 0), baseline=-1)]), "baseline"),
+    (lambda: ft.MultiRig([ft.RigCamera(CAMERA, 0.1, 2 * np.eye(4))]), "T_camera_body"),
+    (lambda: ft.MultiRig([ft.RigCamera(CAMERA, 0.1, np.diag([1.0, 1, -1, 1]))]), "reflection"),
+    (lambda: ft.MonocularCamera(ft.RadTan([*CAMERA, 0.1, 0, 0, 0, 0, 0, 0, 0])), "Pinhole"),
+    (lambda: ft.MonocularCamera((0, 1, 2, 3)), "fx"),
+])
+def test_rigs_that_cannot_be_are_refused(make, word):
+    with pytest.raises(ValueError, match=word):
+        odometry_of(make())
+
+
+def test_an_imu_needs_a_scale():
+    with pytest.raises(ValueError, match="scale"):
+        odometry_of(ft.MonocularCamera(CAMERA), imu=ft.Imu())

@@ -13,6 +13,7 @@
 
 #include "examples/ros2/include/ft_ros2/base_frame.hpp"
 #include "examples/ros2/include/ft_ros2/images.hpp"
+#include "examples/ros2/include/ft_ros2/quaternions.hpp"
 #include "examples/ros2/include/ft_ros2/tracker_of.hpp"
 #include "examples/sequence/generator.hpp"
 #include "examples/sequence/grey.hpp"
@@ -124,6 +125,24 @@ TEST(BaseFrame, CovarianceIsMovedToTheBase) {
 }
 
 // ---- messages
+
+// About every axis by small angles, by half a turn and almost so: all four branches.
+TEST(Quaternions, AreThoseOfTheMatrix) {
+  for (double const angle : {0.0, 1e-9, 0.3, 2.0, 3.1, M_PI}) {
+    for (Eigen::Vector3d axis :
+         {Eigen::Vector3d(1, 0.1, 0), Eigen::Vector3d(0, -1, 0.2), Eigen::Vector3d(0.1, 0.2, 1)}) {
+      axis.normalize();
+      Eigen::Quaterniond const wanted(Eigen::AngleAxisd(angle, axis));
+      auto const R = plain(pose(angle * axis, {0, 0, 0})).R;
+      auto const q = ft_ros2::quaternion_of(R);
+      double const agreement =
+          q[0] * wanted.x() + q[1] * wanted.y() + q[2] * wanted.z() + q[3] * wanted.w();
+      EXPECT_NEAR(std::abs(agreement), 1, 1e-12) << angle;  // the sign is free
+      auto const back = ft_ros2::matrix_of(q);
+      for (std::size_t i = 0; i < 9; ++i) { EXPECT_NEAR(back[i], R[i], 1e-12) << angle; }
+    }
+  }
+}
 
 TEST(Images, BecomeGrey) {
   std::vector<std::uint8_t> const padded{10, 20, 30, 40, 50, 60, 0, 0,  //

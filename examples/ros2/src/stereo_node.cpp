@@ -7,13 +7,11 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <exception>
 #include <functional>
 #include <geometry_msgs/msg/pose_stamped.hpp>
-#include <geometry_msgs/msg/quaternion.hpp>
 #include <geometry_msgs/msg/transform_stamped.hpp>
 #include <image_transport/subscriber_filter.hpp>
 #include <memory>
@@ -24,6 +22,7 @@
 #include <sensor_msgs/msg/camera_info.hpp>
 #include <sensor_msgs/msg/image.hpp>
 #include <sensor_msgs/msg/imu.hpp>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -36,6 +35,7 @@
 #endif
 
 #include "ft_ros2/images.hpp"
+#include "ft_ros2/quaternions.hpp"
 #include "ft_ros2/tracker.hpp"
 
 namespace ft_ros2 {
@@ -51,43 +51,15 @@ std::int64_t nanoseconds(builtin_interfaces::msg::Time const& t) {
 
 transform transform_of(geometry_msgs::msg::Transform const& m) {
   auto const& q = m.rotation;
-  double const x = q.x, y = q.y, z = q.z, w = q.w;
-  return {{1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), 2 * (x * y + z * w),
-           1 - 2 * (x * x + z * z), 2 * (y * z - x * w), 2 * (x * z - y * w), 2 * (y * z + x * w),
-           1 - 2 * (x * x + y * y)},
-          {m.translation.x, m.translation.y, m.translation.z}};
-}
-
-/// Shepperd's method: the largest of the four first.
-geometry_msgs::msg::Quaternion quaternion_of(std::array<double, 9> const& R) {
-  double const trace = R[0] + R[4] + R[8];
-  std::array<double, 4> q{};  // x, y, z, w
-  std::array<double, 4> const size{R[0], R[4], R[8], trace};
-  auto const i =
-      static_cast<std::size_t>(std::max_element(size.begin(), size.end()) - size.begin());
-  if (i == 3) {
-    q = {R[7] - R[5], R[2] - R[6], R[3] - R[1], 1 + trace};
-  } else {
-    std::size_t const j = (i + 1) % 3, k = (i + 2) % 3;
-    q[i] = 1 + 2 * R[4 * i] - trace;
-    q[j] = R[3 * i + j] + R[3 * j + i];
-    q[k] = R[3 * i + k] + R[3 * k + i];
-    q[3] = R[3 * k + j] - R[3 * j + k];
-  }
-  double const length = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  geometry_msgs::msg::Quaternion m;
-  m.x = q[0] / length;
-  m.y = q[1] / length;
-  m.z = q[2] / length;
-  m.w = q[3] / length;
-  return m;
+  auto const& t = m.translation;
+  return {matrix_of({q.x, q.y, q.z, q.w}), {t.x, t.y, t.z}};
 }
 
 class stereo_node : public rclcpp::Node {
 public:
   stereo_node() : rclcpp::Node("ft_stereo_odometry"), buffer_(get_clock()), listener_(buffer_) {
-    odom_frame_ = declare_parameter("odom_frame", "odom");
-    base_frame_ = declare_parameter("base_frame", "base_link");
+    odom_frame_ = declare_parameter<std::string>("odom_frame", "odom");
+    base_frame_ = declare_parameter<std::string>("base_frame", "base_link");
     publish_tf_ = declare_parameter("publish_tf", true);
     path_length_ = static_cast<std::size_t>(
         std::max<std::int64_t>(0, declare_parameter("path_length", std::int64_t{5000})));
@@ -106,7 +78,7 @@ public:
       imu_in_ = create_subscription<Imu>("imu", rclcpp::SensorDataQoS().keep_last(400),
                                          [this](Imu::ConstSharedPtr m) { on_imu(*m); });
     }
-    std::string const transport = declare_parameter("image_transport", "raw");
+    std::string const transport = declare_parameter<std::string>("image_transport", "raw");
     left_in_.subscribe(this, "left/image_rect", transport, rmw_qos_profile_sensor_data);
     right_in_.subscribe(this, "right/image_rect", transport, rmw_qos_profile_sensor_data);
     pairs_ = std::make_unique<synchronizer>(policy(5), left_in_, right_in_);
@@ -121,7 +93,7 @@ private:
   void read_settings() {
     settings_.features = static_cast<int>(declare_parameter("features", std::int64_t{1200}));
     settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
-    on_gpu_ = declare_parameter("device", "host") == "cuda";
+    on_gpu_ = declare_parameter<std::string>("device", "host") == "cuda";
     use_imu_ = declare_parameter("use_imu", false);
     imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
     imu_.accel_noise = declare_parameter("accel_noise", imu_.accel_noise);
@@ -198,7 +170,11 @@ private:
     pose.position.x = e.T_odom_base.t[0];
     pose.position.y = e.T_odom_base.t[1];
     pose.position.z = e.T_odom_base.t[2];
-    pose.orientation = quaternion_of(e.T_odom_base.R);
+    std::array<double, 4> const q = quaternion_of(e.T_odom_base.R);
+    pose.orientation.x = q[0];
+    pose.orientation.y = q[1];
+    pose.orientation.z = q[2];
+    pose.orientation.w = q[3];
     std::copy(e.covariance.begin(), e.covariance.end(), odometry.pose.covariance.begin());
     if (e.moving_known) {
       auto& twist = odometry.twist.twist;

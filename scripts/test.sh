@@ -120,6 +120,9 @@ test_python() {
     echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
     return 0
   fi
+  if ! "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel rerun-sdk; then
+    echo "pip cannot fetch matplotlib, nbclient, ipykernel and rerun-sdk: notebooks and recordings are not tested"
+  fi
   CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" install --quiet --no-build-isolation --no-deps \
     -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
     -C cmake.define.FT_FAST_DEVICE_CODE=ON "$ft_root"

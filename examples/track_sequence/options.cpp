@@ -68,6 +68,11 @@ void add_output(CLI::App& app, arguments& a) {
       ->capture_default_str();
   app.add_option("--imu", a.imu, "auto (the default: used if the sequence has one), or off")
       ->check(CLI::IsMember({"auto", "off"}));
+  app.add_option(
+      "--record", a.record,
+      "folder for a recording that `python -m ft view FOLDER` shows in the viewer rerun, "
+      "or turns into one file with its --record FILE.rrd: recording.jsonl and the left "
+      "images; with --timing it has the times of stages");
   app.add_flag("--timing", a.timing, "measures the stages of a frame");
   app.add_flag("--quiet", a.quiet, "no progress display");
 }

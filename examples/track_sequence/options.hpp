@@ -23,6 +23,7 @@ struct arguments {
   std::string poses = "tum";
   std::string imu = "auto";
   std::string out = "track_sequence_out";
+  std::string record;  ///< folder, or empty
   int features = 0;
   int threads = 0;
   int frames = 0;

@@ -69,7 +69,9 @@ tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence, od
       odometry_(odometry),
       report_(report),
       scale_factor_(options_of(a, sequence).scale_factor),
-      left_lens_(sequence.rig().left) {}
+      left_lens_(sequence.rig().left) {
+  if (!a.record.empty()) { recording_.emplace(a.record, sequence, report.stages); }
+}
 
 double tracking_run::arrival_ms(int i) const {
   return static_cast<double>(sequence_.time_ns(i) - sequence_.time_ns(0)) / 1e6;
@@ -119,6 +121,9 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
       odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
+  if (recording_) {
+    recording_->add(report_.records.back(), outcome.T_wc, frame.left, odometry_.keypoints());
+  }
   if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_wc)); }
   if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_wc); }
   add_sample(i, std::move(frame.left));

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "examples/sequence/reader.hpp"
@@ -10,13 +11,15 @@
 #include "examples/sequence/report.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
+#include "examples/track_sequence/recording.hpp"
 
 namespace app {
 
 /// One run over a sequence.
 class tracking_run {
 public:
-  /// @param report gets records, poses, samples and counts
+  /// @param report gets records, poses, samples and counts; has the names of stages
+  /// @throws seq::error for a recording that cannot be written
   tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
                seq::run_report& report);
 
@@ -39,6 +42,7 @@ private:
   seq::run_report& report_;
   double scale_factor_;
   seq::lens_projection left_lens_;
+  std::optional<recording> recording_;
   std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_
   int before_index_ = -2;
   double busy_until_ms_ = 0;     ///< on the sequence's own clock, for --realtime

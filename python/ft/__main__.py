@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""python -m ft track FOLDER: tracks a recorded sequence; see --help."""
+"""python -m ft track FOLDER tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
 
 import argparse
 import json
@@ -10,43 +10,39 @@ from pathlib import Path
 import ft
 
 
-def recorder_of(file):
-    """A recording for the viewer rerun, or None; says which package is missing."""
-    if file is None:
+def viewer_of(arguments, sequence):
+    """A viewer, or None. Raises MissingPackage."""
+    if not arguments.view and arguments.record is None:
         return None
-    try:
-        import rerun
-    except ImportError:
-        sys.exit("python -m ft track --record needs the package rerun: python -m pip install rerun-sdk")
-    rerun.init("ft", spawn=False)
-    rerun.save(str(file))
-    return rerun
+    from ft import view
+
+    camera = getattr(sequence.rig, "camera", None) or sequence.rig.left
+    return view.Viewer(view.open_rerun(arguments.record), camera, sequence.width, sequence.height,
+                       sequence.ground_truth, sequence.ground_truth_has_orientation)
 
 
-def record(rerun, frame, pose, odometry):
-    """Image, keypoints and pose of a frame."""
-    rerun.set_time("frame", timestamp=1e-9 * frame.time_ns)
-    keypoints = odometry.keypoints()
-    rerun.log("camera/image", rerun.Image(frame.left))
-    rerun.log("camera/image/keypoints", rerun.Points2D(
-        list(zip(keypoints["x"], keypoints["y"])),
-        colors=[[0, 255, 0] if m else [255, 160, 0] for m in keypoints["matched"]]))
-    T = pose.T_world_camera
-    rerun.log("camera", rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-    if pose.keyframe:
-        rerun.log("map", rerun.Points3D(odometry.map()["position"]))
+def show(viewer, i, frame, pose, odometry, milliseconds):
+    """What is known about a frame, to the viewer."""
+    from ft import view
+
+    counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
+              "local map": pose.local_points}
+    times = {**odometry.stage_times(), "total": milliseconds}
+    seen = view.Seen(i, frame.time_ns, frame.left, pose.tracked, pose.keyframe, pose.T_world_camera,
+                     odometry.keypoints(), counts, times)
+    viewer.show(seen, odometry.map() if pose.tracked and pose.keyframe else None)
 
 
 def track(arguments):
     sequence = ft.read_sequence(arguments.folder, calibration=arguments.calibration, max_frames=arguments.frames,
                                 imu=arguments.imu)
+    viewer = viewer_of(arguments, sequence)
     options = {"features": arguments.features} if arguments.features else {}
     odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.device,
-                           **options)
-    rerun = recorder_of(arguments.record)
+                           measure_stages=viewer is not None, **options)
     samples = iter(sequence.imu_samples)
     waiting = next(samples, None)
-    poses, tracked, spent, stopped = [], 0, 0.0, None
+    poses, spent, stopped, i = [], 0.0, None, 0
     try:
         for i, frame in enumerate(sequence):
             while waiting is not None and waiting[0] <= frame.time_ns:
@@ -54,14 +50,21 @@ def track(arguments):
                 waiting = next(samples, None)
             begin = time.perf_counter()
             pose = odometry.track(frame.left, frame.right, frame.time_ns)
-            spent += time.perf_counter() - begin
+            took = time.perf_counter() - begin
+            spent += took
             if pose.tracked:
-                tracked += 1
                 poses.append((frame.time_ns, pose.T_world_camera))
-            if rerun is not None:
-                record(rerun, frame, pose, odometry)
+            if viewer is not None:
+                show(viewer, i, frame, pose, odometry, 1e3 * took)
     except KeyboardInterrupt:
         stopped = i
+    if viewer is not None:
+        viewer.finish()
+    return report(arguments, sequence, poses, spent, stopped)
+
+
+def report(arguments, sequence, poses, spent, stopped):
+    """Writes trajectory and summary. Returns the exit status."""
     if not poses:
         print("no frame could be tracked", file=sys.stderr)
         return 1
@@ -69,8 +72,8 @@ def track(arguments):
     out.mkdir(parents=True, exist_ok=True)
     trajectory = ft.Trajectory.of(poses)
     trajectory.write_tum(out / "trajectory.txt")
-    summary = {"sequence": sequence.name, "frames": len(sequence), "tracked": tracked, "stopped_at": stopped,
-               "frames_per_s": tracked / spent if spent else None}
+    summary = {"sequence": sequence.name, "frames": len(sequence), "tracked": len(poses), "stopped_at": stopped,
+               "frames_per_s": len(poses) / spent if spent else None}
     if len(sequence.ground_truth):
         errors = ft.evaluate(trajectory, sequence.ground_truth, orientation=sequence.ground_truth_has_orientation)
         summary.update({k: v for k, v in errors.items() if k != "T_truth_estimate"})
@@ -81,10 +84,17 @@ def track(arguments):
     return 0 if stopped is None else 3
 
 
-def main():
-    parser = argparse.ArgumentParser(prog="python -m ft", description=__doc__)
-    parser.add_argument("--version", action="version", version=ft.__version__)
-    commands = parser.add_subparsers(dest="command", required=True)
+def view_recording(arguments):
+    from ft import view
+
+    print(f"{view.show_recording(arguments.folder, arguments.record)} frames")
+    return 0
+
+
+def parser():
+    top = argparse.ArgumentParser(prog="python -m ft", description=__doc__)
+    top.add_argument("--version", action="version", version=ft.__version__)
+    commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser("track", help="tracks a sequence in EuRoC or KITTI layout")
     command.add_argument("folder")
     command.add_argument("--calibration", default="", help="in place of the sequence's own")
@@ -93,8 +103,24 @@ def main():
     command.add_argument("--device", default="auto", choices=["auto", "host", "cuda"])
     command.add_argument("--imu", action="store_true", help="use the sequence's IMU")
     command.add_argument("--out", default="ft_track_out", help="folder for trajectory.txt and summary.json")
-    command.add_argument("--record", metavar="FILE.rrd", help="a recording for the viewer rerun")
-    return track(parser.parse_args())
+    shown = command.add_mutually_exclusive_group()
+    shown.add_argument("--view", action="store_true", help="show the run in the viewer rerun, as it goes (rerun-sdk)")
+    shown.add_argument("--record", metavar="FILE.rrd", help="write what the viewer shows to a file (rerun-sdk)")
+    command.set_defaults(run=track)
+    command = commands.add_parser("view", help="shows what track_sequence --record FOLDER wrote (rerun-sdk)")
+    command.add_argument("folder")
+    command.add_argument("--record", metavar="FILE.rrd", help="write it to a file, and start no viewer")
+    command.set_defaults(run=view_recording)
+    return top
+
+
+def main():
+    arguments = parser().parse_args()
+    try:
+        return arguments.run(arguments)
+    except (RuntimeError, ValueError) as e:
+        print(f"ft: {e}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

@@ -15,18 +15,18 @@ class Odometry:
     images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None; not with a MonocularCamera.
     near_depth: map points are made up to this many baselines away. map_slots, keyframes, local_points, window_points:
     limits of the map, of the local map and of adjustments. window: keyframes of an adjustment, moving and fixed.
-    features, levels ...: as those of OrbExtractor. device: auto (a GPU if there is one), host or cuda. Raises ValueError
-    for values out of range.
+    measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor. device: auto (a GPU if there
+    is one), host or cuda. Raises ValueError for values out of range.
 
     Not to be used by two threads at a time; other threads run while a frame is tracked.
     """
 
     def __init__(self, rig, width, height, *, imu=None, batch=1, device="auto", near_depth=50.0, map_slots=1 << 14,
-                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, **options):
+                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, measure_stages=False, **options):
         all_options = _options(width, height, **options)
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=window[0], window_fixed=window[1],
-                           window_points=window_points)
+                           window_points=window_points, measure_stages=bool(measure_stages))
         self.rig = rig
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
 
@@ -83,6 +83,11 @@ class Odometry:
         mean viewing direction, number (n), keyframes_that_see_it (n); keyframe_time_ns (k), keyframe_T_world_camera
         (k, 4, 4)."""
         return self._pipeline.map(b)
+
+    def stage_times(self):
+        """Milliseconds that each stage added to the last frame, by name, in order. Raises ValueError without
+        measure_stages."""
+        return self._pipeline.stage_times()
 
     def save_map(self, b=0):
         """The map as bytes for load_map()."""

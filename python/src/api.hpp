@@ -98,6 +98,7 @@ struct odometry_options {
   double near_depth = 50;
   int map_slots = 1 << 14, keyframes = 128, local_points = 1 << 13;
   int window_moving = 10, window_fixed = 5, window_points = 1 << 12;
+  bool measure_stages = false;
 };
 struct frame_images {
   std::vector<image> grey;  ///< of each camera in turn; of a pair the left one, then the right one
@@ -142,6 +143,8 @@ public:
   virtual void recognize_places(std::string const& vocabulary, int candidates) = 0;
   virtual tracked_keypoints keypoints(int b) const = 0;
   virtual map_arrays map(int b) const = 0;
+  /// Milliseconds of the last frame by stage, in order. Needs measure_stages
+  virtual std::vector<std::pair<std::string, double>> stage_times() const = 0;
   virtual std::string save_map(int b) const = 0;
   virtual void load_map(int b, std::string const& bytes) = 0;
   virtual std::size_t memory_bytes() const = 0;

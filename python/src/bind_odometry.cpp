@@ -37,6 +37,7 @@ public:
     o.window_moving = get("window_moving");
     o.window_fixed = get("window_fixed");
     o.window_points = get("window_points");
+    o.measure_stages = nb::cast<bool>(options["measure_stages"]);
     if (!inertial.is_none()) { o.inertial = imu_of(inertial); }
     is_rgbd_ = o.of.kind == "rgbd";
     if (o.of.kind == "distorted" && o.of.raw_width > 0) {
@@ -122,6 +123,11 @@ public:
     d["keyframes_that_see_it"] = to_numpy(std::move(m.seen));
     d["keyframe_time_ns"] = to_numpy(std::move(m.keyframe_time_ns));
     d["keyframe_T_world_camera"] = to_numpy(std::move(m.keyframe_pose), {keyframes, 4, 4});
+    return d;
+  }
+  nb::dict stage_times() const {
+    nb::dict d;
+    for (auto const& [name, ms] : inner_->stage_times()) { d[name.c_str()] = ms; }
     return d;
   }
   nb::bytes save_map(int b) const {
@@ -274,6 +280,7 @@ void bind_odometry(nb::module_& m) {
            nb::arg("candidates") = 16)
       .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
+      .def("stage_times", &bound_odometry::stage_times)
       .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
       .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)
       .def_prop_ro("memory_bytes", &bound_odometry::memory_bytes)

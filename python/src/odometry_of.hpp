@@ -10,6 +10,7 @@
 #include <sstream>
 #include <string>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "ft/containers/vocabulary_files.hpp"
@@ -28,6 +29,7 @@ inline ft::odometry_params odometry_params_of(odometry_options const& o) {
   p.local_points = o.local_points;
   p.window = {o.window_moving, o.window_fixed};
   p.window_points = o.window_points;
+  p.measure_stages = o.measure_stages;
   if (o.inertial) {
     imu const& i = *o.inertial;
     p.imu.present = true;
@@ -163,6 +165,15 @@ public:
         m.keyframe_pose.insert(m.keyframe_pose.end(), T.begin(), T.end());
       }
       return m;
+    });
+  }
+  std::vector<std::pair<std::string, double>> stage_times() const override {
+    return translated([&] {
+      std::vector<std::pair<std::string, double>> all;
+      for (auto const& stage : inner_.stage_times()) {
+        all.emplace_back(stage.name, 1e-3 * stage.us);
+      }
+      return all;
     });
   }
   std::string save_map(int b) const override {

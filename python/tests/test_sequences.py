@@ -110,14 +110,3 @@ def test_the_program_tracks_a_folder(folder, tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["tracked"] == summary["frames"] == 12 and summary["stopped_at"] is None
     assert len(ft.read_tum(tmp_path / "trajectory.txt")) == 12
-
-
-def test_the_program_says_which_package_is_missing(folder, tmp_path):
-    try:
-        import rerun  # noqa: F401
-        pytest.skip("rerun is there")
-    except ImportError:
-        pass
-    done = subprocess.run([sys.executable, "-m", "ft", "track", str(folder), "--record", str(tmp_path / "a.rrd")],
-                          capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 1 and "rerun" in done.stderr

@@ -119,6 +119,12 @@ conan_recipe() {
   grep '^ft [0-9]' "$work/log"
 }
 
+ros2_node() {
+  heading "examples/ros2, ROS 2 ${ROS_DISTRO:-}"
+  build_project "$ft_root/examples/ros2" "$work/ros2" -DFT_SOURCE_DIR= "-DCMAKE_PREFIX_PATH=$prefix"
+  [[ -x $work/ros2/stereo_node ]]
+}
+
 # in_own_folder FUNCTION ARGUMENT...: beside others, so with a folder of its own for what it writes
 in_own_folder() {
   work=$(mktemp -d "$work/XXXX")
@@ -157,6 +163,20 @@ if command -v conan >/dev/null; then
   consume conan_recipe
 else
   echo "Conan is not installed (pip install conan): cmake/packaging/conan not created here"
+fi
+# ROS 2 is there where its setup.bash was sourced, or lies where its packages put it.
+for setup in /opt/ros/*/setup.bash; do
+  if [[ -z ${ROS_VERSION:-} && -f $setup ]]; then
+    set +u
+    # shellcheck source=/dev/null
+    source "$setup"
+    set -u
+  fi
+done
+if [[ ${ROS_VERSION:-} == 2 ]]; then
+  consume ros2_node
+else
+  echo "ROS 2 is not installed: the node of examples/ros2 is not compiled; examples_tests has its other half"
 fi
 ft_wait
 

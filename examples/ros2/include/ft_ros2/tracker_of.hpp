@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file ft::odometry as a tracker, on any executor.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "ft/pipelines/odometry.hpp"
+#include "ft_ros2/base_frame.hpp"
+#include "ft_ros2/tracker.hpp"
+
+namespace ft_ros2 {
+
+inline ft::odometry_params params_of(tracker_settings const& s) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  ft::odometry_params p;
+  p.orb.width = s.pair.width;
+  p.orb.height = s.pair.height;
+  p.orb.features = s.features;
+  if (s.imu) {
+    p.imu.present = true;
+    p.imu.T_bc = rigid_of(s.imu->T_imu_camera);
+    p.imu.noise = {f(s.imu->gyro_noise), f(s.imu->accel_noise), f(s.imu->gyro_walk),
+                   f(s.imu->accel_walk), f(s.imu->rate_hz)};
+  }
+  return p;
+}
+
+inline ft::rectified_rig rig_of(rectified_pair const& p) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  return ft::rectified_rig::make({f(p.fx), f(p.fy), f(p.cx), f(p.cy)}, f(p.baseline));
+}
+
+template <typename Exec>
+class tracker_of final : public tracker {
+public:
+  /// @throws ft::bad_argument
+  tracker_of(Exec const& exec, tracker_settings const& s)
+      : pair_(s.pair), base_(s.T_base_camera), odometry_(exec, rig_of(s.pair), params_of(s)) {}
+
+  estimate track(std::uint8_t const* left, std::uint8_t const* right,
+                 std::int64_t time_ns) override {
+    int const w = pair_.width;
+    int const h = pair_.height;
+    ft::tracking const t = odometry_.track({{left, w, h, w}, {right, w, h, w}}, time_ns);
+    // The first frame of a later map is at a guessed place.
+    bool const guessed = t.keyframe && t.inliers == 0 && t.maps > 1;
+    estimate e;
+    e.tracked = t.state == ft::tracking_state::tracking && !guessed;
+    e.keyframe = t.keyframe;
+    e.inliers = t.inliers;
+    e.map_points = t.map_points;
+    if (e.tracked) {
+      base_.take(t.T_world_camera, t.covariance, time_ns, e);
+    } else {
+      base_.skip();
+    }
+    return e;
+  }
+  void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
+               std::array<double, 3> const& gyro) override {
+    auto const narrowed = [](std::array<double, 3> const& v) {
+      return ft::vec3<double>{v[0], v[1], v[2]}.cast<float>();
+    };
+    odometry_.add_imu({time_ns, narrowed(accel), narrowed(gyro)});
+  }
+
+private:
+  rectified_pair pair_;
+  base_frame base_;
+  ft::odometry<Exec> odometry_;
+};
+
+}  // namespace ft_ros2

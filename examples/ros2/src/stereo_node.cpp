@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file A ROS 2 node around ft_ros2::tracker: a rectified stereo pair, and an IMU if there is one,
+/// in; odometry, path and tf out. README.md has its topics and parameters.
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_broadcaster.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <exception>
+#include <functional>
+#include <geometry_msgs/msg/pose_stamped.hpp>
+#include <geometry_msgs/msg/transform_stamped.hpp>
+#include <image_transport/subscriber_filter.hpp>
+#include <memory>
+#include <nav_msgs/msg/odometry.hpp>
+#include <nav_msgs/msg/path.hpp>
+#include <optional>
+#include <rclcpp/rclcpp.hpp>
+#include <sensor_msgs/msg/camera_info.hpp>
+#include <sensor_msgs/msg/image.hpp>
+#include <sensor_msgs/msg/imu.hpp>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#if __has_include(<message_filters/synchronizer.hpp>)  // Jazzy and newer
+#include <message_filters/sync_policies/approximate_time.hpp>
+#include <message_filters/synchronizer.hpp>
+#else
+#include <message_filters/sync_policies/approximate_time.h>
+#include <message_filters/synchronizer.h>
+#endif
+
+#include "ft_ros2/images.hpp"
+#include "ft_ros2/quaternions.hpp"
+#include "ft_ros2/tracker.hpp"
+
+namespace ft_ros2 {
+namespace {
+
+using sensor_msgs::msg::CameraInfo;
+using sensor_msgs::msg::Image;
+using sensor_msgs::msg::Imu;
+
+std::int64_t nanoseconds(builtin_interfaces::msg::Time const& t) {
+  return std::int64_t{1'000'000'000} * t.sec + t.nanosec;
+}
+
+transform transform_of(geometry_msgs::msg::Transform const& m) {
+  auto const& q = m.rotation;
+  auto const& t = m.translation;
+  return {matrix_of({q.x, q.y, q.z, q.w}), {t.x, t.y, t.z}};
+}
+
+class stereo_node : public rclcpp::Node {
+public:
+  stereo_node() : rclcpp::Node("ft_stereo_odometry"), buffer_(get_clock()), listener_(buffer_) {
+    odom_frame_ = declare_parameter<std::string>("odom_frame", "odom");
+    base_frame_ = declare_parameter<std::string>("base_frame", "base_link");
+    publish_tf_ = declare_parameter("publish_tf", true);
+    path_length_ = static_cast<std::size_t>(
+        std::max<std::int64_t>(0, declare_parameter("path_length", std::int64_t{5000})));
+    read_settings();
+
+    odometry_out_ = create_publisher<nav_msgs::msg::Odometry>("odometry", rclcpp::QoS(10));
+    path_out_ = create_publisher<nav_msgs::msg::Path>("path", rclcpp::QoS(1));
+    broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>(*this);
+
+    auto const latest = rclcpp::SensorDataQoS();
+    left_info_in_ = create_subscription<CameraInfo>(
+        "left/camera_info", latest, [this](CameraInfo::ConstSharedPtr m) { left_info_ = m; });
+    right_info_in_ = create_subscription<CameraInfo>(
+        "right/camera_info", latest, [this](CameraInfo::ConstSharedPtr m) { right_info_ = m; });
+    if (use_imu_) {
+      imu_in_ = create_subscription<Imu>("imu", rclcpp::SensorDataQoS().keep_last(400),
+                                         [this](Imu::ConstSharedPtr m) { on_imu(*m); });
+    }
+    std::string const transport = declare_parameter<std::string>("image_transport", "raw");
+    left_in_.subscribe(this, "left/image_rect", transport, rmw_qos_profile_sensor_data);
+    right_in_.subscribe(this, "right/image_rect", transport, rmw_qos_profile_sensor_data);
+    pairs_ = std::make_unique<synchronizer>(policy(5), left_in_, right_in_);
+    pairs_->registerCallback(
+        std::bind(&stereo_node::on_images, this, std::placeholders::_1, std::placeholders::_2));
+  }
+
+private:
+  using policy = message_filters::sync_policies::ApproximateTime<Image, Image>;
+  using synchronizer = message_filters::Synchronizer<policy>;
+
+  void read_settings() {
+    settings_.features = static_cast<int>(declare_parameter("features", std::int64_t{1200}));
+    settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
+    on_gpu_ = declare_parameter<std::string>("device", "host") == "cuda";
+    use_imu_ = declare_parameter("use_imu", false);
+    imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
+    imu_.accel_noise = declare_parameter("accel_noise", imu_.accel_noise);
+    imu_.gyro_walk = declare_parameter("gyro_walk", imu_.gyro_walk);
+    imu_.accel_walk = declare_parameter("accel_walk", imu_.accel_walk);
+    imu_.rate_hz = declare_parameter("imu_rate", imu_.rate_hz);
+  }
+
+  void on_imu(Imu const& m) {
+    imu_id_ = m.header.frame_id;
+    if (!tracker_) { return; }
+    auto const& a = m.linear_acceleration;
+    auto const& w = m.angular_velocity;
+    guarded([&] {
+      tracker_->add_imu(nanoseconds(m.header.stamp), {a.x, a.y, a.z}, {w.x, w.y, w.z});
+    });
+  }
+
+  void on_images(Image::ConstSharedPtr const& left, Image::ConstSharedPtr const& right) {
+    guarded([&] {
+      if (!tracker_ && !begin(*left)) { return; }
+      take(*left, left_grey_);
+      take(*right, right_grey_);
+      estimate const e =
+          tracker_->track(left_grey_.data(), right_grey_.data(), nanoseconds(left->header.stamp));
+      if (e.tracked) {
+        publish(e, left->header.stamp);
+      } else {
+        warn("the camera is not tracked");
+      }
+    });
+  }
+
+  /// Makes the tracker once all is known that it needs. @return whether there is one now
+  bool begin(Image const& left) {
+    if (!left_info_ || !right_info_ || (use_imu_ && imu_id_.empty())) {
+      warn("waiting for camera_info of both cameras, and for the IMU if there is one");
+      return false;
+    }
+    std::string const& camera = left.header.frame_id;
+    settings_.pair = pair_of(static_cast<int>(left.width), static_cast<int>(left.height),
+                             left_info_->p, right_info_->p);
+    settings_.T_base_camera = lookup(base_frame_, camera);
+    if (use_imu_) {
+      imu_.T_imu_camera = lookup(imu_id_, camera);
+      settings_.imu = imu_;
+    }
+    tracker_ = on_gpu_ ? make_cuda_tracker(settings_) : make_host_tracker(settings_);
+    RCLCPP_INFO(get_logger(), "tracking %dx%d images, baseline %.4f m", settings_.pair.width,
+                settings_.pair.height, settings_.pair.baseline);
+    return true;
+  }
+
+  /// Points of `from` to `to`. @throws tf2::TransformException while tf does not know
+  transform lookup(std::string const& to, std::string const& from) const {
+    return transform_of(buffer_.lookupTransform(to, from, tf2::TimePointZero).transform);
+  }
+
+  void take(Image const& m, std::vector<std::uint8_t>& grey) const {
+    if (static_cast<int>(m.width) != settings_.pair.width ||
+        static_cast<int>(m.height) != settings_.pair.height) {
+      throw std::runtime_error("an image has another size than the first one");
+    }
+    to_grey({m.data.data(), m.data.size(), settings_.pair.width, settings_.pair.height, m.step},
+            m.encoding, grey);
+  }
+
+  void publish(estimate const& e, builtin_interfaces::msg::Time const& stamp) {
+    nav_msgs::msg::Odometry odometry;
+    odometry.header.stamp = stamp;
+    odometry.header.frame_id = odom_frame_;
+    odometry.child_frame_id = base_frame_;
+    auto& pose = odometry.pose.pose;
+    pose.position.x = e.T_odom_base.t[0];
+    pose.position.y = e.T_odom_base.t[1];
+    pose.position.z = e.T_odom_base.t[2];
+    std::array<double, 4> const q = quaternion_of(e.T_odom_base.R);
+    pose.orientation.x = q[0];
+    pose.orientation.y = q[1];
+    pose.orientation.z = q[2];
+    pose.orientation.w = q[3];
+    std::copy(e.covariance.begin(), e.covariance.end(), odometry.pose.covariance.begin());
+    if (e.moving_known) {
+      auto& twist = odometry.twist.twist;
+      twist.linear.x = e.linear[0];
+      twist.linear.y = e.linear[1];
+      twist.linear.z = e.linear[2];
+      twist.angular.x = e.angular[0];
+      twist.angular.y = e.angular[1];
+      twist.angular.z = e.angular[2];
+    } else {
+      odometry.twist.covariance[0] = -1;  // not known
+    }
+    odometry_out_->publish(odometry);
+    if (publish_tf_) { send_transform(odometry); }
+    if (path_length_ > 0) { extend_path(odometry); }
+  }
+
+  void send_transform(nav_msgs::msg::Odometry const& odometry) {
+    geometry_msgs::msg::TransformStamped m;
+    m.header = odometry.header;
+    m.child_frame_id = odometry.child_frame_id;
+    m.transform.translation.x = odometry.pose.pose.position.x;
+    m.transform.translation.y = odometry.pose.pose.position.y;
+    m.transform.translation.z = odometry.pose.pose.position.z;
+    m.transform.rotation = odometry.pose.pose.orientation;
+    broadcaster_->sendTransform(m);
+  }
+
+  /// A full path loses every second pose.
+  void extend_path(nav_msgs::msg::Odometry const& odometry) {
+    geometry_msgs::msg::PoseStamped at;
+    at.header = odometry.header;
+    at.pose = odometry.pose.pose;
+    path_.header = odometry.header;
+    path_.poses.push_back(at);
+    if (path_.poses.size() > path_length_) {
+      std::size_t kept = 0;
+      for (std::size_t i = 0; i < path_.poses.size(); i += 2) {
+        path_.poses[kept++] = path_.poses[i];
+      }
+      path_.poses.resize(kept);
+    }
+    path_out_->publish(path_);
+  }
+
+  /// What is wrong with a message is said, at most every two seconds.
+  template <typename F>
+  void guarded(F const& f) {
+    try {
+      f();
+    } catch (std::exception const& e) { warn(e.what()); }
+  }
+  void warn(char const* text) {
+    RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 2000, "%s", text);
+  }
+
+  std::string odom_frame_, base_frame_, imu_id_;
+  bool publish_tf_ = true, use_imu_ = false, on_gpu_ = false;
+  std::size_t path_length_ = 0;
+  imu_settings imu_;
+  tracker_settings settings_;
+  std::unique_ptr<tracker> tracker_;
+  CameraInfo::ConstSharedPtr left_info_, right_info_;
+  std::vector<std::uint8_t> left_grey_, right_grey_;
+  nav_msgs::msg::Path path_;
+
+  tf2_ros::Buffer buffer_;
+  tf2_ros::TransformListener listener_;
+  std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
+  rclcpp::Publisher<nav_msgs::msg::Odometry>::SharedPtr odometry_out_;
+  rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_out_;
+  rclcpp::Subscription<CameraInfo>::SharedPtr left_info_in_, right_info_in_;
+  rclcpp::Subscription<Imu>::SharedPtr imu_in_;
+  image_transport::SubscriberFilter left_in_, right_in_;
+  std::unique_ptr<synchronizer> pairs_;
+};
+
+}  // namespace
+}  // namespace ft_ros2
+
+int main(int argc, char** argv) {
+  rclcpp::init(argc, argv);
+  rclcpp::spin(std::make_shared<ft_ros2::stereo_node>());
+  rclcpp::shutdown();
+  return 0;
+}

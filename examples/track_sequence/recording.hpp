@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file A run on disk, for a viewer: `python -m ft view FOLDER`. The format is described there, in
+/// python/ft/view.py.
+#pragma once
+
+#include <fstream>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/reader.hpp"
+#include "examples/sequence/report.hpp"
+#include "examples/track_sequence/odometry.hpp"
+
+namespace app {
+
+/// recording.jsonl, a line a frame, and the left images as tracked, left/<number>.png.
+class recording {
+public:
+  /// Makes the folder and writes the first line; of an older recording there only images stay.
+  /// @param stages names of frame_record::stage_ms
+  /// @throws seq::error
+  recording(std::string const& folder, seq::sequence const& sequence,
+            std::vector<std::string> const& stages);
+
+  /// Adds a frame. @param T_wc left camera to world @param left the image @throws seq::error
+  void add(seq::frame_record const& frame, rigid_pose const& T_wc, seq::image const& left,
+           std::vector<seen_keypoint> const& keypoints);
+
+private:
+  void write_line(std::string const& line);
+
+  std::string folder_;
+  std::ofstream lines_;
+};
+
+}  // namespace app

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run looks like, in the viewer rerun (package rerun-sdk, 0.23 or newer): as it goes, or in a file.
+
+Entities: world/camera/left (image, keypoints, matches, depths), world/map, world/keyframes, world/trajectory, world/truth;
+counts/NAME and milliseconds/STAGE are plots. The world is the first left camera: x right, y down, z forward, metres. On the
+timeline `frame` are the numbers of frames, on `time` their time stamps.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from . import _ft
+from .sequences import Trajectory, evaluate
+
+FORMAT = 1  # of recordings
+WHITE, GREEN, ORANGE, GREY, RED = [255, 255, 255], [60, 220, 90], [255, 160, 40], [150, 150, 150], [240, 60, 60]
+
+
+class MissingPackage(RuntimeError):
+    """A package that a viewer or a recording needs is not installed."""
+
+
+@dataclass
+class Seen:
+    """A frame. image: (height, width) uint8, or the path of a PNG file. keypoints: as those of ft.Odometry. counts and
+    milliseconds: numbers by name, for plots."""
+
+    index: int
+    time_ns: int
+    image: object
+    tracked: bool
+    keyframe: bool
+    T_world_camera: np.ndarray
+    keypoints: dict
+    counts: dict = field(default_factory=dict)
+    milliseconds: dict = field(default_factory=dict)
+
+
+def open_rerun(file=None):
+    """The module rerun, which writes to the file from now on, or to a viewer that is started. Raises MissingPackage."""
+    try:
+        import rerun
+    except ImportError as e:
+        raise MissingPackage("the package rerun is missing: python -m pip install rerun-sdk") from e
+    rerun.init("ft", spawn=file is None)
+    if file is not None:
+        rerun.save(str(file))
+    return rerun
+
+
+def depth_colours(depth):
+    """Red is near, blue is far, by inverse depth between 1 m and infinity; grey has none."""
+    near = np.clip(1.0 / np.maximum(depth, 1.0), 0, 1)[:, None]
+    colours = near * (255, 40, 40) + (1 - near) * (40, 90, 255)
+    colours[depth <= 0] = GREY
+    return colours.astype(np.uint8)
+
+
+class Viewer:
+    """Logs frames. camera: fx, fy, cx, cy and, of a fisheye camera, k1 to k4. truth: ft.Trajectory, or None."""
+
+    def __init__(self, rerun, camera, width, height, truth=None, truth_has_orientation=True):
+        self._rerun = rerun
+        camera = [float(v) for v in getattr(camera, "parameters", camera)]
+        self._camera = _ft.KannalaBrandt(camera) if len(camera) == 8 else _ft.Pinhole(camera[:4])
+        self._truth = truth if truth is not None and len(truth) else None
+        self._oriented = truth_has_orientation
+        self._poses, self._keyframes, self._points = [], [], []
+        self._before = {}
+        self._last = None
+        rerun.log("world", rerun.ViewCoordinates.RDF, static=True)
+        rerun.log("world/camera/left", rerun.Pinhole(width=width, height=height, focal_length=camera[:2],
+                                                     principal_point=camera[2:4]), static=True)
+        if self._truth is not None:
+            rerun.log("world/truth", rerun.LineStrips3D([self._truth.poses[:, :3, 3]], colors=GREY), static=True)
+        rerun.send_blueprint(self._layout())
+
+    def _layout(self):
+        import rerun.blueprint as b
+
+        return b.Blueprint(b.Horizontal(
+            b.Spatial3DView(origin="world", name="map and path"),
+            b.Vertical(b.Spatial2DView(origin="world/camera/left", name="left image"),
+                       b.TimeSeriesView(origin="counts", name="keypoints and points"),
+                       b.TimeSeriesView(origin="milliseconds", name="milliseconds a frame"))))
+
+    def show(self, seen, made=None):
+        """Logs a frame; made: ft.Odometry.map(), or None, then new points are taken from keyframes."""
+        self._set_time(seen)
+        self._show_image(seen)
+        self._show_camera(seen)
+        for group, values in (("counts", seen.counts), ("milliseconds", seen.milliseconds)):
+            for name, value in values.items():
+                self._rerun.log(f"{group}/{name.replace(' ', '_')}", self._rerun.Scalars(float(value)))
+        if seen.tracked and seen.keyframe:
+            self._show_map(seen, made)
+        self._last = seen
+
+    def finish(self):
+        """Logs what is known at the end: the whole path, and the truth aligned to it."""
+        if self._last is None or not self._poses:
+            return
+        self._set_time(self._last)
+        self._show_path()
+        if self._truth is not None:
+            errors = evaluate(Trajectory.of(self._poses), self._truth, orientation=self._oriented)
+            if errors["ate_m"] is not None:
+                self._show_truth(np.linalg.inv(errors["T_truth_estimate"]), static=True)
+
+    def _set_time(self, seen):
+        self._rerun.set_time("frame", sequence=seen.index)
+        self._rerun.set_time("time", timestamp=1e-9 * seen.time_ns)
+
+    def _show_image(self, seen):
+        rerun, left = self._rerun, "world/camera/left"
+        if isinstance(seen.image, (str, Path)):
+            rerun.log(left, rerun.EncodedImage(path=seen.image))
+        else:
+            rerun.log(left, rerun.Image(seen.image).compress(jpeg_quality=80))
+        k = seen.keypoints
+        at = np.stack([k["x"], k["y"]], axis=1).astype(np.float32)
+        matched, depth = np.asarray(k["matched"], dtype=bool), np.asarray(k["depth"], dtype=np.float32)
+        colours = np.where(matched[:, None], GREEN, ORANGE).astype(np.uint8)
+        rerun.log(left + "/keypoints", rerun.Points2D(at, colors=colours, radii=1.5))
+        rerun.log(left + "/depth", rerun.Points2D(at[depth > 0], colors=depth_colours(depth[depth > 0]), radii=3))
+        now = {int(p): at[i] for i, p in enumerate(k["point"]) if p >= 0}
+        pairs = [(self._before[p], now[p]) for p in now if p in self._before]
+        rerun.log(left + "/matches", rerun.LineStrips2D(pairs, colors=GREEN))
+        self._before = now
+
+    def _in_camera(self, keypoints, chosen):
+        """Keypoints with depth as points of the camera's frame, (n, 3)."""
+        pixels = np.stack([keypoints["x"], keypoints["y"]], axis=1).astype(np.float64)[chosen]
+        rays, valid = self._camera.unproject(pixels)
+        valid &= rays[:, 2] > 0
+        depth = np.asarray(keypoints["depth"], dtype=np.float64)[chosen][valid]
+        return depth[:, None] * rays[valid] / rays[valid, 2:]
+
+    def _show_camera(self, seen):
+        rerun, T = self._rerun, seen.T_world_camera
+        rerun.log("world/camera", rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+        depth = np.asarray(seen.keypoints["depth"])
+        rerun.log("world/camera/depths", rerun.Points3D(self._in_camera(seen.keypoints, depth > 0), colors=ORANGE,
+                                                        radii=0.01))
+        if not seen.tracked:
+            return
+        self._poses.append((seen.time_ns, T))
+        if len(self._poses) == 1:
+            self._align_first(seen.time_ns, T)
+        if seen.keyframe or len(self._poses) % 10 == 0:
+            self._show_path()
+
+    def _show_path(self):
+        path = np.array([T[:3, 3] for _, T in self._poses])
+        self._rerun.log("world/trajectory", self._rerun.LineStrips3D([path], colors=RED))
+
+    def _show_map(self, seen, made):
+        if made is None:
+            k, T = seen.keypoints, seen.T_world_camera
+            new = (np.asarray(k["point"]) >= 0) & ~np.asarray(k["matched"], dtype=bool) & (np.asarray(k["depth"]) > 0)
+            self._points.append(self._in_camera(k, new) @ T[:3, :3].T + T[:3, 3])
+            self._keyframes.append(T[:3, 3])
+            points, keyframes = np.concatenate(self._points), np.array(self._keyframes)
+        else:
+            points, keyframes = made["position"], made["keyframe_T_world_camera"][:, :3, 3]
+        rerun = self._rerun
+        rerun.log("world/map", rerun.Points3D(points, colors=WHITE, radii=0.01))
+        rerun.log("world/keyframes", rerun.Points3D(keyframes, colors=GREEN, radii=0.02))
+
+    def _align_first(self, time_ns, T):
+        """The truth begins where the estimate does; finish() aligns the whole path."""
+        if self._truth is None or not self._oriented:
+            return
+        i = np.abs(self._truth.time_ns - time_ns).argmin()
+        self._show_truth(T @ np.linalg.inv(self._truth.poses[i]))
+
+    def _show_truth(self, T_world_truth, static=False):
+        self._rerun.log("world/truth", self._rerun.Transform3D(translation=T_world_truth[:3, 3],
+                                                               mat3x3=T_world_truth[:3, :3]), static=static)
+
+
+def _matrices(rows):
+    all_poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    all_poses[:, :3] = np.array(rows, dtype=np.float64).reshape(-1, 3, 4)
+    return all_poses
+
+
+class Recording:
+    """What track_sequence --record FOLDER wrote: recording.jsonl, and images. Iterates over ft.view.Seen.
+
+    The first line of recording.jsonl has ft_recording (the format, 1), sequence, width, height, camera (fx, fy, cx, cy and,
+    of a fisheye camera, k1 to k4), stages, and truth or null: time_ns, T_world_camera, orientation. Each later line is a
+    frame: frame, time_ns, image (a path in the folder), tracked, keyframe, T_world_camera (12 numbers, 3x4 row-major), counts,
+    stage_ms, and of the left keypoints x, y, depth (-1 = none), point (-1 = none), matched. A last line that is cut off, as
+    of a run that goes on, is left out. Raises RuntimeError that names the file and what is wrong.
+    """
+
+    def __init__(self, folder):
+        self.folder = Path(folder)
+        self._file = self.folder / "recording.jsonl"
+        try:
+            with open(self._file, encoding="utf-8") as lines:
+                self.header = json.loads(lines.readline())
+        except (OSError, ValueError) as e:
+            raise RuntimeError(f"{self._file}: {e}") from e
+        if not isinstance(self.header, dict) or self.header.get("ft_recording") != FORMAT:
+            raise RuntimeError(f"{self._file}: is no recording of format {FORMAT}")
+        truth = self.header["truth"]
+        self.truth = None
+        if truth:
+            self.truth = Trajectory(np.array(truth["time_ns"], dtype=np.int64), _matrices(truth["T_world_camera"]))
+        self.truth_has_orientation = bool(truth and truth["orientation"])
+
+    def __iter__(self):
+        with open(self._file, encoding="utf-8") as lines:
+            next(lines)
+            for number, line in enumerate(lines, 2):
+                if not line.endswith("\n"):
+                    return
+                try:
+                    yield self._seen(json.loads(line))
+                except (KeyError, ValueError) as e:
+                    raise RuntimeError(f"{self._file}:{number}: {e!r}") from e
+
+    def _seen(self, f):
+        keypoints = {name: np.array(f[name]) for name in ("x", "y", "depth", "point", "matched")}
+        return Seen(f["frame"], f["time_ns"], self.folder / f["image"], f["tracked"], f["keyframe"],
+                    _matrices([f["T_world_camera"]])[0], keypoints, f["counts"],
+                    dict(zip(self.header["stages"], f["stage_ms"])))
+
+
+def show_recording(folder, file=None):
+    """Shows a recording in the viewer, or writes it to a .rrd file. Returns the number of frames."""
+    recording = Recording(folder)
+    h = recording.header
+    viewer = Viewer(open_rerun(file), h["camera"], h["width"], h["height"], recording.truth,
+                    recording.truth_has_orientation)
+    frames = 0
+    for seen in recording:
+        viewer.show(seen)
+        frames += 1
+    viewer.finish()
+    return frames

@@ -164,6 +164,7 @@
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
 #include "ft/kernels/stereo/hamming.hpp"
+#include "ft/kernels/stereo/least_squares.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
 #include "ft/kernels/stereo/triangulation.hpp"

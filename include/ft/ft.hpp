@@ -167,6 +167,7 @@
 #include "ft/kernels/stereo/least_squares.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
+#include "ft/kernels/stereo/refine_partners.hpp"
 #include "ft/kernels/stereo/triangulation.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
 #include "ft/kernels/upload.hpp"

@@ -275,8 +275,7 @@ private:
         stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
       }
       stages.settings.orb.exact_positions = true;
-      // Of a rectified pair the disparity decides, which has a sub-pixel column of its own.
-      stages.settings.orb.refine_positions = !parts_of_rig::searched_rig::rectified;
+      stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
       stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
                               batch, parts_of_rig::absent(rig));
       stages.input = input_type(exec, rig, stages.geometry(), batch);

@@ -39,7 +39,7 @@ struct orb_params {
   /// always does so.
   bool exact_positions = false;
   /// Keypoints lie between pixels, as refine_positions() places them: not those of ORB-SLAM3. An
-  /// odometry of a stereo_rig does so.
+  /// odometry of camera pairs does so.
   bool refine_positions = false;
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them

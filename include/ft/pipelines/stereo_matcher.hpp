@@ -35,7 +35,10 @@ public:
   /// @throws bad_argument for an invalid rig, cameras that cannot be inverted in their images (see
   ///   require_invertible; a quarter of the pixels must have a ray), or an extractor whose batch is
   ///   not a multiple of the rig's images
-  stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor) : rig_(rig) {
+  /// @param columns of rectified pairs
+  stereo_matcher(Rig const& rig, orb_extractor<Exec> const& extractor,
+                 column_rule columns = column_rule::parabola)
+      : rig_(rig), columns_(columns) {
     rig.check();
     detail::require(extractor.batch() >= Rig::images && extractor.batch() % Rig::images == 0,
                     Rig::images == 2 ? "stereo needs an extractor with an even number of images"
@@ -83,8 +86,11 @@ public:
   void match_sorted(Exec const& exec, orb_extractor<Exec> const& extractor) {
     require_shape(extractor);
     if constexpr (Rig::rectified) {
-      match_sorted_rows(exec, extractor.pyramid(), extractor.keypoints(), params_, memory_->matches,
-                        memory_->right_rows);
+      if (columns_ == column_rule::least_squares) {
+        match_rows<column_rule::least_squares>(exec, extractor);
+      } else {
+        match_rows<column_rule::parabola>(exec, extractor);
+      }
     } else {
       match_stereo_fisheye(
           exec,
@@ -119,6 +125,11 @@ private:
     feature_grid_view right_rows;
     fisheye_matches_view fisheye;
   };
+  template <column_rule Rule>
+  void match_rows(Exec const& exec, orb_extractor<Exec> const& extractor) {
+    match_sorted_rows<Rule>(exec, extractor.pyramid(), extractor.keypoints(), params_,
+                            memory_->matches, memory_->right_rows);
+  }
   void require_shape(orb_extractor<Exec> const& extractor) const {
     memory_.require_made("stereo matcher");
     shape const of = memory_->made_for;
@@ -130,6 +141,7 @@ private:
 
   Rig rig_{};
   rig_stereo_params<Rig::cameras> params_;
+  column_rule columns_ = column_rule::parabola;
   fisheye_stereo_params fisheye_params_;
   owner<memory, space> memory_;
 };

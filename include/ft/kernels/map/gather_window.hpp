@@ -30,12 +30,7 @@ struct window_input {
   int const* flags = nullptr;  ///< [batch] 1 = gather
   pyramid_geometry geometry;
   window_selection params;
-  bool partners = false;  ///< the keyframes are those of two cameras that are not rectified
 };
-
-/// Share of its weight that a stereo match keeps which was chosen for its parallax. It holds the
-/// depth of a point that nothing else holds.
-inline constexpr float chosen_weight = 1.0f / 1024;
 
 /// Where the contents of a window_problem_view come from.
 struct window_sources_view {
@@ -168,21 +163,11 @@ struct gather_view {
       if (map.records.number[record] != keyframes.holder_number[at]) { continue; }
       int const p = sources.point_of_slot[record];
       if (p < 0) { continue; }
-      float weight = in.geometry.inv_sigma2[keyframes.octave[at]];
-      if (in.partners && c == 1 && made_by(map, b, slot, position)) { weight *= chosen_weight; }
+      float const weight = in.geometry.inv_sigma2[keyframes.octave[at]];
       std::ptrdiff_t const to = problem.sighting(b, p, v, c);
       problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at], weight};
       sources.keypoint[to] = keypoint;
     }
-  }
-
-private:
-  /// Whether the keyframe at a position is the oldest of several that see a point.
-  FT_HOST_DEVICE static bool made_by(odometry_map_view const& map, int b, int slot, int position) {
-    if (get<field::observations>(map.points.slice(b), slot) < 2) { return false; }
-    position_set const seen = position_set::of(map.records.mask(b, slot), map.records.words);
-    keyframes_view const& keyframes = map.keyframes;
-    return seen.first(keyframes.position(keyframes.oldest(b))) == position;
   }
 };
 
@@ -194,10 +179,6 @@ private:
 /// latter stay; where there are none the oldest moving keyframe stays, which is the first one of
 /// its map or of the ring. The points are those that a keyframe sees that does not stay, in
 /// ascending order of slots. Those for which there is no room are left out, the highest slots.
-///
-/// The stereo match of two cameras that are not rectified made its point because it has enough
-/// parallax: those whose errors increase it are taken, the others are not. So the right keypoint of
-/// the oldest keyframe that sees a point counts for little (chosen_weight) if others see it, too.
 ///
 /// Asynchronous on `exec`; allocates nothing; two launches.
 /// @throws bad_argument for parameters out of range, or for a problem of another shape

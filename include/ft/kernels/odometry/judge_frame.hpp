@@ -192,7 +192,8 @@ private:
                                             tracking_rules const& rules) {
     bool const short_of_near =
         n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
-    auto const kept = mul(rules.keep_share, static_cast<float>(t.reference_tracked));
+    float const share = Rig::rectified ? rules.keep_share : rules.unrectified_keep_share;
+    auto const kept = mul(share, static_cast<float>(t.reference_tracked));
     auto const age = mul(static_cast<double>(t.time_ns - t.keyframe_ns), 1e-9);
     bool const old = rules.keyframe_period_s > 0 && !(age < rules.keyframe_period_s);
     if constexpr (is_monocular_v<Rig>) {

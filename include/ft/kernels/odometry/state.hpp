@@ -38,6 +38,8 @@ struct tracking_rules {
   int wanted_near_points = 100;  ///< near points that a keyframe should have at least
   int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
   float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
+  float unrectified_keep_share = 0.85f;  ///< the same for two cameras that are not rectified, which
+                                         ///< are wide and see a point for longer
   double keyframe_period_s = 0;  ///< a keyframe is made if the last one is older; 0: no such rule
   float near_depth = 50;         ///< near is what is at most this many baselines away, of its own
                                  ///< pair in a rig of several; near keypoints become map points

@@ -14,11 +14,18 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/grid.hpp"
+#include "ft/kernels/stereo/least_squares.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/window_differences.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// How the column of a match is found between pixels.
+enum class column_rule {
+  parabola,       ///< ORB-SLAM3's, through three sums of absolute differences
+  least_squares,  ///< of the squared differences; see match_stereo_rectified()
+};
 
 /// Parameters of rectified stereo matching.
 struct stereo_params {
@@ -40,6 +47,7 @@ struct rig_stereo_params {
 namespace detail {
 
 /// Item: a left keypoint. Finds the nearest right one in its band of rows, then refines the column.
+template <column_rule Rule = column_rule::parabola>
 struct match_left_keypoint {
   static constexpr bool wide_on_host = true;
   using scratch = no_scratch;
@@ -99,9 +107,9 @@ struct match_left_keypoint {
     } else {
       part.sum_differences(g, level_r, ur, vl, sums);
     }
-    if (g.rank() != 0) { return; }
-    refined const r = refine(pyramid.geometry, mine, ur, sums, params.max_disparity);
-    if (!r.valid) { return; }
+    refined const r = refined_by_rule(g, {level_l, level_r, ul, vl}, pyramid.geometry, mine,
+                                      {ur, sums, params.max_disparity});
+    if (!r.valid || g.rank() != 0) { return; }
     out.depth(item) = (params.bf / r.disparity).value;
     out.right_x(item) = r.column.value;
     out.score(item) = r.score;
@@ -155,6 +163,31 @@ private:
     if (!(disparity >= 0.0f && disparity < max_disparity)) { return none; }
     if (disparity <= 0.0f) { return {left.x - 0.01f, 0.01f, lowest, true}; }
     return {column, disparity, lowest, true};
+  }
+
+  /// The sums of differences around the column `ur`.
+  struct shifted_sums {
+    int ur;
+    int const (&of)[window_side];
+    float max_disparity;
+  };
+  template <typename Group>
+  FT_HOST_DEVICE static refined refined_by_rule(Group g, column_windows const& windows,
+                                                pyramid_geometry const& geometry,
+                                                feature const& left, shifted_sums const& sums) {
+    if constexpr (Rule == column_rule::parabola) {
+      return refine(geometry, left, sums.ur, sums.of, sums.max_disparity);
+    }
+    strict_float const scale = geometry.scale[left.octave];
+    strict_float const u = static_cast<float>(windows.u);
+    feature at_pixel = left;
+    at_pixel.x = (scale * u).value;
+    refined r = refine(geometry, at_pixel, sums.ur, sums.of, sums.max_disparity);
+    if (!r.valid) { return r; }
+    strict_float const disparity = scale * (u - windows.best_column(g, u - r.disparity / scale));
+    if (disparity > 0.0f && disparity < sums.max_disparity) { r.disparity = disparity; }
+    r.column = left.x - r.disparity;
+    return r;
   }
 
   /// Largest distance in rows of a matching right keypoint.
@@ -252,29 +285,37 @@ void sort_right_rows(Exec const& exec, keypoints_view const& keypoints,
 /// The other steps, if another stage has sorted the right keypoints. Asynchronous on `exec`;
 /// allocates nothing; two launches, of which only the first is concurrent with its predecessor if
 /// `exec` says so.
+/// @tparam Rule how columns are found between pixels
 /// @param params stereo_params or rig_stereo_params
 /// @param right_rows result of sort_right_rows()
-template <typename Exec, typename Params>
+template <column_rule Rule = column_rule::parabola, typename Exec, typename Params>
 void match_sorted_rows(Exec const& exec, image_pyramid_view const& pyramid,
                        keypoints_view const& keypoints, Params const& params,
                        stereo_matches_view const& out, feature_grid_view const& right_rows) {
   int const pairs = keypoints.batch / 2;
-  for_each_item<per_warp>(exec, pairs * keypoints.capacity, detail::match_left_keypoint{}, pyramid,
-                          keypoints, right_rows, params, out);
+  for_each_item<per_warp>(exec, pairs * keypoints.capacity, detail::match_left_keypoint<Rule>{},
+                          pyramid, keypoints, right_rows, params, out);
   cut_outliers(detail::with_order(exec, detail::launch_order::serial), keypoints, out);
 }
 
 /// Finds right column and depth of every left keypoint of every pair; images 2 b and 2 b + 1 are
-/// pair b. Asynchronous on `exec`; allocates nothing; three launches, of which only the first is
+/// pair b.
+///
+/// With column_rule::least_squares the window of 11 x 11 pixels goes on from ORB-SLAM3's column to
+/// where its squared differences are smallest, up to a constant, less than a pixel away. That
+/// column belongs to the pixel of its level which the left keypoint is in; a keypoint between
+/// pixels has the same disparity.
+///
+/// Asynchronous on `exec`; allocates nothing; three launches, of which only the first is
 /// concurrent with its predecessor if `exec` says so.
 /// @param right_rows workspace: a grid of one column and `image height` rows per pair
-template <typename Exec>
+template <column_rule Rule = column_rule::parabola, typename Exec>
 void match_stereo_rectified(Exec const& exec, image_pyramid_view const& pyramid,
                             keypoints_view const& keypoints, stereo_params const& params,
                             stereo_matches_view const& out, feature_grid_view const& right_rows) {
   sort_right_rows(exec, keypoints, right_rows);
-  match_sorted_rows(detail::with_order(exec, detail::launch_order::serial), pyramid, keypoints,
-                    params, out, right_rows);
+  match_sorted_rows<Rule>(detail::with_order(exec, detail::launch_order::serial), pyramid,
+                          keypoints, params, out, right_rows);
 }
 
 }  // namespace FT_ABI

@@ -35,7 +35,10 @@ void queue_odometry_motion(Line& line, Stages& s) {
     s.assign_last_frame(line.then("search last frame"));
   }
   s.optimize_last(line.then("pose last frame"));
-  if constexpr (!Stages::rectified) { line.join(s.stereo_branch()); }
+  if constexpr (!Stages::rectified) {
+    line.join(s.stereo_branch());
+    s.refine_partners(line.then("stereo"));
+  }
 }
 
 /// A whole frame.

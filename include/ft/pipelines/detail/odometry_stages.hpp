@@ -15,6 +15,7 @@
 #include "ft/kernels/odometry/begin_frame.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
+#include "ft/kernels/stereo/refine_partners.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
@@ -68,6 +69,12 @@ public:
   }
   bool pyramid_overlaps_upload() const {
     return input.overlaps_pyramid && base::pyramid_overlaps_upload();
+  }
+
+  /// Of two cameras that are not rectified, after match_stereo().
+  void refine_partners(Exec const& exec) const {
+    ft::refine_partners(exec, this->rig, this->extractor.pyramid(), this->extractor.keypoints(),
+                        this->matcher.fisheye_matches());
   }
 
   // ---- the local map
@@ -157,8 +164,8 @@ public:
     insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
   }
   void gather(Exec const& exec) const {
-    gather_window(exec, {own.state.gather, this->geometry(), settings.window, !Rig::rectified},
-                  own.map, own.window, own.sources);
+    gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
+                  own.sources);
     if (has_imu()) { inertial.gather(exec, own); }
   }
   void pack_outputs(Exec const& exec) const {

@@ -77,7 +77,7 @@ struct rig_parts<distorted_pair<Left, Right>> : rig_parts<rectified_rig> {
   static stereo_matcher<Exec> make_matcher(rig_type const& rig,
                                            orb_extractor<Exec> const& extractor,
                                            input<Exec> const&) {
-    return {rig.target, extractor};
+    return {rig.target, extractor, column_rule::least_squares};
   }
   static image_bounds bounds(rig_type const& rig, int width, int height) {
     return rig_parts<rectified_rig>::bounds(rig.target, width, height);

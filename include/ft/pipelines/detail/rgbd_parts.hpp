@@ -180,6 +180,7 @@ struct rig_parts<rgbd_rig<Camera>> {
   template <typename Exec>
   using matcher = depth_matcher<Exec, Camera>;
   static constexpr bool undistorts = matcher<host_exec>::undistorts;
+  static constexpr bool refines_positions = false;
   static constexpr bool starts_from_motion = false;
 
   static rectified_rig searched(rgbd_rig<Camera> const& rig) { return rig.pair(); }

@@ -61,6 +61,8 @@ struct rig_parts {
   using matcher = stereo_matcher<Exec, Rig>;
   /// Whether keypoints are moved before they are searched.
   static constexpr bool undistorts = false;
+  /// Whether keypoints lie between pixels.
+  static constexpr bool refines_positions = true;
   /// Whether maps begin from the motion of the camera.
   static constexpr bool starts_from_motion = false;
 
@@ -69,7 +71,7 @@ struct rig_parts {
   template <typename Exec>
   static matcher<Exec> make_matcher(Rig const& rig, orb_extractor<Exec> const& extractor,
                                     input<Exec> const&) {
-    return {rig, extractor};
+    return {rig, extractor, column_rule::least_squares};
   }
   /// Where the search may find keypoints, pixels.
   static image_bounds bounds(Rig const&, int width, int height) {

@@ -108,12 +108,13 @@ def generator():
 
 
 def sequence(frames=24):
-    """The folder of a new sequence, in the folder for temporary files."""
+    """The folder of a new sequence, in the folder for temporary files. A generated camera is at
+    rest in the first second."""
     folder = Path(tempfile.mkdtemp(prefix="ft_notebook_")) / "sequence"
     program = generator()
     if program:
         subprocess.run([program, "--out", str(folder), "--frames", str(frames), "--width", str(WIDTH), "--height",
-                        str(HEIGHT), "--no-imu"], check=True, capture_output=True)
+                        str(HEIGHT), "--fps", "10", "--no-imu"], check=True, capture_output=True)
     else:
         draw_sequence(folder, frames)
     return folder

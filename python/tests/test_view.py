@@ -123,7 +123,18 @@ def test_the_program_track_sequence_writes_such_a_recording(walk_folder, tmp_pat
     assert frames[-1].keypoints["matched"].sum() > 50 and frames[-1].milliseconds["stereo"] > 0
 
 
-# ---- what a recording says
+# ---- what a run and a recording say
+
+def test_stage_times(walk, device):
+    odometry = walk.odometry(measure_stages=True, device=device)
+    for i in range(3):
+        odometry.track(*walk.frame(i))
+    times = odometry.stage_times()
+    assert list(times)[-1] == "result" and {"pyramid", "corners", "stereo", "pose local map"} <= set(times)
+    assert all(t >= 0 for t in times.values()) and sum(times.values()) > 0
+    with pytest.raises(ValueError, match="measure_stages"):
+        walk.odometry(device=device).stage_times()
+
 
 class Log:
     """Stands in for rerun: keeps what is logged."""

@@ -20,14 +20,6 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// How the map of one camera begins, from frames with as many features as are tracked.
-inline monocular_start_params start_of_tracked_features() {
-  monocular_start_params p;
-  p.rules.min_matches = 50;
-  p.two_views.min_points = 40;
-  return p;
-}
-
 struct odometry_params {
   orb_params orb;
   tracking_rules rules;
@@ -41,10 +33,10 @@ struct odometry_params {
   int window_points = 1 << 12;     ///< points of an adjustment, at most
   window_params adjustment;        ///< how they are adjusted
   int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
-  monocular_start_params start = start_of_tracked_features();  ///< of a monocular_rig
-  imu_params imu;                                              ///< present or not
-  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;  ///< record stage_times()
+  monocular_start_params start;    ///< of a monocular_rig
+  imu_params imu;                  ///< present or not
+  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;     ///< record stage_times()
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
 };
 

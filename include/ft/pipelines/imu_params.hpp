@@ -27,7 +27,8 @@ struct imu_params {
   /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
   /// map's unit, which is the median depth of its first points;
   float scale_position_sigma = 5e-4f;
-  float scale_sigma = 0.01f;        ///< and largest share by which the scale may be off
+  float scale_sigma = 0.005f;       ///< largest standard deviation of the scale, a share;
+  int scale_keyframes = 40;         ///< and keyframes that it is estimated from, at most
   double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
 };
 

@@ -27,8 +27,9 @@ inline namespace FT_ABI {
 
 /// Estimations of gravity and biases from the keyframes of adjustments. Executor memory.
 struct inertial_windows {
-  int views = 0;                       ///< keyframes of an adjustment at most
-  rigid<double>* T_wc = nullptr;       ///< [batch][views] adjusted poses
+  int views = 0;                       ///< keyframes at most: those of an adjustment, and earlier
+                                       ///< ones where the unit of their poses is unknown
+  rigid<double>* T_wc = nullptr;       ///< [batch][views] of these poses the last are adjusted
   preintegrated* integrals = nullptr;  ///< [batch][views] from each keyframe to the next one
   int* counts = nullptr;               ///< [batch] keyframes
   int* seeks_scale = nullptr;          ///< [batch] 1 = the unit of the poses is unknown
@@ -140,15 +141,25 @@ struct gather_integrals {
                                  inertial_windows const& out) const {
     if (flags[b] == 0) { return; }
     int const views = problem.view_count[b];
+    bool const seeks_scale = v.seeks_scale && v.tracks[b].metric == 0;
+    int const first_number = sources.keyframe[problem.view(b, 0)];
+    int const before = min_of(first_number - keyframes.oldest(b), out.views - views);
+    int const earlier = seeks_scale ? before : 0;
+    int const count = earlier + views;
     auto const first = static_cast<std::ptrdiff_t>(b) * out.views;
-    for (int k = g.rank(); k + 1 < views; k += g.size()) {
-      int const number = sources.keyframe[problem.view(b, k + 1)];
-      out.integrals[first + k] =
-          v.between[static_cast<std::ptrdiff_t>(b) * v.positions + keyframes.position(number)];
+    for (int k = g.rank(); k < count; k += g.size()) {
+      int const p = keyframes.position(first_number - earlier + k);
+      if (k < earlier) {
+        out.T_wc[first + k] = keyframes.T_cw[keyframes.at(b, p)]
+                                  .template cast<strict_double>()
+                                  .inverse()
+                                  .template cast<double>();
+      }
+      if (k > 0) { out.integrals[first + k - 1] = v.between[keyframes.at(b, p)]; }
     }
     if (g.rank() == 0) {
-      out.counts[b] = views;
-      out.seeks_scale[b] = v.seeks_scale && v.tracks[b].metric == 0 ? 1 : 0;
+      out.counts[b] = count;
+      out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
     }
   }
@@ -165,8 +176,10 @@ struct estimate_window {
                                  inertial_windows const& v) const {
     if (selected[b] == 0) { return; }
     auto const first = static_cast<std::ptrdiff_t>(b) * v.views;
-    for (int k = 0; k < v.counts[b]; ++k) {
-      v.T_wc[first + k] =
+    int const views = problem.view_count[b];
+    int const earlier = v.counts[b] - views;
+    for (int k = 0; k < views; ++k) {
+      v.T_wc[first + earlier + k] =
           problem.T_cw[problem.view(b, k)].template cast<strict_double>().inverse().cast<double>();
     }
     // Keyframes before an interval without an integral say nothing of those after it.

@@ -103,6 +103,7 @@ public:
     variances_ = variances_of(params.noise);
     batch_ = batch;
     views_ = p.window.moving + p.window.fixed;
+    if (seeks_scale) { views_ = max_of(views_, params.scale_keyframes); }
     memory_ = arena<Exec::space>([&](carver& c) {
       carve(c, view_, {p.keyframes, params.samples, observations}, batch);
       carve(c, windows_, views_, batch);
@@ -207,6 +208,7 @@ private:
     require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
     imu.initialization.check();
     require_range("imu.scale_position_sigma", imu.scale_position_sigma, 1e-9f, 1.0f);
+    require_range("imu.scale_keyframes", imu.scale_keyframes, 1, max_keyframes);
     require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);
     require_range("imu.initialization.least_keyframes", imu.initialization.least_keyframes, 3,
                   p.window.moving + p.window.fixed);

@@ -55,7 +55,10 @@ struct tracking {
   /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
   tracking_state state = tracking_state::initialising;
-  bool metric = true;     ///< lengths are metres; false of a monocular_rig, whose unit it says
+  /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
+  /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known
+  /// is scaled about the map's first camera. False again in a new or a loaded map.
+  bool metric = true;
   bool keyframe = false;  ///< the frame became a keyframe
   int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
   int keypoints = 0;      ///< of the left image, or of those of all cameras of a multi_rig

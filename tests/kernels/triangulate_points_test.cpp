@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -165,7 +166,22 @@ struct room {
     map.push(exec);
     frames.push(exec);
     rays.push(exec);
+    bin_keyframes();
     ft::triangulate_points(exec, input(), map.device, rays.device.rays, rays.device.out);
+    rays.pull(exec);
+  }
+  /// Sorts the rays of all keyframes.
+  void bin_keyframes() {
+    test::mirrored<Exec, rays_view> orders([](ft::carver& c, rays_view& v) { carve(c, v, 1); });
+    orders.host.begins[0] = ft::keyframe_order::add;
+    orders.push(exec);
+    for (int k = 0; k < keyframes; ++k) {
+      map.host.keyframes.made[0] = k + 1;
+      map.push(exec);
+      ft::bin_rays(exec, {orders.device.begins, map.device.keyframes, geometry, 2.5f / 400},
+                   rays.device.rays);
+      exec.wait();
+    }
     rays.pull(exec);
   }
   /// The new points of the frame, by point of the world; -1 = none.
@@ -287,6 +303,34 @@ TYPED_TEST(triangulate_points, have_the_bits_of_the_host) {
     ASSERT_EQ(std::memcmp(&r.rays.host.out.point[i], &plain.rays.host.out.point[i],
                           sizeof(ft::vec3<float>)),
               0);
+  }
+}
+
+// Cells far from a line have none of its matches: visiting all of them gives the same points.
+TYPED_TEST(triangulate_points, are_the_same_if_all_cells_are_visited) {
+  for (unsigned seed = 10; seed < 20; ++seed) {
+    world w(seed);
+    // Descriptors that many keypoints have, and lines that pass near many keypoints.
+    for (std::size_t i = held; i < w.orb.size(); ++i) { w.orb[i] = w.orb[held + i % 3]; }
+    room<typename TypeParam::exec_type> r(this->backend.exec, w);
+    r.run();
+    auto const near = r.found();
+    for (int k = 0; k < keyframes; ++k) {
+      int visited = 0;
+      for (int c = 0; c < ft::ray_cells; ++c) {
+        float& reach = r.rays.host.rays.cell[k * ft::ray_cells + c].reach;
+        visited += static_cast<int>(reach >= 0);
+        EXPECT_LT(reach, 0.2f);
+        if (reach >= 0) { reach = 10; }
+      }
+      EXPECT_GT(visited, 30);
+      EXPECT_EQ(r.rays.host.rays.first[(k + 1) * (ft::ray_cells + 1) - 1], held + fresh);
+    }
+    r.rays.push(r.exec);
+    ft::triangulate_points(r.exec, r.input(), r.map.device, r.rays.device.rays, r.rays.device.out);
+    r.rays.pull(r.exec);
+    EXPECT_EQ(near, r.found());
+    EXPECT_GT(std::count_if(near.begin(), near.end(), [](int i) { return i >= 0; }), 5);
   }
 }
 

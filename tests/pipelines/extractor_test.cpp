@@ -127,6 +127,35 @@ protected:
 };
 TYPED_TEST_SUITE(extractor_unit, test::backends);
 
+// Images in which a map may begin have the features of an extractor that was made for more.
+TYPED_TEST(extractor_unit, images_of_which_more_is_wanted_have_more) {
+  auto params = size(320, 240);
+  auto const usual = params;
+  auto more = params;
+  more.features = 1500;
+  params.start_features = 1500;
+  auto const one = noise(320, 240, 1);
+  auto const other = noise(320, 240, 2);
+  auto const few_of_one = this->extract_one(usual, one);
+  auto const many_of_one = this->extract_one(more, one);
+  auto const few_of_other = this->extract_one(usual, other);
+  ASSERT_GT(many_of_one.count(), 3 * few_of_one.count());
+  typename TestFixture::extractor orb(this->backend.exec, params, 2);
+  int* const wants_more = orb.stages().kept.wants_more;
+  ASSERT_NE(wants_more, nullptr);
+  auto got = this->extract(orb, {one, other});
+  EXPECT_TRUE(got[0] == few_of_one);
+  EXPECT_TRUE(got[1] == few_of_other);
+  ft::fill_bytes(this->backend.exec, wants_more, 1, sizeof(int));
+  got = this->extract(orb, {one, other});
+  EXPECT_TRUE(got[0] == many_of_one);
+  EXPECT_TRUE(got[1] == few_of_other);
+  ft::fill_bytes(this->backend.exec, wants_more, 0, sizeof(int));
+  EXPECT_TRUE(this->extract(orb, {one, other})[0] == few_of_one);
+  params.start_features = usual.features - 1;
+  EXPECT_THROW(typename TestFixture::extractor(this->backend.exec, params, 1), ft::bad_argument);
+}
+
 TYPED_TEST(extractor_unit, arguments_out_of_range_throw) {
   auto const& exec = this->backend.exec;
   using orb = ft::orb_extractor<typename TypeParam::exec_type>;

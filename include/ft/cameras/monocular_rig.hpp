@@ -11,9 +11,9 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// One camera whose map begins from its motion. Nothing tells the scale: lengths are in units in
-/// which the median depth of the points of a map's first two keyframes is 1 when it begins.
-/// Directions 90 degrees or more off the axis get no map points.
+/// One camera whose map begins from its motion. Without an IMU nothing tells the scale: lengths are
+/// in units in which the median depth of the points of a map's first two keyframes is 1 when it
+/// begins. Directions 90 degrees or more off the axis get no map points.
 /// @tparam Camera any camera model with fx, fy, cx and cy
 template <typename Camera = pinhole<float>>
 struct monocular_rig {

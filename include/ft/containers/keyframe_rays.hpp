@@ -15,12 +15,27 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// Cells of an image in which rays are sorted, about as many as lines are long in pixels of them.
+inline constexpr int ray_columns = 32;
+inline constexpr int ray_rows = 24;
+inline constexpr int ray_cells = ray_columns * ray_rows;
+
+/// Where the rays of a cell are: within `reach` of `middle`, with what each may be off from an
+/// epipolar plane. So a plane with the unit normal n has none of them if |n middle| > reach.
+struct ray_cell {
+  vec3<float> middle;
+  float reach;  ///< below 0: there are none
+};
+
 /// Rays and descriptors of the keypoints of a keyframes_view with one camera, in executor memory,
 /// indexed as there.
 struct keyframe_rays_view {
   int* number = nullptr;       ///< [batch][positions] of the keyframe that they belong to, 0 = none
   vec3<float>* ray = nullptr;  ///< [batch][positions][capacity] unit length, camera frame; 0 = none
   descriptor* orb = nullptr;   ///< [batch][positions][capacity]
+  ray_cell* cell = nullptr;    ///< [batch][positions][ray_cells]
+  int* first = nullptr;        ///< [batch][positions][ray_cells + 1] of a cell in `in_cell`
+  int* in_cell = nullptr;  ///< [batch][positions][capacity] keypoints cell by cell, in any order
 };
 static_assert(std::is_trivially_copyable<keyframe_rays_view>::value, "passed to kernels");
 
@@ -32,6 +47,9 @@ inline void carve(carver& c, keyframe_rays_view& v, keyframes_capacity const& si
   v.number = c.take<int>(n);
   v.ray = c.take<vec3<float>>(all);
   v.orb = c.take<descriptor>(all);
+  v.cell = c.take<ray_cell>(detail::checked_mul(n, std::size_t{ray_cells}));
+  v.first = c.take<int>(detail::checked_mul(n, std::size_t{ray_cells + 1}));
+  v.in_cell = c.take<int>(all);
 }
 
 /// No keyframe of batch entry b has rays. Asynchronous if the executor is; allocates nothing.

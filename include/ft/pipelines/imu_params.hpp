@@ -13,7 +13,7 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The IMU of a rig. All numbers come from its calibration, but for the last four.
+/// The IMU of a rig. All numbers down to the noise come from its calibration.
 struct imu_params {
   bool present = false;
   /// From the frame of poses to the IMU's: the left camera, of a distorted_pair the rectified one,
@@ -22,7 +22,13 @@ struct imu_params {
   imu_noise noise;
   int samples = 4096;          ///< between two frames, at most: with more, there is a gap
   selection_params selection;  ///< a rate_hz of 0 becomes the noise's
+  /// `known_scale` is the rig's: an odometry of one camera sets it.
   initialization_params initialization = {9.81f, true, 8};
+  /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
+  /// map's unit, which is the median depth of its first points;
+  float scale_position_sigma = 5e-4f;
+  float scale_sigma = 0.005f;       ///< largest standard deviation of the scale, a share;
+  int scale_keyframes = 40;         ///< and keyframes that it is estimated from, at most
   double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
 };
 

@@ -157,6 +157,7 @@ public:
     p.stages.own.inputs[b].predicted = 0;
     p.begun[i] = 0;
     p.results[i] = {};
+    p.stages.expect_start(p.exec, b, true);
     if (p.stages.has_imu()) { p.stages.inertial.queue(b).clear(); }
   }
   /// Copies the mask of a camera, which holds until the next one. Keypoints come from where it is
@@ -274,6 +275,7 @@ private:
       if (params.imu.present) {
         stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
       }
+      stages.settings.orb.start_features = start_features(params.orb);
       stages.settings.orb.exact_positions = true;
       stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
       stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
@@ -329,6 +331,7 @@ private:
         results[i] = detail::tracking_of(stages.own.outputs[b]);
         results[i].metric = !stages_type::starts_from_motion;
         if (stages.has_imu()) {
+          results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
           results[i].imu = detail::imu_tracking_of(stages.inertial.outputs[b]);
         }
       }
@@ -340,6 +343,11 @@ private:
     return *parts_;
   }
 
+  /// @return 0 where all images have as many features
+  static int start_features(orb_params const& p) {
+    if (!stages_type::starts_from_motion) { return 0; }
+    return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
+  }
   static tracker_params tracker_params_of(odometry_params const& p) {
     tracker_params t;
     t.orb = p.orb;
@@ -357,8 +365,6 @@ private:
     detail::require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     detail::require_range("batch of camera pairs", batch, 1, 2048);
     detail::require_odometry_params(p);
-    detail::require(!is_monocular_v<Rig> || !p.imu.present,
-                    "an odometry of one camera has no scale for an IMU");
     return p;
   }
   static void require_motion(rigid<double> const& T) {

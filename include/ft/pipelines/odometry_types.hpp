@@ -20,14 +20,6 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// How the map of one camera begins, from frames with as many features as are tracked.
-inline monocular_start_params start_of_tracked_features() {
-  monocular_start_params p;
-  p.rules.min_matches = 50;
-  p.two_views.min_points = 40;
-  return p;
-}
-
 struct odometry_params {
   orb_params orb;
   tracking_rules rules;
@@ -41,10 +33,10 @@ struct odometry_params {
   int window_points = 1 << 12;     ///< points of an adjustment, at most
   window_params adjustment;        ///< how they are adjusted
   int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
-  monocular_start_params start = start_of_tracked_features();  ///< of a monocular_rig
-  imu_params imu;                                              ///< present or not
-  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;  ///< record stage_times()
+  monocular_start_params start;    ///< of a monocular_rig
+  imu_params imu;                  ///< present or not
+  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;     ///< record stage_times()
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
 };
 
@@ -63,7 +55,10 @@ struct tracking {
   /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
   tracking_state state = tracking_state::initialising;
-  bool metric = true;     ///< lengths are metres; false of a monocular_rig, whose unit it says
+  /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
+  /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known
+  /// is scaled about the map's first camera. False again in a new or a loaded map.
+  bool metric = true;
   bool keyframe = false;  ///< the frame became a keyframe
   int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
   int keypoints = 0;      ///< of the left image, or of those of all cameras of a multi_rig

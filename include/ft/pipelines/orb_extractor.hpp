@@ -27,6 +27,9 @@ struct orb_params {
   int width = 0;  ///< of every image, pixels
   int height = 0;
   int features = 1200;  ///< wanted per image; the result may have a few more
+  /// Wanted of images in which a map of one camera may begin; at least `features`, or 0 = as many.
+  /// An odometry of one camera makes 0 five times `features`, as ORB-SLAM3 does; others need none.
+  int start_features = 0;
   int levels = 8;
   float scale_factor = 1.2f;
   int ini_threshold = 20;  ///< corner threshold, grey levels
@@ -77,7 +80,8 @@ public:
     s.refines = params.refine_positions;
     s.blur_tiles = blur_layout::make(s.geometry);
     corner_layout const cells = corner_layout::make(s.geometry);
-    distribution_layout const quad = distribution_layout::make(s.geometry, params.features);
+    distribution_layout const quad =
+        distribution_layout::make(s.geometry, params.features, params.start_features);
     detail::require_items("keypoints of a batch", static_cast<std::size_t>(batch),
                           static_cast<std::size_t>(quad.total));
     std::vector<resize_tap> taps(static_cast<std::size_t>(s.geometry.taps));
@@ -92,6 +96,7 @@ public:
       carve(c, v.corners, cells, batch);
       carve(c, v.masks, params.mask_width, params.mask_height, batch);
       carve(c, v.kept, quad, cells, batch);
+      if (params.start_features != 0) { v.kept.wants_more = c.take<int>(b); }
       carve(c, v.keypoints, max_of(quad.total, 1), batch);
       v.taps = c.take<resize_tap>(taps.size());
       v.tiles.spans = tile_spans = c.take<tile_span>(spans.size());

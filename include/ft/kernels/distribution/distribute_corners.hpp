@@ -119,16 +119,17 @@ struct distribute_level {
       return;
     }
     corner* const kept = v.kept + at.image * layout.total + layout.first[at.level];
+    wanted_nodes const wanted{layout, at.level, v.wanted(at.image, at.level)};
     int size = 0;
-    if (n <= memory.points && layout.capacity[at.level] <= quadtree::scratch_nodes) {
+    if (n <= memory.points && wanted.most() <= quadtree::scratch_nodes) {
       auto t = tree_in_scratch(g, s, n);
       t.points = list;
-      size = make_nodes(g, s, t, points, layout, at.level);
+      size = make_nodes(g, s, t, points, wanted);
       keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
     } else {
       auto t = tree_in_workspace(s, n, at, corners, v);
       t.points = list;
-      size = make_nodes(g, s, t, quadtree::held_points<0>{}, layout, at.level);
+      size = make_nodes(g, s, t, quadtree::held_points<0>{}, wanted);
       keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
     }
     if (g.rank() == 0) { v.kept_count[item] = size; }
@@ -137,6 +138,13 @@ struct distribute_level {
 private:
   struct place {
     int image, level;
+  };
+  /// How many nodes a level should have.
+  struct wanted_nodes {
+    distribution_layout const& layout;
+    int level, features;
+
+    FT_HOST_DEVICE int most() const { return layout.most_nodes(level, features); }
   };
 
   template <typename Group>
@@ -207,9 +215,10 @@ private:
   /// @return number of nodes
   template <int Held, typename Group, typename Index>
   FT_HOST_DEVICE static int make_nodes(Group g, scratch& s, quadtree::level_tree<Index>& t,
-                                       quadtree::held_points<Held> points,
-                                       distribution_layout const& layout, int l) {
-    int const wanted = layout.wanted[l];
+                                       quadtree::held_points<Held> points, wanted_nodes const& in) {
+    distribution_layout const& layout = in.layout;
+    int const l = in.level;
+    int const wanted = in.features;
     for (int most = quadtree::usual_depths;; most = quadtree::max_rows - 1) {
       quadtree::node_codes const codes(layout.width[l], layout.height[l], layout.roots[l], t.n,
                                        most, t.most_bins);

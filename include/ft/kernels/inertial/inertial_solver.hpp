@@ -2,6 +2,7 @@
 /// @file Gauss-Newton steps over a frame's state, and that of the frame before it.
 #pragma once
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/observations.hpp"
@@ -108,7 +109,8 @@ struct inertial_solver {
 
 private:
   /// Whether cameras are elsewhere than the frame of the pose, with all entries of a derivative.
-  static constexpr bool displaced = Rig::rectified && !std::is_same_v<Rig, rectified_rig>;
+  static constexpr bool displaced =
+      Rig::rectified && !std::is_same_v<Rig, rectified_rig> && !is_monocular_v<Rig>;
 
   FT_HOST_DEVICE int begin() const { return both ? 0 : unknown::r2; }
 
@@ -172,7 +174,7 @@ private:
       wide_vec3 const e{r.error[0], r.error[1], r.error[2]};
       if constexpr (displaced) {
         add_motion_terms(r.in_pose, displaced_equations(r.P, W, e), acc.of);
-      } else if constexpr (Rig::rectified) {
+      } else if constexpr (Rig::rectified && !is_monocular_v<Rig>) {
         add_motion_terms(r.in_pose, rectified_equations(r.P, W, e), acc.of);
       } else {
         add_motion_terms(r.in_pose, monocular_equations(r.P, W, e), acc.of);

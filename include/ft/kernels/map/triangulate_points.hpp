@@ -18,6 +18,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/bin_rays.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/map/point_masks.hpp"
 
@@ -86,6 +87,12 @@ FT_HOST_DEVICE vec3<float> ray_of(Rig const& rig, pyramid_geometry const& geomet
   if (!seen.valid || !(d.z > real(0)) || !scalar::is_finite(length)) { return {0, 0, 0}; }
   return {static_cast<float>((d.x / length).value), static_cast<float>((d.y / length).value),
           static_cast<float>((d.z / length).value)};
+}
+
+/// How far a match may be from its epipolar line at octave 0, share of the focal length.
+template <typename Rig>
+FT_HOST_DEVICE strict_double line_width(Rig const& rig) {
+  return strict_double(2.5) / strict_double(static_cast<double>(rig.camera.fx));
 }
 
 /// Item: a batch entry. Chooses the keyframes that share most points with the frame.
@@ -218,25 +225,33 @@ private:
     vec3<real> const normal = cross(T.T_21.t, T.T_21.R * f1);
     real const length = scalar::sqrt(dot(normal, normal));
     int const p = kf.position(number);
-    int const n = kf.keypoints[kf.at(b, p)];
     std::ptrdiff_t const first = kf.at(b, p, 0);
     std::uint32_t best = no_claim;
-    real const pixel = real(2.5) / real(static_cast<double>(in.rig.camera.fx));
-    for (int j = g.rank(); j < n; j += g.size()) {
+    real const pixel = line_width(in.rig);
+    auto const compare = [&](int j) {
       // First what refuses most for the least.
       std::ptrdiff_t const at = first + j;
       vec3<real> const f2 = rays.ray[at].template cast<real>();
       real const off = scalar::abs(dot(f2, normal));
       real const limit = pixel * real(static_cast<double>(in.geometry.scale[kf.octave[at]]));
-      if (!(off <= limit * length) || !(f2.z > real(0))) { continue; }
+      if (!(off <= limit * length) || !(f2.z > real(0))) { return; }
       int const distance = hamming(orb, rays.orb[at]);
-      if (distance > in.params.max_hamming) { continue; }
+      if (distance > in.params.max_hamming) { return; }
       int const slot = kf.holder[at];
       bool const held = slot >= 0 && records.number[records.at(b, slot)] == kf.holder_number[at];
-      if (held) { continue; }
+      if (held) { return; }
       std::uint32_t const key =
           static_cast<std::uint32_t>(distance) << 23 | static_cast<std::uint32_t>(j);
       best = key < best ? key : best;
+    };
+    vec3<float> const unit = scaled(normal, real(1) / length).template cast<float>();
+    std::ptrdiff_t const row = kf.at(b, p);
+    ray_cell const* const cell = rays.cell + row * ray_cells;
+    int const* const start = rays.first + row * (ray_cells + 1);
+    for (int c = g.rank(); c < ray_cells; c += g.size()) {
+      // A NaN refuses here, as it does in each comparison.
+      if (!(scalar::abs(dot(unit, cell[c].middle)) <= cell[c].reach)) { continue; }
+      for (int k = start[c]; k < start[c + 1]; ++k) { compare(rays.in_cell[first + k]); }
     }
     best = g.reduce(best, min_op{});
     if (best == no_claim) { return {-1, 0}; }
@@ -366,8 +381,8 @@ void triangulate_points(Exec const& exec, triangulation_input<Rig> const& in,
 }
 
 /// After insert_keyframe: keeps rays and descriptors of the new keyframes, and enters new points in
-/// the keyframes that they were triangulated with. Asynchronous on `exec`; allocates nothing; one
-/// launch.
+/// the keyframes that they were triangulated with. Asynchronous on `exec`; allocates nothing; two
+/// launches.
 /// @param with whether points were triangulated; `from` is not read otherwise
 template <typename Exec, typename Rig>
 void enter_partners(Exec const& exec, triangulation_input<Rig> const& in, bool with,
@@ -375,6 +390,10 @@ void enter_partners(Exec const& exec, triangulation_input<Rig> const& in, bool w
                     triangulated_view const& from) {
   for_each_item<per_thread>(exec, in.frame.batch * in.frame.capacity(),
                             detail::enter_partner<Rig>{}, in, with, map, rays, from);
+  bin_rays(
+      exec,
+      {in.order, map.keyframes, in.geometry, static_cast<float>(detail::line_width(in.rig).value)},
+      rays);
 }
 
 }  // namespace FT_ABI

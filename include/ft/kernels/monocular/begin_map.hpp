@@ -35,7 +35,14 @@ struct map_beginnings {
   float* depth = nullptr;        ///< [batch][capacity] of the first frame's keypoints, -1 = none
   vec3<float>* point = nullptr;  ///< [batch][capacity] in the first camera's frame
   int* holder = nullptr;         ///< [batch][capacity] slots of the first frame's keypoints
+  int patience = 0;              ///< of tracking_rules, for looks_for_start()
+  int* wants_more = nullptr;     ///< [batch] written: distribution_view::wants_more of next frames
 };
+
+/// Whether a map may begin with the next frame of a camera.
+FT_HOST_DEVICE inline bool looks_for_start(camera_track const& t, int patience) {
+  return !t.has_map() || t.lost_with_features >= patience;
+}
 
 inline void carve(carver& c, map_beginnings& v, int capacity, int batch) {
   auto const b = static_cast<std::size_t>(batch);
@@ -80,9 +87,7 @@ struct open_beginning {
     keypoints_view const kp = frame.camera(b, 0);
     int const n = *kp.count;
     if (i == 0) {
-      camera_track const& t = tracks[b];
-      bool const looks = !t.has_map() || t.lost_with_features >= patience;
-      out.count[b] = looks ? n : 0;
+      out.count[b] = looks_for_start(tracks[b], patience) ? n : 0;
       if (inputs[b].reset != 0) { progress[b] = start_progress{}; }
     }
     if (i >= n) { return; }

@@ -12,6 +12,7 @@
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
+#include "ft/kernels/odometry/scale_map.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -39,8 +40,11 @@ struct inertial_track {
   /// 1 = the velocities of `last` and of `keyframe` are known. They are not after a frame about
   /// which the IMU said nothing, until an estimate or an optimisation gives them anew.
   int moves, keyframe_moves;
-  int restarts;   ///< 1 = the integral from the newest keyframe begins with the next interval
-  int optimizes;  ///< 1 = the current frame's pose is optimised with the IMU
+  int restarts;         ///< 1 = the integral from the newest keyframe begins with the next interval
+  int metric;           ///< of one camera: 1 = lengths of its map are metres
+  int map;              ///< likewise: number of its map, of which all above is known; 0 = none
+  vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
+  int optimizes;        ///< 1 = the current frame's pose is optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
@@ -74,6 +78,7 @@ struct inertial_inputs {
 struct inertial_view {
   int batch = 0;
   int positions = 0;                  ///< of the keyframe ring
+  bool seeks_scale = false;           ///< maps begin without one: those of one camera
   inertial_track* tracks = nullptr;   ///< [batch]
   imu_interval* intervals = nullptr;  ///< [batch] from the last frame to the current one
   imu_steps_view steps;               ///< of these
@@ -83,6 +88,7 @@ struct inertial_view {
   /// [batch][positions] from the keyframe before to that at a position
   preintegrated* between = nullptr;
   inertial_prior* prior = nullptr;  ///< [batch] of the last frames, then of the current ones
+  map_scaling* scaling = nullptr;   ///< [batch] what becomes of maps with this frame
   inertial_inputs inputs;           ///< of the poses of the current frames
   inertial_poses poses{};           ///< reads these inputs
 
@@ -108,6 +114,7 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   v.integrals = c.take<preintegrated>(2 * b);
   v.between = c.take<preintegrated>(b * static_cast<std::size_t>(size.positions));
   v.prior = c.take<inertial_prior>(b);
+  v.scaling = c.take<map_scaling>(b);
   inertial_inputs& in = v.inputs;
   in.from_last_frame = c.take<int>(b);
   in.first = c.take<stored_inertial_state>(b);

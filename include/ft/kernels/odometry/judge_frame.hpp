@@ -117,6 +117,9 @@ struct judge_camera_frame {
     }
     in.T_cw[b] = state.T_cw[b].template cast<float>();
     state.tracks[b] = t;
+    if constexpr (is_monocular_v<Rig>) {
+      in.begins.wants_more[b] = looks_for_start(t, in.begins.patience) ? 1 : 0;
+    }
   }
 
 private:

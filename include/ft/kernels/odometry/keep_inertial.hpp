@@ -27,10 +27,12 @@ inline namespace FT_ABI {
 
 /// Estimations of gravity and biases from the keyframes of adjustments. Executor memory.
 struct inertial_windows {
-  int views = 0;                       ///< keyframes of an adjustment at most
-  rigid<double>* T_wc = nullptr;       ///< [batch][views] adjusted poses
+  int views = 0;                       ///< keyframes at most: those of an adjustment, and earlier
+                                       ///< ones where the unit of their poses is unknown
+  rigid<double>* T_wc = nullptr;       ///< [batch][views] of these poses the last are adjusted
   preintegrated* integrals = nullptr;  ///< [batch][views] from each keyframe to the next one
   int* counts = nullptr;               ///< [batch] keyframes
+  int* seeks_scale = nullptr;          ///< [batch] 1 = the unit of the poses is unknown
   int* newest = nullptr;               ///< [batch] number of the last of them
   inertial_initialization* results = nullptr;  ///< [batch]
 };
@@ -42,9 +44,17 @@ inline void carve(carver& c, inertial_windows& v, int views, int batch) {
   v.T_wc = c.take<rigid<double>>(n);
   v.integrals = c.take<preintegrated>(n);
   v.counts = c.take<int>(b);
+  v.seeks_scale = c.take<int>(b);
   v.newest = c.take<int>(b);
   v.results = c.take<inertial_initialization>(b);
 }
+
+/// How estimates are made.
+struct inertial_estimation {
+  imu_mount mount;
+  initialization_params metric;    ///< of maps in metres
+  initialization_params unscaled;  ///< of those whose unit is unknown
+};
 
 /// How estimates become means.
 struct inertial_mean {
@@ -75,6 +85,8 @@ private:
     bool const tracked =
         track.has_map() && track.lost_frames == 0 && order != keyframe_order::begin_map;
     bool const optimized = tracked && t.optimizes != 0;
+    bool const begins = v.seeks_scale && track.maps != t.map;
+    if (begins) { forget_map(t, b, track.maps, keyframes); }
     if (optimized) {
       t.last = v.poses.result[b].stored;
       t.moves = 1;
@@ -92,10 +104,28 @@ private:
     preintegrated& link = v.between[static_cast<std::ptrdiff_t>(b) * v.positions +
                                     keyframes.position(keyframes.made[b])];
     link = v.from_keyframe(b);
-    if (order == keyframe_order::begin_map) { link.status = integration_status::no_samples; }
+    if (begins || order == keyframe_order::begin_map) {
+      link.status = integration_status::no_samples;
+    }
     t.keyframe = t.last;
     t.keyframe_moves = t.moves;
     t.restarts = 1;
+  }
+  /// A new map has a unit of its own: of what was known the biases are left, to integrate with.
+  FT_HOST_DEVICE static void forget_map(inertial_track& t, int b, int map,
+                                        keyframes_view const& keyframes) {
+    inertial_track const old = t;
+    t = inertial_track::initial();
+    t.last.bias = t.keyframe.bias = old.last.bias;
+    t.restarts = old.restarts;
+    t.status = old.status;
+    t.map = map;
+    if (keyframes.count[b] == 0) { return; }
+    int const first = keyframes.position(keyframes.oldest(b));
+    t.origin = keyframes.T_cw[keyframes.at(b, first)]
+                   .template cast<strict_double>()
+                   .centre()
+                   .template cast<double>();
   }
 };
 
@@ -111,14 +141,25 @@ struct gather_integrals {
                                  inertial_windows const& out) const {
     if (flags[b] == 0) { return; }
     int const views = problem.view_count[b];
+    bool const seeks_scale = v.seeks_scale && v.tracks[b].metric == 0;
+    int const first_number = sources.keyframe[problem.view(b, 0)];
+    int const before = min_of(first_number - keyframes.oldest(b), out.views - views);
+    int const earlier = seeks_scale ? before : 0;
+    int const count = earlier + views;
     auto const first = static_cast<std::ptrdiff_t>(b) * out.views;
-    for (int k = g.rank(); k + 1 < views; k += g.size()) {
-      int const number = sources.keyframe[problem.view(b, k + 1)];
-      out.integrals[first + k] =
-          v.between[static_cast<std::ptrdiff_t>(b) * v.positions + keyframes.position(number)];
+    for (int k = g.rank(); k < count; k += g.size()) {
+      int const p = keyframes.position(first_number - earlier + k);
+      if (k < earlier) {
+        out.T_wc[first + k] = keyframes.T_cw[keyframes.at(b, p)]
+                                  .template cast<strict_double>()
+                                  .inverse()
+                                  .template cast<double>();
+      }
+      if (k > 0) { out.integrals[first + k - 1] = v.between[keyframes.at(b, p)]; }
     }
     if (g.rank() == 0) {
-      out.counts[b] = views;
+      out.counts[b] = count;
+      out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
     }
   }
@@ -127,8 +168,7 @@ struct gather_integrals {
 /// Item: a camera. Estimates its gravity and biases.
 struct estimate_window {
   using scratch = no_scratch;
-  imu_mount mount;
-  initialization_params params;
+  inertial_estimation how;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int b, int const* selected,
@@ -136,8 +176,10 @@ struct estimate_window {
                                  inertial_windows const& v) const {
     if (selected[b] == 0) { return; }
     auto const first = static_cast<std::ptrdiff_t>(b) * v.views;
-    for (int k = 0; k < v.counts[b]; ++k) {
-      v.T_wc[first + k] =
+    int const views = problem.view_count[b];
+    int const earlier = v.counts[b] - views;
+    for (int k = 0; k < views; ++k) {
+      v.T_wc[first + earlier + k] =
           problem.T_cw[problem.view(b, k)].template cast<strict_double>().inverse().cast<double>();
     }
     // Keyframes before an interval without an integral say nothing of those after it.
@@ -146,7 +188,8 @@ struct estimate_window {
       if (!usable(v.integrals[first + k].status)) { from = k + 1; }
     }
     v.results[b] = initialize_window(
-        {v.T_wc + first + from, v.integrals + first + from, v.counts[b] - from, mount}, params);
+        {v.T_wc + first + from, v.integrals + first + from, v.counts[b] - from, how.mount},
+        v.seeks_scale[b] != 0 ? how.unscaled : how.metric);
   }
 };
 
@@ -161,10 +204,15 @@ struct apply_inertial_estimate {
                                  inertial_view const& v) const {
     inertial_initialization const& found = windows.results[b];
     inertial_track& t = v.tracks[b];
+    v.scaling[b] = {1, t.origin};
     // An uncertain estimate has a small weight. Alone it is none.
     bool const uncertain = found.status == initialization_status::little_motion;
     bool const solved = found.tilt_sigma > 0;
     if (flags[b] == 0 || !(found.succeeded() || (t.known() && uncertain && solved))) { return; }
+    if (windows.seeks_scale[b] != 0) {
+      v.scaling[b].factor = found.scale;
+      t.metric = 1;
+    }
     ++t.estimates;
     mix(t.gravity, t.tilt_weight, found.gravity, found.tilt_sigma);
     vec3<strict_float> const g = t.gravity.cast<strict_float>();
@@ -237,14 +285,15 @@ void gather_inertial_windows(Exec const& exec, int const* flags, keyframes_view 
 /// @param selected [batch] cameras that are 0 are not touched
 template <typename Exec>
 void estimate_inertial_windows(Exec const& exec, int const* selected,
-                               window_problem_view const& problem, imu_mount const& mount,
-                               initialization_params const& params, inertial_windows const& v) {
-  for_each_item<per_thread>(exec, problem.batch, detail::estimate_window{mount, params}, selected,
-                            problem, v);
+                               window_problem_view const& problem, inertial_estimation const& how,
+                               inertial_windows const& v) {
+  for_each_item<per_thread>(exec, problem.batch, detail::estimate_window{how}, selected, problem,
+                            v);
 }
 
 /// Takes estimates over: gravity and biases as means of the latest ones, and the velocity of the
-/// newest keyframe. Asynchronous on `exec`; allocates nothing; one launch.
+/// newest keyframe. The first estimate for a map without a scale has one: it is in `v.scaling`, and
+/// scale_maps() has to follow. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param flags [batch] 1 = the adjustment ends with this frame
 template <typename Exec>
 void apply_inertial_estimates(Exec const& exec, int const* flags, keyframes_view const& keyframes,

@@ -110,6 +110,7 @@ struct extraction {
     clear_corners(exec, corners);
     fill_bytes(exec, kept.kept, 0,
                static_cast<std::size_t>(keypoints.capacity) * b * sizeof(corner));
+    if (kept.wants_more != nullptr) { fill_bytes(exec, kept.wants_more, 0, b * sizeof(int)); }
     if (has_masks()) {
       fill_bytes(
           exec, masks.data, 255,

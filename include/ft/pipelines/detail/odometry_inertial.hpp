@@ -25,6 +25,7 @@
 #include "ft/kernels/odometry/inertial_poses.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/keep_inertial.hpp"
+#include "ft/kernels/odometry/scale_map.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/imu_params.hpp"
 
@@ -90,16 +91,19 @@ public:
   bool present() const { return params_.present; }
   allocated_bytes bytes() const { return {memory_.bytes(), staging_memory_.bytes()}; }
 
-  /// @param observations of a frame @throws bad_argument, std::bad_alloc, cuda_error
-  void take(imu_params const& params, odometry_params const& p, int observations, int batch) {
-    params_ = params;
+  /// @param observations of a frame @param seeks_scale whether maps begin without a scale
+  /// @throws bad_argument, std::bad_alloc, cuda_error
+  void take(odometry_params const& p, bool seeks_scale, int observations, int batch) {
+    imu_params const& params = params_ = p.imu;
     if (!present()) { return; }
-    check(params, p);
+    check(params, p, seeks_scale);
+    view_.seeks_scale = seeks_scale;
     if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
     mount_ = mount_of(params.T_bc);
     variances_ = variances_of(params.noise);
     batch_ = batch;
     views_ = p.window.moving + p.window.fixed;
+    if (seeks_scale) { views_ = max_of(views_, params.scale_keyframes); }
     memory_ = arena<Exec::space>([&](carver& c) {
       carve(c, view_, {p.keyframes, params.samples, observations}, batch);
       carve(c, windows_, views_, batch);
@@ -118,6 +122,8 @@ public:
     if (!present()) { return; }
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     for (int b = 0; b < batch_; ++b) { outputs[b] = inertial_track::initial(); }
+    fill_bytes(exec, view_.between, 0xff,
+               static_cast<std::size_t>(batch_ * view_.positions) * sizeof(preintegrated));
     copy(exec, view_.tracks, static_cast<inertial_track const*>(outputs),
          static_cast<std::size_t>(batch_));
   }
@@ -129,6 +135,10 @@ public:
     outputs[b] = inertial_track::initial();
     copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs + b), std::size_t{1});
     fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
+    // No interval before has an integral.
+    auto const n = static_cast<std::size_t>(view_.positions);
+    fill_bytes(exec, view_.between + static_cast<std::size_t>(b) * n, 0xff,
+               n * sizeof(preintegrated));
     exec.wait();
   }
   sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
@@ -156,6 +166,7 @@ public:
   void apply(Exec const& exec, odometry_memory<Exec> const& own) const {
     apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_,
                              {params_.initialization.gravity}, view_);
+    if (view_.seeks_scale) { scale_maps(exec, view_.scaling, own.map, own.state); }
   }
   void predict(Exec const& exec, odometry_memory<Exec> const& own,
                predicted_frames const& out) const {
@@ -179,21 +190,30 @@ public:
   }
   /// Beside tracking, after an adjustment. @param selected [batch] its cameras
   void estimate(Exec const& exec, int const* selected, window_problem_view const& problem) const {
-    estimate_inertial_windows(exec, selected, problem, mount_, params_.initialization, windows_);
+    inertial_estimation how{mount_, params_.initialization, params_.initialization};
+    how.metric.known_scale = true;
+    how.unscaled.known_scale = false;
+    how.unscaled.position_sigma = params_.scale_position_sigma;
+    how.unscaled.max_scale_sigma = params_.scale_sigma;
+    estimate_inertial_windows(exec, selected, problem, how, windows_);
   }
 
 private:
   static constexpr memory_space staging = staging_space<Exec>;
 
-  static void check(imu_params const& imu, odometry_params const& p) {
+  static void check(imu_params const& imu, odometry_params const& p, bool seeks_scale) {
     require_range("imu.samples", imu.samples, 2, 1 << 20);
     require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
     require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
     require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
     imu.initialization.check();
+    require_range("imu.scale_position_sigma", imu.scale_position_sigma, 1e-9f, 1.0f);
+    require_range("imu.scale_keyframes", imu.scale_keyframes, 1, max_keyframes);
+    require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);
     require_range("imu.initialization.least_keyframes", imu.initialization.least_keyframes, 3,
                   p.window.moving + p.window.fixed);
-    require(imu.initialization.known_scale, "the scale of an odometry's map is known");
+    require(imu.initialization.known_scale || seeks_scale,
+            "the scale of this odometry's map is known");
   }
 
   imu_params params_;

@@ -92,11 +92,7 @@ public:
   // ---- the end
 
   void optimize_inertial(Exec const& exec) const {
-    if constexpr (!starts_from_motion) {
-      inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
-                        memory.poses);
-    }
-    static_cast<void>(exec);
+    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
   }
   void keep_inertial(Exec const& exec) const { inertial.keep(exec, own); }
   void judge(Exec const& exec) const {
@@ -107,7 +103,11 @@ public:
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
-    if constexpr (starts_from_motion) { in.begins = beginning.begins(); }
+    if constexpr (starts_from_motion) {
+      in.begins = beginning.begins();
+      in.begins.patience = settings.rules.patience;
+      in.begins.wants_more = this->extractor.stages().kept.wants_more;
+    }
     tracking_rules rules = settings.rules;
     if (recognizes_places) { rules.patience = std::numeric_limits<int>::max(); }
     judge_frames(exec, rules, in, own.state);
@@ -188,7 +188,7 @@ public:
       beginning.take(exec, this->rig, settings.start, own.map.keyframes,
                      memory.frame.grids.geometry);
     }
-    inertial.take(settings.imu, settings, memory.observations.capacity, this->batch);
+    inertial.take(settings, starts_from_motion, memory.observations.capacity, this->batch);
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
@@ -206,7 +206,16 @@ public:
     memory.initialize(exec);
     own.initialize(exec);
     if constexpr (starts_from_motion) { beginning.initialize(exec); }
+    for (int b = 0; b < this->batch; ++b) { expect_start(exec, b, true); }
     inertial.initialize(exec);
+  }
+  /// Says whether a map of camera b may begin with the next frame. Asynchronous.
+  void expect_start(Exec const& exec, int b, bool expected) const {
+    if constexpr (starts_from_motion) {
+      fill_bytes(exec, this->extractor.stages().kept.wants_more + b, expected ? 1 : 0, sizeof(int));
+    }
+    static_cast<void>(exec);
+    static_cast<void>(b + static_cast<int>(expected));
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
@@ -232,6 +241,7 @@ public:
     tracking_state const state = t.data()->state;
     copy(exec, own.state.tracks + b, static_cast<camera_track const*>(t.data()), std::size_t{1});
     copy(exec, own.state.T_cw + b, static_cast<rigid<double> const*>(T_cw.data()), std::size_t{1});
+    expect_start(exec, b, state == tracking_state::initialising);
     exec.wait();
     return state;
   }

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: sorts the rays of keyframes into cells of the image, so that a search along an
+/// epipolar line visits those near it.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keyframe_rays.hpp"
+#include "ft/containers/keyframes.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
+#include "ft/kernels/map/keyframe_input.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Inputs of bin_rays.
+struct ray_binning {
+  keyframe_order const* order = nullptr;  ///< [batch] not none: the newest keyframe is sorted
+  keyframes_view keyframes;
+  pyramid_geometry geometry;
+  float off_line = 0;  ///< distance from an epipolar line at octave 0, share of the focal length
+};
+
+namespace detail {
+
+/// Item: a batch entry.
+struct bin_newest_rays {
+  struct scratch {
+    int begin[ray_cells];  ///< counts of the cells, then where their next keypoint goes
+  };
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, ray_binning const& in,
+                                 keyframe_rays_view const& rays) const {
+    if (in.order[b] == keyframe_order::none) { return; }
+    keyframes_view const& kf = in.keyframes;
+    std::ptrdiff_t const row = kf.at(b, kf.position(kf.made[b]));
+    std::ptrdiff_t const keypoints = row * kf.numbers();
+    int const n = kf.keypoints[row];
+    int* const first = rays.first + row * (ray_cells + 1);
+    for (int c = g.rank(); c < ray_cells; c += g.size()) { s.begin[c] = 0; }
+    g.sync();
+    auto const each = [&](auto const& visit) {
+      for (int i = g.rank(); i < n; i += g.size()) {
+        std::ptrdiff_t const at = keypoints + i;
+        if (rays.ray[at].z > 0) { visit(i, cell_of(in.geometry, kf.x[at], kf.y[at])); }
+      }
+    };
+    each([&](int, int c) { atomic_add(s.begin + c, 1); });
+    g.sync();
+    scan(g, s, first);
+    g.sync();
+    int* const list = rays.in_cell + keypoints;
+    each([&](int i, int c) { list[atomic_add(s.begin + c, 1)] = i; });
+    g.sync();
+    for (int c = g.rank(); c < ray_cells; c += g.size()) {
+      rays.cell[row * ray_cells + c] =
+          bounds(in, rays, keypoints, {list + first[c], first[c + 1] - first[c]});
+    }
+  }
+
+private:
+  struct members {
+    int const* of;
+    int count;
+  };
+
+  FT_HOST_DEVICE static int cell_of(pyramid_geometry const& geometry, float x, float y) {
+    auto const place = [](float v, int size, int cells) {
+      float const at = v * static_cast<float>(cells) / static_cast<float>(size);
+      return clamp(static_cast<int>(clamp(at, 0.0f, static_cast<float>(cells))), 0, cells - 1);
+    };
+    return place(y, geometry.height[0], ray_rows) * ray_columns +
+           place(x, geometry.width[0], ray_columns);
+  }
+
+  /// From counts to places, in scratch and in the keyframe's row.
+  template <typename Group>
+  FT_HOST_DEVICE static void scan(Group g, scratch& s, int* first) {
+    int before = 0;
+    for (int base = 0; base < ray_cells; base += g.size()) {
+      int const c = base + g.rank();
+      int total = 0;
+      int const below = g.exclusive_scan(c < ray_cells ? s.begin[c] : 0, total);
+      if (c < ray_cells) { s.begin[c] = first[c] = before + below; }
+      before += total;
+    }
+    if (g.rank() == 0) { first[ray_cells] = before; }
+  }
+
+  /// A ball about the rays of a cell, with room for rounding.
+  FT_HOST_DEVICE static ray_cell bounds(ray_binning const& in, keyframe_rays_view const& rays,
+                                        std::ptrdiff_t keypoints, members const& list) {
+    if (list.count == 0) { return {{0, 0, 0}, -1}; }
+    vec3<float> low = rays.ray[keypoints + list.of[0]];
+    vec3<float> high = low;
+    for (int k = 1; k < list.count; ++k) {
+      vec3<float> const r = rays.ray[keypoints + list.of[k]];
+      low = {min_of(low.x, r.x), min_of(low.y, r.y), min_of(low.z, r.z)};
+      high = {max_of(high.x, r.x), max_of(high.y, r.y), max_of(high.z, r.z)};
+    }
+    ray_cell cell{scaled(low + high, 0.5f), 0};
+    for (int k = 0; k < list.count; ++k) {
+      std::ptrdiff_t const at = keypoints + list.of[k];
+      vec3<float> const d = rays.ray[at] - cell.middle;
+      float const off = in.off_line * in.geometry.scale[in.keyframes.octave[at]];
+      cell.reach = max_of(cell.reach, scalar::sqrt(dot(d, d)) + off);
+    }
+    cell.reach = 1.0001f * cell.reach + 1e-5f;
+    return cell;
+  }
+};
+
+}  // namespace detail
+
+/// Sorts the rays of new keyframes into cells, and bounds those of each cell. Asynchronous on
+/// `exec`; allocates nothing; one launch.
+template <typename Exec>
+void bin_rays(Exec const& exec, ray_binning const& in, keyframe_rays_view const& rays) {
+  for_each_item<per_block<256>>(exec, in.keyframes.batch, detail::bin_newest_rays{}, in, rays);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -21,7 +21,11 @@ using rig_type = ft::monocular_rig<ft::pinhole<float>>;
 
 rig_type rig() { return rig_type::make(test::room::rig().camera); }
 
-ft::odometry_params params() { return test::room::odometry_params(8192); }
+ft::odometry_params params() {
+  auto p = test::room::odometry_params(8192);
+  p.orb.features = 1000;
+  return p;
+}
 
 std::vector<stereo_frame> const& walk() {
   static auto const frames = test::room::make_walk(test::room::rig(), 0, 30);

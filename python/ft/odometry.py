@@ -12,7 +12,7 @@ class Odometry:
     map.
 
     rig: RectifiedPair, DistortedPair, FisheyePair, RgbdCamera, MonocularCamera or MultiRig. width, height: of all
-    images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None; not with a MonocularCamera.
+    images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None.
     near_depth: map points are made up to this many baselines away. map_slots, keyframes, local_points, window_points:
     limits of the map, of the local map and of adjustments. window: keyframes of an adjustment, moving and fixed.
     measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor. device: auto (a GPU if there

@@ -85,7 +85,7 @@ class RgbdCamera:
 class MonocularCamera:
     """One camera without any depth: ft.Pinhole (or fx, fy, cx, cy) or ft.KannalaBrandt, pixels. Its map begins when it
     has moved. Nothing tells the scale: `Tracking.metric` is False, and the unit of length is the median depth of the
-    first points. Not with an IMU."""
+    first points. With an IMU the map gets metres once the scale is known, `metric` is True from then on."""
 
     camera: object
 

@@ -164,6 +164,13 @@ def test_rigs_that_cannot_be_are_refused(make, word):
         odometry_of(make())
 
 
-def test_an_imu_needs_a_scale():
-    with pytest.raises(ValueError, match="scale"):
-        odometry_of(ft.MonocularCamera(CAMERA), imu=ft.Imu())
+def test_an_imu_that_has_told_nothing_gives_one_camera_no_scale():
+    walk = Walk()
+    one = odometry_of(ft.MonocularCamera(CAMERA), imu=ft.Imu())
+    for i in range(3):
+        for k in range(10):
+            one.add_imu(50_000_000 * i + 5_000_000 * k, (0, -9.81, 0), (0, 0, 0))
+        pose = one.track(walk.frame(0)[0], time_ns=50_000_000 * (i + 1))
+        assert pose.state == "initialising"
+        assert not pose.metric
+        assert not pose.imu_known

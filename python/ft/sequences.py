@@ -44,6 +44,15 @@ class Trajectory:
         """12 numbers a pose."""
         _ft.write_kitti(str(file), self.time_ns.tolist(), np.ascontiguousarray(self.poses))
 
+    def write_euroc(self, file):
+        """timestamp [ns], position, quaternion (w x y z), as in EuRoC's data.csv, with a heading."""
+        self.write_tum(file)
+        rows = np.loadtxt(file, ndmin=2)[:, [1, 2, 3, 7, 4, 5, 6]]
+        with open(file, "w") as out:
+            out.write("#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w,q_x,q_y,q_z\n")
+            for time_ns, row in zip(self.time_ns, rows):
+                out.write(",".join([str(int(time_ns)), *(f"{value:.9f}" for value in row)]) + "\n")
+
 
 class Sequence:
     """Frames on disk, decoded when they are asked for; fisheye pairs as they are, others rectified."""

@@ -74,6 +74,12 @@ def test_trajectories_are_written_and_read(tmp_path):
     assert np.array_equal(back.time_ns, trajectory.time_ns) and np.allclose(back.poses, trajectory.poses)
     trajectory.write_kitti(tmp_path / "b.txt")
     assert np.allclose(np.loadtxt(tmp_path / "b.txt").reshape(-1, 3, 4), trajectory.poses[:, :3])
+    trajectory.poses[:, :3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # a quarter turn about z
+    trajectory.write_euroc(tmp_path / "d.csv")
+    rows = np.loadtxt(tmp_path / "d.csv", delimiter=",")
+    assert np.array_equal(rows[:, 0], trajectory.time_ns)
+    assert np.allclose(rows[:, 1:4], trajectory.poses[:, :3, 3])
+    assert np.allclose(rows[:, 4:], [0.5**0.5, 0, 0, 0.5**0.5])
     with pytest.raises(ValueError, match="ascend"):
         ft.Trajectory.of(poses[::-1]).write_tum(tmp_path / "c.txt")
 
@@ -95,7 +101,11 @@ def test_evo_agrees(tmp_path):
     b.align(a)
     ape = evo.APE(evo.PoseRelation.translation_part)
     ape.process_data((a, b))
-    assert abs(ape.get_statistic(evo.StatisticsType.rmse) - ft.evaluate(guess, truth)["ate_m"]) < 1e-9
+    errors = ft.evaluate(guess, truth)
+    assert abs(ape.get_statistic(evo.StatisticsType.rmse) - errors["ate_m"]) < 1e-9
+    rpe = evo.RPE(evo.PoseRelation.translation_part, delta=10, delta_unit=evo.Unit.frames, all_pairs=True)
+    rpe.process_data((a, b))
+    assert abs(rpe.get_statistic(evo.StatisticsType.rmse) - errors["rpe_m"]) < 1e-9
 
 
 def test_what_is_no_sequence_is_named(tmp_path):

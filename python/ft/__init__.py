@@ -14,10 +14,11 @@ from .odometry import Odometry
 from .rectification import Rectifier
 from .rigs import DistortedPair, FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera
 from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, read_tum
+from .streams import Stream
 
 __all__ = [
     "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
     "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan",
-    "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher", "StereoMatches", "Tracking",
+    "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher", "StereoMatches", "Stream", "Tracking",
     "Trajectory", "Unified", "__version__", "devices", "evaluate", "read_sequence", "read_tum",
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import _ft
+from .streams import handle_of
 
 
 @dataclass
@@ -73,11 +74,11 @@ class OrbExtractor:
         self._pipeline = _ft.FeaturePipeline(self._options, batch, None, device)
         self.batch = batch
 
-    def extract(self, images, stream=0):
+    def extract(self, images, stream=None):
         """Keypoints of an image, (height, width) uint8; with batch > 1, of a sequence of images, as a list. On a GPU images
-        may lie on the device (__dlpack__); stream: handle of the CUDA stream that wrote them, 0 = the default stream."""
+        may lie on the device (__dlpack__); stream: the CUDA stream that writes them, see ft.Stream."""
         single = self.batch == 1 and not isinstance(images, (list, tuple))
-        found = self._pipeline.extract([images] if single else images, stream)
+        found = self._pipeline.extract([images] if single else images, handle_of(stream))
         all_keypoints = [Keypoints(**k, scale_factor=self._options["scale_factor"]) for k in found]
         return all_keypoints[0] if single else all_keypoints
 
@@ -95,7 +96,7 @@ class StereoMatcher:
         self._pipeline = _ft.FeaturePipeline(self._options, 2 * batch, rig, device)
         self.batch = batch
 
-    def match(self, left, right, stream=0):
+    def match(self, left, right, stream=None):
         """StereoMatches of two images (height, width) uint8; with batch > 1, of two sequences of images, as a list. stream:
         see OrbExtractor.extract."""
         single = self.batch == 1 and not isinstance(left, (list, tuple))
@@ -103,6 +104,6 @@ class StereoMatcher:
         scale = self._options["scale_factor"]
         found = [
             StereoMatches(Keypoints(**l, scale_factor=scale), Keypoints(**r, scale_factor=scale), right_x, depth)
-            for l, r, right_x, depth in self._pipeline.match([i for pair in pairs for i in pair], stream)
+            for l, r, right_x, depth in self._pipeline.match([i for pair in pairs for i in pair], handle_of(stream))
         ]
         return found[0] if single else found

@@ -5,6 +5,7 @@ import numpy as np
 
 from . import _ft
 from .features import _options
+from .streams import handle_of
 
 
 class Odometry:
@@ -30,7 +31,7 @@ class Odometry:
         self.rig = rig
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
 
-    def track(self, *images, time_ns=None, stream=0):
+    def track(self, *images, time_ns=None, stream=None):
         """Tracks a frame, and returns ft.Tracking.
 
         track(left, right, time_ns) of a pair, track(grey, depth, time_ns) of an RgbdCamera, track(image, time_ns) of a
@@ -40,14 +41,14 @@ class Odometry:
         Images are (height, width) uint8, rows may be padded; a depth image is uint16 or float32. time_ns: when they were
         taken, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
         __dlpack__, such as arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of
-        rows are multiples of 16 bytes. stream: handle of the CUDA stream that wrote them, 0 = the default stream. Raises
+        rows are multiples of 16 bytes. stream: the CUDA stream that writes them, see ft.Stream. Raises
         ValueError for another number, shape, type, place or time; then nothing has changed.
         """
         if time_ns is None:
             *images, time_ns = images
         if self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple))):
-            return self._pipeline.track([images], [int(time_ns)], stream)[0]
-        return self._pipeline.track(list(zip(*images)), [int(t) for t in time_ns], stream)
+            return self._pipeline.track([images], [int(time_ns)], handle_of(stream))[0]
+        return self._pipeline.track(list(zip(*images)), [int(t) for t in time_ns], handle_of(stream))
 
     def add_imu(self, time_ns, accel, gyro, b=0):
         """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in

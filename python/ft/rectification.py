@@ -3,6 +3,7 @@
 
 from . import _ft
 from .rigs import RectifiedPair
+from .streams import handle_of
 
 
 class Rectifier:
@@ -20,13 +21,13 @@ class Rectifier:
         self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, device)
         self.rig = RectifiedPair(rig.wanted, self._pipeline.baseline)  # that of the rectified images
 
-    def rectify(self, left, right, out=None, stream=0):
+    def rectify(self, left, right, out=None, stream=None):
         """Two rectified images (height, width) uint8, as a tuple, of two images (raw height, raw width) uint8, whose rows may
         be padded. Of images in host memory arrays of NumPy; on a GPU, of images on the device (__dlpack__) arrays there, which
         torch.from_dlpack and cupy.from_dlpack take. out: two arrays that are written in place of new ones, on the host or,
-        on a GPU, on the device; they must not overlap the images. stream: handle of the CUDA stream that wrote the images, 0
-        = the default stream. Returns when the pixels are there. Raises ValueError for another shape, type or place."""
-        return self._pipeline.rectify(left, right, out, stream)
+        on a GPU, on the device; they must not overlap the images. stream: the CUDA stream that writes the
+        images, see ft.Stream. Returns when the pixels are there. Raises ValueError for another shape, type or place."""
+        return self._pipeline.rectify(left, right, out, handle_of(stream))
 
     def map(self, camera):
         """How camera 0 (left) or 1 (right) is rectified: source positions (height, width, 2) int16 and their fractions

@@ -342,6 +342,13 @@ TYPED_TEST(triangulate_points, enter_the_keyframe_that_they_were_made_with) {
   auto const& kf = r.map.host.keyframes;
   kf.made[0] = kf.count[0] = keyframes + 1;
   auto const all = seen(w, keyframes);
+  kf.keypoints[keyframes] = static_cast<int>(all.size());
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    auto const at = kf.at(0, keyframes, static_cast<int>(i));
+    kf.x[at] = all[i].x;
+    kf.y[at] = all[i].y;
+    kf.octave[at] = 0;
+  }
   int slot = held;
   for (std::size_t i = 0; i < all.size() && slot < slots; ++i) {
     if (r.rays.host.out.keypoint[i] < 0) { continue; }

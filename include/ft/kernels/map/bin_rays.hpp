@@ -74,7 +74,8 @@ private:
   FT_HOST_DEVICE static int cell_of(pyramid_geometry const& geometry, float x, float y) {
     auto const place = [](float v, int size, int cells) {
       float const at = v * static_cast<float>(cells) / static_cast<float>(size);
-      return clamp(static_cast<int>(clamp(at, 0.0f, static_cast<float>(cells))), 0, cells - 1);
+      if (!(at > 0)) { return 0; }  // also NaN
+      return min_of(static_cast<int>(min_of(at, static_cast<float>(cells))), cells - 1);
     };
     return place(y, geometry.height[0], ray_rows) * ray_columns +
            place(x, geometry.width[0], ray_columns);

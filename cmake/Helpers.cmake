@@ -44,7 +44,7 @@ function(ft_target_defaults target)
   target_compile_options(${target} PRIVATE "$<$<COMPILE_LANGUAGE:CXX>:${host_warnings}>"
                                            "$<$<COMPILE_LANGUAGE:CUDA>:${cuda_warnings}>")
   if(FT_SANITIZE)
-    # AddressSanitizer finds what the checks that are left out would find, and they are a fifth of the compiler's time.
+    # What is left out is found by AddressSanitizer where it leads to a wrong access. It took a fifth of the compiler's time.
     set(sanitize -fsanitize=${FT_SANITIZE} -fno-sanitize=null,object-size,vptr,pointer-overflow
         -fno-sanitize-recover=all -fno-omit-frame-pointer)
     target_compile_options(${target} PRIVATE "$<$<COMPILE_LANGUAGE:CXX>:${sanitize}>")

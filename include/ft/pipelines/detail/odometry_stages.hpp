@@ -210,12 +210,11 @@ public:
     inertial.initialize(exec);
   }
   /// Says whether a map of camera b may begin with the next frame. Asynchronous.
-  void expect_start(Exec const& exec, int b, bool expected) const {
+  void expect_start([[maybe_unused]] Exec const& exec, [[maybe_unused]] int b,
+                    [[maybe_unused]] bool expected) const {
     if constexpr (starts_from_motion) {
       fill_bytes(exec, this->extractor.stages().kept.wants_more + b, expected ? 1 : 0, sizeof(int));
     }
-    static_cast<void>(exec);
-    static_cast<void>(b + static_cast<int>(expected));
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.

@@ -6,13 +6,13 @@ include(GoogleTest)
 add_custom_target(ft_host_tests)
 
 # The host's half of CUDA programs that do not run is not optimised.
-if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+if(FT_HAS_CUDA AND FT_FAST_COMPILE)
   string(REGEX REPLACE "-O[1-3]" "-O0" CMAKE_CUDA_FLAGS_RELEASE "${CMAKE_CUDA_FLAGS_RELEASE}")
   include(CheckCompilerFlag)
   check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_FAST_COMPILE)  # CUDA 12.9 and newer
 endif()
 
-# FT_FAST_DEVICE_CODE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
+# FT_FAST_COMPILE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
 # optimisations. One with OPTIMIZED_DEVICE_CODE has the machine code, optimised as users have it.
 function(ft_set_fast_device_code target)
   list(GET CMAKE_CUDA_ARCHITECTURES -1 newest)
@@ -29,7 +29,7 @@ endfunction()
 # Warnings, sanitizers and language settings of one of our targets.
 # ft_target_defaults(target [OPTIMIZED_DEVICE_CODE])
 function(ft_target_defaults target)
-  if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+  if(FT_HAS_CUDA AND FT_FAST_COMPILE)
     ft_set_fast_device_code(${target} ${ARGN})
   endif()
   set(warnings -Wall -Wextra -Wshadow -Wconversion)
@@ -56,7 +56,7 @@ endfunction()
 # Programs and benches have all architectures. Tests, which take the compiler longest, have those of
 # FT_TEST_CUDA_ARCHITECTURES: by default the newest, and the oldest one's PTX, which other GPUs translate.
 function(ft_set_test_architectures target)
-  if(FT_FAST_DEVICE_CODE)
+  if(FT_FAST_COMPILE)
     return()
   endif()
   set(architectures ${CMAKE_CUDA_ARCHITECTURES})
@@ -72,7 +72,7 @@ endfunction()
 
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
 # One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
-# parts of it do; with FT_FAST_DEVICE_CODE one is made of all that need a device. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
+# parts of it do; with FT_FAST_COMPILE one is made of all that need a device. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
 # the target ft_host_tests builds all others.
 function(ft_add_test)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
@@ -90,7 +90,7 @@ function(ft_add_test)
     add_dependencies(ft_host_tests ${arg_NAME})
   endif()
   set(shards ${FT_TEST_SHARDS})
-  if("gpu" IN_LIST arg_LABELS AND FT_FAST_DEVICE_CODE)
+  if("gpu" IN_LIST arg_LABELS AND FT_FAST_COMPILE)
     set(shards 1)  # compiled where no GPU is: all of its tests skip
   endif()
   set(properties TIMEOUT 600)
@@ -159,7 +159,7 @@ endfunction()
 # ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
 # One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
 # sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
-# stay alone in the plain host program. With FT_FAST_DEVICE_CODE <name>_cuda is compiled to PTX and not linked: without
+# stay alone in the plain host program. With FT_FAST_COMPILE <name>_cuda is compiled to PTX and not linked: without
 # a device its tests would skip.
 function(ft_add_stage_tests)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
@@ -180,7 +180,7 @@ function(ft_add_stage_tests)
   list(APPEND units ${alone})
   ft_add_test(NAME ${arg_NAME}_host SOURCES ${units} LIBS ft::ft ${arg_LIBS}
               LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
-  if(FT_HAS_CUDA AND FT_FAST_DEVICE_CODE)
+  if(FT_HAS_CUDA AND FT_FAST_COMPILE)
     ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
     add_library(${arg_NAME}_cuda OBJECT ${units})
     target_include_directories(${arg_NAME}_cuda PRIVATE ${PROJECT_SOURCE_DIR})

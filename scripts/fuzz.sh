@@ -19,7 +19,7 @@ if ! [[ $seconds =~ ^[1-9][0-9]*$ ]]; then
 fi
 folder=build-fuzz
 fuzzers=(images containers cameras readers)
-flags=(-std=c++17 -O2 -g1 -Iinclude -I. -fsanitize=fuzzer,address,undefined,float-cast-overflow
+flags=(-std=c++17 -O1 -g1 -Iinclude -I. -fsanitize=fuzzer,address,undefined,float-cast-overflow
   -fno-sanitize-recover=all)
 mkdir -p "$folder"
 

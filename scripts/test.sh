@@ -103,7 +103,7 @@ check_includes() {
 # Skipped, and said so, where clang++ has no libFuzzer.
 fuzz() {
   local status=0
-  scripts/fuzz.sh 60 || status=$?
+  scripts/fuzz.sh 40 || status=$?
   ((status == 77)) || return "$status"
 }
 
@@ -131,7 +131,7 @@ test_python() {
   compiler=$(sed -n 's/^CMAKE_CXX_COMPILER:[A-Z]*=//p' "$build/CMakeCache.txt")
   CXX=$compiler CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" wheel --quiet --no-build-isolation --no-deps --wheel-dir "$build/wheel" \
     -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
-    -C cmake.define.FT_FAST_DEVICE_CODE=ON "$ft_root"
+    -C cmake.define.FT_FAST_COMPILE=ON "$ft_root"
   "$pip" install --quiet --disable-pip-version-check --no-deps --force-reinstall "$build"/wheel/ft-*.whl
   local status=0
   FT_WHEEL=$(echo "$build"/wheel/ft-*.whl)
@@ -152,7 +152,7 @@ cuda_options() {
   local capability
   capability=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | head -1 || true)
   if [[ ! $capability =~ ^[0-9]+\.[0-9]+$ ]]; then
-    echo "-DFT_FAST_DEVICE_CODE=ON"
+    echo "-DFT_FAST_COMPILE=ON"
   elif nvcc --list-gpu-arch | grep -qx "compute_${capability/./}"; then
     echo "-DFT_TEST_CUDA_ARCHITECTURES=${capability/./}"
   fi

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/evaluation.hpp"
 
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <Eigen/SVD>
 #include <algorithm>
@@ -292,6 +293,35 @@ std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::i
   pose.translation() =
       (1 - share) * a.T_world_camera.translation() + share * b.T_world_camera.translation();
   return pose;
+}
+
+std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
+  trajectory const there = at_times_of(estimate, truth);
+  if (there.size() < 3) { return std::nullopt; }
+  auto const count = static_cast<Eigen::Index>(there.size());
+  Eigen::Matrix3Xd from(3, count), to(3, count);
+  Eigen::Index i = 0;
+  for (auto const& pose : estimate) {
+    if (i == count) { break; }
+    auto const& matched = there[static_cast<std::size_t>(i)];
+    if (pose.time_ns != matched.time_ns) { continue; }
+    from.col(i) = pose.T_world_camera.translation();
+    to.col(i) = matched.T_world_camera.translation();
+    ++i;
+  }
+  auto const moves = [](Eigen::Matrix3Xd const& points) {
+    return (points.colwise() - points.rowwise().mean()).squaredNorm() > 0;
+  };
+  if (!moves(from) || !moves(to)) { return std::nullopt; }
+  double const scale = Eigen::umeyama(from, to, true).col(0).head<3>().norm();
+  if (!std::isfinite(scale) || !(scale > 0)) { return std::nullopt; }
+  return scale;
+}
+
+trajectory scaled(trajectory const& poses, double scale) {
+  trajectory result = poses;
+  for (auto& pose : result) { pose.T_world_camera.translation() *= scale; }
+  return result;
 }
 
 trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, bool orientation,

@@ -25,6 +25,12 @@ trajectory poses_of(trajectory const& cameras, Eigen::Isometry3d const& T_camera
 /// `reference` at the times of `poses`, where it can be interpolated.
 trajectory at_times_of(trajectory const& poses, trajectory const& reference);
 
+/// What lengths of `estimate` are multiplied by to fit `truth` best (Umeyama, PAMI 1991); nothing
+/// with fewer than 3 poses that have ground truth, or where they do not move.
+std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth);
+/// The same poses with all lengths multiplied by `scale`.
+trajectory scaled(trajectory const& poses, double scale);
+
 /// Position (and orientation by slerp) of `reference` at `time_ns`, linear between neighbours.
 /// Nothing outside its range or inside a gap longer than `max_gap_ns`.
 std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::int64_t time_ns,

@@ -140,7 +140,8 @@ run_figures figures_of(run_report const& report) {
 std::vector<evo_command> evo_commands(run_report const& report, run_figures const& f) {
   std::string const files = " tum groundtruth.txt trajectory.txt";
   std::vector<evo_command> out;
-  if (f.ate_rmse_m) { out.push_back({"ATE RMSE", "evo_ape" + files + " --align", true}); }
+  std::string const align = report.scale ? " --align --correct_scale" : " --align";
+  if (f.ate_rmse_m) { out.push_back({"ATE RMSE", "evo_ape" + files + align, true}); }
   if (!f.rpe_rmse_m) { return out; }
   // Where poses are missing or intervals vary, a number of poses is not always a second.
   double span = report.error.rpe_span.value_or(0);
@@ -150,10 +151,10 @@ std::vector<evo_command> evo_commands(run_report const& report, run_figures cons
     span = std::max(1.0, std::round(static_cast<double>(report.estimate.size() - 1) / s));
   }
   std::string const compared = f.rpe_rotation_rmse_deg ? "" : " --pose_relation point_distance";
-  out.push_back(
-      {"RPE RMSE over 1 s",
-       "evo_rpe" + files + compared + " --delta " + fixed(span, 0) + " --delta_unit f --all_pairs",
-       report.error.rpe_span.has_value()});
+  out.push_back({"RPE RMSE over 1 s",
+                 "evo_rpe" + files + (report.scale ? align : "") + compared + " --delta " +
+                     fixed(span, 0) + " --delta_unit f --all_pairs",
+                 report.error.rpe_span.has_value()});
   return out;
 }
 
@@ -250,6 +251,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["truth_path_m"] = with_truth(report.error.truth_path_m);
   root["estimate_path_m"] = with_truth(report.error.estimate_path_m);
   root["pairs"] = report.error.pairs;
+  root["scale"] = number(report.scale);
   root["ate_rmse_m"] = number(f.ate_rmse_m);
   root["rpe_rmse_m"] = number(f.rpe_rmse_m);
   root["ate_rotation_rmse_deg"] = number(f.ate_rotation_rmse_deg);

@@ -59,6 +59,7 @@ std::string cards(run_report const& r, run_figures const& f) {
   std::string const no_truth = "no ground truth";
   out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
               f.ate_rmse_m ? "ATE RMSE over " + grouped(r.error.pairs) + " poses" +
+                                 (r.scale ? ", scaled to the ground truth" : "") +
                                  rotation_note(f.ate_rotation_rmse_deg)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
@@ -66,7 +67,7 @@ std::string cards(run_report const& r, run_figures const& f) {
               f.rpe_rmse_m  ? "RPE RMSE over 1 s" + rotation_note(f.rpe_rotation_rmse_deg)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
-  std::string path_note = "estimated";
+  std::string path_note = r.metric || r.scale ? "estimated" : "estimated, of unknown scale";
   if (f.has_truth && std::isfinite(r.error.truth_path_m) && r.error.truth_path_m > 0) {
     path_note += "; ground truth " + length_text(r.error.truth_path_m) + " m";
   }

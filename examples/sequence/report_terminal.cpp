@@ -94,6 +94,12 @@ std::string error_lines(run_report const& report, detail::run_figures const& f) 
     text += line("truth pairs", std::to_string(report.error.pairs));
     text += line("truth path", fixed(report.error.truth_path_m, 3) + " m");
   }
+  if (!report.metric) {
+    text += line("scale", report.scale
+                              ? "unknown; that of the ground truth, " + fixed(report.scale, 6) +
+                                    " times the path's own, is used here"
+                              : std::string("unknown"));
+  }
   std::string const why = f.has_truth ? "" : " (no ground truth)";
   text += line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);
   text += line("RPE RMSE over 1 s", fixed(f.rpe_rmse_m, 4, " m") + why);

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <type_traits>
 
 #include "examples/track_sequence/odometry.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 
 namespace app {
@@ -33,14 +35,19 @@ using fisheye_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt
 template <typename Rig>
 Rig rig_of(odometry_options const& o) {
   auto const f = [](double v) { return static_cast<float>(v); };
-  if constexpr (Rig::rectified) {
-    return ft::rectified_rig::make({f(o.fx), f(o.fy), f(o.cx), f(o.cy)}, f(o.baseline));
+  ft::pinhole<float> const pinhole{f(o.fx), f(o.fy), f(o.cx), f(o.cy)};
+  auto const fisheye = [&](std::array<double, 8> const& p) {
+    return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
+                                     f(p[4]), f(p[5]), f(p[6]), f(p[7])};
+  };
+  if constexpr (std::is_same_v<Rig, ft::monocular_rig<ft::pinhole<float>>>) {
+    return Rig::make(pinhole);
+  } else if constexpr (ft::is_monocular_v<Rig>) {
+    return Rig::make(fisheye(o.left));
+  } else if constexpr (Rig::rectified) {
+    return Rig::make(pinhole, f(o.baseline));
   } else {
-    auto const camera = [&](std::array<double, 8> const& p) {
-      return ft::kannala_brandt<float>{f(p[0]), f(p[1]), f(p[2]), f(p[3]),
-                                       f(p[4]), f(p[5]), f(p[6]), f(p[7])};
-    };
-    return {camera(o.left), camera(o.right), to_ft(o.T_right_left)};
+    return {fisheye(o.left), fisheye(o.right), to_ft(o.T_right_left)};
   }
 }
 

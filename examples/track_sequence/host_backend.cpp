@@ -1,24 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <fstream>
-#include <string>
+#include <memory>
+#include <stdexcept>
 
+#include "examples/track_sequence/processor_name.hpp"
 #include "examples/track_sequence/visual_odometry.hpp"
 
 namespace app {
 
-namespace {
-
-std::string processor_name() {
-  std::ifstream file("/proc/cpuinfo");
-  for (std::string line; std::getline(file, line);) {
-    if (line.rfind("model name", 0) == 0) { return line.substr(line.find(':') + 2); }
-  }
-  return "unknown processor";
-}
-
-}  // namespace
-
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options) {
+  if (options.monocular) { return make_host_monocular(options); }
   ft::host_exec const exec(options.threads);
   if (options.fisheye) {
     return std::make_unique<visual_odometry<ft::host_exec, fisheye_rig>>(exec, options,
@@ -32,6 +22,9 @@ std::unique_ptr<odometry> make_host_odometry(odometry_options const& options) {
 std::string cuda_device_name() { return {}; }
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const&) {
   throw std::runtime_error("this program was built without CUDA");
+}
+std::unique_ptr<odometry> make_cuda_monocular(odometry_options const& options) {
+  return make_cuda_odometry(options);
 }
 #endif
 

@@ -23,12 +23,15 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
   report.device = odometry.device();
   report.image_width = options.width;
   report.image_height = options.height;
+  report.one_camera = options.monocular;
   report.stages = odometry.stage_names();
   if (!a.timing) { report.stages = {report.stages.back()}; }
   report.options = {{"features", std::to_string(options.features)},
                     {"levels", std::to_string(options.levels)},
                     {"layout", sequence.layout()},
-                    {"rig", options.fisheye ? "fisheye" : "rectified"},
+                    {"rig", options.monocular ? "monocular"
+                            : options.fisheye ? "fisheye"
+                                              : "rectified"},
                     {"frame", a.frame},
                     {"read-ahead", std::to_string(a.read_ahead)},
                     {"realtime", a.realtime ? "yes" : "no"},
@@ -43,8 +46,13 @@ int run(app::arguments const& a) {
   auto const odometry = app::make_odometry(a, options, report.backend);
   describe(a, sequence, options, *odometry, report);
   std::cout << "sequence  " << sequence.name() << ", " << sequence.size() << " stereo pairs of "
-            << options.width << "x" << options.height << ", baseline " << options.baseline << " m\n"
-            << "backend   " << report.backend << ", " << report.device << "\n";
+            << options.width << "x" << options.height;
+  if (options.monocular) {
+    std::cout << ", of which the left images are used\n";
+  } else {
+    std::cout << ", baseline " << options.baseline << " m\n";
+  }
+  std::cout << "backend   " << report.backend << ", " << report.device << "\n";
 
   app::watch_interrupts();
   app::tracking_run(a, sequence, *odometry, report).track_all();
@@ -59,8 +67,9 @@ int run(app::arguments const& a) {
   }
   if (report.tracked == 0) {
     std::cerr << "track_sequence: " << a.sequence
-              << ": no frame could be tracked: too few corners are seen by both "
-              << "cameras (--features " << options.features << ")\n";
+              << ": no frame could be tracked: too few corners are seen "
+              << (options.monocular ? "while the camera moves" : "by both cameras")
+              << " (--features " << options.features << ")\n";
     return app::exit_failed;
   }
   return app::exit_done;

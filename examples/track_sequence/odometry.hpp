@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stereo visual odometry behind an interface of plain types, so that one program can have
-/// the host and the CUDA version.
+/// @file Visual odometry behind an interface of plain types, so that one program can have the host
+/// and the CUDA version.
 #pragma once
 
 #include <array>
@@ -39,7 +39,8 @@ struct odometry_options {
   int width = 0, height = 0;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< of the rectified pair, pixels
   double baseline = 0;                    ///< metres
-  bool fisheye = false;                   ///< two Kannala-Brandt cameras, not rectified:
+  bool monocular = false;                 ///< the left camera alone
+  bool fisheye = false;                   ///< Kannala-Brandt cameras, not rectified:
   std::array<double, 8> left{}, right{};  ///< fx fy cx cy k1 k2 k3 k4
   rigid_pose T_right_left;                ///< left-camera points to the right camera
   int features = 1200;
@@ -73,7 +74,8 @@ struct imu_outcome {
 struct frame_outcome {
   bool tracked = false;
   bool keyframe = false;
-  rigid_pose T_wc;  ///< left camera to world
+  bool metric = true;  ///< lengths are in metres
+  rigid_pose T_wc;     ///< left camera to world
   int keypoints = 0;
   int stereo_matches = 0;
   int inliers = 0;  ///< matched map points, without this frame's new ones
@@ -82,13 +84,13 @@ struct frame_outcome {
   std::vector<double> stage_ms;  ///< one per stage_names(); see odometry_options::measure_stages
 };
 
-/// Tracks a stereo camera; the world is the first tracked frame's left camera.
+/// Tracks a camera pair, or one camera; the world is the first tracked frame's left camera.
 class odometry {
 public:
   virtual ~odometry() = default;
   /// @param time_ns when the pair was taken; the time since the last pair scales the predicted
   ///   motion
-  /// @param left,right width x height bytes without padding
+  /// @param left,right width x height bytes without padding; one camera has no use for `right`
   virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                               std::uint8_t const* right) = 0;
   /// A sample of the IMU, before the frame that it belongs to. @param accel m/s^2 @param gyro rad/s
@@ -105,9 +107,12 @@ public:
 };
 
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options);
+/// That of one camera.
+std::unique_ptr<odometry> make_host_monocular(odometry_options const& options);
 
 /// Name of the CUDA device; empty if there is no usable one.
 std::string cuda_device_name();
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options);
+std::unique_ptr<odometry> make_cuda_monocular(odometry_options const& options);
 
 }  // namespace app

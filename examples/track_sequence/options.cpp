@@ -40,9 +40,10 @@ void add_tracking(CLI::App& app, arguments& a) {
   app.add_option("--threads", a.threads, "threads of the host backend; 0 = all")
       ->check(CLI::Range(0, 4096));
   app.add_option("--rig", a.rig,
-                 "auto (fisheye cameras as they are, others rectified), rectified or fisheye (two "
-                 "Kannala-Brandt cameras, not rectified)")
-      ->check(CLI::IsMember({"auto", "rectified", "fisheye"}))
+                 "auto (fisheye cameras as they are, others rectified), rectified, fisheye (two "
+                 "Kannala-Brandt cameras, not rectified) or monocular (the left images alone; "
+                 "without an IMU the scale of the path is not known)")
+      ->check(CLI::IsMember({"auto", "rectified", "fisheye", "monocular"}))
       ->capture_default_str();
   app.add_option(
          "--features", a.features,

@@ -93,13 +93,15 @@ void finish(arguments const& a, seq::sequence const& sequence, odometry const& o
             seq::run_report& report) {
   report.truth = sequence.ground_truth();
   report.frame = a.frame;
+  if (!report.metric) { report.scale = seq::scale_to(report.estimate, report.truth); }
   if (a.frame == "body") { move_to_body(sequence, report); }
+  write_poses(a, sequence, report);
+  if (report.scale) { report.estimate = seq::scaled(report.estimate, *report.scale); }
   report.error =
       seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
   report.unpaired_left = sequence.unpaired().left;
   report.unpaired_right = sequence.unpaired().right;
   report.warnings = seq::warnings_of(report);
-  write_poses(a, sequence, report);
   write_map(a, sequence, odometry);
   seq::write_times_csv(a.out + "/times.csv", report);
   seq::write_summary_json(a.out + "/summary.json", report);

@@ -48,6 +48,11 @@ seq::sequence open_sequence(arguments const& a) {
       throw seq::error("--rig fisheye: the cameras of " + a.sequence +
                        " are not a pair of Kannala-Brandt cameras");
     }
+    if (a.frame == "body" && a.rig == "monocular") {
+      throw seq::error(
+          "--frame body: the path of one camera may have no unit, and where the camera is on the "
+          "body has");
+    }
     if (a.frame == "body" && !sequence.has_body_frame()) {
       throw seq::error("--frame body: the calibration of " + a.sequence +
                        " does not say where the body is");
@@ -61,6 +66,7 @@ seq::sequence open_sequence(arguments const& a) {
 odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   auto const& settings = sequence.settings();
   odometry_options o;
+  o.monocular = a.rig == "monocular";
   set_rig(sequence, o);
   o.features =
       a.features > 0 ? a.features : settings.features.value_or(o.width > 1000 ? 2000 : 1200);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file ft::odometry behind the program's interface, for either executor and either kind of rig.
+/// @file ft::odometry behind the program's interface, for either executor and any rig.
 #pragma once
 
 #include <array>
@@ -17,6 +17,22 @@
 
 namespace app {
 
+/// The stages of a frame, in their order, and the whole.
+template <typename Rig>
+std::vector<std::string> stage_names_of() {
+  std::vector<std::string> names = {"motion",       "upload", "pyramid", "corners",
+                                    "distribution", "blur",   "order",   "descriptors"};
+  auto const add = [&](std::vector<std::string> const& more) {
+    names.insert(names.end(), more.begin(), more.end());
+  };
+  if (!ft::is_monocular_v<Rig>) { add({"stereo"}); }
+  add({"search last frame", "pose last frame", "update local map", "search local map",
+       "pose local map"});
+  if (ft::is_monocular_v<Rig>) { add({"start"}); }
+  add({"keyframe", "result", "total"});
+  return names;
+}
+
 template <typename Exec, typename Rig>
 class visual_odometry final : public odometry {
 public:
@@ -25,22 +41,18 @@ public:
       : options_(options),
         device_(std::move(device)),
         inner_(exec, rig_of<Rig>(options), odometry_params_of(options)),
-        sums_({"motion", "upload", "pyramid", "corners", "distribution", "blur", "order",
-               "descriptors", "stereo", "search last frame", "pose last frame", "update local map",
-               "search local map", "pose local map", "keyframe", "result", "total"}) {}
+        sums_(stage_names_of<Rig>()) {}
 
   frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                       std::uint8_t const* right) override {
     double const start = now_ms();
-    int const w = options_.width;
-    int const h = options_.height;
     // A stamp that stands still or goes back is taken for one at the usual distance.
     bool const later = frames_ == 0 || time_ns > time_ns_;
     std::int64_t const stamp = later ? time_ns : time_ns_ + interval_ns_;
     if (frames_ > 0) { interval_ns_ = stamp - time_ns_; }
     time_ns_ = stamp;
     ++frames_;
-    last_ = inner_.track({{left, w, h, w}, {right, w, h, w}}, stamp);
+    last_ = inner_.track(images_of(left, right), stamp);
     sums_.reset();
     if (options_.measure_stages) {
       for (auto const& stage : inner_.stage_times()) { sums_.add(stage.name, 1e-3 * stage.us); }
@@ -52,6 +64,7 @@ public:
     bool const guessed = last_.keyframe && last_.inliers == 0 && last_.maps > 1;
     out.tracked = last_.state == ft::tracking_state::tracking && !guessed;
     out.keyframe = last_.keyframe;
+    out.metric = last_.metric;
     out.T_wc = from_ft(last_.T_world_camera);
     out.keypoints = last_.keypoints;
     out.stereo_matches = last_.stereo_points;
@@ -93,6 +106,17 @@ public:
   std::string device() const override { return device_; }
 
 private:
+  typename ft::odometry<Exec, Rig>::images_type images_of(
+      std::uint8_t const* left, [[maybe_unused]] std::uint8_t const* right) const {
+    int const w = options_.width;
+    int const h = options_.height;
+    if constexpr (ft::is_monocular_v<Rig>) {
+      return {left, w, h, w};
+    } else {
+      return {{left, w, h, w}, {right, w, h, w}};
+    }
+  }
+
   odometry_options options_;
   std::string device_;
   ft::odometry<Exec, Rig> inner_;

@@ -768,6 +768,38 @@ TEST(Recorded, Kitti) {
   EXPECT_NEAR(estimated_m, true_m, 0.01 * true_m);
 }
 
+TEST(Recorded, KittiByOneCamera) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  temp_folder const folder;
+  std::string const sequence = shared + "/data/kitti_0926_stereo";
+  outcome const o = track(sequence, folder.path("out"), {"--threads", "0", "--rig", "monocular"});
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "scale"));
+  EXPECT_FALSE(contains(o.out, "warning"));
+  results const r = read_results(folder.path("out"), 60);
+  EXPECT_GE(r.number("tracked"), 55);
+  EXPECT_EQ(r.number("maps"), 1);
+  EXPECT_LT(r.summary.at("ate_rmse_m").get<double>(), 0.2);
+  EXPECT_TRUE(contains(r.summary.at("evo").at("ATE RMSE").at("command").get<std::string>(),
+                       "--correct_scale"));
+  // The file has the path as it was found; its length times the scale is that of the summary.
+  double length = 0;
+  for (std::size_t i = 1; i < r.path.size(); ++i) {
+    length += (r.path[i].T_world_camera.translation() - r.path[i - 1].T_world_camera.translation())
+                  .norm();
+  }
+  double const scale = r.summary.at("scale").get<double>();
+  EXPECT_GT(std::fabs(scale - 1.0), 0.1) << "a scale that tells nothing";
+  EXPECT_NEAR(length * scale, r.summary.at("path_m").get<double>(), 1e-3);
+}
+
+TEST(Options, OneCameraHasNoBodyFrame) {
+  temp_folder const folder;
+  EXPECT_TRUE(complained_of(
+      track(generated(few), folder.path("out"), {"--rig", "monocular", "--frame", "body"}),
+      "--frame body"));
+}
+
 /// The rig stands still: how far does it seem to have gone?
 void expect_standing_still(strings const& options) {
   SEQ_TEST_SHARED_OR_SKIP(shared);

@@ -339,6 +339,31 @@ TEST(trajectories, at_times_of_leaves_out_what_has_no_reference) {
   EXPECT_TRUE(found[1].T_world_camera.isApprox(reference[7].T_world_camera));
 }
 
+TEST(scale, is_found_whatever_the_worlds_are) {
+  seq::trajectory truth, estimate;
+  Eigen::Isometry3d moved = Eigen::Isometry3d::Identity();
+  moved.linear() = Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  moved.translation() = Eigen::Vector3d(4, -5, 6);
+  for (int i = 0; i < 20; ++i) {
+    double const t = 0.3 * i;
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    pose.translation() = Eigen::Vector3d(std::sin(t), t, 0.2 * t * t);
+    truth.push_back({i * 100'000'000LL, moved * pose});
+    pose.translation() *= 0.25;
+    // Poses without ground truth are left out.
+    estimate.push_back({(i - 2) * 100'000'000LL, pose});
+  }
+  EXPECT_FALSE(seq::scale_to({estimate.begin(), estimate.begin() + 4}, truth));
+  for (auto& pose : estimate) { pose.time_ns += 200'000'000; }
+  auto const scale = seq::scale_to(estimate, truth);
+  ASSERT_TRUE(scale.has_value());
+  EXPECT_NEAR(*scale, 4.0, 1e-9);
+  EXPECT_NEAR(*seq::evaluate(seq::scaled(estimate, *scale), truth, false).ate_rmse_m, 0.0, 1e-9);
+
+  for (auto& pose : estimate) { pose.T_world_camera.translation().setZero(); }
+  EXPECT_FALSE(seq::scale_to(estimate, truth)) << "a path of no length has every scale";
+}
+
 TEST(tum, reads_comments_order_and_formats) {
   temp_folder const folder;
   seq::trajectory const poses = seq::read_tum(

@@ -124,12 +124,15 @@ TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_
 TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
   TypeParam backend;
   auto const rig = test::room::rig();
+  auto const frames = test::whole_effort() ? walk(rig, 0).size() : std::size_t{8};
   std::vector<std::vector<ft::tracking>> alone, together(3);
   for (unsigned b = 0; b < 3; ++b) {
-    alone.push_back(run(backend.exec, rig, params(), walk(rig, b)));
+    auto images = walk(rig, b);
+    images.resize(frames);
+    alone.push_back(run(backend.exec, rig, params(), images));
   }
   ft::odometry odo(backend.exec, rig, params(), 3);
-  for (std::size_t i = 0; i < walk(rig, 0).size(); ++i) {
+  for (std::size_t i = 0; i < frames; ++i) {
     std::vector<ft::stereo_images> images;
     std::vector<std::int64_t> const times(3, static_cast<std::int64_t>(i + 1) * period);
     for (unsigned b = 0; b < 3; ++b) { images.push_back(images_of(walk(rig, b)[i])); }

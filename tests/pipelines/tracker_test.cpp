@@ -306,7 +306,7 @@ void expect_same_by_all_calls(Exec const& exec, Rig const& rig, ft::tracker_para
 
 TYPED_TEST(frame_tracker_test, one_call_gives_the_bits_of_two_halves) {
   auto const fisheye_walk = make_walk(fisheye(), 0, 3);
-  for (bool const optimize : {false, true}) {
+  for (bool const optimize : test::both(true)) {
     for (int const guests : {5, 0}) {
       if (guests == 0 && test::effort(100) < 100) { continue; }
       SCOPED_TRACE((optimize ? "with" : "without") + std::string(" pose optimisation, ") +

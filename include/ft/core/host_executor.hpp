@@ -69,21 +69,13 @@ public:
 
   template <typename Body>
   void parallel_for(int items, Body const& body) const {
-    if (sequential_ || items <= 1) {
-      for (int i = 0; i < items; ++i) { body(i); }
-      return;
-    }
-    auto const run = [&] {
-      tbb::parallel_for(tbb::blocked_range<int>(0, items),
-                        [&](tbb::blocked_range<int> const& range) {
-                          for (int i = range.begin(); i != range.end(); ++i) { body(i); }
-                        });
-    };
-    if (arena_) {
-      arena_->execute(run);
-    } else {
-      run();
-    }
+    run_ranges(
+        items,
+        [](void const* context, int begin, int end) {
+          Body const& run = *static_cast<Body const*>(context);
+          for (int i = begin; i != end; ++i) { run(i); }
+        },
+        &body);
   }
 
   /// Returns at once: all calls are synchronous.
@@ -92,6 +84,27 @@ public:
   static void const* host_address(void const* p) { return p; }
 
 private:
+  using range_function = void (*)(void const* context, int begin, int end);
+
+  /// Calls `run` for disjoint ranges that cover [0, items). A pointer to a function, so that the
+  /// thread pool's templates are compiled once and not for each stage.
+  void run_ranges(int items, range_function run, void const* context) const {
+    if (sequential_ || items <= 1) {
+      run(context, 0, items > 0 ? items : 0);
+      return;
+    }
+    auto const start = [=] {
+      tbb::parallel_for(
+          tbb::blocked_range<int>(0, items),
+          [=](tbb::blocked_range<int> const& range) { run(context, range.begin(), range.end()); });
+    };
+    if (arena_) {
+      arena_->execute(start);
+    } else {
+      start();
+    }
+  }
+
   std::shared_ptr<tbb::task_arena> arena_;
   bool sequential_ = false;
 };

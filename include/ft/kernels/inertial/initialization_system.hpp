@@ -45,8 +45,10 @@ struct least_squares {
   FT_HOST_DEVICE void pull_to_zero(int i, wide weight) { A[N * i + i] += weight; }
 
   /// @return false if the unknowns do not follow from the equations, or one of those is NaN
-  FT_HOST_DEVICE bool factor() {
-    for (int j = 0; j < unknowns; ++j) {
+  FT_HOST_DEVICE bool factor() { return factor_columns(unknowns); }
+  /// The first `columns` of L and D, which eliminate as many unknowns. The rest stays as it was.
+  FT_HOST_DEVICE bool factor_columns(int columns) {
+    for (int j = 0; j < columns; ++j) {
       wide const before = A[N * j + j];
       for (int k = 0; k < j; ++k) {
         wide const part = A[N * j + k] * A[N * k + k];

@@ -27,11 +27,9 @@ enum class inertial_source : int {
 /// What is kept of the IMU of one camera. The world is the odometry's.
 struct inertial_track {
   int estimates;        ///< of gravity and biases that entered their means; 0 = unknown
-  vec3<float> gravity;  ///< weighted mean of the estimates, m/s^2
-  imu_bias bias;        ///< likewise
-  /// Sums of the estimates' weights, in which older ones count less: 1 / rad^2, s^2 / rad^2 and
-  /// s^4 / m^2.
-  float tilt_weight, gyro_weight, accel_weight;
+  vec3<float> gravity;  ///< of the last estimate, m/s^2
+  imu_bias bias;        ///< likewise; that of the gyroscope is a weighted mean
+  float gyro_weight;    ///< sum of the weights in it, in which older ones count less, s^2 / rad^2
   stored_inertial_state last;       ///< of the last frame
   stored_inertial_state keyframe;   ///< of the newest keyframe
   stored_inertial_state predicted;  ///< of the current frame

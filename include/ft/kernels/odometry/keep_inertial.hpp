@@ -15,6 +15,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialize.hpp"
+#include "ft/kernels/inertial/join_windows.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/map/gather_window.hpp"
@@ -34,6 +35,8 @@ struct inertial_windows {
   int* counts = nullptr;               ///< [batch] keyframes
   int* seeks_scale = nullptr;          ///< [batch] 1 = the unit of the poses is unknown
   int* newest = nullptr;               ///< [batch] number of the last of them
+  joined_windows* joined = nullptr;    ///< [batch] windows of the map, in metres
+  int* maps = nullptr;                 ///< [batch] number of that map
   inertial_initialization* results = nullptr;  ///< [batch]
 };
 
@@ -46,20 +49,19 @@ inline void carve(carver& c, inertial_windows& v, int views, int batch) {
   v.counts = c.take<int>(b);
   v.seeks_scale = c.take<int>(b);
   v.newest = c.take<int>(b);
+  v.joined = c.take<joined_windows>(b);
+  v.maps = c.take<int>(b);
   v.results = c.take<inertial_initialization>(b);
 }
+
+/// Share of the weights of all estimates before that a new one leaves.
+inline constexpr float inertial_memory = 0.98f;
 
 /// How estimates are made.
 struct inertial_estimation {
   imu_mount mount;
   initialization_params metric;    ///< of maps in metres
   initialization_params unscaled;  ///< of those whose unit is unknown
-};
-
-/// How estimates become means.
-struct inertial_mean {
-  float gravity = 9.81f;  ///< length of its mean, m/s^2
-  float keep = 0.98f;     ///< share of the weights of all estimates before that a new one leaves
 };
 
 namespace detail {
@@ -161,6 +163,10 @@ struct gather_integrals {
       out.counts[b] = count;
       out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
+      if (out.maps[b] != v.tracks[b].map) {
+        out.maps[b] = v.tracks[b].map;
+        out.joined[b] = joined_windows::none();
+      }
     }
   }
 };
@@ -187,16 +193,27 @@ struct estimate_window {
     for (int k = 0; k + 1 < v.counts[b]; ++k) {
       if (!usable(v.integrals[first + k].status)) { from = k + 1; }
     }
-    v.results[b] = initialize_window(
-        {v.T_wc + first + from, v.integrals + first + from, v.counts[b] - from, how.mount},
-        v.seeks_scale[b] != 0 ? how.unscaled : how.metric);
+    initialization_window const window{v.T_wc + first + from, v.integrals + first + from,
+                                       v.counts[b] - from, how.mount};
+    inertial_initialization& found = v.results[b];
+    if (v.seeks_scale[b] != 0) {
+      found = initialize_window(window, how.unscaled);
+      return;
+    }
+    found = initialize_window(window, how.metric);
+    // An uncertain window has a small weight. Alone it is none.
+    bool const uncertain = found.status == initialization_status::little_motion;
+    if (!found.succeeded() && !(uncertain && found.tilt_sigma > 0 && v.joined[b].count > 0)) {
+      return;
+    }
+    bool const joined = join_window(window, how.metric, inertial_memory, v.joined[b], found);
+    if (uncertain && !joined) { found.status = initialization_status::inconsistent; }
   }
 };
 
 /// Item: a camera whose adjustment ends with this frame. Takes its estimate over.
 struct apply_inertial_estimate {
   using scratch = no_scratch;
-  inertial_mean mean;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int b, int const* flags,
@@ -205,21 +222,17 @@ struct apply_inertial_estimate {
     inertial_initialization const& found = windows.results[b];
     inertial_track& t = v.tracks[b];
     v.scaling[b] = {1, t.origin};
-    // An uncertain estimate has a small weight. Alone it is none.
+    bool const joined = found.tilt_sigma > 0 && windows.joined[b].count > 0;
     bool const uncertain = found.status == initialization_status::little_motion;
-    bool const solved = found.tilt_sigma > 0;
-    if (flags[b] == 0 || !(found.succeeded() || (t.known() && uncertain && solved))) { return; }
+    if (flags[b] == 0 || !(found.succeeded() || (t.known() && uncertain && joined))) { return; }
     if (windows.seeks_scale[b] != 0) {
       v.scaling[b].factor = found.scale;
       t.metric = 1;
     }
     ++t.estimates;
-    mix(t.gravity, t.tilt_weight, found.gravity, found.tilt_sigma);
-    vec3<strict_float> const g = t.gravity.cast<strict_float>();
-    t.gravity =
-        scaled(g, strict_float(mean.gravity) / scalar::sqrt(dot(g, g))).template cast<float>();
+    t.gravity = found.gravity.template cast<float>();
+    t.bias.accel = found.newest.ba.template cast<float>();
     mix(t.bias.gyro, t.gyro_weight, found.newest.bg, found.gyro_bias_sigma);
-    mix(t.bias.accel, t.accel_weight, found.newest.ba, found.accel_bias_sigma);
     if (uncertain) { return; }
     t.keyframe.bias = t.last.bias = t.bias;
     if (find_velocity(b, found, t, keyframes, windows.newest[b], v)) { t.keyframe_moves = 1; }
@@ -232,7 +245,7 @@ private:
     using real = strict_float;
     real const own = real(1.0f) / (real(sigma) * real(sigma) + real(1e-12f));
     if (!scalar::is_finite(own)) { return; }
-    real const all = real(mean.keep) * real(weight) + own;
+    real const all = real(inertial_memory) * real(weight) + own;
     vec3<real> const old = value.cast<real>();
     vec3<real> const now{static_cast<float>(found.x), static_cast<float>(found.y),
                          static_cast<float>(found.z)};
@@ -291,15 +304,15 @@ void estimate_inertial_windows(Exec const& exec, int const* selected,
                             v);
 }
 
-/// Takes estimates over: gravity and biases as means of the latest ones, and the velocity of the
-/// newest keyframe. The first estimate for a map without a scale has one: it is in `v.scaling`, and
-/// scale_maps() has to follow. Asynchronous on `exec`; allocates nothing; one launch.
+/// Takes estimates over: gravity and the accelerometer's bias from all windows, the gyroscope's
+/// bias as a mean of the latest estimates, and the velocity of the newest keyframe. The first
+/// estimate for a map without a scale has one: it is in `v.scaling`, and scale_maps() has to
+/// follow. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param flags [batch] 1 = the adjustment ends with this frame
 template <typename Exec>
 void apply_inertial_estimates(Exec const& exec, int const* flags, keyframes_view const& keyframes,
-                              inertial_windows const& windows, inertial_mean const& mean,
-                              inertial_view const& v) {
-  for_each_item<per_thread>(exec, v.batch, detail::apply_inertial_estimate{mean}, flags, keyframes,
+                              inertial_windows const& windows, inertial_view const& v) {
+  for_each_item<per_thread>(exec, v.batch, detail::apply_inertial_estimate{}, flags, keyframes,
                             windows, v);
 }
 

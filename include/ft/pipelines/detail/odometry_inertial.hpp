@@ -135,6 +135,7 @@ public:
     outputs[b] = inertial_track::initial();
     copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs + b), std::size_t{1});
     fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
+    fill_bytes(exec, windows_.joined + b, 0, sizeof(joined_windows));
     // No interval before has an integral.
     auto const n = static_cast<std::size_t>(view_.positions);
     fill_bytes(exec, view_.between + static_cast<std::size_t>(b) * n, 0xff,
@@ -164,8 +165,7 @@ public:
   }
   /// After the adjustment was applied to the map.
   void apply(Exec const& exec, odometry_memory<Exec> const& own) const {
-    apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_,
-                             {params_.initialization.gravity}, view_);
+    apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_, view_);
     if (view_.seeks_scale) { scale_maps(exec, view_.scaling, own.map, own.state); }
   }
   void predict(Exec const& exec, odometry_memory<Exec> const& own,

@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Gravity and the accelerometer's bias from several initialisations of one body.
+///
+/// While a body keeps its attitude, a bias across gravity looks like a tilt of gravity: a window of
+/// keyframes shows their combination alone, and its own estimate of such a bias is near its prior,
+/// zero. Combinations of windows with other attitudes tell both apart. So what is summed over
+/// windows is not their estimates but their normal equations, in which velocity and position are
+/// eliminated by the Schur complement; older windows count less. (The information form of a filter
+/// with fading memory: Simon, "Optimal State Estimation", Wiley 2006, sections 6.2 and 7.4.)
+#pragma once
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/initialization_solver.hpp"
+#include "ft/kernels/inertial/initialization_system.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// What windows have said: normal equations of the accelerometer's bias in the body, m/s^2, and of
+/// gravity in the world of the poses, m/s^2, in this order. All zero: nothing yet.
+struct joined_windows {
+  static constexpr int unknowns = 6;
+  double A[unknowns * unknowns];  ///< symmetric
+  double b[unknowns];
+  int count;  ///< windows
+
+  FT_HOST_DEVICE static joined_windows none() { return joined_windows{}; }
+};
+
+namespace detail {
+
+/// The equations of one window in which velocity and position are eliminated.
+class window_equations {
+  using I = inertial_initializer;
+  static constexpr int n = I::most_unknowns;
+  static constexpr int eliminated = I::bias;  ///< velocity and position come before the bias
+  static constexpr int left = joined_windows::unknowns;
+
+public:
+  /// @param found of the window, with a solution
+  FT_HOST_DEVICE window_equations(initialization_window const& in, initialization_params const& p,
+                                  inertial_initialization const& found)
+      : params_(p), without_prior_(p), work_(in, without_prior_) {
+    without_prior_.accel_bias_sigma = 1e6f;
+    work_.gyro_bias = found.newest.bg.cast<wide>();
+    work_.find_rest();
+    work_.build(equations_);
+    known_ = equations_.factor_columns(eliminated);
+    for (int i = 0; i < eliminated; ++i) {
+      z_[i] = equations_.b[i];
+      for (int k = 0; k < i; ++k) { z_[i] -= equations_.A[n * i + k] * z_[k]; }
+    }
+    // The poses' given deviation may be too small, as for the window's own certainty.
+    wide const sigma = static_cast<double>(p.position_sigma);
+    wide const rms = static_cast<double>(found.position_rms);
+    wide const count = static_cast<double>(3 * in.count);
+    wide const freedom = max_of(count - wide(9.0), wide(1.0));
+    wide const excess = rms * rms * count / (freedom * sigma * sigma);
+    weight_ = wide(1.0) / max_of(wide(1.0), excess);
+  }
+  FT_HOST_DEVICE bool known() const { return known_; }
+
+  /// Adds them. @param keep share of the weights of all windows before that is left
+  FT_HOST_DEVICE void add_to(joined_windows& sum, float keep) const {
+    wide const k = static_cast<double>(keep);
+    for (int i = 0; i < left; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        wide value = equations_.A[n * (eliminated + i) + eliminated + j];
+        for (int m = 0; m < eliminated; ++m) { value -= factor(i, m) * factor(j, m) * pivot(m); }
+        value = k * wide(sum.A[left * i + j]) + weight_ * value;
+        sum.A[left * i + j] = sum.A[left * j + i] = value.value;
+      }
+      wide right = equations_.b[eliminated + i];
+      for (int m = 0; m < eliminated; ++m) { right -= factor(i, m) * z_[m]; }
+      sum.b[i] = (k * wide(sum.b[i]) + weight_ * right).value;
+    }
+    ++sum.count;
+  }
+  /// Solves the sum, beginning at the window's own gravity, and writes gravity, bias and the
+  /// velocity that follows.
+  FT_HOST_DEVICE bool solve(joined_windows const& sum, inertial_initialization& found) {
+    if (!work_.set_gravity(found.gravity.cast<wide>())) { return false; }
+    wide const prior = static_cast<double>(params_.accel_bias_sigma);
+    wide bias[3];
+    FT_NO_UNROLL
+    for (int step = 0; step <= I::refinements; ++step) {
+      least_squares<5> e;
+      e.begin(5);
+      for (int i = 0; i < 5; ++i) {
+        for (int j = 0; j <= i; ++j) {
+          for (int r = 0; r < left; ++r) {
+            for (int c = 0; c < left; ++c) {
+              e.A[5 * i + j] += column(i, r) * wide(sum.A[left * r + c]) * column(j, c);
+            }
+          }
+        }
+        for (int r = 0; r < left; ++r) {
+          wide off = sum.b[r];
+          for (int axis = 0; axis < 3; ++axis) {
+            off -= wide(sum.A[left * r + 3 + axis]) * component(work_.gravity, axis);
+          }
+          e.b[i] += column(i, r) * off;
+        }
+      }
+      for (int i = 0; i < 3; ++i) { e.pull_to_zero(i, wide(1.0) / (prior * prior)); }
+      wide x[5] = {e.b[0], e.b[1], e.b[2], e.b[3], e.b[4]};
+      if (!e.factor()) { return false; }
+      e.solve(x);
+      for (int i = 0; i < 3; ++i) { bias[i] = x[i]; }
+      wide_vec3 const g =
+          work_.gravity + scaled(work_.basis[0], x[3]) + scaled(work_.basis[1], x[4]);
+      if (!work_.set_gravity(g)) { return false; }
+    }
+    set_velocity(bias);
+    describe_state(work_, found, nullptr);
+    return true;
+  }
+
+private:
+  FT_HOST_DEVICE wide factor(int i, int m) const { return equations_.A[n * (eliminated + i) + m]; }
+  FT_HOST_DEVICE wide pivot(int m) const { return equations_.A[n * m + m]; }
+  /// Row r of what unknown i changes: the bias itself, or gravity on its sphere.
+  FT_HOST_DEVICE wide column(int i, int r) const {
+    if (i < 3) { return i == r ? 1.0 : 0.0; }
+    return r < 3 ? wide(0.0) : component(work_.basis[i - 3], r - 3);
+  }
+  /// Velocity and position of the window, by substitution into its own equations.
+  FT_HOST_DEVICE void set_velocity(wide const (&bias)[3]) {
+    wide x[eliminated + left];
+    for (int i = 0; i < 3; ++i) {
+      x[eliminated + i] = bias[i];
+      x[eliminated + 3 + i] = component(work_.gravity, i);
+    }
+    for (int i = eliminated - 1; i >= 0; --i) {
+      x[i] = z_[i] / pivot(i);
+      for (int k = i + 1; k < eliminated + left; ++k) { x[i] -= equations_.A[n * k + i] * x[k]; }
+    }
+    for (int i = 0; i < eliminated + 3; ++i) { work_.x[i] = x[i]; }
+  }
+
+  initialization_params const& params_;
+  initialization_params without_prior_;
+  inertial_initializer work_;
+  inertial_initializer::system equations_;
+  wide z_[eliminated];
+  wide weight_;
+  bool known_;
+};
+
+}  // namespace detail
+
+/// Adds what a window says to the sum, and replaces gravity, the accelerometer's bias and the
+/// velocity found in it by those of the sum. Host and device; the same bits on both. Allocates
+/// nothing.
+/// @param in poses in metres @param found of initialize_window() for it, with a solution
+/// @param keep share of the weights of all windows before that is left, (0, 1]
+/// @return false where the equations have no solution; then `found` stays as it was
+FT_HOST_DEVICE inline bool join_window(initialization_window const& in,
+                                       initialization_params const& params, float keep,
+                                       joined_windows& sum, inertial_initialization& found) {
+  detail::window_equations equations(in, params, found);
+  if (!equations.known()) { return false; }
+  equations.add_to(sum, keep);
+  return equations.solve(sum, found);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

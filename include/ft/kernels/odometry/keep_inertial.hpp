@@ -36,7 +36,6 @@ struct inertial_windows {
   int* seeks_scale = nullptr;          ///< [batch] 1 = the unit of the poses is unknown
   int* newest = nullptr;               ///< [batch] number of the last of them
   joined_windows* joined = nullptr;    ///< [batch] windows of the map, in metres
-  int* maps = nullptr;                 ///< [batch] number of that map
   inertial_initialization* results = nullptr;  ///< [batch]
 };
 
@@ -50,7 +49,6 @@ inline void carve(carver& c, inertial_windows& v, int views, int batch) {
   v.seeks_scale = c.take<int>(b);
   v.newest = c.take<int>(b);
   v.joined = c.take<joined_windows>(b);
-  v.maps = c.take<int>(b);
   v.results = c.take<inertial_initialization>(b);
 }
 
@@ -163,10 +161,8 @@ struct gather_integrals {
       out.counts[b] = count;
       out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
-      if (out.maps[b] != v.tracks[b].map) {
-        out.maps[b] = v.tracks[b].map;
-        out.joined[b] = joined_windows::none();
-      }
+      // A new map, or a camera that was reset.
+      if (v.tracks[b].estimates == 0) { out.joined[b] = joined_windows::none(); }
     }
   }
 };

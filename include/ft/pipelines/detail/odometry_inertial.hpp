@@ -135,7 +135,6 @@ public:
     outputs[b] = inertial_track::initial();
     copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs + b), std::size_t{1});
     fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
-    fill_bytes(exec, windows_.joined + b, 0, sizeof(joined_windows));
     // No interval before has an integral.
     auto const n = static_cast<std::size_t>(view_.positions);
     fill_bytes(exec, view_.between + static_cast<std::size_t>(b) * n, 0xff,

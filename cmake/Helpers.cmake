@@ -9,7 +9,7 @@ add_custom_target(ft_host_tests)
 if(FT_HAS_CUDA AND FT_FAST_COMPILE)
   string(REGEX REPLACE "-O[1-3]" "-O0" CMAKE_CUDA_FLAGS_RELEASE "${CMAKE_CUDA_FLAGS_RELEASE}")
   include(CheckCompilerFlag)
-  check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_FAST_COMPILE)  # CUDA 12.9 and newer
+  check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_OFAST_COMPILE)  # CUDA 12.9 and newer
 endif()
 
 # FT_FAST_COMPILE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
@@ -21,7 +21,7 @@ function(ft_set_fast_device_code target)
     return()
   endif()
   set_target_properties(${target} PROPERTIES CUDA_ARCHITECTURES ${newest}-virtual)
-  if(FT_HAS_FAST_COMPILE)
+  if(FT_HAS_OFAST_COMPILE)
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--Ofast-compile=max>)
   endif()
 endfunction()

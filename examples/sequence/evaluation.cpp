@@ -23,6 +23,17 @@ struct matched_pose {
   Eigen::Isometry3d estimate = Eigen::Isometry3d::Identity();
 };
 
+/// The poses for which there is ground truth, with it.
+std::vector<matched_pose> match(trajectory const& estimate, trajectory const& truth) {
+  std::vector<matched_pose> pairs;
+  for (auto const& pose : estimate) {
+    if (auto const at = interpolate(truth, pose.time_ns)) {
+      pairs.push_back({pose.time_ns, *at, pose.T_world_camera});
+    }
+  }
+  return pairs;
+}
+
 /// Largest difference between the RPE interval and the time between two poses, as a share of the
 /// interval.
 constexpr double interval_tolerance = 0.1;
@@ -296,24 +307,16 @@ std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::i
 }
 
 std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
-  trajectory const there = at_times_of(estimate, truth);
-  if (there.size() < 3) { return std::nullopt; }
-  auto const count = static_cast<Eigen::Index>(there.size());
+  std::vector<matched_pose> const pairs = match(estimate, truth);
+  if (pairs.size() < 3) { return std::nullopt; }
+  auto const count = static_cast<Eigen::Index>(pairs.size());
   Eigen::Matrix3Xd from(3, count), to(3, count);
-  Eigen::Index i = 0;
-  for (auto const& pose : estimate) {
-    if (i == count) { break; }
-    auto const& matched = there[static_cast<std::size_t>(i)];
-    if (pose.time_ns != matched.time_ns) { continue; }
-    from.col(i) = pose.T_world_camera.translation();
-    to.col(i) = matched.T_world_camera.translation();
-    ++i;
+  for (Eigen::Index i = 0; i < count; ++i) {
+    from.col(i) = pairs[static_cast<std::size_t>(i)].estimate.translation();
+    to.col(i) = pairs[static_cast<std::size_t>(i)].truth.translation();
   }
-  auto const moves = [](Eigen::Matrix3Xd const& points) {
-    return (points.colwise() - points.rowwise().mean()).squaredNorm() > 0;
-  };
-  if (!moves(from) || !moves(to)) { return std::nullopt; }
   double const scale = Eigen::umeyama(from, to, true).col(0).head<3>().norm();
+  // 0 if the truth stands still, not finite if the estimate does
   if (!std::isfinite(scale) || !(scale > 0)) { return std::nullopt; }
   return scale;
 }
@@ -333,16 +336,12 @@ trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, b
   check_sorted_and_finite(estimate, "estimate");
   check_sorted_and_finite(truth, "ground truth");
   trajectory_error result;
-  std::vector<matched_pose> pairs;
-  for (std::size_t i = 0; i < estimate.size(); ++i) {
-    Eigen::Isometry3d const& pose = estimate[i].T_world_camera;
-    if (i > 0) {
-      result.path_m += (pose.translation() - estimate[i - 1].T_world_camera.translation()).norm();
-    }
-    if (auto const at = interpolate(truth, estimate[i].time_ns)) {
-      pairs.push_back({estimate[i].time_ns, *at, pose});
-    }
+  for (std::size_t i = 1; i < estimate.size(); ++i) {
+    result.path_m +=
+        (estimate[i].T_world_camera.translation() - estimate[i - 1].T_world_camera.translation())
+            .norm();
   }
+  std::vector<matched_pose> const pairs = match(estimate, truth);
   result.pairs = static_cast<int>(pairs.size());
   for (std::size_t i = 1; i < pairs.size(); ++i) {
     result.truth_path_m += (pairs[i].truth.translation() - pairs[i - 1].truth.translation()).norm();

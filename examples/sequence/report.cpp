@@ -140,8 +140,8 @@ run_figures figures_of(run_report const& report) {
 std::vector<evo_command> evo_commands(run_report const& report, run_figures const& f) {
   std::string const files = " tum groundtruth.txt trajectory.txt";
   std::vector<evo_command> out;
-  std::string const align = report.scale ? " --align --correct_scale" : " --align";
-  if (f.ate_rmse_m) { out.push_back({"ATE RMSE", "evo_ape" + files + align, true}); }
+  std::string const scaled = report.scale ? " --correct_scale" : "";
+  if (f.ate_rmse_m) { out.push_back({"ATE RMSE", "evo_ape" + files + " --align" + scaled, true}); }
   if (!f.rpe_rmse_m) { return out; }
   // Where poses are missing or intervals vary, a number of poses is not always a second.
   double span = report.error.rpe_span.value_or(0);
@@ -152,8 +152,8 @@ std::vector<evo_command> evo_commands(run_report const& report, run_figures cons
   }
   std::string const compared = f.rpe_rotation_rmse_deg ? "" : " --pose_relation point_distance";
   out.push_back({"RPE RMSE over 1 s",
-                 "evo_rpe" + files + (report.scale ? align : "") + compared + " --delta " +
-                     fixed(span, 0) + " --delta_unit f --all_pairs",
+                 "evo_rpe" + files + scaled + compared + " --delta " + fixed(span, 0) +
+                     " --delta_unit f --all_pairs",
                  report.error.rpe_span.has_value()});
   return out;
 }

@@ -70,12 +70,10 @@ struct run_report {
   bool with_imu = false;            ///< the sequence's IMU was used
   std::vector<std::string> stages;  ///< names; the last one is "total"
   std::vector<frame_record> records;
-  trajectory estimate;  ///< tracked frames only
-  /// Whether lengths of `estimate` are metres. Otherwise `scale` makes metres of them, where ground
-  /// truth tells it.
-  bool metric = true;
-  std::optional<double> scale;
-  trajectory truth;  ///< may be empty
+  trajectory estimate;  ///< tracked frames only; of one camera, those whose scale is known if any
+  bool metric = true;   ///< the scale of `estimate` is known
+  std::optional<double> scale;  ///< otherwise: what fits it to the ground truth, where there is one
+  trajectory truth;             ///< may be empty
   trajectory_error error;
   std::vector<sample_frame> samples;
   std::vector<Eigen::Vector3f> cloud;  ///< map points in the world of `estimate`, metres
@@ -91,9 +89,9 @@ struct run_report {
 /// Per-stage table (mean, std, p50, p99, max in ms) and the figures, for a terminal.
 void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
-/// ground truth), scale (null where lengths are metres or nothing tells it), keyframes, map_points,
-/// backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null without one), warnings,
-/// stopped_at (null for a whole run), evo = figure -> command, and the rest.
+/// ground truth), scale (null where it is known or there is no ground truth), keyframes,
+/// map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null without
+/// one), warnings, stopped_at (null for a whole run), evo = figure -> command, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

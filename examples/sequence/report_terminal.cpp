@@ -89,16 +89,16 @@ std::string count_lines(run_report const& report, detail::run_figures const& f) 
 
 std::string error_lines(run_report const& report, detail::run_figures const& f) {
   using detail::fixed;
-  std::string text = line("path", fixed(f.path_m, 3) + " m");
+  std::string text;
+  if (report.scale) {
+    text += line("scale", "unknown; fitted to the ground truth: x " + fixed(report.scale, 4));
+  } else if (!report.metric) {
+    text += line("scale", "unknown");
+  }
+  text += line("path", fixed(f.path_m, 3) + (report.metric || report.scale ? " m" : ""));
   if (f.has_truth) {
     text += line("truth pairs", std::to_string(report.error.pairs));
     text += line("truth path", fixed(report.error.truth_path_m, 3) + " m");
-  }
-  if (!report.metric) {
-    text += line("scale", report.scale
-                              ? "unknown; that of the ground truth, " + fixed(report.scale, 6) +
-                                    " times the path's own, is used here"
-                              : std::string("unknown"));
   }
   std::string const why = f.has_truth ? "" : " (no ground truth)";
   text += line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);

@@ -52,8 +52,8 @@ std::vector<std::string> warnings_of(run_report const& report) {
     out.push_back("stopped at frame " + std::to_string(*report.stopped_at) + ": " +
                   report.stopped_by);
   }
-  double const share = report.one_camera ? 1.0 : stereo_share(report.records);
-  if (share < least_stereo_share) {
+  double const share = stereo_share(report.records);
+  if (!report.one_camera && share < least_stereo_share) {
     out.push_back("only " + fixed(100 * share, 1) +
                   " % of the keypoints have a stereo match: left and right may be exchanged, or "
                   "the calibration is that of other cameras");

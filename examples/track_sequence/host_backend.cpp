@@ -23,9 +23,6 @@ std::string cuda_device_name() { return {}; }
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const&) {
   throw std::runtime_error("this program was built without CUDA");
 }
-std::unique_ptr<odometry> make_cuda_monocular(odometry_options const& options) {
-  return make_cuda_odometry(options);
-}
 #endif
 
 }  // namespace app

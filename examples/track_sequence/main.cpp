@@ -24,6 +24,7 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
   report.image_width = options.width;
   report.image_height = options.height;
   report.one_camera = options.monocular;
+  report.metric = !options.monocular;
   report.stages = odometry.stage_names();
   if (!a.timing) { report.stages = {report.stages.back()}; }
   report.options = {{"features", std::to_string(options.features)},
@@ -66,9 +67,9 @@ int run(app::arguments const& a) {
     return app::exit_stopped;
   }
   if (report.tracked == 0) {
-    std::cerr << "track_sequence: " << a.sequence
-              << ": no frame could be tracked: too few corners are seen "
-              << (options.monocular ? "while the camera moves" : "by both cameras")
+    std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: "
+              << (options.monocular ? "the camera does not move enough, or too few corners are seen"
+                                    : "too few corners are seen by both cameras")
               << " (--features " << options.features << ")\n";
     return app::exit_failed;
   }

@@ -113,6 +113,7 @@ std::unique_ptr<odometry> make_host_monocular(odometry_options const& options);
 /// Name of the CUDA device; empty if there is no usable one.
 std::string cuda_device_name();
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options);
+/// That of one camera; only in a program with CUDA.
 std::unique_ptr<odometry> make_cuda_monocular(odometry_options const& options);
 
 }  // namespace app

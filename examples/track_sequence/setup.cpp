@@ -50,8 +50,9 @@ seq::sequence open_sequence(arguments const& a) {
     }
     if (a.frame == "body" && a.rig == "monocular") {
       throw seq::error(
-          "--frame body: the path of one camera may have no unit, and where the camera is on the "
-          "body has");
+          "--frame body: with --rig monocular the scale may be unknown, and then so are the poses "
+          "of "
+          "the body");
     }
     if (a.frame == "body" && !sequence.has_body_frame()) {
       throw seq::error("--frame body: the calibration of " + a.sequence +

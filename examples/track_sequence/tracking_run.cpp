@@ -124,13 +124,13 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   if (recording_) {
     recording_->add(report_.records.back(), outcome.T_wc, frame.left, odometry_.keypoints());
   }
-  if (outcome.tracked && outcome.metric != report_.metric) {
-    // What was found before is in other units.
-    report_.metric = outcome.metric;
-    report_.estimate.clear();
-    report_.cloud.clear();
+  if (outcome.tracked && outcome.metric && !report_.metric) {
+    report_.metric = true;
+    report_.estimate.clear();  // poses of an unknown scale
   }
-  if (outcome.tracked) { report_.estimate.push_back(stamped(frame.time_ns, outcome.T_wc)); }
+  if (outcome.tracked && outcome.metric == report_.metric) {
+    report_.estimate.push_back(stamped(frame.time_ns, outcome.T_wc));
+  }
   if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_wc); }
   add_sample(i, std::move(frame.left));
 }

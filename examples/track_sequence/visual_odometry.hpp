@@ -2,6 +2,7 @@
 /// @file ft::odometry behind the program's interface, for either executor and any rig.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <ostream>
@@ -20,16 +21,25 @@ namespace app {
 /// The stages of a frame, in their order, and the whole.
 template <typename Rig>
 std::vector<std::string> stage_names_of() {
-  std::vector<std::string> names = {"motion",       "upload", "pyramid", "corners",
-                                    "distribution", "blur",   "order",   "descriptors"};
-  auto const add = [&](std::vector<std::string> const& more) {
-    names.insert(names.end(), more.begin(), more.end());
-  };
-  if (!ft::is_monocular_v<Rig>) { add({"stereo"}); }
-  add({"search last frame", "pose last frame", "update local map", "search local map",
-       "pose local map"});
-  if (ft::is_monocular_v<Rig>) { add({"start"}); }
-  add({"keyframe", "result", "total"});
+  std::vector<std::string> names = {"motion",
+                                    "upload",
+                                    "pyramid",
+                                    "corners",
+                                    "distribution",
+                                    "blur",
+                                    "order",
+                                    "descriptors",
+                                    "stereo",
+                                    "search last frame",
+                                    "pose last frame",
+                                    "update local map",
+                                    "search local map",
+                                    "pose local map",
+                                    "start",
+                                    "keyframe",
+                                    "result",
+                                    "total"};
+  names.erase(std::find(names.begin(), names.end(), ft::is_monocular_v<Rig> ? "stereo" : "start"));
   return names;
 }
 

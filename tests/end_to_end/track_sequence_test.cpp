@@ -135,6 +135,32 @@ TEST(Track, GeneratedFisheyeSequence) {
 }
 
 // 23 m, whole pixels and a short baseline: depths from single pairs would make it 1 % too short.
+/// One camera: its map begins when it moves, and fits the ground truth but for the scale.
+void expect_one_camera_tracks(std::string const& sequence, int frames, bool scale_known) {
+  temp_folder const folder;
+  outcome const o =
+      track(sequence, folder.path("out"), {"--threads", "0", "--rig", "monocular", "--timing"});
+  ASSERT_TRUE(succeeded(o));
+  json const summary = json::parse(read_file(folder.path("out/summary.json")));
+  EXPECT_GE(summary.at("tracked").get<int>(), frames / 3);
+  EXPECT_EQ(summary.at("maps"), 1);
+  EXPECT_EQ(summary.at("scale").is_null(), scale_known);
+  EXPECT_TRUE(summary.at("stages").contains("start"));
+  EXPECT_FALSE(summary.at("stages").contains("stereo"));
+  EXPECT_LT(summary.at("ate_rmse_m").get<double>(), 0.02);
+  auto const path = seq::read_tum(folder.path("out/trajectory.txt"));
+  if (!scale_known) { EXPECT_EQ(path.size(), summary.at("tracked").get<std::size_t>()); }
+  EXPECT_EQ(path.size(), summary.at("pairs").get<std::size_t>());
+}
+TEST(Track, OneCamera) { expect_one_camera_tracks(generated(many), many, false); }
+TEST(Track, OneFisheyeCamera) {
+  strings const rig = {"--rig", "fisheye", "--width", "320", "--height", "320"};
+  expect_one_camera_tracks(generated(many, rig), many, false);
+}
+TEST(Track, OneCameraWithAnImuKnowsItsScale) {
+  expect_one_camera_tracks(generated(120, {"--imu"}), 120, true);
+}
+
 TEST(Track, FisheyeLapKeepsItsScale) {
   if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   temp_folder const folder;

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <vector>
 
 #include "tests/support/backends.hpp"
@@ -35,24 +36,35 @@ setting robot(unsigned seed, double rate, int keyframes) {
 constexpr int window_size = 8;
 constexpr int step = 4;
 
-ft::initialization_window window_of(recording const& r, int first) {
-  auto const at = static_cast<std::size_t>(first);
-  return {r.T_wc.data() + at, r.integrals.data() + at, window_size, mount()};
-}
-
 /// A window's own estimate, and that of all windows so far.
 struct pair_of_estimates {
   ft::inertial_initialization own, joined;
 };
 
-pair_of_estimates last_of(recording const& r, ft::initialization_params const& p) {
-  ft::joined_windows sum = ft::joined_windows::none();
+/// Joins the windows of `count` keyframes.
+FT_HOST_DEVICE inline pair_of_estimates join_all(motion const* poses,
+                                                 ft::preintegrated const* integrals, int count,
+                                                 ft::imu_mount const& mounted,
+                                                 ft::joined_windows& sum, int& failures) {
+  ft::initialization_params const p;
   pair_of_estimates out{};
-  for (int first = 0; first + window_size <= static_cast<int>(r.T_wc.size()); first += step) {
-    out.own = out.joined = ft::initialize_window(window_of(r, first), p);
-    EXPECT_TRUE(ft::join_window(window_of(r, first), p, 0.98f, sum, out.joined)) << first;
+  sum = ft::joined_windows::none();
+  failures = 0;
+  for (int first = 0; first + window_size <= count; first += step) {
+    ft::initialization_window const window{poses + first, integrals + first, window_size, mounted};
+    out.own = out.joined = ft::initialize_window(window, p);
+    failures += ft::join_window(window, p, 0.98f, sum, out.joined) ? 0 : 1;
   }
-  EXPECT_EQ(sum.count, (static_cast<int>(r.T_wc.size()) - window_size) / step + 1);
+  return out;
+}
+
+pair_of_estimates last_of(recording const& r) {
+  ft::joined_windows sum{};
+  int failures = 0;
+  auto const count = static_cast<int>(r.T_wc.size());
+  auto const out = join_all(r.T_wc.data(), r.integrals.data(), count, mount(), sum, failures);
+  EXPECT_EQ(failures, 0);
+  EXPECT_EQ(sum.count, (count - window_size) / step + 1);
   return out;
 }
 
@@ -64,7 +76,7 @@ TEST(JoinWindows, FindALevelBiasThatNoneOfThemShows) {
   for (unsigned seed = 1; seed <= seeds; ++seed) {
     setting const s = robot(seed, 0.25, keyframes);
     recording const r = record(s);
-    auto const found = last_of(r, {});
+    auto const found = last_of(r);
     own += norm(found.own.newest.ba - s.ba) / seeds;
     joined += norm(found.joined.newest.ba - s.ba) / seeds;
     EXPECT_LT(norm(found.joined.newest.ba - s.ba), 0.02) << "seed " << seed;
@@ -79,7 +91,7 @@ TEST(JoinWindows, FindALevelBiasThatNoneOfThemShows) {
 TEST(JoinWindows, OneIsWhatItWas) {
   for (unsigned seed = 1; seed <= 5; ++seed) {
     recording const r = record(robot(seed, 0.8, window_size));
-    auto const found = last_of(r, {});
+    auto const found = last_of(r);
     ASSERT_TRUE(found.own.succeeded());
     EXPECT_LT(norm(found.own.newest.ba - found.joined.newest.ba), 1e-6);
     EXPECT_LT(norm(found.own.gravity - found.joined.gravity), 1e-6);
@@ -96,9 +108,68 @@ TEST(JoinWindows, StayAsTheyWereWithoutASolution) {
   ft::joined_windows sum = ft::joined_windows::none();
   ft::inertial_initialization found{};
   found.gravity = {0, 0, -9.81};
-  EXPECT_FALSE(ft::join_window(window_of(r, 0), {}, 0.98f, sum, found));
+  EXPECT_FALSE(ft::join_window(r.window(), {}, 0.98f, sum, found));
   EXPECT_EQ(sum.count, 0);
   EXPECT_EQ(found.newest.ba.x, 0);
+}
+
+/// Item: a recording.
+struct join_each {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, motion const* poses,
+                                 ft::preintegrated const* integrals, int count,
+                                 ft::imu_mount const& mounted, ft::joined_windows* sums,
+                                 pair_of_estimates* found, int* failures) const {
+    auto const at = static_cast<std::ptrdiff_t>(b) * count;
+    found[b] = join_all(poses + at, integrals + at, count, mounted, sums[b], failures[b]);
+  }
+};
+
+template <typename Backend>
+class join_windows_stage : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(join_windows_stage, test::backends);
+
+TYPED_TEST(join_windows_stage, gives_the_bits_of_a_plain_call) {
+  TypeParam backend;
+  auto const& exec = backend.exec;
+  constexpr int batch = 6;
+  constexpr int count = 24;
+  std::vector<motion> poses;
+  std::vector<ft::preintegrated> integrals;
+  std::vector<recording> recordings;
+  for (unsigned seed = 1; seed <= batch; ++seed) {
+    recordings.push_back(record(robot(seed, 0.2 * seed, count)));
+    auto const& r = recordings.back();
+    poses.insert(poses.end(), r.T_wc.begin(), r.T_wc.end());
+    integrals.insert(integrals.end(), r.integrals.begin(), r.integrals.end());
+    integrals.push_back({});  // as many as poses
+  }
+  auto const d_poses = test::to_exec(exec, poses);
+  auto const d_integrals = test::to_exec(exec, integrals);
+  auto const d_sums = test::to_exec(exec, std::vector<ft::joined_windows>(batch));
+  auto const d_found = test::to_exec(exec, std::vector<pair_of_estimates>(batch));
+  auto const d_failures = test::to_exec(exec, std::vector<int>(batch, 7));
+  ft::for_each_item<ft::per_thread>(exec, batch, join_each{}, d_poses.data(), d_integrals.data(),
+                                    count, mount(), d_sums.data(), d_found.data(),
+                                    d_failures.data());
+  auto const sums = test::from_exec(exec, d_sums.data(), batch);
+  auto const found = test::from_exec(exec, d_found.data(), batch);
+  auto const failures = test::from_exec(exec, d_failures.data(), batch);
+  for (std::size_t b = 0; b < batch; ++b) {
+    ft::joined_windows sum{};
+    int failed = 0;
+    auto const plain = join_all(recordings[b].T_wc.data(), recordings[b].integrals.data(), count,
+                                mount(), sum, failed);
+    EXPECT_EQ(failures[b], failed);
+    EXPECT_EQ(sums[b].count, sum.count);
+    EXPECT_TRUE(std::equal(sum.A, sum.A + 36, sums[b].A)) << b;
+    EXPECT_TRUE(std::equal(sum.b, sum.b + 6, sums[b].b)) << b;
+    auto const same = [](vec x, vec y) { return x.x == y.x && x.y == y.y && x.z == y.z; };
+    EXPECT_TRUE(same(found[b].joined.gravity, plain.joined.gravity)) << b;
+    EXPECT_TRUE(same(found[b].joined.newest.ba, plain.joined.newest.ba)) << b;
+    EXPECT_TRUE(same(found[b].joined.newest.v, plain.joined.newest.v)) << b;
+  }
 }
 
 }  // namespace join_windows_test

@@ -20,8 +20,8 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What windows have said: normal equations of the accelerometer's bias in the body, m/s^2, and of
-/// gravity in the world of the poses, m/s^2, in this order. All zero: nothing yet.
+/// Sum of windows' normal equations. The unknowns are the accelerometer's bias in the body and
+/// gravity in the world of the poses, in this order, m/s^2. All zero: no window yet.
 struct joined_windows {
   static constexpr int unknowns = 6;
   double A[unknowns * unknowns];  ///< symmetric
@@ -38,7 +38,7 @@ class window_equations {
   using I = inertial_initializer;
   static constexpr int n = I::most_unknowns;
   static constexpr int eliminated = I::bias;  ///< velocity and position come before the bias
-  static constexpr int left = joined_windows::unknowns;
+  static constexpr int kept = joined_windows::unknowns;
 
 public:
   /// @param found of the window, with a solution
@@ -64,15 +64,15 @@ public:
   }
   FT_HOST_DEVICE bool known() const { return known_; }
 
-  /// Adds them. @param keep share of the weights of all windows before that is left
+  /// Adds them. @param keep share of the weights of all earlier windows that remains
   FT_HOST_DEVICE void add_to(joined_windows& sum, float keep) const {
     wide const k = static_cast<double>(keep);
-    for (int i = 0; i < left; ++i) {
+    for (int i = 0; i < kept; ++i) {
       for (int j = 0; j <= i; ++j) {
         wide value = equations_.A[n * (eliminated + i) + eliminated + j];
         for (int m = 0; m < eliminated; ++m) { value -= factor(i, m) * factor(j, m) * pivot(m); }
-        value = k * wide(sum.A[left * i + j]) + weight_ * value;
-        sum.A[left * i + j] = sum.A[left * j + i] = value.value;
+        value = k * wide(sum.A[kept * i + j]) + weight_ * value;
+        sum.A[kept * i + j] = sum.A[kept * j + i] = value.value;
       }
       wide right = equations_.b[eliminated + i];
       for (int m = 0; m < eliminated; ++m) { right -= factor(i, m) * z_[m]; }
@@ -92,18 +92,18 @@ public:
       e.begin(5);
       for (int i = 0; i < 5; ++i) {
         for (int j = 0; j <= i; ++j) {
-          for (int r = 0; r < left; ++r) {
-            for (int c = 0; c < left; ++c) {
-              e.A[5 * i + j] += column(i, r) * wide(sum.A[left * r + c]) * column(j, c);
+          for (int r = 0; r < kept; ++r) {
+            for (int c = 0; c < kept; ++c) {
+              e.A[5 * i + j] += derivative(r, i) * wide(sum.A[kept * r + c]) * derivative(c, j);
             }
           }
         }
-        for (int r = 0; r < left; ++r) {
+        for (int r = 0; r < kept; ++r) {
           wide off = sum.b[r];
           for (int axis = 0; axis < 3; ++axis) {
-            off -= wide(sum.A[left * r + 3 + axis]) * component(work_.gravity, axis);
+            off -= wide(sum.A[kept * r + 3 + axis]) * component(work_.gravity, axis);
           }
-          e.b[i] += column(i, r) * off;
+          e.b[i] += derivative(r, i) * off;
         }
       }
       for (int i = 0; i < 3; ++i) { e.pull_to_zero(i, wide(1.0) / (prior * prior)); }
@@ -123,21 +123,21 @@ public:
 private:
   FT_HOST_DEVICE wide factor(int i, int m) const { return equations_.A[n * (eliminated + i) + m]; }
   FT_HOST_DEVICE wide pivot(int m) const { return equations_.A[n * m + m]; }
-  /// Row r of what unknown i changes: the bias itself, or gravity on its sphere.
-  FT_HOST_DEVICE wide column(int i, int r) const {
+  /// Derivative of unknown r of the sum by unknown i here: the bias, or a turn of gravity.
+  FT_HOST_DEVICE wide derivative(int r, int i) const {
     if (i < 3) { return i == r ? 1.0 : 0.0; }
     return r < 3 ? wide(0.0) : component(work_.basis[i - 3], r - 3);
   }
   /// Velocity and position of the window, by substitution into its own equations.
   FT_HOST_DEVICE void set_velocity(wide const (&bias)[3]) {
-    wide x[eliminated + left];
+    wide x[eliminated + kept];
     for (int i = 0; i < 3; ++i) {
       x[eliminated + i] = bias[i];
       x[eliminated + 3 + i] = component(work_.gravity, i);
     }
     for (int i = eliminated - 1; i >= 0; --i) {
       x[i] = z_[i] / pivot(i);
-      for (int k = i + 1; k < eliminated + left; ++k) { x[i] -= equations_.A[n * k + i] * x[k]; }
+      for (int k = i + 1; k < eliminated + kept; ++k) { x[i] -= equations_.A[n * k + i] * x[k]; }
     }
     for (int i = 0; i < eliminated + 3; ++i) { work_.x[i] = x[i]; }
   }
@@ -157,7 +157,7 @@ private:
 /// velocity found in it by those of the sum. Host and device; the same bits on both. Allocates
 /// nothing.
 /// @param in poses in metres @param found of initialize_window() for it, with a solution
-/// @param keep share of the weights of all windows before that is left, (0, 1]
+/// @param keep share of the weights of all earlier windows that remains, (0, 1]
 /// @return false where the equations have no solution; then `found` stays as it was
 FT_HOST_DEVICE inline bool join_window(initialization_window const& in,
                                        initialization_params const& params, float keep,

@@ -26,7 +26,7 @@ enum class inertial_source : int {
 
 /// What is kept of the IMU of one camera. The world is the odometry's.
 struct inertial_track {
-  int estimates;        ///< of gravity and biases that entered their means; 0 = unknown
+  int estimates;        ///< of gravity and biases that were taken over; 0 = unknown
   vec3<float> gravity;  ///< of the last estimate, m/s^2
   imu_bias bias;        ///< likewise; that of the gyroscope is a weighted mean
   float gyro_weight;    ///< sum of the weights in it, in which older ones count less, s^2 / rad^2

@@ -37,6 +37,7 @@ struct inertial_windows {
   int* newest = nullptr;               ///< [batch] number of the last of them
   joined_windows* joined = nullptr;    ///< [batch] windows of the map, in metres
   inertial_initialization* results = nullptr;  ///< [batch]
+  int* usable = nullptr;                       ///< [batch] 1 = the result is to be taken over
 };
 
 inline void carve(carver& c, inertial_windows& v, int views, int batch) {
@@ -50,10 +51,8 @@ inline void carve(carver& c, inertial_windows& v, int views, int batch) {
   v.newest = c.take<int>(b);
   v.joined = c.take<joined_windows>(b);
   v.results = c.take<inertial_initialization>(b);
+  v.usable = c.take<int>(b);
 }
-
-/// Share of the weights of all estimates before that a new one leaves.
-inline constexpr float inertial_memory = 0.98f;
 
 /// How estimates are made.
 struct inertial_estimation {
@@ -63,6 +62,9 @@ struct inertial_estimation {
 };
 
 namespace detail {
+
+/// Share of the weights of earlier estimates that remains with a new one.
+inline constexpr float inertial_memory = 0.98f;
 
 /// Item: a camera. Keeps its state, and the integral of a new keyframe.
 struct keep_inertial_frame {
@@ -191,19 +193,24 @@ struct estimate_window {
     }
     initialization_window const window{v.T_wc + first + from, v.integrals + first + from,
                                        v.counts[b] - from, how.mount};
+    v.usable[b] = estimate(b, window, v) ? 1 : 0;
+  }
+
+private:
+  FT_HOST_DEVICE bool estimate(int b, initialization_window const& window,
+                               inertial_windows const& v) const {
     inertial_initialization& found = v.results[b];
     if (v.seeks_scale[b] != 0) {
       found = initialize_window(window, how.unscaled);
-      return;
+      return found.succeeded();
     }
     found = initialize_window(window, how.metric);
     // An uncertain window has a small weight. Alone it is none.
-    bool const uncertain = found.status == initialization_status::little_motion;
-    if (!found.succeeded() && !(uncertain && found.tilt_sigma > 0 && v.joined[b].count > 0)) {
-      return;
-    }
+    bool const uncertain = found.status == initialization_status::little_motion &&
+                           found.tilt_sigma > 0 && v.joined[b].count > 0;
+    if (!found.succeeded() && !uncertain) { return false; }
     bool const joined = join_window(window, how.metric, inertial_memory, v.joined[b], found);
-    if (uncertain && !joined) { found.status = initialization_status::inconsistent; }
+    return joined || found.succeeded();
   }
 };
 
@@ -218,9 +225,7 @@ struct apply_inertial_estimate {
     inertial_initialization const& found = windows.results[b];
     inertial_track& t = v.tracks[b];
     v.scaling[b] = {1, t.origin};
-    bool const joined = found.tilt_sigma > 0 && windows.joined[b].count > 0;
-    bool const uncertain = found.status == initialization_status::little_motion;
-    if (flags[b] == 0 || !(found.succeeded() || (t.known() && uncertain && joined))) { return; }
+    if (flags[b] == 0 || windows.usable[b] == 0) { return; }
     if (windows.seeks_scale[b] != 0) {
       v.scaling[b].factor = found.scale;
       t.metric = 1;
@@ -229,7 +234,7 @@ struct apply_inertial_estimate {
     t.gravity = found.gravity.template cast<float>();
     t.bias.accel = found.newest.ba.template cast<float>();
     mix(t.bias.gyro, t.gyro_weight, found.newest.bg, found.gyro_bias_sigma);
-    if (uncertain) { return; }
+    if (!found.succeeded()) { return; }  // uncertain
     t.keyframe.bias = t.last.bias = t.bias;
     if (find_velocity(b, found, t, keyframes, windows.newest[b], v)) { t.keyframe_moves = 1; }
   }

@@ -26,7 +26,8 @@ void queue_odometry_motion(Line& line, Stages& s) {
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
   s.list_last_frame(line.then("search last frame"));
   if constexpr (Stages::rectified) {
-    s.match_stereo(line.with("stereo"));
+    // One camera has no depths.
+    s.match_stereo(line.with(Stages::starts_from_motion ? "start" : "stereo"));
     s.assign_last_frame(line.then("search last frame"));
   } else {
     auto const stereo = line.fork(s.stereo_branch());

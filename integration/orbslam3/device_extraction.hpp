@@ -118,17 +118,7 @@ public:
       bands_ = c.take<image_source>(4);
     });
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
-    int const stride = extractor_.geometry().stride[0];
-    for (int i = 0; i < 2; ++i) {
-      all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
-      no_sources_[i] = {nullptr, stride};
-      bands_[2 * i] = all_sources_[i];
-      bands_[2 * i + 1] = all_sources_[i];
-      bands_[2 * i + 1].data += static_cast<std::ptrdiff_t>(half_height()) * stride;
-      // All but the last half of the last image is transferred while the host copies the rest.
-      sources_[i] = pair() && i == 0 ? no_sources_[i] : all_sources_[i];
-      sources_[i].first_row = half_height();
-    }
+    for (int i = 0; i < 2; ++i) { stage_with(i, extractor_.geometry().stride[0]); }
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     exec.wait();
   }
@@ -195,8 +185,12 @@ public:
 
   /// Enqueues the pyramids of two images.
   void build_pyramids(Exec const& exec, grey_image const& left, grey_image const& right) {
-    stage_image(0, left);
-    stage_image(1, right);
+    for (int i = 0; i < 2; ++i) {
+      grey_image const& image = i == 0 ? left : right;
+      require_size(image);
+      stage_with(i, extractor_.geometry().stride[0]);
+      stage_rows(i, image, 0, settings_.height);
+    }
     auto const pyramid_bytes = static_cast<std::size_t>(geometry().bytes);
     copy_rows(exec, {extractor_.pyramid().data, pyramid_bytes}, {images_, image_bytes()},
               image_bytes(), settings_.images);
@@ -253,11 +247,30 @@ private:
     int const bands = ceil_div(settings_.height, rows_at_a_time);
     return std::min(ceil_div(bands, 2) * rows_at_a_time, settings_.height);
   }
+  /// Sets the stride of an image in the staging memory.
+  void stage_with(int i, int stride) {
+    all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
+    no_sources_[i] = {nullptr, stride};
+    bands_[2 * i] = all_sources_[i];
+    bands_[2 * i + 1] = all_sources_[i];
+    bands_[2 * i + 1].data += static_cast<std::ptrdiff_t>(half_height()) * stride;
+    // All but the last half of the last image is transferred while the host copies the rest.
+    sources_[i] = pair() && i == 0 ? no_sources_[i] : all_sources_[i];
+    sources_[i].first_row = half_height();
+  }
+  /// Rows without gaps, as most images have them, are copied many at a time.
+  static bool is_packed(grey_image const& image) {
+    return image.stride == image.width && image.width % 16 == 0;
+  }
+  void begin_staging(int i, grey_image const& image) {
+    require_size(image);
+    stage_with(i, is_packed(image) ? image.width : extractor_.geometry().stride[0]);
+  }
   /// Copies the images half by half, and enqueues the transfer of each half but the last, which the
   /// recorded launches receive.
   void stage_and_receive(Exec const& exec, extraction_request const& r) {
-    require_size(r.left);
-    if (pair()) { require_size(r.right); }
+    begin_staging(0, r.left);
+    if (pair()) { begin_staging(1, r.right); }
     for (int i = 0; i < settings_.images; ++i) {
       grey_image const& image = i == 0 ? r.left : r.right;
       stage_rows(i, image, 0, half_height());
@@ -279,7 +292,7 @@ private:
     receive_images(exec, bands_ + 2 * image + half, to);
   }
   void stage_image(int i, grey_image const& image) {
-    require_size(image);
+    begin_staging(i, image);
     stage_rows(i, image, 0, settings_.height);
   }
   void require_size(grey_image const& image) const {
@@ -294,15 +307,18 @@ private:
   /// Copies rows [first, last) to the staging memory that the executor reads, in parts shared among
   /// the helper threads.
   void stage_rows(int i, grey_image const& image, int first, int last) {
-    auto const stride = static_cast<std::size_t>(extractor_.geometry().stride[0]);
+    auto const stride = static_cast<std::size_t>(all_sources_[i].stride);
     std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
+    auto const width = static_cast<std::size_t>(image.width);
+    bool const packed = is_packed(image) && stride == width;
     helpers_.share(ceil_div(last - first, rows_at_a_time), [&](int part) {
       int const begin = first + part * rows_at_a_time;
       int const end = std::min(begin + rows_at_a_time, last);
-      for (int y = begin; y < end; ++y) {
+      int const rows = packed ? end - begin : 1;
+      for (int y = begin; y < end; y += rows) {
         std::memcpy(to + static_cast<std::size_t>(y) * stride,
                     image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
-                    static_cast<std::size_t>(image.width));
+                    static_cast<std::size_t>(rows) * width);
       }
     });
   }

@@ -2,6 +2,7 @@
 /// @file The map points that a frame's keypoints hold, as slots of the device and back.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <mutex>
 #include <vector>
@@ -76,23 +77,56 @@ public:
   }
 
 private:
-  /// Collects the slots of the points that a frame's keypoints hold.
+  static constexpr int at_a_time = 256;  ///< keypoints
+
+  /// Result for a run of keypoints.
+  struct alignas(64) part {
+    bool changed;
+    std::vector<int> unknown;  ///< numbers of keypoints whose points the mirror has to look at
+  };
+
+  /// Collects the slots of the points that a frame's keypoints hold. Most points are in the slots
+  /// that they were in: this is checked on several threads.
   /// @return whether they have changed
   bool gather(int b, frame_type const& frame, bool inliers_only) {
+    int const left = frames_->count(frame, 0);
+    int const all = left + frames_->count(frame, 1);
+    auto const count = static_cast<std::size_t>((all + at_a_time - 1) / at_a_time);
+    if (parts_.size() < count) { parts_.resize(count); }
     frame_arrays const& a = device_->frame(b);
-    bool changed = false;
-    frames_->for_each_number(frame, [&](std::size_t i, int number) {
-      prefetch_number(frame.mvpMapPoints, i + 16);
-      bool const held = holds(frame, i) && !(inliers_only && frame.mvbOutlier[i]);
-      int const slot = held ? mirror_->visit(frame.mvpMapPoints[i], a.holder[number]) : -1;
-      replace(a.holder[number], slot, changed);
+    auto const number_of = [&](int i) { return i < left ? i : a.capacity + i - left; };
+    device_->helpers().share(static_cast<int>(count), [&](int p) {
+      part& own = parts_[static_cast<std::size_t>(p)];
+      own.changed = false;
+      own.unknown.clear();
+      for (int i = p * at_a_time; i < std::min((p + 1) * at_a_time, all); ++i) {
+        auto const at = static_cast<std::size_t>(i);
+        prefetch_number(frame.mvpMapPoints, at + 16);
+        int& slot = a.holder[number_of(i)];
+        bool const held = holds(frame, at) && !(inliers_only && frame.mvbOutlier[at]);
+        if (!held) {
+          replace(slot, -1, own.changed);
+        } else if (!mirror_->keep(slot, frame.mvpMapPoints[at])) {
+          own.unknown.push_back(i);
+        }
+      }
     });
+    bool changed = false;
+    for (std::size_t p = 0; p < count; ++p) {
+      changed = changed || parts_[p].changed;
+      for (int const i : parts_[p].unknown) {
+        int& slot = a.holder[number_of(i)];
+        replace(slot, mirror_->visit(frame.mvpMapPoints[static_cast<std::size_t>(i)], slot),
+                changed);
+      }
+    }
     return changed;
   }
 
   device_tracker* device_;
   map_mirror<map_point>* mirror_;
   frame_exchange<frame_type>* frames_;
+  std::vector<part> parts_;
 };
 
 }  // namespace orbslam3

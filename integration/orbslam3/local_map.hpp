@@ -83,19 +83,20 @@ public:
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
     int const drawn = draws_ ? 1 : 0;  // the longest part is started first
-    int const parts = (seen.count + at_a_time - 1) / at_a_time;
+    int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
     device_->helpers().share(drawn + parts, [&](int i) {
       if (i < drawn) {
         draw(frame, seen);
       } else {
-        int const first = (i - drawn) * at_a_time;
-        write_sights(points, seen, first, std::min(first + at_a_time, seen.count));
+        int const first = (i - drawn) * sights_at_a_time;
+        write_sights(points, seen, first, std::min(first + sights_at_a_time, seen.count));
       }
     });
   }
 
 private:
-  static constexpr int at_a_time = 256;  ///< points
+  static constexpr int at_a_time = 256;        ///< points that are gathered
+  static constexpr int sights_at_a_time = 64;  ///< each takes four times as long
 
   struct gathering {
     frame_type const& frame;
@@ -194,11 +195,14 @@ private:
   }
   void draw(frame_type& frame, points_in_view const& seen) {
     using place = typename drawn_points<projections>::place;
+    auto const slot_of = [&](int k) { return likely_[index(seen.index[k])]; };
     drawn_.begin();
     for (int k = 0; k < seen.count; ++k) {
+      if (k + 16 < seen.count) { drawn_.expect(slot_of(k + 16)); }
+      if (k + 8 < seen.count) { drawn_.expect_soon(slot_of(k + 8)); }
       sight const& left = seen.by[0][k];
       if (left.level < 0) { continue; }
-      int const slot = likely_[index(seen.index[k])];
+      int const slot = slot_of(k);
       drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));
     }
     drawn_.move_to(frame.mmProjectPoints);

@@ -30,6 +30,22 @@ enum class change_detection {
   hooks,    ///< only points pushed into the change_queue are read
 };
 
+/// A number that threads may set to the same value at once.
+class shared_number {
+public:
+  shared_number() = default;
+  shared_number(shared_number const& other) : value_(other) {}
+  shared_number& operator=(shared_number const& other) { return *this = std::uint32_t{other}; }
+  shared_number& operator=(std::uint32_t value) {
+    value_.store(value, std::memory_order_relaxed);
+    return *this;
+  }
+  operator std::uint32_t() const { return value_.load(std::memory_order_relaxed); }
+
+private:
+  std::atomic<std::uint32_t> value_{0};
+};
+
 /// An array that grows by blocks: its elements never move.
 template <typename T>
 class block_array {
@@ -118,7 +134,7 @@ public:
     return slot;
   }
   /// Whether a point of this call needs no visit(), because it is in `slot` and hooks tell of its
-  /// changes. Several threads may ask for different points at once.
+  /// changes. Several threads may ask at once.
   bool keep(int slot, MapPoint const* point) {
     if (detection_ != change_detection::hooks || !holds(slot, point)) { return false; }
     entries_[index(slot)].used_in = call_;
@@ -177,8 +193,8 @@ private:
   /// Read by every call: small, so that the entries of a local map stay in a cache.
   struct entry {
     MapPoint* owner = nullptr;
-    std::size_t id = no_id;     ///< mnId; no_id until tracking meets the point
-    std::uint32_t used_in = 0;  ///< last call
+    std::size_t id = no_id;  ///< mnId; no_id until tracking meets the point
+    shared_number used_in;   ///< last call
     bool bad = false;
   };
   /// Read when a point is read.

@@ -336,9 +336,9 @@ FT_HOST_DEVICE inline int round_to_even(float v) {
 /// Nearest integer, halves away from zero (std::round); 0 for NaN and out of range.
 FT_HOST_DEVICE inline int round_away(float v) {
   if (!(::fabsf(v) < 2147483648.0f)) { return 0; }
-  float const t = ::truncf(v);
-  float const rest = ::fabsf(v - t);  // exact
-  return static_cast<int>(t) + (rest >= 0.5f ? (v < 0 ? -1 : 1) : 0);
+  int const t = static_cast<int>(v);
+  float const rest = v - static_cast<float>(t);  // exact
+  return t + static_cast<int>(rest >= 0.5f) - static_cast<int>(rest <= -0.5f);
 }
 
 template <typename T>

@@ -33,6 +33,14 @@ inline ft::odometry_params odometry_params_of(scene const& s, frame_options cons
   p.orb.features = s.features;
   p.use_graphs = how.use_graphs;
   p.measure_stages = how.measure_stages;
+  if (how.imu) {
+    scene_imu const& imu = s.imu;
+    p.imu.present = true;
+    for (std::size_t i = 0; i < 9; ++i) { p.imu.T_bc.R.m[i] = double{imu.T_imu_left.R[i]}; }
+    p.imu.T_bc.t = {double{imu.T_imu_left.t[0]}, double{imu.T_imu_left.t[1]},
+                    double{imu.T_imu_left.t[2]}};
+    p.imu.noise = {imu.gyro_noise, imu.accel_noise, imu.gyro_walk, imu.accel_walk, imu.rate_hz};
+  }
   return p;
 }
 
@@ -45,7 +53,9 @@ public:
         scene_(s, Rig::images),
         odometry_(owned_.exec, rig, odometry_params_of(s, how), how.batch),
         images_(static_cast<std::size_t>(how.batch)),
-        times_(images_.size()) {}
+        times_(images_.size()) {
+    if (how.imu) { samples_ = s.imu.samples; }
+  }
 
   void prepare(int i) override {
     for (int b = 0; b < batch_; ++b) {
@@ -56,7 +66,16 @@ public:
       } else {
         images_[k] = {scene_.view(f, 0), scene_.view(f, 1), scene_.view(f, 2), scene_.view(f, 3)};
       }
-      times_[k] = static_cast<std::int64_t>(i + 1) * 50'000'000;
+      times_[k] = static_cast<std::int64_t>(i + 1) * scene::period_ns;
+    }
+    for (; next_ < samples_.size(); ++next_) {
+      scene_imu_sample const& from = samples_[next_];
+      std::int64_t const at = from.time_ns + scene::period_ns;
+      if (at > times_[0]) { break; }
+      auto const vector = [](float const(&v)[3]) { return ft::vec3<float>{v[0], v[1], v[2]}; };
+      for (int b = 0; b < batch_; ++b) {
+        odometry_.add_imu({at, vector(from.accel), vector(from.gyro)}, b);
+      }
     }
   }
   void track() override {
@@ -65,6 +84,7 @@ public:
     for (int b = 0; b < batch_; ++b) {
       last_.tracked += t[b].state == ft::tracking_state::tracking ? 1 : 0;
       last_.keyframes += t[b].keyframe ? 1 : 0;
+      last_.by_imu += t[b].imu.optimized ? 1 : 0;
     }
     last_.inliers = t[0].inliers;
     last_.map_points = t[0].map_points;
@@ -85,6 +105,8 @@ private:
   ft::odometry<Exec, Rig> odometry_;
   std::vector<typename ft::odometry<Exec, Rig>::images_type> images_;
   std::vector<std::int64_t> times_;
+  std::vector<scene_imu_sample> samples_;
+  std::size_t next_ = 0;  ///< sample to hand over
   odometry_counts last_;
 };
 

@@ -15,15 +15,14 @@ namespace bench {
 namespace {
 
 /// @param calls timed ones
-void time_batch(context const& c, backend_type b, scene const& s, int batch, int calls) {
-  frame_options o;
-  o.backend = b;
-  o.batch = batch;
+void time_batch(context const& c, scene const& s, frame_options const& o, int warm_up, int calls) {
+  backend_type const b = o.backend;
+  int const batch = o.batch;
   auto const runner = make_odometry_runner(s, o);
-  int const warm_up = std::max(c.how.warm_up_on(b), 2 * static_cast<int>(s.frames.size()));
   std::vector<double> us;
   int tracked = 0;
   int keyframes = 0;
+  int by_imu = 0;
   double begin = 0;
   for (int i = 0; i < warm_up + calls; ++i) {
     runner->prepare(i);
@@ -34,12 +33,13 @@ void time_batch(context const& c, backend_type b, scene const& s, int batch, int
     us.push_back(now_us() - start);
     tracked += runner->last().tracked;
     keyframes += runner->last().keyframes;
+    by_imu += runner->last().by_imu;
   }
   double const sustained = 1e6 * calls * batch / (now_us() - begin);
   auto const t = seq::summarise(us);
   auto const last = runner->last();
   double const all = static_cast<double>(calls) * batch;
-  char const* const rig = name_of(s.rig);
+  char const* const rig = o.imu ? "with IMU" : name_of(s.rig);
   std::printf("%-12s %-5s %6d %6d %9.1f %9.1f %9.1f %9.1f %9.0f %8.1f%% %8.1f%% %8d %8d %8d\n", rig,
               name_of(b), batch, calls, t.mean, t.p50, t.p99, t.max, sustained, 100 * tracked / all,
               100 * keyframes / all, last.inliers, last.local_points, last.map_points);
@@ -57,9 +57,22 @@ void time_batch(context const& c, backend_type b, scene const& s, int batch, int
                                   {"frames_per_s", sustained},
                                   {"tracked", tracked / all},
                                   {"keyframes", keyframes / all},
+                                  {"by_imu", by_imu / all},
                                   {"inliers", last.inliers},
                                   {"local_points", last.local_points},
                                   {"map_points", last.map_points}});
+}
+
+/// Forward over a longer scene: the motion that the samples tell of is that of the images. The
+/// IMU's state is known after two or three seconds, which are left out.
+void time_with_imu(context const& c, backend_type b) {
+  constexpr int images = 200;
+  constexpr int warm_up = 80;
+  scene const s = make_scene(rig_type::rectified, 0, 0, images, c.how.features, c.how.local_points);
+  frame_options o;
+  o.backend = b;
+  o.imu = true;
+  time_batch(c, s, o, warm_up, images - warm_up);
 }
 
 void print_memory(context const& c, scene const& s) {
@@ -90,8 +103,12 @@ void odometry_section(context const& c, backend_type b) {
               "inliers", "local", "map");
   std::vector<int> const usual = cuda ? std::vector<int>{1, 8, 64} : std::vector<int>{1, 2};
   auto const time = [&](scene const& of, int batch) {
+    frame_options o;
+    o.backend = b;
+    o.batch = batch;
+    int const warm_up = std::max(c.how.warm_up_on(b), 2 * static_cast<int>(of.frames.size()));
     try {
-      time_batch(c, b, of, batch, calls_of_batch(c.how.frames_on(b), batch));
+      time_batch(c, of, o, warm_up, calls_of_batch(c.how.frames_on(b), batch));
     } catch (no_memory const& e) {
       std::string const what = std::string(name_of(of.rig)) + ", " + std::to_string(batch);
       std::printf("odometry of %s left out: %s\n", what.c_str(), e.what());
@@ -100,6 +117,7 @@ void odometry_section(context const& c, backend_type b) {
   };
   for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
   time(c.all_scenes->get(rig_type::four_cameras), 1);
+  time_with_imu(c, b);
   if (!cuda) { print_memory(c, s); }
 }
 

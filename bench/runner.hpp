@@ -37,6 +37,7 @@ struct frame_options {
   bool std_sort_ties = false;  ///< of the quadtree
   bool use_graphs = true;      ///< false: enqueue each launch
   bool measure_stages = false;
+  bool imu = false;  ///< an odometry of rectified pairs has the scene's IMU
 };
 
 /// How a frame is enqueued.
@@ -134,6 +135,7 @@ std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options co
 struct odometry_counts {
   int tracked = 0;    ///< cameras of the batch
   int keyframes = 0;  ///< cameras whose frame became a keyframe
+  int by_imu = 0;     ///< cameras whose pose was optimised with the IMU
   int inliers = 0;    ///< these and the others: of the first camera
   int local_points = 0;
   int map_points = 0;
@@ -150,7 +152,8 @@ public:
   odometry_runner& operator=(odometry_runner const&) = delete;
   virtual ~odometry_runner() = default;
 
-  /// Chooses the images of frame i, which is the one after the last. @param i from 0
+  /// Chooses the images of frame i, which is the one after the last, and hands over the IMU's
+  /// samples before it. @param i from 0; with an IMU only forward: less than the scene's frames
   virtual void prepare(int i) = 0;
   virtual void track() = 0;  ///< synchronous
   virtual odometry_counts last() const = 0;

@@ -48,6 +48,29 @@ scene scene_of(seq::stereo_rig const& rig, int features, int local_points) {
   return s;
 }
 
+/// @param first frame of the scene
+scene_imu imu_of(seq::generator const& g, int first, int images) {
+  scene_imu imu;
+  auto const& o = g.options();
+  imu.T_imu_left = plain(g.rig().T_body_left);
+  imu.gyro_noise = static_cast<float>(o.imu.gyro);
+  imu.accel_noise = static_cast<float>(o.imu.accel);
+  imu.gyro_walk = static_cast<float>(o.imu.gyro_walk);
+  imu.accel_walk = static_cast<float>(o.imu.accel_walk);
+  imu.rate_hz = static_cast<float>(o.imu_rate);
+  std::int64_t const begin = g.time_ns(first);
+  for (auto const& from : g.imu()) {
+    if (from.time_ns < begin || from.time_ns > g.time_ns(first + images - 1)) { continue; }
+    scene_imu_sample to{from.time_ns - begin, {}, {}};
+    for (int i = 0; i < 3; ++i) {
+      to.accel[i] = static_cast<float>(from.accel[i]);
+      to.gyro[i] = static_cast<float>(from.gyro[i]);
+    }
+    imu.samples.push_back(to);
+  }
+  return imu;
+}
+
 }  // namespace
 
 scene make_scene(rig_type type, int width, int height, int images, int features, int local_points) {
@@ -66,6 +89,7 @@ scene make_scene(rig_type type, int width, int height, int images, int features,
   s.T_al = plain(T_left_aside.inverse());
   s.frames.resize(static_cast<std::size_t>(images));
   constexpr int first = 60;  // in motion
+  s.imu = imu_of(generator, first, images);
   seq::parallel_for(images, 0, [&](int k) {
     auto frame = generator.render(first + k);
     auto& f = s.frames[static_cast<std::size_t>(k)];

@@ -24,6 +24,20 @@ struct scene_frame {
   plain_pose T_cw;                     ///< world to left camera
 };
 
+struct scene_imu_sample {
+  std::int64_t time_ns;  ///< frame k is taken at k * scene::period_ns
+  float accel[3];        ///< m/s^2, gravity included
+  float gyro[3];         ///< rad/s
+};
+
+/// The IMU of the body that carries the cameras.
+struct scene_imu {
+  plain_pose T_imu_left;                                                 ///< left camera to IMU
+  float gyro_noise = 0, accel_noise = 0, gyro_walk = 0, accel_walk = 0;  ///< densities
+  float rate_hz = 0;
+  std::vector<scene_imu_sample> samples;  ///< from the first frame to the last; empty: no IMU
+};
+
 /// Of four cameras: two rectified pairs of the same cameras.
 enum class rig_type { rectified, fisheye, four_cameras };
 
@@ -36,7 +50,9 @@ struct scene {
   float baseline = 0;        ///< metres
   int features = 1200;       ///< keypoints per image
   int local_points = 3000;
+  static constexpr std::int64_t period_ns = 50'000'000;
   std::vector<scene_frame> frames;  ///< consecutive in time
+  scene_imu imu;
 };
 
 /// Renders `images` consecutive stereo frames of the generator's route, in motion, on all threads.

@@ -142,8 +142,11 @@ private:
     f.mnId = id_;
     f.mnMaxX = static_cast<float>(settings_.width);
     f.mnMaxY = static_cast<float>(settings_.height);
+    gpu_.expect_images();
+    stand_in::matrix const left = left_[id_ % 2].clone();  // as System::TrackStereo does
+    stand_in::matrix const right = right_[id_ % 2].clone();
     timed(stage::extract, [&] {
-      gpu_.extract(left_[id_ % 2], right_[id_ % 2], f);
+      gpu_.extract(left, right, f);
       return 0;
     });
     timed(stage::undistort, [&] {

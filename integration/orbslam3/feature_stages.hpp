@@ -2,6 +2,7 @@
 /// @file The stages of a frame's constructor: features, undistortion, grid and stereo.
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <memory>
 #include <utility>
@@ -30,6 +31,9 @@ public:
   options const& chosen() const { return options_; }
 
   // ---- features
+
+  /// Images will come within two milliseconds: the threads that share the copy wake up meanwhile.
+  void expect_images() { device_->helpers().wake(std::chrono::milliseconds(2)); }
 
   /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
   /// frame.mnId, mK, mDistCoef and the bounds.

@@ -64,6 +64,11 @@ public:
   /// For the hooks; nullptr if no changes need to be pushed. Valid as long as this object.
   change_queue<map_point>* changes() { return works_ ? &gpu_->changes() : nullptr; }
 
+  /// In System::TrackStereo, before it copies or rectifies the images: threads wake up meanwhile.
+  void expect_images() {
+    if (uses(stage::extract)) { gpu_->expect_images(); }
+  }
+
   // ---- in the constructors of Frame
 
   /// Features of one or two images. @param cpu ExtractORB of all of them

@@ -61,7 +61,9 @@ public:
     if (failure_) { std::rethrow_exception(std::exchange(failure_, nullptr)); }
   }
   /// Wakes the threads for a share() that will follow soon. Does not wait for them.
-  void wake() {
+  /// @param stay how long they stay awake without work
+  void wake(std::chrono::microseconds stay = awake) {
+    stay_ = stay.count();
     ++calls_;
     if (sleeping_ > 0) { wake_all(); }
   }
@@ -116,7 +118,7 @@ private:
     std::uint32_t calls = 0;
     while (!ended_) {
       using clock = std::chrono::steady_clock;
-      auto end = clock::now() + awake;
+      auto end = clock::now() + std::chrono::microseconds(stay_);
       for (int turn = 1; turn % 64 != 0 || clock::now() < end; ++turn) {
         if (take_part()) {
           while (take_part()) {}
@@ -143,6 +145,8 @@ private:
   std::atomic<int> done_{0};  ///< parts of the job
   std::atomic<int> sleeping_{0};
   std::atomic<std::uint32_t> calls_{0};  ///< of wake()
+  std::atomic<std::chrono::microseconds::rep> stay_{
+      awake.count()};  ///< microseconds, of the last wake()
   std::atomic<bool> ended_{false};
 };
 

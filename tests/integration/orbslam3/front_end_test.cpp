@@ -106,6 +106,7 @@ TEST_P(front_ends, give_the_same_frame_in_every_mix_with_the_cpu) {
       heard quiet;
       shim gpu(make(s), s, o);
       int by_cpu = 0;
+      gpu.expect_images();
       stand_in::frame const got = construct_with(&gpu, kind, by_cpu);
       int const expected[] = {0, 1, 1, 2, 2};
       EXPECT_EQ(by_cpu, expected[mix]);

@@ -16,7 +16,7 @@ TEST(helper_threads, do_every_part_once_and_report_what_fails) {
   for (int const count : {0, 1, 3}) {
     ft::orbslam3::helper_threads helpers(count);
     for (int round = 0; round < 200; ++round) {
-      if (round % 3 == 0) { helpers.wake(); }
+      if (round % 3 == 0) { helpers.wake(std::chrono::milliseconds(round % 2)); }
       if (round % 50 == 0) { std::this_thread::sleep_for(std::chrono::milliseconds(2)); }  // asleep
       std::vector<int> done(37, 0);
       helpers.share(37, [&](int i) { ++done[static_cast<std::size_t>(i)]; });

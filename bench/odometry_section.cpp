@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // The section of ft::odometry: times of track(), for one camera and for batches.
 #include <algorithm>
+#include <chrono>
 #include <cstdio>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "bench/clock.hpp"
@@ -14,8 +16,13 @@ namespace bench {
 
 namespace {
 
-/// @param calls timed ones
-void time_batch(context const& c, scene const& s, frame_options const& o, int warm_up, int calls) {
+char const* row_name(scene const& s, frame_options const& o) {
+  return o.imu ? "with IMU" : name_of(s.rig);
+}
+
+/// @param calls timed ones @param pause_us before each
+void time_batch(context const& c, scene const& s, frame_options const& o, int warm_up, int calls,
+                int pause_us = 0) {
   backend_type const b = o.backend;
   int const batch = o.batch;
   auto const runner = make_odometry_runner(s, o);
@@ -26,6 +33,7 @@ void time_batch(context const& c, scene const& s, frame_options const& o, int wa
   double begin = 0;
   for (int i = 0; i < warm_up + calls; ++i) {
     runner->prepare(i);
+    if (pause_us > 0) { std::this_thread::sleep_for(std::chrono::microseconds(pause_us)); }
     double const start = now_us();
     if (i == warm_up) { begin = start; }
     runner->track();
@@ -39,7 +47,7 @@ void time_batch(context const& c, scene const& s, frame_options const& o, int wa
   auto const t = seq::summarise(us);
   auto const last = runner->last();
   double const all = static_cast<double>(calls) * batch;
-  char const* const rig = o.imu ? "with IMU" : name_of(s.rig);
+  char const* const rig = row_name(s, o);
   std::printf("%-12s %-5s %6d %6d %9.1f %9.1f %9.1f %9.1f %9.0f %8.1f%% %8.1f%% %8d %8d %8d\n", rig,
               name_of(b), batch, calls, t.mean, t.p50, t.p99, t.max, sustained, 100 * tracked / all,
               100 * keyframes / all, last.inliers, last.local_points, last.map_points);
@@ -49,6 +57,7 @@ void time_batch(context const& c, scene const& s, frame_options const& o, int wa
                                   {"backend", name_of(b)},
                                   {"batch", batch},
                                   {"calls", calls},
+                                  {"pause_us", pause_us},
                                   {"mean_us", t.mean},
                                   {"std_us", t.std},
                                   {"p50_us", t.p50},
@@ -65,14 +74,16 @@ void time_batch(context const& c, scene const& s, frame_options const& o, int wa
 
 /// Forward over a longer scene: the motion that the samples tell of is that of the images. The
 /// IMU's state is known after two or three seconds, which are left out.
-void time_with_imu(context const& c, backend_type b) {
-  constexpr int images = 200;
-  constexpr int warm_up = 80;
-  scene const s = make_scene(rig_type::rectified, 0, 0, images, c.how.features, c.how.local_points);
+constexpr int imu_frames = 200;
+constexpr int imu_warm_up = 80;
+scene make_imu_scene(context const& c) {
+  return make_scene(rig_type::rectified, 0, 0, imu_frames, c.how.features, c.how.local_points);
+}
+frame_options with_imu(backend_type b) {
   frame_options o;
   o.backend = b;
   o.imu = true;
-  time_batch(c, s, o, warm_up, images - warm_up);
+  return o;
 }
 
 void print_memory(context const& c, scene const& s) {
@@ -117,7 +128,10 @@ void odometry_section(context const& c, backend_type b) {
   };
   for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
   time(c.all_scenes->get(rig_type::four_cameras), 1);
-  time_with_imu(c, b);
+  scene const of_imu = make_imu_scene(c);
+  for (int const pause_us : {5000, 0}) {
+    time_batch(c, of_imu, with_imu(b), imu_warm_up, imu_frames - imu_warm_up, pause_us);
+  }
   if (!cuda) { print_memory(c, s); }
 }
 
@@ -141,14 +155,9 @@ void record(std::vector<stage_record>& to, stage_us const& t, bool keyframe) {
 }
 
 /// @param calls timed ones
-void time_stages(context const& c, backend_type b, scene const& s, int batch, int calls) {
-  frame_options o;
-  o.backend = b;
-  o.batch = batch;
+void time_stages(context const& c, scene const& s, frame_options o, int warm_up, int calls) {
   o.measure_stages = true;
   auto const runner = make_odometry_runner(s, o);
-  // All frames are seen before, unless --warm-up says otherwise: keyframes come with new ones.
-  int const warm_up = c.how.warm_up > 0 ? c.how.warm_up : 2 * static_cast<int>(s.frames.size());
   std::vector<stage_record> stages;
   for (int i = 0; i < warm_up + calls; ++i) {
     runner->prepare(i);
@@ -160,13 +169,13 @@ void time_stages(context const& c, backend_type b, scene const& s, int batch, in
     auto const all = seq::summarise(stage.all);
     auto const keyframes = seq::summarise(stage.of_keyframes);
     auto const n = static_cast<int>(stage.of_keyframes.size());
-    std::printf("%-12s %-5s %6d %-18s %9.1f %9.1f %9.1f %9d %9.1f %9.1f\n", name_of(s.rig),
-                name_of(b), batch, stage.name.c_str(), all.p50, all.p99, all.max, n, keyframes.p50,
-                keyframes.max);
+    std::printf("%-12s %-5s %6d %-18s %9.1f %9.1f %9.1f %9d %9.1f %9.1f\n", row_name(s, o),
+                name_of(o.backend), o.batch, stage.name.c_str(), all.p50, all.p99, all.max, n,
+                keyframes.p50, keyframes.max);
     (*c.out)["map_stages"].push_back({{"name", stage.name},
-                                      {"rig", name_of(s.rig)},
-                                      {"backend", name_of(b)},
-                                      {"batch", batch},
+                                      {"rig", row_name(s, o)},
+                                      {"backend", name_of(o.backend)},
+                                      {"batch", o.batch},
                                       {"calls", calls},
                                       {"p50_us", all.p50},
                                       {"p99_us", all.p99},
@@ -188,8 +197,14 @@ void map_stages_section(context const& c, backend_type b) {
               "p50 us", "p99 us", "max us", "keyframes", "p50 us", "max us");
   auto const time = [&](rig_type rig, int batch) {
     try {
-      int const calls = calls_of_batch(c.how.frames_on(b), batch);
-      time_stages(c, b, c.all_scenes->get(rig), batch, calls);
+      scene const& s = c.all_scenes->get(rig);
+      frame_options o;
+      o.backend = b;
+      o.batch = batch;
+      // All frames are seen before, unless --warm-up says otherwise: keyframes come with new ones.
+      int const all = 2 * static_cast<int>(s.frames.size());
+      time_stages(c, s, o, c.how.warm_up > 0 ? c.how.warm_up : all,
+                  calls_of_batch(c.how.frames_on(b), batch));
     } catch (no_memory const& e) {
       (*c.out)["left_out"].push_back("stages of the odometry of " + std::string(name_of(rig)) +
                                      ", " + std::to_string(batch) + ": " + e.what());
@@ -199,6 +214,7 @@ void map_stages_section(context const& c, backend_type b) {
     time(rig_type::rectified, batch);
   }
   time(rig_type::four_cameras, 1);
+  time_stages(c, make_imu_scene(c), with_imu(b), imu_warm_up, imu_frames - imu_warm_up);
 }
 
 }  // namespace bench

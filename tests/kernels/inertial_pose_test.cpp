@@ -125,6 +125,43 @@ TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
   }
 }
 
+TYPED_TEST(inertial_pose, a_larger_limit_of_steps_ends_rounds_earlier_at_nearly_the_same_state) {
+  inertial_scene<ft::rectified_rig> scene(15);
+  inertial_pose_batch b;
+  for (int i = 0; i < 6; ++i) {
+    inertial_shape shape;
+    shape.from_last_frame = i % 2 == 1;
+    shape.observations = 200;
+    shape.pixel_noise = 0.8;
+    shape.outliers_percent = 10;
+    scene.add(b, shape);
+  }
+  inertial_pose_batch coarse = b;
+  inertial_pose_batch single = b;
+  this->run(scene, b);
+  ft::inertial_pose_params params;
+  params.settled = 1e-6;
+  test::optimize(this->backend.exec, scene.rig, scene.mount, params, coarse);
+  params.settled = std::numeric_limits<double>::infinity();  // one step a round
+  test::optimize(this->backend.exec, scene.rig, scene.mount, params, single);
+  double most = 0;
+  for (std::size_t i = 0; i < b.size(); ++i) {
+    auto const want = last_state(b.result[i]);
+    auto const got = last_state(coarse.result[i]);
+    EXPECT_EQ(coarse.result[i].tracked, b.result[i].tracked);
+    EXPECT_LT(length(got.p - want.p), 1e-5);
+    EXPECT_LT(length(got.v - want.v), 1e-5);
+    EXPECT_LT(angle(got.R, want.R), 1e-5);
+    most = std::max(most, length(last_state(single.result[i]).p - want.p));
+  }
+  EXPECT_GT(most, 1e-6);
+  for (double const wrong : {-1e-9, static_cast<double>(nan)}) {
+    params.settled = wrong;
+    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, params, b),
+                 ft::bad_argument);
+  }
+}
+
 // ---- few observations ---------------------------------------------------------------------------
 
 TYPED_TEST(inertial_pose, without_observations_the_frame_is_where_the_imu_says) {

@@ -42,16 +42,29 @@ struct pair_of_estimates {
 };
 
 /// Joins the windows of `count` keyframes.
-FT_HOST_DEVICE inline pair_of_estimates join_all(motion const* poses,
-                                                 ft::preintegrated const* integrals, int count,
-                                                 ft::imu_mount const& mounted,
-                                                 ft::joined_windows& sum, int& failures) {
+template <typename Group>
+FT_HOST_DEVICE pair_of_estimates join_all(Group g, ft::detail::initialization_scratch& s,
+                                          motion const* poses, ft::preintegrated const* integrals,
+                                          int count, ft::imu_mount const& mounted,
+                                          ft::joined_windows& sum, int& failures) {
   ft::initialization_params const p;
   pair_of_estimates out{};
-  sum = ft::joined_windows::none();
   failures = 0;
   for (int first = 0; first + window_size <= count; first += step) {
     ft::initialization_window const window{poses + first, integrals + first, window_size, mounted};
+    out.own = out.joined = ft::detail::initialize_window_by(g, s, window, p, nullptr);
+    failures += ft::detail::join_window_by(g, s, window, p, 0.98f, sum, out.joined) ? 0 : 1;
+  }
+  return out;
+}
+/// The same by plain calls.
+pair_of_estimates join_all(recording const& r, int count, ft::joined_windows& sum, int& failures) {
+  ft::initialization_params const p;
+  pair_of_estimates out{};
+  failures = 0;
+  for (int first = 0; first + window_size <= count; first += step) {
+    auto const at = static_cast<std::size_t>(first);
+    ft::initialization_window const window{&r.T_wc[at], &r.integrals[at], window_size, mount()};
     out.own = out.joined = ft::initialize_window(window, p);
     failures += ft::join_window(window, p, 0.98f, sum, out.joined) ? 0 : 1;
   }
@@ -62,7 +75,7 @@ pair_of_estimates last_of(recording const& r) {
   ft::joined_windows sum{};
   int failures = 0;
   auto const count = static_cast<int>(r.T_wc.size());
-  auto const out = join_all(r.T_wc.data(), r.integrals.data(), count, mount(), sum, failures);
+  auto const out = join_all(r, count, sum, failures);
   EXPECT_EQ(failures, 0);
   EXPECT_EQ(sum.count, (count - window_size) / step + 1);
   return out;
@@ -113,16 +126,21 @@ TEST(JoinWindows, StayAsTheyWereWithoutASolution) {
   EXPECT_EQ(found.newest.ba.x, 0);
 }
 
-/// Item: a recording.
+/// Item: a recording, joined by a group.
 struct join_each {
-  using scratch = ft::no_scratch;
+  using scratch = ft::detail::initialization_scratch;
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, motion const* poses,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, motion const* poses,
                                  ft::preintegrated const* integrals, int count,
                                  ft::imu_mount const& mounted, ft::joined_windows* sums,
                                  pair_of_estimates* found, int* failures) const {
     auto const at = static_cast<std::ptrdiff_t>(b) * count;
-    found[b] = join_all(poses + at, integrals + at, count, mounted, sums[b], failures[b]);
+    int failed = 0;
+    auto const mine = join_all(g, s, poses + at, integrals + at, count, mounted, sums[b], failed);
+    if (g.rank() == g.size() - 1) {  // all threads have it
+      found[b] = mine;
+      failures[b] = failed;
+    }
   }
 };
 
@@ -150,17 +168,16 @@ TYPED_TEST(join_windows_stage, gives_the_bits_of_a_plain_call) {
   auto const d_sums = test::to_exec(exec, std::vector<ft::joined_windows>(batch));
   auto const d_found = test::to_exec(exec, std::vector<pair_of_estimates>(batch));
   auto const d_failures = test::to_exec(exec, std::vector<int>(batch, 7));
-  ft::for_each_item<ft::per_thread>(exec, batch, join_each{}, d_poses.data(), d_integrals.data(),
-                                    count, mount(), d_sums.data(), d_found.data(),
-                                    d_failures.data());
+  ft::for_each_item<ft::per_block<32>>(exec, batch, join_each{}, d_poses.data(), d_integrals.data(),
+                                       count, mount(), d_sums.data(), d_found.data(),
+                                       d_failures.data());
   auto const sums = test::from_exec(exec, d_sums.data(), batch);
   auto const found = test::from_exec(exec, d_found.data(), batch);
   auto const failures = test::from_exec(exec, d_failures.data(), batch);
   for (std::size_t b = 0; b < batch; ++b) {
     ft::joined_windows sum{};
     int failed = 0;
-    auto const plain = join_all(recordings[b].T_wc.data(), recordings[b].integrals.data(), count,
-                                mount(), sum, failed);
+    auto const plain = join_all(recordings[b], count, sum, failed);
     EXPECT_EQ(failures[b], failed);
     EXPECT_EQ(sums[b].count, sum.count);
     EXPECT_TRUE(std::equal(sum.A, sum.A + 36, sums[b].A)) << b;

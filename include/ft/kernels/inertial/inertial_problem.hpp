@@ -17,6 +17,8 @@ struct inertial_pose_params {
   /// since the last keyframe; and an integral of a single step, whose covariance has no inverse,
   /// counts with the inverse of its rounding errors.
   bool reference_quirks = false;
+  /// A round ends where all components of a step are below this: rad, m, m/s, rad/s, m/s^2.
+  double settled = 1e-10;
 };
 
 /// Rounds of an optimisation at most.

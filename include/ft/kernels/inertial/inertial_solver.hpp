@@ -58,7 +58,8 @@ struct inertial_solver {
   inertial_scratch& s;
   Rig const& rig;
   inertial_observations seen;
-  bool both;  ///< whether the first state moves, too, and has a prior
+  bool both;       ///< whether the first state moves, too, and has a prior
+  double settled;  ///< a step of which all components are below this counts no more
 
   /// Whether this thread's warp does job k of several at the same time.
   FT_HOST_DEVICE bool is_part(int k) const {
@@ -223,11 +224,10 @@ private:
 
   /// @return whether any component of the step, rad, m, m/s, rad/s or m/s^2, counts
   FT_HOST_DEVICE bool move_states() const {
-    constexpr double nothing = 1e-10;  // results are compared to 1e-8 at the finest
     bool counts = false;
     auto const solution = [&](int k) {
       wide_vec3 const d = s.matrices.system.solution(k, unknown::all);
-      auto const small = [](wide v) { return scalar::abs(v) < wide(nothing); };
+      auto const small = [this](wide v) { return scalar::abs(v) < wide(settled); };
       counts = counts || !(small(d.x) && small(d.y) && small(d.z));
       return d;
     };

@@ -14,10 +14,22 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// The steps of an initialisation. Members are what the steps hand on.
-struct inertial_initializer {
+/// What the threads of a group share.
+struct initialization_scratch {
   static constexpr int most_unknowns = 13;
-  static constexpr int refinements = 5;
+  static constexpr int most_threads = 32;
+  least_squares<3> gyro;
+  least_squares<most_unknowns> equations;
+  wide_vec3 residual[most_threads];  ///< of intervals
+};
+
+/// The steps of an initialisation. Members are what the steps hand on. All threads of a group take
+/// the same steps with the same numbers; they share the equations, and what takes long.
+template <typename Group>
+struct inertial_initializer {
+  static constexpr int most_unknowns = initialization_scratch::most_unknowns;
+  static constexpr int refinements = 5;     ///< at most
+  static constexpr double settled = 1e-10;  ///< a smaller change, rad/s or m/s^2, ends them
   using system = least_squares<most_unknowns>;
 
   /// Factors of the unknowns, 0 at first.
@@ -31,6 +43,8 @@ struct inertial_initializer {
   /// Places of the unknowns.
   enum : int { velocity = 0, position = 3, bias = 6, direction = 9 };
 
+  Group g;
+  initialization_scratch& s;
   initialization_window const& in;
   initialization_params const& params;
   wide_mat3 R_cb;
@@ -42,11 +56,13 @@ struct inertial_initializer {
   wide scale;
   wide x[most_unknowns];
 
-  FT_HOST_DEVICE inertial_initializer(initialization_window const& window,
+  FT_HOST_DEVICE inertial_initializer(Group group, initialization_scratch& scratch,
+                                      initialization_window const& window,
                                       initialization_params const& p)
-      : in(window), params(p) {
-    R_cb = in.mount.T_cb.R.cast<wide>();
-    t_cb = in.mount.T_cb.t.cast<wide>();
+      : g(group), s(scratch), in(window), params(p) {
+    static_assert(Group::max_threads <= initialization_scratch::most_threads, "one residual each");
+    R_cb = in.mount.T_cb.R.template cast<wide>();
+    t_cb = in.mount.T_cb.t.template cast<wide>();
     gyro_bias = gravity = {0.0, 0.0, 0.0};
     resting = false;
     directions = 3;
@@ -59,12 +75,12 @@ struct inertial_initializer {
 
   FT_HOST_DEVICE int pose_of(int k) const { return resting ? 0 : k; }
   FT_HOST_DEVICE wide_mat3 camera_rotation(int k) const {
-    return in.T_wc[pose_of(k)].R.cast<wide>();
+    return in.T_wc[pose_of(k)].R.template cast<wide>();
   }
   FT_HOST_DEVICE wide_mat3 rotation(int k) const { return camera_rotation(k) * R_cb; }
   /// The camera's position from its first one, in the unit of the poses.
   FT_HOST_DEVICE wide_vec3 camera(int k) const {
-    return in.T_wc[pose_of(k)].t.cast<wide>() - in.T_wc[0].t.cast<wide>();
+    return in.T_wc[pose_of(k)].t.template cast<wide>() - in.T_wc[0].t.template cast<wide>();
   }
   /// From the camera's position to the body's, metres.
   FT_HOST_DEVICE wide_vec3 lever(int k) const { return camera_rotation(k) * t_cb; }
@@ -75,27 +91,34 @@ struct inertial_initializer {
 
   FT_HOST_DEVICE initialization_status check_input() const {
     if (in.count < params.least_keyframes) { return initialization_status::few_keyframes; }
-    wide sum = 0.0;
-    for (int k = 0; k < in.count; ++k) {
+    bool missing = false;
+    bool finite = true;
+    for (int k = g.rank(); k < in.count; k += g.size()) {
+      wide sum = dot(camera(k), camera(k));
       for (int i = 0; i < 9; ++i) { sum += in.T_wc[k].R.m[i]; }
-      sum += dot(camera(k), camera(k));
-      if (k + 1 == in.count) { break; }
-      preintegrated const& p = in.integrals[k];
-      if (!usable(p.status) || p.steps < 1 || p.dT <= 0) {
-        return initialization_status::no_integral;
+      if (k + 1 < in.count) {
+        missing = missing || !has_integral(in.integrals[k]);
+        sum += sum_of_numbers(in.integrals[k]);
       }
-      sum += static_cast<double>(p.dT);
-      wide_vec3 const v = p.dV.cast<wide>() + p.dP.cast<wide>() + p.bias.gyro.cast<wide>() +
-                          p.bias.accel.cast<wide>();
-      sum += v.x + (v.y + v.z);
-      for (int i = 0; i < 9; ++i) {
-        sum += static_cast<double>(p.dR.m[i]) + static_cast<double>(p.JRg.m[i]);
-        sum += static_cast<double>(p.JVg.m[i]) + static_cast<double>(p.JVa.m[i]);
-        sum += static_cast<double>(p.JPg.m[i]) + static_cast<double>(p.JPa.m[i]);
-      }
+      finite = finite && scalar::is_finite(sum);
     }
-    return scalar::is_finite(sum) ? initialization_status::initialized
-                                  : initialization_status::not_finite;
+    if (g.any(missing)) { return initialization_status::no_integral; }
+    return g.any(!finite) ? initialization_status::not_finite : initialization_status::initialized;
+  }
+  FT_HOST_DEVICE static bool has_integral(preintegrated const& p) {
+    return usable(p.status) && p.steps >= 1 && !(p.dT <= 0);
+  }
+  /// Not finite if one of them is not.
+  FT_HOST_DEVICE static wide sum_of_numbers(preintegrated const& p) {
+    wide_vec3 const v = p.dV.template cast<wide>() + p.dP.template cast<wide>() +
+                        p.bias.gyro.template cast<wide>() + p.bias.accel.template cast<wide>();
+    wide sum = wide(static_cast<double>(p.dT)) + (v.x + (v.y + v.z));
+    for (int i = 0; i < 9; ++i) {
+      sum += static_cast<double>(p.dR.m[i]) + static_cast<double>(p.JRg.m[i]);
+      sum += static_cast<double>(p.JVg.m[i]) + static_cast<double>(p.JVa.m[i]);
+      sum += static_cast<double>(p.JPg.m[i]) + static_cast<double>(p.JPa.m[i]);
+    }
+    return sum;
   }
 
   FT_HOST_DEVICE void find_rest() {
@@ -103,7 +126,7 @@ struct inertial_initializer {
     bool still = true;
     wide const angle = static_cast<double>(params.rest_angle);
     wide_mat3 const first = camera_rotation(0);
-    for (int k = 1; k < in.count; ++k) {
+    for (int k = 1 + g.rank(); k < in.count; k += g.size()) {
       still = still && norm_of(camera(k)) <= wide(static_cast<double>(params.rest_distance));
       wide_mat3 const R = camera_rotation(k);
       wide sum = 0.0;
@@ -111,34 +134,29 @@ struct inertial_initializer {
       // the sum is 8 sin^2 of half the angle
       still = still && sum <= wide(2.0) * angle * angle;
     }
-    resting = still;
+    resting = !g.any(!still);
   }
 
   /// Gauss-Newton on the rotations of all intervals.
   FT_HOST_DEVICE bool find_gyro_bias(inertial_initialization& out) {
-    least_squares<3> equations;
+    auto& equations = s.gyro;
     wide squares = 0.0;
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
-      equations.begin(3);
+      equations.begin(g, 3);
       squares = 0.0;
       FT_NO_UNROLL
-      for (int k = 0; k + 1 < in.count; ++k) {
-        wide_mat3 const seen = rotation(k).transposed() * rotation(k + 1);
-        wide_mat3 const J = in.integrals[k].JRg.cast<wide>();
-        wide_mat3 const off = rotation_at(in.integrals[k], gyro_bias).transposed() * seen;
-        wide_vec3 const r = rotation_log(off);
-        for (int i = 0; i < 3; ++i) {
-          wide const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
-          equations.add(row, component(r, i), 1.0);
-        }
-        squares += dot(r, r);
+      for (int first = 0; first + 1 < in.count; first += g.size()) {
+        add_rotations(first, squares);
       }
-      if (!equations.factor()) { return false; }
+      if (!equations.factor(g)) { return false; }
       if (step == refinements) { break; }
       wide d[3] = {equations.b[0], equations.b[1], equations.b[2]};
       equations.solve(d);
-      gyro_bias = gyro_bias + wide_vec3{d[0], d[1], d[2]};
+      wide_vec3 const change{d[0], d[1], d[2]};
+      if (dot(change, change) < wide(settled * settled)) { break; }
+      gyro_bias = gyro_bias + change;
+      g.sync();
     }
     wide const rms = scalar::sqrt(squares / wide(3.0 * (in.count - 1)));
     // two poses bound an interval
@@ -152,6 +170,29 @@ struct inertial_initializer {
     out.gyro_bias_sigma =
         static_cast<float>((max_of(given, rms) * scalar::sqrt(sum / wide(3.0))).value);
     return true;
+  }
+
+  /// Intervals `first` and following, one a thread, then added in their order. Ends with a sync.
+  FT_HOST_DEVICE void add_rotations(int first, wide& squares) const {
+    int const own = first + g.rank();
+    if (own + 1 < in.count) {
+      wide_mat3 const seen = rotation(own).transposed() * rotation(own + 1);
+      wide_mat3 const off = rotation_at(in.integrals[own], gyro_bias).transposed() * seen;
+      s.residual[g.rank()] = rotation_log(off);
+    }
+    g.sync();
+    int const last = min_of(first + g.size(), in.count - 1);
+    FT_NO_UNROLL
+    for (int k = first; k < last; ++k) {
+      wide_mat3 const J = in.integrals[k].JRg.template cast<wide>();
+      wide_vec3 const r = s.residual[k - first];
+      for (int i = 0; i < 3; ++i) {
+        wide const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
+        s.gyro.add(g, row, component(r, i), 1.0);
+      }
+      squares += dot(r, r);
+    }
+    g.sync();
   }
 
   /// Row of one axis of a keyframe's position, and its right-hand side.
@@ -173,9 +214,11 @@ struct inertial_initializer {
     return right;
   }
 
-  /// Builds the system, and sums the squares that the last solution leaves.
-  FT_HOST_DEVICE wide build(system& equations) const {
-    equations.begin(unknowns());
+  /// Builds the system, and sums the squares that the last solution leaves. Ends with a sync.
+  FT_HOST_DEVICE wide build() const {
+    system& equations = s.equations;
+    g.sync();  // the last one may still be read
+    equations.begin(g, unknowns());
     wide const sigma = scale * wide(static_cast<double>(params.position_sigma));
     wide const weight = wide(1.0) / (sigma * sigma);
     wide squares = 0.0;
@@ -185,7 +228,7 @@ struct inertial_initializer {
       for (int axis = 0; axis < 3; ++axis) {
         unknown_row row;
         wide const right = fill_row(joined, k, axis, row.x);
-        equations.add(row.x, right, weight);
+        equations.add(g, row.x, right, weight);
         wide off = right;
         for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
         squares += off * off;
@@ -193,24 +236,27 @@ struct inertial_initializer {
       if (k + 1 < in.count) { joined.append(in.integrals[k], rotation(k), gyro_bias); }
     }
     wide const prior = static_cast<double>(params.accel_bias_sigma);
-    for (int i = 0; i < 3; ++i) { equations.pull_to_zero(bias + i, wide(1.0) / (prior * prior)); }
+    for (int i = 0; i < 3; ++i) {
+      equations.pull_to_zero(g, bias + i, wide(1.0) / (prior * prior));
+    }
     if (resting) {
       // it can have moved by the distance of rest
       wide const slow = wide(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / joined.T;
       for (int i = 0; i < 3; ++i) {
-        equations.pull_to_zero(velocity + i, wide(1.0) / (slow * slow));
+        equations.pull_to_zero(g, velocity + i, wide(1.0) / (slow * slow));
       }
     }
+    g.sync();
     return squares;
   }
 
   /// Gravity on its sphere, and two directions to change it in.
-  FT_HOST_DEVICE bool set_gravity(wide_vec3 g) {
-    wide const length = norm_of(g);
+  FT_HOST_DEVICE bool set_gravity(wide_vec3 found) {
+    wide const length = norm_of(found);
     wide const G = static_cast<double>(params.gravity);
     if (!(length > wide(0.1) * G)) { return false; }
-    gravity = scaled(g, G / length);
-    wide_vec3 const a{scalar::abs(g.x), scalar::abs(g.y), scalar::abs(g.z)};
+    gravity = scaled(found, G / length);
+    wide_vec3 const a{scalar::abs(found.x), scalar::abs(found.y), scalar::abs(found.z)};
     wide_vec3 const other = a.x <= a.y && a.x <= a.z ? wide_vec3{1.0, 0.0, 0.0}
                             : a.y <= a.z             ? wide_vec3{0.0, 1.0, 0.0}
                                                      : wide_vec3{0.0, 0.0, 1.0};
@@ -222,24 +268,28 @@ struct inertial_initializer {
   }
 
   /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored.
-  FT_HOST_DEVICE bool solve(system& equations, wide& squares) {
+  FT_HOST_DEVICE bool solve(wide& squares) {
+    system& equations = s.equations;
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
-      build(equations);
+      build();
       wide next[most_unknowns];
       for (int i = 0; i < most_unknowns; ++i) { next[i] = equations.b[i]; }
-      if (!equations.factor()) { return false; }
+      if (!equations.factor(g)) { return false; }
       equations.solve(next);
-      wide_vec3 g = gravity;
-      for (int j = 0; j < directions; ++j) { g = g + scaled(basis[j], next[direction + j]); }
+      wide_vec3 pull = gravity;
+      for (int j = 0; j < directions; ++j) { pull = pull + scaled(basis[j], next[direction + j]); }
       if (scale_is_sought()) { scale = next[direction + directions]; }
-      if (!(scale > wide(0.0)) || !set_gravity(g)) { return false; }
+      wide_vec3 const before = gravity;
+      if (!(scale > wide(0.0)) || !set_gravity(pull)) { return false; }
       for (int i = 0; i < direction; ++i) { x[i] = next[i]; }
       for (int i = direction; i < most_unknowns; ++i) { x[i] = 0.0; }
       if (scale_is_sought()) { x[direction + directions] = scale; }
+      wide_vec3 const change = gravity - before;
+      if (dot(change, change) < wide(settled * settled)) { break; }
     }
-    squares = build(equations);
-    return equations.factor();
+    squares = build();
+    return equations.factor(g);
   }
 };
 
@@ -257,9 +307,10 @@ FT_HOST_DEVICE inline mat3<double> turn_upwards(wide_vec3 up) {
 
 /// Writes gravity, the last state and, if asked for, all velocities.
 /// @return the integrals of the whole window
-FT_HOST_DEVICE inline joined_integrals describe_state(inertial_initializer const& of,
-                                                      inertial_initialization& out,
-                                                      vec3<double>* velocities) {
+template <typename Group>
+FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const& of,
+                                               inertial_initialization& out,
+                                               vec3<double>* velocities) {
   initialization_window const& in = of.in;
   wide_vec3 const v0{of.x[0], of.x[1], of.x[2]};
   wide_vec3 const ba{of.x[6], of.x[7], of.x[8]};
@@ -270,15 +321,15 @@ FT_HOST_DEVICE inline joined_integrals describe_state(inertial_initializer const
   for (int k = 0; k <= last; ++k) {
     if (k > 0) { joined.append(in.integrals[k - 1], of.rotation(k - 1), of.gyro_bias); }
     v = v0 + scaled(of.gravity, joined.T) + joined.U + joined.W * ba;
-    if (velocities != nullptr) { velocities[k] = v.cast<double>(); }
+    if (velocities != nullptr && of.g.rank() == 0) { velocities[k] = v.template cast<double>(); }
   }
-  wide_vec3 const from_origin = of.camera(last) + in.T_wc[0].t.cast<wide>();
-  out.newest.R = of.rotation(last).cast<double>();
-  out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).cast<double>();
-  out.newest.v = v.cast<double>();
-  out.newest.bg = of.gyro_bias.cast<double>();
-  out.newest.ba = ba.cast<double>();
-  out.gravity = of.gravity.cast<double>();
+  wide_vec3 const from_origin = of.camera(last) + in.T_wc[0].t.template cast<wide>();
+  out.newest.R = of.rotation(last).template cast<double>();
+  out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).template cast<double>();
+  out.newest.v = v.template cast<double>();
+  out.newest.bg = of.gyro_bias.template cast<double>();
+  out.newest.ba = ba.template cast<double>();
+  out.gravity = of.gravity.template cast<double>();
   wide const G = static_cast<double>(of.params.gravity);
   out.R_up = turn_upwards(scaled(of.gravity, wide(-1.0) / G));
   out.scale = of.scale.value;
@@ -287,11 +338,13 @@ FT_HOST_DEVICE inline joined_integrals describe_state(inertial_initializer const
 
 /// Writes standard deviations and what the poses are off by.
 /// @param squares of what the poses are off by, summed
-FT_HOST_DEVICE inline void describe_certainty(inertial_initializer const& of,
-                                              inertial_initializer::system const& equations,
-                                              wide squares, joined_integrals const& joined,
-                                              inertial_initialization& out) {
-  using I = inertial_initializer;
+template <typename Group>
+FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, wide squares,
+                                       joined_integrals const& joined,
+                                       inertial_initialization& out) {
+  using I = inertial_initializer<Group>;
+  using unknown_row = typename I::unknown_row;
+  auto const& equations = of.s.equations;
   int const count = of.in.count;
   wide const sigma = of.scale * wide(static_cast<double>(of.params.position_sigma));
   wide const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
@@ -302,14 +355,14 @@ FT_HOST_DEVICE inline void describe_certainty(inertial_initializer const& of,
   };
   wide tilt = 0.0;
   for (int j = 0; j < of.directions; ++j) {
-    I::unknown_row row;
+    unknown_row row;
     row.x[I::direction + j] = 1.0;
     tilt += equations.variance(row.x);
   }
   wide most = 0.0;
   wide moving = 0.0;
   for (int axis = 0; axis < 3; ++axis) {
-    I::unknown_row row;
+    unknown_row row;
     row.x[I::bias + axis] = 1.0;
     most = max_of(most, equations.variance(row.x));
     for (int j = 0; j < 3; ++j) { row.x[I::bias + j] = joined.W.m[3 * axis + j]; }
@@ -325,7 +378,7 @@ FT_HOST_DEVICE inline void describe_certainty(inertial_initializer const& of,
   out.accel_bias_sigma = deviation(most);
   out.velocity_sigma = deviation(moving);
   if (of.scale_is_sought()) {
-    I::unknown_row row;
+    unknown_row row;
     row.x[I::direction + of.directions] = 1.0;
     out.scale_sigma = deviation(equations.variance(row.x) / (of.scale * of.scale));
   }

@@ -21,52 +21,71 @@ FT_HOST_DEVICE inline wide component(wide_vec3 v, int i) {
 }
 FT_HOST_DEVICE inline wide norm_of(wide_vec3 v) { return scalar::sqrt(dot(v, v)); }
 
-/// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T.
+/// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T. All threads
+/// of a group make the same calls; a column belongs to one of them, so that each entry is a sum in
+/// the order of the calls.
 template <int N>
 struct least_squares {
   int unknowns;
+  int solvable;
   wide A[N * N];  ///< lower triangle; after factor() L below D
   wide b[N];
 
-  FT_HOST_DEVICE void begin(int n) {
-    unknowns = n;
-    for (int i = 0; i < N * N; ++i) { A[i] = 0.0; }
-    for (int i = 0; i < N; ++i) { b[i] = 0.0; }
+  /// Ends with a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void begin(Group g, int n) {
+    if (g.rank() == 0) { unknowns = n; }
+    for (int i = g.rank(); i < N * N; i += g.size()) { A[i] = 0.0; }
+    for (int i = g.rank(); i < N; i += g.size()) { b[i] = 0.0; }
+    g.sync();
   }
-  /// row . x = right, with a weight.
-  FT_HOST_DEVICE void add(wide const (&row)[N], wide right, wide weight) {
-    for (int i = 0; i < unknowns; ++i) {
-      wide const scaled = weight * row[i];
-      b[i] += scaled * right;
-      for (int j = 0; j <= i; ++j) { A[N * i + j] += scaled * row[j]; }
+  /// row . x = right, with a weight. What follows reads it after a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void add(Group g, wide const (&row)[N], wide right, wide weight) {
+    for (int j = g.rank(); j <= unknowns; j += g.size()) {
+      if (j == unknowns) {
+        for (int i = 0; i < unknowns; ++i) { b[i] += weight * row[i] * right; }
+        continue;
+      }
+      wide const own = row[j];
+      for (int i = j; i < unknowns; ++i) { A[N * i + j] += weight * row[i] * own; }
     }
   }
-  /// x_i = 0, with a weight.
-  FT_HOST_DEVICE void pull_to_zero(int i, wide weight) { A[N * i + i] += weight; }
+  /// x_i = 0, with a weight. What follows reads it after a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void pull_to_zero(Group g, int i, wide weight) {
+    if (g.rank() == i % g.size()) { A[N * i + i] += weight; }
+  }
 
-  /// @return false if the unknowns do not follow from the equations, or one of those is NaN
-  FT_HOST_DEVICE bool factor() { return factor_columns(unknowns); }
+  /// After a sync. @return false if the unknowns do not follow from the equations, or one of those
+  /// is NaN
+  template <typename Group>
+  FT_HOST_DEVICE bool factor(Group g) {
+    return factor_columns(g, unknowns);
+  }
   /// The first `columns` of L and D, which eliminate as many unknowns. The rest stays as it was.
-  FT_HOST_DEVICE bool factor_columns(int columns) {
+  /// After a sync.
+  template <typename Group>
+  FT_HOST_DEVICE bool factor_columns(Group g, int columns) {
     for (int j = 0; j < columns; ++j) {
-      wide const before = A[N * j + j];
-      for (int k = 0; k < j; ++k) {
-        wide const part = A[N * j + k] * A[N * k + k];
-        A[N * j + j] -= A[N * j + k] * part;
+      for (int i = j + g.rank(); i < unknowns; i += g.size()) {
+        wide const before = A[N * i + j];
+        wide rest = before;
+        for (int k = 0; k < j; ++k) { rest -= A[N * i + k] * (A[N * j + k] * A[N * k + k]); }
+        A[N * i + j] = rest;
+        // the rest of a difference of equal numbers is rounding
+        if (i == j) { solvable = rest > before * wide(1e-13) ? 1 : 0; }
       }
-      // the rest of a difference of equal numbers is rounding
-      if (!(A[N * j + j] > before * wide(1e-13))) { return false; }
-      for (int i = j + 1; i < unknowns; ++i) {
-        for (int k = 0; k < j; ++k) {
-          wide const part = A[N * j + k] * A[N * k + k];
-          A[N * i + j] -= A[N * i + k] * part;
-        }
+      g.sync();
+      if (solvable == 0) { return false; }
+      for (int i = j + 1 + g.rank(); i < unknowns; i += g.size()) {
         A[N * i + j] = A[N * i + j] / A[N * j + j];
       }
+      g.sync();
     }
     return true;
   }
-  /// @pre factor() was true
+  /// Each thread for itself. @pre factor() was true
   FT_HOST_DEVICE void solve(wide (&x)[N]) const {
     for (int i = 0; i < unknowns; ++i) {
       for (int k = 0; k < i; ++k) { x[i] -= A[N * i + k] * x[k]; }

@@ -27,36 +27,35 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialization_solver.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// Gravity, velocity and biases of one body (the description is at the head of the file). Host and
-/// device; the same bits on both. Allocates nothing.
-/// @param velocities [count], in the world of the poses, m/s; or null. Written on success, and with
-///   little_motion and inconsistent, unless no system could be solved
-/// @return with its status. Without a solution gravity, biases and velocity are 0, R_up the
-/// identity
-FT_HOST_DEVICE inline inertial_initialization initialize_window(
-    initialization_window const& window, initialization_params const& params,
-    vec3<double>* velocities = nullptr) {
+namespace detail {
+
+/// initialize_window() by a group, whose threads all get the same result.
+template <typename Group>
+FT_HOST_DEVICE inertial_initialization initialize_window_by(Group g, initialization_scratch& s,
+                                                            initialization_window const& window,
+                                                            initialization_params const& params,
+                                                            vec3<double>* velocities) {
   inertial_initialization out{};
   out.R_up = out.newest.R = mat3<double>::identity();
   out.scale = 1;
-  detail::inertial_initializer work(window, params);
+  inertial_initializer<Group> work(g, s, window, params);
   out.status = work.check_input();
   if (out.status != initialization_status::initialized) { return out; }
   work.find_rest();
-  detail::inertial_initializer::system equations;
   strict_double squares = 0.0;
-  if (!work.find_gyro_bias(out) || !work.solve(equations, squares)) {
+  if (!work.find_gyro_bias(out) || !work.solve(squares)) {
     out.status = initialization_status::little_motion;
     return out;
   }
-  auto const joined = detail::describe_state(work, out, velocities);
-  detail::describe_certainty(work, equations, squares, joined, out);
+  auto const joined = describe_state(work, out, velocities);
+  describe_certainty(work, squares, joined, out);
   // written so that a NaN fails
   bool const certain =
       out.gyro_bias_sigma <= params.max_gyro_sigma && out.tilt_sigma <= params.max_tilt_sigma &&
@@ -70,27 +69,43 @@ FT_HOST_DEVICE inline inertial_initialization initialize_window(
   return out;
 }
 
+}  // namespace detail
+
+/// Gravity, velocity and biases of one body (the description is at the head of the file). Host and
+/// device; the same bits on both. Allocates nothing.
+/// @param velocities [count], in the world of the poses, m/s; or null. Written on success, and with
+///   little_motion and inconsistent, unless no system could be solved
+/// @return with its status. Without a solution gravity, biases and velocity are 0, R_up the
+/// identity
+FT_HOST_DEVICE inline inertial_initialization initialize_window(
+    initialization_window const& window, initialization_params const& params,
+    vec3<double>* velocities = nullptr) {
+  detail::initialization_scratch scratch;
+  return detail::initialize_window_by(single_group{}, scratch, window, params, velocities);
+}
+
 namespace detail {
 
 /// Item: a window.
 struct initialize_each {
-  using scratch = no_scratch;
+  using scratch = initialization_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, initialization_windows const& windows,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, initialization_windows const& windows,
                                  initialization_params const& params,
                                  inertial_initialization* results, vec3<double>* velocities) const {
     auto const first = static_cast<std::ptrdiff_t>(b) * windows.capacity;
     initialization_window const window{windows.T_wc + first, windows.integrals + first,
                                        min_of(windows.counts[b], windows.capacity), windows.mount};
-    results[b] =
-        initialize_window(window, params, velocities == nullptr ? nullptr : velocities + first);
+    auto const found = initialize_window_by(g, s, window, params,
+                                            velocities == nullptr ? nullptr : velocities + first);
+    if (g.rank() == 0) { results[b] = found; }
   }
 };
 
 }  // namespace detail
 
-/// initialize_window() for a batch. Asynchronous on `exec`; allocates nothing; one launch, a thread
+/// initialize_window() for a batch. Asynchronous on `exec`; allocates nothing; one launch, a warp
 /// per window.
 /// @param results [batch]
 /// @param velocities [batch * capacity], or null
@@ -100,8 +115,8 @@ void initialize_inertial(Exec const& exec, initialization_windows const& windows
                          initialization_params const& params, inertial_initialization* results,
                          vec3<double>* velocities = nullptr) {
   params.check();
-  for_each_item<per_thread>(exec, windows.batch, detail::initialize_each{}, windows, params,
-                            results, velocities);
+  for_each_item<per_block<32>>(exec, windows.batch, detail::initialize_each{}, windows, params,
+                               results, velocities);
 }
 
 }  // namespace FT_ABI

@@ -13,6 +13,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization_system.hpp"
@@ -34,22 +35,24 @@ struct joined_windows {
 namespace detail {
 
 /// The equations of one window in which velocity and position are eliminated.
+template <typename Group>
 class window_equations {
-  using I = inertial_initializer;
+  using I = inertial_initializer<Group>;
   static constexpr int n = I::most_unknowns;
   static constexpr int eliminated = I::bias;  ///< velocity and position come before the bias
   static constexpr int kept = joined_windows::unknowns;
 
 public:
   /// @param found of the window, with a solution
-  FT_HOST_DEVICE window_equations(initialization_window const& in, initialization_params const& p,
+  FT_HOST_DEVICE window_equations(Group g, initialization_scratch& s,
+                                  initialization_window const& in, initialization_params const& p,
                                   inertial_initialization const& found)
-      : params_(p), without_prior_(p), work_(in, without_prior_) {
+      : params_(p), without_prior_(p), work_(g, s, in, without_prior_), equations_(s.equations) {
     without_prior_.accel_bias_sigma = 1e6f;
-    work_.gyro_bias = found.newest.bg.cast<wide>();
+    work_.gyro_bias = found.newest.bg.template cast<wide>();
     work_.find_rest();
-    work_.build(equations_);
-    known_ = equations_.factor_columns(eliminated);
+    work_.build();
+    known_ = equations_.factor_columns(g, eliminated);
     for (int i = 0; i < eliminated; ++i) {
       z_[i] = equations_.b[i];
       for (int k = 0; k < i; ++k) { z_[i] -= equations_.A[n * i + k] * z_[k]; }
@@ -64,10 +67,12 @@ public:
   }
   FT_HOST_DEVICE bool known() const { return known_; }
 
-  /// Adds them. @param keep share of the weights of all earlier windows that remains
+  /// Adds them; a thread has a row. Ends with a sync.
+  /// @param keep share of the weights of all earlier windows that remains
   FT_HOST_DEVICE void add_to(joined_windows& sum, float keep) const {
     wide const k = static_cast<double>(keep);
-    for (int i = 0; i < kept; ++i) {
+    Group const g = work_.g;
+    for (int i = g.rank(); i < kept; i += g.size()) {
       for (int j = 0; j <= i; ++j) {
         wide value = equations_.A[n * (eliminated + i) + eliminated + j];
         for (int m = 0; m < eliminated; ++m) { value -= factor(i, m) * factor(j, m) * pivot(m); }
@@ -78,42 +83,32 @@ public:
       for (int m = 0; m < eliminated; ++m) { right -= factor(i, m) * z_[m]; }
       sum.b[i] = (k * wide(sum.b[i]) + weight_ * right).value;
     }
-    ++sum.count;
+    if (g.rank() == 0) { ++sum.count; }
+    g.sync();
   }
   /// Solves the sum, beginning at the window's own gravity, and writes gravity, bias and the
   /// velocity that follows.
   FT_HOST_DEVICE bool solve(joined_windows const& sum, inertial_initialization& found) {
-    if (!work_.set_gravity(found.gravity.cast<wide>())) { return false; }
+    if (!work_.set_gravity(found.gravity.template cast<wide>())) { return false; }
     wide const prior = static_cast<double>(params_.accel_bias_sigma);
     wide bias[3];
     FT_NO_UNROLL
     for (int step = 0; step <= I::refinements; ++step) {
-      least_squares<5> e;
-      e.begin(5);
-      for (int i = 0; i < 5; ++i) {
-        for (int j = 0; j <= i; ++j) {
-          for (int r = 0; r < kept; ++r) {
-            for (int c = 0; c < kept; ++c) {
-              e.A[5 * i + j] += derivative(r, i) * wide(sum.A[kept * r + c]) * derivative(c, j);
-            }
-          }
-        }
-        for (int r = 0; r < kept; ++r) {
-          wide off = sum.b[r];
-          for (int axis = 0; axis < 3; ++axis) {
-            off -= wide(sum.A[kept * r + 3 + axis]) * component(work_.gravity, axis);
-          }
-          e.b[i] += derivative(r, i) * off;
-        }
-      }
-      for (int i = 0; i < 3; ++i) { e.pull_to_zero(i, wide(1.0) / (prior * prior)); }
+      least_squares<5> e;  // each thread's own
+      single_group const alone;
+      e.begin(alone, 5);
+      add_sum(sum, e);
+      for (int i = 0; i < 3; ++i) { e.pull_to_zero(alone, i, wide(1.0) / (prior * prior)); }
       wide x[5] = {e.b[0], e.b[1], e.b[2], e.b[3], e.b[4]};
-      if (!e.factor()) { return false; }
+      if (!e.factor(alone)) { return false; }
       e.solve(x);
       for (int i = 0; i < 3; ++i) { bias[i] = x[i]; }
-      wide_vec3 const g =
+      wide_vec3 const pull =
           work_.gravity + scaled(work_.basis[0], x[3]) + scaled(work_.basis[1], x[4]);
-      if (!work_.set_gravity(g)) { return false; }
+      wide_vec3 const before = work_.gravity;
+      if (!work_.set_gravity(pull)) { return false; }
+      wide_vec3 const change = work_.gravity - before;
+      if (dot(change, change) < wide(I::settled * I::settled)) { break; }
     }
     set_velocity(bias);
     describe_state(work_, found, nullptr);
@@ -121,13 +116,34 @@ public:
   }
 
 private:
+  /// The sum in terms of the bias and of two turns of gravity from where it is.
+  FT_HOST_DEVICE void add_sum(joined_windows const& sum, least_squares<5>& e) const {
+    wide turned[kept][5];  // A times the derivative
+    wide off[kept];
+    for (int r = 0; r < kept; ++r) {
+      off[r] = sum.b[r];
+      for (int axis = 0; axis < 3; ++axis) {
+        turned[r][axis] = sum.A[kept * r + axis];
+        off[r] -= wide(sum.A[kept * r + 3 + axis]) * component(work_.gravity, axis);
+      }
+      for (int i = 3; i < 5; ++i) {
+        turned[r][i] = wide(sum.A[kept * r + 3]) * work_.basis[i - 3].x +
+                       wide(sum.A[kept * r + 4]) * work_.basis[i - 3].y +
+                       wide(sum.A[kept * r + 5]) * work_.basis[i - 3].z;
+      }
+    }
+    auto const project = [&](int i, wide const* column, int stride) {
+      if (i < 3) { return column[i * stride]; }
+      wide_vec3 const d = work_.basis[i - 3];
+      return d.x * column[3 * stride] + d.y * column[4 * stride] + d.z * column[5 * stride];
+    };
+    for (int i = 0; i < 5; ++i) {
+      for (int j = 0; j <= i; ++j) { e.A[5 * i + j] = project(i, &turned[0][j], 5); }
+      e.b[i] = project(i, off, 1);
+    }
+  }
   FT_HOST_DEVICE wide factor(int i, int m) const { return equations_.A[n * (eliminated + i) + m]; }
   FT_HOST_DEVICE wide pivot(int m) const { return equations_.A[n * m + m]; }
-  /// Derivative of unknown r of the sum by unknown i here: the bias, or a turn of gravity.
-  FT_HOST_DEVICE wide derivative(int r, int i) const {
-    if (i < 3) { return i == r ? 1.0 : 0.0; }
-    return r < 3 ? wide(0.0) : component(work_.basis[i - 3], r - 3);
-  }
   /// Velocity and position of the window, by substitution into its own equations.
   FT_HOST_DEVICE void set_velocity(wide const (&bias)[3]) {
     wide x[eliminated + kept];
@@ -144,12 +160,24 @@ private:
 
   initialization_params const& params_;
   initialization_params without_prior_;
-  inertial_initializer work_;
-  inertial_initializer::system equations_;
+  I work_;
+  typename I::system& equations_;
   wide z_[eliminated];
   wide weight_;
   bool known_;
 };
+
+/// join_window() by a group, whose threads all get the same result.
+template <typename Group>
+FT_HOST_DEVICE bool join_window_by(Group g, initialization_scratch& s,
+                                   initialization_window const& in,
+                                   initialization_params const& params, float keep,
+                                   joined_windows& sum, inertial_initialization& found) {
+  window_equations<Group> equations(g, s, in, params, found);
+  if (!equations.known()) { return false; }
+  equations.add_to(sum, keep);
+  return equations.solve(sum, found);
+}
 
 }  // namespace detail
 
@@ -162,10 +190,8 @@ private:
 FT_HOST_DEVICE inline bool join_window(initialization_window const& in,
                                        initialization_params const& params, float keep,
                                        joined_windows& sum, inertial_initialization& found) {
-  detail::window_equations equations(in, params, found);
-  if (!equations.known()) { return false; }
-  equations.add_to(sum, keep);
-  return equations.solve(sum, found);
+  detail::initialization_scratch scratch;
+  return detail::join_window_by(single_group{}, scratch, in, params, keep, sum, found);
 }
 
 }  // namespace FT_ABI

@@ -171,21 +171,22 @@ struct gather_integrals {
 
 /// Item: a camera. Estimates its gravity and biases.
 struct estimate_window {
-  using scratch = no_scratch;
+  using scratch = initialization_scratch;
   inertial_estimation how;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, int const* selected,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, int const* selected,
                                  window_problem_view const& problem,
                                  inertial_windows const& v) const {
     if (selected[b] == 0) { return; }
     auto const first = static_cast<std::ptrdiff_t>(b) * v.views;
     int const views = problem.view_count[b];
     int const earlier = v.counts[b] - views;
-    for (int k = 0; k < views; ++k) {
+    for (int k = g.rank(); k < views; k += g.size()) {
       v.T_wc[first + earlier + k] =
           problem.T_cw[problem.view(b, k)].template cast<strict_double>().inverse().cast<double>();
     }
+    g.sync();
     // Keyframes before an interval without an integral say nothing of those after it.
     int from = 0;
     for (int k = 0; k + 1 < v.counts[b]; ++k) {
@@ -193,23 +194,29 @@ struct estimate_window {
     }
     initialization_window const window{v.T_wc + first + from, v.integrals + first + from,
                                        v.counts[b] - from, how.mount};
-    v.usable[b] = estimate(b, window, v) ? 1 : 0;
+    inertial_initialization found{};
+    bool const known = estimate(g, s, b, window, v, found);
+    if (g.rank() == 0) {
+      v.results[b] = found;
+      v.usable[b] = known ? 1 : 0;
+    }
   }
 
 private:
-  FT_HOST_DEVICE bool estimate(int b, initialization_window const& window,
-                               inertial_windows const& v) const {
-    inertial_initialization& found = v.results[b];
+  template <typename Group>
+  FT_HOST_DEVICE bool estimate(Group g, scratch& s, int b, initialization_window const& window,
+                               inertial_windows const& v, inertial_initialization& found) const {
     if (v.seeks_scale[b] != 0) {
-      found = initialize_window(window, how.unscaled);
+      found = initialize_window_by(g, s, window, how.unscaled, nullptr);
       return found.succeeded();
     }
-    found = initialize_window(window, how.metric);
+    found = initialize_window_by(g, s, window, how.metric, nullptr);
     // An uncertain window has a small weight. Alone it is none.
     bool const uncertain = found.status == initialization_status::little_motion &&
                            found.tilt_sigma > 0 && v.joined[b].count > 0;
     if (!found.succeeded() && !uncertain) { return false; }
-    bool const joined = join_window(window, how.metric, inertial_memory, v.joined[b], found);
+    bool const joined =
+        join_window_by(g, s, window, how.metric, inertial_memory, v.joined[b], found);
     return joined || found.succeeded();
   }
 };
@@ -301,8 +308,8 @@ template <typename Exec>
 void estimate_inertial_windows(Exec const& exec, int const* selected,
                                window_problem_view const& problem, inertial_estimation const& how,
                                inertial_windows const& v) {
-  for_each_item<per_thread>(exec, problem.batch, detail::estimate_window{how}, selected, problem,
-                            v);
+  for_each_item<per_block<32>>(exec, problem.batch, detail::estimate_window{how}, selected, problem,
+                               v);
 }
 
 /// Takes estimates over: gravity and the accelerometer's bias from all windows, the gyroscope's

@@ -177,7 +177,9 @@ public:
     prepare_inertial_poses(exec, seen, state, view_);
     inertial_poses poses = view_.poses;
     poses.observations = seen.items;
-    optimize_inertial_poses(exec, rig, mount_, poses);
+    inertial_pose_params how;
+    how.settled = 1e-6;  // poses are off by a thousand times as much
+    optimize_inertial_poses(exec, rig, mount_, poses, how);
     take_inertial_poses(exec, seen, frame, T_cw, view_);
   }
   void keep(Exec const& exec, odometry_memory<Exec> const& own) const {

@@ -155,6 +155,21 @@ TYPED_TEST(inertial_pose, a_larger_limit_of_steps_ends_rounds_earlier_at_nearly_
     most = std::max(most, length(last_state(single.result[i]).p - want.p));
   }
   EXPECT_GT(most, 1e-6);
+  params = {};
+  params.first_round = 2;
+  inertial_pose_batch late = b;
+  test::optimize(this->backend.exec, scene.rig, scene.mount, params, late);
+  for (std::size_t i = 0; i < b.size(); ++i) {
+    EXPECT_EQ(late.result[i].rounds, 2);
+    EXPECT_LT(length(last_state(late.result[i]).p - last_state(b.result[i]).p), 1e-3);
+    EXPECT_NEAR(late.result[i].tracked, b.result[i].tracked, 3);
+  }
+  for (int const wrong : {-1, 4}) {
+    params.first_round = wrong;
+    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, params, late),
+                 ft::bad_argument);
+  }
+  params = {};
   for (double const wrong : {-1e-9, static_cast<double>(nan)}) {
     params.settled = wrong;
     EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, params, b),

@@ -11,6 +11,9 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// Rounds of an optimisation at most.
+inline constexpr int inertial_rounds = 4;
+
 /// How a pose with an IMU is optimised.
 struct inertial_pose_params {
   /// What the reference does where it slips: in steps from the last frame the biases' walk is that
@@ -19,10 +22,10 @@ struct inertial_pose_params {
   bool reference_quirks = false;
   /// A round ends where all components of a step are below this: rad, m, m/s, rad/s, m/s^2.
   double settled = 1e-10;
+  /// Rounds from this one, counted from 0, are made. The first ones keep observations that err
+  /// more, as far as the start may be off; the last one has no robust weights.
+  int first_round = 0;
 };
-
-/// Rounds of an optimisation at most.
-inline constexpr int inertial_rounds = 4;
 
 /// What came of an optimisation.
 enum class inertial_pose_status : int {

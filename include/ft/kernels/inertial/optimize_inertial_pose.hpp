@@ -160,15 +160,16 @@ private:
     int rounds = 0;
     int inliers = 0;
     FT_NO_UNROLL
-    for (bool more = true; more && rounds < inertial_rounds; ++rounds) {
+    for (bool more = true; more && params.first_round + rounds < inertial_rounds; ++rounds) {
+      int const round = params.first_round + rounds;
       float* const judged = chi2 + static_cast<std::ptrdiff_t>(rounds) * capacity;
       auto last = Solver::outcome::moved;
       FT_NO_UNROLL
       for (int step = 0; last == Solver::outcome::moved && step < steps; ++step) {
-        last = solver.step(rounds + 1 < inertial_rounds, judged);
+        last = solver.step(round + 1 < inertial_rounds, judged);
       }
       early = early || last == Solver::outcome::undetermined;
-      inliers = classify(g, s, rounds, judged, solver);
+      inliers = classify(g, s, round, judged, solver);
       if (g.rank() == 0) { result.round_state[rounds] = cast_state<double>(s.frame); }
       more = count + others >= enough_terms;
     }
@@ -268,6 +269,7 @@ void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& 
                              inertial_poses const& in, inertial_pose_params const& params = {}) {
   detail::require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
   detail::require(params.settled >= 0, "a step's limit must not be negative");
+  detail::require_range("first_round", params.first_round, 0, inertial_rounds - 1);
   detail::require_finite_pose(mount.T_bc);
   detail::require_finite_pose(mount.T_cb);
   for_each_item<per_block<sum_lanes>>(exec, in.problems,

@@ -53,21 +53,26 @@ FT_HOST_DEVICE inline rigid<double> pose_of(stored_inertial_state const& state) 
   return T.orthonormalized().cast<double>();
 }
 
-/// Item: a camera. Says what is integrated up to its next frame.
+/// Item: a camera. Takes its samples over, and says what is integrated up to its next frame.
 struct begin_inertial_frame {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_input const* inputs,
-                                 inertial_input const* samples, int capacity,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_input const* inputs,
+                                 inertial_input const* spans, imu_sample const* samples,
                                  inertial_view const& v) const {
-    inertial_input const& in = samples[b];
+    inertial_input const in = spans[b];
+    auto const first = static_cast<std::ptrdiff_t>(b) * v.capacity;
+    for (int i = g.rank(); i < in.samples; i += g.size()) {
+      v.samples[first + i] = samples[first + i];
+    }
+    if (g.rank() != 0) { return; }
     inertial_track& t = v.tracks[b];
     if (inputs[b].reset != 0) {
       t = inertial_track::initial();
       v.prior[b].known = 0;
     }
-    v.intervals[b] = {in.from_s, in.to_s, b * capacity, in.samples};
+    v.intervals[b] = {in.from_s, in.to_s, b * v.capacity, in.samples};
     v.starts[2 * b] = {b, 1, t.last.bias};
     v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
     t.restarts = 0;
@@ -123,15 +128,15 @@ private:
 
 }  // namespace detail
 
-/// Says for every camera which samples lie before its next frame, and which integrals they enter.
-/// Asynchronous on `exec`; allocates nothing; one launch.
-/// @param inputs, samples [batch] host memory that the executor's threads can read
-/// @param capacity samples of a camera
+/// Takes over the samples of every camera that lie before its next frame, and says which integrals
+/// they enter. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param inputs, spans [batch] host memory that the executor's threads can read
+/// @param samples [batch][v.capacity] likewise
 template <typename Exec>
 void begin_inertial_frames(Exec const& exec, odometry_input const* inputs,
-                           inertial_input const* samples, int capacity, inertial_view const& v) {
-  for_each_item<per_thread>(exec, v.batch, detail::begin_inertial_frame{}, inputs, samples,
-                            capacity, v);
+                           inertial_input const* spans, imu_sample const* samples,
+                           inertial_view const& v) {
+  for_each_item<per_warp>(exec, v.batch, detail::begin_inertial_frame{}, inputs, spans, samples, v);
 }
 
 /// Predicts the states of cameras with their IMUs, after predict_frames(), whose prediction is

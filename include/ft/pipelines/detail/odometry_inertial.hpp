@@ -158,8 +158,8 @@ public:
   // ---- stages, in order
 
   void integrate(Exec const& exec, odometry_input const* inputs) const {
-    begin_inertial_frames(exec, inputs, inputs_, params_.samples, view_);
-    select_samples(exec, samples_, view_.intervals, params_.selection, view_.steps);
+    begin_inertial_frames(exec, inputs, inputs_, samples_, view_);
+    select_samples(exec, view_.samples, view_.intervals, params_.selection, view_.steps);
     preintegrate(exec, view_.steps, {view_.starts, 2 * batch_}, variances_, view_.integrals);
   }
   /// After the adjustment was applied to the map.
@@ -178,7 +178,8 @@ public:
     inertial_poses poses = view_.poses;
     poses.observations = seen.items;
     inertial_pose_params how;
-    how.settled = 1e-6;  // poses are off by a thousand times as much
+    how.settled = 1e-6;   // poses are off by a thousand times as much
+    how.first_round = 2;  // a pose without the IMU has told outliers before
     optimize_inertial_poses(exec, rig, mount_, poses, how);
     take_inertial_poses(exec, seen, frame, T_cw, view_);
   }

@@ -86,6 +86,17 @@ frame_options with_imu(backend_type b) {
   return o;
 }
 
+/// What there is no memory for is left out.
+template <typename Call>
+void in_memory(context const& c, std::string const& what, Call const& call) {
+  try {
+    call();
+  } catch (no_memory const& e) {
+    std::printf("%s left out: %s\n", what.c_str(), e.what());
+    (*c.out)["left_out"].push_back(what + ": " + e.what());
+  }
+}
+
 void print_memory(context const& c, scene const& s) {
   std::printf("\nMemory of an odometry of one rectified pair, %dx%d, %d features an image, bytes\n",
               s.width, s.height, s.features);
@@ -118,19 +129,16 @@ void odometry_section(context const& c, backend_type b) {
     o.backend = b;
     o.batch = batch;
     int const warm_up = std::max(c.how.warm_up_on(b), 2 * static_cast<int>(of.frames.size()));
-    try {
-      time_batch(c, of, o, warm_up, calls_of_batch(c.how.frames_on(b), batch));
-    } catch (no_memory const& e) {
-      std::string const what = std::string(name_of(of.rig)) + ", " + std::to_string(batch);
-      std::printf("odometry of %s left out: %s\n", what.c_str(), e.what());
-      (*c.out)["left_out"].push_back("odometry of " + what + ": " + e.what());
-    }
+    in_memory(c, "odometry of " + std::string(name_of(of.rig)) + ", " + std::to_string(batch),
+              [&] { time_batch(c, of, o, warm_up, calls_of_batch(c.how.frames_on(b), batch)); });
   };
   for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
   time(c.all_scenes->get(rig_type::four_cameras), 1);
   scene const of_imu = make_imu_scene(c);
   for (int const pause_us : {5000, 0}) {
-    time_batch(c, of_imu, with_imu(b), imu_warm_up, imu_frames - imu_warm_up, pause_us);
+    in_memory(c, "odometry with IMU", [&] {
+      time_batch(c, of_imu, with_imu(b), imu_warm_up, imu_frames - imu_warm_up, pause_us);
+    });
   }
   if (!cuda) { print_memory(c, s); }
 }
@@ -196,7 +204,8 @@ void map_stages_section(context const& c, backend_type b) {
   std::printf("%-12s %-5s %6s %-18s %9s %9s %9s %9s %9s %9s\n", "rig", "on", "batch", "stage",
               "p50 us", "p99 us", "max us", "keyframes", "p50 us", "max us");
   auto const time = [&](rig_type rig, int batch) {
-    try {
+    auto const what = "stages of the odometry of " + std::string(name_of(rig));
+    in_memory(c, what + ", " + std::to_string(batch), [&] {
       scene const& s = c.all_scenes->get(rig);
       frame_options o;
       o.backend = b;
@@ -205,16 +214,15 @@ void map_stages_section(context const& c, backend_type b) {
       int const all = 2 * static_cast<int>(s.frames.size());
       time_stages(c, s, o, c.how.warm_up > 0 ? c.how.warm_up : all,
                   calls_of_batch(c.how.frames_on(b), batch));
-    } catch (no_memory const& e) {
-      (*c.out)["left_out"].push_back("stages of the odometry of " + std::string(name_of(rig)) +
-                                     ", " + std::to_string(batch) + ": " + e.what());
-    }
+    });
   };
   for (int batch : c.how.batches.empty() ? std::vector<int>{1} : c.how.batches) {
     time(rig_type::rectified, batch);
   }
   time(rig_type::four_cameras, 1);
-  time_stages(c, make_imu_scene(c), with_imu(b), imu_warm_up, imu_frames - imu_warm_up);
+  in_memory(c, "stages of the odometry with IMU", [&] {
+    time_stages(c, make_imu_scene(c), with_imu(b), imu_warm_up, imu_frames - imu_warm_up);
+  });
 }
 
 }  // namespace bench

@@ -60,25 +60,6 @@ public:
     n.used = true;
   }
 
-  /// Points to put soon: prefetches the entry of a slot, later the node that it names, which
-  /// another thread has made.
-  void expect(int slot) const {
-#if defined(__GNUC__)
-    auto const s = static_cast<std::size_t>(slot);
-    if (s < nodes_.size()) { __builtin_prefetch(&nodes_[s], 1); }
-#else
-    static_cast<void>(slot);
-#endif
-  }
-  void expect_soon(int slot) const {
-#if defined(__GNUC__)
-    auto const s = static_cast<std::size_t>(slot);
-    if (s < nodes_.size() && nodes_[s].round == round_) { __builtin_prefetch(&*nodes_[s].at, 1); }
-#else
-    static_cast<void>(slot);
-#endif
-  }
-
   /// Moves the points since begin() into a map, and has the nodes for the next frame made.
   void move_to(Map& to) {
     if (used_ < shown_.size() || !missing_.empty()) { follow(); }

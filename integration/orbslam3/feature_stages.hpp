@@ -32,7 +32,7 @@ public:
 
   // ---- features
 
-  /// Images will come within two milliseconds: the threads that share the copy wake up meanwhile.
+  /// Wakes the threads that share the copy of the images, for an extract() within two milliseconds.
   void expect_images() { device_->helpers().wake(std::chrono::milliseconds(2)); }
 
   /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs

@@ -64,7 +64,8 @@ public:
   /// For the hooks; nullptr if no changes need to be pushed. Valid as long as this object.
   change_queue<map_point>* changes() { return works_ ? &gpu_->changes() : nullptr; }
 
-  /// In System::TrackStereo, before it copies or rectifies the images: threads wake up meanwhile.
+  /// In System::TrackStereo, before it copies or rectifies the images: wakes the threads that
+  /// extract() needs. Does not wait for them.
   void expect_images() {
     if (uses(stage::extract)) { gpu_->expect_images(); }
   }

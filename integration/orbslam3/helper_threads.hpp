@@ -144,9 +144,8 @@ private:
   std::atomic<std::uint64_t> ticket_{0};
   std::atomic<int> done_{0};  ///< parts of the job
   std::atomic<int> sleeping_{0};
-  std::atomic<std::uint32_t> calls_{0};  ///< of wake()
-  std::atomic<std::chrono::microseconds::rep> stay_{
-      awake.count()};  ///< microseconds, of the last wake()
+  std::atomic<std::uint32_t> calls_{0};            ///< of wake()
+  std::atomic<std::int64_t> stay_{awake.count()};  ///< microseconds, of the last wake()
   std::atomic<bool> ended_{false};
 };
 

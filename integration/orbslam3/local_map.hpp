@@ -96,7 +96,7 @@ public:
 
 private:
   static constexpr int at_a_time = 256;        ///< points that are gathered
-  static constexpr int sights_at_a_time = 64;  ///< each takes four times as long
+  static constexpr int sights_at_a_time = 64;  ///< points in view that get their values
 
   struct gathering {
     frame_type const& frame;
@@ -195,14 +195,11 @@ private:
   }
   void draw(frame_type& frame, points_in_view const& seen) {
     using place = typename drawn_points<projections>::place;
-    auto const slot_of = [&](int k) { return likely_[index(seen.index[k])]; };
     drawn_.begin();
     for (int k = 0; k < seen.count; ++k) {
-      if (k + 16 < seen.count) { drawn_.expect(slot_of(k + 16)); }
-      if (k + 8 < seen.count) { drawn_.expect_soon(slot_of(k + 8)); }
       sight const& left = seen.by[0][k];
       if (left.level < 0) { continue; }
-      int const slot = slot_of(k);
+      int const slot = likely_[index(seen.index[k])];
       drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));
     }
     drawn_.move_to(frame.mmProjectPoints);

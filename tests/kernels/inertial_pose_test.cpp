@@ -103,16 +103,31 @@ TYPED_TEST(inertial_pose, true_states_are_found_with_three_cameras) {
   find_true_states<ft::multi_rig<3>>([&](auto const& s, auto& b) { this->run(s, b); });
 }
 
-TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
-  inertial_scene<ft::rectified_rig> scene(5);
+/// Problems from a keyframe and from the last frame by turns, with noise of 0.8 pixels.
+inertial_pose_batch noisy_batch(inertial_scene<ft::rectified_rig>& scene, int problems,
+                                inertial_shape shape) {
   inertial_pose_batch b;
-  for (int i = 0; i < 4; ++i) {
-    inertial_shape shape;
+  shape.pixel_noise = 0.8;
+  for (int i = 0; i < problems; ++i) {
     shape.from_last_frame = i % 2 == 1;
-    shape.pixel_noise = 0.8;
-    shape.outliers_percent = 15;
     scene.add(b, shape);
   }
+  return b;
+}
+inertial_shape with_outliers(int percent) {
+  inertial_shape shape;
+  shape.outliers_percent = percent;
+  return shape;
+}
+inertial_shape as_tracked() {
+  inertial_shape shape = with_outliers(10);
+  shape.observations = 200;
+  return shape;
+}
+
+TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
+  inertial_scene<ft::rectified_rig> scene(5);
+  inertial_pose_batch b = noisy_batch(scene, 4, with_outliers(15));
   this->run(scene, b);
   inertial_pose_batch other = b;
   ft::multi_rig<1> const rig{{{scene.rig.camera, scene.rig.baseline, ft::pose::identity()}}};
@@ -125,24 +140,16 @@ TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
   }
 }
 
-TYPED_TEST(inertial_pose, a_larger_limit_of_steps_ends_rounds_earlier_at_nearly_the_same_state) {
+TYPED_TEST(inertial_pose, a_larger_step_tolerance_gives_nearly_the_same_state) {
   inertial_scene<ft::rectified_rig> scene(15);
-  inertial_pose_batch b;
-  for (int i = 0; i < 6; ++i) {
-    inertial_shape shape;
-    shape.from_last_frame = i % 2 == 1;
-    shape.observations = 200;
-    shape.pixel_noise = 0.8;
-    shape.outliers_percent = 10;
-    scene.add(b, shape);
-  }
+  inertial_pose_batch b = noisy_batch(scene, 6, as_tracked());
   inertial_pose_batch coarse = b;
   inertial_pose_batch single = b;
   this->run(scene, b);
   ft::inertial_pose_params params;
-  params.settled = 1e-6;
+  params.step_tolerance = 1e-6;
   test::optimize(this->backend.exec, scene.rig, scene.mount, params, coarse);
-  params.settled = std::numeric_limits<double>::infinity();  // one step a round
+  params.step_tolerance = std::numeric_limits<double>::infinity();  // one step a round
   test::optimize(this->backend.exec, scene.rig, scene.mount, params, single);
   double most = 0;
   for (std::size_t i = 0; i < b.size(); ++i) {
@@ -155,25 +162,39 @@ TYPED_TEST(inertial_pose, a_larger_limit_of_steps_ends_rounds_earlier_at_nearly_
     most = std::max(most, length(last_state(single.result[i]).p - want.p));
   }
   EXPECT_GT(most, 1e-6);
-  params = {};
-  params.first_round = 2;
+}
+
+TYPED_TEST(inertial_pose, fewer_rounds_are_enough_where_the_start_is_good) {
+  inertial_scene<ft::rectified_rig> scene(15);
+  inertial_pose_batch b = noisy_batch(scene, 6, as_tracked());
   inertial_pose_batch late = b;
+  this->run(scene, b);
+  ft::inertial_pose_params params;
+  params.first_round = 2;
   test::optimize(this->backend.exec, scene.rig, scene.mount, params, late);
   for (std::size_t i = 0; i < b.size(); ++i) {
     EXPECT_EQ(late.result[i].rounds, 2);
     EXPECT_LT(length(last_state(late.result[i]).p - last_state(b.result[i]).p), 1e-3);
     EXPECT_NEAR(late.result[i].tracked, b.result[i].tracked, 3);
   }
-  for (int const wrong : {-1, 4}) {
-    params.first_round = wrong;
-    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, params, late),
+}
+
+TYPED_TEST(inertial_pose, bad_parameters_are_refused) {
+  inertial_scene<ft::rectified_rig> scene(15);
+  inertial_pose_batch b = noisy_batch(scene, 1, {});
+  auto const refuses = [&](ft::inertial_pose_params const& p) {
+    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, p, b),
                  ft::bad_argument);
-  }
-  params = {};
+  };
   for (double const wrong : {-1e-9, static_cast<double>(nan)}) {
-    params.settled = wrong;
-    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, params, b),
-                 ft::bad_argument);
+    ft::inertial_pose_params params;
+    params.step_tolerance = wrong;
+    refuses(params);
+  }
+  for (int const wrong : {-1, ft::inertial_rounds}) {
+    ft::inertial_pose_params params;
+    params.first_round = wrong;
+    refuses(params);
   }
 }
 

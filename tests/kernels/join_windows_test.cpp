@@ -41,32 +41,42 @@ struct pair_of_estimates {
   ft::inertial_initialization own, joined;
 };
 
-/// Joins the windows of `count` keyframes.
+/// The functions for one thread.
+struct plain_calls {
+  FT_HOST_DEVICE ft::inertial_initialization initialize(ft::initialization_window const& w) const {
+    return ft::initialize_window(w, {});
+  }
+  FT_HOST_DEVICE bool join(ft::initialization_window const& w, ft::joined_windows& sum,
+                           ft::inertial_initialization& found) const {
+    return ft::join_window(w, {}, 0.98f, sum, found);
+  }
+};
+/// Those that a stage calls.
 template <typename Group>
-FT_HOST_DEVICE pair_of_estimates join_all(Group g, ft::detail::initialization_scratch& s,
-                                          motion const* poses, ft::preintegrated const* integrals,
-                                          int count, ft::imu_mount const& mounted,
-                                          ft::joined_windows& sum, int& failures) {
-  ft::initialization_params const p;
+struct calls_by {
+  Group g;
+  ft::detail::initialization_scratch& s;
+  FT_HOST_DEVICE ft::inertial_initialization initialize(ft::initialization_window const& w) const {
+    return ft::detail::initialize_window_by(g, s, w, {}, nullptr);
+  }
+  FT_HOST_DEVICE bool join(ft::initialization_window const& w, ft::joined_windows& sum,
+                           ft::inertial_initialization& found) const {
+    return ft::detail::join_window_by(g, s, w, {}, 0.98f, sum, found);
+  }
+};
+
+/// Joins the windows of `count` keyframes.
+template <typename Calls>
+FT_HOST_DEVICE pair_of_estimates join_all(Calls const& calls, motion const* poses,
+                                          ft::preintegrated const* integrals, int count,
+                                          ft::imu_mount const& mounted, ft::joined_windows& sum,
+                                          int& failures) {
   pair_of_estimates out{};
   failures = 0;
   for (int first = 0; first + window_size <= count; first += step) {
     ft::initialization_window const window{poses + first, integrals + first, window_size, mounted};
-    out.own = out.joined = ft::detail::initialize_window_by(g, s, window, p, nullptr);
-    failures += ft::detail::join_window_by(g, s, window, p, 0.98f, sum, out.joined) ? 0 : 1;
-  }
-  return out;
-}
-/// The same by plain calls.
-pair_of_estimates join_all(recording const& r, int count, ft::joined_windows& sum, int& failures) {
-  ft::initialization_params const p;
-  pair_of_estimates out{};
-  failures = 0;
-  for (int first = 0; first + window_size <= count; first += step) {
-    auto const at = static_cast<std::size_t>(first);
-    ft::initialization_window const window{&r.T_wc[at], &r.integrals[at], window_size, mount()};
-    out.own = out.joined = ft::initialize_window(window, p);
-    failures += ft::join_window(window, p, 0.98f, sum, out.joined) ? 0 : 1;
+    out.own = out.joined = calls.initialize(window);
+    failures += calls.join(window, sum, out.joined) ? 0 : 1;
   }
   return out;
 }
@@ -75,7 +85,8 @@ pair_of_estimates last_of(recording const& r) {
   ft::joined_windows sum{};
   int failures = 0;
   auto const count = static_cast<int>(r.T_wc.size());
-  auto const out = join_all(r, count, sum, failures);
+  auto const out =
+      join_all(plain_calls{}, r.T_wc.data(), r.integrals.data(), count, mount(), sum, failures);
   EXPECT_EQ(failures, 0);
   EXPECT_EQ(sum.count, (count - window_size) / step + 1);
   return out;
@@ -136,7 +147,8 @@ struct join_each {
                                  pair_of_estimates* found, int* failures) const {
     auto const at = static_cast<std::ptrdiff_t>(b) * count;
     int failed = 0;
-    auto const mine = join_all(g, s, poses + at, integrals + at, count, mounted, sums[b], failed);
+    auto const mine = join_all(calls_by<Group>{g, s}, poses + at, integrals + at, count, mounted,
+                               sums[b], failed);
     if (g.rank() == g.size() - 1) {  // all threads have it
       found[b] = mine;
       failures[b] = failed;
@@ -177,7 +189,8 @@ TYPED_TEST(join_windows_stage, gives_the_bits_of_a_plain_call) {
   for (std::size_t b = 0; b < batch; ++b) {
     ft::joined_windows sum{};
     int failed = 0;
-    auto const plain = join_all(recordings[b], count, sum, failed);
+    auto const plain = join_all(plain_calls{}, recordings[b].T_wc.data(),
+                                recordings[b].integrals.data(), count, mount(), sum, failed);
     EXPECT_EQ(failures[b], failed);
     EXPECT_EQ(sums[b].count, sum.count);
     EXPECT_TRUE(std::equal(sum.A, sum.A + 36, sums[b].A)) << b;

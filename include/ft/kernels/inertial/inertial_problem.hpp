@@ -21,9 +21,9 @@ struct inertial_pose_params {
   /// counts with the inverse of its rounding errors.
   bool reference_quirks = false;
   /// A round ends where all components of a step are below this: rad, m, m/s, rad/s, m/s^2.
-  double settled = 1e-10;
-  /// Rounds from this one, counted from 0, are made. The first ones keep observations that err
-  /// more, as far as the start may be off; the last one has no robust weights.
+  double step_tolerance = 1e-10;
+  /// The first round that is made, from 0. Earlier rounds tolerate larger errors, for a start that
+  /// is further off; the last one has no robust weights.
   int first_round = 0;
 };
 

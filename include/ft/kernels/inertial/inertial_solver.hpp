@@ -58,8 +58,8 @@ struct inertial_solver {
   inertial_scratch& s;
   Rig const& rig;
   inertial_observations seen;
-  bool both;       ///< whether the first state moves, too, and has a prior
-  double settled;  ///< a step of which all components are below this counts no more
+  bool both;              ///< whether the first state moves, too, and has a prior
+  double step_tolerance;  ///< a step of which all components are below this is none
 
   /// Whether this thread's warp does job k of several at the same time.
   FT_HOST_DEVICE bool is_part(int k) const {
@@ -227,7 +227,7 @@ private:
     bool counts = false;
     auto const solution = [&](int k) {
       wide_vec3 const d = s.matrices.system.solution(k, unknown::all);
-      auto const small = [this](wide v) { return scalar::abs(v) < wide(settled); };
+      auto const small = [this](wide v) { return scalar::abs(v) < wide(step_tolerance); };
       counts = counts || !(small(d.x) && small(d.y) && small(d.z));
       return d;
     };

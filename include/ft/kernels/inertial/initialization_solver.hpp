@@ -28,8 +28,8 @@ struct initialization_scratch {
 template <typename Group>
 struct inertial_initializer {
   static constexpr int most_unknowns = initialization_scratch::most_unknowns;
-  static constexpr int refinements = 5;     ///< at most
-  static constexpr double settled = 1e-10;  ///< a smaller change, rad/s or m/s^2, ends them
+  static constexpr int refinements = 5;            ///< at most
+  static constexpr double step_tolerance = 1e-10;  ///< a smaller change, rad/s or m/s^2, is none
   using system = least_squares<most_unknowns>;
 
   /// Factors of the unknowns, 0 at first.
@@ -154,7 +154,7 @@ struct inertial_initializer {
       wide d[3] = {equations.b[0], equations.b[1], equations.b[2]};
       equations.solve(d);
       wide_vec3 const change{d[0], d[1], d[2]};
-      if (dot(change, change) < wide(settled * settled)) { break; }
+      if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
       gyro_bias = gyro_bias + change;
       g.sync();
     }
@@ -286,7 +286,7 @@ struct inertial_initializer {
       for (int i = direction; i < most_unknowns; ++i) { x[i] = 0.0; }
       if (scale_is_sought()) { x[direction + directions] = scale; }
       wide_vec3 const change = gravity - before;
-      if (dot(change, change) < wide(settled * settled)) { break; }
+      if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
     }
     squares = build();
     return equations.factor(g);

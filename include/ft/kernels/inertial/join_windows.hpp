@@ -108,7 +108,7 @@ public:
       wide_vec3 const before = work_.gravity;
       if (!work_.set_gravity(pull)) { return false; }
       wide_vec3 const change = work_.gravity - before;
-      if (dot(change, change) < wide(I::settled * I::settled)) { break; }
+      if (dot(change, change) < wide(I::step_tolerance * I::step_tolerance)) { break; }
     }
     set_velocity(bias);
     describe_state(work_, found, nullptr);

@@ -54,7 +54,7 @@ struct optimize_inertial_pose {
     inertial_observations const seen{in.observations + at, in.distance + at, in.outlier + at,
                                      clamp(in.count[b], 0, in.capacity)};
     for (int i = g.rank(); i < seen.count; i += g.size()) { seen.outlier[i] = 0; }
-    inertial_solver<Group, Rig> const solver{g, s, rig, seen, both, params.settled};
+    inertial_solver<Group, Rig> const solver{g, s, rig, seen, both, params.step_tolerance};
     inertial_pose_status const refused = inspect(g, b, in, both);
     if (refused != inertial_pose_status::optimised) {
       if (g.rank() == 0) { refuse(b, in, refused); }
@@ -252,7 +252,8 @@ inline void require_finite_pose(rigid<float> const& T) {
 /// either the last keyframe, which is fixed, or the last frame with its prior; and the prior for
 /// the frame that follows. Up to four rounds of ten Gauss-Newton steps with robust weights, after
 /// each of which outliers are told from inliers. A round ends before its tenth step where a step is
-/// below inertial_pose_params::settled in all components. Host and device give the same bits.
+/// below inertial_pose_params::step_tolerance in all components. Host and device give the same
+/// bits.
 ///
 /// Asynchronous on `exec`; allocates nothing; one launch with a block for each problem, which do
 /// not depend on each other. Source: Forster et al., "On-manifold preintegration for real-time
@@ -261,14 +262,13 @@ inline void require_finite_pose(rigid<float> const& T) {
 ///   or multi_rig, in which T_cw is the pose of the rig's body
 /// @param mount of the IMU to the frame of T_cw
 /// @param in arrays in the executor's memory
-/// @throws bad_argument for a negative number of problems, a mount that is not finite, or a limit
-/// of
-///   steps that is negative or NaN
+/// @throws bad_argument for a negative number of problems, a mount that is not finite, a tolerance
+///   that is negative or NaN, or a first round that does not exist
 template <typename Exec, typename Rig>
 void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& mount,
                              inertial_poses const& in, inertial_pose_params const& params = {}) {
   detail::require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
-  detail::require(params.settled >= 0, "a step's limit must not be negative");
+  detail::require(params.step_tolerance >= 0, "step_tolerance must not be negative");
   detail::require_range("first_round", params.first_round, 0, inertial_rounds - 1);
   detail::require_finite_pose(mount.T_bc);
   detail::require_finite_pose(mount.T_cb);

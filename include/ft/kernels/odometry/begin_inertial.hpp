@@ -53,7 +53,7 @@ FT_HOST_DEVICE inline rigid<double> pose_of(stored_inertial_state const& state) 
   return T.orthonormalized().cast<double>();
 }
 
-/// Item: a camera. Takes its samples over, and says what is integrated up to its next frame.
+/// Item: a camera. Copies its samples, and says what is integrated up to its next frame.
 struct begin_inertial_frame {
   using scratch = no_scratch;
 
@@ -62,7 +62,7 @@ struct begin_inertial_frame {
                                  inertial_input const* spans, imu_sample const* samples,
                                  inertial_view const& v) const {
     inertial_input const in = spans[b];
-    auto const first = static_cast<std::ptrdiff_t>(b) * v.capacity;
+    int const first = b * v.steps.capacity;
     for (int i = g.rank(); i < in.samples; i += g.size()) {
       v.samples[first + i] = samples[first + i];
     }
@@ -72,7 +72,7 @@ struct begin_inertial_frame {
       t = inertial_track::initial();
       v.prior[b].known = 0;
     }
-    v.intervals[b] = {in.from_s, in.to_s, b * v.capacity, in.samples};
+    v.intervals[b] = {in.from_s, in.to_s, first, in.samples};
     v.starts[2 * b] = {b, 1, t.last.bias};
     v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
     t.restarts = 0;
@@ -128,10 +128,10 @@ private:
 
 }  // namespace detail
 
-/// Takes over the samples of every camera that lie before its next frame, and says which integrals
-/// they enter. Asynchronous on `exec`; allocates nothing; one launch.
+/// Copies the samples of every camera that lie before its next frame, and says which integrals they
+/// enter. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param inputs, spans [batch] host memory that the executor's threads can read
-/// @param samples [batch][v.capacity] likewise
+/// @param samples [batch][v.steps.capacity] likewise
 template <typename Exec>
 void begin_inertial_frames(Exec const& exec, odometry_input const* inputs,
                            inertial_input const* spans, imu_sample const* samples,

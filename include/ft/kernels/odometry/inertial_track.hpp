@@ -78,8 +78,7 @@ struct inertial_view {
   int positions = 0;                  ///< of the keyframe ring
   bool seeks_scale = false;           ///< maps begin without one: those of one camera
   inertial_track* tracks = nullptr;   ///< [batch]
-  int capacity = 0;                   ///< samples of a camera between two frames
-  imu_sample* samples = nullptr;      ///< [batch][capacity] between the last frame and the current
+  imu_sample* samples = nullptr;      ///< [batch][steps.capacity] since the last frame
   imu_interval* intervals = nullptr;  ///< [batch] from the last frame to the current one
   imu_steps_view steps;               ///< of these
   integral_start* starts = nullptr;   ///< [2 * batch]
@@ -108,7 +107,6 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   v.batch = batch;
   v.positions = size.positions;
   v.tracks = c.take<inertial_track>(b);
-  v.capacity = size.samples;
   v.samples = c.take<imu_sample>(b * static_cast<std::size_t>(size.samples));
   v.intervals = c.take<imu_interval>(b);
   carve(c, v.steps, batch, size.samples);

@@ -178,8 +178,8 @@ public:
     inertial_poses poses = view_.poses;
     poses.observations = seen.items;
     inertial_pose_params how;
-    how.settled = 1e-6;   // poses are off by a thousand times as much
-    how.first_round = 2;  // a pose without the IMU has told outliers before
+    how.step_tolerance = 1e-6;  // a thousandth of a pose's error
+    how.first_round = 2;        // the pose without the IMU has removed outliers
     optimize_inertial_poses(exec, rig, mount_, poses, how);
     take_inertial_poses(exec, seen, frame, T_cw, view_);
   }

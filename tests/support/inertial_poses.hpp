@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
+#include "ft/kernels/inertial/marginalize_inertial_pose.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "tests/support/memory.hpp"
 
@@ -37,7 +38,8 @@ struct inertial_pose_batch {
   }
 };
 
-/// Optimises a batch on an executor.
+/// Optimises a batch on an executor, in one stage or in two: see
+/// inertial_pose_params::marginalizes.
 template <typename Exec, typename Rig>
 void optimize(Exec const& exec, Rig const& rig, ft::imu_mount const& mount,
               ft::inertial_pose_params const& params, inertial_pose_batch& b) {
@@ -64,12 +66,24 @@ void optimize(Exec const& exec, Rig const& rig, ft::imu_mount const& mount,
   ft::buffer<ft::inertial_prior, Exec::space> next(b.size());
   auto const outlier = to_exec(exec, std::vector<unsigned char>(places));
   auto const chi2 = to_exec(exec, std::vector<float>(ft::inertial_rounds * places));
-  ft::optimize_inertial_poses(
-      exec, rig, mount,
-      {static_cast<int>(b.size()), b.capacity, from.data(), first.data(), start.data(),
-       integral.data(), nullptr, since.data(), prior.data(), d_seen.data(), d_distance.data(),
-       count.data(), result.data(), next.data(), outlier.data(), chi2.data()},
-      params);
+  ft::inertial_poses const poses{static_cast<int>(b.size()),
+                                 b.capacity,
+                                 from.data(),
+                                 first.data(),
+                                 start.data(),
+                                 integral.data(),
+                                 nullptr,
+                                 since.data(),
+                                 prior.data(),
+                                 d_seen.data(),
+                                 d_distance.data(),
+                                 count.data(),
+                                 result.data(),
+                                 next.data(),
+                                 outlier.data(),
+                                 chi2.data()};
+  ft::optimize_inertial_poses(exec, rig, mount, poses, params);
+  if (!params.marginalizes) { ft::marginalize_inertial_poses(exec, rig, mount, poses, params); }
   b.result = from_exec(exec, result.data(), b.size());
   b.next_prior = from_exec(exec, next.data(), b.size());
   b.outlier = from_exec(exec, outlier.data(), places);

@@ -25,6 +25,9 @@ struct inertial_pose_params {
   /// The first round that is made, from 0. Earlier rounds tolerate larger errors, for a start that
   /// is further off; the last one has no robust weights.
   int first_round = 0;
+  /// Whether `next_prior` is written; otherwise marginalize_inertial_poses() writes it, which may
+  /// run beside what needs the pose alone.
+  bool marginalizes = true;
 };
 
 /// What came of an optimisation.
@@ -44,6 +47,7 @@ struct inertial_pose_result {
   int inliers;  ///< after the last round, before outliers are taken in again
   int rounds;   ///< that were made
   inertial_state<double> round_state[inertial_rounds];  ///< the first `rounds` are set
+  inertial_state<double> first;  ///< of the last keyframe, or of the last frame after all rounds
 };
 static_assert(std::is_trivially_copyable<inertial_pose_result>::value, "copied between memories");
 

@@ -13,10 +13,10 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/inertial/inertial_pose_item.hpp"
 #include "ft/kernels/inertial/inertial_problem.hpp"
 #include "ft/kernels/inertial/inertial_residual.hpp"
 #include "ft/kernels/inertial/inertial_solver.hpp"
-#include "ft/kernels/inertial/information.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/inertial/visual_residual.hpp"
 
@@ -24,46 +24,33 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Numbers that a structure of nothing else begins with, for checks that threads share.
-template <typename T>
-struct leading_numbers {
-  T const* first;
-  int count;
-
-  template <typename Group>
-  FT_HOST_DEVICE bool finite(Group g) const {
-    bool good = true;
-    for (int k = g.rank(); k < count; k += g.size()) { good = good && scalar::is_finite(first[k]); }
-    return good;
-  }
-};
-
-/// One item: a problem.
+/// Item: a problem.
 template <typename Rig>
-struct optimize_inertial_pose {
-  using scratch = inertial_scratch;
-  Rig rig;
-  imu_mount mount;
-  inertial_pose_params params;
+struct optimize_inertial_pose : inertial_pose_item<Rig> {
+  using item = inertial_pose_item<Rig>;
+  using typename item::scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, inertial_poses const& in) const {
     bool const both = in.from_last_frame[b] != 0;
-    inertial_pose_result& result = in.result[b];
-    auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
-    inertial_observations const seen{in.observations + at, in.distance + at, in.outlier + at,
-                                     clamp(in.count[b], 0, in.capacity)};
+    inertial_observations const seen = item::observations_of(b, in);
     for (int i = g.rank(); i < seen.count; i += g.size()) { seen.outlier[i] = 0; }
-    inertial_solver<Group, Rig> const solver{g, s, rig, seen, both, params.step_tolerance};
+    inertial_solver<Group, Rig> const solver{g,    s,    this->rig,
+                                             seen, both, this->params.step_tolerance};
     inertial_pose_status const refused = inspect(g, b, in, both);
     if (refused != inertial_pose_status::optimised) {
       if (g.rank() == 0) { refuse(b, in, refused); }
       return;
     }
-    load(g, s, b, in, solver);
-    run(g, s, in.chi2 + at * inertial_rounds, in.capacity, solver, result);
-    solver.marginalize(in.next_prior[b].information);
-    write_states(g, s, b, in);
+    load_states(s, b, in, solver);
+    this->load_terms(g, s, b, in, solver);
+    auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
+    run(g, s, in.chi2 + at * inertial_rounds, in.capacity, solver, in.result[b]);
+    bool finite = write_states(g, s, in.result[b]);
+    if (this->params.marginalizes) {
+      finite = this->write_prior(g, s, in.next_prior[b], solver) && finite;
+    }
+    if (!finite && g.rank() == 0) { refuse(b, in, inertial_pose_status::not_finite); }
   }
 
 private:
@@ -73,12 +60,12 @@ private:
                                               bool both) const {
     preintegrated const& integral = in.integral[b];
     bool const steps = usable(integral.status) && integral.steps > 0;
-    preintegrated const& walked = walk_of(b, in, both);
+    preintegrated const& walked = this->walk_of(b, in, both);
     bool const walk_steps = usable(walked.status) && walked.steps > 0;
     bool const known = !both || (in.prior != nullptr && in.prior[b].known != 0);
-    bool good = numbers(integral).finite(g) && numbers(in.first[b]).finite(g) &&
-                numbers(in.start[b]).finite(g);
-    if (both && known) { good = good && numbers(in.prior[b]).finite(g); }
+    bool good = item::numbers(integral).finite(g) && item::numbers(in.first[b]).finite(g) &&
+                item::numbers(in.start[b]).finite(g);
+    if (both && known) { good = good && item::numbers(in.prior[b]).finite(g); }
     for (int k = g.rank(); k < 6; k += g.size()) {
       good = good && walked.walk[k] > 0 && scalar::is_finite(1.0f / walked.walk[k]);
     }
@@ -88,24 +75,6 @@ private:
     if (!good || !(integral.dT > 0)) { return inertial_pose_status::not_finite; }
     return inertial_pose_status::optimised;
   }
-  /// The integral whose walk counts.
-  FT_HOST_DEVICE preintegrated const& walk_of(int b, inertial_poses const& in, bool both) const {
-    bool const slip = params.reference_quirks && both && in.since_keyframe != nullptr;
-    return slip ? in.since_keyframe[b] : in.integral[b];
-  }
-  FT_HOST_DEVICE static leading_numbers<float> numbers(preintegrated const& v) {
-    static_assert(offsetof(preintegrated, steps) == 160 * sizeof(float), "160 floats");
-    return {&v.dT, 160};
-  }
-  FT_HOST_DEVICE static leading_numbers<float> numbers(stored_inertial_state const& v) {
-    static_assert(sizeof(stored_inertial_state) == 16 * sizeof(float), "16 floats");
-    return {&v.q_cw.x, 16};
-  }
-  FT_HOST_DEVICE static leading_numbers<double> numbers(inertial_prior const& v) {
-    static_assert(offsetof(inertial_prior, known) == 246 * sizeof(double), "246 doubles");
-    return {&v.state.R.m[0], 246};
-  }
-
   FT_HOST_DEVICE static void refuse(int b, inertial_poses const& in, inertial_pose_status status) {
     inertial_pose_result& result = in.result[b];
     result.stored = in.start[b];
@@ -116,34 +85,26 @@ private:
     in.next_prior[b].known = 0;
   }
 
-  /// Fills scratch. Ends with a sync.
-  template <typename Group, typename Solver>
-  FT_HOST_DEVICE void load(Group g, scratch& s, int b, inertial_poses const& in,
-                           Solver const& solver) const {
-    preintegrated const& integral = in.integral[b];
+  template <typename Solver>
+  FT_HOST_DEVICE void load_states(scratch& s, int b, inertial_poses const& in,
+                                  Solver const& solver) const {
     if (solver.is_thread(0)) {
-      s.mount = pose_mount::of(mount);
-      s.frame = cast_state<wide>(body_state(in.start[b], mount));
-      s.T_cw = s.mount.pose_of(s.frame);
+      s.frame = cast_state<wide>(body_state(in.start[b], this->mount));
+      s.T_cw = pose_mount::of(this->mount).pose_of(s.frame);
     }
-    if (solver.is_thread(1)) {
-      s.first = cast_state<wide>(body_state(in.first[b], mount));
-      s.link =
-          inertial_link::of(integral, in.gravity == nullptr ? standard_gravity() : in.gravity[b]);
+    if (solver.is_thread(1)) { s.first = cast_state<wide>(body_state(in.first[b], this->mount)); }
+  }
+
+  /// The states after the last round. Ends with a sync.
+  /// @return whether what is stored is finite
+  template <typename Group>
+  FT_HOST_DEVICE bool write_states(Group g, scratch const& s, inertial_pose_result& result) const {
+    if (g.rank() == 0) {
+      result.first = cast_state<double>(s.first);
+      result.stored = stored_state(cast_state<float>(s.frame), this->mount);
     }
-    if (solver.is_thread(2)) {
-      s.prior_weight = 1.0;
-      if (solver.both) { s.prior = cast_state<wide>(in.prior[b].state); }
-    }
-    for (int k = g.rank(); solver.both && k < 225; k += g.size()) {
-      s.prior_H[k] = in.prior[b].information[k];
-    }
-    preintegrated const& walked = walk_of(b, in, solver.both);
-    for (int k = g.rank(); k < 6; k += g.size()) {
-      s.walk[k] = scalar::reciprocal(wide(static_cast<double>(walked.walk[k])));
-    }
-    s.rows.clear(g);
-    information_of(g, s.matrices, integral, params.reference_quirks, s.omega);
+    g.sync();
+    return !g.any(!item::numbers(result.stored).finite(g));
   }
 
   /// All rounds, and the recovery of outliers.
@@ -160,8 +121,8 @@ private:
     int rounds = 0;
     int inliers = 0;
     FT_NO_UNROLL
-    for (bool more = true; more && params.first_round + rounds < inertial_rounds; ++rounds) {
-      int const round = params.first_round + rounds;
+    for (bool more = true; more && this->params.first_round + rounds < inertial_rounds; ++rounds) {
+      int const round = this->params.first_round + rounds;
       float* const judged = chi2 + static_cast<std::ptrdiff_t>(rounds) * capacity;
       auto last = Solver::outcome::moved;
       FT_NO_UNROLL
@@ -194,7 +155,7 @@ private:
     int good = 0;
     FT_NO_UNROLL
     for (int i = g.rank(); i < seen.count; i += g.size()) {
-      visual_residual<Rig> const r(rig, s.T_cw, seen.items[i]);
+      visual_residual<Rig> const r(this->rig, s.T_cw, seen.items[i]);
       // Those that took part keep the error before the last step.
       if (seen.outlier[i] != 0) { chi2[i] = static_cast<float>(r.chi2.value); }
       bool const is_mono = r.rows == 2;
@@ -215,27 +176,12 @@ private:
     int good = 0;
     FT_NO_UNROLL
     for (int i = g.rank(); i < seen.count; i += g.size()) {
-      visual_residual<Rig> const r(rig, s.T_cw, seen.items[i]);
+      visual_residual<Rig> const r(this->rig, s.T_cw, seen.items[i]);
       bool const near = static_cast<float>(r.chi2.value) < (r.rows == 2 ? 18.0f : 24.0f);
       if (near) { seen.outlier[i] = 0; }
       good += static_cast<int>(near);
     }
     return g.reduce(good, sum_op{});
-  }
-
-  /// The frame's state, as stored and for the next prior, whose information is written.
-  template <typename Group>
-  FT_HOST_DEVICE void write_states(Group g, scratch const& s, int b,
-                                   inertial_poses const& in) const {
-    inertial_prior& next = in.next_prior[b];
-    if (g.rank() == 0) {
-      next.state = cast_state<double>(s.frame);
-      next.known = 1;
-      in.result[b].stored = stored_state(cast_state<float>(s.frame), mount);
-    }
-    g.sync();
-    bool const spoilt = g.any(!numbers(next).finite(g));
-    if (spoilt && g.rank() == 0) { refuse(b, in, inertial_pose_status::not_finite); }
   }
 };
 
@@ -272,8 +218,8 @@ void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& 
   detail::require_range("first_round", params.first_round, 0, inertial_rounds - 1);
   detail::require_finite_pose(mount.T_bc);
   detail::require_finite_pose(mount.T_cb);
-  for_each_item<per_block<sum_lanes>>(exec, in.problems,
-                                      detail::optimize_inertial_pose<Rig>{rig, mount, params}, in);
+  for_each_item<per_block<sum_lanes>>(
+      exec, in.problems, detail::optimize_inertial_pose<Rig>{{rig, mount, params}}, in);
 }
 
 }  // namespace FT_ABI

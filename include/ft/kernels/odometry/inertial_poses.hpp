@@ -12,6 +12,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/core/group_copy.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
@@ -35,7 +36,7 @@ struct prepare_inertial_pose {
     bool const from_last = t.source == inertial_source::last_frame;
     int const n = optimizes ? seen.count[b] : 0;
     auto const at = static_cast<std::ptrdiff_t>(b) * seen.capacity;
-    vec3<strict_double> const centre = pose_of(t.predicted).template cast<strict_double>().centre();
+    vec3<strict_double> const centre = camera_centre(t.predicted);
     for (int i = g.rank(); i < n; i += g.size()) {
       vec3<float> const p = seen.items[at + i].point;
       vec3<strict_double> const d =
@@ -44,15 +45,27 @@ struct prepare_inertial_pose {
           centre;
       in.distance[at + i] = static_cast<float>(scalar::sqrt(dot(d, d)).value);
     }
+    copy_object(g, in.integral[b], from_last ? v.from_last(b) : v.from_keyframe(b));
+    copy_object(g, in.first[b], from_last ? t.last : t.keyframe);
+    copy_object(g, in.start[b], t.predicted);
+    g.sync();
     if (g.rank() != 0) { return; }
     t.optimizes = optimizes ? 1 : 0;
     in.count[b] = n;
     in.from_last_frame[b] = from_last ? 1 : 0;
-    in.first[b] = from_last ? t.last : t.keyframe;
-    in.start[b] = t.predicted;
     in.gravity[b] = t.gravity;
-    in.integral[b] = from_last ? v.from_last(b) : v.from_keyframe(b);
     if (!optimizes) { in.integral[b].status = integration_status::no_samples; }
+  }
+
+private:
+  FT_HOST_DEVICE static vec3<strict_double> camera_centre(stored_inertial_state const& state) {
+    using real = strict_double;
+    auto const widen = [](float x) { return real(static_cast<double>(x)); };
+    quaternion<real> const q{widen(state.q_cw.x), widen(state.q_cw.y), widen(state.q_cw.z),
+                             widen(state.q_cw.w)};
+    return rigid<real>{rotation_of(q),
+                       {widen(state.t_cw.x), widen(state.t_cw.y), widen(state.t_cw.z)}}
+        .centre();
   }
 };
 

@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/core/group_copy.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialize.hpp"
@@ -71,14 +72,24 @@ struct keep_inertial_frame {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_state_view const& state,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_state_view const& state,
                                  keyframes_view const& keyframes, inertial_view const& v,
                                  inertial_track* out) const {
-    keep(b, state, keyframes, v);
-    out[b] = v.tracks[b];
+    bool const is_keyframe = state.order[b] != keyframe_order::none;
+    if (is_keyframe) { copy_object(g, link_of(b, keyframes, v), v.from_keyframe(b)); }
+    g.sync();
+    if (g.rank() == 0) { keep(b, state, keyframes, v); }
+    g.sync();
+    copy_object(g, out[b], v.tracks[b]);
   }
 
 private:
+  /// The integral up to the newest keyframe.
+  FT_HOST_DEVICE static preintegrated& link_of(int b, keyframes_view const& keyframes,
+                                               inertial_view const& v) {
+    return v.between[static_cast<std::ptrdiff_t>(b) * v.positions +
+                     keyframes.position(keyframes.made[b])];
+  }
   FT_HOST_DEVICE static void keep(int b, odometry_state_view const& state,
                                   keyframes_view const& keyframes, inertial_view const& v) {
     inertial_track& t = v.tracks[b];
@@ -99,15 +110,11 @@ private:
         t.last = t.predicted;
       }
       t.last = at_pose(t.last, state.T_cw[b]);
-      v.prior[b].known = 0;
     }
     t.follows = optimized ? 1 : 0;
     if (order == keyframe_order::none) { return; }
-    preintegrated& link = v.between[static_cast<std::ptrdiff_t>(b) * v.positions +
-                                    keyframes.position(keyframes.made[b])];
-    link = v.from_keyframe(b);
     if (begins || order == keyframe_order::begin_map) {
-      link.status = integration_status::no_samples;
+      link_of(b, keyframes, v).status = integration_status::no_samples;
     }
     t.keyframe = t.last;
     t.keyframe_moves = t.moves;
@@ -149,15 +156,15 @@ struct gather_integrals {
     int const earlier = seeks_scale ? before : 0;
     int const count = earlier + views;
     auto const first = static_cast<std::ptrdiff_t>(b) * out.views;
-    for (int k = g.rank(); k < count; k += g.size()) {
-      int const p = keyframes.position(first_number - earlier + k);
-      if (k < earlier) {
-        out.T_wc[first + k] = keyframes.T_cw[keyframes.at(b, p)]
-                                  .template cast<strict_double>()
-                                  .inverse()
-                                  .template cast<double>();
-      }
-      if (k > 0) { out.integrals[first + k - 1] = v.between[keyframes.at(b, p)]; }
+    auto const at = [&](int k) {
+      return keyframes.at(b, keyframes.position(first_number - earlier + k));
+    };
+    for (int k = g.rank(); k < earlier; k += g.size()) {
+      out.T_wc[first + k] =
+          keyframes.T_cw[at(k)].template cast<strict_double>().inverse().template cast<double>();
+    }
+    for (int k = 1 + g.part_index(); k < count; k += g.parts()) {
+      copy_object(g.part(), out.integrals[first + k - 1], v.between[at(k)]);
     }
     if (g.rank() == 0) {
       out.counts[b] = count;
@@ -287,7 +294,7 @@ template <typename Exec>
 void keep_inertial_frames(Exec const& exec, odometry_state_view const& state,
                           keyframes_view const& keyframes, inertial_view const& v,
                           inertial_track* out) {
-  for_each_item<per_thread>(exec, v.batch, detail::keep_inertial_frame{}, state, keyframes, v, out);
+  for_each_item<per_warp>(exec, v.batch, detail::keep_inertial_frame{}, state, keyframes, v, out);
 }
 
 /// Gathers the integrals between the keyframes of adjustments that begin, after gather_window().
@@ -297,8 +304,8 @@ template <typename Exec>
 void gather_inertial_windows(Exec const& exec, int const* flags, keyframes_view const& keyframes,
                              window_problem_view const& problem, window_sources_view const& sources,
                              inertial_view const& v, inertial_windows const& out) {
-  for_each_item<per_warp>(exec, v.batch, detail::gather_integrals{}, flags, keyframes, problem,
-                          sources, v, out);
+  for_each_item<per_block<512>>(exec, v.batch, detail::gather_integrals{}, flags, keyframes,
+                                problem, sources, v, out);
 }
 
 /// Estimates gravity and biases from adjusted keyframes. Asynchronous on `exec`; allocates nothing;

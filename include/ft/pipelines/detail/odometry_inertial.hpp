@@ -18,6 +18,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/calibration.hpp"
+#include "ft/kernels/inertial/marginalize_inertial_pose.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
@@ -157,8 +158,11 @@ public:
 
   // ---- stages, in order
 
-  void integrate(Exec const& exec, odometry_input const* inputs) const {
+  /// Before an adjustment is applied, which changes the biases.
+  void begin(Exec const& exec, odometry_input const* inputs) const {
     begin_inertial_frames(exec, inputs, inputs_, samples_, view_);
+  }
+  void integrate(Exec const& exec) const {
     select_samples(exec, view_.samples, view_.intervals, params_.selection, view_.steps);
     preintegrate(exec, view_.steps, {view_.starts, 2 * batch_}, variances_, view_.integrals);
   }
@@ -180,8 +184,16 @@ public:
     inertial_pose_params how;
     how.step_tolerance = 1e-6;  // a thousandth of a pose's error
     how.first_round = 2;        // the pose without the IMU has removed outliers
+    how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);
     take_inertial_poses(exec, seen, frame, T_cw, view_);
+  }
+  /// Needed by the next frame alone.
+  template <typename Rig>
+  void marginalize(Exec const& exec, Rig const& rig, observations_view const& seen) const {
+    inertial_poses poses = view_.poses;
+    poses.observations = seen.items;
+    marginalize_inertial_poses(exec, rig, mount_, poses);
   }
   void keep(Exec const& exec, odometry_memory<Exec> const& own) const {
     keep_inertial_frames(exec, own.state, own.map.keyframes, view_, outputs);

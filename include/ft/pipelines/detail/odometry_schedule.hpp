@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The order of launches of a frame of an odometry; see frame_schedule.hpp.
 ///
-/// The end of an adjustment and the prediction need no keypoints, so a branch has them. After the
-/// last pose each stage needs what the one before it has decided.
+/// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
+/// one the integration of the IMU's samples. After the last pose each stage needs what the one
+/// before it has decided; but what the pose leaves to the next one with the IMU is for the next
+/// frame.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -17,9 +19,16 @@ template <typename Line, typename Stages>
 void queue_odometry_motion(Line& line, Stages& s) {
   auto const branch = line.fork(s.beginning_branch());
   s.read_inputs(branch);
-  if (s.has_imu()) { s.integrate(branch); }
+  if (s.has_imu()) {
+    s.begin_inertial(branch);
+    s.integrate(s.inertial_branch().fork(branch));
+  }
   s.apply_adjustment(branch);
   s.predict(line.on(branch));
+  if (s.has_imu()) {
+    s.inertial_branch().join(branch);
+    s.predict_inertial(branch);
+  }
   line.end_of_branch(branch, "motion");
   queue_images(line, s, false);
   line.join(s.beginning_branch());
@@ -53,7 +62,10 @@ void queue_odometry(Line& line, Stages& s) {
   s.pack_keypoints(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
-  if (s.has_imu()) { s.optimize_inertial(line.then("pose local map")); }
+  if (s.has_imu()) {
+    s.optimize_inertial(line.then("pose local map"));
+    s.marginalize(line.fork(s.inertial_branch()));
+  }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   s.judge(line.then("keyframe"));
   s.count_points(line.then("keyframe"));
@@ -66,6 +78,7 @@ void queue_odometry(Line& line, Stages& s) {
   if (s.has_imu()) { s.keep_inertial(line.then("keyframe")); }
   s.gather(line.then("keyframe"));
   line.join(s.result_branch());
+  if (s.has_imu()) { line.join(s.inertial_branch()); }
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));
   line.end();

@@ -56,13 +56,13 @@ public:
     if (has_imu()) { inertial.apply(exec, own); }
   }
   bool has_imu() const { return inertial.present(); }
-  void integrate(Exec const& exec) const { inertial.integrate(exec, own.inputs); }
+  void begin_inertial(Exec const& exec) const { inertial.begin(exec, own.inputs); }
+  side_branch<Exec>& inertial_branch() { return inertial_branch_; }
+  void integrate(Exec const& exec) const { inertial.integrate(exec); }
   void predict(Exec const& exec) const {
-    predicted_frames const out{memory.motion.device.predicted, memory.last.T_cw,
-                               memory.motion.device.stamp};
-    predict_frames(exec, own.inputs, settings.rules, own.state, out);
-    if (has_imu()) { inertial.predict(exec, own, out); }
+    predict_frames(exec, own.inputs, settings.rules, own.state, predictions());
   }
+  void predict_inertial(Exec const& exec) const { inertial.predict(exec, own, predictions()); }
   /// Images alone: the other inputs come with read_inputs().
   void upload(Exec const& exec, bool /*with_local*/) const {
     input.upload(exec, this->extractor.stages());
@@ -93,6 +93,9 @@ public:
 
   void optimize_inertial(Exec const& exec) const {
     inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+  }
+  void marginalize(Exec const& exec) const {
+    inertial.marginalize(exec, this->rig, memory.observations);
   }
   void keep_inertial(Exec const& exec) const { inertial.keep(exec, own); }
   void judge(Exec const& exec) const {
@@ -193,6 +196,7 @@ public:
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
     beginning_branch_.make();
+    inertial_branch_.make();
     static_cast<void>(exec);
   }
   /// Forgets in which frames map points were matched. No frame has the number 0.
@@ -246,6 +250,9 @@ public:
   }
 
 private:
+  predicted_frames predictions() const {
+    return {memory.motion.device.predicted, memory.last.T_cw, memory.motion.device.stamp};
+  }
   local_map_view local_map() const {
     local_map_view v;
     v.capacity = this->params.local_points;
@@ -256,6 +263,7 @@ private:
   }
 
   side_branch<Exec> beginning_branch_;
+  side_branch<Exec> inertial_branch_;
 };
 
 }  // namespace detail

@@ -43,8 +43,8 @@ struct inertial_pose_item {
 protected:
   FT_HOST_DEVICE static inertial_observations observations_of(int b, inertial_poses const& in) {
     auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
-    return {in.observations + at, in.distance + at, in.outlier + at,
-            clamp(in.count[b], 0, in.capacity)};
+    return {in.observations + at, in.distance == nullptr ? nullptr : in.distance + at,
+            in.outlier + at, clamp(in.count[b], 0, in.capacity)};
   }
   /// The integral whose walk counts.
   FT_HOST_DEVICE preintegrated const& walk_of(int b, inertial_poses const& in, bool both) const {

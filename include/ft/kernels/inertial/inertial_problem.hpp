@@ -70,7 +70,8 @@ struct inertial_poses {
   inertial_prior const* prior;
   observation const* observations;  ///< [problems][capacity]
   /// [problems][capacity] distance of the point from the left camera, metres, as last noted where
-  /// it was in view: nearer than 10 m an observation without depth may err more
+  /// it was in view: nearer than 10 m an observation without depth may err more. Null: the distance
+  /// from the frame of the pose, as it is judged.
   float const* distance;
   int const* count;  ///< observations
   // Outputs.

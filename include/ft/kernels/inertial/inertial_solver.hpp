@@ -45,7 +45,7 @@ struct inertial_scratch {
 /// The observations of one problem.
 struct inertial_observations {
   observation const* items;
-  float const* distance;
+  float const* distance;  ///< or null
   unsigned char* outlier;
   int count;
 };

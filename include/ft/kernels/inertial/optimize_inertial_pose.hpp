@@ -160,13 +160,19 @@ private:
       if (seen.outlier[i] != 0) { chi2[i] = static_cast<float>(r.chi2.value); }
       bool const is_mono = r.rows == 2;
       strict_float limit = is_mono ? mono_limit : stereo[round];
-      if (is_mono && seen.distance[i] < 10.0f) { limit *= strict_float(1.5f); }
+      if (is_mono && is_close(seen, i, r.in_pose)) { limit *= strict_float(1.5f); }
       // Written so that a NaN is an outlier.
       bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > wide(0.0));
       seen.outlier[i] = inlier ? 0 : 1;
       good += static_cast<int>(inlier);
     }
     return g.reduce(good, sum_op{});
+  }
+
+  FT_HOST_DEVICE static bool is_close(inertial_observations const& seen, int i, wide_vec3 p) {
+    constexpr float limit = 10;  // metres
+    if (seen.distance != nullptr) { return seen.distance[i] < limit; }
+    return dot(p, p) < wide(static_cast<double>(limit * limit));
   }
 
   /// Takes outliers that are not far off in again. Returns the number of observations that are not.

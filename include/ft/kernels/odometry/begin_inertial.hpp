@@ -9,6 +9,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/core/group_copy.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
@@ -79,14 +80,39 @@ struct begin_inertial_frame {
   }
 };
 
-/// Item: a camera. Predicts its state, where the IMU says one.
+/// Item: a camera. Predicts its state, where the IMU says one, and makes the problem of its pose.
 struct predict_inertial_frame {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, inertial_prediction const& in,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, inertial_prediction const& in,
                                  odometry_state_view const& state, predicted_frames const& out,
                                  inertial_view const& v) const {
+    if (g.rank() == 0) { predict(b, in, state, out, v); }
+    g.sync();
+    make_problem(g, v.tracks[b], b, v);
+  }
+
+private:
+  template <typename Group>
+  FT_HOST_DEVICE static void make_problem(Group g, inertial_track const& t, int b,
+                                          inertial_view const& v) {
+    inertial_inputs const& to = v.inputs;
+    bool const from_last = t.source == inertial_source::last_frame;
+    copy_object(g, to.integral[b], from_last ? v.from_last(b) : v.from_keyframe(b));
+    copy_object(g, to.first[b], from_last ? t.last : t.keyframe);
+    copy_object(g, to.start[b], t.predicted);
+    g.sync();
+    if (g.rank() != 0) { return; }
+    to.from_last_frame[b] = from_last ? 1 : 0;
+    to.gravity[b] = t.gravity;
+    if (t.source == inertial_source::none) {
+      to.integral[b].status = integration_status::no_samples;
+    }
+  }
+  FT_HOST_DEVICE static void predict(int b, inertial_prediction const& in,
+                                     odometry_state_view const& state, predicted_frames const& out,
+                                     inertial_view const& v) {
     inertial_track& t = v.tracks[b];
     t.source = inertial_source::none;
     t.status = v.from_last(b).status;
@@ -116,8 +142,6 @@ struct predict_inertial_frame {
     track.predicted = pose_of(t.predicted);
     out.T_cw[b] = track.predicted.template cast<float>();
   }
-
-private:
   /// The newest keyframe is where the map has it now.
   FT_HOST_DEVICE static void follow_map(inertial_track& t, int b, keyframes_view const& keyframes) {
     int const made = keyframes.made[b];
@@ -141,13 +165,14 @@ void begin_inertial_frames(Exec const& exec, odometry_input const* inputs,
 
 /// Predicts the states of cameras with their IMUs, after predict_frames(), whose prediction is
 /// replaced unless it is the caller's. From the last frame; where the map has changed since, or
-/// that was not optimised with the IMU, from the newest keyframe. Asynchronous on `exec`; allocates
-/// nothing; one launch.
+/// that was not optimised with the IMU, from the newest keyframe. Makes the problems of their
+/// poses; those of cameras whose IMU says nothing are such that they are refused. Asynchronous on
+/// `exec`; allocates nothing; one launch.
 template <typename Exec>
 void predict_inertial_frames(Exec const& exec, inertial_prediction const& in,
                              odometry_state_view const& state, predicted_frames const& out,
                              inertial_view const& v) {
-  for_each_item<per_thread>(exec, v.batch, detail::predict_inertial_frame{}, in, state, out, v);
+  for_each_item<per_warp>(exec, v.batch, detail::predict_inertial_frame{}, in, state, out, v);
 }
 
 }  // namespace FT_ABI

@@ -42,7 +42,7 @@ struct inertial_track {
   int metric;           ///< of one camera: 1 = lengths of its map are metres
   int map;              ///< likewise: number of its map, of which all above is known; 0 = none
   vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
-  int optimizes;        ///< 1 = the current frame's pose is optimised with the IMU
+  int optimizes;        ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
@@ -61,15 +61,13 @@ struct inertial_input {
   int samples;          ///< among which the ones between them are
 };
 
-/// What the poses of the current frames are optimised from. Executor memory.
+/// What the poses of the current frames are optimised from, as in inertial_poses. Executor memory.
 struct inertial_inputs {
-  int* from_last_frame = nullptr;          ///< [batch] as in inertial_poses, like the others
+  int* from_last_frame = nullptr;          ///< [batch]
   stored_inertial_state* first = nullptr;  ///< [batch]
   stored_inertial_state* start = nullptr;  ///< [batch]
   vec3<float>* gravity = nullptr;          ///< [batch]
   preintegrated* integral = nullptr;       ///< [batch]
-  float* distance = nullptr;               ///< [batch][observations]
-  int* count = nullptr;                    ///< [batch]
 };
 
 /// The IMUs of all cameras. Executor memory.
@@ -89,7 +87,7 @@ struct inertial_view {
   inertial_prior* prior = nullptr;  ///< [batch] of the last frames, then of the current ones
   map_scaling* scaling = nullptr;   ///< [batch] what becomes of maps with this frame
   inertial_inputs inputs;           ///< of the poses of the current frames
-  inertial_poses poses{};           ///< reads these inputs
+  inertial_poses poses{};           ///< reads these inputs, and the observations of a frame
 
   FT_HOST_DEVICE preintegrated& from_last(int b) const { return integrals[2 * b]; }
   FT_HOST_DEVICE preintegrated& from_keyframe(int b) const { return integrals[2 * b + 1]; }
@@ -121,8 +119,6 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   in.start = c.take<stored_inertial_state>(b);
   in.gravity = c.take<vec3<float>>(b);
   in.integral = c.take<preintegrated>(b);
-  in.distance = c.take<float>(n);
-  in.count = c.take<int>(b);
   inertial_poses& p = v.poses;
   p.problems = batch;
   p.capacity = size.observations;
@@ -131,8 +127,6 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   p.start = in.start;
   p.gravity = in.gravity;
   p.integral = in.integral;
-  p.distance = in.distance;
-  p.count = in.count;
   p.prior = v.prior;
   p.next_prior = v.prior;
   p.result = c.take<inertial_pose_result>(b);

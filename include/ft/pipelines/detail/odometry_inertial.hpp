@@ -178,22 +178,18 @@ public:
   template <typename Rig>
   void optimize(Exec const& exec, Rig const& rig, odometry_state_view const& state,
                 frame_view const& frame, observations_view const& seen, pose* T_cw) const {
-    prepare_inertial_poses(exec, seen, state, view_);
-    inertial_poses poses = view_.poses;
-    poses.observations = seen.items;
+    inertial_poses const poses = problems(seen);
     inertial_pose_params how;
     how.step_tolerance = 1e-4;  // what then remains is far less: steps converge fast
     how.first_round = 2;        // the pose without the IMU has removed outliers
     how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);
-    take_inertial_poses(exec, seen, frame, T_cw, view_);
+    take_inertial_poses(exec, seen, state, frame, T_cw, view_);
   }
   /// Needed by the next frame alone.
   template <typename Rig>
   void marginalize(Exec const& exec, Rig const& rig, observations_view const& seen) const {
-    inertial_poses poses = view_.poses;
-    poses.observations = seen.items;
-    marginalize_inertial_poses(exec, rig, mount_, poses);
+    marginalize_inertial_poses(exec, rig, mount_, problems(seen));
   }
   void keep(Exec const& exec, odometry_memory<Exec> const& own) const {
     keep_inertial_frames(exec, own.state, own.map.keyframes, view_, outputs);
@@ -214,6 +210,13 @@ public:
 
 private:
   static constexpr memory_space staging = staging_space<Exec>;
+
+  inertial_poses problems(observations_view const& seen) const {
+    inertial_poses poses = view_.poses;
+    poses.observations = seen.items;
+    poses.count = seen.count;
+    return poses;
+  }
 
   static void check(imu_params const& imu, odometry_params const& p, bool seeks_scale) {
     require_range("imu.samples", imu.samples, 2, 1 << 20);

@@ -11,8 +11,9 @@ usage() {
 usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
-  --quick   without Python, the sanitizers, the fuzzers, the consumer projects and the benches; of CUDA only the
-            conformance program, track_sequence and the headers
+  --quick   the library alone: its stages and pipelines, the camera contract, recorded answers and headers; of CUDA
+            the conformance program, track_sequence and the headers. No applications, integration, Python, sanitizers,
+            fuzzers, consumer projects or benches
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
 EOF
@@ -165,8 +166,16 @@ configure_build() {
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
     -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 "${cuda[@]}"
 }
+quick_tests=(stage_tests_host contract_tests_host conformance)
 build_host() {
-  cmake --build "$build" --parallel "$jobs" --target ft_host_tests
+  local targets=(ft_host_tests)
+  if ((quick)); then targets=("${quick_tests[@]}"); fi
+  cmake --build "$build" --parallel "$jobs" --target "${targets[@]}"
+}
+test_host() {
+  local which=()
+  if ((quick)); then which=(-R "^($(IFS='|' && echo "${quick_tests[*]}"))"); fi
+  run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$' "${which[@]}"
 }
 
 # Twice, so that a missing include guard shows as well.
@@ -197,7 +206,7 @@ step "Include directions" check_includes
 step "Documentation" docs/build.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
-step "Host: tests" run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$'
+step "Host: tests" test_host
 if command -v clang++ >/dev/null; then
   step "Host: headers with clang++" check_headers_with_clang
 else

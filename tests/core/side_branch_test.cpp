@@ -93,6 +93,49 @@ TYPED_TEST(side_branch_unit, what_is_forked_is_there_after_the_join) {
   this->expect_sum([&](auto const& e) { return branch.fork(e); }, branch);
 }
 
+TYPED_TEST(side_branch_unit, a_second_fork_waits_for_the_main_line_again) {
+  using executor = typename TypeParam::exec_type;
+  using buffer = typename TestFixture::memory;
+  auto const& exec = this->backend.exec;
+  constexpr auto count = static_cast<std::size_t>(TestFixture::size);
+  std::vector<int> values;
+  for (int i = 0; i < TestFixture::size; ++i) { values.push_back(i % 1009); }
+  auto const input = test::to_exec(exec, values);
+  buffer const first(count);
+  buffer const ahead(count);
+  buffer const second(count);
+  buffer const beside(count);
+  buffer const joined(count);
+  ft::side_branch<executor> branch;
+  branch.make();
+  auto const add = TestFixture::add;
+  // 3 v on the branch; 4 v, then 5 (4 v) + 3 v on the branch, beside 7 (4 v) + v.
+  auto const queue = [&](executor const& e) {
+    add(branch.fork(e), 2, input, input, first);
+    add(e, 3, input, input, ahead);
+    add(branch.fork(e), 5, ahead, first, second);
+    add(e, 7, ahead, input, beside);
+    branch.join(e);
+    add(e, 1, second, beside, joined);
+  };
+  ft::recording<executor> recorded;
+  recorded.record(exec, queue);
+  for (int round = 0; round < 4; ++round) {
+    for (buffer const* m : {&first, &ahead, &second, &beside, &joined}) {
+      ft::fill_bytes(exec, m->data(), 0x5a, m->bytes());
+    }
+    if (round == 0) {
+      queue(exec);
+    } else {
+      recorded.replay(exec, queue);
+    }
+    auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
+    for (std::size_t i = 0; i < count; ++i) {
+      ASSERT_EQ(got[i], (5 * 4 + 3 + 7 * 4 + 1) * values[i]) << i << " in round " << round;
+    }
+  }
+}
+
 TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_waited_for) {
   using executor = typename TypeParam::exec_type;
   auto const& exec = this->backend.exec;

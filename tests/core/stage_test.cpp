@@ -172,4 +172,13 @@ TYPED_TEST(stage_unit, a_prologue_of_warps_decides_about_its_item_in_every_launc
   }
 }
 
+TEST(host_executor, in_the_background_visits_every_item_once) {
+  for (int const threads : {0, 1, 3}) {
+    ft::host_exec const background = ft::host_exec(threads).in_background();
+    std::vector<int> visits(1000);
+    background.parallel_for(1000, [&](int i) { ++visits[static_cast<std::size_t>(i)]; });
+    EXPECT_EQ(visits, std::vector<int>(1000, 1)) << threads;
+  }
+}
+
 }  // namespace stage_test

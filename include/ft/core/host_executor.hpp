@@ -61,10 +61,18 @@ public:
 
   /// @param threads to use, including the caller's; 0 = as many as the machine has
   /// @throws bad_argument outside [0, 4096]
-  explicit host_exec(int threads = 0) {
+  explicit host_exec(int threads = 0) : threads_(threads) {
     detail::require_range("host threads", threads, 0, 4096);
     if (threads > 1) { arena_ = std::make_shared<tbb::task_arena>(threads); }
-    sequential_ = threads == 1;
+  }
+  /// The same number of threads, for work that gives way to that of other executors.
+  host_exec in_background() const {
+    host_exec other(threads_);
+    if (threads_ != 1) {
+      int const all = threads_ == 0 ? tbb::task_arena::automatic : threads_;
+      other.arena_ = std::make_shared<tbb::task_arena>(all, 1, tbb::task_arena::priority::low);
+    }
+    return other;
   }
 
   template <typename Body>
@@ -89,7 +97,7 @@ private:
   /// Calls `run` for disjoint ranges that cover [0, items). A pointer to a function, so that the
   /// thread pool's templates are compiled once and not for each stage.
   void run_ranges(int items, range_function run, void const* context) const {
-    if (sequential_ || items <= 1) {
+    if (threads_ == 1 || items <= 1) {
       run(context, 0, items > 0 ? items : 0);
       return;
     }
@@ -106,7 +114,7 @@ private:
   }
 
   std::shared_ptr<tbb::task_arena> arena_;
-  bool sequential_ = false;
+  int threads_;  ///< 0 = as many as the machine has
 };
 
 /// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.

@@ -13,8 +13,9 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// fork() returns an executor for work that may run concurrently with later work of the main line.
-/// join() makes later work of the main line wait for it. Both can be recorded in a graph. For a
-/// single launch use launch_order::concurrent instead.
+/// A second fork() makes later work of the branch wait for the main line again. join() makes later
+/// work of the main line wait for the branch. All can be recorded in a graph. For a single launch
+/// use launch_order::concurrent instead.
 template <typename Exec>
 class side_branch {
 public:
@@ -24,7 +25,7 @@ public:
 };
 
 #if defined(__CUDACC__)
-/// Owns a stream and two events; move-only. One fork at a time.
+/// Owns a stream and two events; move-only.
 template <>
 class side_branch<cuda_exec> {
 public:

@@ -34,7 +34,7 @@ struct block_elimination {
   /// sync.
   template <typename Group>
   FT_HOST_DEVICE void eliminate(Group g, int first, int from, int rows, int columns) {
-    int const parts = min_of(g.parts(), 4);  // each inverts the block for itself
+    int const parts = min_of(g.parts(), 8);  // each inverts the block for itself
     if (g.part_index() < parts) {
       symmetric_3<wide> const D{a[first][first],         a[first][first + 1],
                                 a[first][first + 2],     a[first + 1][first + 1],

@@ -180,7 +180,7 @@ public:
                 frame_view const& frame, observations_view const& seen, pose* T_cw) const {
     inertial_poses const poses = problems(seen);
     inertial_pose_params how;
-    how.step_tolerance = 1e-4;  // what then remains is far less: steps converge fast
+    how.step_tolerance = 1e-3;  // what then remains is far less: steps converge quadratically
     how.first_round = 2;        // the pose without the IMU has removed outliers
     how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);

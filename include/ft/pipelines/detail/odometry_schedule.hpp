@@ -3,8 +3,7 @@
 ///
 /// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
 /// one the integration of the IMU's samples. After the last pose each stage needs what the one
-/// before it has decided; but what the pose leaves to the next one with the IMU is for the next
-/// frame.
+/// before it has decided; but what is kept for the next pose with the IMU has a branch again.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -75,12 +74,13 @@ void queue_odometry(Line& line, Stages& s) {
   }
   s.insert(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) { s.enter_new_points(line.then("keyframe")); }
-  if (s.has_imu()) { s.keep_inertial(line.then("keyframe")); }
+  if (s.has_imu()) { s.keep_inertial(line.fork(s.inertial_branch())); }
   s.gather(line.then("keyframe"));
+  if (s.has_imu()) { s.gather_inertial(line.fork(s.inertial_branch())); }
   line.join(s.result_branch());
-  if (s.has_imu()) { line.join(s.inertial_branch()); }
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));
+  if (s.has_imu()) { line.join(s.inertial_branch()); }
   line.end();
 }
 

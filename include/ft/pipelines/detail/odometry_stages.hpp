@@ -169,8 +169,8 @@ public:
   void gather(Exec const& exec) const {
     gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
                   own.sources);
-    if (has_imu()) { inertial.gather(exec, own); }
   }
+  void gather_inertial(Exec const& exec) const { inertial.gather(exec, own); }
   void pack_outputs(Exec const& exec) const {
     tracking_facts const facts{
         memory.observations.inliers, this->matcher.depth(), own.information,

@@ -19,15 +19,15 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Runs the same work again and again, one run after the other, on a thread of its own. The thread
-/// sleeps in between. Not movable.
+/// Runs the same work again and again, one run after the other, on a thread of its own, in the
+/// background of the executor's other work. The thread sleeps in between. Not movable.
 /// @tparam Work `void enqueue(Exec const&, int run)`, called on that thread; run counts from 0
 template <typename Exec, typename Work>
 class work_beside {
 public:
   /// @param runs in flight at a time, at most
   work_beside(Exec const& exec, Work work, int /*runs*/)
-      : exec_(exec), work_(std::move(work)), thread_([this] { serve(); }) {}
+      : exec_(exec.in_background()), work_(std::move(work)), thread_([this] { serve(); }) {}
   work_beside(work_beside const&) = delete;
   work_beside& operator=(work_beside const&) = delete;
   /// Ends the thread after the run in progress.

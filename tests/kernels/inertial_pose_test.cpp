@@ -21,27 +21,21 @@
 namespace inertial_pose_test {
 
 using ft::inertial_pose_status;
+using test::angle;
+using test::as_tracked;
 using test::inertial_pose_batch;
 using test::inertial_scene;
 using test::inertial_shape;
+using test::last_state;
+using test::length;
+using test::noisy_batch;
+using test::turn_of;
+using test::with_outliers;
 using vector = ft::vec3<double>;
 using state = ft::inertial_state<double>;
 using wide = ft::strict_double;
 inline constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 inline constexpr float infinity = std::numeric_limits<float>::infinity();
-
-inline double length(vector v) { return std::sqrt(dot(v, v)); }
-/// Rotation vector of a small rotation.
-inline vector turn_of(ft::mat3<double> const& R) {
-  auto const& m = R.m;
-  return {(m[7] - m[5]) / 2, (m[2] - m[6]) / 2, (m[3] - m[1]) / 2};
-}
-inline double angle(ft::mat3<double> const& a, ft::mat3<double> const& b) {
-  return length(turn_of(a.transposed() * b));
-}
-inline state last_state(ft::inertial_pose_result const& r) {
-  return r.round_state[std::max(r.rounds, 1) - 1];
-}
 
 template <typename Backend>
 class inertial_pose : public test::on_backend<Backend> {
@@ -103,28 +97,6 @@ TYPED_TEST(inertial_pose, true_states_are_found_with_three_cameras) {
   find_true_states<ft::multi_rig<3>>([&](auto const& s, auto& b) { this->run(s, b); });
 }
 
-/// Problems from a keyframe and from the last frame by turns, with noise of 0.8 pixels.
-inertial_pose_batch noisy_batch(inertial_scene<ft::rectified_rig>& scene, int problems,
-                                inertial_shape shape) {
-  inertial_pose_batch b;
-  shape.pixel_noise = 0.8;
-  for (int i = 0; i < problems; ++i) {
-    shape.from_last_frame = i % 2 == 1;
-    scene.add(b, shape);
-  }
-  return b;
-}
-inertial_shape with_outliers(int percent) {
-  inertial_shape shape;
-  shape.outliers_percent = percent;
-  return shape;
-}
-inertial_shape as_tracked() {
-  inertial_shape shape = with_outliers(10);
-  shape.observations = 200;
-  return shape;
-}
-
 TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
   inertial_scene<ft::rectified_rig> scene(5);
   inertial_pose_batch b = noisy_batch(scene, 4, with_outliers(15));
@@ -137,64 +109,6 @@ TYPED_TEST(inertial_pose, one_camera_of_a_rig_is_a_rectified_pair) {
     EXPECT_EQ(b.result[i].tracked, other.result[i].tracked);
     EXPECT_LT(length(last_state(b.result[i]).p - last_state(other.result[i]).p), 1e-9);
     EXPECT_LT(length(last_state(b.result[i]).v - last_state(other.result[i]).v), 1e-9);
-  }
-}
-
-TYPED_TEST(inertial_pose, a_larger_step_tolerance_gives_nearly_the_same_state) {
-  inertial_scene<ft::rectified_rig> scene(15);
-  inertial_pose_batch b = noisy_batch(scene, 6, as_tracked());
-  inertial_pose_batch coarse = b;
-  inertial_pose_batch single = b;
-  this->run(scene, b);
-  ft::inertial_pose_params params;
-  params.step_tolerance = 1e-6;
-  test::optimize(this->backend.exec, scene.rig, scene.mount, params, coarse);
-  params.step_tolerance = std::numeric_limits<double>::infinity();  // one step a round
-  test::optimize(this->backend.exec, scene.rig, scene.mount, params, single);
-  double most = 0;
-  for (std::size_t i = 0; i < b.size(); ++i) {
-    auto const want = last_state(b.result[i]);
-    auto const got = last_state(coarse.result[i]);
-    EXPECT_EQ(coarse.result[i].tracked, b.result[i].tracked);
-    EXPECT_LT(length(got.p - want.p), 1e-5);
-    EXPECT_LT(length(got.v - want.v), 1e-5);
-    EXPECT_LT(angle(got.R, want.R), 1e-5);
-    most = std::max(most, length(last_state(single.result[i]).p - want.p));
-  }
-  EXPECT_GT(most, 1e-6);
-}
-
-TYPED_TEST(inertial_pose, fewer_rounds_are_enough_where_the_start_is_good) {
-  inertial_scene<ft::rectified_rig> scene(15);
-  inertial_pose_batch b = noisy_batch(scene, 6, as_tracked());
-  inertial_pose_batch late = b;
-  this->run(scene, b);
-  ft::inertial_pose_params params;
-  params.first_round = 2;
-  test::optimize(this->backend.exec, scene.rig, scene.mount, params, late);
-  for (std::size_t i = 0; i < b.size(); ++i) {
-    EXPECT_EQ(late.result[i].rounds, 2);
-    EXPECT_LT(length(last_state(late.result[i]).p - last_state(b.result[i]).p), 1e-3);
-    EXPECT_NEAR(late.result[i].tracked, b.result[i].tracked, 3);
-  }
-}
-
-TYPED_TEST(inertial_pose, bad_parameters_are_refused) {
-  inertial_scene<ft::rectified_rig> scene(15);
-  inertial_pose_batch b = noisy_batch(scene, 1, {});
-  auto const refuses = [&](ft::inertial_pose_params const& p) {
-    EXPECT_THROW(test::optimize(this->backend.exec, scene.rig, scene.mount, p, b),
-                 ft::bad_argument);
-  };
-  for (double const wrong : {-1e-9, static_cast<double>(nan)}) {
-    ft::inertial_pose_params params;
-    params.step_tolerance = wrong;
-    refuses(params);
-  }
-  for (int const wrong : {-1, ft::inertial_rounds}) {
-    ft::inertial_pose_params params;
-    params.first_round = wrong;
-    refuses(params);
   }
 }
 

@@ -25,7 +25,7 @@ struct inertial_pose_batch {
   int capacity = 0;
   std::vector<ft::inertial_pose_result> result;
   std::vector<ft::inertial_prior> next_prior;
-  std::vector<unsigned char> outlier;
+  std::vector<unsigned char> outlier;  ///< input, too: see inertial_pose_params::outliers_given
   std::vector<float> chi2;
 
   std::size_t size() const { return count.size(); }
@@ -64,7 +64,8 @@ void optimize(Exec const& exec, Rig const& rig, ft::imu_mount const& mount,
   auto const d_distance = to_exec(exec, distance);
   ft::buffer<ft::inertial_pose_result, Exec::space> result(b.size());
   ft::buffer<ft::inertial_prior, Exec::space> next(b.size());
-  auto const outlier = to_exec(exec, std::vector<unsigned char>(places));
+  if (b.outlier.size() != places) { b.outlier.assign(places, 0); }
+  auto const outlier = to_exec(exec, b.outlier);
   auto const chi2 = to_exec(exec, std::vector<float>(ft::inertial_rounds * places));
   ft::inertial_poses const poses{static_cast<int>(b.size()),
                                  b.capacity,

@@ -256,4 +256,39 @@ private:
   std::mt19937 random_;
 };
 
+inline double length(ft::vec3<double> v) { return std::sqrt(dot(v, v)); }
+/// Rotation ft::vec3<double> of a small rotation.
+inline ft::vec3<double> turn_of(ft::mat3<double> const& R) {
+  auto const& m = R.m;
+  return {(m[7] - m[5]) / 2, (m[2] - m[6]) / 2, (m[3] - m[1]) / 2};
+}
+inline double angle(ft::mat3<double> const& a, ft::mat3<double> const& b) {
+  return length(turn_of(a.transposed() * b));
+}
+inline ft::inertial_state<double> last_state(ft::inertial_pose_result const& r) {
+  return r.round_state[std::max(r.rounds, 1) - 1];
+}
+
+/// Problems from a keyframe and from the last frame by turns, with noise of 0.8 pixels.
+inline inertial_pose_batch noisy_batch(inertial_scene<ft::rectified_rig>& scene, int problems,
+                                       inertial_shape shape) {
+  inertial_pose_batch b;
+  shape.pixel_noise = 0.8;
+  for (int i = 0; i < problems; ++i) {
+    shape.from_last_frame = i % 2 == 1;
+    scene.add(b, shape);
+  }
+  return b;
+}
+inline inertial_shape with_outliers(int percent) {
+  inertial_shape shape;
+  shape.outliers_percent = percent;
+  return shape;
+}
+inline inertial_shape as_tracked() {
+  inertial_shape shape = with_outliers(10);
+  shape.observations = 200;
+  return shape;
+}
+
 }  // namespace test

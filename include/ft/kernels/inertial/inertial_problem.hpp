@@ -25,6 +25,8 @@ struct inertial_pose_params {
   /// The first round that is made, from 0. Earlier rounds tolerate larger errors, for a start that
   /// is further off; the last one has no robust weights.
   int first_round = 0;
+  /// Whether `outlier` says at first which observations are left out; otherwise none is.
+  bool outliers_given = false;
   /// Whether `next_prior` is written; otherwise marginalize_inertial_poses() writes it, which may
   /// run beside what needs the pose alone.
   bool marginalizes = true;
@@ -78,7 +80,7 @@ struct inertial_poses {
   inertial_pose_result* result;
   /// What the optimisation says about the frame; not known if it was refused. May be `prior`.
   inertial_prior* next_prior;
-  unsigned char* outlier;  ///< [problems][capacity] 1 = outlier
+  unsigned char* outlier;  ///< [problems][capacity] 1 = outlier; input with outliers_given
   /// [problems][inertial_rounds][capacity] squared weighted errors by which each round judged the
   /// observations; rounds that were not made are not written
   float* chi2;

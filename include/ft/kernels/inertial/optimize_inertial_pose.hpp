@@ -34,7 +34,9 @@ struct optimize_inertial_pose : inertial_pose_item<Rig> {
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, inertial_poses const& in) const {
     bool const both = in.from_last_frame[b] != 0;
     inertial_observations const seen = item::observations_of(b, in);
-    for (int i = g.rank(); i < seen.count; i += g.size()) { seen.outlier[i] = 0; }
+    for (int i = g.rank(); !this->params.outliers_given && i < seen.count; i += g.size()) {
+      seen.outlier[i] = 0;
+    }
     inertial_solver<Group, Rig> const solver{g,    s,    this->rig,
                                              seen, both, this->params.step_tolerance};
     inertial_pose_status const refused = inspect(g, b, in, both);
@@ -65,7 +67,7 @@ private:
     bool const known = !both || (in.prior != nullptr && in.prior[b].known != 0);
     bool good = item::numbers(integral).finite(g) && item::numbers(in.first[b]).finite(g) &&
                 item::numbers(in.start[b]).finite(g);
-    if (both && known) { good = good && item::numbers(in.prior[b]).finite(g); }
+    if (both && in.prior != nullptr) { good = good && item::numbers(in.prior[b]).finite(g); }
     for (int k = g.rank(); k < 6; k += g.size()) {
       good = good && walked.walk[k] > 0 && scalar::is_finite(1.0f / walked.walk[k]);
     }

@@ -234,8 +234,14 @@ private:
 template <typename Exec>
 void preintegrate(Exec const& exec, imu_steps_view const& steps, span<integral_start const> starts,
                   imu_variances const& noise, preintegrated* integrals) {
-  for_each_item<per_warp>(exec, starts.size, detail::preintegrate_steps{}, steps, starts.data,
-                          noise, integrals);
+  constexpr int few = 128;  // of which each has threads for all elements
+  if (starts.size <= few) {
+    for_each_item<per_block<160>>(exec, starts.size, detail::preintegrate_steps{}, steps,
+                                  starts.data, noise, integrals);
+  } else {
+    for_each_item<per_warp>(exec, starts.size, detail::preintegrate_steps{}, steps, starts.data,
+                            noise, integrals);
+  }
 }
 
 }  // namespace FT_ABI

@@ -8,6 +8,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/core/group.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -49,14 +50,20 @@ struct sample_facts {
   }
 };
 
-FT_HOST_DEVICE inline sample_facts inspect(span<imu_sample const> samples,
-                                           imu_interval const& between) {
+template <typename Group>
+FT_HOST_DEVICE sample_facts inspect(Group g, span<imu_sample const> samples,
+                                    imu_interval const& between) {
   sample_facts facts;
   int const n = samples.size;
-  for (int i = 0; i < n; ++i) {
+  for (int i = g.rank(); i < n; i += g.size()) {
     facts.finite = facts.finite && is_finite(samples[i]);
     if (i > 0) { facts.add(samples[i].time_s - samples[i - 1].time_s); }
   }
+  facts.finite = !g.any(!facts.finite);
+  facts.ascending = !g.any(!facts.ascending);
+  facts.repeated = g.any(facts.repeated);
+  facts.longest = g.reduce(facts.longest, max_op{});
+  facts.shortest = g.reduce(facts.shortest, min_op{});
   if (n > 2) {
     facts.bad_end =
         samples[0].time_s == samples[1].time_s || samples[n - 2].time_s == samples[n - 1].time_s;
@@ -67,10 +74,11 @@ FT_HOST_DEVICE inline sample_facts inspect(span<imu_sample const> samples,
 }
 
 /// What comes of integrating these samples.
-FT_HOST_DEVICE inline integration_status judge(span<imu_sample const> samples,
-                                               imu_interval const& between,
-                                               selection_params const& params, int capacity) {
-  sample_facts const facts = inspect(samples, between);
+template <typename Group>
+FT_HOST_DEVICE integration_status judge(Group g, span<imu_sample const> samples,
+                                        imu_interval const& between, selection_params const& params,
+                                        int capacity) {
+  sample_facts const facts = inspect(g, samples, between);
   if (!facts.finite) { return integration_status::not_finite; }
   if (!facts.ascending) { return integration_status::unordered; }
   int const pairs = samples.size - 1;
@@ -114,6 +122,61 @@ FT_HOST_DEVICE inline imu_step make_step(span<imu_sample const> s, imu_interval 
   return {mean_of(a.accel, b.accel, cut), mean_of(a.gyro, b.gyro, cut), narrow(end - begin)};
 }
 
+/// The first sample from `begin` on with a property, or the number of samples.
+template <typename Group, typename Property>
+FT_HOST_DEVICE int first_sample(Group g, span<imu_sample const> queue, int begin,
+                                Property const& has) {
+  int found = queue.size;
+  for (int i = begin + g.rank(); i < found; i += g.size()) {
+    if (has(queue[i])) { found = i; }
+  }
+  return g.reduce(found, min_op{});
+}
+
+/// select_samples() by a group, whose threads all get the result.
+template <typename Group>
+FT_HOST_DEVICE imu_selection select_samples_by(Group g, span<imu_sample const> queue,
+                                               imu_interval const& between,
+                                               selection_params const& params, imu_step* steps,
+                                               int capacity) {
+  imu_selection out{0, 0, 0, 0, integration_status::no_samples};
+  if (queue.size == 0) { return out; }
+  if (!(scalar::is_finite(between.from_s) && scalar::is_finite(between.to_s))) {
+    out.status = integration_status::not_finite;
+    return out;
+  }
+  if (!(between.from_s < between.to_s)) {
+    out.status = integration_status::unordered;
+    return out;
+  }
+  int const first = first_sample(g, queue, 0, [&](imu_sample const& s) {
+    return !(s.time_s < between.from_s - params.early_s);
+  });
+  out.dropped = first;
+  // A stamp that is not finite belongs to no time.
+  int const end = first_sample(g, queue, first, [&](imu_sample const& s) {
+    return s.time_s >= between.to_s - params.early_s && scalar::is_finite(s.time_s);
+  });
+  out.removed = end;
+  out.taken = min_of(end + 1, queue.size) - first;
+  if (out.taken == 0) {
+    out.status = integration_status::no_steps;
+    return out;
+  }
+  span<imu_sample const> const taken{queue.data + first, out.taken};
+  out.status = judge(g, taken, between, params, capacity);
+  if (end < queue.size) {
+    bool const ahead = end + 1 < queue.size && queue[end + 1].time_s < queue[end].time_s;
+    if (ahead) { out.status = integration_status::unordered; }
+    // A faulty sample that stayed would spoil the next intervals, too.
+    if (ahead || !is_finite(queue[end])) { ++out.removed; }
+  }
+  if (!usable(out.status)) { return out; }
+  out.steps = out.taken - 1;
+  for (int i = g.rank(); i < out.steps; i += g.size()) { steps[i] = make_step(taken, between, i); }
+  return out;
+}
+
 }  // namespace detail
 
 /// Selects the samples between two images and makes their steps. Equal bits on every executor.
@@ -125,43 +188,7 @@ FT_HOST_DEVICE inline imu_selection select_samples(span<imu_sample const> queue,
                                                    imu_interval const& between,
                                                    selection_params const& params, imu_step* steps,
                                                    int capacity) {
-  imu_selection out{0, 0, 0, 0, integration_status::no_samples};
-  if (queue.size == 0) { return out; }
-  if (!(scalar::is_finite(between.from_s) && scalar::is_finite(between.to_s))) {
-    out.status = integration_status::not_finite;
-    return out;
-  }
-  if (!(between.from_s < between.to_s)) {
-    out.status = integration_status::unordered;
-    return out;
-  }
-  int first = 0;
-  while (first < queue.size && queue[first].time_s < between.from_s - params.early_s) { ++first; }
-  out.dropped = first;
-  int end = first;
-  // A stamp that is not finite belongs to no time: the walk goes over it.
-  while (end < queue.size && !(queue[end].time_s >= between.to_s - params.early_s &&
-                               scalar::is_finite(queue[end].time_s))) {
-    ++end;
-  }
-  out.removed = end;
-  out.taken = min_of(end + 1, queue.size) - first;
-  if (out.taken == 0) {
-    out.status = integration_status::no_steps;
-    return out;
-  }
-  span<imu_sample const> const taken{queue.data + first, out.taken};
-  out.status = detail::judge(taken, between, params, capacity);
-  if (end < queue.size) {
-    bool const ahead = end + 1 < queue.size && queue[end + 1].time_s < queue[end].time_s;
-    if (ahead) { out.status = integration_status::unordered; }
-    // A faulty sample that stayed would spoil the next intervals, too.
-    if (ahead || !detail::is_finite(queue[end])) { ++out.removed; }
-  }
-  if (!usable(out.status)) { return out; }
-  out.steps = out.taken - 1;
-  for (int i = 0; i < out.steps; ++i) { steps[i] = detail::make_step(taken, between, i); }
-  return out;
+  return detail::select_samples_by(single_group{}, queue, between, params, steps, capacity);
 }
 
 namespace detail {
@@ -171,12 +198,13 @@ struct select_interval {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, imu_sample const* samples,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, imu_sample const* samples,
                                  imu_interval const* intervals, selection_params const& params,
                                  imu_steps_view const& out) const {
     imu_interval const between = intervals[item];
-    out.chosen[item] = ft::select_samples({samples + between.first, between.count}, between, params,
-                                          out.of(item), out.capacity);
+    imu_selection const chosen = select_samples_by(g, {samples + between.first, between.count},
+                                                   between, params, out.of(item), out.capacity);
+    if (g.rank() == 0) { out.chosen[item] = chosen; }
   }
 };
 
@@ -189,8 +217,8 @@ struct select_interval {
 template <typename Exec>
 void select_samples(Exec const& exec, imu_sample const* samples, imu_interval const* intervals,
                     selection_params const& params, imu_steps_view const& out) {
-  for_each_item<per_thread>(exec, out.intervals, detail::select_interval{}, samples, intervals,
-                            params, out);
+  for_each_item<per_warp>(exec, out.intervals, detail::select_interval{}, samples, intervals,
+                          params, out);
 }
 
 }  // namespace FT_ABI

@@ -44,13 +44,13 @@ struct take_inertial_pose {
     int inliers = 0;
     for (int i = g.rank(); i < n; i += g.size()) {
       bool const holds = holder[seen.number[at + i]] >= 0;
-      inliers += static_cast<int>(holds && v.poses.outlier[at + i] == 0);
+      inliers += static_cast<int>(holds && seen.outlier[at + i] == 0);
     }
     inliers = g.reduce(inliers, sum_op{});
     bool const taken = optimized && 2 * inliers >= seen.inliers[b];
     g.sync();
     for (int i = g.rank(); taken && i < n; i += g.size()) {
-      if (v.poses.outlier[at + i] != 0) { holder[seen.number[at + i]] = -1; }
+      if (seen.outlier[at + i] != 0) { holder[seen.number[at + i]] = -1; }
     }
     if (!is_last) { return; }
     t.optimizes = taken ? 1 : 0;

@@ -130,7 +130,6 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   p.prior = v.prior;
   p.next_prior = v.prior;
   p.result = c.take<inertial_pose_result>(b);
-  p.outlier = c.take<unsigned char>(n);
   p.chi2 = c.take<float>(n * inertial_rounds);
 }
 

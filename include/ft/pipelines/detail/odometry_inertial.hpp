@@ -180,8 +180,9 @@ public:
                 frame_view const& frame, observations_view const& seen, pose* T_cw) const {
     inertial_poses const poses = problems(seen);
     inertial_pose_params how;
-    how.step_tolerance = 1e-3;  // what then remains is far less: steps converge quadratically
-    how.first_round = 2;        // the pose without the IMU has removed outliers
+    how.step_tolerance = 1e-4;  // what then remains is far less: steps converge quadratically
+    how.first_round = inertial_rounds - 1;  // the pose without the IMU has found outliers
+    how.outliers_given = true;
     how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);
     take_inertial_poses(exec, seen, state, frame, T_cw, view_);
@@ -215,6 +216,7 @@ private:
     inertial_poses poses = view_.poses;
     poses.observations = seen.items;
     poses.count = seen.count;
+    poses.outlier = seen.outlier;
     return poses;
   }
 

@@ -1,0 +1,255 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/generated/render.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <utility>
+
+#include "examples/sequence/detail/random.hpp"
+
+namespace seq::generated {
+namespace {
+
+// A surface in the camera's frame. A ray r meets the plane at r / (inverse . r).
+struct facing {
+  Eigen::Vector3f inverse;
+  Eigen::Vector3f along, up;
+  float s0 = 0, t0 = 0;
+  float width = 0, height = 0;
+  std::array<Eigen::Vector3f, 4> corners;
+  texture const* skin = nullptr;
+};
+
+struct hit {
+  int id = -1;  // into the list of facing surfaces
+  float s = 0, t = 0;
+};
+
+hit nearest(std::vector<facing> const& surfaces, std::vector<int> const& candidates,
+            Eigen::Vector3f const& ray) {
+  hit best;
+  float best_inverse = 0;
+  for (int id : candidates) {
+    facing const& f = surfaces[static_cast<std::size_t>(id)];
+    float const inverse = f.inverse.dot(ray);
+    if (!(inverse > best_inverse)) { continue; }
+    float const depth = 1.0f / inverse;
+    float const s = depth * f.along.dot(ray) - f.s0;
+    float const t = depth * f.up.dot(ray) - f.t0;
+    if (s < 0 || t < 0 || s > f.width || t > f.height) { continue; }
+    best_inverse = inverse;
+    best = {id, s, t};
+  }
+  return best;
+}
+
+footprint measure(facing const& f, Eigen::Vector3f const& ray, Eigen::Vector3f const& right,
+                  Eigen::Vector3f const& down) {
+  float const k = f.skin->texels_per_m;
+  auto const at = [&](Eigen::Vector3f const& r, float& s, float& t) {
+    float const depth = k / std::max(f.inverse.dot(r), 1e-4f);
+    s = depth * f.along.dot(r);
+    t = depth * f.up.dot(r);
+  };
+  float s = 0, t = 0, sr = 0, tr = 0, sd = 0, td = 0;
+  at(ray, s, t);
+  at(right, sr, tr);
+  at(down, sd, td);
+  return f.skin->measure(sr - s, tr - t, sd - s, td - t);
+}
+
+float shade(facing const& f, hit const& h, footprint const& width) {
+  float const k = f.skin->texels_per_m;
+  return f.skin->sample(h.s * k, h.t * k, width);
+}
+
+std::vector<facing> face(std::vector<surface> const& surfaces,
+                         Eigen::Isometry3d const& T_world_camera) {
+  Eigen::Isometry3d const T_camera_world = T_world_camera.inverse();
+  Eigen::Matrix3d const R = T_camera_world.linear();
+  std::vector<facing> out;
+  for (surface const& s : surfaces) {
+    Eigen::Vector3d const origin = T_camera_world * s.origin;
+    Eigen::Vector3d const normal = R * s.normal;
+    double const offset = normal.dot(origin);
+    if (offset > -1e-6) { continue; }  // seen from behind
+    facing f;
+    f.inverse = (normal / offset).cast<float>();
+    Eigen::Vector3d const along = R * s.along;
+    Eigen::Vector3d const up = R * s.up;
+    f.along = along.cast<float>();
+    f.up = up.cast<float>();
+    f.s0 = static_cast<float>(along.dot(origin));
+    f.t0 = static_cast<float>(up.dot(origin));
+    f.width = static_cast<float>(s.width);
+    f.height = static_cast<float>(s.height);
+    f.corners = {origin.cast<float>(), (origin + s.width * along).cast<float>(),
+                 (origin + s.width * along + s.height * up).cast<float>(),
+                 (origin + s.height * up).cast<float>()};
+    f.skin = &s.skin;
+    out.push_back(f);
+  }
+  return out;
+}
+
+void find_candidates(std::vector<facing> const& surfaces, tile const& t, std::vector<int>& out) {
+  out.clear();
+  for (std::size_t i = 0; i < surfaces.size(); ++i) {
+    bool outside = false;
+    for (auto const& plane : t.outward) {
+      bool all = true;
+      for (auto const& c : surfaces[i].corners) { all = all && plane.dot(c) > 0; }
+      outside = outside || all;
+    }
+    if (!outside) { out.push_back(static_cast<int>(i)); }
+  }
+}
+
+// Pixels of one image.
+class tracer {
+public:
+  tracer(view const& v, std::vector<surface> const& surfaces,
+         Eigen::Isometry3d const& T_world_camera)
+      : v_(v),
+        visible_(face(surfaces, T_world_camera)),
+        w_(v.camera.width),
+        h_(v.camera.height),
+        out_(v.rays.size(), 0.0f),
+        ids_(v.rays.size(), -1) {}
+
+  std::vector<float> run() {
+    for (tile const& t : v_.tiles) {
+      if (t.any) { trace_centres(t); }
+    }
+    for (tile const& t : v_.tiles) { refine_outlines(t); }
+    return std::move(out_);
+  }
+
+private:
+  std::size_t at(int x, int y) const {
+    return static_cast<std::size_t>(y) * static_cast<std::size_t>(w_) + static_cast<std::size_t>(x);
+  }
+  // One pixel away in x and y, inwards at the border of the image and of the lens.
+  Eigen::Vector3f neighbour(int x, int y, int dx, int dy) const {
+    Eigen::Vector3f const& here = v_.rays[at(x, y)];
+    if (x + dx < w_ && y + dy < h_ && v_.rays[at(x + dx, y + dy)].squaredNorm() > 0) {
+      return v_.rays[at(x + dx, y + dy)];
+    }
+    if (x >= dx && y >= dy && v_.rays[at(x - dx, y - dy)].squaredNorm() > 0) {
+      return Eigen::Vector3f(2.0f * here - v_.rays[at(x - dx, y - dy)]);
+    }
+    return here;
+  }
+  void trace_centres(tile const& t) {
+    find_candidates(visible_, t, candidates_);
+    for (int y = t.y0; y < t.y1; ++y) {
+      int measured = -1;
+      footprint width;
+      for (int x = t.x0; x < t.x1; ++x) {
+        if ((x & 3) == 0) { measured = -1; }
+        std::size_t const i = at(x, y);
+        if (v_.light[i] <= 0.0f) { continue; }
+        hit const found = nearest(visible_, candidates_, v_.rays[i]);
+        if (found.id < 0) { continue; }
+        facing const& f = visible_[static_cast<std::size_t>(found.id)];
+        if (found.id != measured) {
+          width = measure(f, v_.rays[i], neighbour(x, y, 1, 0), neighbour(x, y, 0, 1));
+          measured = found.id;
+        }
+        out_[i] = shade(f, found, width);
+        ids_[i] = static_cast<std::int16_t>(found.id);
+      }
+    }
+  }
+  // Four samples a pixel where neighbours see different surfaces.
+  void refine_outlines(tile const& t) {
+    bool ready = false;
+    for (int y = t.y0; y < t.y1; ++y) {
+      for (int x = t.x0; x < t.x1; ++x) {
+        if (!is_outline(x, y)) { continue; }
+        if (!ready) {
+          find_candidates(visible_, t, candidates_);
+          ready = true;
+        }
+        sample_four(x, y);
+      }
+    }
+  }
+  bool is_outline(int x, int y) const {
+    std::size_t const i = at(x, y);
+    std::int16_t const id = ids_[i];
+    if (id < 0) { return false; }
+    return (x > 0 && ids_[i - 1] != id) || (x + 1 < w_ && ids_[i + 1] != id) ||
+           (y > 0 && ids_[at(x, y - 1)] != id) || (y + 1 < h_ && ids_[at(x, y + 1)] != id);
+  }
+  void sample_four(int x, int y) {
+    Eigen::Vector3f const ray = v_.rays[at(x, y)];
+    Eigen::Vector3f const right = neighbour(x, y, 1, 0);
+    Eigen::Vector3f const down = neighbour(x, y, 0, 1);
+    float sum = 0;
+    int samples = 0;
+    for (int k = 0; k < 4; ++k) {
+      float const du = (k & 1) != 0 ? 0.25f : -0.25f;
+      float const dv = (k & 2) != 0 ? 0.25f : -0.25f;
+      Eigen::Vector3f const shifted = ray + du * (right - ray) + dv * (down - ray);
+      hit const found = nearest(visible_, candidates_, shifted);
+      if (found.id < 0) { continue; }
+      facing const& f = visible_[static_cast<std::size_t>(found.id)];
+      sum += shade(f, found, measure(f, ray, right, down));
+      ++samples;
+    }
+    if (samples > 0) { out_[at(x, y)] = sum / static_cast<float>(samples); }
+  }
+
+  view const& v_;
+  std::vector<facing> visible_;
+  int w_, h_;
+  std::vector<float> out_;
+  std::vector<std::int16_t> ids_;  // of the surface that a pixel's centre sees
+  std::vector<int> candidates_;
+};
+
+}  // namespace
+
+std::vector<float> normal_table() {
+  constexpr int size = 4096;
+  std::vector<float> out(size);
+  for (int i = size / 2; i < size; ++i) {
+    double const p = (i + 0.5) / size;
+    double low = 0;
+    double high = 6;
+    for (int k = 0; k < 30; ++k) {
+      double const middle = 0.5 * (low + high);
+      (1 - 0.5 * std::erfc(middle / std::sqrt(2.0)) < p ? low : high) = middle;
+    }
+    out[static_cast<std::size_t>(i)] = static_cast<float>(low);
+    out[static_cast<std::size_t>(size - 1 - i)] = static_cast<float>(-low);
+  }
+  return out;
+}
+
+std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
+                         Eigen::Isometry3d const& T_world_camera) {
+  return tracer(v, surfaces, T_world_camera).run();
+}
+
+image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,
+             std::vector<float> const& normal, std::uint64_t noise_key) {
+  image out;
+  out.width = v.camera.width;
+  out.height = v.camera.height;
+  out.pixels.resize(radiance.size());
+  std::uint64_t bits = 0;
+  for (std::size_t i = 0; i < radiance.size(); ++i) {
+    if ((i & 3u) == 0) { bits = detail::mix(noise_key + i * 0x9e3779b97f4a7c15ULL); }
+    float const noise = sigma * normal[bits & 4095u];
+    bits >>= 16;
+    float const rounded = radiance[i] * (gain * v.light[i]) + noise + 0.5f;
+    out.pixels[i] = static_cast<std::uint8_t>(std::min(std::max(rounded, 0.0f), 255.0f));
+  }
+  return out;
+}
+
+}  // namespace seq::generated

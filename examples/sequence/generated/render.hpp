@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Images of the room.
+#pragma once
+
+#include <Eigen/Geometry>
+
+#include <cstdint>
+#include <vector>
+
+#include "examples/sequence/generated/room.hpp"
+#include "examples/sequence/generated/view.hpp"
+#include "examples/sequence/types.hpp"
+
+namespace seq::generated {
+
+/// Quantiles of the normal distribution; a uniform index gives a normal variate.
+std::vector<float> normal_table();
+
+/// Grey level of the surface that each pixel sees, 0 outside the lens' range.
+std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
+                         Eigen::Isometry3d const& T_world_camera);
+
+/// An image of what was traced. @param sigma of the noise, grey levels @param normal normal_table()
+image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,
+             std::vector<float> const& normal, std::uint64_t noise_key);
+
+}  // namespace seq::generated

@@ -34,7 +34,7 @@ class FtConan(ConanFile):
         self.version = ".".join(parts)
 
     def export_sources(self):
-        for pattern in ("include/*", "tests/camera_contract.hpp", "LICENSE", "NOTICE"):
+        for pattern in ("include/*", "tests/camera_contract.hpp", "tests/camera_contract/*", "LICENSE", "NOTICE"):
             copy(self, pattern, str(self._root), self.export_sources_folder)
 
     def requirements(self):
@@ -53,8 +53,9 @@ class FtConan(ConanFile):
         copy(self, "LICENSE", self.source_folder, str(Path(self.package_folder) / "licenses"))
         copy(self, "NOTICE", self.source_folder, str(Path(self.package_folder) / "licenses"))
         copy(self, "*.hpp", str(Path(self.source_folder) / "include"), str(Path(self.package_folder) / "include"))
-        copy(self, "camera_contract.hpp", str(Path(self.source_folder) / "tests"),
-             str(Path(self.package_folder) / "share/ft/tests"))
+        for pattern in ("camera_contract.hpp", "camera_contract/*"):
+            copy(self, pattern, str(Path(self.source_folder) / "tests"),
+                 str(Path(self.package_folder) / "share/ft/tests"))
 
     def package_info(self):
         self.cpp_info.bindirs = []

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstring>
+#include <limits>
 
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -99,12 +100,19 @@ TYPED_TEST(inertial_marginalization, what_was_refused_leaves_nothing) {
   EXPECT_EQ(after.next_prior[2].known, 1);
 }
 
-TYPED_TEST(inertial_marginalization, a_negative_number_of_problems_is_refused) {
+TYPED_TEST(inertial_marginalization, bad_arguments_are_refused) {
   inertial_scene<ft::rectified_rig> scene(24);
+  auto const refuses = [&](ft::inertial_poses const& poses, ft::imu_mount const& mount) {
+    EXPECT_THROW(ft::marginalize_inertial_poses(this->backend.exec, scene.rig, mount, poses),
+                 ft::bad_argument);
+  };
   ft::inertial_poses none{};
+  EXPECT_NO_THROW(ft::marginalize_inertial_poses(this->backend.exec, scene.rig, scene.mount, none));
+  ft::imu_mount nowhere = scene.mount;
+  nowhere.T_cb.t.x = std::numeric_limits<float>::quiet_NaN();
+  refuses(none, nowhere);
   none.problems = -1;
-  EXPECT_THROW(ft::marginalize_inertial_poses(this->backend.exec, scene.rig, scene.mount, none),
-               ft::bad_argument);
+  refuses(none, scene.mount);
 }
 
 }  // namespace inertial_marginalize_test

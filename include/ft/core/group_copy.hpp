@@ -16,7 +16,8 @@ inline namespace FT_ABI {
 template <typename T, typename Group>
 FT_HOST_DEVICE void copy_object(Group g, T& to, T const& from) {
   static_assert(std::is_trivially_copyable<T>::value, "copied by words");
-  static_assert(sizeof(T) % sizeof(std::uint32_t) == 0, "of whole words");
+  static_assert(sizeof(T) % sizeof(std::uint32_t) == 0 && alignof(T) % alignof(std::uint32_t) == 0,
+                "of whole words");
 #if defined(__CUDA_ARCH__)
   using word = std::uint32_t __attribute__((__may_alias__));
   auto const* const words = reinterpret_cast<word const*>(&from);

@@ -7,6 +7,7 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/inertial_problem.hpp"
 #include "ft/kernels/inertial/inertial_residual.hpp"
@@ -103,6 +104,19 @@ protected:
     return !g.any(!numbers(next).finite(g));
   }
 };
+
+inline void require_finite_pose(rigid<float> const& T) {
+  for (float const v : T.R.m) { require_finite("imu mount rotation", v); }
+  require_finite("imu mount x", T.t.x);
+  require_finite("imu mount y", T.t.y);
+  require_finite("imu mount z", T.t.z);
+}
+/// @throws bad_argument
+inline void require_inertial_poses(inertial_poses const& in, imu_mount const& mount) {
+  require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
+  require_finite_pose(mount.T_bc);
+  require_finite_pose(mount.T_cb);
+}
 
 }  // namespace detail
 }  // namespace FT_ABI

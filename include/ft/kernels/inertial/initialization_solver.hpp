@@ -29,8 +29,7 @@ template <typename Group>
 struct inertial_initializer {
   static constexpr int most_unknowns = initialization_scratch::most_unknowns;
   static constexpr int refinements = 5;  ///< at most
-  /// A smaller change, rad/s or m/s^2, is the last one. What remains is far less: steps converge
-  /// quadratically.
+  /// A smaller change, rad/s or m/s^2, is the last one: the next would be about a thousandth of it.
   static constexpr double step_tolerance = 1e-4;
   using system = least_squares<most_unknowns>;
 

@@ -4,7 +4,6 @@
 
 #include "ft/containers/inertial.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
@@ -50,11 +49,11 @@ struct marginalize_inertial_pose : inertial_pose_item<Rig> {
 /// (inertial_pose_params::marginalizes = false), with the same bits; of refused ones, and of those
 /// whose prior is not finite, it is not known. Inputs and results are those of that call.
 /// Asynchronous on `exec`; allocates nothing; one launch with a block for each problem.
-/// @throws bad_argument for a negative number of problems
+/// @throws bad_argument for a negative number of problems, or a mount that is not finite
 template <typename Exec, typename Rig>
 void marginalize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& mount,
                                 inertial_poses const& in, inertial_pose_params const& params = {}) {
-  detail::require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
+  detail::require_inertial_poses(in, mount);
   for_each_item<per_block<sum_lanes>>(
       exec, in.problems, detail::marginalize_inertial_pose<Rig>{{rig, mount, params}}, in);
 }

@@ -193,21 +193,14 @@ private:
   }
 };
 
-inline void require_finite_pose(rigid<float> const& T) {
-  for (float const v : T.R.m) { require_finite("imu mount rotation", v); }
-  require_finite("imu mount x", T.t.x);
-  require_finite("imu mount y", T.t.y);
-  require_finite("imu mount z", T.t.z);
-}
-
 }  // namespace detail
 
 /// States of frames from the map points that their keypoints hold, the integral of their IMU, and
-/// either the last keyframe, which is fixed, or the last frame with its prior; and the prior for
-/// the frame that follows. Up to four rounds of ten Gauss-Newton steps with robust weights, after
-/// each of which outliers are told from inliers. A round ends before its tenth step where a step is
-/// below inertial_pose_params::step_tolerance in all components. Host and device give the same
-/// bits.
+/// either the last keyframe, which is fixed, or the last frame with its prior; and, unless
+/// inertial_pose_params::marginalizes is false, the prior for the frame that follows. Up to four
+/// rounds of ten Gauss-Newton steps with robust weights, after each of which outliers are told from
+/// inliers. A round ends before its tenth step where a step is below
+/// inertial_pose_params::step_tolerance in all components. Host and device give the same bits.
 ///
 /// Asynchronous on `exec`; allocates nothing; one launch with a block for each problem, which do
 /// not depend on each other. Source: Forster et al., "On-manifold preintegration for real-time
@@ -221,11 +214,9 @@ inline void require_finite_pose(rigid<float> const& T) {
 template <typename Exec, typename Rig>
 void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& mount,
                              inertial_poses const& in, inertial_pose_params const& params = {}) {
-  detail::require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
+  detail::require_inertial_poses(in, mount);
   detail::require(params.step_tolerance >= 0, "step_tolerance must not be negative");
   detail::require_range("first_round", params.first_round, 0, inertial_rounds - 1);
-  detail::require_finite_pose(mount.T_bc);
-  detail::require_finite_pose(mount.T_cb);
   for_each_item<per_block<sum_lanes>>(
       exec, in.problems, detail::optimize_inertial_pose<Rig>{{rig, mount, params}}, in);
 }

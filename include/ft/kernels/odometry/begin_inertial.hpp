@@ -166,8 +166,8 @@ void begin_inertial_frames(Exec const& exec, odometry_input const* inputs,
 /// Predicts the states of cameras with their IMUs, after predict_frames(), whose prediction is
 /// replaced unless it is the caller's. From the last frame; where the map has changed since, or
 /// that was not optimised with the IMU, from the newest keyframe. Makes the problems of their
-/// poses; those of cameras whose IMU says nothing are such that they are refused. Asynchronous on
-/// `exec`; allocates nothing; one launch.
+/// poses; those of cameras whose IMU says nothing will be refused. Asynchronous on `exec`;
+/// allocates nothing; one launch.
 template <typename Exec>
 void predict_inertial_frames(Exec const& exec, inertial_prediction const& in,
                              odometry_state_view const& state, predicted_frames const& out,

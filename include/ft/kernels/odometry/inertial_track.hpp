@@ -42,7 +42,7 @@ struct inertial_track {
   int metric;           ///< of one camera: 1 = lengths of its map are metres
   int map;              ///< likewise: number of its map, of which all above is known; 0 = none
   vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
-  int optimizes;        ///< 1 = the current frame's pose was optimised with the IMU
+  int optimized;        ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }

@@ -97,7 +97,7 @@ private:
     keyframe_order const order = state.order[b];
     bool const tracked =
         track.has_map() && track.lost_frames == 0 && order != keyframe_order::begin_map;
-    bool const optimized = tracked && t.optimizes != 0;
+    bool const optimized = tracked && t.optimized != 0;
     bool const begins = v.seeks_scale && track.maps != t.map;
     if (begins) { forget_map(t, b, track.maps, keyframes); }
     if (optimized) {

@@ -23,10 +23,10 @@
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
-#include "ft/kernels/odometry/inertial_poses.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/keep_inertial.hpp"
 #include "ft/kernels/odometry/scale_map.hpp"
+#include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/imu_params.hpp"
 
@@ -180,7 +180,7 @@ public:
                 frame_view const& frame, observations_view const& seen, pose* T_cw) const {
     inertial_poses const poses = problems(seen);
     inertial_pose_params how;
-    how.step_tolerance = 1e-4;  // what then remains is far less: steps converge quadratically
+    how.step_tolerance = 1e-4;              // the next step would be a hundredth of it or less
     how.first_round = inertial_rounds - 1;  // the pose without the IMU has found outliers
     how.outliers_given = true;
     how.marginalizes = false;

@@ -3,7 +3,7 @@
 ///
 /// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
 /// one the integration of the IMU's samples. After the last pose each stage needs what the one
-/// before it has decided; but what is kept for the next pose with the IMU has a branch again.
+/// before it has decided; what only the next pose with the IMU needs is on a branch again.
 #pragma once
 
 #include "ft/core/config.hpp"

@@ -53,7 +53,7 @@ struct take_inertial_pose {
       if (seen.outlier[at + i] != 0) { holder[seen.number[at + i]] = -1; }
     }
     if (!is_last) { return; }
-    t.optimizes = taken ? 1 : 0;
+    t.optimized = taken ? 1 : 0;
     if (taken) {
       seen.inliers[b] = inliers;
       T_cw[b] = T;

@@ -46,6 +46,40 @@ struct sighting {
   }
 };
 
+/// Weighted errors of a link: three of rotation, three of translation.
+struct link_term {
+  ft::window_link link;
+
+  template <typename T>
+  bool operator()(T const* before, T const* now, T* error) const {
+    using matrix = ft::mat3<T>;
+    auto const rotation = [](T const* view) {
+      T c[9];  // Ceres' matrices are column-major
+      ceres::AngleAxisToRotationMatrix(view, c);
+      return matrix{{c[0], c[3], c[6], c[1], c[4], c[7], c[2], c[5], c[8]}};
+    };
+    auto const widen = [](double v) { return T(v); };
+    matrix M;
+    std::transform(link.motion.R.m, link.motion.R.m + 9, M.m, widen);
+    auto const c = link.motion.centre();
+    matrix const R_i = rotation(before).transposed();
+    matrix const R_j = rotation(now);
+    matrix const A = R_i * (M.transposed() * R_j);
+    ft::vec3<T> const C_i = -(R_i * ft::vec3<T>{before[3], before[4], before[5]});
+    ft::vec3<T> const C_j = -(R_j.transposed() * ft::vec3<T>{now[3], now[4], now[5]});
+    ft::vec3<T> const d = C_j - C_i - R_i * ft::vec3<T>{T(c.x), T(c.y), T(c.z)};
+    T const turn(std::sqrt(link.rotation_weight) / 2);
+    T const shift(std::sqrt(link.translation_weight));
+    error[0] = turn * (A.m[7] - A.m[5]);
+    error[1] = turn * (A.m[2] - A.m[6]);
+    error[2] = turn * (A.m[3] - A.m[1]);
+    error[3] = shift * d.x;
+    error[4] = shift * d.y;
+    error[5] = shift * d.z;
+    return true;
+  }
+};
+
 struct solution {
   std::vector<motion> T_cw;
   std::vector<ft::vec3<double>> position;
@@ -91,6 +125,11 @@ solution solve_by_ceres(Rig const& rig, window_scene const& s, ft::window_params
       }
     }
   }
+  for (std::size_t v = 1; v < s.links.size(); ++v) {
+    problem.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<link_term, 6, 6, 6>(new link_term{s.links[v]}), nullptr,
+        views[v - 1].data(), views[v].data());
+  }
   for (int v = 0; v < s.fixed; ++v) {
     double* const view = views[static_cast<std::size_t>(v)].data();
     if (problem.HasParameterBlock(view)) { problem.SetParameterBlockConstant(view); }
@@ -127,9 +166,10 @@ inline double distance(ft::vec3<double> a, ft::vec3<double> b) {
 /// view, centimetres for a point and metres for a point whose observations contradict each other.
 /// Sums of costs are exact to about 1e-11, so views agree to 1e-6 m and points to 1e-4 m.
 template <typename Rig>
-void compare(test::window_shape const& shape, unsigned seed) {
+void compare(test::window_shape const& shape, unsigned seed, bool linked = false) {
   auto const rig = test::example_rig<Rig>();
-  auto const s = test::make_window(rig, shape, seed);
+  auto s = test::make_window(rig, shape, seed);
+  if (linked) { test::link_views(s, 0.01, seed); }
   ft::window_params params;
   params.steps = 200;
   params.enough = 0;
@@ -168,6 +208,13 @@ TEST(AdjustWindowCeres, FisheyePairsAgree) {
     compare<test::fisheye_rig>({8, 2, 200, 8, 0.7, 0.03, 1.0, 6}, seed);
   }
   compare<test::fisheye_rig>({3, 1, 60, 3, 0.7, 0, 1.0, 3}, 15);
+}
+
+TEST(AdjustWindowCeres, LinkedViewsAgree) {
+  for (unsigned seed = 31; seed <= 33; ++seed) {
+    compare<ft::rectified_rig>({8, 2, 200, 8, 0.7, 0.03, 1.0, 6}, seed, true);
+    compare<test::fisheye_rig>({8, 1, 200, 8, 0.7, 0.03, 1.0, 6}, seed + 10, true);
+  }
 }
 
 /// With the default number of steps most of what can be gained is gained.

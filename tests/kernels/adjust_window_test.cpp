@@ -352,7 +352,7 @@ TYPED_TEST(adjust_window_unit, a_batch_is_its_problems) {
     auto const alone = adjust(this->backend.exec, rig, {scenes[b]}, params).front();
     EXPECT_TRUE(same_bits(all[b], alone)) << b;
     auto const roomy =
-        adjust(this->backend.exec, rig, {scenes[b]}, params, {}, {40, 5000, 1}).front();
+        adjust(this->backend.exec, rig, {scenes[b]}, params, {}, {40, 5000, 1, false}).front();
     EXPECT_TRUE(same_bits(all[b], roomy)) << b;
   }
 }

@@ -65,8 +65,12 @@ struct room {
   bool asks_for_keyframe(int c, int count, float depth) {
     arrays const& v = data.host;
     std::fill_n(v.depth + c * keypoints, count, depth);
-    data.push(exec);
+    ft::keyframe_order const order = judge();
     std::fill_n(v.depth + c * keypoints, count, -1.0f);
+    return order == ft::keyframe_order::add;
+  }
+  ft::keyframe_order judge(bool begins_maps = true) {
+    data.push(exec);
     arrays const& there = data.device;
     ft::searched_frames<Rig> in{};
     in.rig = rig;
@@ -80,12 +84,18 @@ struct room {
     in.inliers = there.inliers;
     in.T_cw = there.T_cw;
     in.matched = there.matched;
+    in.begins_maps = begins_maps;
     ft::judge_frames(exec, rules, in, there.state);
     ft::keyframe_order order{};
     ft::copy(exec, &order, static_cast<ft::keyframe_order const*>(there.state.order), 1);
+    ft::copy(exec, &track, static_cast<ft::camera_track const*>(there.state.tracks), 1);
+    ft::copy(exec, &T_cw, static_cast<ft::rigid<double> const*>(there.state.T_cw), 1);
     exec.wait();
-    return order == ft::keyframe_order::add;
+    return order;
   }
+  // After judge().
+  ft::camera_track track{};
+  ft::rigid<double> T_cw{};
 };
 
 template <typename Backend>
@@ -114,6 +124,56 @@ TYPED_TEST(JudgeFrames, NearIsMeasuredInTheBaselineOfARectifiedPair) {
   room<typename TypeParam::exec_type, ft::rectified_rig> r(backend.exec, rig);
   EXPECT_TRUE(r.asks_for_keyframe(0, 6, 2.99f));
   EXPECT_FALSE(r.asks_for_keyframe(0, 6, 3.01f));
+}
+
+/// A camera that was lost at x = 1 m in frames with enough points, and is thought to be at 2 m.
+template <typename Room>
+void lose(Room& r, int frames, bool guided) {
+  ft::camera_track& t = r.data.host.state.tracks[0];
+  r.rules.min_stereo_points = keypoints;
+  std::fill_n(r.data.host.depth, keypoints, 1.0f);
+  *r.data.host.inliers = 0;
+  r.data.host.state.T_cw[0].t.x = 1;
+  t.predicted.t.x = 2;
+  t.state = ft::tracking_state::recovering;
+  t.plan = ft::search_plan::recover;
+  t.lost_frames = t.lost_with_features = frames;
+  t.guided = guided ? 1 : 0;
+  t.maps = 1;
+  t.time_ns = 7;
+}
+
+TYPED_TEST(JudgeFrames, ALostCameraBeginsAMapOrGoesOnWithItWhereAnImuTells) {
+  TypeParam backend;
+  auto const rig = ft::rectified_rig::make({400.0f, 400.0f, 320.0f, 240.0f}, 0.3);
+  using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
+  for (bool const guided : {false, true}) {
+    SCOPED_TRACE(guided);
+    room_type r(backend.exec, rig);
+    lose(r, r.rules.patience - 2, guided);
+    EXPECT_EQ(r.judge(), ft::keyframe_order::none) << "too early";
+    EXPECT_EQ(r.track.state, ft::tracking_state::recovering);
+    lose(r, r.rules.patience - 1, guided);
+    EXPECT_EQ(r.judge(), guided ? ft::keyframe_order::add : ft::keyframe_order::begin_map);
+    EXPECT_EQ(r.track.state, ft::tracking_state::tracking);
+    EXPECT_EQ(r.track.maps, guided ? 1 : 2);
+    EXPECT_EQ(r.track.lost_frames, 0);
+    EXPECT_EQ(r.track.lost_with_features, 0);
+    EXPECT_EQ(r.track.seen_ns, guided ? 0 : 7) << "the map was not seen";
+    EXPECT_EQ(r.track.new_keyframe, 1);
+    EXPECT_EQ(r.T_cw.t.x, 2);
+  }
+}
+
+TYPED_TEST(JudgeFrames, PlacesThatWillBeLookedUpComeBeforeANewMap) {
+  TypeParam backend;
+  auto const rig = ft::rectified_rig::make({400.0f, 400.0f, 320.0f, 240.0f}, 0.3);
+  room<typename TypeParam::exec_type, ft::rectified_rig> r(backend.exec, rig);
+  lose(r, 100, false);
+  EXPECT_EQ(r.judge(false), ft::keyframe_order::none);
+  EXPECT_EQ(r.track.lost_with_features, 101);
+  lose(r, 100, true);
+  EXPECT_EQ(r.judge(false), ft::keyframe_order::add);
 }
 
 }  // namespace judge_frames_test

@@ -3,6 +3,7 @@
 // the walk's own formula; blindness, and what is refused.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <cstdint>
@@ -82,15 +83,9 @@ ft::odometry_params params() {
   return p;
 }
 
-/// Tracks frames [0, frames), with 200 samples a second. @param blind frames that are black
+/// Tracks all frames, with 200 samples a second.
 template <typename Exec>
-std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = {}) {
-  auto frames = walk();
-  for (int const i : blind) {
-    auto& f = frames[static_cast<std::size_t>(i)];
-    f.left.assign(f.left.size(), 0);
-    f.right.assign(f.right.size(), 0);
-  }
+std::vector<ft::tracking> run_frames(Exec const& exec, std::vector<stereo_frame> const& frames) {
   ft::odometry<Exec> odo(exec, test::room::rig(), params());
   std::vector<ft::tracking> all;
   int samples = 0;
@@ -101,6 +96,18 @@ std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = 
         odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
   }
   return all;
+}
+
+/// The same. @param blind frames that are black
+template <typename Exec>
+std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = {}) {
+  auto frames = walk();
+  for (int const i : blind) {
+    auto& f = frames[static_cast<std::size_t>(i)];
+    f.left.assign(f.left.size(), 0);
+    f.right.assign(f.right.size(), 0);
+  }
+  return run_frames(exec, frames);
 }
 
 double length(vector const& v) { return std::sqrt(ft::dot(v, v)); }
@@ -158,6 +165,36 @@ TYPED_TEST(inertial_odometry, bridges_black_images) {
     EXPECT_LT(error_of(t, i), 0.03) << i;
   }
   EXPECT_EQ(all.back().maps, 1);
+}
+
+/// Images upside down have depths, and nothing in them is known.
+TYPED_TEST(inertial_odometry, goes_on_with_its_map_where_nothing_is_known) {
+  TypeParam backend;
+  auto frames = walk();
+  int const first = 30;
+  int const last = first + ft::tracking_rules{}.patience - 1;
+  for (int i = first; i <= last; ++i) {
+    auto& f = frames[static_cast<std::size_t>(i)];
+    std::reverse(f.left.begin(), f.left.end());
+    std::reverse(f.right.begin(), f.right.end());
+    f.left.swap(f.right);  // turned by half a circle
+  }
+  auto const all = run_frames(backend.exec, frames);
+  auto const at = [&](int i) { return all[static_cast<std::size_t>(i)]; };
+  for (int i = first; i < last; ++i) { EXPECT_EQ(at(i).inliers, 0) << i; }
+  EXPECT_EQ(at(last - 1).state, ft::tracking_state::recovering);
+  EXPECT_EQ(at(last).state, ft::tracking_state::tracking);
+  EXPECT_TRUE(at(last).keyframe);
+  EXPECT_EQ(at(last).inliers, 0);
+  EXPECT_GT(at(last).map_points, at(last - 1).map_points);
+  EXPECT_TRUE(std::isinf(at(last).covariance[0]));
+  for (int i = first; i < frame_count; ++i) {
+    EXPECT_EQ(at(i).maps, 1) << i;
+    EXPECT_TRUE(at(i).imu.predicted) << i;
+    EXPECT_LT(error_of(at(i), i), 0.03) << i;
+  }
+  EXPECT_EQ(all.back().state, ft::tracking_state::tracking);
+  EXPECT_GT(all.back().inliers, 50);
 }
 
 TYPED_TEST(inertial_odometry, works_without_samples) {

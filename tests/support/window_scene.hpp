@@ -70,6 +70,7 @@ struct window_scene {
   std::vector<ft::vec3<double>> position, true_position;
   std::vector<ft::window_observation> seen;  ///< [points][views][cameras]
   std::vector<unsigned char> wrong;          ///< the same shape; 1 = an error made on purpose
+  std::vector<ft::window_link> links;        ///< [views] from the view before; empty = none
 
   int views() const { return static_cast<int>(T_cw.size()); }
   int points() const { return static_cast<int>(position.size()); }
@@ -146,6 +147,32 @@ window_scene make_window(Rig const& rig, window_shape const& shape, unsigned see
   return s;
 }
 
+/// Measures the motion between views.
+/// @param error of a rotation, rad, and of a translation, m: at most, along each axis
+inline void link_views(window_scene& s, double error, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> of(-error, error);
+  s.links.assign(s.T_cw.size(), {motion{{{std::nan("")}}, {}}, 0, 0});  // the first is not read
+  for (std::size_t v = 1; v < s.T_cw.size(); ++v) {
+    motion const off = turn({of(random), of(random), of(random)}, {of(random), of(random), 0.0});
+    double const weight = 1e4 * static_cast<double>(1 + random() % 4u);
+    s.links[v] = {off * (s.true_T_cw[v] * s.true_T_cw[v - 1].inverse()), weight, 2 * weight};
+  }
+}
+/// The cost of the links that end at a moving view, by a plain reading of the rules.
+inline double link_costs(window_scene const& s, std::vector<motion> const& T_cw) {
+  double sum = 0;
+  for (auto v = static_cast<std::size_t>(std::max(1, s.fixed)); v < s.links.size(); ++v) {
+    ft::window_link const& link = s.links[v];
+    auto const R_wi = T_cw[v - 1].R.transposed();
+    auto const A = R_wi * (link.motion.R.transposed() * T_cw[v].R);
+    ft::vec3<double> const e{(A.m[7] - A.m[5]) / 2, (A.m[2] - A.m[6]) / 2, (A.m[3] - A.m[1]) / 2};
+    auto const d = T_cw[v].centre() - T_cw[v - 1].centre() - R_wi * link.motion.centre();
+    sum += link.rotation_weight * ft::dot(e, e) + link.translation_weight * ft::dot(d, d);
+  }
+  return sum;
+}
+
 struct window_result {
   std::vector<motion> T_cw;
   std::vector<ft::vec3<double>> position;
@@ -163,6 +190,7 @@ window_judgement judge(Rig const& rig, window_scene const& s, std::vector<motion
                        std::vector<ft::vec3<double>> const& position,
                        ft::window_params const& params = {}) {
   window_judgement j;
+  j.cost = link_costs(s, T_cw);
   auto const count = [&](bool has_image, double chi2) {
     double const robust =
         chi2 <= params.huber2 ? chi2 : 2 * std::sqrt(params.huber2 * chi2) - params.huber2;
@@ -202,12 +230,13 @@ std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
                                   std::vector<window_scene> const& scenes,
                                   ft::window_params const& params,
                                   std::vector<int> const& selected = {},
-                                  ft::window_capacity room = {0, 0, 0}) {
+                                  ft::window_capacity room = {0, 0, 0, false}) {
   int moving = 1;
   for (auto const& s : scenes) {
     room.views = std::max(room.views, s.views());
     room.points = std::max(room.points, s.points());
     room.cameras = std::max(room.cameras, s.cameras);
+    room.links = room.links || !s.links.empty();
     moving = std::max(moving, s.views() - s.fixed);
   }
   room.points = std::max(room.points, 1);
@@ -236,6 +265,11 @@ std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
     host.outcome[b] = {-1, -1, -1, -1};
     std::copy(s.T_cw.begin(), s.T_cw.end(), host.T_cw + host.view(b, 0));
     std::copy(s.position.begin(), s.position.end(), host.position + host.point(b, 0));
+    if (room.links) {
+      ft::window_link* const to = host.link + host.view(b, 0);
+      std::fill_n(to, room.views, ft::window_link{motion::identity(), 0, 0});
+      std::copy(s.links.begin(), s.links.end(), to);
+    }
     for (int p = 0; p < s.points(); ++p) {
       for (int v = 0; v < s.views(); ++v) {
         for (int c = 0; c < s.cameras; ++c) {
@@ -250,6 +284,9 @@ std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
     move(&ft::window_problem_view::fixed_count, n);
     move(&ft::window_problem_view::point_count, n);
     move(&ft::window_problem_view::T_cw, n * static_cast<std::size_t>(room.views));
+    if (room.links) {
+      move(&ft::window_problem_view::link, n * static_cast<std::size_t>(room.views));
+    }
     move(&ft::window_problem_view::position, n * static_cast<std::size_t>(room.points));
     move(&ft::window_problem_view::seen, sightings);
     move(&ft::window_problem_view::outlier, sightings);

@@ -23,6 +23,13 @@ struct alignas(16) window_observation {
   float inv_sigma2;  ///< weight, 1 / pixels^2; 0 = the point is not seen
 };
 
+/// A measured motion from one view to the next: of an IMU, of wheels.
+struct window_link {
+  rigid<double> motion;       ///< frame of the view before to that of this one, metres
+  double rotation_weight;     ///< 1 / rad^2; 0 = not measured
+  double translation_weight;  ///< 1 / m^2, of the vector between the centres; 0 = not measured
+};
+
 /// Parts of an observation that disagree with the result: too far from the point's image, or
 /// without an image.
 enum window_outlier : unsigned char {
@@ -55,6 +62,8 @@ struct window_problem_view {
   rigid<double>* T_cw = nullptr;       ///< [batch][views] start and result; metres
   vec3<double>* position = nullptr;    ///< [batch][points] start and result; world, metres
   window_observation* seen = nullptr;  ///< [batch][points][views][cameras]
+  window_link* link = nullptr;  ///< [batch][views] from the view before; the first is not read.
+                                ///< Null: none
   /// [batch][points][views][cameras] result of a valid problem: bits of window_outlier. 0 where the
   /// point is not seen.
   unsigned char* outlier = nullptr;
@@ -78,6 +87,7 @@ struct window_capacity {
   int views = 15;     ///< 1 to max_window_views
   int points = 4096;  ///< 1 to 2^20
   int cameras = 1;    ///< 1 to 16
+  bool links = false;
 };
 
 /// Places the arrays into an arena. Nothing is initialised.
@@ -102,6 +112,7 @@ inline void carve(carver& c, window_problem_view& v, window_capacity const& capa
   v.T_cw = c.take<rigid<double>>(views);
   v.position = c.take<vec3<double>>(points);
   v.seen = c.take<window_observation>(sightings);
+  if (capacity.links) { v.link = c.take<window_link>(views); }
   v.outlier = c.take<unsigned char>(sightings);
   v.outcome = c.take<window_outcome>(b);
 }

@@ -3,6 +3,8 @@
 /// integrated, and predicts the frame's state.
 #pragma once
 
+#include <cstdint>
+
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/keyframes.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -27,9 +29,9 @@ struct inertial_prediction {
   keyframes_view keyframes;  ///< an adjustment may have moved them
 };
 
-/// Longest time over which a state is predicted from the newest keyframe, s. Later the camera is
-/// searched for as without an IMU.
-inline constexpr float longest_bridge_s = 5.0f;
+/// Longest time for which the IMU alone tells where a camera is, and over which a state is
+/// predicted from the newest keyframe. Later the camera is searched for as without an IMU.
+inline constexpr std::int64_t longest_bridge_ns = 5'000'000'000;
 
 namespace detail {
 
@@ -118,13 +120,14 @@ private:
     t.status = v.from_last(b).status;
     camera_track& track = state.tracks[b];
     track.guided = 0;
-    if (!t.known() || !track.has_map()) { return; }
+    bool const blind = track.time_ns - track.seen_ns >= longest_bridge_ns;
+    if (!t.known() || !track.has_map() || blind) { return; }
     if (state.apply[b] != 0) { follow_map(t, b, in.keyframes); }
     bool const follows = t.follows != 0 && state.apply[b] == 0;
     if (follows && usable(v.from_last(b).status)) {
       t.source = inertial_source::last_frame;
     } else if (t.keyframe_moves != 0 && usable(v.from_keyframe(b).status) &&
-               v.from_keyframe(b).dT < longest_bridge_s) {
+               track.time_ns - track.keyframe_ns < longest_bridge_ns) {
       t.source = inertial_source::last_keyframe;
     } else {
       return;

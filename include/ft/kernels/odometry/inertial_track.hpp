@@ -42,7 +42,9 @@ struct inertial_track {
   int metric;           ///< of one camera: 1 = lengths of its map are metres
   int map;              ///< likewise: number of its map, of which all above is known; 0 = none
   vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
-  int optimized;        ///< 1 = the current frame's pose was optimised with the IMU
+  int weak;             ///< 1 = few keypoints of the current frame agree with its pose
+  int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
+  int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
@@ -53,6 +55,13 @@ struct inertial_track {
     t.status = integration_status::no_samples;
     return t;
   }
+};
+
+/// Of a keyframe when it was made.
+struct keyframe_motion {
+  vec3<float> v;  ///< world, m/s
+  int moves;      ///< 1 = it is known
+  int weak;       ///< as in inertial_track
 };
 
 /// Inputs of a frame from the host, one camera.
@@ -84,11 +93,15 @@ struct inertial_view {
   preintegrated* integrals = nullptr;
   /// [batch][positions] from the keyframe before to that at a position
   preintegrated* between = nullptr;
-  inertial_prior* prior = nullptr;  ///< [batch] of the last frames, then of the current ones
-  map_scaling* scaling = nullptr;   ///< [batch] what becomes of maps with this frame
-  inertial_inputs inputs;           ///< of the poses of the current frames
-  inertial_poses poses{};           ///< reads these inputs, and the observations of a frame
+  keyframe_motion* motion = nullptr;  ///< [batch][positions]
+  inertial_prior* prior = nullptr;    ///< [batch] of the last frames, then of the current ones
+  map_scaling* scaling = nullptr;     ///< [batch] what becomes of maps with this frame
+  inertial_inputs inputs;             ///< of the poses of the current frames
+  inertial_poses poses{};             ///< reads these inputs, and the observations of a frame
 
+  FT_HOST_DEVICE std::ptrdiff_t at(int b, int position) const {
+    return static_cast<std::ptrdiff_t>(b) * positions + position;
+  }
   FT_HOST_DEVICE preintegrated& from_last(int b) const { return integrals[2 * b]; }
   FT_HOST_DEVICE preintegrated& from_keyframe(int b) const { return integrals[2 * b + 1]; }
 };
@@ -111,6 +124,7 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   v.starts = c.take<integral_start>(2 * b);
   v.integrals = c.take<preintegrated>(2 * b);
   v.between = c.take<preintegrated>(b * static_cast<std::size_t>(size.positions));
+  v.motion = c.take<keyframe_motion>(b * static_cast<std::size_t>(size.positions));
   v.prior = c.take<inertial_prior>(b);
   v.scaling = c.take<map_scaling>(b);
   inertial_inputs& in = v.inputs;

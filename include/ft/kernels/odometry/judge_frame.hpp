@@ -29,9 +29,10 @@ struct searched_frames {
   float const* depth;
   int* inliers;  ///< [batch] of the last pose; 0 is written for a frame that is not tracked
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
-  unsigned char* matched;  ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
-                           ///< a map point from before the frame
-  map_beginnings begins;   ///< of a monocular_rig
+  unsigned char* matched;   ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
+                            ///< a map point from before the frame
+  map_beginnings begins;    ///< of a monocular_rig
+  bool begins_maps = true;  ///< false: a lost camera begins no new map
 };
 
 namespace detail {
@@ -50,6 +51,7 @@ FT_HOST_DEVICE inline void keep_pose(camera_track& t, rigid<double>& T_cw, pose 
     t.velocity.rest();
   }
   T_cw = now;
+  t.seen_ns = t.time_ns;
   t.lost_frames = 0;
   t.lost_with_features = 0;
   t.state = tracking_state::tracking;
@@ -59,6 +61,7 @@ FT_HOST_DEVICE inline void keep_pose(camera_track& t, rigid<double>& T_cw, pose 
 FT_HOST_DEVICE inline void begin_map(camera_track& t) {
   t.leave_map();
   t.velocity.rest();
+  t.seen_ns = t.time_ns;
   t.lost_frames = 0;
   t.lost_with_features = 0;
   t.state = tracking_state::tracking;
@@ -105,7 +108,7 @@ struct judge_camera_frame {
       if constexpr (is_monocular_v<Rig>) {
         miss_one_camera(t, b, counts, rules, in.begins, state);
       } else {
-        miss(t, b, counts, rules, state);
+        miss(t, b, counts, rules, in.begins_maps, state);
       }
     }
     if (state.order[b] != keyframe_order::none) { note_keyframe(t, state.T_cw[b]); }
@@ -150,15 +153,23 @@ private:
   }
 
   /// The frame is not tracked. The motion goes on, slower and slower, until the camera is found or
-  /// a new map is begun where it is thought to be.
+  /// a new map is begun where it is thought to be. Where an IMU tells, the map goes on there.
   FT_HOST_DEVICE static void miss(camera_track& t, int b, keypoint_counts const& counts,
-                                  tracking_rules const& rules, odometry_state_view const& state) {
+                                  tracking_rules const& rules, bool begins_maps,
+                                  odometry_state_view const& state) {
     bool const had_map = t.has_map();
     bool const usable = counts.with_depth >= rules.min_stereo_points;
     if (had_map) { drift(t, b, usable, rules, state); }
     if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
-    begin_map(t);
-    state.order[b] = keyframe_order::begin_map;
+    if (had_map && t.guided != 0) {
+      t.lost_frames = 0;
+      t.lost_with_features = 0;
+      t.state = tracking_state::tracking;
+      state.order[b] = keyframe_order::add;
+    } else if (begins_maps) {
+      begin_map(t);
+      state.order[b] = keyframe_order::begin_map;
+    }
   }
   /// The camera goes on as it is thought to.
   FT_HOST_DEVICE static void drift(camera_track& t, int b, bool usable, tracking_rules const& rules,

@@ -87,8 +87,7 @@ private:
   /// The integral up to the newest keyframe.
   FT_HOST_DEVICE static preintegrated& link_of(int b, keyframes_view const& keyframes,
                                                inertial_view const& v) {
-    return v.between[static_cast<std::ptrdiff_t>(b) * v.positions +
-                     keyframes.position(keyframes.made[b])];
+    return v.between[v.at(b, keyframes.position(keyframes.made[b]))];
   }
   FT_HOST_DEVICE static void keep(int b, odometry_state_view const& state,
                                   keyframes_view const& keyframes, inertial_view const& v) {
@@ -108,6 +107,7 @@ private:
         t.moves = 0;
       } else {
         t.last = t.predicted;
+        t.moves = 1;
       }
       t.last = at_pose(t.last, state.T_cw[b]);
     }
@@ -118,6 +118,7 @@ private:
     }
     t.keyframe = t.last;
     t.keyframe_moves = t.moves;
+    v.motion[v.at(b, keyframes.position(keyframes.made[b]))] = {t.last.v, t.moves, t.weak};
     t.restarts = 1;
   }
   /// A new map has a unit of its own: of what was known the biases are left, to integrate with.
@@ -166,8 +167,18 @@ struct gather_integrals {
     for (int k = 1 + g.part_index(); k < count; k += g.parts()) {
       copy_object(g.part(), out.integrals[first + k - 1], v.between[at(k)]);
     }
+    // Keyframes before an interval without an integral say nothing of those after it.
+    int from = 0;
+    for (int k = 1 + g.rank(); k < count; k += g.size()) {
+      if (!usable(v.between[at(k)].status)) { from = max_of(from, k); }
+    }
+    from = g.reduce(from, max_op{});
+    int weak = 0;
+    for (int k = from + 1 + g.rank(); k < count; k += g.size()) { weak += v.motion[at(k)].weak; }
+    weak = g.reduce(weak, sum_op{});
     if (g.rank() == 0) {
-      out.counts[b] = count;
+      // Keyframes that are where the IMU is known to lead say nothing new of it.
+      out.counts[b] = weak > 0 && v.tracks[b].known() ? 0 : count;
       out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
       // A new map, or a camera that was reset.
@@ -186,6 +197,10 @@ struct estimate_window {
                                  window_problem_view const& problem,
                                  inertial_windows const& v) const {
     if (selected[b] == 0) { return; }
+    if (v.counts[b] == 0) {
+      if (g.rank() == 0) { v.usable[b] = 0; }
+      return;
+    }
     auto const first = static_cast<std::ptrdiff_t>(b) * v.views;
     int const views = problem.view_count[b];
     int const earlier = v.counts[b] - views;
@@ -250,7 +265,11 @@ struct apply_inertial_estimate {
     mix(t.bias.gyro, t.gyro_weight, found.newest.bg, found.gyro_bias_sigma);
     if (!found.succeeded()) { return; }  // uncertain
     t.keyframe.bias = t.last.bias = t.bias;
-    if (find_velocity(b, found, t, keyframes, windows.newest[b], v)) { t.keyframe_moves = 1; }
+    if (!find_velocity(b, found, t, keyframes, windows.newest[b], v)) { return; }
+    t.keyframe_moves = 1;
+    keyframe_motion& newest = v.motion[v.at(b, keyframes.position(keyframes.made[b]))];
+    newest.v = t.keyframe.v;
+    newest.moves = 1;
   }
 
 private:
@@ -275,8 +294,7 @@ private:
     inertial_state<float> now{found.newest.R.cast<float>(), found.newest.p.cast<float>(),
                               found.newest.v.cast<float>(), t.bias.gyro, t.bias.accel};
     for (int k = number + 1; k <= keyframes.made[b]; ++k) {
-      preintegrated const& link =
-          v.between[static_cast<std::ptrdiff_t>(b) * v.positions + keyframes.position(k)];
+      preintegrated const& link = v.between[v.at(b, keyframes.position(k))];
       if (!usable(link.status)) { return false; }
       now = predict_state(now, link, t.gravity);
     }

@@ -19,9 +19,10 @@ inline namespace FT_ABI {
 /// The state of a camera after a frame; see tracking_rules.
 enum class tracking_state : int {
   initialising,  ///< no map yet: the frame had too few stereo points
-  tracking,      ///< the frame's pose comes from the map, or the frame begins a map
-  recovering,    ///< the last frames were not found; each frame tries another place
-  lost,          ///< all places were tried without success; the attempts go on
+  tracking,    ///< the frame's pose comes from the map, or the frame begins a map, or goes on with
+               ///< it where an IMU tells
+  recovering,  ///< the last frames were not found; each frame tries another place
+  lost,        ///< all places were tried without success; the attempts go on
 };
 
 /// When a frame counts as tracked, when a keyframe is made, and when a map is given up. Numbers are
@@ -34,7 +35,8 @@ struct tracking_rules {
   float first_wide_search = 6;   ///< factor on the search radius in the first round of attempts
   float later_wide_search = 20;  ///< and in the second; the first where no motion is known
   int patience = 5;              ///< frames in a row that have enough points and are not found,
-                                 ///< before a new map
+                                 ///< before a new map; before a keyframe where an IMU tells where
+                                 ///< the camera is
   int wanted_near_points = 100;  ///< near points that a keyframe should have at least
   int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
   float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
@@ -76,6 +78,7 @@ struct camera_track {
   tracking_state state;
   search_plan plan;
   std::int64_t keyframe_ns;  ///< of the newest keyframe
+  std::int64_t seen_ns;      ///< of the last frame whose pose comes from the map, or that began one
   int begun;                 ///< 1 = a frame was seen
   int guided;                ///< 1 = `predicted` comes from an IMU
   int lost_frames;           ///< in a row

@@ -20,6 +20,13 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// A frame of which a smaller share than one in so many keypoints agrees with its pose tells little
+/// of it.
+inline constexpr int few_inliers = 10;
+/// After so many frames whose map points it contradicts, and none between where both agree, it is
+/// the IMU's state that is wrong.
+inline constexpr int most_contradictions = 3;
+
 /// Item: a camera. Takes the pose over where it was optimised.
 struct take_inertial_pose {
   using scratch = no_scratch;
@@ -55,11 +62,29 @@ struct take_inertial_pose {
     if (!is_last) { return; }
     t.optimized = taken ? 1 : 0;
     if (taken) {
+      t.contradicted = 0;
       seen.inliers[b] = inliers;
       T_cw[b] = T;
     } else if (optimizes) {
-      t.moves = t.keyframe_moves = 0;
+      contradict(t, optimized, seen.inliers[b]);
     }
+    int keypoints = 0;
+    for (int c = 0; c < frame.cameras; ++c) { keypoints += *frame.camera(b, c).count; }
+    t.weak = few_inliers * seen.inliers[b] < keypoints ? 1 : 0;
+  }
+
+private:
+  /// Map points and IMU contradict each other. A blurred image has wrong matches that agree with
+  /// one another, so the IMU is right, but not again and again.
+  FT_HOST_DEVICE static void contradict(inertial_track& t, bool optimized, int& inliers) {
+    ++t.contradicted;
+    if (optimized && t.contradicted < most_contradictions) {
+      inliers = 0;
+      return;
+    }
+    t.contradicted = 0;
+    t.keyframe_moves = 0;
+    t.source = inertial_source::none;
   }
 };
 
@@ -67,7 +92,9 @@ struct take_inertial_pose {
 
 /// Replaces poses and inliers by those of optimize_inertial_poses(), where that was not refused, at
 /// least half of the visual inliers agree, and the camera is not searched for. Keypoints that are
-/// outliers release their points. Asynchronous on `exec`; allocates nothing; one launch.
+/// outliers release their points. Where fewer agree the frame has no inliers, so that it is not
+/// tracked; the third such frame in a row has its visual pose, and the IMU says nothing until an
+/// estimate gives velocities anew. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param T_cw [batch]
 template <typename Exec>
 void take_inertial_poses(Exec const& exec, observations_view const& seen,

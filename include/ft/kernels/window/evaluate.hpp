@@ -11,6 +11,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/solve6.hpp"
+#include "ft/kernels/window/links.hpp"
 #include "ft/kernels/window/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
 
@@ -28,6 +29,7 @@ struct window_point_scratch {
   double lane[sums][window_lanes][window_group];
   std::uint64_t mask[window_lanes][window_group];
   vec3<double> X[window_group];
+  double link[max_window_views];  ///< costs
   ordered_sum_scratch<2, double> judge;
 
   FT_HOST_DEVICE double sum(int k, int q, int lanes) const {
@@ -135,6 +137,7 @@ FT_HOST_DEVICE void gather_points(Group g, window_point_scratch& s, window_point
   if (g.rank() == 0) {
     window_real cost = 0.0;
     window_real linked = 0.0;
+    for (int v = 0; in.base == 0 && v < in.views; ++v) { cost += window_real(s.link[v]); }
     for (int q = 0; q < window_group && in.has(q); ++q) {
       cost += window_real(s.X[q].x);
       linked += window_real(s.mask[0][q] != 0 ? 1.0 : 0.0);
@@ -162,6 +165,9 @@ FT_HOST_DEVICE void evaluate_points(Group g, window_point_scratch& s, Rig const&
                                     window_params const& params, window_points const& in,
                                     rigid<double> const* T_cw, int to, bool refuse_nan) {
   using real = window_real;
+  for (int v = g.rank(); in.base == 0 && v < in.views; v += g.size()) {
+    s.link[v] = link_cost(in.problem, in.b, v, T_cw);
+  }
   FT_NO_UNROLL
   for (int k = g.rank(); k < window_lanes * window_group; k += g.size()) {
     int const lane = k / window_group;

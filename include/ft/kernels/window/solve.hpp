@@ -12,6 +12,7 @@
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/se3.hpp"
 #include "ft/kernels/window/evaluate.hpp"
+#include "ft/kernels/window/links.hpp"
 #include "ft/kernels/window/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
 
@@ -177,6 +178,7 @@ struct solve_window {
       system.a = own;
       g.sync();
     }
+    add_links(g, problem, b, w.views_of(state.buffer, b), {system.a, system.side(), state.damping});
     double* const d = w.steps_of(b);
     bool const solved = system.factor(g);
     if (g.rank() == 0) { w.solved[b] = solved ? 1 : 0; }

@@ -25,6 +25,7 @@
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/keep_inertial.hpp"
+#include "ft/kernels/odometry/link_window.hpp"
 #include "ft/kernels/odometry/scale_map.hpp"
 #include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
@@ -198,6 +199,8 @@ public:
   void gather(Exec const& exec, odometry_memory<Exec> const& own) const {
     gather_inertial_windows(exec, own.state.gather, own.map.keyframes, own.window, own.sources,
                             view_, windows_);
+    link_windows(exec, own.state.gather, own.map.keyframes, {mount_, {}}, own.window, own.sources,
+                 view_);
   }
   /// Beside tracking, after an adjustment. @param selected [batch] its cameras
   void estimate(Exec const& exec, int const* selected, window_problem_view const& problem) const {

@@ -71,7 +71,8 @@ struct odometry_memory {
     auto const b = static_cast<std::size_t>(batch);
     auto const numbers = b * static_cast<std::size_t>(shape.numbers());
     odometry_map_capacity const size{p.map_slots, {p.keyframes, shape.cameras, shape.capacity}};
-    window_capacity const views{p.window.moving + p.window.fixed, p.window_points, shape.cameras};
+    window_capacity const views{p.window.moving + p.window.fixed, p.window_points, shape.cameras,
+                                p.imu.present};
     memory_ = arena<space>([&](carver& c) {
       carve(c, map, size, batch);
       carve(c, state, batch);

@@ -2,8 +2,6 @@
 /// @file The stages of a frame of an odometry, on its memory.
 #pragma once
 
-#include <limits>
-
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/side_branch.hpp"
@@ -111,9 +109,8 @@ public:
       in.begins.patience = settings.rules.patience;
       in.begins.wants_more = this->extractor.stages().kept.wants_more;
     }
-    tracking_rules rules = settings.rules;
-    if (recognizes_places) { rules.patience = std::numeric_limits<int>::max(); }
-    judge_frames(exec, rules, in, own.state);
+    in.begins_maps = !recognizes_places;
+    judge_frames(exec, settings.rules, in, own.state);
   }
   void count_points(Exec const& exec) const {
     sightings_input in;

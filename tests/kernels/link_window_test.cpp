@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+// Links between the keyframes of an adjustment: a motion with a known answer, what is not known,
+// equal bits on both executors.
+#include "ft/kernels/odometry/link_window.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <random>
+#include <vector>
+
+#include "tests/support/backends.hpp"
+#include "tests/support/example_rigs.hpp"
+#include "tests/support/plain_map.hpp"
+
+namespace link_window_test {
+
+using motion = ft::rigid<double>;
+using vector = ft::vec3<double>;
+
+constexpr int batch = 3;
+constexpr int positions = 4;  // a ring: the keyframes are numbers 3 to 6
+constexpr int views = 4;
+constexpr int first_number = 3;
+constexpr float dT = 0.25f;
+
+struct arrays {
+  ft::keyframes_view keyframes;
+  ft::inertial_view imu;
+  ft::window_problem_view problem;
+  ft::window_sources_view sources;
+  int* flags = nullptr;
+};
+
+ft::vec3<float> narrow(vector const& v) { return v.cast<float>(); }
+
+/// Cameras that move on at a constant velocity, and turn at a constant rate.
+template <typename Exec>
+struct room {
+  Exec const& exec;
+  ft::inertial_linking how;
+  vector gravity{0.3, 9.8, -0.2};
+  test::mirrored<Exec, arrays> data;
+  std::vector<motion> T_cw;  ///< [batch * views]
+
+  explicit room(Exec const& on, unsigned seed)
+      : exec(on), data([](ft::carver& c, arrays& v) {
+          carve(c, v.keyframes, {positions, 1, 1}, batch);
+          carve(c, v.imu, {positions, 1, 1}, batch);
+          carve(c, v.problem, {views, 1, 1, true}, batch);
+          carve(c, v.sources, {views, 1, 1, false}, 1, batch);
+          v.flags = c.take<int>(batch);
+        }) {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> of(-1, 1);
+    auto const any = [&] { return vector{of(random), of(random), of(random)}; };
+    motion const T_bc = test::turn({0.3, -0.2, 1.1}, {0.05, -0.02, 0.03});
+    how.mount = {T_bc.cast<float>(), T_bc.inverse().cast<float>()};
+    for (int b = 0; b < batch; ++b) { fill(b, any(), any(), T_bc, test::turn(any(), any())); }
+  }
+  void fill(int b, vector const& rate, vector const& velocity, motion const& T_bc, motion T_wb) {
+    arrays const& v = data.host;
+    v.flags[b] = b == 2 ? 0 : 1;
+    v.problem.view_count[b] = views;
+    ft::inertial_track& t = v.imu.tracks[b];
+    t = ft::inertial_track::initial();
+    t.estimates = b == 1 ? 0 : 1;
+    t.gravity = narrow(gravity);
+    t.bias = {{0.01f, -0.02f, 0.03f}, {0.1f, 0.2f, -0.3f}};
+    motion const turned = test::turn(ft::scaled(rate, static_cast<double>(dT)), {0, 0, 0});
+    for (int i = 0; i < views; ++i) {
+      int const number = first_number + i;
+      std::ptrdiff_t const at = v.imu.at(b, v.keyframes.position(number));
+      v.sources.keyframe[v.problem.view(b, i)] = number;
+      v.problem.T_cw[v.problem.view(b, i)] = (T_wb * T_bc).inverse();
+      v.problem.link[v.problem.view(b, i)] = {motion::identity(), 7, 7};
+      T_cw.push_back(v.problem.T_cw[v.problem.view(b, i)]);
+      v.imu.motion[at] = {narrow(velocity), 1, 0};
+      // The interval up to the next keyframe; the integral is kept there.
+      auto const down = T_wb.R.transposed() * gravity;
+      ft::preintegrated p{};
+      p.dT = dT;
+      p.dR = turned.R.cast<float>();
+      p.dV = narrow(ft::scaled(down, -static_cast<double>(dT)));
+      p.dP = narrow(ft::scaled(down, -0.5 * static_cast<double>(dT * dT)));
+      p.bias = t.bias;
+      for (int k = 0; k < 9; ++k) { p.C[10 * k] = k < 3 ? 1e-8f : k < 6 ? 1e-6f : 4e-6f; }
+      p.status = ft::integration_status::integrated;
+      if (i + 1 < views) { v.imu.between[v.imu.at(b, v.keyframes.position(number + 1))] = p; }
+      T_wb = {T_wb.R * turned.R, T_wb.t + ft::scaled(velocity, static_cast<double>(dT))};
+    }
+  }
+  ft::preintegrated& integral(int b, int view) {
+    arrays const& v = data.host;
+    return v.imu.between[v.imu.at(b, v.keyframes.position(first_number + view))];
+  }
+  ft::keyframe_motion& moved(int b, int view) {
+    arrays const& v = data.host;
+    return v.imu.motion[v.imu.at(b, v.keyframes.position(first_number + view))];
+  }
+  /// [batch * views]
+  std::vector<ft::window_link> link() {
+    data.push(exec);
+    arrays const& there = data.device;
+    ft::link_windows(exec, there.flags, there.keyframes, how, there.problem, there.sources,
+                     there.imu);
+    data.pull(exec);
+    return {data.host.problem.link, data.host.problem.link + batch * views};
+  }
+};
+
+template <typename Backend>
+class LinkWindows : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(LinkWindows, test::backends);
+
+TYPED_TEST(LinkWindows, MeasureTheMotionBetweenKeyframes) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 1);
+  auto const links = r.link();
+  double const time = static_cast<double>(dT);
+  for (std::size_t i = 1; i < views; ++i) {
+    motion const want = r.T_cw[i] * r.T_cw[i - 1].inverse();
+    for (int k = 0; k < 9; ++k) { EXPECT_NEAR(links[i].motion.R.m[k], want.R.m[k], 1e-6) << i; }
+    EXPECT_NEAR(links[i].motion.t.x, want.t.x, 3e-6) << i;
+    EXPECT_NEAR(links[i].motion.t.y, want.t.y, 3e-6) << i;
+    EXPECT_NEAR(links[i].motion.t.z, want.t.z, 3e-6) << i;
+    double const turn = 3e-8 + std::pow(1e-3 * time, 2);
+    double const shift = 12e-6 + std::pow(0.05 * time, 2) + std::pow(0.025 * time * time, 2);
+    EXPECT_NEAR(links[i].rotation_weight * turn, 1, 1e-5) << i;
+    EXPECT_NEAR(links[i].translation_weight * shift, 1, 1e-5) << i;
+  }
+}
+
+TYPED_TEST(LinkWindows, SayNothingOfWhatIsNotKnown) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 2);
+  r.integral(0, 1).status = ft::integration_status::gap;
+  r.moved(0, 1).moves = 0;
+  r.integral(0, 3).dP.x = NAN;
+  auto const links = r.link();
+  EXPECT_EQ(links[1].rotation_weight, 0) << "a gap";
+  EXPECT_EQ(links[1].translation_weight, 0) << "a gap";
+  EXPECT_GT(links[2].rotation_weight, 0);
+  EXPECT_EQ(links[2].translation_weight, 0) << "no velocity";
+  EXPECT_EQ(links[3].rotation_weight, 0) << "not a number";
+  EXPECT_EQ(links[3].translation_weight, 0) << "not a number";
+  for (std::size_t i = 1; i < views; ++i) {
+    EXPECT_EQ(links[views + i].rotation_weight, 0) << "no estimate yet";
+    EXPECT_EQ(links[2 * views + i].rotation_weight, 7) << "not asked for";
+  }
+}
+
+TYPED_TEST(LinkWindows, ExecutorsAgreeToTheBit) {
+  TypeParam backend;
+  ft::host_exec const host(1);
+  for (unsigned seed = 10; seed < 20; ++seed) {
+    room<ft::host_exec> a(host, seed);
+    room<typename TypeParam::exec_type> b(backend.exec, seed);
+    auto const want = a.link();
+    auto const got = b.link();
+    EXPECT_EQ(std::memcmp(want.data(), got.data(), want.size() * sizeof(want[0])), 0) << seed;
+    EXPECT_GT(want[1].rotation_weight, 0);
+  }
+}
+
+}  // namespace link_window_test

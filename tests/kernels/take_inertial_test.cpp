@@ -1,0 +1,161 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses with the IMU, taken over or not: where map points and IMU agree, where they contradict each
+// other once and again, and which frames tell little.
+#include "ft/kernels/odometry/take_inertial.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstddef>
+
+#include "tests/support/backends.hpp"
+#include "tests/support/plain_map.hpp"
+
+namespace take_inertial_test {
+
+constexpr int keypoints = 300;
+constexpr int seen = 60;  ///< keypoints with a map point, all of them visual inliers
+
+struct arrays {
+  ft::keypoints_view keypoints;
+  int* holder = nullptr;
+  ft::pose* T_cw = nullptr;
+  ft::observations_view observations;
+  ft::odometry_state_view state;
+  ft::inertial_view imu;
+};
+
+/// What became of a frame.
+struct outcome {
+  int inliers;
+  int held;
+  float x;  ///< of the pose: 1 by the map points, 2 with the IMU
+  ft::inertial_track track;
+};
+
+template <typename Exec>
+struct room {
+  Exec const& exec;
+  test::mirrored<Exec, arrays> data;
+
+  explicit room(Exec const& on)
+      : exec(on), data([](ft::carver& c, arrays& v) {
+          carve(c, v.keypoints, keypoints, 1);
+          v.holder = c.take<int>(keypoints);
+          v.T_cw = c.take<ft::pose>(1);
+          carve(c, v.observations, keypoints, 1);
+          carve(c, v.state, 1);
+          carve(c, v.imu, {4, 1, keypoints}, 1);
+        }) {
+    arrays const& v = data.host;
+    *v.keypoints.count = keypoints;
+    v.state.tracks[0] = ft::camera_track::initial();
+    v.state.tracks[0].plan = ft::search_plan::follow;
+    v.imu.tracks[0] = ft::inertial_track::initial();
+    v.imu.tracks[0].keyframe_moves = 1;
+    v.imu.poses.result[0] = {};
+    v.imu.poses.result[0].status = ft::inertial_pose_status::optimised;
+    v.imu.poses.result[0].stored.q_cw = {0, 0, 0, 1};
+    v.imu.poses.result[0].stored.t_cw = {2, 0, 0};
+  }
+  /// The next frame. @param agree observations that are no outliers with the IMU
+  outcome frame(int agree, int visual = seen) {
+    arrays const& v = data.host;
+    std::fill_n(v.holder, keypoints, -1);
+    for (int i = 0; i < seen; ++i) {
+      v.observations.number[i] = 2 * i;
+      v.observations.outlier[i] = i < agree ? 0 : 1;
+      if (i < visual) { v.holder[2 * i] = 1000 + i; }
+    }
+    *v.observations.count = seen;
+    *v.observations.inliers = visual;
+    *v.T_cw = ft::pose::identity();
+    v.T_cw->t.x = 1;
+    v.imu.tracks[0].source = ft::inertial_source::last_keyframe;
+    data.push(exec);
+    arrays const& there = data.device;
+    ft::frame_view f;
+    f.keypoints = there.keypoints;
+    f.keypoint_step = 1;
+    f.holder = there.holder;
+    ft::take_inertial_poses(exec, there.observations, there.state, f, there.T_cw, there.imu);
+    data.pull(exec);
+    auto const held = std::count_if(v.holder, v.holder + keypoints, [](int h) { return h >= 0; });
+    return {*v.observations.inliers, static_cast<int>(held), v.T_cw->t.x, v.imu.tracks[0]};
+  }
+};
+
+template <typename Backend>
+class TakeInertialPoses : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(TakeInertialPoses, test::backends);
+
+TYPED_TEST(TakeInertialPoses, TakesWhatHalfOfTheInliersAgreeWith) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  auto const o = r.frame(seen / 2);
+  EXPECT_EQ(o.inliers, seen / 2);
+  EXPECT_EQ(o.held, seen / 2) << "outliers release their points";
+  EXPECT_EQ(o.x, 2);
+  EXPECT_EQ(o.track.optimized, 1);
+  auto const released = r.frame(seen, seen / 2);
+  EXPECT_EQ(released.inliers, seen / 2) << "what the visual pose released stays so";
+}
+
+TYPED_TEST(TakeInertialPoses, FewMatchesThatContradictTheImuAreWrongTwice) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  for (int i = 1; i < ft::detail::most_contradictions; ++i) {
+    auto const o = r.frame(seen / 2 - 1);
+    EXPECT_EQ(o.inliers, 0) << i << ": the frame is not tracked";
+    EXPECT_EQ(o.track.optimized, 0);
+    EXPECT_EQ(o.track.contradicted, i);
+    EXPECT_EQ(o.track.source, ft::inertial_source::last_keyframe);
+    EXPECT_EQ(o.track.keyframe_moves, 1);
+    EXPECT_EQ(o.track.weak, 1);
+  }
+  auto const o = r.frame(seen / 2 - 1);
+  EXPECT_EQ(o.inliers, seen) << "the visual pose stands";
+  EXPECT_EQ(o.held, seen);
+  EXPECT_EQ(o.x, 1);
+  EXPECT_EQ(o.track.optimized, 0);
+  EXPECT_EQ(o.track.source, ft::inertial_source::none);
+  EXPECT_EQ(o.track.keyframe_moves, 0);
+  EXPECT_EQ(o.track.contradicted, 0);
+}
+
+TYPED_TEST(TakeInertialPoses, AgreementForgetsContradictions) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  for (int i = 0; i < 2 * ft::detail::most_contradictions; ++i) {
+    EXPECT_EQ(r.frame(0).inliers, 0) << i;
+    EXPECT_EQ(r.frame(seen).inliers, seen) << i;
+  }
+}
+
+TYPED_TEST(TakeInertialPoses, LeaveAloneWhatIsSearchedForOrWithoutAnImu) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  auto& plan = r.data.host.state.tracks[0].plan;
+  plan = ft::search_plan::recover;
+  auto const searched = r.frame(0);
+  EXPECT_EQ(searched.inliers, seen);
+  EXPECT_EQ(searched.x, 1);
+  EXPECT_EQ(searched.track.contradicted, 0);
+  plan = ft::search_plan::follow;
+  auto& status = r.data.host.imu.poses.result[0].status;
+  status = ft::inertial_pose_status::no_integral;
+  auto const refused = r.frame(seen);
+  EXPECT_EQ(refused.inliers, seen);
+  EXPECT_EQ(refused.x, 1);
+  EXPECT_EQ(refused.track.source, ft::inertial_source::none);
+}
+
+TYPED_TEST(TakeInertialPoses, FewInliersAmongTheKeypointsTellLittle) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  int const least = keypoints / ft::detail::few_inliers;
+  EXPECT_EQ(r.frame(least).track.weak, 0);
+  EXPECT_EQ(r.frame(least - 1, least).track.weak, 1);
+}
+
+}  // namespace take_inertial_test

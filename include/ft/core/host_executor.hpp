@@ -4,6 +4,7 @@
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_invoke.h>
 #include <tbb/task_arena.h>
 
 #include <cstddef>
@@ -86,16 +87,30 @@ public:
         &body);
   }
 
+  /// Calls a() and b(), at the same time where there are threads for it.
+  template <typename A, typename B>
+  void both(A const& a, B const& b) const {
+    call_both({[](void const* f) { (*static_cast<A const*>(f))(); }, &a},
+              {[](void const* f) { (*static_cast<B const*>(f))(); }, &b});
+  }
+
   /// Returns at once: all calls are synchronous.
   void wait() const {}
   /// The address through which stages can read host pointer `p`; null if they cannot.
   static void const* host_address(void const* p) { return p; }
 
 private:
+  // Pointers to functions, so that the thread pool's templates are compiled once and not for each
+  // stage.
   using range_function = void (*)(void const* context, int begin, int end);
+  struct call {
+    void (*run)(void const* context);
+    void const* context;
 
-  /// Calls `run` for disjoint ranges that cover [0, items). A pointer to a function, so that the
-  /// thread pool's templates are compiled once and not for each stage.
+    void operator()() const { run(context); }
+  };
+
+  /// Calls `run` for disjoint ranges that cover [0, items).
   void run_ranges(int items, range_function run, void const* context) const {
     if (threads_ == 1 || items <= 1) {
       run(context, 0, items > 0 ? items : 0);
@@ -106,6 +121,18 @@ private:
           tbb::blocked_range<int>(0, items),
           [=](tbb::blocked_range<int> const& range) { run(context, range.begin(), range.end()); });
     };
+    in_arena(start);
+  }
+  void call_both(call const& a, call const& b) const {
+    if (threads_ == 1) {
+      a();
+      b();
+    } else {
+      in_arena([&] { tbb::parallel_invoke(a, b); });
+    }
+  }
+  template <typename Start>
+  void in_arena(Start const& start) const {
     if (arena_) {
       arena_->execute(start);
     } else {

@@ -86,6 +86,7 @@ template <typename Exec>
 class stage_clock {
 public:
   void enable() { enabled_ = true; }
+  bool enabled() const { return enabled_; }
   /// Forgets all marks and sets the first one. @return the mark
   int begin(Exec const& exec) {
     marks_.clear();

@@ -166,7 +166,7 @@ private:
       t.lost_with_features = 0;
       t.state = tracking_state::tracking;
       state.order[b] = keyframe_order::add;
-    } else if (begins_maps) {
+    } else if (begins_maps || !had_map) {
       begin_map(t);
       state.order[b] = keyframe_order::begin_map;
     }

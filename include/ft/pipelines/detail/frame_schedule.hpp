@@ -5,8 +5,9 @@
 /// Every line enqueues one stage. `line.then(name)` is the executor for a launch that runs when the
 /// preceding grid has completed. `line.with(name)` is the executor for a launch that starts when
 /// the preceding grid has started; the two share data only through signals. The launch after such a
-/// pair waits for both. Names are those of stage_times(). On the host all stages run in the order
-/// of the lines.
+/// pair waits for both. `line.both(a, b)` enqueues two chains that share no data. Names are those
+/// of stage_times(). On the host stages run in the order of the lines, and such chains at the same
+/// time unless stages are timed.
 ///
 /// Why stages overlap: the pyramid is computed from the rows that have arrived while the bus is the
 /// bottleneck; distribution and ordering have one block per image and level, which leaves most of a
@@ -36,6 +37,19 @@ public:
   Exec with(char const* stage) {
     end_stage(stage);
     return with_order(exec_, launch_order::concurrent);
+  }
+  /// Enqueues a(line), and b(line) after it.
+  template <typename A, typename B>
+  void both(A const& a, B const& b) {
+    if constexpr (!Exec::asynchronous) {
+      if (!clock_.enabled()) {
+        stage_line other = *this;
+        exec_.both([&] { a(*this); }, [&] { b(other); });
+        return;
+      }
+    }
+    a(*this);
+    b(*this);
   }
   /// An executor for launches that run concurrently with all later ones, until join().
   Exec fork(side_branch<Exec>& branch) {
@@ -75,9 +89,12 @@ private:
 /// @param f an extraction, or a type with the same stages
 template <typename Line, typename Features>
 void queue_features(Line& line, Features const& f) {
-  f.detect(line.then("corners"));
-  f.distribute(line.then("distribution"));
-  f.blur(line.with("blur"));
+  line.both(
+      [&](Line& l) {
+        f.detect(l.then("corners"));
+        f.distribute(l.then("distribution"));
+      },
+      [&](Line& l) { f.blur(l.with("blur")); });
   f.order(line.then("order"));
   f.describe(line.with("descriptors"));
   if (f.refines_positions()) { f.refine(line.then("descriptors")); }
@@ -112,8 +129,8 @@ template <typename Line, typename Stages>
 void queue_motion(Line& line, Stages& s, bool local_follows) {
   queue_images(line, s, local_follows);
   if constexpr (Stages::rectified) {
-    s.list_last_frame(line.then("search last frame"));
-    s.match_stereo(line.with("stereo"));
+    line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
+              [&](Line& l) { s.match_stereo(l.with("stereo")); });
     s.assign_last_frame(line.then("search last frame"));
   } else {
     auto const branch = line.fork(s.stereo_branch());

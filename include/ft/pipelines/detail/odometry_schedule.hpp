@@ -32,12 +32,14 @@ void queue_odometry_motion(Line& line, Stages& s) {
   queue_images(line, s, false);
   line.join(s.beginning_branch());
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
-  s.list_last_frame(line.then("search last frame"));
   if constexpr (Stages::rectified) {
     // One camera has no depths.
-    s.match_stereo(line.with(Stages::starts_from_motion ? "start" : "stereo"));
+    char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
+    line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
+              [&](Line& l) { s.match_stereo(l.with(stereo)); });
     s.assign_last_frame(line.then("search last frame"));
   } else {
+    s.list_last_frame(line.then("search last frame"));
     auto const stereo = line.fork(s.stereo_branch());
     s.match_stereo(line.on(stereo));
     line.end_of_branch(stereo, "stereo");

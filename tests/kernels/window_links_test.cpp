@@ -89,6 +89,7 @@ TEST(WindowLinks, WithoutWeightsNothingIsRead) {
   motion const none{{{nan, nan, nan}}, {nan, nan, nan}};
   auto const T = motion::identity();
   EXPECT_EQ(ft::detail::link_error::of({none, 0, 0}, T, T).cost().value, 0);
+  EXPECT_EQ(ft::detail::link_error::of({none, nan, -1}, T, T).cost().value, 0);
   EXPECT_TRUE(std::isnan(ft::detail::link_error::of({none, 1, 0}, T, T).cost().value));
 }
 

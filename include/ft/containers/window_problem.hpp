@@ -26,8 +26,8 @@ struct alignas(16) window_observation {
 /// A measured motion from one view to the next: of an IMU, of wheels.
 struct window_link {
   rigid<double> motion;       ///< frame of the view before to that of this one, metres
-  double rotation_weight;     ///< 1 / rad^2; 0 = not measured
-  double translation_weight;  ///< 1 / m^2, of the vector between the centres; 0 = not measured
+  double rotation_weight;     ///< 1 / rad^2; not above 0 = not measured
+  double translation_weight;  ///< 1 / m^2, of the vector between the centres; likewise
 };
 
 /// Parts of an observation that disagree with the result: too far from the point's image, or

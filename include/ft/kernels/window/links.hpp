@@ -30,8 +30,10 @@ struct link_error {
 
   FT_HOST_DEVICE static link_error of(window_link const& link, rigid<double> const& before,
                                       rigid<double> const& now) {
-    bool const measured = link.rotation_weight > 0 || link.translation_weight > 0;
-    if (!measured) { return none(); }
+    auto const measured = [](double weight) { return weight > 0 ? weight : 0.0; };
+    real const turn_weight = measured(link.rotation_weight);
+    real const shift_weight = measured(link.translation_weight);
+    if (!(turn_weight + shift_weight > real(0.0))) { return none(); }
     rigid<real> const M = link.motion.cast<real>();
     rigid<real> const T_i = before.cast<real>();
     rigid<real> const T_j = now.cast<real>();
@@ -39,8 +41,8 @@ struct link_error {
     mat3<real> const A = R_wi * (M.R.transposed() * T_j.R);
     real const half = 0.5;
     vec3<real> const q = R_wi * M.centre();
-    return {link.rotation_weight,
-            link.translation_weight,
+    return {turn_weight,
+            shift_weight,
             {half * (A.m[7] - A.m[5]), half * (A.m[2] - A.m[6]), half * (A.m[3] - A.m[1])},
             T_j.centre() - T_i.centre() - q,
             q};

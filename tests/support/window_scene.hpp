@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <random>
 #include <vector>
 
@@ -221,6 +222,22 @@ window_judgement judge(Rig const& rig, window_scene const& s, std::vector<motion
     }
   }
   return j;
+}
+
+/// The least cost with one moving view turned or moved by 1e-5 along any axis.
+template <typename Rig>
+double least_cost_nearby(Rig const& rig, window_scene const& s, window_result const& r) {
+  double least = std::numeric_limits<double>::infinity();
+  for (auto v = static_cast<std::size_t>(s.fixed); v < r.T_cw.size(); ++v) {
+    for (int k = 0; k < 12; ++k) {
+      double step[6] = {};
+      step[k / 2] = k % 2 == 0 ? 1e-5 : -1e-5;
+      auto T_cw = r.T_cw;
+      T_cw[v] = turn({step[0], step[1], step[2]}, {step[3], step[4], step[5]}) * T_cw[v];
+      least = std::min(least, judge(rig, s, T_cw, r.position).cost);
+    }
+  }
+  return least;
 }
 
 /// Adjusts problems as one batch. Unused entries hold NaN, which nobody may read.

@@ -18,16 +18,19 @@ namespace detail {
 struct initialization_scratch {
   static constexpr int most_unknowns = 13;
   static constexpr int most_threads = 32;
+  static constexpr int most_joined = 64;
   least_squares<3> gyro;
   least_squares<most_unknowns> equations;
-  wide_vec3 residual[most_threads];  ///< of intervals
+  wide_vec3 residual[most_threads];      ///< of intervals
+  joined_integrals joined[most_joined];  ///< from the first keyframe to the first of the others
 };
 
 /// The steps of an initialisation. Members are what the steps hand on. All threads of a group take
 /// the same steps with the same numbers; they share the equations, and what takes long.
 template <typename Group>
 struct inertial_initializer {
-  static constexpr int most_unknowns = initialization_scratch::most_unknowns;
+  using scratch = initialization_scratch;
+  static constexpr int most_unknowns = scratch::most_unknowns;
   static constexpr int refinements = 5;  ///< at most
   /// A smaller change, rad/s or m/s^2, is the last one: the next would be about a thousandth of it.
   static constexpr double step_tolerance = 1e-4;
@@ -45,7 +48,7 @@ struct inertial_initializer {
   enum : int { velocity = 0, position = 3, bias = 6, direction = 9 };
 
   Group g;
-  initialization_scratch& s;
+  scratch& s;
   initialization_window const& in;
   initialization_params const& params;
   wide_mat3 R_cb;
@@ -57,11 +60,11 @@ struct inertial_initializer {
   wide scale;
   wide x[most_unknowns];
 
-  FT_HOST_DEVICE inertial_initializer(Group group, initialization_scratch& scratch,
+  FT_HOST_DEVICE inertial_initializer(Group group, scratch& shared,
                                       initialization_window const& window,
                                       initialization_params const& p)
-      : g(group), s(scratch), in(window), params(p) {
-    static_assert(Group::max_threads <= initialization_scratch::most_threads, "one residual each");
+      : g(group), s(shared), in(window), params(p) {
+    static_assert(Group::max_threads <= scratch::most_threads, "one residual each");
     R_cb = in.mount.T_cb.R.template cast<wide>();
     t_cb = in.mount.T_cb.t.template cast<wide>();
     gyro_bias = gravity = {0.0, 0.0, 0.0};
@@ -196,6 +199,25 @@ struct inertial_initializer {
     g.sync();
   }
 
+  /// Joins the integrals at the gyroscope's bias, which stays from then on. Ends with a sync.
+  FT_HOST_DEVICE void join_integrals() {
+    g.sync();  // the last ones may still be read
+    joined_integrals joined = joined_integrals::none();
+    FT_NO_UNROLL
+    for (int k = 0; k < min_of(in.count, scratch::most_joined); ++k) {
+      if (k > 0) { joined.append(in.integrals[k - 1], rotation(k - 1), gyro_bias); }
+      if (g.rank() == 0) { s.joined[k] = joined; }
+    }
+    g.sync();
+  }
+  /// The integrals up to keyframe k, after join_integrals(). @param before those up to k - 1
+  FT_HOST_DEVICE joined_integrals joined_up_to(int k, joined_integrals const& before) const {
+    if (k < scratch::most_joined) { return s.joined[k]; }
+    joined_integrals joined = before;
+    joined.append(in.integrals[k - 1], rotation(k - 1), gyro_bias);
+    return joined;
+  }
+
   /// Row of one axis of a keyframe's position, and its right-hand side.
   FT_HOST_DEVICE wide fill_row(joined_integrals const& joined, int k, int axis,
                                wide (&row)[most_unknowns]) const {
@@ -215,26 +237,28 @@ struct inertial_initializer {
     return right;
   }
 
-  /// Builds the system, and sums the squares that the last solution leaves. Ends with a sync.
-  FT_HOST_DEVICE wide build() const {
+  /// Builds the system. Ends with a sync.
+  /// @param squares null, or the sum of what the last solution leaves
+  FT_HOST_DEVICE void build(wide* squares = nullptr) const {
     system& equations = s.equations;
     g.sync();  // the last one may still be read
     equations.begin(g, unknowns());
     wide const sigma = scale * wide(static_cast<double>(params.position_sigma));
     wide const weight = wide(1.0) / (sigma * sigma);
-    wide squares = 0.0;
+    if (squares != nullptr) { *squares = 0.0; }
     joined_integrals joined = joined_integrals::none();
     FT_NO_UNROLL
     for (int k = 0; k < in.count; ++k) {
+      joined = joined_up_to(k, joined);
       for (int axis = 0; axis < 3; ++axis) {
         unknown_row row;
         wide const right = fill_row(joined, k, axis, row.x);
         equations.add(g, row.x, right, weight);
+        if (squares == nullptr) { continue; }
         wide off = right;
         for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
-        squares += off * off;
+        *squares += off * off;
       }
-      if (k + 1 < in.count) { joined.append(in.integrals[k], rotation(k), gyro_bias); }
     }
     wide const prior = static_cast<double>(params.accel_bias_sigma);
     for (int i = 0; i < 3; ++i) {
@@ -248,7 +272,6 @@ struct inertial_initializer {
       }
     }
     g.sync();
-    return squares;
   }
 
   /// Gravity on its sphere, and two directions to change it in.
@@ -271,6 +294,7 @@ struct inertial_initializer {
   /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored.
   FT_HOST_DEVICE bool solve(wide& squares) {
     system& equations = s.equations;
+    join_integrals();
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
       build();
@@ -289,101 +313,10 @@ struct inertial_initializer {
       wide_vec3 const change = gravity - before;
       if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
     }
-    squares = build();
+    build(&squares);
     return equations.factor(g);
   }
 };
-
-/// The least turn that makes a direction point along z.
-FT_HOST_DEVICE inline mat3<double> turn_upwards(wide_vec3 up) {
-  wide const c = up.z;
-  wide_mat3 R{{1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0}};  // half a turn about x
-  if (c > wide(-1.0 + 1e-12)) {
-    wide const k = wide(1.0) / (wide(1.0) + c);
-    R = {{wide(1.0) - k * up.x * up.x, -(k * up.x * up.y), -up.x, -(k * up.x * up.y),
-          wide(1.0) - k * up.y * up.y, -up.y, up.x, up.y, c}};
-  }
-  return R.cast<double>();
-}
-
-/// Writes gravity, the last state and, if asked for, all velocities.
-/// @return the integrals of the whole window
-template <typename Group>
-FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const& of,
-                                               inertial_initialization& out,
-                                               vec3<double>* velocities) {
-  initialization_window const& in = of.in;
-  wide_vec3 const v0{of.x[0], of.x[1], of.x[2]};
-  wide_vec3 const ba{of.x[6], of.x[7], of.x[8]};
-  joined_integrals joined = joined_integrals::none();
-  wide_vec3 v = v0;
-  int const last = in.count - 1;
-  FT_NO_UNROLL
-  for (int k = 0; k <= last; ++k) {
-    if (k > 0) { joined.append(in.integrals[k - 1], of.rotation(k - 1), of.gyro_bias); }
-    v = v0 + scaled(of.gravity, joined.T) + joined.U + joined.W * ba;
-    if (velocities != nullptr && of.g.rank() == 0) { velocities[k] = v.template cast<double>(); }
-  }
-  wide_vec3 const from_origin = of.camera(last) + in.T_wc[0].t.template cast<wide>();
-  out.newest.R = of.rotation(last).template cast<double>();
-  out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).template cast<double>();
-  out.newest.v = v.template cast<double>();
-  out.newest.bg = of.gyro_bias.template cast<double>();
-  out.newest.ba = ba.template cast<double>();
-  out.gravity = of.gravity.template cast<double>();
-  wide const G = static_cast<double>(of.params.gravity);
-  out.R_up = turn_upwards(scaled(of.gravity, wide(-1.0) / G));
-  out.scale = of.scale.value;
-  return joined;
-}
-
-/// Writes standard deviations and what the poses are off by.
-/// @param squares of what the poses are off by, summed
-template <typename Group>
-FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, wide squares,
-                                       joined_integrals const& joined,
-                                       inertial_initialization& out) {
-  using I = inertial_initializer<Group>;
-  using unknown_row = typename I::unknown_row;
-  auto const& equations = of.s.equations;
-  int const count = of.in.count;
-  wide const sigma = of.scale * wide(static_cast<double>(of.params.position_sigma));
-  wide const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
-  // the given deviation may be too small
-  wide const factor = max_of(wide(1.0), scalar::sqrt(squares / freedom) / sigma);
-  auto const deviation = [&](wide variance) {
-    return static_cast<float>((factor * scalar::sqrt(variance)).value);
-  };
-  wide tilt = 0.0;
-  for (int j = 0; j < of.directions; ++j) {
-    unknown_row row;
-    row.x[I::direction + j] = 1.0;
-    tilt += equations.variance(row.x);
-  }
-  wide most = 0.0;
-  wide moving = 0.0;
-  for (int axis = 0; axis < 3; ++axis) {
-    unknown_row row;
-    row.x[I::bias + axis] = 1.0;
-    most = max_of(most, equations.variance(row.x));
-    for (int j = 0; j < 3; ++j) { row.x[I::bias + j] = joined.W.m[3 * axis + j]; }
-    row.x[I::velocity + axis] = 1.0;
-    for (int j = 0; j < of.directions; ++j) {
-      row.x[I::direction + j] = joined.T * component(of.basis[j], axis);
-    }
-    moving += equations.variance(row.x);
-  }
-  out.position_rms =
-      static_cast<float>(scalar::sqrt(squares / wide(static_cast<double>(3 * count))).value);
-  out.tilt_sigma = deviation(tilt);
-  out.accel_bias_sigma = deviation(most);
-  out.velocity_sigma = deviation(moving);
-  if (of.scale_is_sought()) {
-    unknown_row row;
-    row.x[I::direction + of.directions] = 1.0;
-    out.scale_sigma = deviation(equations.variance(row.x) / (of.scale * of.scale));
-  }
-}
 
 }  // namespace detail
 }  // namespace FT_ABI

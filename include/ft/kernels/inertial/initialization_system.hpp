@@ -22,8 +22,8 @@ FT_HOST_DEVICE inline wide component(wide_vec3 v, int i) {
 FT_HOST_DEVICE inline wide norm_of(wide_vec3 v) { return scalar::sqrt(dot(v, v)); }
 
 /// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T. All threads
-/// of a group make the same calls; a column belongs to one of them, so that each entry is a sum in
-/// the order of the calls.
+/// of a group make the same calls; an entry belongs to one of them, so that it is a sum in the
+/// order of the calls.
 template <int N>
 struct least_squares {
   int unknowns;
@@ -42,19 +42,23 @@ struct least_squares {
   /// row . x = right, with a weight. What follows reads it after a sync.
   template <typename Group>
   FT_HOST_DEVICE void add(Group g, wide const (&row)[N], wide right, wide weight) {
-    for (int j = g.rank(); j <= unknowns; j += g.size()) {
+    // Threads share a column in turn where there are more than columns.
+    int const columns = min_of(g.size(), 16);
+    int const sharers = g.size() / columns;
+    int const first = g.rank() / columns;
+    for (int j = g.rank() % columns; j <= unknowns; j += columns) {
       if (j == unknowns) {
-        for (int i = 0; i < unknowns; ++i) { b[i] += weight * row[i] * right; }
+        for (int i = first; i < unknowns; i += sharers) { b[i] += weight * row[i] * right; }
         continue;
       }
       wide const own = row[j];
-      for (int i = j; i < unknowns; ++i) { A[N * i + j] += weight * row[i] * own; }
+      for (int i = j + first; i < unknowns; i += sharers) { A[N * i + j] += weight * row[i] * own; }
     }
   }
   /// x_i = 0, with a weight. What follows reads it after a sync.
   template <typename Group>
   FT_HOST_DEVICE void pull_to_zero(Group g, int i, wide weight) {
-    if (g.rank() == i % g.size()) { A[N * i + i] += weight; }
+    if (g.rank() == i % min_of(g.size(), 16)) { A[N * i + i] += weight; }
   }
 
   /// After a sync. @return false if the unknowns do not follow from the equations, or one of those

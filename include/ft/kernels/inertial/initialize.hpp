@@ -29,6 +29,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/initialization_description.hpp"
 #include "ft/kernels/inertial/initialization_solver.hpp"
 
 namespace ft {

@@ -15,6 +15,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/initialization_description.hpp"
 #include "ft/kernels/inertial/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization_system.hpp"
 
@@ -51,6 +52,7 @@ public:
     without_prior_.accel_bias_sigma = 1e6f;
     work_.gyro_bias = found.newest.bg.template cast<wide>();
     work_.find_rest();
+    work_.join_integrals();
     work_.build();
     known_ = equations_.factor_columns(g, eliminated);
     for (int i = 0; i < eliminated; ++i) {

@@ -181,4 +181,25 @@ TEST(host_executor, in_the_background_visits_every_item_once) {
   }
 }
 
+TEST(host_executor, both_calls_are_made_and_may_use_it) {
+  for (int const threads : {0, 1, 3}) {
+    ft::host_exec const exec(threads);
+    std::vector<int> a(500);
+    std::vector<int> b(700);
+    auto const count = [&exec](std::vector<int>& visits) {
+      exec.parallel_for(static_cast<int>(visits.size()),
+                        [&](int i) { ++visits[static_cast<std::size_t>(i)]; });
+    };
+    exec.both([&] { count(a); }, [&] { count(b); });
+    EXPECT_EQ(a, std::vector<int>(500, 1)) << threads;
+    EXPECT_EQ(b, std::vector<int>(700, 1)) << threads;
+    for (int const thrower : {0, 1}) {
+      auto const call = [&](int i) {
+        if (i == thrower) { throw ft::bad_argument("of one of both"); }
+      };
+      EXPECT_THROW(exec.both([&] { call(0); }, [&] { call(1); }), ft::bad_argument) << threads;
+    }
+  }
+}
+
 }  // namespace stage_test

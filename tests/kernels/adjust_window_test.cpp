@@ -24,6 +24,8 @@ using test::adjust;
 using test::example_rig;
 using test::make_window;
 using test::motion;
+using test::same_bits;
+using test::thorough;
 using test::window_result;
 using test::window_scene;
 using test::window_shape;
@@ -31,18 +33,6 @@ using rigs = ::testing::Types<ft::rectified_rig, test::fisheye_rig, test::three_
 
 inline double norm(vec3<double> v) { return std::sqrt(ft::dot(v, v)); }
 
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  if (a.size() != b.size()) { return false; }
-  return a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
-}
-inline bool same_bits(window_result const& a, window_result const& b) {
-  return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position) &&
-         same_bits(a.outlier, b.outlier) &&
-         std::memcmp(&a.outcome.first_cost, &b.outcome.first_cost, sizeof(double)) == 0 &&
-         std::memcmp(&a.outcome.last_cost, &b.outcome.last_cost, sizeof(double)) == 0 &&
-         a.outcome.steps == b.outcome.steps && a.outcome.valid == b.outcome.valid;
-}
 /// Largest distance of the views' centres and of the points from the truth, metres.
 inline double distance_to_truth(window_scene const& s, std::vector<motion> const& T_cw,
                                 std::vector<vec3<double>> const& position) {
@@ -61,13 +51,6 @@ inline double distance_to_truth(window_scene const& s, std::vector<motion> const
     if (views >= 2) { worst = std::max(worst, norm(position[at] - s.true_position[at])); }
   }
   return worst;
-}
-/// Until nothing is gained any more.
-inline ft::window_params thorough(int steps) {
-  ft::window_params params;
-  params.steps = steps;
-  params.enough = 0;
-  return params;
 }
 
 template <typename Rig>

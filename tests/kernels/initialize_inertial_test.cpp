@@ -284,6 +284,19 @@ std::vector<double> numbers_of(ft::inertial_initialization const& r) {
   return out;
 }
 
+/// Integrals past those that are kept joined are joined anew.
+TEST(InitializeInertial, LongWindowsHaveTheirLastVelocities) {
+  setting s = noisy_moving(5);
+  s.keyframes = ft::detail::initialization_scratch::most_joined + 20;
+  recording const r = record(s);
+  std::vector<vec> velocities(r.T_wc.size());
+  auto const got = ft::initialize_window(r.window(), {}, velocities.data());
+  ASSERT_EQ(got.status, initialization_status::initialized);
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    EXPECT_LT(norm(velocities[k] - r.velocities[k]), 0.1) << k;
+  }
+}
+
 template <typename Backend>
 class initialize_inertial_stage : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(initialize_inertial_stage, test::backends);
@@ -291,14 +304,15 @@ TYPED_TEST_SUITE(initialize_inertial_stage, test::backends);
 TYPED_TEST(initialize_inertial_stage, gives_the_bits_of_a_plain_call) {
   TypeParam backend;
   auto const& exec = backend.exec;
+  constexpr int capacity = ft::detail::initialization_scratch::most_joined + 10;
   std::vector<recording> recordings;
   for (unsigned seed = 1; seed <= 6; ++seed) {
     setting s = noisy_moving(seed);
     s.keyframes = seed == 1 ? 3 : 2 + 3 * static_cast<int>(seed);  // 3 are too few
     if (seed == 4) { s.of = resting(); }
+    if (seed == 6) { s.keyframes = capacity; }
     recordings.push_back(record(s));
   }
-  constexpr int capacity = 20;
   auto const batch = static_cast<int>(recordings.size());
   std::vector<motion> poses(recordings.size() * capacity, motion::identity());
   std::vector<ft::preintegrated> integrals(poses.size());

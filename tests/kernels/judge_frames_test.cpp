@@ -174,6 +174,7 @@ TYPED_TEST(JudgeFrames, PlacesThatWillBeLookedUpComeBeforeANewMap) {
   EXPECT_EQ(r.track.lost_with_features, 101);
   lose(r, 100, true);
   EXPECT_EQ(r.judge(false), ft::keyframe_order::add);
+  lose(r, 0, false);
   r.data.host.state.tracks[0].state = ft::tracking_state::initialising;
   EXPECT_EQ(r.judge(false), ft::keyframe_order::begin_map) << "the first map";
 }

@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <cstring>
 #include <vector>
 
 #include "tests/support/backends.hpp"
@@ -21,6 +20,8 @@ using test::adjust;
 using test::example_rig;
 using test::make_window;
 using test::motion;
+using test::same_bits;
+using test::thorough;
 using test::window_result;
 using test::window_scene;
 using test::window_shape;
@@ -30,19 +31,6 @@ window_scene linked(window_shape const& shape, double error, unsigned seed) {
   auto s = make_window(example_rig<Rig>(), shape, seed);
   test::link_views(s, error, seed);
   return s;
-}
-inline bool same_bits(window_result const& a, window_result const& b) {
-  return std::memcmp(a.T_cw.data(), b.T_cw.data(), a.T_cw.size() * sizeof(motion)) == 0 &&
-         std::memcmp(a.position.data(), b.position.data(),
-                     a.position.size() * sizeof(vec3<double>)) == 0 &&
-         a.outlier == b.outlier && a.outcome.steps == b.outcome.steps &&
-         std::memcmp(&a.outcome.last_cost, &b.outcome.last_cost, sizeof(double)) == 0;
-}
-inline ft::window_params thorough() {
-  ft::window_params params;
-  params.steps = 60;
-  params.enough = 0;
-  return params;
 }
 inline vec3<double> plain(vec3<ft::strict_double> const& v) {
   return {v.x.value, v.y.value, v.z.value};
@@ -119,7 +107,7 @@ protected:
   void check_minimum(int fixed, unsigned seed) {
     auto const rig = example_rig<Rig>();
     auto const s = linked<Rig>({6, fixed, 80, 5, 0.7, 0.04}, 0.01, seed);
-    auto const r = one<Rig>(s, thorough());
+    auto const r = one<Rig>(s, thorough(60));
     ASSERT_EQ(r.outcome.valid, 1);
     double const cost = test::judge(rig, s, r.T_cw, r.position).cost;
     EXPECT_GT(test::least_cost_nearby(rig, s, r), cost * (1 - 1e-9));
@@ -147,7 +135,7 @@ TYPED_TEST(window_links, a_view_that_sees_nothing_is_held_by_its_links) {
   auto s = linked<ft::rectified_rig>({8, 2, 150, 8}, 0, 5);
   int const blind = 5;
   for (int p = 0; p < s.points(); ++p) { s.seen[s.at(p, blind, 0)].inv_sigma2 = 0; }
-  auto const r = this->template one<ft::rectified_rig>(s, thorough());
+  auto const r = this->template one<ft::rectified_rig>(s, thorough(60));
   ASSERT_EQ(r.outcome.valid, 1);
   auto const off = [&](std::vector<motion> const& T_cw) {
     auto const d = T_cw[blind].centre() - s.true_T_cw[blind].centre();
@@ -188,7 +176,7 @@ TYPED_TEST(window_links, a_link_that_is_no_number_is_refused) {
   s.links[3].motion.t.y = std::nan("");
   auto const r = this->template one<ft::rectified_rig>(s, {});
   EXPECT_EQ(r.outcome.valid, 0);
-  EXPECT_EQ(std::memcmp(r.T_cw.data(), s.T_cw.data(), s.T_cw.size() * sizeof(motion)), 0);
+  EXPECT_TRUE(same_bits(r.T_cw, s.T_cw));
 }
 
 }  // namespace window_links_test

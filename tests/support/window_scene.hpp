@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 #include <limits>
 #include <random>
 #include <vector>
@@ -180,6 +181,26 @@ struct window_result {
   std::vector<unsigned char> outlier;
   ft::window_outcome outcome;
 };
+
+template <typename T>
+bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
+  if (a.size() != b.size()) { return false; }
+  return a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
+}
+inline bool same_bits(window_result const& a, window_result const& b) {
+  return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position) &&
+         same_bits(a.outlier, b.outlier) &&
+         std::memcmp(&a.outcome.first_cost, &b.outcome.first_cost, sizeof(double)) == 0 &&
+         std::memcmp(&a.outcome.last_cost, &b.outcome.last_cost, sizeof(double)) == 0 &&
+         a.outcome.steps == b.outcome.steps && a.outcome.valid == b.outcome.valid;
+}
+/// Until nothing is gained any more.
+inline ft::window_params thorough(int steps) {
+  ft::window_params params;
+  params.steps = steps;
+  params.enough = 0;
+  return params;
+}
 
 /// The robust cost and the outliers of a result, by a plain reading of the rules.
 struct window_judgement {

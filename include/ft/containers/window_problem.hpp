@@ -23,7 +23,7 @@ struct alignas(16) window_observation {
   float inv_sigma2;  ///< weight, 1 / pixels^2; 0 = the point is not seen
 };
 
-/// A measured motion from one view to the next: of an IMU, of wheels.
+/// A motion from one view to the next, measured by an IMU or by wheels.
 struct window_link {
   rigid<double> motion;       ///< frame of the view before to that of this one, metres
   double rotation_weight;     ///< 1 / rad^2; not above 0 = not measured
@@ -84,10 +84,10 @@ static_assert(std::is_trivially_copyable<window_problem_view>::value, "passed to
 
 /// The capacities of a batch of problems.
 struct window_capacity {
-  int views = 15;     ///< 1 to max_window_views
-  int points = 4096;  ///< 1 to 2^20
-  int cameras = 1;    ///< 1 to 16
-  bool links = false;
+  int views = 15;      ///< 1 to max_window_views
+  int points = 4096;   ///< 1 to 2^20
+  int cameras = 1;     ///< 1 to 16
+  bool links = false;  ///< whether there is room for links
 };
 
 /// Places the arrays into an arena. Nothing is initialised.

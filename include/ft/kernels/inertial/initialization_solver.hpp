@@ -237,15 +237,14 @@ struct inertial_initializer {
     return right;
   }
 
-  /// Builds the system. Ends with a sync.
-  /// @param squares null, or the sum of what the last solution leaves
-  FT_HOST_DEVICE void build(wide* squares = nullptr) const {
+  /// Builds the system, and sums the squares that the last solution leaves. Ends with a sync.
+  FT_HOST_DEVICE wide build() const {
     system& equations = s.equations;
     g.sync();  // the last one may still be read
     equations.begin(g, unknowns());
     wide const sigma = scale * wide(static_cast<double>(params.position_sigma));
     wide const weight = wide(1.0) / (sigma * sigma);
-    if (squares != nullptr) { *squares = 0.0; }
+    wide squares = 0.0;
     joined_integrals joined = joined_integrals::none();
     FT_NO_UNROLL
     for (int k = 0; k < in.count; ++k) {
@@ -254,10 +253,9 @@ struct inertial_initializer {
         unknown_row row;
         wide const right = fill_row(joined, k, axis, row.x);
         equations.add(g, row.x, right, weight);
-        if (squares == nullptr) { continue; }
         wide off = right;
         for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
-        *squares += off * off;
+        squares += off * off;
       }
     }
     wide const prior = static_cast<double>(params.accel_bias_sigma);
@@ -272,6 +270,7 @@ struct inertial_initializer {
       }
     }
     g.sync();
+    return squares;
   }
 
   /// Gravity on its sphere, and two directions to change it in.
@@ -313,7 +312,7 @@ struct inertial_initializer {
       wide_vec3 const change = gravity - before;
       if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
     }
-    build(&squares);
+    squares = build();
     return equations.factor(g);
   }
 };

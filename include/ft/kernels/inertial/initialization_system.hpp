@@ -42,7 +42,8 @@ struct least_squares {
   /// row . x = right, with a weight. What follows reads it after a sync.
   template <typename Group>
   FT_HOST_DEVICE void add(Group g, wide const (&row)[N], wide right, wide weight) {
-    // Threads share a column in turn where there are more than columns.
+    // Where there are more threads than columns, several share a column.
+    static_assert(Group::max_threads == 1 || Group::max_threads % 16 == 0, "shared evenly");
     int const columns = min_of(g.size(), 16);
     int const sharers = g.size() / columns;
     int const first = g.rank() / columns;

@@ -161,7 +161,7 @@ private:
     bool const usable = counts.with_depth >= rules.min_stereo_points;
     if (had_map) { drift(t, b, usable, rules, state); }
     if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
-    if (had_map && t.guided != 0) {
+    if (t.guided != 0) {
       t.lost_frames = 0;
       t.lost_with_features = 0;
       t.state = tracking_state::tracking;

@@ -33,7 +33,8 @@ struct inertial_windows {
                                        ///< ones where the unit of their poses is unknown
   rigid<double>* T_wc = nullptr;       ///< [batch][views] of these poses the last are adjusted
   preintegrated* integrals = nullptr;  ///< [batch][views] from each keyframe to the next one
-  int* counts = nullptr;               ///< [batch] keyframes
+  int* counts = nullptr;               ///< [batch] keyframes; 0 = nothing is estimated
+  int* from = nullptr;                 ///< [batch] the first after which no integral is missing
   int* seeks_scale = nullptr;          ///< [batch] 1 = the unit of the poses is unknown
   int* newest = nullptr;               ///< [batch] number of the last of them
   joined_windows* joined = nullptr;    ///< [batch] windows of the map, in metres
@@ -48,6 +49,7 @@ inline void carve(carver& c, inertial_windows& v, int views, int batch) {
   v.T_wc = c.take<rigid<double>>(n);
   v.integrals = c.take<preintegrated>(n);
   v.counts = c.take<int>(b);
+  v.from = c.take<int>(b);
   v.seeks_scale = c.take<int>(b);
   v.newest = c.take<int>(b);
   v.joined = c.take<joined_windows>(b);
@@ -177,8 +179,9 @@ struct gather_integrals {
     for (int k = from + 1 + g.rank(); k < count; k += g.size()) { weak += v.motion[at(k)].weak; }
     weak = g.reduce(weak, sum_op{});
     if (g.rank() == 0) {
-      // Keyframes that are where the IMU is known to lead say nothing new of it.
+      // Keyframes with few inliers stand where the IMU has led: they say nothing new about it.
       out.counts[b] = weak > 0 && v.tracks[b].known() ? 0 : count;
+      out.from[b] = from;
       out.seeks_scale[b] = seeks_scale ? 1 : 0;
       out.newest[b] = sources.keyframe[problem.view(b, views - 1)];
       // A new map, or a camera that was reset.
@@ -209,11 +212,7 @@ struct estimate_window {
           problem.T_cw[problem.view(b, k)].template cast<strict_double>().inverse().cast<double>();
     }
     g.sync();
-    // Keyframes before an interval without an integral say nothing of those after it.
-    int from = 0;
-    for (int k = 0; k + 1 < v.counts[b]; ++k) {
-      if (!usable(v.integrals[first + k].status)) { from = k + 1; }
-    }
+    int const from = v.from[b];
     initialization_window const window{v.T_wc + first + from, v.integrals + first + from,
                                        v.counts[b] - from, how.mount};
     inertial_initialization found{};

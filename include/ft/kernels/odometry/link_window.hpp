@@ -63,7 +63,7 @@ private:
 
   FT_HOST_DEVICE static real wide(float x) { return real(static_cast<double>(x)); }
   FT_HOST_DEVICE static real square(real x) { return x * x; }
-  /// At most the largest variance of three numbers along any axis. @param at of the first of them
+  /// The sum of the variances of three numbers: no axis has a greater one. @param at of the first
   FT_HOST_DEVICE static real variance(preintegrated const& integral, int at) {
     float const* const C = integral.C + 10 * at;
     return wide(C[0]) + wide(C[10]) + wide(C[20]);

@@ -34,17 +34,18 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
                             : options.fisheye ? "fisheye"
                                               : "rectified"},
                     {"frame", a.frame},
-                    {"read-ahead", std::to_string(a.read_ahead)},
+                    {"read-ahead", std::to_string(*a.read_ahead)},
                     {"realtime", a.realtime ? "yes" : "no"},
                     {"near points, baselines", std::to_string(options.near_depth)}};
 }
 
-int run(app::arguments const& a) {
+int run(app::arguments a) {
   seq::sequence const sequence = app::open_sequence(a);
   app::odometry_options const options = app::options_of(a, sequence);
   app::make_output_folder(a);
   seq::run_report report;
   auto const odometry = app::make_odometry(a, options, report.backend);
+  if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
   describe(a, sequence, options, *odometry, report);
   std::cout << "sequence  " << sequence.name() << ", " << sequence.size() << " stereo pairs of "
             << options.width << "x" << options.height;

@@ -4,7 +4,6 @@
 #include <CLI/CLI.hpp>
 #include <string>
 
-#include "examples/sequence/read_ahead.hpp"
 #include "ft/version.hpp"
 
 namespace app {
@@ -25,9 +24,8 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
       ->check(CLI::NonNegativeNumber);
   app.add_option("--read-ahead", a.read_ahead,
                  "pairs that other threads read, decode and rectify ahead of the tracking; 0 = "
-                 "none, without threads")
-      ->check(CLI::Range(0, 4096))
-      ->capture_default_str();
+                 "none, without threads; default: as many as suit the backend")
+      ->check(CLI::Range(0, 4096));
   app.add_flag("--realtime", a.realtime,
                "frames arrive by their time stamps; of those that come while one is processed all "
                "but the newest are dropped");
@@ -83,7 +81,6 @@ void add_output(CLI::App& app, arguments& a) {
 int parse(int argc, char** argv, arguments& a) {
   CLI::App app("Tracks a stereo sequence (EuRoC or KITTI odometry layout) with ft.");
   std::string folder;
-  a.read_ahead = 2 * seq::read_ahead::default_threads();
   add_input(app, a, folder);
   add_tracking(app, a);
   add_output(app, a);

@@ -2,6 +2,7 @@
 /// @file The command line of track_sequence.
 #pragma once
 
+#include <optional>
 #include <string>
 
 namespace app {
@@ -27,7 +28,7 @@ struct arguments {
   int features = 0;
   int threads = 0;
   int frames = 0;
-  int read_ahead = 0;
+  std::optional<int> read_ahead;  ///< else as usual_read_ahead() says
   double near_depth = 0;
   bool realtime = false;
   bool timing = false;

@@ -8,6 +8,8 @@
 #include <cstddef>
 #include <stdexcept>
 
+#include "examples/sequence/read_ahead.hpp"
+
 namespace app {
 namespace {
 
@@ -101,6 +103,11 @@ std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options con
   } catch (std::exception const& e) {  // options that contradict each other
     throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
   }
+}
+
+int usual_read_ahead(std::string const& backend) {
+  int const threads = seq::read_ahead::default_threads();
+  return backend == "cuda" ? 2 * threads : std::max(2, (threads + 1) / 4);
 }
 
 rigid_pose plain_pose(Eigen::Isometry3d const& T) {

@@ -24,6 +24,10 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence);
 std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options const& options,
                                         std::string& backend);
 
+/// Pairs to read ahead where the command line has no number: with a GPU as many as all cores can
+/// read; beside the host's tracking, which needs the cores, as many as keep up with it.
+int usual_read_ahead(std::string const& backend);
+
 rigid_pose plain_pose(Eigen::Isometry3d const& T);
 /// @param T camera to world
 seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T);

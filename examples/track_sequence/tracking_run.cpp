@@ -89,7 +89,7 @@ void tracking_run::track_all() {
   seq::progress progress(std::cout, isatty(STDOUT_FILENO) != 0, "track", frames);
   auto const begin = clock::now();
   seq::read_ahead reader([this](int i) { return sequence_.load(i); }, frames,
-                         arguments_.read_ahead);
+                         *arguments_.read_ahead);
   auto const stop = [this](int i, std::string const& why) {
     report_.stopped_at = i;
     report_.stopped_by = why;

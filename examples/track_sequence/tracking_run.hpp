@@ -18,6 +18,7 @@ namespace app {
 /// One run over a sequence.
 class tracking_run {
 public:
+  /// @param a with a number of pairs to read ahead
   /// @param report gets records, poses, samples and counts; has the names of stages
   /// @throws seq::error for a recording that cannot be written
   tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,

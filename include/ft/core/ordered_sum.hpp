@@ -28,9 +28,32 @@ struct ordered_sum_scratch {
   sum_terms<K, T> total;
 };
 
-#if defined(__CUDACC__)
 namespace detail {
 
+/// K sums by one thread, 32 lanes after one another, so that their sums stay in its first cache.
+template <int K, typename T, typename Add>
+FT_HOST_DEVICE void sum_by_warps(sum_terms<K, T>& total, int n, Add const& add) {
+  auto const into = [](sum_terms<K, T>& to, sum_terms<K, T> const& from) {
+    for (int k = 0; k < K; ++k) { to.of[k] += from.of[k]; }
+  };
+  total = {};
+  for (int first = 0; first < min_of(n, sum_lanes); first += 32) {
+    sum_terms<K, T> lanes[32] = {};
+    int const used = min_of(n - first, 32);
+    for (int lane = 0; lane < used; ++lane) {
+      for (int i = first + lane; i < n; i += sum_lanes) { add(i, lanes[lane]); }
+    }
+    for (int d = 16; d > 0; d /= 2) {
+      // Lanes without a term hold zeros: nothing to add.
+      for (int lane = 0; lane < d && lane + d < used; ++lane) {
+        into(lanes[lane], lanes[lane + d]);
+      }
+    }
+    into(total, lanes[0]);
+  }
+}
+
+#if defined(__CUDACC__)
 /// One step of transposed_warp_sum(): reduces K values to min(K, D). Recursive, because a loop over
 /// D that is not unrolled would put the values into local memory.
 template <int D, int K, typename T, int Size>
@@ -57,9 +80,9 @@ __device__ T transposed_warp_sum(T (&v)[K], int lane) {
   halve_values<16, K>(v, lane);
   return v[0];
 }
+#endif
 
 }  // namespace detail
-#endif
 
 /// K sums over i in [0, n). The result is `scratch.total`, for every thread, until the next call.
 /// Groups have one thread or sum_lanes.
@@ -70,21 +93,7 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int
                                 Then const& then) {
   if constexpr (Group::max_threads == 1) {
     static_cast<void>(g);
-    sum_terms<K, T> acc[sum_lanes] = {};
-    for (int i = 0; i < n; ++i) { add(i, acc[i % sum_lanes]); }
-    auto const into = [](sum_terms<K, T>& to, sum_terms<K, T> const& from) {
-      for (int k = 0; k < K; ++k) { to.of[k] += from.of[k]; }
-    };
-    for (int w = 0; w < sum_lanes; w += 32) {
-      for (int d = 16; d > 0; d /= 2) {
-        // Lanes without a term hold zeros: nothing to add.
-        for (int lane = 0; lane < d && w + lane + d < n; ++lane) {
-          into(acc[w + lane], acc[w + lane + d]);
-        }
-      }
-    }
-    scratch.total = acc[0];
-    for (int w = 32; w < sum_lanes; w += 32) { into(scratch.total, acc[w]); }
+    detail::sum_by_warps(scratch.total, n, add);
     then();
   } else {
     static_assert(Group::max_threads == sum_lanes, "one thread per lane");

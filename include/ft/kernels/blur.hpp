@@ -253,19 +253,18 @@ private:
     int const h = part.h;
     int const first = x0 - radius;  // column of pixels[0]
     bool const inner = first >= 0 && w == tw && x0 + tw + radius <= in.width;
-    std::uint8_t mirrored[tw + 2 * radius] = {};
-    for (int r = 0; r < h + 2 * radius; ++r) {
-      std::uint8_t const* const row = in.row(reflect_101(y0 + r - radius, in.height));
-      for (int x = first; !inner && x < x0 + w + radius; ++x) {
-        mirrored[x - first] = row[reflect_101(x, in.width)];
+    if (inner) {
+      sum_rows(s, h,
+               [&](int r) { return in.row(reflect_101(y0 + r - radius, in.height)) + first; });
+    } else {
+      // All rows are copied before the first is summed: a load that spans fresh stores waits.
+      constexpr int pitch = tw + 2 * radius;
+      std::uint8_t mirrored[(blur_layout::tile_height + 2 * radius) * pitch];
+      for (int r = 0; r < h + 2 * radius; ++r) {
+        copy_mirrored(in.row(reflect_101(y0 + r - radius, in.height)), in.width, first,
+                      x0 + w + radius, mirrored + r * pitch, pitch);
       }
-      std::uint8_t const* const pixels = inner ? row + first : mirrored;
-      std::uint16_t* const sums = s.sums + r * tw;
-      for (int x = 0; x < tw; ++x) {
-        std::uint8_t const* const p = pixels + x;
-        sums[x] = static_cast<std::uint16_t>(18 * (p[0] + p[6]) + 34 * (p[1] + p[5]) +
-                                             48 * (p[2] + p[4]) + 56 * p[3]);
-      }
+      sum_rows(s, h, [&](int r) { return mirrored + r * pitch; });
     }
     for (int r = 0; r < h; ++r) {
       std::uint16_t const* const sums = s.sums + r * tw;
@@ -276,6 +275,33 @@ private:
         for (int x = 0; x < w; ++x) { to[x] = blurred_pixel(sums + x); }
       }
     }
+  }
+
+  /// Sums along the rows that the h rows of a tile need. @param row row(r): its first pixel
+  template <typename Row>
+  FT_HOST_DEVICE FT_INLINE static void sum_rows(scratch& s, int h, Row const& row) {
+    constexpr int tw = blur_layout::tile_width;
+    for (int r = 0; r < h + 2 * radius; ++r) {
+      std::uint8_t const* const pixels = row(r);
+      std::uint16_t* const sums = s.sums + r * tw;
+      for (int x = 0; x < tw; ++x) {
+        std::uint8_t const* const p = pixels + x;
+        sums[x] = static_cast<std::uint16_t>(18 * (p[0] + p[6]) + 34 * (p[1] + p[5]) +
+                                             48 * (p[2] + p[4]) + 56 * p[3]);
+      }
+    }
+  }
+
+  /// Copies columns [first, end) of a row, mirrored where they lie outside of it; zeros follow.
+  /// @param size of `to`
+  FT_HOST_DEVICE FT_INLINE static void copy_mirrored(std::uint8_t const* row, int width, int first,
+                                                     int end, std::uint8_t* to, int size) {
+    int const inside = max_of(first, 0);
+    int const outside = min_of(end, width);
+    std::memcpy(to + (inside - first), row + inside, static_cast<std::size_t>(outside - inside));
+    for (int x = first; x < inside; ++x) { to[x - first] = row[reflect_101(x, width)]; }
+    for (int x = outside; x < end; ++x) { to[x - first] = row[reflect_101(x, width)]; }
+    std::memset(to + (end - first), 0, static_cast<std::size_t>(size - (end - first)));
   }
 
   /// Weighted sum of 7 sums along rows, rounded to a pixel, in 16-bit arithmetic. Each sum is split

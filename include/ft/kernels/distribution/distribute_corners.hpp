@@ -77,6 +77,7 @@ struct level_memory {
 /// @tparam Alone whether a block has a multiprocessor to itself, with all of its registers
 template <bool Alone, tie_rule Ties>
 struct distribute_level {
+  static constexpr bool wide_on_host = true;
   using scratch = quadtree::scratch;
   static constexpr int resident_blocks = Alone ? 1 : 0;
   /// Points that a thread keeps in registers while they are sorted.

@@ -51,6 +51,22 @@ public:
     a(*this);
     b(*this);
   }
+  /// Enqueues side(executor of the branch) and main(line), which run concurrently. Later launches
+  /// wait for both. @param stage name of the side
+  template <typename Side, typename Main>
+  void beside(side_branch<Exec>& branch, char const* stage, Side const& side, Main const& main) {
+    if constexpr (!Exec::asynchronous) {
+      if (!clock_.enabled()) {
+        exec_.both([&] { main(*this); }, [&] { side(exec_); });
+        return;
+      }
+    }
+    Exec const of_branch = fork(branch);
+    side(of_branch);
+    end_of_branch(of_branch, stage);
+    main(*this);
+    join(branch);
+  }
   /// An executor for launches that run concurrently with all later ones, until join().
   Exec fork(side_branch<Exec>& branch) {
     fork_ = end_stage(nullptr);
@@ -89,12 +105,9 @@ private:
 /// @param f an extraction, or a type with the same stages
 template <typename Line, typename Features>
 void queue_features(Line& line, Features const& f) {
-  line.both(
-      [&](Line& l) {
-        f.detect(l.then("corners"));
-        f.distribute(l.then("distribution"));
-      },
-      [&](Line& l) { f.blur(l.with("blur")); });
+  f.detect(line.then("corners"));
+  line.both([&](Line& l) { f.distribute(l.then("distribution")); },
+            [&](Line& l) { f.blur(l.with("blur")); });
   f.order(line.then("order"));
   f.describe(line.with("descriptors"));
   if (f.refines_positions()) { f.refine(line.then("descriptors")); }

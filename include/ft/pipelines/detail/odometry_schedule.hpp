@@ -13,24 +13,28 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// Reads the inputs, ends an adjustment and predicts the pose.
+template <typename Exec, typename Stages>
+void queue_prediction(Exec const& exec, Stages& s) {
+  s.read_inputs(exec);
+  if (s.has_imu()) {
+    s.begin_inertial(exec);
+    s.integrate(s.inertial_branch().fork(exec));
+  }
+  s.apply_adjustment(exec);
+  s.predict(exec);
+  if (s.has_imu()) {
+    s.inertial_branch().join(exec);
+    s.predict_inertial(exec);
+  }
+}
+
 /// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
 template <typename Line, typename Stages>
 void queue_odometry_motion(Line& line, Stages& s) {
-  auto const branch = line.fork(s.beginning_branch());
-  s.read_inputs(branch);
-  if (s.has_imu()) {
-    s.begin_inertial(branch);
-    s.integrate(s.inertial_branch().fork(branch));
-  }
-  s.apply_adjustment(branch);
-  s.predict(line.on(branch));
-  if (s.has_imu()) {
-    s.inertial_branch().join(branch);
-    s.predict_inertial(branch);
-  }
-  line.end_of_branch(branch, "motion");
-  queue_images(line, s, false);
-  line.join(s.beginning_branch());
+  line.beside(
+      s.beginning_branch(), "motion", [&](auto const& exec) { queue_prediction(exec, s); },
+      [&](Line& l) { queue_images(l, s, false); });
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
   if constexpr (Stages::rectified) {
     // One camera has no depths.
@@ -38,16 +42,15 @@ void queue_odometry_motion(Line& line, Stages& s) {
     line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
               [&](Line& l) { s.match_stereo(l.with(stereo)); });
     s.assign_last_frame(line.then("search last frame"));
+    s.optimize_last(line.then("pose last frame"));
   } else {
     s.list_last_frame(line.then("search last frame"));
-    auto const stereo = line.fork(s.stereo_branch());
-    s.match_stereo(line.on(stereo));
-    line.end_of_branch(stereo, "stereo");
-    s.assign_last_frame(line.then("search last frame"));
-  }
-  s.optimize_last(line.then("pose last frame"));
-  if constexpr (!Stages::rectified) {
-    line.join(s.stereo_branch());
+    line.beside(
+        s.stereo_branch(), "stereo", [&](auto const& exec) { s.match_stereo(exec); },
+        [&](Line& l) {
+          s.assign_last_frame(l.then("search last frame"));
+          s.optimize_last(l.then("pose last frame"));
+        });
     s.refine_partners(line.then("stereo"));
   }
 }

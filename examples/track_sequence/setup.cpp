@@ -107,7 +107,7 @@ std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options con
 
 int usual_read_ahead(std::string const& backend) {
   int const threads = seq::read_ahead::default_threads();
-  return backend == "cuda" ? 2 * threads : std::max(2, (threads + 1) / 5);
+  return backend == "cuda" ? 2 * threads : std::max(2, (threads + 1) / 4);
 }
 
 rigid_pose plain_pose(Eigen::Isometry3d const& T) {

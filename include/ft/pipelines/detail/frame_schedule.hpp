@@ -5,9 +5,10 @@
 /// Every line enqueues one stage. `line.then(name)` is the executor for a launch that runs when the
 /// preceding grid has completed. `line.with(name)` is the executor for a launch that starts when
 /// the preceding grid has started; the two share data only through signals. The launch after such a
-/// pair waits for both. `line.both(a, b)` enqueues two chains that share no data. Names are those
-/// of stage_times(). On the host stages run in the order of the lines, and such chains at the same
-/// time unless stages are timed.
+/// pair waits for both. `line.both(a, b)` enqueues two chains that share no data, and
+/// `line.beside(branch, name, side, main)` a chain on a branch beside one on the main line. Names
+/// are those of stage_times(). On the host stages run in the order of the lines, and such chains at
+/// the same time unless stages are timed.
 ///
 /// Why stages overlap: the pyramid is computed from the rows that have arrived while the bus is the
 /// bottleneck; distribution and ordering have one block per image and level, which leaves most of a

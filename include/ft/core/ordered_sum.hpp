@@ -30,7 +30,8 @@ struct ordered_sum_scratch {
 
 namespace detail {
 
-/// K sums by one thread, 32 lanes after one another, so that their sums stay in its first cache.
+/// K sums by one thread. It completes 32 lanes before the next 32, so that they stay in the L1
+/// cache.
 template <int K, typename T, typename Add>
 FT_HOST_DEVICE void sum_by_warps(sum_terms<K, T>& total, int n, Add const& add) {
   auto const into = [](sum_terms<K, T>& to, sum_terms<K, T> const& from) {

@@ -257,7 +257,7 @@ private:
       sum_rows(s, h,
                [&](int r) { return in.row(reflect_101(y0 + r - radius, in.height)) + first; });
     } else {
-      // All rows are copied before the first is summed: a load that spans fresh stores waits.
+      // All rows are copied before the first is summed: a load that spans recent stores stalls.
       constexpr int pitch = tw + 2 * radius;
       std::uint8_t mirrored[(blur_layout::tile_height + 2 * radius) * pitch];
       for (int r = 0; r < h + 2 * radius; ++r) {

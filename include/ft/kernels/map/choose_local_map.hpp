@@ -94,7 +94,6 @@ struct slot_chunk {
 /// Item: a chunk of a batch entry. Ranks keyframes, and the chunk's points by them. The votes are
 /// counted for each chunk anew, which takes less time than another launch.
 struct rank_local_points {
-  static constexpr bool wide_on_host = true;
   struct scratch {
     int votes[max_keyframes];
     int recent[max_keyframes];  ///< votes by age, newest keyframe first

@@ -66,7 +66,6 @@ namespace detail {
 
 /// Item: a batch entry. Chooses keyframes and points.
 struct choose_window {
-  static constexpr bool wide_on_host = true;
   struct scratch {
     position_set moving;
   };

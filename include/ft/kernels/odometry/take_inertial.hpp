@@ -93,7 +93,7 @@ private:
 /// Replaces poses and inliers by those of optimize_inertial_poses(), where that was not refused, at
 /// least half of the visual inliers agree, and the camera is not searched for. Keypoints that are
 /// outliers release their points. Where fewer agree the frame has no inliers, so that it is not
-/// tracked. The third such frame without one between that agrees keeps its visual pose, and the IMU
+/// tracked. The third such frame, if none in between agreed, keeps its visual pose, and the IMU
 /// says nothing until an estimate gives velocities anew. Asynchronous on `exec`; allocates nothing;
 /// one launch.
 /// @param T_cw [batch]

@@ -198,7 +198,6 @@ private:
 ///   and the windows of a point
 template <typename Windows>
 struct list_point {
-  static constexpr bool wide_on_host = true;
   using scratch = list_candidates::scratch;
 
   template <typename Group>

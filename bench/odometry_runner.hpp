@@ -33,6 +33,7 @@ inline ft::odometry_params odometry_params_of(scene const& s, frame_options cons
   p.orb.features = s.features;
   p.use_graphs = how.use_graphs;
   p.measure_stages = how.measure_stages;
+  p.prefetch = how.prefetch;
   if (how.imu) {
     scene_imu const& imu = s.imu;
     p.imu.present = true;
@@ -58,16 +59,9 @@ public:
   }
 
   void prepare(int i) override {
-    for (int b = 0; b < batch_; ++b) {
-      auto const k = static_cast<std::size_t>(b);
-      int const f = scene_.frame_of(i, b);
-      if constexpr (Rig::images == 2) {
-        images_[k] = {scene_.view(f, 0), scene_.view(f, 1)};
-      } else {
-        images_[k] = {scene_.view(f, 0), scene_.view(f, 1), scene_.view(f, 2), scene_.view(f, 3)};
-      }
-      times_[k] = static_cast<std::int64_t>(i + 1) * scene::period_ns;
-    }
+    frame_ = i;
+    times_.assign(times_.size(), static_cast<std::int64_t>(i + 1) * scene::period_ns);
+    if (odometry_.params().prefetch == 0) { take_images(i); }
     for (; next_ < samples_.size(); ++next_) {
       scene_imu_sample const& from = samples_[next_];
       std::int64_t const at = from.time_ns + scene::period_ns;
@@ -79,7 +73,13 @@ public:
     }
   }
   void track() override {
-    ft::tracking const* const t = odometry_.track(images_.data(), times_.data());
+    int const ahead = odometry_.params().prefetch;
+    for (; given_ < frame_ + ahead; ++given_) {
+      take_images(given_);
+      odometry_.prefetch(images_.data());
+    }
+    ft::tracking const* const t = ahead > 0 ? odometry_.track_prefetched(times_.data())
+                                            : odometry_.track(images_.data(), times_.data());
     last_ = {};
     for (int b = 0; b < batch_; ++b) {
       last_.tracked += t[b].state == ft::tracking_state::tracking ? 1 : 0;
@@ -99,6 +99,18 @@ public:
   }
 
 private:
+  void take_images(int i) {
+    for (int b = 0; b < batch_; ++b) {
+      auto const k = static_cast<std::size_t>(b);
+      int const f = scene_.frame_of(i, b);
+      if constexpr (Rig::images == 2) {
+        images_[k] = {scene_.view(f, 0), scene_.view(f, 1)};
+      } else {
+        images_[k] = {scene_.view(f, 0), scene_.view(f, 1), scene_.view(f, 2), scene_.view(f, 3)};
+      }
+    }
+  }
+
   int batch_;
   owned_executor<Exec> owned_;
   scene_images<Exec> scene_;
@@ -107,6 +119,8 @@ private:
   std::vector<std::int64_t> times_;
   std::vector<scene_imu_sample> samples_;
   std::size_t next_ = 0;  ///< sample to hand over
+  int frame_ = 0;         ///< that is tracked next
+  int given_ = 0;         ///< frames given early
   odometry_counts last_;
 };
 

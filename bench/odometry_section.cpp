@@ -17,7 +17,7 @@ namespace bench {
 namespace {
 
 char const* row_name(scene const& s, frame_options const& o) {
-  return o.imu ? "with IMU" : name_of(s.rig);
+  return o.imu ? "with IMU" : (o.prefetch > 0 ? "prefetched" : name_of(s.rig));
 }
 
 /// @param calls timed ones @param pause_us before each
@@ -124,15 +124,17 @@ void odometry_section(context const& c, backend_type b) {
               "calls", "mean us", "p50 us", "p99 us", "max us", "frames/s", "tracked", "keyframes",
               "inliers", "local", "map");
   std::vector<int> const usual = cuda ? std::vector<int>{1, 8, 64} : std::vector<int>{1, 2};
-  auto const time = [&](scene const& of, int batch) {
+  auto const time = [&](scene const& of, int batch, int prefetch = 0) {
     frame_options o;
     o.backend = b;
     o.batch = batch;
+    o.prefetch = prefetch;
     int const warm_up = std::max(c.how.warm_up_on(b), 2 * static_cast<int>(of.frames.size()));
     in_memory(c, "odometry of " + std::string(name_of(of.rig)) + ", " + std::to_string(batch),
               [&] { time_batch(c, of, o, warm_up, calls_of_batch(c.how.frames_on(b), batch)); });
   };
   for (int batch : c.how.batches.empty() ? usual : c.how.batches) { time(s, batch); }
+  time(s, 1, 3);
   time(c.all_scenes->get(rig_type::four_cameras), 1);
   scene const of_imu = make_imu_scene(c);
   for (int const pause_us : {5000, 0}) {

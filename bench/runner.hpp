@@ -38,6 +38,7 @@ struct frame_options {
   bool use_graphs = true;      ///< false: enqueue each launch
   bool measure_stages = false;
   bool imu = false;  ///< an odometry of rectified pairs has the scene's IMU
+  int prefetch = 0;  ///< frames that an odometry gets early
 };
 
 /// How a frame is enqueued.

@@ -88,6 +88,7 @@ inline ft::odometry_params odometry_params_of(odometry_options const& o) {
   p.map_slots = std::max(p.map_slots, 8 * o.features);
   if (o.imu) { p.imu = imu_params_of(*o.imu); }
   p.measure_stages = o.measure_stages;
+  p.prefetch = o.prefetch;
   return p;
 }
 

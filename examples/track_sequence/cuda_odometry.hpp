@@ -31,6 +31,12 @@ public:
                       std::uint8_t const* right) override {
     return inner_.track(time_ns, left, right);
   }
+  void prefetch(std::uint8_t const* left, std::uint8_t const* right) override {
+    inner_.prefetch(left, right);
+  }
+  frame_outcome track_prefetched(std::int64_t time_ns) override {
+    return inner_.track_prefetched(time_ns);
+  }
   void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
                std::array<double, 3> const& gyro) override {
     inner_.add_imu(time_ns, accel, gyro);

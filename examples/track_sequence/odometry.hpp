@@ -53,6 +53,7 @@ struct odometry_options {
   std::optional<imu_options> imu;
   int threads = 0;              ///< of the host version; 0 = all
   bool measure_stages = false;  ///< fills all of frame_outcome::stage_ms, not only the last
+  int prefetch = 0;             ///< frames that prefetch() may take ahead; 0 for one camera
 };
 
 /// One left keypoint of the last processed frame, for drawing.
@@ -93,6 +94,11 @@ public:
   /// @param left,right width x height bytes without padding; one camera has no use for `right`
   virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                               std::uint8_t const* right) = 0;
+  /// Gives a pair that a later track_prefetched() tracks, and which stays as it is until then; see
+  /// ft::odometry. At most odometry_options::prefetch are given and not yet tracked.
+  virtual void prefetch(std::uint8_t const* left, std::uint8_t const* right) = 0;
+  /// track() of the pair that was given first.
+  virtual frame_outcome track_prefetched(std::int64_t time_ns) = 0;
   /// A sample of the IMU, before the frame that it belongs to. @param accel m/s^2 @param gyro rad/s
   virtual void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
                        std::array<double, 3> const& gyro) = 0;

@@ -81,6 +81,9 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   o.measure_stages = a.timing;
+  // Frames come one after the other where stages are timed, and by their times.
+  bool const one_by_one = o.monocular || a.timing || a.realtime || a.read_ahead == 0;
+  o.prefetch = one_by_one ? 0 : 4;
   if (sequence.imu()) {
     auto const& imu = *sequence.imu();
     auto const& noise = imu.calibration.noise;
@@ -107,7 +110,7 @@ std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options con
 
 int usual_read_ahead(std::string const& backend) {
   int const threads = seq::read_ahead::default_threads();
-  return backend == "cuda" ? 2 * threads : std::max(2, (threads + 1) / 4);
+  return backend == "cuda" ? 2 * threads : std::max(2, 3 * (threads + 1) / 8);
 }
 
 rigid_pose plain_pose(Eigen::Isometry3d const& T) {

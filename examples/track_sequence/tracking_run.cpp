@@ -7,6 +7,8 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <cstddef>
+#include <deque>
 #include <exception>
 #include <iostream>
 #include <map>
@@ -60,6 +62,44 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
   return s;
 }
 
+/// The frames to be tracked, in their order. The odometry gets the images of each one early.
+class upcoming_frames {
+public:
+  /// @param prefetch frames that the odometry may have at a time; 0 = none
+  upcoming_frames(seq::read_ahead& reader, int frames, odometry& odometry, int prefetch)
+      : reader_(reader),
+        frames_(frames),
+        odometry_(odometry),
+        prefetch_(static_cast<std::size_t>(prefetch)) {}
+
+  /// @throws what the reading of frame i threw
+  seq::stereo_frame take(int i) {
+    if (prefetch_ == 0) { return reader_.take(i); }
+    while (given_.size() < prefetch_ && next_ < frames_ && !failure_) { give(next_++); }
+    if (given_.empty()) { std::rethrow_exception(failure_); }
+    seq::stereo_frame frame = std::move(given_.front());
+    given_.pop_front();
+    return frame;
+  }
+
+private:
+  void give(int i) {
+    try {
+      seq::stereo_frame frame = reader_.take(i);
+      odometry_.prefetch(frame.left.pixels.data(), frame.right.pixels.data());
+      given_.push_back(std::move(frame));
+    } catch (...) { failure_ = std::current_exception(); }
+  }
+
+  seq::read_ahead& reader_;
+  int frames_;
+  odometry& odometry_;
+  std::size_t prefetch_;
+  std::deque<seq::stereo_frame> given_;
+  int next_ = 0;
+  std::exception_ptr failure_;  ///< of the frame after those that are given
+};
+
 }  // namespace
 
 tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
@@ -69,6 +109,7 @@ tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence, od
       odometry_(odometry),
       report_(report),
       scale_factor_(options_of(a, sequence).scale_factor),
+      prefetch_(options_of(a, sequence).prefetch),
       left_lens_(sequence.rig().left) {
   if (!a.record.empty()) { recording_.emplace(a.record, sequence, report.stages); }
 }
@@ -90,6 +131,7 @@ void tracking_run::track_all() {
   auto const begin = clock::now();
   seq::read_ahead reader([this](int i) { return sequence_.load(i); }, frames,
                          *arguments_.read_ahead);
+  upcoming_frames upcoming(reader, frames, odometry_, prefetch_);
   auto const stop = [this](int i, std::string const& why) {
     report_.stopped_at = i;
     report_.stopped_by = why;
@@ -102,7 +144,7 @@ void tracking_run::track_all() {
     } else {
       std::optional<seq::stereo_frame> frame;
       try {
-        frame = reader.take(i);
+        frame = upcoming.take(i);
       } catch (std::exception const& e) { stop(i, e.what()); }
       if (!frame) { continue; }
       track(i, std::move(*frame));
@@ -118,7 +160,9 @@ void tracking_run::track_all() {
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
   frame_outcome const outcome =
-      odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
+      prefetch_ > 0
+          ? odometry_.track_prefetched(frame.time_ns)
+          : odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
   if (recording_) {

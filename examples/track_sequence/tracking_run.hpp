@@ -42,6 +42,7 @@ private:
   odometry& odometry_;
   seq::run_report& report_;
   double scale_factor_;
+  int prefetch_;  ///< frames that the odometry gets early
   seq::lens_projection left_lens_;
   std::optional<recording> recording_;
   std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_

@@ -55,34 +55,19 @@ public:
 
   frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                       std::uint8_t const* right) override {
-    double const start = now_ms();
-    // A stamp that stands still or goes back is taken for one at the usual distance.
-    bool const later = frames_ == 0 || time_ns > time_ns_;
-    std::int64_t const stamp = later ? time_ns : time_ns_ + interval_ns_;
-    if (frames_ > 0) { interval_ns_ = stamp - time_ns_; }
-    time_ns_ = stamp;
-    ++frames_;
-    last_ = inner_.track(images_of(left, right), stamp);
-    sums_.reset();
-    if (options_.measure_stages) {
-      for (auto const& stage : inner_.stage_times()) { sums_.add(stage.name, 1e-3 * stage.us); }
+    return timed(time_ns,
+                 [&](std::int64_t stamp) { return inner_.track(images_of(left, right), stamp); });
+  }
+  void prefetch([[maybe_unused]] std::uint8_t const* left,
+                [[maybe_unused]] std::uint8_t const* right) override {
+    if constexpr (!ft::is_monocular_v<Rig>) {
+      double const start = now_ms();
+      inner_.prefetch(images_of(left, right));
+      prefetch_ms_ += now_ms() - start;
     }
-    sums_.add("total", now_ms() - start);
-
-    frame_outcome out;
-    // The first frame of a later map is at a guessed place.
-    bool const guessed = last_.keyframe && last_.inliers == 0 && last_.maps > 1;
-    out.tracked = last_.state == ft::tracking_state::tracking && !guessed;
-    out.keyframe = last_.keyframe;
-    out.metric = last_.metric;
-    out.T_wc = from_ft(last_.T_world_camera);
-    out.keypoints = last_.keypoints;
-    out.stereo_matches = last_.stereo_points;
-    out.inliers = last_.inliers;
-    out.local_points = last_.local_points;
-    out.imu = outcome_of(last_.imu);
-    out.stage_ms = sums_.ms();
-    return out;
+  }
+  frame_outcome track_prefetched(std::int64_t time_ns) override {
+    return timed(time_ns, [&](std::int64_t stamp) { return inner_.track_prefetched(stamp); });
   }
 
   void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
@@ -116,6 +101,40 @@ public:
   std::string device() const override { return device_; }
 
 private:
+  /// @param track ft::tracking(std::int64_t stamp)
+  template <typename Track>
+  frame_outcome timed(std::int64_t time_ns, Track const& track) {
+    double const start = now_ms();
+    // A stamp that stands still or goes back is taken for one at the usual distance.
+    bool const later = frames_ == 0 || time_ns > time_ns_;
+    std::int64_t const stamp = later ? time_ns : time_ns_ + interval_ns_;
+    if (frames_ > 0) { interval_ns_ = stamp - time_ns_; }
+    time_ns_ = stamp;
+    ++frames_;
+    last_ = track(stamp);
+    sums_.reset();
+    if (options_.measure_stages) {
+      for (auto const& stage : inner_.stage_times()) { sums_.add(stage.name, 1e-3 * stage.us); }
+    }
+    sums_.add("total", now_ms() - start + std::exchange(prefetch_ms_, 0.0));
+    return outcome();
+  }
+  frame_outcome outcome() const {
+    frame_outcome out;
+    // The first frame of a later map is at a guessed place.
+    bool const guessed = last_.keyframe && last_.inliers == 0 && last_.maps > 1;
+    out.tracked = last_.state == ft::tracking_state::tracking && !guessed;
+    out.keyframe = last_.keyframe;
+    out.metric = last_.metric;
+    out.T_wc = from_ft(last_.T_world_camera);
+    out.keypoints = last_.keypoints;
+    out.stereo_matches = last_.stereo_points;
+    out.inliers = last_.inliers;
+    out.local_points = last_.local_points;
+    out.imu = outcome_of(last_.imu);
+    out.stage_ms = sums_.ms();
+    return out;
+  }
   typename ft::odometry<Exec, Rig>::images_type images_of(
       std::uint8_t const* left, [[maybe_unused]] std::uint8_t const* right) const {
     int const w = options_.width;
@@ -134,6 +153,7 @@ private:
   ft::tracking last_;
   std::int64_t time_ns_ = 0;      ///< of the last frame
   std::int64_t interval_ns_ = 1;  ///< time from the preceding frame to it
+  double prefetch_ms_ = 0;        ///< in prefetch(), since the last frame
   int frames_ = 0;
 };
 

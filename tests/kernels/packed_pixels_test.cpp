@@ -409,15 +409,15 @@ TEST(corner_runs, what_does_not_exceed_its_eight_neighbours_is_suppressed) {
   for (int trial = 0; trial < 50; ++trial) {
     image scores(3 * pitch);
     for (auto& s : scores) { s = static_cast<std::uint8_t>(random() % (trial < 25 ? 4u : 256u)); }
-    std::uint8_t kept[run];
-    ft::detail::suppress_run(scores.data() + pitch + 1, pitch, kept);
+    ft::detail::run_of_scores const kept =
+        ft::detail::suppress_run(scores.data() + pitch + 1, pitch);
     for (int k = 0; k < run; ++k) {
       int const own = scores[at(pitch + 1 + k)];
       bool highest = true;
       for (int n : {0, 1, 2, pitch, pitch + 2, 2 * pitch, 2 * pitch + 1, 2 * pitch + 2}) {
         highest = highest && own > scores[at(n + k)];
       }
-      ASSERT_EQ(int{kept[k]}, highest ? own : 0) << k;
+      ASSERT_EQ(int{kept.of[k]}, highest ? own : 0) << k;
     }
   }
 }

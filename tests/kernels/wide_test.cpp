@@ -81,8 +81,8 @@ protected:
     }
     run(v, pyramid.batch * blur.first[blur.levels], ft::detail::blur_tile{}, pyramid, blurred,
         blur);
-    run(v, corners.batch * corners.layout.cells, ft::detail::detect_cell{}, pyramid, corners,
-        ft::corner_params{});
+    run(v, corners.batch * ft::detail::detect_strip::strips(corners.layout),
+        ft::detail::detect_strip{}, pyramid, corners, ft::corner_params{});
     ft::distribute_corners(exec, corners, kept);
     run(version::plain, pyramid.batch, ft::detail::order_image<ft::detail::no_filler>{},
         ft::ordering_view{g, kept, overlaps.data(), keypoints, mono.data(), place.data(), {}});

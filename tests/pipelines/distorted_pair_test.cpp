@@ -72,6 +72,11 @@ template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& of, ft::odometry_params const& p,
                               std::vector<stereo_frame> const& frames) {
   ft::odometry<Exec, Rig> odo(exec, of, p);
+  if (p.prefetch > 0) {
+    return test::track_prefetched(odo, frames.size(), period, [&](std::size_t i) {
+      return ft::stereo_images{test::room::view(frames[i].left), test::room::view(frames[i].right)};
+    });
+  }
   std::vector<ft::tracking> all;
   for (auto const& f : frames) {
     all.push_back(odo.track({test::room::view(f.left), test::room::view(f.right)},
@@ -249,6 +254,14 @@ TYPED_TEST(distorted_pair_odometry, refuses_bad_input) {
   none.right.data = nullptr;
   EXPECT_THROW(good.track(none, period), ft::bad_argument);
   EXPECT_EQ(good.track(images, period).state, ft::tracking_state::tracking);
+}
+
+TYPED_TEST(distorted_pair_odometry, prefetch_changes_no_answer) {
+  TypeParam backend;
+  auto p = params();
+  p.prefetch = 2;
+  test::expect_same(run(backend.exec, rig(), p, walk(1)),
+                    run(backend.exec, rig(), params(), walk(1)));
 }
 
 #if defined(__CUDACC__)

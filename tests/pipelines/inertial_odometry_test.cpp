@@ -14,6 +14,7 @@
 
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 
 namespace inertial_odometry_test {
@@ -85,15 +86,25 @@ ft::odometry_params params() {
 
 /// Tracks all frames, with 200 samples a second.
 template <typename Exec>
-std::vector<ft::tracking> run_frames(Exec const& exec, std::vector<stereo_frame> const& frames) {
-  ft::odometry<Exec> odo(exec, test::room::rig(), params());
+std::vector<ft::tracking> run_frames(Exec const& exec, std::vector<stereo_frame> const& frames,
+                                     int prefetch = 0) {
+  auto p = params();
+  p.prefetch = prefetch;
+  ft::odometry<Exec> odo(exec, test::room::rig(), p);
+  auto const images_of = [&](int i) {
+    auto const& f = frames[static_cast<std::size_t>(i)];
+    return ft::stereo_images{test::room::view(f.left), test::room::view(f.right)};
+  };
   std::vector<ft::tracking> all;
   int samples = 0;
   for (int i = 0; i < frame_count; ++i) {
     while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++)); }
-    auto const& f = frames[static_cast<std::size_t>(i)];
-    all.push_back(
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+    if (prefetch > 0) {
+      odo.prefetch(images_of(i));
+      all.push_back(odo.track_prefetched((i + 1) * period));
+    } else {
+      all.push_back(odo.track(images_of(i), (i + 1) * period));
+    }
   }
   return all;
 }
@@ -144,6 +155,13 @@ TYPED_TEST(inertial_odometry, finds_gravity_velocity_and_biases) {
     EXPECT_EQ(all[static_cast<std::size_t>(i)].state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(all[static_cast<std::size_t>(i)], i), 0.02) << i;
   }
+}
+
+TYPED_TEST(inertial_odometry, prefetch_changes_no_answer) {
+  TypeParam backend;
+  auto const all = run_frames(backend.exec, walk(), 1);
+  EXPECT_TRUE(all.back().imu.optimized);
+  test::expect_same(all, run(backend.exec));
 }
 
 TYPED_TEST(inertial_odometry, bridges_black_images) {

@@ -316,12 +316,12 @@ ft::odometry_params odometry_params() { return test::room::odometry_params(8192)
 
 template <typename Exec, typename Rig>
 std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
-                                 std::vector<rig_frame> const& walk) {
+                                 std::vector<rig_frame> const& walk, int prefetch = 0) {
   using odometry_type = ft::odometry<Exec, Rig>;
-  odometry_type odo(exec, rig, odometry_params());
-  std::vector<ft::tracking> all;
-  std::int64_t time = 0;
-  for (rig_frame const& f : walk) {
+  auto params = odometry_params();
+  params.prefetch = prefetch;
+  odometry_type odo(exec, rig, params);
+  auto const images_of = [](rig_frame const& f) {
     std::vector<ft::gray_view> views;
     for (image const& i : f.images) { views.push_back(test::room::view(i)); }
     typename odometry_type::images_type images;
@@ -330,8 +330,16 @@ std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
     } else {
       std::copy(views.begin(), views.end(), images.of);
     }
-    all.push_back(odo.track(images, time += 50'000'000));
+    return images;
+  };
+  constexpr std::int64_t period = 50'000'000;
+  if (prefetch > 0) {
+    return test::track_prefetched(odo, walk.size(), period,
+                                  [&](std::size_t i) { return images_of(walk[i]); });
   }
+  std::vector<ft::tracking> all;
+  std::int64_t time = 0;
+  for (rig_frame const& f : walk) { all.push_back(odo.track(images_of(f), time += period)); }
   return all;
 }
 
@@ -408,6 +416,7 @@ TYPED_TEST(multi_rig, odometry_gives_the_bits_of_the_host) {
                               pair_at(turned(1.4f, {0.3f, 0, -0.1f}))}};
   auto const walk = make_walk(rig, 2, 12);
   auto const here = follow(backend.exec, rig, walk);
+  test::expect_same(follow(backend.exec, rig, walk, 2), here);
   auto const host = follow(ft::host_exec{}, rig, walk);
   for (std::size_t f = 0; f < here.size(); ++f) {
     EXPECT_TRUE(test::same(here[f], host[f])) << f;

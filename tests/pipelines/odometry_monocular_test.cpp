@@ -79,6 +79,14 @@ template <typename Backend>
 class monocular_odometry : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(monocular_odometry, test::backends);
 
+TYPED_TEST(monocular_odometry, has_no_prefetch) {
+  TypeParam backend;
+  auto p = params();
+  p.prefetch = 1;
+  using odometry = ft::odometry<typename TypeParam::exec_type, rig_type>;
+  EXPECT_THROW(odometry(backend.exec, rig(), p), ft::bad_argument);
+}
+
 TYPED_TEST(monocular_odometry, begins_from_motion_and_follows_a_walk) {
   TypeParam backend;
   ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params());

@@ -267,6 +267,14 @@ TYPED_TEST(OdometryRecovery, ABatchGivesWhatItsCamerasGiveAlone) {
     auto const alone = run_with_words(this->exec, frames[b], this->words.view());
     test::expect_same(together[b], alone);
     EXPECT_EQ(alone[alone.size() - 2].state, ft::tracking_state::recovering) << "black images";
+    auto p = narrow();
+    p.prefetch = 2;
+    ft::odometry early(this->exec, test::room::rig(), p);
+    early.recognize_places(this->words.view(), how());
+    test::expect_same(
+        test::track_prefetched(early, frames[b].size(), period,
+                               [&](std::size_t i) { return images_of(frames[b][i]); }),
+        alone);
     EXPECT_TRUE(is_right(alone.back(), frames[b].back().T_cw, frames[b][0].T_cw)) << b;
   }
 }

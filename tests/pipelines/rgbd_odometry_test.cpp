@@ -110,6 +110,10 @@ template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_params const& p,
                               std::vector<rgbd_frame> const& frames) {
   ft::odometry<Exec, Rig> odo(exec, rig, p);
+  if (p.prefetch > 0) {
+    return test::track_prefetched(odo, frames.size(), period,
+                                  [&](std::size_t i) { return frames[i].images(); });
+  }
   std::vector<ft::tracking> all;
   for (auto const& f : frames) {
     all.push_back(odo.track(f.images(), period * static_cast<std::int64_t>(all.size() + 1)));
@@ -225,6 +229,19 @@ TYPED_TEST(rgbd_odometry, a_batch_gives_what_its_cameras_give_alone) {
 }
 
 /// A sensor that sees nothing nearer than 1 m, farther than 4 m, and in every fifth column.
+TYPED_TEST(rgbd_odometry, prefetch_changes_no_answer) {
+  TypeParam backend;
+  auto p = params();
+  p.prefetch = 2;
+  auto const check = [&](auto const& rig) {
+    auto frames = walk(rig);
+    frames.resize(8);
+    test::expect_same(run(backend.exec, rig, p, frames), run(backend.exec, rig, params(), frames));
+  };
+  check(plain());
+  check(distorted());
+}
+
 TYPED_TEST(rgbd_odometry, goes_on_with_holes_in_the_depth) {
   TypeParam backend;
   auto rig = plain();

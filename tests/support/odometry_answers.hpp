@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <vector>
 
@@ -28,6 +29,21 @@ inline void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::trac
                                   << b[i].inliers << " inliers, " << a[i].map_points << " and "
                                   << b[i].map_points << " map points";
   }
+}
+
+/// Tracks frames whose images were all given as early as the odometry takes them.
+/// @param images_of images_of(i) of frame i, valid until the end
+template <typename Odometry, typename ImagesOf>
+std::vector<ft::tracking> track_prefetched(Odometry& odo, std::size_t frames, std::int64_t period,
+                                           ImagesOf const& images_of) {
+  std::vector<ft::tracking> all;
+  std::size_t given = 0;
+  auto const ahead = static_cast<std::size_t>(odo.params().prefetch);
+  for (std::size_t i = 0; i < frames; ++i) {
+    for (; given < frames && given < i + ahead; ++given) { odo.prefetch(images_of(given)); }
+    all.push_back(odo.track_prefetched(period * static_cast<std::int64_t>(i + 1)));
+  }
+  return all;
 }
 
 }  // namespace test

@@ -66,12 +66,14 @@ public:
     detail::require_range("host threads", threads, 0, 4096);
     if (threads > 1) { arena_ = std::make_shared<tbb::task_arena>(threads); }
   }
-  /// The same number of threads, for work that gives way to that of other executors.
-  host_exec in_background() const {
-    host_exec other(threads_);
-    if (threads_ != 1) {
-      int const all = threads_ == 0 ? tbb::task_arena::automatic : threads_;
-      other.arena_ = std::make_shared<tbb::task_arena>(all, 1, tbb::task_arena::priority::low);
+  /// For work that gives way to that of other executors: as many threads as this one has, divided
+  /// by `parts`, but at least one.
+  host_exec in_background(int parts = 1) const {
+    int const all = threads_ == 0 ? tbb::this_task_arena::max_concurrency() : threads_;
+    host_exec other(all / parts > 1 ? all / parts : 1);
+    if (other.threads_ > 1) {
+      other.arena_ =
+          std::make_shared<tbb::task_arena>(other.threads_, 1, tbb::task_arena::priority::low);
     }
     return other;
   }

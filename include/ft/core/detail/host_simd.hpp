@@ -45,6 +45,27 @@ __attribute__((target("avx2"))) inline void weigh_eights(std::uint8_t const* row
 }
 #endif
 
+/// Bit k says whether p[k] >= threshold, for 32 numbers.
+FT_HOST_DEVICE FT_INLINE std::uint32_t reached_by_32(std::uint8_t const* p,
+                                                     std::uint8_t threshold) {
+#if FT_HAS_SHUFFLE
+  // SSE2, which every such processor has.
+  __m128i const least = _mm_set1_epi8(static_cast<char>(threshold));
+  std::uint32_t bits = 0;
+  for (int half = 0; half < 2; ++half) {
+    __m128i const v = _mm_loadu_si128(reinterpret_cast<__m128i const*>(p + 16 * half));
+    auto const reached =
+        static_cast<std::uint32_t>(_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_max_epu8(v, least), v)));
+    bits |= reached << (16 * half);
+  }
+  return bits;
+#else
+  std::uint32_t bits = 0;
+  for (int k = 0; k < 32; ++k) { bits |= static_cast<std::uint32_t>(p[k] >= threshold) << k; }
+  return bits;
+#endif
+}
+
 }  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -34,7 +34,6 @@ struct cell_scratch {
   static constexpr int max_word_items = (max_cell_side + 6) / 4 * (staged_rows - 6) / cell_chain;
   static constexpr int max_kept = (max_cell_side + 1) / 2 * ((max_cell_side + 1) / 2);
   static_assert(2 * max_kept <= staged_rows * cell_pitch, "kept places fit over the pixels");
-  static_assert(max_kept <= cell_list_size, "the host lists kept places as candidates");
   static_assert(cell_pitch >= 3 + max_patch_side && cell_pitch % 16 == 0, "rows of whole words");
   struct quad {
     alignas(16) std::uint32_t words[4];

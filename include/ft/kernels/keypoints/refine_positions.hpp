@@ -9,6 +9,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners/fast_score.hpp"
+#include "ft/kernels/corners/strip_host.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -33,20 +34,39 @@ struct refine_position {
     int const u = round_away(mul(keypoints.x(i), inv_scale));
     int const v = round_away(mul(keypoints.y(i), inv_scale));
     if (u < reach || u + reach >= level.width || v < reach || v + reach >= level.height) { return; }
-    fast_circle const circle(level.stride);
-    auto const score = [&](int x, int y) {
-      return fast_score_of_pairs(level.row(y) + x, circle, 0);
-    };
-    int const middle = score(u, v);
-    strict_float const x =
-        strict_float(static_cast<float>(u)) + top(score(u - 1, v), middle, score(u + 1, v));
-    strict_float const y =
-        strict_float(static_cast<float>(v)) + top(score(u, v - 1), middle, score(u, v + 1));
+    scores_around const s = scores_at(level, u, v);
+    strict_float const x = strict_float(static_cast<float>(u)) + top(s.left, s.middle, s.right);
+    strict_float const y = strict_float(static_cast<float>(v)) + top(s.above, s.middle, s.below);
     keypoints.x(i) = (x * pyramid.geometry.scale[octave]).value;
     keypoints.y(i) = (y * pyramid.geometry.scale[octave]).value;
   }
 
 private:
+  struct scores_around {
+    int left, middle, right, above, below;
+  };
+  FT_HOST_DEVICE static scores_around scores_at(gray_view level, int u, int v) {
+#if !defined(__CUDA_ARCH__)
+    if (level.width >= run + 6) { return scores_by_runs(level, u, v); }
+#endif
+    fast_circle const circle(level.stride);
+    auto const score = [&](int x, int y) {
+      return fast_score_of_pairs(level.row(y) + x, circle, 0);
+    };
+    return {score(u - 1, v), score(u, v), score(u + 1, v), score(u, v - 1), score(u, v + 1)};
+  }
+  /// The same, on a host: it has vectors of bytes. @pre the level is not narrower than a run
+  FT_HOST_DEVICE static scores_around scores_by_runs(gray_view level, int u, int v) {
+    int const first = min_of(u - 1, level.width - 3 - run);
+    int const at = u - first;
+    std::uint8_t s[3][run];
+    for (int y = 0; y < 3; ++y) {
+      score_run<run>(level.row(v + y - 1) + first, level.stride, 0, s[y]);
+    }
+    return {s[1][at - 1], s[1][at], s[1][at + 1], s[0][at], s[2][at]};
+  }
+  static constexpr int run = 16;
+
   /// Where the parabola through three scores has its maximum, from the middle one, at most half a
   /// pixel away; 0 if it has none.
   FT_HOST_DEVICE static strict_float top(int before, int middle, int after) {

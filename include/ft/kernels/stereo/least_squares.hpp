@@ -70,10 +70,19 @@ private:
            first + reach + 1 < right.width;
   }
 
+  /// The difference and the slope of pixel (dx, row) of the window.
+  struct terms {
+    int difference, slope;
+  };
+  FT_HOST_DEVICE FT_INLINE static terms terms_of(std::uint8_t const* l, std::uint8_t const* r,
+                                                 int rest) {
+    auto const between = [&](int i) { return (one - rest) * r[i] + rest * r[i + 1]; };
+    return {one * l[0] - between(0), one * (l[1] - l[-1]) + between(1) - between(-1)};
+  }
+
   template <typename Group>
   FT_HOST_DEVICE sums sum(Group g, int at) const {
-    int const first = at / one;
-    int const rest = at % one;
+    if constexpr (Group::max_threads == 1) { return sum_alone(at); }
     sums s;
     FT_UNROLL
     for (int k = 0; k < pixels; k += g.size()) {
@@ -81,18 +90,46 @@ private:
       if (p >= pixels) { break; }
       int const row = v + p / window_side - window_half;
       int const dx = p % window_side - window_half;
-      std::uint8_t const* const l = left.row(row) + u + dx;
-      std::uint8_t const* const r = right.row(row) + first + dx;
-      auto const between = [&](int i) { return (one - rest) * r[i] + rest * r[i + 1]; };
-      int const difference = one * l[0] - between(0);
-      int const slope = one * (l[1] - l[-1]) + between(1) - between(-1);
-      s.difference += difference;
-      s.slope += slope;
-      s.product += difference * slope;
-      s.square += slope * slope;
+      terms const t = terms_of(left.row(row) + u + dx, right.row(row) + at / one + dx, at % one);
+      s.difference += t.difference;
+      s.slope += t.slope;
+      s.product += t.difference * t.slope;
+      s.square += t.slope * t.slope;
     }
     return {g.reduce(s.difference, sum_op{}), g.reduce(s.slope, sum_op{}),
             g.reduce(s.product, sum_op{}), g.reduce(s.square, sum_op{})};
+  }
+  /// The same by one thread, in vectors of eight pixels: two a row, of which the second begins with
+  /// pixels of the first.
+  FT_HOST_DEVICE FT_INLINE sums sum_alone(int at) const {
+    constexpr int run = 8;
+    constexpr int twice = 2 * run - window_side;
+    std::int16_t difference[window_side * 2 * run];
+    std::int16_t slope[window_side * 2 * run];
+    for (int y = 0; y < window_side; ++y) {
+      int const row = v + y - window_half;
+      std::uint8_t const* const l = left.row(row) + u - window_half;
+      std::uint8_t const* const r = right.row(row) + at / one - window_half;
+      std::int16_t* const d = difference + y * 2 * run;
+      std::int16_t* const s = slope + y * 2 * run;
+      for (int part = 0; part < 2; ++part) {
+        int const first = part * (window_side - run);
+        for (int k = 0; k < run; ++k) {
+          terms const t = terms_of(l + first + k, r + first + k, at % one);
+          d[part * run + k] = static_cast<std::int16_t>(t.difference);
+          s[part * run + k] = static_cast<std::int16_t>(t.slope);
+        }
+      }
+      for (int k = run; k < run + twice; ++k) { d[k] = s[k] = 0; }
+    }
+    sums all;
+    for (int i = 0; i < window_side * 2 * run; ++i) {
+      all.difference += difference[i];
+      all.slope += slope[i];
+      all.product += difference[i] * slope[i];
+      all.square += slope[i] * slope[i];
+    }
+    return all;
   }
 };
 

@@ -185,15 +185,19 @@ public:
     rig = of;
     params = p;
     batch = pairs;
-    std::vector<stereo_overlap> overlaps;
-    for (int i = 0; !rectified && i < Rig::images * batch; ++i) {
-      overlaps.push_back(params.overlap[i % 2]);
-    }
-    extractor = orb_extractor<Exec>(exec, params.orb, Rig::images * batch, overlaps, absent);
+    extractor = make_extractor(exec, absent);
     frustum.max_x = static_cast<float>(params.orb.width);
     frustum.max_y = static_cast<float>(params.orb.height);
     frustum.log_scale_factor = log_rounded(params.orb.scale_factor);
     frustum.levels = params.orb.levels;
+  }
+  /// An extractor of frames. @throws bad_argument, std::bad_alloc, cuda_error
+  orb_extractor<Exec> make_extractor(Exec const& exec, absent_images const& absent) const {
+    std::vector<stereo_overlap> overlaps;
+    for (int i = 0; !rectified && i < Rig::images * batch; ++i) {
+      overlaps.push_back(params.overlap[i % 2]);
+    }
+    return {exec, params.orb, Rig::images * batch, overlaps, absent};
   }
   /// @param images [batch][images]
   void take_memory(image_source const* images) {
@@ -201,6 +205,12 @@ public:
     memory.take(frame_shape::of<Rig>(capacity(), batch), params,
                 grid_geometry::over(frustum.min_x, frustum.min_y, frustum.max_x, frustum.max_y),
                 lists_local_early());
+    point_frame_at_features();
+    stereo_branch_.make();
+    result_branch_.make();
+  }
+  /// The frame's keypoints and stereo are those of the extractor and the matcher.
+  void point_frame_at_features() {
     memory.frame.keypoints = extractor.keypoints();
     if constexpr (undistorts) { memory.frame.keypoints = matcher.keypoints(extractor); }
     if constexpr (rectified) {
@@ -208,8 +218,6 @@ public:
     } else {
       memory.frame.partner = matcher.fisheye_matches().partner;
     }
-    stereo_branch_.make();
-    result_branch_.make();
   }
   void initialize(Exec const& exec) { memory.initialize(exec); }
   /// @param holders [cameras * capacity]

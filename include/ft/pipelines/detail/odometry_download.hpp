@@ -32,6 +32,7 @@ inline void require_odometry_params(odometry_params const& p) {
           "an adjustment has more keyframes than the map");
   require_range("window_points", p.window_points, 1, 1 << 20);
   require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
+  require_range("prefetch", p.prefetch, 0, 64);
   require_range("adjustment.steps", p.adjustment.steps, 0, 1000);
   require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);
   require_range("local_map.neighbours", p.local_map.neighbours, 0, 32);

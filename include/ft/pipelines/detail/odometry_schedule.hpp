@@ -29,6 +29,12 @@ void queue_prediction(Exec const& exec, Stages& s) {
   }
 }
 
+/// Which stages a frame has.
+enum class frame_extent {
+  whole,    ///< all
+  prepared  ///< those that remain when the features are there; see frame_features::queue()
+};
+
 /// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
 template <typename Line, typename Stages>
 void queue_odometry_motion(Line& line, Stages& s) {
@@ -55,10 +61,24 @@ void queue_odometry_motion(Line& line, Stages& s) {
   }
 }
 
-/// A whole frame.
+/// The same of a frame whose features are there.
 template <typename Line, typename Stages>
-void queue_odometry(Line& line, Stages& s) {
-  queue_odometry_motion(line, s);
+void queue_prepared_motion(Line& line, Stages& s) {
+  queue_prediction(line.then("motion"), s);
+  s.list_last_frame(line.then("search last frame"));
+  s.assign_last_frame(line.then("search last frame"));
+  s.optimize_last(line.then("pose last frame"));
+  if constexpr (!Stages::rectified) { s.refine_partners(line.then("stereo")); }
+}
+
+/// A frame.
+template <typename Line, typename Stages>
+void queue_odometry(Line& line, Stages& s, frame_extent extent) {
+  if (extent == frame_extent::whole) {
+    queue_odometry_motion(line, s);
+  } else {
+    queue_prepared_motion(line, s);
+  }
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));

@@ -2,8 +2,11 @@
 /// @file The stages of a frame of an odometry, on its memory.
 #pragma once
 
+#include <utility>
+
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
@@ -14,6 +17,7 @@
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/stereo/refine_partners.hpp"
+#include "ft/pipelines/detail/frame_features.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
@@ -68,6 +72,20 @@ public:
   bool pyramid_overlaps_upload() const {
     return input.overlaps_pyramid && base::pyramid_overlaps_upload();
   }
+
+  /// The frame's features, and memory of its images, change places with others.
+  void exchange_features(frame_features<Exec, Rig>& other) {
+    std::swap(input, other.input);
+    std::swap(this->extractor, other.extractor);
+    std::swap(this->matcher, other.matcher);
+    std::swap(memory.frame.grids, other.grids);
+    std::swap(features_graph_, other.graph);
+    std::swap(features_number_, other.number);
+    this->point_frame_at_features();
+  }
+
+  /// Which set of features they are; 0 without others.
+  int features_number() const { return features_number_; }
 
   /// Of two cameras that are not rectified, after match_stereo().
   void refine_partners(Exec const& exec) const {
@@ -259,6 +277,8 @@ private:
     return v;
   }
 
+  recording<Exec> features_graph_;
+  int features_number_ = 0;
   side_branch<Exec> beginning_branch_;
   side_branch<Exec> inertial_branch_;
 };

@@ -26,8 +26,9 @@ template <typename Exec, typename Work>
 class work_beside {
 public:
   /// @param runs in flight at a time, at most
-  work_beside(Exec const& exec, Work work, int /*runs*/)
-      : exec_(exec.in_background()), work_(std::move(work)), thread_([this] { serve(); }) {}
+  /// @param parts the work has one of so many parts of the executor's threads
+  work_beside(Exec const& exec, Work work, int /*runs*/, int parts = 1)
+      : exec_(exec.in_background(parts)), work_(std::move(work)), thread_([this] { serve(); }) {}
   work_beside(work_beside const&) = delete;
   work_beside& operator=(work_beside const&) = delete;
   /// Ends the thread after the run in progress.
@@ -99,7 +100,7 @@ private:
 template <typename Work>
 class work_beside<cuda_exec, Work> {
 public:
-  work_beside(cuda_exec const&, Work work, int runs)
+  work_beside(cuda_exec const&, Work work, int runs, int /*parts*/ = 1)
       : exec_(stream_.get()), work_(std::move(work)) {
     for (int i = 0; i < runs; ++i) { ends_.emplace_back(); }
   }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Corners of a cell on the host: one thread scores all pixels, in runs of neighbours.
-/// No branch depends on a pixel, so the compiler vectorises a run.
+/// @file Corners of a strip of cells on the host: one thread scores all pixels, in runs of
+/// neighbours. No branch depends on a pixel, so the compiler vectorises a run.
 #pragma once
 
 #include <cstddef>
@@ -9,8 +9,9 @@
 
 #include "ft/containers/corners.hpp"
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/group.hpp"
+#include "ft/core/detail/host_simd.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/corners/cell.hpp"
 
@@ -42,13 +43,14 @@ FT_HOST_DEVICE FT_INLINE std::uint8_t best_arc(std::uint8_t const (&p)[16], Alon
                 across(across(arcs(4), arcs(5)), across(arcs(6), arcs(7))));
 }
 
-/// Corner scores of the pixels c[0, run_pixels), equal to those of fast_score_of_pairs().
+/// Corner scores of the pixels c[0, N), equal to those of fast_score_of_pairs().
 /// @param stride of the image
 /// @pre 3 pixels around the run can be read, in its row and in the 3 rows above and below
+template <int N = run_pixels>
 FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t stride,
                                         std::uint8_t threshold, std::uint8_t* out) {
-  std::uint8_t scores[run_pixels];
-  for (int k = 0; k < run_pixels; ++k) {
+  std::uint8_t scores[N];
+  for (int k = 0; k < N; ++k) {
     std::uint8_t const* const q = c + k;
     std::uint8_t const p[16] = {
         q[3 * stride],  q[3 * stride + 1],  q[2 * stride + 2],  q[stride + 3],
@@ -66,33 +68,32 @@ FT_HOST_DEVICE FT_INLINE void score_run(std::uint8_t const* c, std::ptrdiff_t st
   std::memcpy(out, scores, sizeof scores);
 }
 
+struct run_of_scores {
+  std::uint8_t of[run_pixels];
+};
+
 /// Scores that exceed the scores of all eight neighbours, else 0. @param p run_pixels scores
 /// @param pitch distance of two rows of scores
-FT_HOST_DEVICE FT_INLINE void suppress_run(std::uint8_t const* p, int pitch, std::uint8_t* out) {
-  std::uint8_t kept[run_pixels];
+FT_HOST_DEVICE FT_INLINE run_of_scores suppress_run(std::uint8_t const* p, int pitch) {
+  run_of_scores kept;
   for (int k = 0; k < run_pixels; ++k) {
     std::uint8_t const* const q = p + k;
     std::uint8_t const above = max_of(max_of(q[-pitch - 1], q[-pitch]), q[-pitch + 1]);
     std::uint8_t const below = max_of(max_of(q[pitch - 1], q[pitch]), q[pitch + 1]);
     std::uint8_t const around = max_of(max_of(q[-1], q[1]), max_of(above, below));
-    kept[k] = q[0] > around ? q[0] : std::uint8_t{0};
+    kept.of[k] = q[0] > around ? q[0] : std::uint8_t{0};
   }
-  std::memcpy(out, kept, sizeof kept);
+  return kept;
 }
 
 /// Calls visit(k) for every k with p[k] >= threshold, in ascending order. @param p [run_pixels]
+/// @param threshold 1 or more
 template <typename Visit>
 FT_HOST_DEVICE FT_INLINE void for_each_above(std::uint8_t const* p, std::uint8_t threshold,
                                              Visit const& visit) {
-  std::uint8_t flags[run_pixels];
-  for (int k = 0; k < run_pixels; ++k) { flags[k] = static_cast<std::uint8_t>(p[k] >= threshold); }
-  for (int first = 0; first < run_pixels; first += 4) {
-    std::uint32_t word;
-    std::memcpy(&word, flags + first, sizeof word);
-    if (word == 0) { continue; }
-    for (int k = first; k < first + 4; ++k) {
-      if (flags[k] != 0) { visit(k); }
-    }
+  static_assert(run_pixels == 32, "a bit for each number");
+  for (std::uint32_t above = reached_by_32(p, threshold); above != 0; above &= above - 1) {
+    visit(trailing_zeros(above));
   }
 }
 
@@ -111,41 +112,57 @@ inline constexpr int score_margin = 4;
 static_assert(score_margin + max_cell_side < cell_pitch && score_margin + run_pixels < cell_pitch,
               "rows have a rim");
 
-/// Scores of all pixels of a cell, read from the image, with a rim of zeros.
-FT_HOST_DEVICE FT_INLINE void score_cell(gray_view level, cell_place const& in,
-                                         cell_inner const& inner, std::uint8_t threshold,
-                                         std::uint8_t* scores) {
-  row_runs const runs{inner.w};
-  auto const width = static_cast<std::size_t>(inner.w);
-  std::memset(scores, 0, cell_pitch);
-  for (int y = 0; y < inner.h; ++y) {
-    std::uint8_t const* const from = level.row(in.y0 + 3 + y) + in.x0 + 3;
-    std::uint8_t* const row = scores + (y + 1) * cell_pitch;
-    for (int r = 0; r < runs.count(); ++r) {
-      score_run(from + runs.start(r), level.stride, threshold, row + score_margin + runs.start(r));
-    }
-    std::memset(row, 0, score_margin);
-    std::memset(row + score_margin + inner.w, 0, cell_pitch - score_margin - width);
+/// Cells of a row that are scored together.
+inline constexpr int strip_cells = 8;
+
+/// Scratch of a strip of cells.
+struct strip_scratch {
+  std::uint8_t line[strip_cells * max_cell_side + run_pixels];
+  std::uint8_t scores[strip_cells][(max_cell_side + 2) * cell_pitch];  ///< with a rim of zeros
+  std::uint8_t kept[max_cell_side * cell_pitch];
+  std::uint16_t places[cell_scratch::max_kept];
+};
+
+/// Scores of all pixels of neighbouring cells, read from the image, each with a rim of zeros.
+/// Runs do not end with the cells, which are little wider than a run.
+/// @param cells their places, from left to right; all but the last one are equally wide
+FT_HOST_DEVICE FT_INLINE void score_strip(strip_scratch& s, gray_view level,
+                                          cell_place const* cells, int count,
+                                          std::uint8_t threshold) {
+  cell_place const& first = cells[0];
+  int const w = first.patch_w - 6;
+  int const h = first.patch_h - 6;
+  int const width = (count - 1) * w + cells[count - 1].patch_w - 6;
+  row_runs const runs{width};
+  for (int c = 0; c < count; ++c) {
+    std::memset(s.scores[c], 0, cell_pitch);
+    std::memset(s.scores[c] + (h + 1) * cell_pitch, 0, cell_pitch);
   }
-  std::memset(scores + (inner.h + 1) * cell_pitch, 0, cell_pitch);
+  for (int y = 0; y < h; ++y) {
+    std::uint8_t const* const from = level.row(first.y0 + 3 + y) + first.x0 + 3;
+    for (int r = 0; r < runs.count(); ++r) {
+      score_run(from + runs.start(r), level.stride, threshold, s.line + runs.start(r));
+    }
+    for (int c = 0; c < count; ++c) {
+      std::uint8_t* const row = s.scores[c] + (y + 1) * cell_pitch;
+      auto const own = static_cast<std::size_t>(cells[c].patch_w - 6);
+      std::memset(row, 0, cell_pitch);
+      std::memcpy(row + score_margin, s.line + c * w, own);
+    }
+  }
 }
 
 /// Suppresses the scores of a cell into `kept`. Returns the strongest score.
 FT_HOST_DEVICE FT_INLINE int suppress_cell(cell_inner const& inner, std::uint8_t const* scores,
                                            std::uint8_t* kept) {
   row_runs const runs{inner.w};
-  auto const rest = static_cast<std::size_t>(max_of(inner.w, run_pixels) - inner.w);
   std::uint8_t highest[run_pixels] = {};
-  for (int y = 0; y < inner.h; ++y) {
-    std::uint8_t const* const row = scores + (y + 1) * cell_pitch + score_margin;
-    std::uint8_t* const to = kept + y * cell_pitch;
-    for (int r = 0; r < runs.count(); ++r) {
-      suppress_run(row + runs.start(r), cell_pitch, to + runs.start(r));
-    }
-    std::memset(to + inner.w, 0, rest);
-    for (int r = 0; r < runs.count(); ++r) {
-      std::uint8_t const* const from = to + runs.start(r);
-      for (int k = 0; k < run_pixels; ++k) { highest[k] = max_of(highest[k], from[k]); }
+  for (int r = 0; r < runs.count(); ++r) {
+    std::uint8_t const* const from = scores + cell_pitch + score_margin + runs.start(r);
+    for (int y = 0; y < inner.h; ++y) {
+      run_of_scores const run = suppress_run(from + y * cell_pitch, cell_pitch);
+      for (int k = 0; k < run_pixels; ++k) { highest[k] = max_of(highest[k], run.of[k]); }
+      std::memcpy(kept + y * cell_pitch + runs.start(r), run.of, sizeof run.of);
     }
   }
   int strongest = 0;
@@ -171,28 +188,24 @@ FT_HOST_DEVICE FT_INLINE int list_scores(cell_inner const& inner, std::uint8_t c
   return found;
 }
 
-/// Detects the corners of a cell by a single thread.
+/// Suppresses the scores of a cell and lists its corners.
 ///
 /// Scores do not depend on the threshold. The corners of the strict threshold are those of the
 /// lenient one whose score reaches it, so the threshold is chosen last.
-FT_HOST_DEVICE FT_INLINE void detect_alone(cell_scratch& s, gray_view level, cell_place const& in,
-                                           corner_params const& params, level_list const& list) {
+FT_HOST_DEVICE FT_INLINE void list_cell(strip_scratch& s, std::uint8_t const* scores,
+                                        cell_place const& in, corner_params const& params,
+                                        level_list const& list) {
   cell_inner const inner{0, in.patch_w - 6, in.patch_h - 6};
-  auto* const kept = reinterpret_cast<std::uint8_t*>(s.pixels);
-  auto* const scores = reinterpret_cast<std::uint8_t*>(s.scores);
-  int const low = clamp(min_of(params.min_threshold, params.ini_threshold), 0, 255);
-  score_cell(level, in, inner, static_cast<std::uint8_t>(low), scores);
-  int const strongest = suppress_cell(inner, scores, kept);
-
+  int const strongest = suppress_cell(inner, scores, s.kept);
   int const strict = max_of(params.ini_threshold, 1);
   int const threshold = strongest >= strict ? strict : max_of(params.min_threshold, 1);
-  int const found = strongest < threshold ? 0 : list_scores(inner, kept, threshold, s.candidates);
+  int const found = strongest < threshold ? 0 : list_scores(inner, s.kept, threshold, s.places);
   corner* const to = list.to + list.finish_cell(found);
   for (int i = 0; i < found; ++i) {
-    int const at = s.candidates[i];
+    int const at = s.places[i];
     int const y = at / cell_pitch;
     to[i] = {static_cast<std::uint16_t>(in.x_rel + corner_margin + at - y * cell_pitch),
-             static_cast<std::uint16_t>(in.y_rel + corner_margin + y), kept[at]};
+             static_cast<std::uint16_t>(in.y_rel + corner_margin + y), s.kept[at]};
   }
 }
 

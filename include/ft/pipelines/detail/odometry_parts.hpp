@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry consists of, and how it runs a frame.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "ft/cameras/image_domain.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/geometry.hpp"
+#include "ft/core/recording.hpp"
+#include "ft/core/stage_clock.hpp"
+#include "ft/pipelines/detail/odometry_adjustment.hpp"
+#include "ft/pipelines/detail/odometry_covariance.hpp"
+#include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_prefetch.hpp"
+#include "ft/pipelines/detail/odometry_recovery.hpp"
+#include "ft/pipelines/detail/odometry_schedule.hpp"
+#include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+#include "ft/pipelines/tracker_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// @throws bad_argument for a pose that is not finite or not a rotation
+inline void require_motion(rigid<double> const& T) {
+  for (double const v : T.R.m) { require_finite("an entry of a predicted pose", v); }
+  double const t[3] = {T.t.x, T.t.y, T.t.z};
+  for (double const v : t) { require_finite("an entry of a predicted pose", v); }
+  mat3<double> const RRt = T.R * T.R.transposed();
+  for (int i = 0; i < 9; ++i) {
+    require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
+            "the rotation of a predicted pose is not a rotation matrix");
+  }
+}
+
+inline tracker_params tracker_params_of(odometry_params const& p) {
+  tracker_params t;
+  t.orb = p.orb;
+  t.map_slots = p.map_slots;
+  t.local_points = p.local_points;
+  t.window_radius = p.window_radius;
+  t.enough_matches = p.enough_matches;
+  t.overlap[0] = p.overlap[0];
+  t.overlap[1] = p.overlap[1];
+  return t;
+}
+
+/// At a fixed address: recordings, the adjustments and the prefetch refer to it.
+template <typename Exec, typename Rig>
+struct odometry_parts {
+  using stages_type = odometry_stages<Exec, Rig>;
+  using parts_of_rig = rig_parts<Rig>;
+  using searched_rig = typename parts_of_rig::searched_rig;
+  using recovery_type = typename recovery_of<Exec, searched_rig>::type;
+  using prefetch_type = odometry_prefetch<Exec, Rig>;
+
+  /// The launches of a frame, and their times.
+  struct frame_launches {
+    stage_clock<Exec> clock;
+    recording<Exec> graph;
+  };
+
+  Exec exec;
+  Rig rig;
+  stages_type stages;
+  std::vector<std::array<frame_launches, 2>> launches;  ///< [set of features][extent]
+  stage_clock<Exec> const* last_clock = nullptr;        ///< of the last frame
+  std::vector<tracking> results;
+  std::vector<std::int64_t> times;   ///< of the last frames
+  std::vector<unsigned char> begun;  ///< whether there was one
+  long long frame = 0;
+  int stamp = 0;
+  std::unique_ptr<recovery_type> recovery;  ///< or none
+  odometry_adjustments<Exec, searched_rig> adjustments;
+  std::unique_ptr<prefetch_type> prefetch;  ///< or none
+
+  /// @throws bad_argument, std::bad_alloc, cuda_error
+  odometry_parts(Exec const& e, Rig const& of, odometry_params const& params, int batch)
+      : exec(e),
+        rig(checked(of, params, batch)),
+        launches(static_cast<std::size_t>(params.prefetch) + 1),
+        results(static_cast<std::size_t>(batch)),
+        times(results.size()),
+        begun(results.size()),
+        adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
+    if (params.measure_stages) {
+      for (auto& of_set : launches) {
+        for (auto& of_extent : of_set) { of_extent.clock.enable(); }
+      }
+    }
+    if (params.prefetch > 0) { prefetch = std::make_unique<prefetch_type>(exec, rig, stages); }
+    last_clock = &launches_of(frame_extent::whole).clock;
+    record();
+  }
+  odometry_parts(odometry_parts const&) = delete;
+  odometry_parts& operator=(odometry_parts const&) = delete;
+
+  /// Records the launches of frames. Not while frames are given.
+  void record() {
+    if (!stages.settings.use_graphs) { return; }
+    record(frame_extent::whole);
+    if (prefetch == nullptr) { return; }
+    record(frame_extent::prepared);
+    prefetch->for_each_set(stages, [&] {
+      record(frame_extent::whole);
+      record(frame_extent::prepared);
+    });
+  }
+
+  /// @throws bad_argument for a time that is not after the camera's last one
+  void require_later(std::int64_t const* time_ns) const {
+    for (int b = 0; b < stages.batch; ++b) {
+      auto const i = static_cast<std::size_t>(b);
+      if (begun[i] != 0 && time_ns[b] <= times[i]) {
+        throw bad_argument("ft: the time of camera pair " + std::to_string(b) + " is " +
+                           std::to_string(time_ns[b]) + " ns, must be after " +
+                           std::to_string(times[i]));
+      }
+    }
+  }
+  /// Runs a frame and waits for it. @param time_ns [batch]
+  tracking const* track(std::int64_t const* time_ns, frame_extent extent) {
+    set_inputs(time_ns);
+    adjustments.end_before(exec, frame);
+    frame_launches& now = launches_of(extent);
+    now.graph.replay(exec, [&](Exec const& e) { queue(e, extent); });
+    last_clock = &now.clock;
+    exec.wait();
+    if (recovery != nullptr) { recovery->after_frame(exec, stages); }
+    adjustments.begin_after(frame);
+    take_outputs(time_ns);
+    ++frame;
+    return results.data();
+  }
+
+private:
+  frame_launches& launches_of(frame_extent extent) {
+    return launches[static_cast<std::size_t>(stages.features_number())]
+                   [extent == frame_extent::whole ? 0 : 1];
+  }
+  void record(frame_extent extent) {
+    launches_of(extent).graph.record(exec, [&](Exec const& to) { queue(to, extent); });
+  }
+  void queue(Exec const& to, frame_extent extent) {
+    stage_line<Exec> line(to, launches_of(extent).clock);
+    queue_odometry(line, stages, extent);
+  }
+
+  /// Takes all memory and initialises it.
+  Exec const& prepared(odometry_params const& params, int batch) {
+    stages.settings = params;
+    if (params.imu.present) {
+      stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
+    }
+    stages.settings.orb.start_features = start_features(params.orb);
+    stages.settings.orb.exact_positions = true;
+    stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
+    stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
+                            batch, parts_of_rig::absent(rig));
+    stages.input = typename parts_of_rig::template input<Exec>(exec, rig, stages.geometry(), batch);
+    stages.matcher = parts_of_rig::make_matcher(rig, stages.extractor, stages.input);
+    image_bounds const seen = parts_of_rig::bounds(rig, params.orb.width, params.orb.height);
+    stages.frustum.min_x = seen.min_x;
+    stages.frustum.min_y = seen.min_y;
+    stages.frustum.max_x = seen.max_x;
+    stages.frustum.max_y = seen.max_y;
+    stages.take_all_memory(exec, params.adjustment_delay);
+    stages.initialize_all(exec);
+    exec.wait();
+    return exec;
+  }
+
+  void set_inputs(std::int64_t const* time_ns) {
+    if (stamp > std::numeric_limits<int>::max() - 4) {
+      stages.forget_frame_numbers(exec);
+      stamp = 0;
+    }
+    stamp += 2;  // a frame has two numbers: see search_start
+    for (int b = 0; b < stages.batch; ++b) {
+      stages.own.inputs[b].time_ns = time_ns[b];
+      stages.own.inputs[b].stamp = stamp;
+      auto const i = static_cast<std::size_t>(b);
+      if (stages.has_imu()) { stages.inertial.set_input(b, begun[i] != 0, times[i], time_ns[b]); }
+    }
+  }
+  void take_outputs(std::int64_t const* time_ns) {
+    for (int b = 0; b < stages.batch; ++b) {
+      auto const i = static_cast<std::size_t>(b);
+      times[i] = time_ns[b];
+      begun[i] = 1;
+      stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
+      results[i] = tracking_of(stages.own.outputs[b]);
+      results[i].metric = !stages_type::starts_from_motion;
+      if (stages.has_imu()) {
+        results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
+        results[i].imu = imu_tracking_of(stages.inertial.outputs[b]);
+      }
+    }
+  }
+
+  /// @return 0 where all images have as many features
+  static int start_features(orb_params const& p) {
+    if (!stages_type::starts_from_motion) { return 0; }
+    return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
+  }
+  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch) {
+    rig.check();
+    require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
+    require_range("batch of camera pairs", batch, 1, 2048);
+    require_odometry_params(p);
+    require(!(p.prefetch > 0 && stages_type::starts_from_motion),
+            "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
+    return rig;
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

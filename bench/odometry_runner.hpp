@@ -73,13 +73,9 @@ public:
     }
   }
   void track() override {
-    int const ahead = odometry_.params().prefetch;
-    for (; given_ < frame_ + ahead; ++given_) {
-      take_images(given_);
-      odometry_.prefetch(images_.data());
-    }
-    ft::tracking const* const t = ahead > 0 ? odometry_.track_prefetched(times_.data())
-                                            : odometry_.track(images_.data(), times_.data());
+    ft::tracking const* const t = odometry_.params().prefetch > 0
+                                      ? track_prefetched()
+                                      : odometry_.track(images_.data(), times_.data());
     last_ = {};
     for (int b = 0; b < batch_; ++b) {
       last_.tracked += t[b].state == ft::tracking_state::tracking ? 1 : 0;
@@ -99,6 +95,13 @@ public:
   }
 
 private:
+  ft::tracking const* track_prefetched() {
+    for (; given_ < frame_ + odometry_.params().prefetch; ++given_) {
+      take_images(given_);
+      odometry_.prefetch(images_.data());
+    }
+    return odometry_.track_prefetched(times_.data());
+  }
   void take_images(int i) {
     for (int b = 0; b < batch_; ++b) {
       auto const k = static_cast<std::size_t>(b);

@@ -189,7 +189,21 @@ TYPED_TEST(odometry_prefetch, takes_a_mask_for_the_images_that_are_given_after_i
   test::expect_same(all, want);
 }
 
-TYPED_TEST(odometry_prefetch, survives_moves_and_ends_with_frames_given) {
+TYPED_TEST(odometry_prefetch, ends_while_frames_are_in_flight) {
+  TypeParam backend;
+  auto const& frames = walk();
+  for (std::size_t tracked = 0; tracked < 6; ++tracked) {
+    ft::odometry odo(backend.exec, test::room::rig(), params(5));
+    std::size_t given = 0;
+    while (given < 5) { odo.prefetch(images_of(frames[given++])); }
+    for (std::size_t i = 0; i < tracked; ++i) {
+      EXPECT_EQ(odo.track_prefetched(time_of(i)).state, ft::tracking_state::tracking);
+      odo.prefetch(images_of(frames[given++]));
+    }
+  }
+}
+
+TYPED_TEST(odometry_prefetch, survives_moves) {
   TypeParam backend;
   auto const& frames = walk();
   auto const want = run(backend.exec, test::room::rig(), {frames.begin(), frames.begin() + 3});

@@ -6,6 +6,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/map/apply_window.hpp"
@@ -79,6 +80,7 @@ public:
     std::swap(this->extractor, other.extractor);
     std::swap(this->matcher, other.matcher);
     std::swap(memory.frame.grids, other.grids);
+    std::swap(grid_memory_, other.grid_memory);
     std::swap(features_graph_, other.graph);
     std::swap(features_number_, other.number);
     this->point_frame_at_features();
@@ -277,6 +279,7 @@ private:
     return v;
   }
 
+  arena<Exec::space> grid_memory_;  ///< empty while the frame's grids are the first ones
   recording<Exec> features_graph_;
   int features_number_ = 0;
   side_branch<Exec> beginning_branch_;

@@ -239,9 +239,15 @@ TEST(OdometryPrefetchOnTheHost, AllocatesNothingInAFrame) {
 
 TEST(OdometryPrefetchOnTheHost, SaysWhatMemoryItTook) {
   auto const bytes = [](int prefetch) {
-    ft::odometry const odo(ft::host_exec(1), test::room::rig(), params(prefetch));
-    ft::allocated_bytes const told = odo.memory_bytes();
-    return told.executor + told.staging;
+    ft::odometry odo(ft::host_exec(1), test::room::rig(), params(prefetch));
+    auto const told = [&] { return odo.memory_bytes().executor + odo.memory_bytes().staging; };
+    std::size_t const at_first = told();
+    if (prefetch > 0) {
+      odo.prefetch(images_of(walk()[0]));
+      odo.track_prefetched(time_of(0));
+    }
+    EXPECT_EQ(told(), at_first);
+    return at_first;
   };
   std::size_t const one = bytes(1) - bytes(0);
   EXPECT_GT(one, 2u * test::room::width * test::room::height);

@@ -200,6 +200,7 @@ public:
 
   // ---- state
 
+  allocated_bytes bytes() const { return base::bytes() + allocated_bytes{grid_memory_.bytes(), 0}; }
   /// @param runs adjustments in flight, at most
   void take_all_memory(Exec const& exec, int runs) {
     base::take_memory(input.images().sources());

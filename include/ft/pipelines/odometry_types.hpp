@@ -37,8 +37,8 @@ struct odometry_params {
   imu_params imu;                  ///< present or not
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
-  /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each takes
-  /// the memory of its images and keypoints, and on the host a thread. 0 for a monocular_rig
+  /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each
+  /// takes the memory of its images and keypoints, and on the host a thread. 0 for a monocular_rig
   int prefetch = 0;
   stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
 };

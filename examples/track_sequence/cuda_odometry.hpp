@@ -34,6 +34,7 @@ public:
   void prefetch(std::uint8_t const* left, std::uint8_t const* right) override {
     inner_.prefetch(left, right);
   }
+  void forget_prefetched() override { inner_.forget_prefetched(); }
   frame_outcome track_prefetched(std::int64_t time_ns) override {
     return inner_.track_prefetched(time_ns);
   }

@@ -71,6 +71,14 @@ public:
         frames_(frames),
         odometry_(odometry),
         prefetch_(static_cast<std::size_t>(prefetch)) {}
+  upcoming_frames(upcoming_frames const&) = delete;
+  upcoming_frames& operator=(upcoming_frames const&) = delete;
+  /// The odometry no longer reads the frames that it has not tracked.
+  ~upcoming_frames() {
+    try {
+      odometry_.forget_prefetched();
+    } catch (std::exception const&) {}  // what it could not compute is not asked for
+  }
 
   /// @throws what the reading of frame i threw
   seq::stereo_frame take(int i) {

@@ -66,6 +66,7 @@ public:
       prefetch_ms_ += now_ms() - start;
     }
   }
+  void forget_prefetched() override { inner_.forget_prefetched(); }
   frame_outcome track_prefetched(std::int64_t time_ns) override {
     return timed(time_ns, [&](std::int64_t stamp) { return inner_.track_prefetched(stamp); });
   }

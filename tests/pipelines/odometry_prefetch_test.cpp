@@ -133,6 +133,29 @@ TYPED_TEST(odometry_prefetch, mixes_with_track_which_forgets_given_frames) {
   test::expect_same(all, want);
 }
 
+TYPED_TEST(odometry_prefetch, forgets_frames_whose_images_may_go_then) {
+  TypeParam backend;
+  auto const& frames = walk();
+  auto const want = run(backend.exec, test::room::rig(), {frames.begin(), frames.begin() + 5});
+  ft::odometry without(backend.exec, test::room::rig(), params(0));
+  without.forget_prefetched();
+  ft::odometry odo(backend.exec, test::room::rig(), params(3));
+  std::vector<ft::tracking> all;
+  for (std::size_t i = 0; i < 5; ++i) {
+    odo.prefetch(images_of(frames[i]));
+    {
+      auto other = frames[i + 1];
+      odo.prefetch(images_of(other));
+      if (i % 2 == 0) { odo.prefetch(images_of(other)); }
+      odo.forget_prefetched();
+    }
+    EXPECT_THROW(odo.track_prefetched(time_of(i)), ft::bad_argument);
+    odo.prefetch(images_of(frames[i]));
+    all.push_back(odo.track_prefetched(time_of(i)));
+  }
+  test::expect_same(all, want);
+}
+
 TYPED_TEST(odometry_prefetch, refuses_what_it_cannot_take_and_goes_on) {
   TypeParam backend;
   auto const& frames = walk();

@@ -79,7 +79,7 @@ public:
     parts& p = made();
     p.require_later(time_ns);
     for (int b = 0; b < p.stages.batch; ++b) { p.stages.input.take(b, images[b]); }
-    if (p.prefetch != nullptr) { p.prefetch->forget(p.exec); }
+    forget_prefetched();
     return p.track(time_ns, detail::frame_extent::whole);
   }
   /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
@@ -97,7 +97,8 @@ public:
   ///       ft::tracking const t = odo.track_prefetched(time_ns(i));
   ///     }
   ///
-  /// Asynchronous; allocates nothing. track() forgets the frames that were given.
+  /// Asynchronous; allocates nothing. track() and forget_prefetched() forget the frames that were
+  /// given.
   /// @param images [batch] unchanged until their frame has been tracked or is forgotten
   /// @throws bad_argument for an image that is null or of another size, or if
   ///   odometry_params::prefetch frames are given and not yet tracked
@@ -109,6 +110,12 @@ public:
   void prefetch(images_type const& images) {
     require_single();
     prefetch(&images);
+  }
+  /// Forgets the frames that were given, and waits until their images are no longer read. Without
+  /// odometry_params::prefetch there are none.
+  void forget_prefetched() {
+    parts& p = made();
+    if (p.prefetch != nullptr) { p.prefetch->forget(p.exec); }
   }
   /// track() of the frame whose images were given first.
   /// @throws bad_argument if none were given, or as track() for a time
@@ -139,7 +146,7 @@ public:
     parts& p = made();
     detail::require(p.frame == 0, "places are recognised from the first frame on, not later");
     detail::require(!p.stages.has_imu(), "places are not recognised by an odometry with an IMU");
-    if (p.prefetch != nullptr) { p.prefetch->forget(p.exec); }
+    forget_prefetched();
     p.recovery = std::make_unique<typename parts::recovery_type>(p.exec, words, params, p.stages);
     p.stages.recognizes_places = true;
     p.record();

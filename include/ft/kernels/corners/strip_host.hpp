@@ -12,6 +12,7 @@
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/detail/host_simd.hpp"
+#include "ft/core/group.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/corners/cell.hpp"
 

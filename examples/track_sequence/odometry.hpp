@@ -94,9 +94,8 @@ public:
   /// @param left,right width x height bytes without padding; one camera has no use for `right`
   virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
                               std::uint8_t const* right) = 0;
-  /// Gives a pair that a later track_prefetched() tracks, and which stays as it is until then or
-  /// until it is forgotten; see
-  /// ft::odometry. At most odometry_options::prefetch are given and not yet tracked.
+  /// Gives a pair that a later track_prefetched() tracks. It stays as it is until then, or until
+  /// forget_prefetched(). At most odometry_options::prefetch are given and not yet tracked.
   virtual void prefetch(std::uint8_t const* left, std::uint8_t const* right) = 0;
   /// Forgets the pairs that were given; they may go then.
   virtual void forget_prefetched() = 0;

@@ -35,9 +35,9 @@ void add_tracking(CLI::App& app, arguments& a) {
   app.add_option("--backend", a.backend, "auto (a GPU if there is one), host or cuda")
       ->check(CLI::IsMember({"auto", "host", "cuda"}))
       ->capture_default_str();
-  app.add_option("--threads", a.threads,
-                 "threads of each stage of the host backend; 0 = all; with 1, frames are processed "
-                 "one after the other, without stages of the frames to come")
+  app.add_option(
+         "--threads", a.threads,
+         "threads of each stage of the host backend; 0 = all; with 1 no frame is prefetched")
       ->check(CLI::Range(0, 4096));
   app.add_option("--rig", a.rig,
                  "auto (fisheye cameras as they are, others rectified), rectified, fisheye (two "

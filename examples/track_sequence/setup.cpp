@@ -81,7 +81,8 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   o.measure_stages = a.timing;
-  // Frames come one after the other where stages are timed, by their times, and to one thread.
+  // Nothing is prefetched where stages are timed, frames arrive in real time, or one thread is
+  // asked for.
   bool const one_by_one =
       o.monocular || a.timing || a.realtime || a.read_ahead == 0 || a.threads == 1;
   o.prefetch = one_by_one ? 0 : 4;

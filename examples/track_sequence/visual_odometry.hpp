@@ -58,13 +58,10 @@ public:
     return timed(time_ns,
                  [&](std::int64_t stamp) { return inner_.track(images_of(left, right), stamp); });
   }
-  void prefetch([[maybe_unused]] std::uint8_t const* left,
-                [[maybe_unused]] std::uint8_t const* right) override {
-    if constexpr (!ft::is_monocular_v<Rig>) {
-      double const start = now_ms();
-      inner_.prefetch(images_of(left, right));
-      prefetch_ms_ += now_ms() - start;
-    }
+  void prefetch(std::uint8_t const* left, std::uint8_t const* right) override {
+    double const start = now_ms();
+    inner_.prefetch(images_of(left, right));
+    prefetch_ms_ += now_ms() - start;
   }
   void forget_prefetched() override { inner_.forget_prefetched(); }
   frame_outcome track_prefetched(std::int64_t time_ns) override {

@@ -124,7 +124,7 @@ public:
     p.prefetch->require_given();
     p.require_later(time_ns);
     p.prefetch->use(p.exec, p.stages);
-    return p.track(time_ns, detail::frame_extent::prepared);
+    return p.track(time_ns, detail::frame_extent::prefetched);
   }
   /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
   tracking track_prefetched(std::int64_t time_ns) {

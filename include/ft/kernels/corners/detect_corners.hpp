@@ -42,7 +42,7 @@ FT_HOST_DEVICE inline level_list list_of(corners_view const& out, int image, int
           out.layout.cells_of(l)};
 }
 
-/// One cell, for a device: scores, suppression, choice of the threshold.
+/// One cell, on a device: scores, suppression, choice of the threshold.
 struct detect_cell {
   /// Blocks per multiprocessor: with 12, all cells of an image pair are resident on a large device.
   static constexpr int resident_blocks = 12;
@@ -69,7 +69,7 @@ struct detect_cell {
   }
 };
 
-/// One strip of neighbouring cells, for a host: long rows of pixels suit it.
+/// One strip of neighbouring cells, on the host: long rows of pixels suit a CPU.
 struct detect_strip {
   static constexpr bool wide_on_host = true;
   using scratch = strip_scratch;

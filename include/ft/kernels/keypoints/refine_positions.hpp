@@ -55,7 +55,7 @@ private:
     };
     return {score(u - 1, v), score(u, v), score(u + 1, v), score(u, v - 1), score(u, v + 1)};
   }
-  /// The same, on a host: it has vectors of bytes. @pre the level is not narrower than a run
+  /// The same in vectors of bytes, on the host. @pre the level is at least run + 6 pixels wide
   FT_HOST_DEVICE static scores_around scores_by_runs(gray_view level, int u, int v) {
     int const first = min_of(u - 1, level.width - 3 - run);
     int const at = u - first;

@@ -70,7 +70,7 @@ private:
            first + reach + 1 < right.width;
   }
 
-  /// The difference and the slope of pixel (dx, row) of the window.
+  /// Of one pixel of the window, which l and r point to. @param rest parts of a pixel right of r
   struct terms {
     int difference, slope;
   };

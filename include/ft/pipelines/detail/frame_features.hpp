@@ -32,7 +32,6 @@ struct frame_features {
   recording<Exec> graph;  ///< of queue()
   int number = 0;         ///< which set of features of an odometry it is
 
-  frame_features() = default;
   /// @param like grids of which these are to have the size
   /// @throws bad_argument, std::bad_alloc, cuda_error
   frame_features(Exec const& exec, Rig const& rig, orb_extractor<Exec> made, int batch,
@@ -47,10 +46,10 @@ struct frame_features {
                    static_cast<std::size_t>(grids.geometry.cells() + 1) * sizeof(int));
   }
 
-  std::size_t executor_bytes() const {
-    return extractor.bytes() + matcher.bytes() + grid_memory.bytes();
+  allocated_bytes bytes() const {
+    return input.allocated() +
+           allocated_bytes{extractor.bytes() + matcher.bytes() + grid_memory.bytes(), 0};
   }
-  allocated_bytes bytes() const { return input.allocated() + allocated_bytes{executor_bytes(), 0}; }
 
   /// Enqueues all stages, from the images that the input has taken.
   void queue(Exec const& exec) {

@@ -111,10 +111,10 @@ struct odometry_parts {
     if (!stages.settings.use_graphs) { return; }
     record(frame_extent::whole);
     if (prefetch == nullptr) { return; }
-    record(frame_extent::prepared);
+    record(frame_extent::prefetched);
     prefetch->for_each_set(stages, [&] {
       record(frame_extent::whole);
-      record(frame_extent::prepared);
+      record(frame_extent::prefetched);
     });
   }
 

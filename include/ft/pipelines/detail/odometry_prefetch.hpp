@@ -69,10 +69,11 @@ public:
   }
   /// Forgets the frames that were given. Waits for their features.
   void forget(Exec const& exec) {
+    if (given_ == 0) { return; }
+    for (auto& s : sets_) { s->beside.drain(); }  // before finish(), which may throw
     while (given_ > 0) {
       set& s = next();
       s.beside.finish(exec, s.run);
-      s.beside.drain();
     }
   }
   /// Calls each(orb_extractor&) for those of all sets. Waits until none is used.

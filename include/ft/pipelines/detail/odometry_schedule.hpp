@@ -31,8 +31,8 @@ void queue_prediction(Exec const& exec, Stages& s) {
 
 /// Which stages a frame has.
 enum class frame_extent {
-  whole,    ///< all
-  prepared  ///< those that remain when the features are there; see frame_features::queue()
+  whole,      ///< all
+  prefetched  ///< those that follow frame_features::queue()
 };
 
 /// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
@@ -61,9 +61,9 @@ void queue_odometry_motion(Line& line, Stages& s) {
   }
 }
 
-/// The same of a frame whose features are there.
+/// The same of a frame whose features were prefetched.
 template <typename Line, typename Stages>
-void queue_prepared_motion(Line& line, Stages& s) {
+void queue_prefetched_motion(Line& line, Stages& s) {
   queue_prediction(line.then("motion"), s);
   s.list_last_frame(line.then("search last frame"));
   s.assign_last_frame(line.then("search last frame"));
@@ -77,7 +77,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   if (extent == frame_extent::whole) {
     queue_odometry_motion(line, s);
   } else {
-    queue_prepared_motion(line, s);
+    queue_prefetched_motion(line, s);
   }
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));

@@ -101,6 +101,7 @@ struct judge_camera_frame {
     state.order[b] = keyframe_order::none;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
+      t.held = counts.held;
       state.order[b] =
           needs_keyframe<Rig>(t, counts, rules) ? keyframe_order::add : keyframe_order::none;
     } else {

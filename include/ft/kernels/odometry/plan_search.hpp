@@ -8,6 +8,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 
 namespace ft {
@@ -19,6 +20,7 @@ struct search_start {
   pose* T_cw;          ///< [batch] the first pose; replaced for a camera that is searched for
   int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
                        ///< point counts as matched
+  pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
 };
 
 namespace detail {
@@ -32,7 +34,8 @@ struct plan_camera_search {
                                  frame_view const& frame, odometry_state_view const& state,
                                  search_start const& start) const {
     camera_track const& t = state.tracks[b];
-    search_plan const plan = plan_of(t, rules, start.inliers[b]);
+    bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
+    search_plan const plan = adopts ? search_plan::recover : plan_of(t, rules, start.inliers[b]);
     g.sync();
     if (plan != search_plan::follow) {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
@@ -48,11 +51,15 @@ struct plan_camera_search {
     bool const first =
         guided ? attempt % 2 == 0 : (attempt < recovery_places) == t.velocity.known();
     state.radius_factor[b] = !recovers ? 1.0f
+                             : adopts  ? rules.matched_search
                              : first   ? rules.first_wide_search
                                        : rules.later_wide_search;
     if (recovers) {
       int const place = guided ? 0 : attempt % recovery_places;
-      rigid<double> const T = place == 0 ? t.predicted : place == 1 ? state.T_cw[b] : t.keyframe;
+      rigid<double> const T = adopts       ? start.proposals[b].T_cw
+                              : place == 0 ? t.predicted
+                              : place == 1 ? state.T_cw[b]
+                                           : t.keyframe;
       start.T_cw[b] = T.template cast<float>();
       start.stamp[b] += 1;
     }
@@ -72,8 +79,8 @@ private:
 
 /// Decides after the first pose of a frame how its search in the local map goes on. A camera with
 /// too few inliers, or that was lost before, is searched for near one of several poses with a wide
-/// radius, among the newest keyframes' points. Its keypoints release what they hold. Asynchronous
-/// on `exec`; allocates nothing; one launch.
+/// radius, among the newest keyframes' points; one that adopts a proposal near that pose. Its
+/// keypoints release what they hold. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,
                    odometry_state_view const& state, search_start const& start) {

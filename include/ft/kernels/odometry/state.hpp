@@ -45,6 +45,14 @@ struct tracking_rules {
   double keyframe_period_s = 0;  ///< a keyframe is made if the last one is older; 0: no such rule
   float near_depth = 50;         ///< near is what is at most this many baselines away, of its own
                                  ///< pair in a rig of several; near keypoints become map points
+  /// Whether a camera that is lost, whose motion is not known yet or that is in doubt is also
+  /// searched for by matches anywhere in the image; see match_without_window(). Not where an IMU
+  /// tells the motion.
+  bool matches_without_window = true;
+  float doubtful_share = 0.5f;  ///< in doubt is a camera that finds a smaller share of the
+                                ///< keypoints that held a point in the last frame
+  int min_support = 15;         ///< matches that must agree with a pose that is found so
+  float matched_search = 3;     ///< factor on the search radius around it
   motion_params motion;
 };
 
@@ -83,6 +91,7 @@ struct camera_track {
   int guided;                ///< 1 = `predicted` comes from an IMU
   int lost_frames;           ///< in a row
   int lost_with_features;    ///< of these, the last ones in a row with enough stereo points
+  int held;                  ///< left keypoints that held a map point in the last tracked frame
   int reference_tracked;     ///< left keypoints with a map point, of the last keyframe
   int maps;                  ///< begun
   int map_keyframes;         ///< made in this map

@@ -14,6 +14,7 @@
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/window/workspace.hpp"
@@ -57,6 +58,7 @@ struct odometry_memory {
   window_problem_view window;
   window_sources_view sources;
   window_workspace window_work;
+  windowless_workspace windowless;
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
   odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
@@ -86,6 +88,7 @@ struct odometry_memory {
       carve(c, window_work, window, p.window.moving);
       selected = c.take<int>(b);
       information = c.take<float>(b * information_terms);
+      carve(c, windowless, shape.numbers(), batch);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);

@@ -16,7 +16,9 @@
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/odometry/begin_frame.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
+#include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
+#include "ft/kernels/odometry/propose_pose.hpp"
 #include "ft/kernels/stereo/refine_partners.hpp"
 #include "ft/pipelines/detail/frame_features.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
@@ -98,9 +100,22 @@ public:
   // ---- the local map
 
   void plan_search(Exec const& exec) const {
-    plan_searches(
-        exec, settings.rules, memory.frame, own.state,
-        search_start{memory.observations.inliers, memory.poses, memory.motion.device.stamp});
+    plan_searches(exec, settings.rules, memory.frame, own.state,
+                  search_start{memory.observations.inliers, memory.poses,
+                               memory.motion.device.stamp, own.windowless.proposals});
+  }
+  /// Matches anywhere in the image, and the pose that most of them agree with: two launches.
+  void search_without_window(Exec const& exec) const {
+    windowless_search<typename base::searched_rig> in{};
+    in.rig = this->rig;
+    in.frame = memory.frame;
+    in.map = own.map;
+    in.last_holder = memory.last.holder;
+    in.geometry = this->geometry();
+    in.inliers = memory.observations.inliers;
+    in.T_cw = memory.poses;
+    match_without_window(exec, in, settings.rules, own.state, own.windowless);
+    propose_poses(exec, in, settings.rules, own.state, own.windowless);
   }
   void choose_local(Exec const& exec) const {
     choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),

@@ -74,26 +74,27 @@ FT_HOST_DEVICE inline bool is_doubtful(camera_track const& t, tracking_rules con
 struct anchors {
   int const* holder;  ///< [numbers] slots
   int const* number;  ///< [numbers] of the points that the slots must have; null = any
-  point_records_view const& records;
-  int b;
+  int const* there;   ///< [slots] numbers of the map's points, 0 = none
+  int slots;
 
   template <typename Rig>
   FT_HOST_DEVICE static anchors of(windowless_search<Rig> const& in, camera_track const& t, int b) {
     keyframes_view const& k = in.map.keyframes;
-    if (t.lost_frames == 0 || k.count[b] == 0) {
-      std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
-      return {in.last_holder + first, nullptr, in.map.records, b};
-    }
+    point_records_view const& records = in.map.records;
+    bool const by_keyframe = t.lost_frames > 0 && k.count[b] > 0;
     constexpr int newest = 5;
-    int const back = t.lost_with_features % min_of(newest, k.count[b]);
-    std::ptrdiff_t const first = k.at(b, k.position(k.made[b] - back), 0);
-    return {k.holder + first, k.holder_number + first, in.map.records, b};
+    int const back = by_keyframe ? t.lost_with_features % min_of(newest, k.count[b]) : 0;
+    std::ptrdiff_t const of_frame = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+    std::ptrdiff_t const of_keyframe = by_keyframe ? k.at(b, k.position(k.made[b] - back), 0) : 0;
+    return {by_keyframe ? k.holder + of_keyframe : in.last_holder + of_frame,
+            by_keyframe ? k.holder_number + of_keyframe : nullptr,
+            records.number + records.at(b, 0), records.slots};
   }
   /// The slot of an anchor, -1 if there is none.
   FT_HOST_DEVICE int slot(int i) const {
     int const s = holder[i];
-    if (!records.holds_point(b, s)) { return -1; }
-    return number == nullptr || records.number[records.at(b, s)] == number[i] ? s : -1;
+    if (s < 0 || s >= slots || there[s] == 0) { return -1; }
+    return number == nullptr || there[s] == number[i] ? s : -1;
   }
 };
 

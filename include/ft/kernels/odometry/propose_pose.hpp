@@ -240,10 +240,11 @@ private:
 
 }  // namespace detail
 
-/// Draws poses from the matches of match_without_window() and keeps the one that most of them agree
-/// with. It is adopted if at least `min_support` do and, of a camera that was not lost, more than
-/// twice as many as agree with the first pose. Draws depend on the time of the frame alone.
-/// Asynchronous on `exec`; allocates nothing; one launch.
+/// Draws 256 poses, each from three matches of match_without_window(), and keeps the one with the
+/// least sum of truncated squared errors. It is adopted if at least `min_support` matches agree
+/// with it and, of a camera that was not lost, its sum is below nine tenths of the first pose's: of
+/// poses from three matches the best one has a sum up to a tenth above that of the optimum. Draws
+/// depend on the time of the frame alone. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void propose_poses(Exec const& exec, windowless_search<Rig> const& in, tracking_rules const& rules,
                    odometry_state_view const& state, windowless_workspace const& work) {

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+// A camera that jumps between two frames: the pose is right, or it is not called tracked.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/effort.hpp"
+#include "tests/support/example_rigs.hpp"
+#include "tests/support/random.hpp"
+#include "tests/support/room.hpp"
+
+namespace odometry_jumps_test {
+
+using test::room::stereo_frame;
+constexpr std::int64_t period = 50'000'000;
+
+stereo_frame see(ft::rectified_rig const& rig, std::vector<test::room::image> const& walls,
+                 test::motion const& T_wc) {
+  ft::pose const T_cw = T_wc.inverse().cast<float>();
+  ft::pose T_rw = T_cw;
+  T_rw.t.x -= rig.baseline_length().value;
+  return {test::room::render(rig.camera, walls, T_cw), test::room::render(rig.camera, walls, T_rw),
+          T_cw};
+}
+ft::stereo_images images_of(stereo_frame const& f) {
+  return {test::room::view(f.left), test::room::view(f.right)};
+}
+double distance(ft::vec3<double> a, ft::vec3<double> b) { return std::sqrt(ft::dot(a - b, a - b)); }
+
+template <typename Backend>
+class OdometryJumps : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(OdometryJumps, test::backends);
+
+struct outcomes {
+  int right = 0, silent = 0, all = 0;
+};
+
+/// Two frames, up to `most_m` and `most_rad` apart, of rooms with other walls each.
+template <typename Exec>
+outcomes jump(Exec const& exec, int jumps, float most_m, float most_rad, bool without_window) {
+  auto const rig = test::room::rig();
+  auto params = test::room::odometry_params(4096);
+  params.rules.matches_without_window = without_window;
+  ft::odometry<Exec> odometry(exec, rig, params);
+  test::generator random(9);
+  outcomes found;
+  for (int i = 0; i < jumps; ++i) {
+    auto const walls = test::room::make_walls(static_cast<unsigned>(i % 3));
+    auto const vector = [&](float most) {
+      return ft::vec3<double>{random.real(-most, most), random.real(-most, most),
+                              random.real(-most, most)};
+    };
+    test::motion const from = test::turn({0, random.real(-1, 1), 0}, {0, 0, 1});
+    float const share = 0.577f;  // of each axis
+    test::motion const to = from * test::turn(vector(share * most_rad), vector(share * most_m));
+    odometry.reset();
+    odometry.track(images_of(see(rig, walls, from)), period);
+    auto const t = odometry.track(images_of(see(rig, walls, to)), 2 * period);
+    double const off = distance(t.T_world_camera.t, (from.inverse() * to).t);
+    bool const tracked = t.state == ft::tracking_state::tracking;
+    ++found.all;
+    found.right += static_cast<int>(tracked && off < 0.03);
+    found.silent += static_cast<int>(tracked && off >= 0.03);
+  }
+  return found;
+}
+
+TYPED_TEST(OdometryJumps, AreFollowedOrNotTracked) {
+  TypeParam backend;
+  int const jumps = test::effort(20);
+  auto const found = jump(backend.exec, jumps, 0.5f, 0.45f, true);
+  EXPECT_EQ(found.silent, 0);
+  EXPECT_GE(found.right, found.all * 9 / 10);
+  // Windows around the last pose alone find fewer.
+  auto const before = jump(backend.exec, jumps, 0.5f, 0.45f, false);
+  EXPECT_LT(before.right, found.right);
+}
+
+}  // namespace odometry_jumps_test

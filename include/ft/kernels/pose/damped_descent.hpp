@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Levenberg-Marquardt for a pose. Source: Nielsen, "Damping parameter in Marquardt's
-/// method", 1999.
+/// method", 1999; specification section 11.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"
@@ -16,85 +16,97 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Levenberg-Marquardt state machine, run by one thread: propose() gives a trial motion, judge()
-/// takes the sums at the trial.
-struct damped_descent {
-  /// Relative difference below which two costs count as equal: they are sums of float residuals.
-  static constexpr float noise = 1e-5f;
+using pose_sums = sum_terms<pose_terms, double>;
 
-  using real = strict_float;
-  rigid<real> D;      ///< the best motion so far, from the camera's frame at the start
-  rigid<real> trial;  ///< the motion whose sums are needed next
-  real step[6];
-  real cost;      ///< at D
-  real expected;  ///< decrease of the cost that the model predicts
+/// Levenberg-Marquardt state machine, run by one thread: propose() gives a trial pose, judge()
+/// takes the sums at the trial. In double: where few inliers are left the curvature has a lower
+/// rank, and the damping alone, 1e-9 of its largest entry, determines the rest of a step.
+struct damped_descent {
+  using real = strict_double;
+  rigid<real> T;      ///< the best pose so far
+  rigid<real> trial;  ///< the pose whose sums are needed next
+  real cost;          ///< at T
+  real expected;      ///< decrease of the cost that the model predicts
   real damping;
   real growth;
   int steps_left;
   int trials_left;
-  bool running;  ///< false once D is the answer
+  int small_gains;  ///< the last steps that lowered the cost by less than 0.1 %
+  bool running;     ///< false once T is the answer
 
-  /// @param sums at the identity
-  FT_HOST_DEVICE void begin(sum_terms<pose_terms> const& sums, pose_params const& params) {
-    D = rigid<real>::identity();
-    trial = D;
+  /// @param sums at `start`
+  FT_HOST_DEVICE void begin(rigid<real> const& start, pose_sums const& sums,
+                            pose_params const& params) {
+    T = start;
+    trial = start;
     steps_left = params.steps;
-    float largest = 0;
+    double largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
       largest = max_of(largest, sums.of[at]);
       at += 6 - a;
     }
-    damping = real(1e-5f) * largest;
-    growth = 2.0f;
+    damping = real(1e-5) * largest;
+    growth = 2.0;
     cost = sums.of[pose_terms - 1];
     trials_left = params.trials;
+    small_gains = 0;
     running = steps_left > 0;
   }
 
   /// @param sums at the trial
-  /// @return whether the trial is now the best motion
-  FT_HOST_DEVICE bool judge(sum_terms<pose_terms> const& sums, pose_params const& params) {
+  /// @return whether the trial is now the best pose
+  FT_HOST_DEVICE bool judge(pose_sums const& sums, pose_params const& params) {
     real const there = sums.of[pose_terms - 1];
     real const decrease = cost - there;
-    if (!(decrease > -(real(noise) * cost) && scalar::is_finite(there))) {
+    if (!(decrease > real(0.0) && scalar::is_finite(there))) {
       refuse();
+      running = running && decrease != real(0.0);
       return false;
     }
-    real const m = real(2.0f) * (decrease / expected) - 1.0f;
-    damping =
-        damping * max_of(real(1.0f / 3.0f), min_of(real(1.0f) - m * m * m, real(2.0f / 3.0f)));
-    growth = 2.0f;
-    D = trial;
+    damping = damping * factor_after(decrease);
+    growth = 2.0;
+    small_gains = decrease * real(1e3) < cost ? small_gains + 1 : 0;
+    T = trial;
     cost = there;
     trials_left = params.trials;
-    running = --steps_left > 0;
+    running = --steps_left > 0 && small_gains < 3;
     return true;
   }
 
   /// Computes the next trial, or ends the descent.
-  /// @param best the sums at D
-  FT_HOST_DEVICE void propose(sum_terms<pose_terms> const& best, pose_params const& params) {
+  /// @param best the sums at T
+  /// @param small a step whose components are all shorter ends the descent, unevaluated
+  FT_HOST_DEVICE void propose(pose_sums const& best, pose_params const& params, double small) {
+    real step[6];
     while (running && !solve_6(best.of, damping, step)) { refuse(); }
     if (!running) { return; }
-    expected = 1e-3f;
-    bool small = true;
+    expected = 1e-3;
+    bool all_small = true;
     for (int k = 0; k < 6; ++k) {
       expected = expected + step[k] * (damping * step[k] + best.of[k]);
-      small = small && scalar::abs(step[k]) < params.small_step;
+      all_small = all_small && scalar::abs(step[k]) < real(small);
     }
-    trial = exp_se3(step) * D;
-    if (!small) { return; }
+    trial = exp_se3(step) * T;
+    if (!all_small) { return; }
     // After a refused trial the step is small because of the damping: a longer one was no better.
-    if (trials_left == params.trials) { D = trial; }
+    if (trials_left == params.trials) { T = trial; }
     running = false;
   }
 
 private:
+  /// Nielsen's factor of the damping after an accepted trial.
+  FT_HOST_DEVICE real factor_after(real decrease) const {
+    real const least = 1.0 / 3.0;
+    // There the cube below is above 2/3. Most steps are as good, and are spared the division.
+    if (decrease > real(0.94) * expected) { return least; }
+    real const m = real(2.0) * (decrease / expected) - real(1.0);
+    return max_of(least, min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
+  }
   /// Increases the damping after a refused trial, or ends the descent.
   FT_HOST_DEVICE void refuse() {
     damping = damping * growth;
-    growth = growth * 2.0f;
+    growth = growth * real(2.0);
     running = --trials_left > 0 && scalar::is_finite(damping);
   }
 };

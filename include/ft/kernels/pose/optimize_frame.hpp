@@ -49,6 +49,7 @@ struct optimize_frame {
   };
   Rig rig;
   pose_params params;
+  pose_limits limits = pose_limits::of(params);
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, frames_in_map const& in,
@@ -58,7 +59,6 @@ struct optimize_frame {
     observations_view const& out = poses.observations;
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
-    if (g.rank() == 0) { s.pose.T = poses.start[b].template cast<strict_double>(); }
     int const n = list_observations(g, s, b, frame, out.number + at);
     float* const information =
         poses.information == nullptr
@@ -67,7 +67,7 @@ struct optimize_frame {
     pose_problem const problem{
         out.items + at,  n,          poses.start + b, poses.result + b, out.outlier + at,
         out.inliers + b, information};
-    pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params};
+    pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params, limits};
     auto const number_of = [&](int i) {
       return i < prepared_observations::size ? s.number[i] : out.number[at + i];
     };

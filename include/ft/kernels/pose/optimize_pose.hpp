@@ -27,19 +27,19 @@ inline namespace FT_ABI {
 namespace detail {
 
 struct pose_scratch {
-  ordered_sum_scratch<pose_terms> sums;
-  sum_terms<pose_terms> best;  ///< sums at the best motion so far
+  ordered_sum_scratch<pose_terms, double> sums;
+  pose_sums best;  ///< sums at the best pose so far
   damped_descent descent;
-  alignas(16) rigid<strict_double> T;  ///< the start, then the result of the last round
+  rigid<strict_double> start;
+  rigid<strict_double> T;  ///< the result of the last round
   prepared_observations observations;
 };
 
 /// Optimises one pose by one group, of one thread or of sum_lanes: prepare() for every observation,
 /// then solve().
 ///
-/// Points are transformed into the camera's frame at the start once, in double. The motion from
-/// there is estimated in float, whose errors are those of the float 1 / z in the residual. Outliers
-/// are classified in double, at the pose that the motion gives.
+/// All in double, but for the float 1 / z of a stereo residual: where few inliers are left, float
+/// noise of the curvature is larger than the damping that determines the step.
 template <typename Group, typename Rig>
 struct pose_solver {
   Group g;
@@ -47,20 +47,21 @@ struct pose_solver {
   Rig const& rig;
   pose_problem const& problem;
   pose_params const& params;
+  pose_limits const& limits;
 
-  /// Prepares observation i. `s.T` is the start. Called by thread i modulo the group's size.
+  /// Prepares observation i. Called by thread i modulo the group's size.
   /// @param o observation i of the problem
   FT_HOST_DEVICE void prepare(int i, observation const& o) const {
-    reprojection<Rig> const r(rig, s.T, o);
-    unsigned const flags = r.chi2(o) < largest_chi2 ? 0 : prepared_observations::unusable;
-    if (i < prepared_observations::size) {
-      s.observations.template keep<Rig>(i, o, r.in_body, flags);
-    } else {
-      s.observations.set_flags(i, problem, flags);
-    }
+    s.observations.template keep<Rig>(i, o, problem);
   }
 
   FT_HOST_DEVICE void solve() const {
+    // By the last thread, which seldom has an observation to wait for. Rows of floats are
+    // orthonormal up to 1e-7 only, and a turn from the left leaves them so.
+    if (g.rank() == g.size() - 1) {
+      s.start = problem.start->template cast<real>().orthonormalized();
+    }
+    g.sync();
     int const n = problem.count;
     bool const enough = n >= 3 && params.rounds > 0;
     int const rounds = n < params.enough_observations ? 1 : params.rounds;
@@ -85,30 +86,31 @@ struct pose_solver {
   }
 
 private:
+  using real = strict_double;
   static constexpr double largest_chi2 = 1e30;
   /// Whether cameras are elsewhere than the frame of the pose, with all entries of a derivative.
   static constexpr bool displaced = Rig::rectified && !std::is_same_v<Rig, rectified_rig>;
 
   /// Finds the best pose for the observations that are included.
   FT_HOST_DEVICE void run_round(bool robust) const {
-    auto D = rigid<strict_float>::identity();
+    rigid<real> T = s.start;
     FT_NO_UNROLL
     for (bool first = true, running = true; running; first = false) {
-      sum_terms_at(D, robust, [&] { advance(first); });
+      sum_terms_at(T, robust, first, [&] { advance(first); });
       running = s.descent.running;
-      D = s.descent.trial;
+      T = s.descent.trial;
     }
   }
 
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
-  /// @param first whether the trial is the identity
+  /// @param first whether the trial is the start
   FT_HOST_DEVICE void advance(bool first) const {
     // Works on copies, so that scratch is loaded at once and not word by word between stores.
     damped_descent next = s.descent;
-    sum_terms<pose_terms> sums = s.sums.total;
+    pose_sums sums = s.sums.total;
     bool better = true;
     if (first) {
-      next.begin(sums, params);
+      next.begin(s.start, sums, params);
     } else {
       better = next.judge(sums, params);
     }
@@ -117,37 +119,39 @@ private:
     } else {
       sums = s.best;
     }
-    next.propose(sums, params);
+    // The first round is the last one of few observations: it ends as the reference's does.
+    bool const few = problem.count < params.enough_observations;
+    next.propose(sums, params, few ? 0.0 : static_cast<double>(params.small_step));
     s.descent = next;
-    if (!next.running) {
-      s.T = next.D.template cast<strict_double>() * problem.start->template cast<strict_double>();
-    }
+    if (!next.running) { s.T = next.T; }
   }
 
-  /// Sums gradient, curvature and cost at motion D over the observations that are included; then
+  /// Sums gradient, curvature and cost at pose T over the observations that are included; then
   /// one thread runs then().
+  /// @param first whether T is the start, where unusable observations are found
   template <typename Then>
-  FT_HOST_DEVICE void sum_terms_at(rigid<strict_float> const& D, bool robust,
+  FT_HOST_DEVICE void sum_terms_at(rigid<real> const& T, bool robust, bool first,
                                    Then const& then) const {
-    using real = strict_float;
-    real const limit_mono = static_cast<float>(params.chi2_mono);
-    real const limit_stereo = static_cast<float>(params.chi2_stereo);
-    auto const add = [&](int i, sum_terms<pose_terms>& acc) {
+    auto const add = [&](int i, pose_sums& acc) {
       observation const o = s.observations.template get<Rig>(i, problem);
       if (!(o.inv_sigma2 > 0)) { return; }
-      reprojection<Rig, real, true> const r(rig, D, o);
+      reprojection<Rig, real, true> const r(rig, T, o);
       real const chi2 = r.chi2(o);
-      real const limit = r.rows == 3 ? limit_stereo : limit_mono;
-      real weight = o.inv_sigma2;
+      if (first && !(chi2 < largest_chi2)) {
+        s.observations.drop(i, problem);
+        return;
+      }
+      real const limit = (r.rows == 3 ? limits.stereo : limits.mono).robust;
+      real weight = static_cast<double>(o.inv_sigma2);
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
         real const product = scalar::sqrt(limit * chi2);
-        cost = real(2.0f) * product - limit;
+        cost = real(2.0) * product - limit;
         weight = weight * (limit / product);
       }
       acc.of[pose_terms - 1] += cost.value;
       mat3<real> const P = r.derivative(rig, o);
-      vec3<real> const W{weight, weight, r.rows == 3 ? weight : real(0.0f)};
+      vec3<real> const W{weight, weight, r.rows == 3 ? weight : real(0.0)};
       vec3<real> const e{r.error[0], r.error[1], r.error[2]};
       if constexpr (is_monocular_v<Rig>) {
         add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
@@ -167,7 +171,8 @@ private:
     observation const o = problem.observations[i];
     reprojection<Rig> const r(rig, s.T, o);
     // Written so that a NaN is too far.
-    bool const far = !(r.chi2(o) <= (r.rows == 3 ? params.chi2_stereo : params.chi2_mono));
+    bool const far = !(static_cast<float>(r.chi2(o).value) <=
+                       (r.rows == 3 ? limits.stereo : limits.mono).inlier);
     unsigned const before = s.observations.flags(i, problem);
     unsigned const after =
         (before & ~prepared_observations::outlier) | (far ? prepared_observations::outlier : 0);
@@ -197,7 +202,7 @@ private:
     }
     if (problem.information == nullptr) { return; }
     for (int i = g.rank(); i < information_terms; i += g.size()) {
-      problem.information[i] = enough ? s.best.of[6 + i] : 0.0f;
+      problem.information[i] = enough ? static_cast<float>(s.best.of[6 + i]) : 0.0f;
     }
   }
 };
@@ -208,12 +213,11 @@ struct optimize_problem {
   using scratch = pose_scratch;
   Rig rig;
   pose_params params;
+  pose_limits limits = pose_limits::of(params);
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int, pose_problem const& problem) const {
-    if (g.rank() == 0) { s.T = problem.start->template cast<strict_double>(); }
-    g.sync();
-    pose_solver<Group, Rig> const solver{g, s, rig, problem, params};
+    pose_solver<Group, Rig> const solver{g, s, rig, problem, params, limits};
     FT_NO_UNROLL
     for (int i = g.rank(); i < problem.count; i += g.size()) {
       solver.prepare(i, problem.observations[i]);

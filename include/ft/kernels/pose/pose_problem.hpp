@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/containers/observations.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 
@@ -16,11 +17,34 @@ struct pose_params {
   int steps = 10;   ///< per round
   int trials = 10;  ///< values of the damping tried per step
   /// A round ends with a step whose components are all shorter than this, rad and m. That step is
-  /// taken without evaluating its cost.
+  /// taken without evaluating its cost. With 0, and where there are too few observations for more
+  /// than the first round, every step is evaluated and rounds end as the reference's do.
   float small_step = 1e-4f;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
 };
+
+namespace detail {
+
+/// A limit of chi-square, with the roundings of the reference.
+struct pose_limit {
+  double robust;  ///< where Huber's loss becomes linear: the square of the limit's root as a float
+  float inlier;   ///< for a chi-square that is rounded to float
+
+  FT_HOST_DEVICE static pose_limit of(double chi2) {
+    double const root = static_cast<double>(static_cast<float>(square_root(chi2)));
+    return {root * root, static_cast<float>(chi2)};
+  }
+};
+struct pose_limits {
+  pose_limit mono, stereo;
+
+  FT_HOST_DEVICE static pose_limits of(pose_params const& params) {
+    return {pose_limit::of(params.chi2_mono), pose_limit::of(params.chi2_stereo)};
+  }
+};
+
+}  // namespace detail
 
 /// Numbers of the upper triangle of a symmetric 6 x 6 matrix.
 inline constexpr int information_terms = 21;

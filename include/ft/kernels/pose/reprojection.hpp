@@ -29,7 +29,7 @@ struct reprojection {
   int rows;              ///< 2 or 3
   vec3<Real> in_body;    ///< point in the frame of the pose: the left camera's, or the body's
   vec3<Real> in_camera;  ///< point in the frame of the camera that sees it
-  Real iz = Real(0);     ///< 1 / z of a rectified pair
+  Real iz = Real(0);     ///< 1 / z of a rectified pair; the errors in stereo have it as a float
   bool valid = true;     ///< whether the point is in the domain of the camera model
 
   FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o) {
@@ -45,16 +45,16 @@ struct reprojection {
     } else if constexpr (Rig::rectified) {
       in_camera = rig.to_camera(o.camera, in_body);
       auto const& c = rig.pair(o.camera).camera;
-      Real const inverse = scalar::reciprocal(in_camera.z);
+      iz = scalar::reciprocal(in_camera.z);
       bool const stereo = o.right_u >= 0;
-      iz = stereo ? real(static_cast<float>(inverse.value)) : inverse;
-      Real const u = real(c.fx) * in_camera.x * iz + real(c.cx);
-      Real const v = real(c.fy) * in_camera.y * iz + real(c.cy);
+      Real const rounded = stereo ? real(static_cast<float>(iz.value)) : iz;
+      Real const u = real(c.fx) * in_camera.x * rounded + real(c.cx);
+      Real const v = real(c.fy) * in_camera.y * rounded + real(c.cy);
       error[0] = real(o.u) - u;
       error[1] = real(o.v) - v;
       if (stereo) {
         rows = 3;
-        error[2] = real(o.right_u) - (u - real(rig.pair(o.camera).bf()) * iz);
+        error[2] = real(o.right_u) - (u - real(rig.pair(o.camera).bf()) * rounded);
       }
     } else {
       projection<Real> p;

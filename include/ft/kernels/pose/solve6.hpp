@@ -31,40 +31,46 @@ struct symmetric_3 {
   }
 };
 
-/// Solves the symmetric positive definite system (A + damping I) x = b of size 6 in 3 x 3 blocks
-/// (Schur complement).
-/// @tparam Real scalar of the solution
+/// Solves the symmetric positive definite system (A + damping I) x = b of size 6 by L D L^T, which
+/// is stable without pivoting: the error of A is that of its rounding, also where the damping alone
+/// makes A invertible. Inverting blocks of it would enlarge that error by their condition.
 /// @param terms b, then the upper triangle of A by rows
 /// @return false if the matrix is not positive definite
 template <typename Real, typename Number>
 FT_HOST_DEVICE bool solve_6(Number const* terms, Real damping, Real (&x)[6]) {
   using plain = plain_scalar_t<Real>;
-  auto const at = [&](int i) { return Real(static_cast<plain>(terms[6 + i])); };
-  auto const b = [&](int i) { return Real(static_cast<plain>(terms[i])); };
-  symmetric_3<Real> const A{at(0) + damping, at(1), at(2),
-                            at(6) + damping, at(7), at(11) + damping};
-  symmetric_3<Real> const C{at(15) + damping, at(16), at(17),
-                            at(18) + damping, at(19), at(20) + damping};
-  // Columns of the upper right block.
-  vec3<Real> const B[3] = {{at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
-  symmetric_3<Real> A_inverse;
-  if (!A.invert(A_inverse)) { return false; }
-  vec3<Real> const w[3] = {A_inverse * B[0], A_inverse * B[1], A_inverse * B[2]};
-  symmetric_3<Real> const S{C.xx - dot(B[0], w[0]), C.xy - dot(B[0], w[1]), C.xz - dot(B[0], w[2]),
-                            C.yy - dot(B[1], w[1]), C.yz - dot(B[1], w[2]), C.zz - dot(B[2], w[2])};
-  symmetric_3<Real> S_inverse;
-  if (!S.invert(S_inverse)) { return false; }
-  vec3<Real> const first{b(0), b(1), b(2)};
-  vec3<Real> const y = S_inverse * vec3<Real>{b(3) - dot(w[0], first), b(4) - dot(w[1], first),
-                                              b(5) - dot(w[2], first)};
-  vec3<Real> const z = A_inverse * first;
-  x[0] = z.x - (w[0].x * y.x + w[1].x * y.y + w[2].x * y.z);
-  x[1] = z.y - (w[0].y * y.x + w[1].y * y.y + w[2].y * y.z);
-  x[2] = z.z - (w[0].z * y.x + w[1].z * y.y + w[2].z * y.z);
-  x[3] = y.x;
-  x[4] = y.y;
-  x[5] = y.z;
-  return true;
+  Real A[6][6];  // upper triangle; what is left of it
+  Real b[6];
+  int next = 6;
+  FT_UNROLL
+  for (int i = 0; i < 6; ++i) {
+    b[i] = Real(static_cast<plain>(terms[i]));
+    FT_UNROLL
+    for (int j = i; j < 6; ++j) { A[i][j] = Real(static_cast<plain>(terms[next++])); }
+    A[i][i] = A[i][i] + damping;
+  }
+  bool positive = true;
+  FT_UNROLL
+  for (int k = 0; k < 6; ++k) {
+    positive = positive && A[k][k] > Real(0);
+    Real const inverse = scalar::reciprocal(A[k][k]);
+    FT_UNROLL
+    for (int i = k + 1; i < 6; ++i) {
+      Real const factor = A[k][i] * inverse;
+      FT_UNROLL
+      for (int j = i; j < 6; ++j) { A[i][j] = A[i][j] - factor * A[k][j]; }
+      b[i] = b[i] - factor * b[k];
+      A[k][i] = factor;
+    }
+    b[k] = b[k] * inverse;
+  }
+  FT_UNROLL
+  for (int k = 5; k >= 0; --k) {
+    x[k] = b[k];
+    FT_UNROLL
+    for (int j = 5; j > k; --j) { x[k] = x[k] - A[k][j] * x[j]; }  // the last known last
+  }
+  return positive;
 }
 
 }  // namespace detail

@@ -19,26 +19,21 @@ namespace detail {
 using pose_sums = sum_terms<pose_terms, double>;
 
 /// Levenberg-Marquardt state machine, run by one thread: propose() gives a trial pose, judge()
-/// takes the sums at the trial. In double: where few inliers are left the curvature has a lower
-/// rank, and the damping alone, 1e-9 of its largest entry, determines the rest of a step.
+/// takes its cost. In double: where few inliers are left the curvature has a lower rank, and the
+/// damping alone, 1e-9 of its largest entry, determines the rest of a step.
 struct damped_descent {
   using real = strict_double;
-  rigid<real> T;      ///< the best pose so far
-  rigid<real> trial;  ///< the pose whose sums are needed next
-  real cost;          ///< at T
-  real expected;      ///< decrease of the cost that the model predicts
+  real cost;      ///< at the best pose so far
+  real expected;  ///< decrease of the cost that the model predicts
   real damping;
   real growth;
   int steps_left;
   int trials_left;
   int small_gains;  ///< the last steps that lowered the cost by less than 0.1 %
-  bool running;     ///< false once T is the answer
+  bool running;
 
-  /// @param sums at `start`
-  FT_HOST_DEVICE void begin(rigid<real> const& start, pose_sums const& sums,
-                            pose_params const& params) {
-    T = start;
-    trial = start;
+  /// @param sums at the start
+  FT_HOST_DEVICE void begin(pose_sums const& sums, pose_params const& params) {
     steps_left = params.steps;
     double largest = 0;
     int at = 6;
@@ -54,10 +49,9 @@ struct damped_descent {
     running = steps_left > 0;
   }
 
-  /// @param sums at the trial
+  /// @param there the trial's cost
   /// @return whether the trial is now the best pose
-  FT_HOST_DEVICE bool judge(pose_sums const& sums, pose_params const& params) {
-    real const there = sums.of[pose_terms - 1];
+  FT_HOST_DEVICE bool judge(real there, pose_params const& params) {
     real const decrease = cost - there;
     if (!(decrease > real(0.0) && scalar::is_finite(there))) {
       refuse();
@@ -67,31 +61,30 @@ struct damped_descent {
     damping = damping * factor_after(decrease);
     growth = 2.0;
     small_gains = decrease * real(1e3) < cost ? small_gains + 1 : 0;
-    T = trial;
     cost = there;
     trials_left = params.trials;
     running = --steps_left > 0 && small_gains < 3;
     return true;
   }
 
-  /// Computes the next trial, or ends the descent.
-  /// @param best the sums at T
+  /// The next trial, or, no longer `running`, the answer.
+  /// @param sums at T
+  /// @param T the best pose so far
   /// @param small a step whose components are all shorter ends the descent, unevaluated
-  FT_HOST_DEVICE void propose(pose_sums const& best, pose_params const& params, double small) {
+  FT_HOST_DEVICE rigid<real> propose(pose_sums const& sums, rigid<real> const& T,
+                                     pose_params const& params, double small) {
     real step[6];
-    while (running && !solve_6(best.of, damping, step)) { refuse(); }
-    if (!running) { return; }
+    while (running && !solve_6(sums.of, damping, step)) { refuse(); }
+    if (!running) { return T; }
     expected = 1e-3;
     bool all_small = true;
     for (int k = 0; k < 6; ++k) {
-      expected = expected + step[k] * (damping * step[k] + best.of[k]);
+      expected = expected + step[k] * (damping * step[k] + sums.of[k]);
       all_small = all_small && scalar::abs(step[k]) < real(small);
     }
-    trial = exp_se3(step) * T;
-    if (!all_small) { return; }
+    running = !all_small;
     // After a refused trial the step is small because of the damping: a longer one was no better.
-    if (trials_left == params.trials) { T = trial; }
-    running = false;
+    return all_small && trials_left < params.trials ? T : exp_se3(step) * T;
   }
 
 private:

@@ -28,10 +28,11 @@ namespace detail {
 
 struct pose_scratch {
   ordered_sum_scratch<pose_terms, double> sums;
-  pose_sums best;  ///< sums at the best pose so far
   damped_descent descent;
   rigid<strict_double> start;
-  rigid<strict_double> T;  ///< the result of the last round
+  rigid<strict_double> best;  ///< the best pose of a round so far
+  pose_sums best_sums;
+  rigid<strict_double> T;  ///< where sums are needed; at the end of a round its result
   prepared_observations observations;
 };
 
@@ -98,32 +99,31 @@ private:
     for (bool first = true, running = true; running; first = false) {
       sum_terms_at(T, robust, first, [&] { advance(first); });
       running = s.descent.running;
-      T = s.descent.trial;
+      T = s.T;
     }
   }
 
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
   /// @param first whether the trial is the start
   FT_HOST_DEVICE void advance(bool first) const {
-    // Works on copies, so that scratch is loaded at once and not word by word between stores.
+    // Works on copies, so that scratch is loaded at once and not word by word between stores. Not
+    // of the poses: registers are short.
     damped_descent next = s.descent;
-    pose_sums sums = s.sums.total;
     bool better = true;
     if (first) {
-      next.begin(s.start, sums, params);
+      next.begin(s.sums.total, params);
     } else {
-      better = next.judge(sums, params);
+      better = next.judge(s.sums.total.of[pose_terms - 1], params);
     }
+    pose_sums const sums = better ? s.sums.total : s.best_sums;
     if (better) {
-      s.best = sums;
-    } else {
-      sums = s.best;
+      s.best_sums = sums;
+      s.best = first ? s.start : s.T;
     }
     // The first round is the last one of few observations: it ends as the reference's does.
     bool const few = problem.count < params.enough_observations;
-    next.propose(sums, params, few ? 0.0 : static_cast<double>(params.small_step));
+    s.T = next.propose(sums, s.best, params, few ? 0.0 : static_cast<double>(params.small_step));
     s.descent = next;
-    if (!next.running) { s.T = next.T; }
   }
 
   /// Sums gradient, curvature and cost at pose T over the observations that are included; then
@@ -202,7 +202,7 @@ private:
     }
     if (problem.information == nullptr) { return; }
     for (int i = g.rank(); i < information_terms; i += g.size()) {
-      problem.information[i] = enough ? static_cast<float>(s.best.of[6 + i]) : 0.0f;
+      problem.information[i] = enough ? static_cast<float>(s.best_sums.of[6 + i]) : 0.0f;
     }
   }
 };

@@ -7,7 +7,10 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
+#include <cstring>
 #include <random>
+#include <string>
 #include <vector>
 
 #include "ft/containers/soa.hpp"
@@ -34,6 +37,33 @@ struct turn {
     out[i] = ft::rotation_by(angle[i]);
   }
 };
+
+/// With fused multiply-add and without.
+struct two_turns {
+  ft::rotation fused, apart;
+};
+/// Cosine and sine of the floats with every `stride`th pattern of bits from `first` on.
+struct turn_bits {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, std::uint32_t first, std::uint32_t stride,
+                                 two_turns* out) const {
+    std::uint32_t const bits =
+        ft::min_of(first + static_cast<std::uint32_t>(i) * stride, 0x40c90fdbu);
+    float radians = 0;
+    std::memcpy(&radians, &bits, sizeof radians);
+    out[i] = {ft::detail::rotation_of<true>(radians), ft::detail::rotation_of<false>(radians)};
+  }
+};
+
+/// Whether the C library has the routines whose bits are expected.
+inline bool has_arms_routines() {
+#if defined(__GLIBC__)
+  return __GLIBC__ > 2 || (__GLIBC__ == 2 && __GLIBC_MINOR__ >= 28);
+#else
+  return false;
+#endif
+}
 
 struct spot {
   int x, y;
@@ -110,7 +140,8 @@ TYPED_TEST(orientation_unit, the_arc_tangent_is_exact_on_the_axes) {
   EXPECT_EQ(got, (std::vector<float>{0, 90, 180, 270, 0, 90, 270, 0, 0}));
 }
 
-TYPED_TEST(orientation_unit, cosine_and_sine_are_those_of_the_standard_library) {
+TYPED_TEST(orientation_unit, cosine_and_sine_are_those_of_the_c_library) {
+  if (!has_arms_routines()) { GTEST_SKIP() << "the C library is not glibc 2.28 or later"; }
   std::vector<float> angles;
   for (int i = 0; i <= 720; ++i) { angles.push_back(0.5f * static_cast<float>(i)); }
   std::mt19937 random(5);
@@ -123,11 +154,42 @@ TYPED_TEST(orientation_unit, cosine_and_sine_are_those_of_the_standard_library) 
                                     static_cast<float const*>(d_angles.data()), d_out.data());
   auto const got =
       test::from_exec(exec, static_cast<ft::rotation const*>(d_out.data()), angles.size());
+  int otherwise = 0;
   for (std::size_t i = 0; i < angles.size(); ++i) {
     float const radians = angles[i] * static_cast<float>(3.14159265358979323846 / 180.0);
-    ASSERT_EQ(got[i].cosine, static_cast<float>(std::cos(double{radians}))) << angles[i];
-    ASSERT_EQ(got[i].sine, static_cast<float>(std::sin(double{radians}))) << angles[i];
+    ASSERT_EQ(got[i].cosine, std::cos(radians)) << angles[i];
+    ASSERT_EQ(got[i].sine, std::sin(radians)) << angles[i];
+    otherwise += static_cast<int>(got[i].cosine != static_cast<float>(std::cos(double{radians})));
   }
+  EXPECT_GT(otherwise, 1000) << "rounded doubles would do";
+}
+
+/// Every 4001st float of [0, 2 pi]; all with FT_TEST_ALL_FLOATS=1, which takes minutes.
+TYPED_TEST(orientation_unit, cosine_and_sine_of_all_floats_are_those_of_the_c_library) {
+  if (!has_arms_routines()) { GTEST_SKIP() << "the C library is not glibc 2.28 or later"; }
+  char const* const all = std::getenv("FT_TEST_ALL_FLOATS");
+  std::uint32_t const stride = all != nullptr && std::string(all) == "1" ? 1 : 4001;
+  constexpr std::uint32_t last = 0x40c90fdb;  // 2 pi
+  constexpr int at_once = 1 << 20;
+  auto const& exec = this->backend.exec;
+  ft::buffer<two_turns, TypeParam::exec_type::space> const d_out(at_once);
+  std::size_t compared = 0;
+  for (std::uint64_t first = 0; first <= last; first += std::uint64_t{at_once} * stride) {
+    ft::for_each_item<ft::per_thread>(exec, at_once, turn_bits{}, static_cast<std::uint32_t>(first),
+                                      stride, d_out.data());
+    auto const got = test::from_exec(exec, static_cast<two_turns const*>(d_out.data()), at_once);
+    for (std::size_t i = 0; i < at_once && first + i * stride <= last; ++i) {
+      auto const bits = static_cast<std::uint32_t>(first + i * stride);
+      float radians = 0;
+      std::memcpy(&radians, &bits, sizeof radians);
+      ft::rotation const want{std::cos(radians), std::sin(radians)};
+      bool const equal = got[i].fused.cosine == want.cosine && got[i].fused.sine == want.sine &&
+                         got[i].apart.cosine == want.cosine && got[i].apart.sine == want.sine;
+      ASSERT_TRUE(equal) << radians;
+      ++compared;
+    }
+  }
+  EXPECT_EQ(compared, last / stride + 1);
 }
 
 TYPED_TEST(orientation_unit, is_the_direction_of_the_centroid) {

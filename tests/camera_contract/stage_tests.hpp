@@ -189,12 +189,10 @@ TYPED_TEST_P(camera_in_stages, a_stereo_pair_gives_its_points_back) {
     double const cosine = std::cos(parallax(s, i));
     vector const p = s.in_left[at(i)];
     bool const ahead = s.in_right[at(i)].z > 0.05 * length(p);
-    if (r != s.right.end() &&
-        (std::abs(cosine - static_cast<double>(stereo.params.max_cosine)) < 1e-5 || !ahead)) {
+    if (r != s.right.end() && (std::abs(cosine - stereo.params.max_cosine) < 1e-5 || !ahead)) {
       continue;  // at a limit of the stage
     }
-    bool const should =
-        r != s.right.end() && cosine < static_cast<double>(stereo.params.max_cosine);
+    bool const should = r != s.right.end() && cosine < stereo.params.max_cosine;
     ASSERT_EQ(partner[at(i)], should ? n + static_cast<int>(r - s.right.begin()) : -1)
         << p.x << ", " << p.y << ", " << p.z;
     if (!should) { continue; }

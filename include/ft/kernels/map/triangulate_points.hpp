@@ -28,9 +28,9 @@ inline namespace FT_ABI {
 struct triangulation_params {
   int max_hamming = 50;        ///< largest Hamming distance of a match, bits
   int min_shared = 15;         ///< points that an earlier keyframe shares with the frame
-  float max_cosine = 0.9998f;  ///< of the angle between the rays of a point
-  float chi2 = 5.991f;         ///< largest reprojection error, in units of variance
-  float octave_slack = 1.8f;   ///< of the ratio of distances, to that of octaves
+  double max_cosine = 0.9998;  ///< of the angle between the rays of a point
+  double chi2 = 5.991;         ///< largest reprojection error, in units of variance
+  double octave_slack = 1.8;   ///< of the ratio of distances, to that of octaves
 };
 
 /// Earlier keyframes with which a frame is matched.
@@ -267,7 +267,7 @@ private:
     vec3<real> const d2 = T.T_12.R * rays.ray[at].template cast<real>();
     vec3<real> const c2 = T.T_12.t;
     real const a = dot(f1, d2);
-    real const limit = static_cast<double>(in.params.max_cosine);
+    real const limit = in.params.max_cosine;
     if (!(a < limit) || !(a < best.cosine)) { return; }
     real const denominator = real(1) - a * a;
     real const on_first = dot(c2, f1);
@@ -288,7 +288,7 @@ private:
     real const by_distance = scalar::sqrt(dot(p2, p2)) / scalar::sqrt(dot(p1, p1));
     real const by_octave = real(static_cast<double>(in.geometry.scale[o1])) /
                            real(static_cast<double>(in.geometry.scale[o2]));
-    real const slack = static_cast<double>(in.params.octave_slack);
+    real const slack = in.params.octave_slack;
     if (!(by_distance * slack >= by_octave && by_distance <= by_octave * slack)) { return; }
     best.keyframe = number;
     best.at = m;
@@ -305,7 +305,7 @@ private:
     real const dy = seen.pixel.y - real(static_cast<double>(y));
     real const chi2 =
         (dx * dx + dy * dy) * real(static_cast<double>(in.geometry.inv_sigma2[octave]));
-    return seen.valid && chi2 <= real(static_cast<double>(in.params.chi2));
+    return seen.valid && chi2 <= real(in.params.chi2);
   }
 };
 

@@ -37,7 +37,8 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
   return distance <= limit ? distance : -1;
 }
 
-/// Ratio test: whether the best candidate is too similar to the second best.
+/// Ratio test: whether the best candidate is too similar to the second best. In float, as in the
+/// reference, which keeps the ratio in one.
 /// @param second_k second best keypoint, -1 = none
 FT_HOST_DEVICE inline bool refuses(search_params const& p, keypoints_view const& kp, int best,
                                    int best_k, int second, int second_k) {

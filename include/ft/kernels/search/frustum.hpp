@@ -53,7 +53,7 @@ struct viewpoint {
 
 namespace detail {
 
-/// Whether a distance, metres, is one from which a map point is expected to be seen.
+/// Whether a distance, metres, is one from which a map point is expected to be seen. In float.
 FT_HOST_DEVICE inline bool sees_from(strict_float distance, map_points_view const& map, int slot) {
   return distance >= strict_float(0.8f) * map.min_distance(slot) &&
          distance <= strict_float(1.2f) * map.max_distance(slot);

@@ -62,6 +62,7 @@ struct rotations {
       below = w.reduce(best, max_op{});
       int const size = below / 32;
       if (t == 0) { first = size; }
+      // A float in the reference; of whole numbers a double would tell no other.
       if (size == 0 || static_cast<float>(size) < mul(0.1f, static_cast<float>(first))) { break; }
       top.bin[t] = 31 - below % 32;
       top.matches += size;

@@ -10,6 +10,7 @@
 #include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -24,8 +25,9 @@ inline namespace FT_ABI {
 struct fisheye_stereo_params {
   int ratio_num = 7;  ///< the best distance must be below ratio_num / ratio_den of the second best
   int ratio_den = 10;
-  float max_cosine = 0.9998f;  ///< of the angle between the rays; above, the parallax is too small
-  float chi2 = 5.991f;         ///< reprojection error, in units of the octave's variance
+  // Doubles, as in the reference: they are compared with floats, and 0.9998f is above 0.9998.
+  double max_cosine = 0.9998;  ///< of the angle between the rays; above, the parallax is too small
+  double chi2 = 5.991;         ///< reprojection error, in units of the octave's variance
   float min_depth = 1e-4f;     ///< metres
 };
 
@@ -160,7 +162,7 @@ private:
     vec3<strict_float> const r_in_l = T_rl.R.transposed() * r;
     strict_float const cosine =
         dot(l, r_in_l) / (scalar::sqrt(dot(l, l)) * scalar::sqrt(dot(r_in_l, r_in_l)));
-    if (!(cosine <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
+    if (!(widened(cosine) <= params.max_cosine && l.z > 0.0f && r.z > 0.0f)) { return false; }
     // Scaled to z = 1. Rays of some models already have z = 1 and do not change.
     point = triangulate({(l.x / l.z).value, (l.y / l.z).value, 1.0f},
                         {(r.x / r.z).value, (r.y / r.z).value, 1.0f}, rig.T_rl);
@@ -190,7 +192,7 @@ private:
                                          fisheye_stereo_params const& params) {
     strict_float const dx = a.x - b.x;
     strict_float const dy = a.y - b.y;
-    return dx * dx + dy * dy <= strict_float(params.chi2) * sigma2;
+    return widened(dx * dx + dy * dy) <= params.chi2 * double{sigma2};
   }
 };
 

@@ -95,6 +95,7 @@ struct cut_stereo_outliers {
     g.sync();
     int const median = bin << fine_bits | place_of(g.part(), s.fine, s.rank);
 
+    // In double the same scores, whole numbers, would be above it.
     float const limit = mul(mul(1.5f, 1.4f), static_cast<float>(median));
     each_score([&](int i, int score) {
       if (static_cast<float>(score) >= limit) {

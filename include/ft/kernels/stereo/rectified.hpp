@@ -161,6 +161,7 @@ private:
         (strict_float(static_cast<float>(ur)) + static_cast<float>(best - window_half) + delta);
     strict_float const disparity = left.x - column;
     if (!(disparity >= 0.0f && disparity < max_disparity)) { return none; }
+    // left.x - 0.01 in double, rounded, is the same float for every column of an image.
     if (disparity <= 0.0f) { return {left.x - 0.01f, 0.01f, lowest, true}; }
     return {column, disparity, lowest, true};
   }

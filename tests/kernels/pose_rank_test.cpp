@@ -150,11 +150,9 @@ inline std::vector<recorded> recorded_problems() {
   };
   for (auto const& from : json["problems"]) {
     auto const& camera = from["camera"];
-    float const fx = camera["fx"];
-    float const bf = camera["bf"];
     recorded r;
-    r.given.rig = ft::rectified_rig::make({fx, camera["fy"], camera["cx"], camera["cy"]}, bf / fx);
-    EXPECT_EQ(r.given.rig.bf(), bf);
+    r.given.rig = ft::rectified_rig::from_bf(
+        {camera["fx"], camera["fy"], camera["cx"], camera["cy"]}, camera["bf"]);
     r.given.start = pose_of(from["T_cw"]);
     for (auto const& o : from["observations"]) {
       r.given.observations.push_back({{o[5], o[6], o[7]}, o[0], o[1], o[2], o[4], 0});

@@ -67,16 +67,20 @@ struct pose_solver {
     bool const enough = n >= 3 && params.rounds > 0;
     int const rounds = n < params.enough_observations ? 1 : params.rounds;
     bool changed = true;
+    bool weighed = true;  // whether the last robust round weighed an error less
     FT_NO_UNROLL
     for (int round = 0; enough && round < rounds; ++round) {
       bool const robust = round + 1 < params.rounds;
-      // The same observations and the same kernel give the same pose again.
-      if (!changed && robust) { continue; }
-      run_round(robust);
+      // The same observations and weights give the same pose again.
+      if (!changed && (robust || !weighed)) { continue; }
+      bool const weighs = run_round(robust);
       bool changes = false;
       FT_NO_UNROLL
       for (int i = g.rank(); i < n; i += g.size()) { changes = classify(i) || changes; }
-      if (robust) { changed = g.any(changes); }
+      if (robust) {
+        changed = g.any(changes);
+        weighed = changed || g.any(weighs);
+      }
     }
     write_result(enough);
   }
@@ -92,15 +96,18 @@ private:
   /// Whether cameras are elsewhere than the frame of the pose, with all entries of a derivative.
   static constexpr bool displaced = Rig::rectified && !std::is_same_v<Rig, rectified_rig>;
 
-  /// Finds the best pose for the observations that are included.
-  FT_HOST_DEVICE void run_round(bool robust) const {
+  /// Finds the best pose for the observations that are included. Returns whether an error of this
+  /// thread had less than its full weight, at any pose that was tried.
+  FT_HOST_DEVICE bool run_round(bool robust) const {
     rigid<real> T = s.start;
+    bool weighs = false;
     FT_NO_UNROLL
     for (bool first = true, running = true; running; first = false) {
-      sum_terms_at(T, robust, first, [&] { advance(first); });
+      sum_terms_at(T, robust, first, weighs, [&] { advance(first); });
       running = s.descent.running;
       T = s.T;
     }
+    return weighs;
   }
 
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
@@ -129,8 +136,9 @@ private:
   /// Sums gradient, curvature and cost at pose T over the observations that are included; then
   /// one thread runs then().
   /// @param first whether T is the start, where unusable observations are found
+  /// @param weighs set if an error of this thread has less than its full weight
   template <typename Then>
-  FT_HOST_DEVICE void sum_terms_at(rigid<real> const& T, bool robust, bool first,
+  FT_HOST_DEVICE void sum_terms_at(rigid<real> const& T, bool robust, bool first, bool& weighs,
                                    Then const& then) const {
     auto const add = [&](int i, pose_sums& acc) {
       observation const o = s.observations.template get<Rig>(i, problem);
@@ -138,13 +146,15 @@ private:
       reprojection<Rig, real, true> const r(rig, T, o);
       real const chi2 = r.chi2(o);
       if (first && !(chi2 < largest_chi2)) {
-        s.observations.drop(i, problem);
+        s.observations.mark(i, problem,
+                            s.observations.flags(i, problem) | prepared_observations::unusable);
         return;
       }
       real const limit = (r.rows == 3 ? limits.stereo : limits.mono).robust;
       real weight = static_cast<double>(o.inv_sigma2);
       real cost = chi2;
       if (robust && chi2 > limit) {  // Huber
+        weighs = true;
         real const product = scalar::sqrt(limit * chi2);
         cost = real(2.0) * product - limit;
         weight = weight * (limit / product);
@@ -168,7 +178,8 @@ private:
 
   /// Flags observation i as inlier or outlier at s.T. Returns whether its flags changed.
   FT_HOST_DEVICE bool classify(int i) const {
-    observation const o = problem.observations[i];
+    observation o = s.observations.template get<Rig>(i, problem);
+    o.inv_sigma2 = ::fabsf(o.inv_sigma2);
     reprojection<Rig> const r(rig, s.T, o);
     // Written so that a NaN is too far.
     bool const far = !(static_cast<float>(r.chi2(o).value) <=
@@ -176,11 +187,7 @@ private:
     unsigned const before = s.observations.flags(i, problem);
     unsigned const after =
         (before & ~prepared_observations::outlier) | (far ? prepared_observations::outlier : 0);
-    s.observations.set_flags(i, problem, after);
-    if (i < prepared_observations::size) {
-      bool const excluded = far || (before & prepared_observations::unusable) != 0;
-      s.observations.place[i].weight = excluded ? 0.0f : o.inv_sigma2;
-    }
+    s.observations.mark(i, problem, after);
     return before != after;
   }
 

@@ -2,6 +2,8 @@
 /// @file The observations of a pose in the form that its sums need.
 #pragma once
 
+#include <cmath>
+
 #include "ft/containers/observations.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
@@ -26,7 +28,7 @@ struct prepared_observations {
 
   struct alignas(16) {
     vec3<float> point;  ///< world frame
-    float weight;       ///< 0 = excluded in this round
+    float weight;       ///< negated = excluded in this round
   } place[size];
   struct alignas(16) {
     float u, v, third;  ///< column in the right image, or 1 = seen by the right camera
@@ -55,13 +57,15 @@ struct prepared_observations {
       set_flags(i, problem, flags);
     }
   }
-  /// Takes observation i out of all sums.
-  FT_HOST_DEVICE void drop(int i, pose_problem const& problem) {
-    set_flags(i, problem, flags(i, problem) | unusable);
-    if (i < size) { place[i].weight = 0; }
+  /// Sets the flags of observation i, and whether it is in the sums.
+  FT_HOST_DEVICE void mark(int i, pose_problem const& problem, unsigned flags) {
+    set_flags(i, problem, flags);
+    if (i >= size) { return; }
+    float const weight = ::fabsf(place[i].weight);
+    place[i].weight = (flags & (outlier | unusable)) != 0 ? -weight : weight;
   }
 
-  /// Observation i; weight 0 if it is excluded.
+  /// Observation i; its weight is negated if it is excluded.
   template <typename Rig>
   FT_HOST_DEVICE observation get(int i, pose_problem const& problem) const {
     if (i < size) {
@@ -76,7 +80,7 @@ struct prepared_observations {
       return {at.point, seen.u, seen.v, seen.third, at.weight, camera};
     }
     observation o = problem.observations[i];
-    if (problem.outlier[i] != 0) { o.inv_sigma2 = 0; }
+    if (problem.outlier[i] != 0) { o.inv_sigma2 = -o.inv_sigma2; }
     return o;
   }
 };

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/check_calibration.hpp"
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/extended_unified.hpp"
@@ -186,6 +187,7 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/strict_log.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/monocular_start.hpp"

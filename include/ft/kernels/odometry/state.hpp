@@ -94,6 +94,8 @@ struct camera_track {
   int held;                  ///< left keypoints that held a map point in the last tracked frame
   int reference_tracked;     ///< left keypoints with a map point, of the last keyframe
   int maps;                  ///< begun
+  int begins;                ///< 1 = the current frame begins a map
+  int agreed;                ///< keypoints of the current frame that agree with the pose tried last
   int map_keyframes;         ///< made in this map
   int keyframes;             ///< made in all maps
   int new_keyframe;          ///< 1 = since the last adjustment was begun

@@ -1,11 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images in, poses out."""
 
+import warnings
+
 import numpy as np
 
 from . import _ft
-from .features import _options
+from .features import _frames, _options
+from .rigs import RgbdCamera, _matrix, _two
 from .streams import handle_of
+
+
+MOST_BASELINES = 1000  # of a depth, before its unit is doubted
+
+
+def _look_at_depth(rig, depth):
+    """Warns where the unit of a depth image on the host cannot be right."""
+    try:
+        image = np.asarray(depth)
+    except (TypeError, ValueError):  # on a device
+        return
+    known = image[(image > 0) & np.isfinite(image)]
+    scale = 1.0 if rig.depth_scale is None else rig.depth_scale
+    median = scale * float(np.median(known)) if known.size else 0.0
+    if median > MOST_BASELINES * rig.baseline:
+        warnings.warn(f"the median depth is {median:.6g} m, more than {MOST_BASELINES} baselines of {rig.baseline:.6g} m: is "
+                      f"depth_scale, {scale:.6g} metres per unit, the right one?", stacklevel=3)
 
 
 class Odometry:
@@ -25,10 +45,11 @@ class Odometry:
     def __init__(self, rig, width, height, *, imu=None, batch=1, device="auto", near_depth=50.0, map_slots=1 << 14,
                  keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, measure_stages=False, **options):
         all_options = _options(width, height, **options)
+        moving, fixed = _two(window, "window")
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
-                           local_points=local_points, window_moving=window[0], window_fixed=window[1],
-                           window_points=window_points, measure_stages=bool(measure_stages))
-        self.rig = rig
+                           local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points, measure_stages=bool(measure_stages))
+        self.rig, self.scale_factor = rig, all_options["scale_factor"]
+        self._depth_is_new = isinstance(rig, RgbdCamera)
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
 
     def track(self, *images, time_ns=None, stream=None):
@@ -39,32 +60,38 @@ class Odometry:
         right. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
 
         Images are (height, width) uint8, rows may be padded; a depth image is uint16 or float32. time_ns: when they were
-        taken, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
+        taken, an int, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
         __dlpack__, such as arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of
         rows are multiples of 16 bytes. stream: the CUDA stream that writes them, see ft.Stream. Raises
         ValueError for another number, shape, type, place or time; then nothing has changed.
         """
         if time_ns is None:
+            if not images:
+                raise ValueError("track() has no arguments, needs images and time_ns")
             *images, time_ns = images
-        if self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple))):
-            return self._pipeline.track([images], [int(time_ns)], handle_of(stream))[0]
-        return self._pipeline.track(list(zip(*images)), [int(t) for t in time_ns], handle_of(stream))
+        single = self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple)))
+        frames, times = ([images], [time_ns]) if single else (_frames(images), time_ns)
+        tracked = self._pipeline.track(frames, times, handle_of(stream))
+        if self._depth_is_new:
+            self._depth_is_new = False
+            _look_at_depth(self.rig, frames[0][1])
+        return tracked[0] if single else tracked
 
     def add_imu(self, time_ns, accel, gyro, b=0):
         """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in
         order; a frame uses those that came before its track(). Any thread may call this."""
-        self._pipeline.add_imu(int(time_ns), accel, gyro, b)
+        self._pipeline.add_imu(time_ns, accel, gyro, b)
 
     def predict(self, T_world_camera, b=0):
         """Where the camera is expected in the next frame, (4, 4) float64."""
-        self._pipeline.predict(np.ascontiguousarray(T_world_camera, dtype=np.float64), b)
+        self._pipeline.predict(_matrix(T_world_camera, "T_world_camera"), b)
 
     def reset(self, b=0):
         """Begins anew with the next frame."""
         self._pipeline.reset(b)
 
     def set_mask(self, mask, camera=0, b=0):
-        """Keypoints come from where the mask, uint8 of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
+        """Keypoints come from where the mask, uint8 or bool of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
         of a MultiRig 2 c and 2 c + 1."""
         self._pipeline.set_mask(mask, camera, b)
 
@@ -96,6 +123,10 @@ class Odometry:
 
     def load_map(self, data, b=0):
         """Replaces the map; the camera is searched for in it. Raises RuntimeError for damaged bytes."""
+        try:
+            data = bytes(memoryview(data))
+        except TypeError:
+            raise ValueError(f"the map is {type(data).__name__}, must be bytes of save_map()") from None
         self._pipeline.load_map(data, b)
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import _ft
-from .rigs import FisheyePair, Imu, RectifiedPair
+from .rigs import FisheyePair, Imu, RectifiedPair, _matrix
 
 
 @dataclass
@@ -18,36 +18,61 @@ class Frame:
     right: np.ndarray
 
 
+def _times(values):
+    """Times as int64. What is no integer would be cut, so it is refused."""
+    times = np.asarray(values)
+    if times.size == 0:
+        return np.zeros(0, np.int64)
+    if times.ndim != 1:
+        raise ValueError(f"the times have shape {times.shape}, must have (n,)")
+    if times.dtype.kind not in "iu":
+        raise ValueError(f"the times are {times.dtype}, must be int, nanoseconds: round(1e9 * seconds)")
+    if times.max() > np.iinfo(np.int64).max:
+        raise ValueError(f"the times go to {times.max()}, must be at most {np.iinfo(np.int64).max} nanoseconds")
+    return times.astype(np.int64, copy=False)
+
+
 @dataclass
 class Trajectory:
-    """Times (n), nanoseconds, and poses (n, 4, 4): T_world_camera."""
+    """Times (n), int nanoseconds, and poses (n, 4, 4): T_world_camera; n may be 0. Raises ValueError for other shapes and
+    types."""
 
     time_ns: np.ndarray
     poses: np.ndarray
+
+    def __post_init__(self):
+        self.time_ns = _times(self.time_ns)
+        poses, n = _matrix(self.poses, "the poses"), len(self.time_ns)
+        if poses.shape != (n, 4, 4) and not poses.size == n == 0:
+            raise ValueError(f"the poses have shape {poses.shape}, must have ({n}, 4, 4): one for each time")
+        self.poses = poses.reshape(n, 4, 4)
 
     @classmethod
     def of(cls, poses):
         """A Trajectory, or a sequence of pairs of a time and a (4, 4) matrix."""
         if isinstance(poses, cls):
             return poses
-        times = np.array([t for t, _ in poses], dtype=np.int64)
-        return cls(times, np.array([T for _, T in poses], dtype=np.float64).reshape(-1, 4, 4))
+        try:
+            pairs = [(t, T) for t, T in poses]
+        except (TypeError, ValueError):
+            raise ValueError("the trajectory must be an ft.Trajectory, or pairs of a time and a matrix (4, 4)") from None
+        return cls([t for t, _ in pairs], [T for _, T in pairs])
 
     def __len__(self):
         return len(self.time_ns)
 
     def write_tum(self, file):
         """time tx ty tz qx qy qz qw, a line a pose."""
-        _ft.write_tum(str(file), self.time_ns.tolist(), np.ascontiguousarray(self.poses))
+        _ft.write_tum(str(file), self.time_ns, _matrix(self.poses, "the poses"))
 
     def write_kitti(self, file):
         """12 numbers a pose."""
-        _ft.write_kitti(str(file), self.time_ns.tolist(), np.ascontiguousarray(self.poses))
+        _ft.write_kitti(str(file), self.time_ns, _matrix(self.poses, "the poses"))
 
     def write_euroc(self, file):
         """timestamp [ns], position, quaternion (w x y z), as in EuRoC's data.csv, with a heading."""
         self.write_tum(file)
-        rows = np.loadtxt(file, ndmin=2)[:, [1, 2, 3, 7, 4, 5, 6]]
+        rows = np.loadtxt(file, ndmin=2)[:, [1, 2, 3, 7, 4, 5, 6]] if len(self) else []
         with open(file, "w") as out:
             out.write("#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w,q_x,q_y,q_z\n")
             for time_ns, row in zip(self.time_ns, rows):
@@ -55,17 +80,19 @@ class Trajectory:
 
 
 class Sequence:
-    """Frames on disk, decoded when they are asked for; fisheye pairs as they are, others rectified."""
+    """Frames on disk, decoded when they are asked for; fisheye pairs as they are, others rectified. ground_truth is a
+    Trajectory, which is empty, and false, where there is none."""
 
     def __init__(self, files):
-        self._files = files
+        self.files = files  # of the extension
         rig = files.rig
+        self.baseline = rig["baseline"]
         self.width, self.height = rig["width"], rig["height"]
         if rig["kind"] == "fisheye":
             self.rig = FisheyePair(rig["left"], rig["right"], rig["T_right_left"])
         else:
             self.rig = RectifiedPair(rig["left"][:4], rig["baseline"])
-        self.name = files.name
+        self.name, self.layout, self.settings, self.has_body_frame = files.name, files.layout, files.settings, files.has_body_frame
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
         samples = files.imu
@@ -76,10 +103,10 @@ class Sequence:
             self.imu = Imu(**samples)
 
     def __len__(self):
-        return len(self._files)
+        return len(self.files)
 
     def __getitem__(self, i):
-        return Frame(*self._files.load(i))
+        return Frame(*self.files.load(i))
 
     def __iter__(self):
         return (self[i] for i in range(len(self)))
@@ -98,7 +125,9 @@ def read_tum(file):
 
 def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
     """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations in degrees; None where
-    there is too little. orientation: whether the ground truth has orientations."""
+    there is too little. orientation: whether the ground truth has orientations. Raises ValueError without a ground
+    truth."""
+    if truth is None:
+        raise ValueError("the ground truth is None: errors need one, and not every sequence has one")
     a, b = Trajectory.of(poses), Trajectory.of(truth)
-    return _ft.evaluate_arrays(a.time_ns.tolist(), np.ascontiguousarray(a.poses), b.time_ns.tolist(),
-                               np.ascontiguousarray(b.poses), orientation, interval_s)
+    return _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), orientation, interval_s)

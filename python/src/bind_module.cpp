@@ -41,5 +41,6 @@ NB_MODULE(_ft, m) {
   ftpy::bind_odometry(m);
   ftpy::bind_places(m);
   ftpy::bind_rectifier(m);
+  ftpy::bind_reports(m);
   ftpy::bind_sequences(m);
 }

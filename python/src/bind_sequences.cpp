@@ -3,20 +3,12 @@
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/reader.hpp"
-#include "python/src/arrays.hpp"
+#include "python/src/trajectories.hpp"
 
 namespace ftpy {
 namespace {
 
-pose plain(Eigen::Isometry3d const& T) {
-  pose m{};
-  for (int r = 0; r < 4; ++r) {
-    for (int c = 0; c < 4; ++c) { m[static_cast<std::size_t>(4 * r + c)] = T.matrix()(r, c); }
-  }
-  return m;
-}
-
-std::vector<double> camera_values(seq::camera_intrinsics const& c) {
+std::vector<double> values_of(seq::camera_intrinsics const& c) {
   std::vector<double> v{c.fx, c.fy, c.cx, c.cy};
   v.insert(v.end(), c.distortion.begin(), c.distortion.end());
   return v;
@@ -28,46 +20,31 @@ nb::object array_of(seq::image image) {
   return to_numpy(std::move(image.pixels), {h, w});
 }
 
-/// Times (n) and poses (n, 4, 4).
-nb::tuple arrays_of(seq::trajectory const& t) {
-  std::vector<std::int64_t> time;
-  std::vector<double> T;
-  for (auto const& p : t) {
-    time.push_back(p.time_ns);
-    pose const m = plain(p.T_world_camera);
-    T.insert(T.end(), m.begin(), m.end());
-  }
-  std::size_t const n = time.size();
-  return nb::make_tuple(to_numpy(std::move(time)), to_numpy(std::move(T), {n, 4, 4}));
-}
-
-seq::trajectory trajectory_of(std::vector<std::int64_t> const& time, nb::handle poses,
-                              std::string const& name) {
-  arrays kept;
-  double const* m = kept.doubles(poses, name, {time.size(), 4, 4});
-  seq::trajectory t;
-  for (std::size_t i = 0; i < time.size(); ++i, m += 16) {
-    if (i > 0 && time[i] <= time[i - 1]) { throw argument_error(name + ": times must ascend"); }
-    seq::stamped_pose p;
-    p.time_ns = time[i];
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 4; ++c) { p.T_world_camera.matrix()(r, c) = m[4 * r + c]; }
-    }
-    t.push_back(p);
-  }
-  return t;
-}
-
 nb::dict rig_dict(seq::sequence const& s) {
   seq::stereo_rig const& r = s.rig();
   nb::dict d;
   d["kind"] = s.fisheye() ? "fisheye" : "rectified";
-  d["left"] = camera_values(r.left);
-  d["right"] = camera_values(r.right);
+  d["left"] = values_of(r.left);
+  d["right"] = values_of(r.right);
   d["T_right_left"] = to_numpy(plain(r.T_left_right.inverse()));
   d["baseline"] = r.baseline();
   d["width"] = r.left.width;
   d["height"] = r.left.height;
+  return d;
+}
+
+nb::dict settings_dict(seq::sequence const& s) {
+  auto const& from = s.settings();
+  nb::dict d;
+  auto const put = [&](char const* name, auto const& value) {
+    if (value) { d[name] = *value; }
+  };
+  put("features", from.features);
+  put("levels", from.levels);
+  put("scale_factor", from.scale_factor);
+  put("ini_threshold", from.ini_threshold);
+  put("min_threshold", from.min_threshold);
+  put("near_depth", from.depth_threshold);
   return d;
 }
 
@@ -118,16 +95,19 @@ void bind_sequences(nb::module_& m) {
       .def_static(
           "open",
           [](std::string const& folder, std::string const& calibration, bool keep_fisheye,
-             int max_frames, bool imu) {
+             nb::handle max_frames, bool imu) {
+            int const most = whole(max_frames, "max_frames", 0);
             nb::gil_scoped_release const released;
-            return seq::sequence::open(folder, {calibration, keep_fisheye, max_frames, imu});
+            return seq::sequence::open(folder, {calibration, keep_fisheye, most, imu});
           },
-          nb::arg("folder"), nb::arg("calibration"), nb::arg("keep_fisheye"), nb::arg("max_frames"),
-          nb::arg("imu"))
+          nb::arg("folder"), nb::arg("calibration"), nb::arg("keep_fisheye"),
+          nb::arg("max_frames").none(), nb::arg("imu"))
       .def("__len__", &seq::sequence::size)
       .def_prop_ro("name", &seq::sequence::name)
       .def_prop_ro("layout", &seq::sequence::layout)
       .def_prop_ro("rig", rig_dict)
+      .def_prop_ro("settings", settings_dict)
+      .def_prop_ro("has_body_frame", &seq::sequence::has_body_frame)
       .def_prop_ro("imu", imu_dict)
       .def_prop_ro("ground_truth",
                    [](seq::sequence const& s) { return arrays_of(s.ground_truth()); })
@@ -147,28 +127,34 @@ void bind_sequences(nb::module_& m) {
           nb::arg("i"));
   m.def(
       "evaluate_arrays",
-      [](std::vector<std::int64_t> const& time, nb::handle poses,
-         std::vector<std::int64_t> const& truth_time, nb::handle truth, bool orientation,
-         double interval_s) {
-        return errors_of(seq::evaluate(trajectory_of(time, poses, "the estimate"),
-                                       trajectory_of(truth_time, truth, "the ground truth"),
-                                       orientation, interval_s));
+      [](nb::handle time, nb::handle poses, nb::handle truth_time, nb::handle truth,
+         bool orientation, nb::handle interval_s) {
+        seq::trajectory const estimate = trajectory_of(time, poses, "the estimate");
+        seq::trajectory const reference = trajectory_of(truth_time, truth, "the ground truth");
+        if (reference.empty()) {
+          throw argument_error(
+              "the ground truth is empty: errors need one, and not every sequence has one");
+        }
+        try {
+          return errors_of(
+              seq::evaluate(estimate, reference, orientation, number(interval_s, "interval_s")));
+        } catch (seq::error const& e) { throw argument_error(e.what()); }
       },
-      nb::arg("time_ns"), nb::arg("poses"), nb::arg("truth_time_ns"), nb::arg("truth"),
-      nb::arg("orientation"), nb::arg("interval_s"));
+      nb::arg("time_ns").none(), nb::arg("poses").none(), nb::arg("truth_time_ns").none(),
+      nb::arg("truth").none(), nb::arg("orientation"), nb::arg("interval_s").none());
   m.def(
       "write_tum",
-      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+      [](std::string const& file, nb::handle time, nb::handle poses) {
         seq::write_tum(file, trajectory_of(time, poses, "the trajectory"));
       },
-      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      nb::arg("file"), nb::arg("time_ns").none(), nb::arg("poses").none(),
       "Writes poses (n, 4, 4) in TUM format.");
   m.def(
       "write_kitti",
-      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+      [](std::string const& file, nb::handle time, nb::handle poses) {
         seq::write_kitti_poses(file, trajectory_of(time, poses, "the trajectory"));
       },
-      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      nb::arg("file"), nb::arg("time_ns").none(), nb::arg("poses").none(),
       "Writes poses (n, 4, 4) in KITTI's format: 12 numbers a line.");
   m.def(
       "read_tum", [](std::string const& file) { return arrays_of(seq::read_tum(file)); },

@@ -93,31 +93,29 @@ inline pose from_ft(ft::rigid<double> const& T) {
   return m;
 }
 
-/// The parameters of a model in its own order; those that are missing are 0.
+/// The parameters of a model in its own order. Distortion may be left out, and is 0 then.
 template <typename Camera>
-Camera camera_of(std::vector<double> const& values, char const* which) {
+Camera camera_of(std::vector<double> values, char const* which) {
   constexpr std::size_t most = sizeof(Camera) / sizeof(float);
-  if (values.size() < 4 || values.size() > most) {
+  if constexpr (most == 12) { complete_radtan(values, "the " + std::string(which) + " camera"); }
+  if (values.size() != 4 && values.size() != most) {
     throw argument_error("the " + std::string(which) + " camera has " +
-                         std::to_string(values.size()) + " parameters, must have 4 to " +
-                         std::to_string(most));
+                         std::to_string(values.size()) + " parameters, must have 4" +
+                         (most > 4 ? " or " + std::to_string(most) : ": fx, fy, cx, cy"));
   }
+  values.resize(most);
   Camera c{};
   c.fx = narrow(values[0]);
   c.fy = narrow(values[1]);
   c.cx = narrow(values[2]);
   c.cy = narrow(values[3]);
-  if constexpr (most > 4) {
-    float lens[most - 4] = {};
-    for (std::size_t i = 4; i < values.size(); ++i) { lens[i - 4] = narrow(values[i]); }
-    if constexpr (most == 8) {
-      c.k1 = lens[0];
-      c.k2 = lens[1];
-      c.k3 = lens[2];
-      c.k4 = lens[3];
-    } else {
-      for (std::size_t i = 0; i < most - 4; ++i) { c.distortion[i] = lens[i]; }
-    }
+  if constexpr (most == 8) {
+    c.k1 = narrow(values[4]);
+    c.k2 = narrow(values[5]);
+    c.k3 = narrow(values[6]);
+    c.k4 = narrow(values[7]);
+  } else if constexpr (most == 12) {
+    for (std::size_t i = 4; i < most; ++i) { c.distortion[i - 4] = narrow(values[i]); }
   }
   return c;
 }

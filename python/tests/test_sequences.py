@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,10 +116,121 @@ def test_what_is_no_sequence_is_named(tmp_path):
         ft.read_sequence(tmp_path)
 
 
-def test_the_program_tracks_a_folder(folder, tmp_path):
-    done = subprocess.run([sys.executable, "-m", "ft", "track", str(folder), "--out", str(tmp_path), "--device", "host",
-                           "--features", "400"], capture_output=True, text=True, check=False)
+@pytest.fixture(scope="session")
+def folder_with_truth(folder, tmp_path_factory):
+    root = tmp_path_factory.mktemp("truth") / "kitti"
+    shutil.copytree(folder, root)
+    rows = []
+    for i in range(12):
+        T = np.eye(4)
+        T[:2, 3] = Walk().position(i)
+        rows.append(T[:3].ravel())
+    np.savetxt(root / "poses.txt", rows)
+    return root
+
+
+def program_of_the_readme():
+    text = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    return text.split("\n## Python\n", 1)[1].split("```python\n", 1)[1].split("```", 1)[0]
+
+
+def test_the_readmes_program_runs_with_and_without_truth(folder, folder_with_truth):
+    program = program_of_the_readme()
+    assert program.count('"FOLDER"') == 1
+    for root in (folder, folder_with_truth):
+        done = subprocess.run([sys.executable, "-c", program.replace('"FOLDER"', repr(str(root)))], capture_output=True, text=True,
+                              check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count("<ft.Tracking tracking") == 12
+        assert ("ate_m" in done.stdout) == (root == folder_with_truth)
+        if root == folder_with_truth:
+            assert "'pairs': 12" in done.stdout
+
+
+def test_a_sequence_without_truth_is_false_about_it(folder, folder_with_truth):
+    assert not ft.read_sequence(folder).ground_truth
+    sequence = ft.read_sequence(folder_with_truth)
+    assert sequence.ground_truth and len(sequence.ground_truth) == 12
+    with pytest.raises(ValueError, match="ground truth"):
+        ft.evaluate([(1, np.eye(4))], ft.read_sequence(folder).ground_truth)
+
+
+def track(*arguments, **options):
+    return subprocess.run([sys.executable, "-m", "ft", "track", *map(str, arguments)], capture_output=True, text=True, check=False,
+                          **options)
+
+
+def test_the_program_tracks_a_folder(folder, folder_with_truth, tmp_path):
+    for root, truth in ((folder, False), (folder_with_truth, True)):
+        out = tmp_path / str(truth)
+        done = track(root, "--out", out, "--backend", "host", "--features", "400")
+        assert done.returncode == 0, done.stderr
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["tracked"] == summary["frames"] == 12 and summary["stopped_at"] is None
+        assert len(ft.read_tum(out / "trajectory.txt")) == 12
+        assert (out / "groundtruth.txt").exists() == truth
+        assert summary["ate_rmse_m"] < 0.005 if truth else summary["ate_rmse_m"] is None
+        assert len((out / "times.csv").read_text().splitlines()) == 13
+        assert (out / "map.ply").read_bytes().startswith(b"ply\n") and "<svg" in (out / "report.html").read_text()
+        assert "track  12/12  100 %" in done.stdout and "ATE RMSE" in done.stdout
+
+
+def test_options_of_the_program(folder_with_truth, tmp_path):
+    done = track("--sequence", folder_with_truth, "--out", tmp_path, "--device", "host", "--features", "400", "--frames", "6", "--timing",
+                 "--poses", "kitti", "--imu", "off", "--threads", "1", "--near", "40", "--rig", "rectified", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert "track  " not in done.stdout
+    assert np.loadtxt(tmp_path / "poses.txt").shape == (6, 12)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert len(summary["stages"]) > 5 and summary["options"]["near points, baselines"].startswith("40")
+    for bad in (["--frames", "-1"], ["--near", "nan"], ["--near", "0"], ["--threads", "9999"], ["--rig", "odd"], [folder_with_truth]):
+        done = track("--sequence", folder_with_truth, "--out", tmp_path / "none", *bad)
+        assert done.returncode == 2, done.stderr
+    for bad, word in ((["--rig", "fisheye"], "--rig fisheye"), (["--frame", "body"], "--frame body")):
+        done = track(folder_with_truth, "--out", tmp_path / "none", *bad)
+        assert done.returncode == 1 and word in done.stderr
+    assert not (tmp_path / "none").exists()
+
+
+def test_one_camera_of_a_pair(folder_with_truth, tmp_path):
+    done = track(folder_with_truth, "--out", tmp_path, "--backend", "host", "--features", "1000", "--rig", "monocular")
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["tracked"] == summary["frames"] == 12 and summary["stopped_at"] is None
-    assert len(ft.read_tum(tmp_path / "trajectory.txt")) == 12
+    assert 0 < summary["tracked"] < 12 and summary["scale"] is not None
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(folder, folder_with_truth, tmp_path):
+    (tmp_path / "file").write_text("")
+    places = [tmp_path / "file", tmp_path / "file/under", folder_with_truth]
+    if os.geteuid() != 0:
+        (tmp_path / "closed").mkdir(mode=0o555)
+        places.append(tmp_path / "closed")
+    for out in places:
+        done = track(folder, "--out", out, "--backend", "host")
+        assert done.returncode == 1 and f"--out {out}" in done.stderr, done.stderr
+        assert "track  " not in done.stdout
+    assert (tmp_path / "file").read_text() == ""
+    assert len((folder_with_truth / "poses.txt").read_text().splitlines()) == 12
+
+
+def test_an_image_that_cannot_be_read_ends_the_run(folder, tmp_path):
+    root = tmp_path / "kitti"
+    shutil.copytree(folder, root)
+    (root / "image_0/000007.png").write_bytes(b"no image")
+    done = track(root, "--out", tmp_path / "out", "--backend", "host", "--features", "400")
+    assert done.returncode == 3 and "stopped at frame 7" in done.stderr
+    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    assert summary["stopped_at"] == 7 and summary["frames"] == 7
+
+
+def test_options_are_those_of_track_sequence():
+    """What the C++ program offers, but for what has no meaning here."""
+    root = Path(__file__).resolve().parents[2]
+    source = (root / "examples/track_sequence/options.cpp").read_text(encoding="utf-8")
+    import re
+
+    theirs = set(re.findall(r'add_(?:option|flag)\(\s*"(--[a-z-]+)"', source))
+    assert "--features" in theirs and len(theirs) > 10
+    shown = track("--help").stdout
+    without = {"--read-ahead", "--realtime"}  # Python has no threads that read ahead
+    assert not {option for option in theirs - without if option not in shown}

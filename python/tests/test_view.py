@@ -208,7 +208,7 @@ def test_the_program_says_which_package_is_missing(walk_folder, recording, tmp_p
     done = run(arguments[0], folder, *arguments[1:], cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1 and "rerun-sdk" in done.stderr and "Traceback" not in done.stderr
-    assert not (tmp_path / "ft_track_out").exists()
+    assert not (tmp_path / "track_sequence_out").exists()
 
 
 def test_a_run_is_shown_or_recorded_not_both(walk_folder, tmp_path):

@@ -184,6 +184,7 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/strict_log.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/monocular_start.hpp"

@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/odometry_answers.hpp"
@@ -206,6 +207,9 @@ TYPED_TEST(inertial_odometry, goes_on_with_its_map_where_nothing_is_known) {
   EXPECT_EQ(at(last).inliers, 0);
   EXPECT_GT(at(last).map_points, at(last - 1).map_points);
   EXPECT_TRUE(std::isinf(at(last).covariance[0]));
+  EXPECT_EQ(ft::explain(at(first)).reason, ft::tracking_reason::few_matches);
+  EXPECT_EQ(ft::explain(at(last)).reason, ft::tracking_reason::imu_only);
+  EXPECT_EQ(ft::explain(all.back()).reason, ft::tracking_reason::none);
   for (int i = first; i < frame_count; ++i) {
     EXPECT_EQ(at(i).maps, 1) << i;
     EXPECT_TRUE(at(i).imu.predicted) << i;

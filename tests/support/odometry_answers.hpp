@@ -19,6 +19,11 @@ inline bool same(ft::tracking const& a, ft::tracking const& b) {
          a.keypoints == b.keypoints && a.stereo_points == b.stereo_points &&
          a.local_points == b.local_points && a.left_out == b.left_out &&
          a.map_points == b.map_points && a.maps == b.maps && a.keyframes == b.keyframes &&
+         a.map_begun == b.map_begun && a.agreed == b.agreed &&
+         a.distant_points == b.distant_points && a.depths == b.depths &&
+         a.light.image == b.light.image && a.light.mean == b.light.mean &&
+         a.light.deviation == b.light.deviation && a.start == b.start &&
+         a.start_matches == b.start_matches &&
          std::memcmp(a.covariance, b.covariance, sizeof a.covariance) == 0;
 }
 

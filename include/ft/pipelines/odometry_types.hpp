@@ -51,7 +51,25 @@ struct place_recovery {
   relocalization_params relocalization;  ///< `frustum` is that of the odometry
 };
 
-/// What is known about a camera after a frame.
+/// Where a rig's keypoints get their depths from.
+enum class depth_origin : int {
+  stereo,       ///< a pair
+  depth_image,  ///< an rgbd_rig
+  some_pairs,   ///< a multi_rig, whose cameras need not all be pairs
+  motion,       ///< a monocular_rig
+};
+
+/// A depth of more than so many baselines is distant: its disparity is a small part of a pixel.
+constexpr float distant_baselines = 1000;
+
+/// How light an image is, by 1024 pixels that are spread over it.
+struct image_light {
+  int image = -1;        ///< which one of the rig: 0 = left; -1 = none was looked at
+  double mean = 0;       ///< grey value, 0 to 255
+  double deviation = 0;  ///< standard deviation of grey values
+};
+
+/// What is known about a camera after a frame. See explain() in pipelines/explain.hpp.
 struct tracking {
   /// Left camera, or a multi_rig's body, to world, metres. The world is the left camera, or the
   /// body, of the first frame with a map. For a frame that was not tracked: where it is thought to
@@ -78,7 +96,15 @@ struct tracking {
   /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
   /// frame that was not tracked.
   double covariance[36] = {};
-  imu_tracking imu;  ///< what the IMU says, if there is one
+  imu_tracking imu;        ///< what the IMU says, if there is one
+  bool map_begun = false;  ///< the frame begins a map; if `maps` is above 1, at a guessed place
+  int agreed = 0;          ///< keypoints that agree with the pose that was tried last; of a tracked
+                           ///< frame as `inliers`, else too few
+  int distant_points = 0;  ///< of stereo_points, those beyond distant_baselines of the rig
+  depth_origin depths = depth_origin::stereo;
+  image_light light;  ///< of a frame that was not tracked: of the image with the least contrast
+  start_outcome start = start_outcome::waiting;  ///< of one camera that has no map
+  int start_matches = 0;                         ///< with the first frame of that start
 };
 
 /// A map point in host memory.

@@ -66,6 +66,7 @@ FT_HOST_DEVICE inline void begin_map(camera_track& t) {
   t.lost_with_features = 0;
   t.state = tracking_state::tracking;
   ++t.maps;
+  t.begins = 1;
 }
 
 /// The frame becomes a keyframe.
@@ -94,6 +95,8 @@ struct judge_camera_frame {
     g.sync();
     if (g.rank() != 0) { return; }
     camera_track t = before;
+    t.begins = 0;
+    t.agreed = before.plan == search_plan::nothing ? 0 : inliers;
     bool const follows = before.plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.

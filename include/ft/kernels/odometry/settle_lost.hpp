@@ -64,7 +64,7 @@ struct settle_lost_camera {
     if (found) {
       keep_pose(t, state.T_cw[b], in.found_T_cw[b]);
       in.T_cw[b] = state.T_cw[b].template cast<float>();
-      in.inliers[b] = in.found_inliers[b];
+      in.inliers[b] = t.agreed = in.found_inliers[b];
       in.matches[b] = held;
     } else if (t.lost_with_features >= rules.patience) {
       // The adjustment of the old map that this frame gathered is not begun.

@@ -85,6 +85,8 @@ struct camera_track {
   int lost_with_features;    ///< of these, the last ones in a row with enough stereo points
   int reference_tracked;     ///< left keypoints with a map point, of the last keyframe
   int maps;                  ///< begun
+  int begins;                ///< 1 = the current frame begins a map
+  int agreed;                ///< keypoints of the current frame that agree with the pose tried last
   int map_keyframes;         ///< made in this map
   int keyframes;             ///< made in all maps
   int new_keyframe;          ///< 1 = since the last adjustment was begun

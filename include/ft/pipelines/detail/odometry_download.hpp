@@ -54,6 +54,13 @@ inline void require_odometry_params(odometry_params const& p) {
   require_range("rules.motion.memory", r.motion.memory, 1e-3, 1e6);
 }
 
+inline image_light light_of(light_sums const& l) {
+  if (l.image < 0) { return {}; }
+  double const mean = static_cast<double>(l.sum) / light_sums::samples;
+  double const squares = static_cast<double>(l.squares) / light_sums::samples;
+  return {l.image, mean, std::sqrt(squares - mean * mean)};
+}
+
 inline tracking tracking_of(odometry_output const& o) {
   tracking t;
   t.T_world_camera = o.T_cw.cast<strict_double>().inverse().cast<double>();
@@ -69,6 +76,12 @@ inline tracking tracking_of(odometry_output const& o) {
   t.map_points = o.map_points;
   t.maps = o.maps;
   t.keyframes = o.keyframes;
+  t.map_begun = o.begins_map != 0;
+  t.agreed = o.agreed;
+  t.distant_points = o.distant;
+  t.light = light_of(o.light);
+  t.start = o.start.outcome;
+  t.start_matches = o.start.matches;
   if (o.begins_first_map != 0) { return t; }
   if (o.inliers > 0) {
     invert_information(o.information, t.covariance);

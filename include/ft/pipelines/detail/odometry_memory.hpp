@@ -14,6 +14,7 @@
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/window/workspace.hpp"
@@ -24,16 +25,30 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// Sums over grey values of an image, on a grid of side x side pixels spread over it.
+struct light_sums {
+  static constexpr int side = 32;
+  static constexpr int samples = side * side;
+  int image = -1;  ///< of the rig; -1 = none was looked at
+  int sum = 0;
+  int squares = 0;
+};
+
 /// What the host reads of a camera after a frame.
 struct odometry_output {
   rigid<double> T_cw;
   tracking_state state;
+  int begins_map;
   int begins_first_map;
   int keyframe;
   int gathered;  ///< 1 = an adjustment begins with this frame
   int inliers;
   int keypoints;
   int with_depth;
+  int distant;  ///< of with_depth, those beyond distant_baselines
+  int agreed;   ///< with the pose that was tried last
+  light_sums light;
+  start_report start;  ///< of one camera
   int local_points;
   int left_out;
   int map_points;

@@ -3,12 +3,15 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "ft/containers/frame.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 
@@ -27,8 +30,41 @@ struct tracking_facts {
   int const* keyframe_left_out;  ///< likewise
   int const* window_left_out;
   int const* map_points;
-  int depth_cameras = 1;  ///< the first cameras, whose keypoints may have a depth
+  int depth_cameras = 1;                ///< the first cameras, whose keypoints may have a depth
+  float distant = 0;                    ///< depth of distant points, metres
+  image_pyramid_view images{};          ///< [batch][images of a rig]
+  start_report const* start = nullptr;  ///< of one camera, or null
 };
+
+/// Of the images of camera b, grey values of the one with the least contrast. Ties go to the first.
+template <typename Group>
+FT_HOST_DEVICE light_sums least_contrast(Group g, image_pyramid_view const& images, int batch,
+                                         int b) {
+  int const of_rig = images.batch / batch;
+  light_sums least;
+  std::int64_t smallest = 0;
+  for (int i = 0; i < of_rig; ++i) {
+    if (images.absent.has(b * of_rig + i)) { continue; }
+    auto const image = images.level(b * of_rig + i, 0);
+    int sum = 0;
+    int squares = 0;
+    for (int k = g.rank(); k < light_sums::samples; k += g.size()) {
+      int const x = (2 * (k % light_sums::side) + 1) * image.width / (2 * light_sums::side);
+      int const y = (2 * (k / light_sums::side) + 1) * image.height / (2 * light_sums::side);
+      int const grey = image.row(y)[x];
+      sum += grey;
+      squares += grey * grey;
+    }
+    sum = g.reduce(sum, sum_op{});
+    squares = g.reduce(squares, sum_op{});
+    auto const spread = std::int64_t{light_sums::samples} * squares - std::int64_t{sum} * sum;
+    if (least.image < 0 || spread < smallest) {
+      least = {i, sum, squares};
+      smallest = spread;
+    }
+  }
+  return least;
+}
 
 /// Item: a camera. Keeps the number of a new keyframe's points for later frames.
 struct pack_tracking {
@@ -44,6 +80,7 @@ struct pack_tracking {
     }
     int left = 0;
     int with_depth = 0;
+    int distant = 0;
     for (int c = 0; c < facts.depth_cameras; ++c) {
       int const count = *frame.camera(b, c).count;
       float const* const depth =
@@ -51,22 +88,33 @@ struct pack_tracking {
           (static_cast<std::ptrdiff_t>(b) * facts.depth_cameras + c) * frame.capacity();
       for (int i = g.rank(); i < count; i += g.size()) {
         with_depth += static_cast<int>(depth[i] > 0);
+        distant += static_cast<int>(depth[i] > facts.distant);
       }
       left += count;
     }
     with_depth = g.reduce(with_depth, sum_op{});
+    distant = g.reduce(distant, sum_op{});
+    light_sums light;
+    if (state.tracks[b].state != tracking_state::tracking) {
+      light = least_contrast(g, facts.images, state.batch, b);
+    }
     if (g.rank() != 0) { return; }
     camera_track& t = state.tracks[b];
     bool const inserted = state.order[b] != keyframe_order::none;
     if (inserted) { t.reference_tracked = facts.held[b]; }
     out.T_cw = state.T_cw[b];
     out.state = t.state;
+    out.begins_map = t.begins;
     out.begins_first_map = state.order[b] == keyframe_order::begin_map && t.maps == 1 ? 1 : 0;
     out.keyframe = inserted ? 1 : 0;
     out.gathered = state.gather[b];
     out.inliers = facts.inliers[b];
     out.keypoints = left;
     out.with_depth = with_depth;
+    out.distant = distant;
+    out.agreed = t.agreed;
+    out.light = light;
+    out.start = facts.start == nullptr ? start_report{} : facts.start[b];
     // Before its first map a camera that was reset searches its old one, for nothing.
     bool const searched = t.plan != search_plan::nothing;
     out.local_points = searched ? facts.local_count[b] : 0;

@@ -12,6 +12,9 @@
 #include <vector>
 
 #include "ft/cameras/image_domain.hpp"
+#include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/cameras/rgbd_rig.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -42,6 +45,23 @@ inline void require_motion(rigid<double> const& T) {
     require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
             "the rotation of a predicted pose is not a rotation matrix");
   }
+}
+
+template <typename Rig>
+constexpr depth_origin depths_of(Rig const&) {
+  return depth_origin::stereo;
+}
+template <typename Camera>
+constexpr depth_origin depths_of(rgbd_rig<Camera> const&) {
+  return depth_origin::depth_image;
+}
+template <int N>
+constexpr depth_origin depths_of(multi_rig<N> const&) {
+  return depth_origin::some_pairs;
+}
+template <typename Camera>
+constexpr depth_origin depths_of(monocular_rig<Camera> const&) {
+  return depth_origin::motion;
 }
 
 inline tracker_params tracker_params_of(odometry_params const& p) {
@@ -201,6 +221,7 @@ private:
       begun[i] = 1;
       stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
       results[i] = tracking_of(stages.own.outputs[b]);
+      results[i].depths = depths_of(rig);
       results[i].metric = !stages_type::starts_from_motion;
       if (stages.has_imu()) {
         results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;

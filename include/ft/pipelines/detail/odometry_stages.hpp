@@ -189,11 +189,13 @@ public:
   }
   void gather_inertial(Exec const& exec) const { inertial.gather(exec, own); }
   void pack_outputs(Exec const& exec) const {
-    tracking_facts const facts{
-        memory.observations.inliers, this->matcher.depth(), own.information,
-        memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
-        own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
-        memory.result.depth_cameras};
+    tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,
+                         memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
+                         own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
+                         memory.result.depth_cameras};
+    facts.distant = (this->rig.baseline_length() * distant_baselines).value;
+    facts.images = this->extractor.pyramid();
+    if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }
     for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
                                   facts, own.outputs);
   }

@@ -1,0 +1,207 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Why a frame was not tracked, or why its pose is to be doubted, in words.
+#pragma once
+
+#include <cstdio>
+#include <string>
+
+#include "ft/core/config.hpp"
+#include "ft/kernels/monocular/start_rules.hpp"
+#include "ft/kernels/odometry/state.hpp"
+#include "ft/pipelines/odometry_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+enum class tracking_reason : int {
+  none = 0,  ///< the frame's pose comes from the map, or the frame begins the first map
+  // The frame has a pose, which is to be doubted.
+  new_map,      ///< it begins a later map, at a guessed place
+  imu_only,     ///< no image agrees: it is where the IMU says
+  depth_scale,  ///< most depths are beyond distant_baselines: a wrong unit or baseline
+  // The frame has no pose.
+  not_started,          ///< no frame was given yet, or none since the map was loaded
+  dark,                 ///< an image is nearly black
+  bright,               ///< an image is nearly white
+  low_texture,          ///< an image has hardly any contrast
+  blurred,              ///< too few corners in images that have contrast
+  no_depth,             ///< hardly any keypoint finds a depth in the depth image
+  stereo_inconsistent,  ///< hardly any keypoint has a stereo match: images exchanged, or the
+                        ///< calibration is another one's
+  few_depths,           ///< too few keypoints have a depth to begin a map
+  awaits_motion,        ///< one camera: the map begins when the camera has moved sideways
+  few_matches,          ///< too few keypoints agree with the map, wherever it was tried
+};
+
+/// The reason as a word, such as "stereo_inconsistent".
+inline char const* name_of(tracking_reason reason) {
+  constexpr char const* names[] = {"none",
+                                   "new_map",
+                                   "imu_only",
+                                   "depth_scale",
+                                   "not_started",
+                                   "dark",
+                                   "bright",
+                                   "low_texture",
+                                   "blurred",
+                                   "no_depth",
+                                   "stereo_inconsistent",
+                                   "few_depths",
+                                   "awaits_motion",
+                                   "few_matches"};
+  constexpr int count = sizeof names / sizeof *names;
+  static_assert(count == static_cast<int>(tracking_reason::few_matches) + 1, "one a reason");
+  int const i = static_cast<int>(reason);
+  return i >= 0 && i < count ? names[i] : "unknown";
+}
+
+/// A reason, and a sentence that has the numbers; no full stop at its end.
+struct tracking_explanation {
+  tracking_reason reason = tracking_reason::none;
+  std::string text;  ///< empty for `none`
+};
+
+/// Limits of explain(). Grey values are from 0 to 255.
+struct explanation_limits {
+  double dark_mean = 16;
+  double bright_mean = 239;
+  double least_deviation = 5;       ///< of grey values
+  int few_keypoints = 120;          ///< of all cameras, with less than which an image is blurred
+  double least_stereo_share = 0.1;  ///< of the keypoints, with a match in the other image
+};
+
+namespace detail {
+
+inline std::string one_decimal(double v) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.1f", v);
+  return text;
+}
+
+/// Why the images of a frame have too few corners, or `none`.
+inline tracking_explanation explain_light(tracking const& t, explanation_limits const& limits) {
+  if (t.light.image < 0) { return {}; }
+  std::string const image = "image " + std::to_string(t.light.image) + " is ";
+  std::string const mean = "its mean grey value is " + one_decimal(t.light.mean) + " of 255";
+  if (t.light.mean < limits.dark_mean) {
+    return {tracking_reason::dark, image + "nearly black: " + mean};
+  }
+  if (t.light.mean > limits.bright_mean) {
+    return {tracking_reason::bright, image + "nearly white: " + mean};
+  }
+  if (t.light.deviation < limits.least_deviation) {
+    return {tracking_reason::low_texture, image + "almost uniform: its grey values deviate by " +
+                                              one_decimal(t.light.deviation) + " from their mean"};
+  }
+  return {};
+}
+
+/// "12 of 800 keypoints"
+inline std::string of_keypoints(int n, tracking const& t) {
+  return std::to_string(n) + " of " + std::to_string(t.keypoints) + " keypoints";
+}
+
+/// Why too few keypoints have a depth.
+inline tracking_explanation explain_depths(tracking const& t, tracking_rules const& rules,
+                                           explanation_limits const& limits) {
+  bool const hardly_any = t.stereo_points < limits.least_stereo_share * t.keypoints;
+  if (hardly_any && t.depths == depth_origin::depth_image) {
+    return {tracking_reason::no_depth,
+            of_keypoints(t.stereo_points, t) +
+                " have a depth: the depth image is empty there, or depth_scale, min_depth or "
+                "max_depth are not those of the sensor"};
+  }
+  if (hardly_any && t.depths == depth_origin::stereo) {
+    return {tracking_reason::stereo_inconsistent,
+            of_keypoints(t.stereo_points, t) +
+                " have a stereo match: left and right may be exchanged, or the calibration is that "
+                "of other cameras"};
+  }
+  return {tracking_reason::few_depths, of_keypoints(t.stereo_points, t) +
+                                           " have a depth; a map needs " +
+                                           std::to_string(rules.min_stereo_points)};
+}
+
+/// Why one camera has no map yet.
+inline tracking_explanation explain_start(tracking const& t) {
+  std::string why;
+  switch (t.start) {
+    case start_outcome::no_motion:
+      why = std::to_string(t.start_matches) +
+            " keypoints match the first frame's, but their motion is not clear yet";
+      break;
+    case start_outcome::few_matches:
+      why = "only " + std::to_string(t.start_matches) +
+            " keypoints match the first frame's: the start begins again";
+      break;
+    case start_outcome::forgot_first:
+    case start_outcome::waiting:
+      why = "the frame has too few keypoints to begin with: " + std::to_string(t.keypoints);
+      break;
+    default:
+      why = "it is the first frame of a start";
+  }
+  return {tracking_reason::awaits_motion,
+          "one camera begins a map when it has moved sideways: " + why};
+}
+
+/// Of a frame that has a pose.
+inline tracking_explanation explain_doubt(tracking const& t) {
+  if (t.map_begun && t.maps > 1) {
+    return {tracking_reason::new_map, "map " + std::to_string(t.maps) +
+                                          " begins at a guessed place: the camera was not found in "
+                                          "the one before"};
+  }
+  if (t.inliers == 0 && !t.map_begun && t.depths != depth_origin::motion) {
+    return {tracking_reason::imu_only, "no image agrees with the map: the pose is the IMU's alone"};
+  }
+  if (2 * t.distant_points > t.stereo_points) {
+    return {tracking_reason::depth_scale,
+            std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
+                " depths are beyond " + std::to_string(static_cast<int>(distant_baselines)) +
+                " baselines: is the unit of depths, or of the baseline, metres?"};
+  }
+  return {};
+}
+
+}  // namespace detail
+
+/// Says why a frame was not tracked or, of one that was, why its pose is to be doubted. Host;
+/// allocates the text. An image of a wrong size has no tracking: its track() throws.
+/// @param t what track() returned @param rules those of the odometry
+inline tracking_explanation explain(tracking const& t, tracking_rules const& rules = {},
+                                    explanation_limits const& limits = {}) {
+  if (t.state == tracking_state::tracking) { return detail::explain_doubt(t); }
+  if (t.light.image < 0) {
+    return {tracking_reason::not_started, t.state == tracking_state::initialising
+                                              ? "no frame was given yet"
+                                              : "no frame was given since the map was loaded"};
+  }
+  bool const few_keypoints = t.keypoints < limits.few_keypoints;
+  bool const few_depths =
+      t.depths != depth_origin::motion && t.stereo_points < rules.min_stereo_points;
+  if (few_keypoints || few_depths) {
+    auto light = detail::explain_light(t, limits);
+    if (light.reason != tracking_reason::none) { return light; }
+  }
+  if (few_keypoints) {
+    return {tracking_reason::blurred, "only " + std::to_string(t.keypoints) +
+                                          " keypoints: the image is blurred, or shows little "
+                                          "texture"};
+  }
+  if (few_depths) { return detail::explain_depths(t, rules, limits); }
+  if (t.state == tracking_state::initialising && t.depths == depth_origin::motion) {
+    return detail::explain_start(t);
+  }
+  return {
+      tracking_reason::few_matches,
+      std::to_string(t.agreed) + " keypoints agree with the pose that was tried last; " +
+          std::to_string(t.state == tracking_state::recovering || t.state == tracking_state::lost
+                             ? rules.min_recovered
+                             : rules.min_inliers) +
+          " are asked for, and " + std::to_string(t.local_points) +
+          " points of the map were searched"};
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -7,25 +7,8 @@ import numpy as np
 
 from . import _ft
 from .features import _frames, _options
-from .rigs import RgbdCamera, _matrix, _two
+from .rigs import _matrix, _two
 from .streams import handle_of
-
-
-MOST_BASELINES = 1000  # of a depth, before its unit is doubted
-
-
-def _look_at_depth(rig, depth):
-    """Warns where the unit of a depth image on the host cannot be right."""
-    try:
-        image = np.asarray(depth)
-    except (TypeError, ValueError):  # on a device
-        return
-    known = image[(image > 0) & np.isfinite(image)]
-    scale = 1.0 if rig.depth_scale is None else rig.depth_scale
-    median = scale * float(np.median(known)) if known.size else 0.0
-    if median > MOST_BASELINES * rig.baseline:
-        warnings.warn(f"the median depth is {median:.6g} m, more than {MOST_BASELINES} baselines of {rig.baseline:.6g} m: is "
-                      f"depth_scale, {scale:.6g} metres per unit, the right one?", stacklevel=3)
 
 
 class Odometry:
@@ -49,7 +32,7 @@ class Odometry:
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points, measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, all_options["scale_factor"]
-        self._depth_is_new = isinstance(rig, RgbdCamera)
+        self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
 
     def track(self, *images, time_ns=None, stream=None):
@@ -63,7 +46,8 @@ class Odometry:
         taken, an int, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
         __dlpack__, such as arrays of CuPy and tensors of PyTorch, is read in place; its address, width and distance of
         rows are multiples of 16 bytes. stream: the CUDA stream that writes them, see ft.Stream. Raises
-        ValueError for another number, shape, type, place or time; then nothing has changed.
+        ValueError for another number, shape, type, place or time; then nothing has changed. Warns once if most depths are
+        beyond 1000 baselines, as those of a wrong unit are.
         """
         if time_ns is None:
             if not images:
@@ -72,9 +56,11 @@ class Odometry:
         single = self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple)))
         frames, times = ([images], [time_ns]) if single else (_frames(images), time_ns)
         tracked = self._pipeline.track(frames, times, handle_of(stream))
-        if self._depth_is_new:
-            self._depth_is_new = False
-            _look_at_depth(self.rig, frames[0][1])
+        if self._doubts_depth and any(t.tracked for t in tracked):
+            self._doubts_depth = False
+            for t in tracked:
+                if t.reason == "depth_scale":
+                    warnings.warn(t.explanation, stacklevel=2)
         return tracked[0] if single else tracked
 
     def add_imu(self, time_ns, accel, gyro, b=0):

@@ -120,6 +120,7 @@ struct frame_images {
 struct tracking {
   pose T_world_camera{};
   std::string state;
+  std::string reason, explanation;  ///< a word and a sentence; empty without
   bool metric = true;
   bool keyframe = false;
   int inliers = 0, keypoints = 0, stereo_points = 0, local_points = 0, left_out = 0;

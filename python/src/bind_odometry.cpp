@@ -232,6 +232,10 @@ void bind_tracking(nb::module_& m) {
           "world, which is that of the first frame with a map; metres if `metric`.")
       .def_ro("state", &tracking::state, "initialising, tracking, recovering or lost")
       .def_prop_ro("tracked", [](tracking const& t) { return t.state == "tracking"; })
+      .def_ro("reason", &tracking::reason,
+              "why the frame is not tracked, or its pose to be doubted, a word such as 'dark' or "
+              "'few_matches', see ft::tracking_reason; empty without a reason")
+      .def_ro("explanation", &tracking::explanation, "the same as a sentence that has the numbers")
       .def_ro("metric", &tracking::metric,
               "whether lengths are metres; False with one camera alone, whose unit is the median "
               "depth of the first points")
@@ -264,9 +268,10 @@ void bind_tracking(nb::module_& m) {
           "accel_bias", [](tracking const& t) { return to_numpy(t.accel_bias); }, "(3,) m/s^2")
       .def("__repr__", [](tracking const& t) {
         pose const& T = t.T_world_camera;
-        return "<ft.Tracking " + t.state + ", " + std::to_string(t.inliers) + " inliers, at " +
-               std::to_string(T[3]) + " " + std::to_string(T[7]) + " " + std::to_string(T[11]) +
-               (t.metric ? " m>" : ">");
+        std::string const why = t.reason.empty() ? "" : " (" + t.reason + ")";
+        return "<ft.Tracking " + t.state + why + ", " + std::to_string(t.inliers) +
+               " inliers, at " + std::to_string(T[3]) + " " + std::to_string(T[7]) + " " +
+               std::to_string(T[11]) + (t.metric ? " m>" : ">");
       });
 }
 

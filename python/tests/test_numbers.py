@@ -279,8 +279,9 @@ def test_the_unit_of_depths(walk):
         assert tracker.track(left, (0.001 * depth).astype(np.float32), t).keyframe  # metres
         assert odometry(ft.RgbdCamera(CAMERA, depth_scale=0.001)).track(left, depth, t).keyframe
     for scale in (1.0, 1000.0):
-        with pytest.warns(UserWarning, match="depth_scale"):
-            odometry(ft.RgbdCamera(CAMERA, depth_scale=scale)).track(left, depth, t)
+        with pytest.warns(UserWarning, match="unit of depths"):
+            pose = odometry(ft.RgbdCamera(CAMERA, depth_scale=scale)).track(left, depth, t)
+        assert pose.tracked and pose.reason == "depth_scale"
 
 
 def test_limits_of_depths(walk):

@@ -105,6 +105,29 @@ def test_predict_and_reset(walk):
         odometry.predict(np.eye(3))
 
 
+def test_why_a_frame_is_not_tracked(walk):
+    left, right, t = walk.frame(0)
+    one = lambda a, b: walk.odometry().track(a, b, 1)
+    fine = one(left, right)
+    assert fine.tracked and fine.reason == fine.explanation == ""
+    noise = np.random.default_rng(1)
+    grey = noise.integers(126, 129, left.shape).astype(np.uint8)
+    for images, reason, words in [((left // 40, right // 40), "dark", "mean grey value"), ((255 - left // 40, 255 - right // 40), "bright", "white"),
+                                  ((grey, grey), "low_texture", "uniform"), ((right, left), "stereo_inconsistent", "exchanged")]:
+        pose = one(*images)
+        assert not pose.tracked and pose.reason == reason and words in pose.explanation, pose.explanation
+        assert f"({reason})" in repr(pose)
+    depth = np.zeros(left.shape, np.uint16)
+    pose = ft.Odometry(ft.RgbdCamera(CAMERA, depth_scale=0.001), WIDTH, HEIGHT, features=400, device="host").track(left, depth, t)
+    assert not pose.tracked and pose.reason == "no_depth"
+    single = ft.Odometry(ft.MonocularCamera(CAMERA), WIDTH, HEIGHT, features=400, device="host")
+    assert single.track(left, 1).reason == "awaits_motion"
+    tracker = walk.odometry()
+    follow(tracker, walk, 3)
+    black = np.zeros_like(left)
+    assert tracker.track(black, black, t + 10**9).reason == "dark"
+
+
 def test_samples_of_an_imu_are_taken(walk):
     odometry = walk.odometry(imu=ft.Imu())
     for i in range(6):

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Reads the calibration of a stereo pair: EuRoC sensor.yaml, KITTI calib.txt, ORB-SLAM3
-/// settings.
+/// @file Reads the calibration of a stereo pair, of one camera or of one with depth images: EuRoC
+/// sensor.yaml, KITTI calib.txt, ORB-SLAM3 settings, camera.txt of a TUM RGB-D folder.
 ///
 /// Every value read is checked (finite, focal lengths above 0, sizes 1 to 16384, baseline above 0,
 /// rotations orthonormal). An error names file, key, value and limit. A radial-tangential camera
@@ -9,6 +9,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/types.hpp"
@@ -24,12 +25,20 @@ struct calibration {
   std::optional<imu_calibration> imu;
   /// KITTI: maps points of the left camera to the reference frame, which poses.txt is about.
   Eigen::Isometry3d T_reference_left = Eigen::Isometry3d::Identity();
+  /// Metres per unit of 16-bit depth images, where the file says it.
+  std::optional<double> depth_unit;
+  /// What of the file may change the result and is not taken, a sentence each.
+  std::vector<std::string> warnings;
 };
+
+/// Baseline of the virtual pair of a camera with depth images, metres, where nothing else is given.
+constexpr double usual_virtual_baseline = 0.08;
 
 /// EuRoC: `mav0`/cam0/sensor.yaml and `mav0`/cam1/sensor.yaml. Distortion models radial-tangential
 /// (or radtan), equidistant (= Kannala-Brandt), none. T_BS maps camera points into the body.
+/// @param kind stereo, or mono: cam0 alone
 /// @throws seq::error
-calibration read_euroc_calibration(std::string const& mav0);
+calibration read_euroc_calibration(std::string const& mav0, camera_kind kind = camera_kind::stereo);
 
 /// Only T_BS of `mav0`/cam0/sensor.yaml: maps points of the raw left camera into the body, metres.
 /// @throws seq::error
@@ -45,29 +54,46 @@ imu_calibration read_euroc_imu_calibration(std::string const& path);
 /// of one reference frame.
 /// @param width,height the images' size, which the file does not give, pixels
 /// @param left_camera number of the left camera, 0 (grey) or 2 (colour)
+/// @param kind stereo, or mono: the left camera's line alone
 /// @throws seq::error
 calibration read_kitti_calibration(std::string const& path, int width, int height,
-                                   int left_camera = 0);
+                                   int left_camera = 0, camera_kind kind = camera_kind::stereo);
 
 /// ORB-SLAM3 settings, both formats: `Camera1.fx` with `Stereo.T_c1_c2` (maps camera-2 points into
 /// camera 1) or `Stereo.b`; and the older `Camera.fx` with `Camera.bf`, `LEFT.K` .. `RIGHT.P`, or
 /// `Tlr`. IMU.T_b_c1 or Tbc gives the body frame. With any of IMU.NoiseGyro, NoiseAcc, GyroWalk,
 /// AccWalk and Frequency (1 to 20000 Hz) all five must be there, densities above 0, and the body
-/// frame. Camera.newWidth and newHeight (a scaling) are not applied.
+/// frame. OpenCV's dialect of YAML is read. What is not applied is named in the warnings:
+/// Camera.newWidth and newHeight (a scaling), and keys of cameras, IMU, depth or extractor that are
+/// not known.
 /// @param width,height size to assume if the file gives none; 0 = the file must give it
+/// @param kind stereo; mono or rgbd: the first camera alone, so that also settings for one camera
+///   are taken. rgbd has Stereo.b or Camera.bf as the virtual baseline, and the depth unit from
+///   RGBD.DepthMapFactor or DepthMapFactor, which are units per metre
 /// @throws seq::error
-calibration read_orb_slam3_settings(std::string const& path, int width = 0, int height = 0);
+calibration read_orb_slam3_settings(std::string const& path, int width = 0, int height = 0,
+                                    camera_kind kind = camera_kind::stereo);
+
+/// camera.txt: one line "fx fy cx cy", or with the coefficients "k1 k2 p1 p2 [k3 [k4 k5 k6]]" after
+/// them, pixels. Lines starting with # are comments; one with "depth in units of 1 mm" (any number;
+/// m, cm, mm or um) gives the depth unit.
+/// @param kind mono or rgbd
+/// @throws seq::error
+calibration read_camera_txt(std::string const& path, int width, int height,
+                            camera_kind kind = camera_kind::rgbd);
 
 /// Any of these: a folder (`mav0`, or one that contains `mav0` or calib.txt), a cam0/sensor.yaml, a
-/// KITTI calib.txt or an ORB-SLAM3 settings file; recognised by content.
+/// KITTI calib.txt, an ORB-SLAM3 settings file or a camera.txt; recognised by content.
 /// @param width,height the images' size, for files that do not give it; 0 = unknown
 /// @param left_camera see read_kitti_calibration
+/// @param kind stereo, mono or rgbd: of one camera the right one's calibration is not needed
 /// @throws seq::error
 calibration read_calibration(std::string const& path, int width = 0, int height = 0,
-                             int left_camera = 0);
+                             int left_camera = 0, camera_kind kind = camera_kind::stereo);
 
 /// @param source file to name in the message
 /// @throws seq::error if the rig is not usable
-void check_rig(stereo_rig const& rig, std::string const& source);
+void check_rig(stereo_rig const& rig, std::string const& source,
+               camera_kind kind = camera_kind::stereo);
 
 }  // namespace seq

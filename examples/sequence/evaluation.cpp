@@ -11,6 +11,7 @@
 #include <fstream>
 #include <vector>
 
+#include "examples/sequence/detail/stamps.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq {
@@ -186,7 +187,8 @@ void check_sorted_and_finite(trajectory const& poses, char const* what) {
 
 }  // namespace
 
-trajectory read_tum(std::string const& path) {
+trajectory read_tum(std::string const& path, std::vector<std::string>* warnings) {
+  std::vector<std::int64_t> times;
   trajectory poses;
   for (detail::text_line const& line : detail::read_lines(path)) {
     if (detail::is_blank_or_comment(line.text)) { continue; }
@@ -199,19 +201,17 @@ trajectory read_tum(std::string const& path) {
     stamped_pose pose;
     pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
                                                  path, line.number);
-    pose.time_ns = detail::seconds_to_ns(words[0], path, line.number);
+    times.push_back(detail::seconds_to_ns(words[0], path, line.number));
+    pose.time_ns = times.back();
     poses.push_back(pose);
   }
-  std::stable_sort(poses.begin(), poses.end(), [](stamped_pose const& a, stamped_pose const& b) {
-    return a.time_ns < b.time_ns;
-  });
-  auto const twice = std::adjacent_find(
-      poses.begin(), poses.end(),
-      [](stamped_pose const& a, stamped_pose const& b) { return a.time_ns == b.time_ns; });
-  if (twice != poses.end()) {
-    throw error(path + ": time stamp " + std::to_string(twice->time_ns) + " ns occurs twice");
+  std::vector<std::string> ignored;
+  trajectory taken;
+  for (std::size_t const i : detail::ordered_lines(times, detail::disordered::sorted, path, "poses",
+                                                   warnings != nullptr ? *warnings : ignored)) {
+    taken.push_back(poses[i]);
   }
-  return poses;
+  return taken;
 }
 
 void write_tum(std::string const& path, trajectory const& poses, std::string const& of) {

@@ -4,14 +4,17 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "examples/sequence/types.hpp"
 
 namespace seq {
 
-/// "time tx ty tz qx qy qz qw", seconds with 9 decimals; lines starting with # are comments.
+/// "time tx ty tz qx qy qz qw", seconds with 9 decimals; lines starting with # are comments. Sorted
+/// by time; of lines with one time stamp the first is taken.
+/// @param warnings gets a sentence for lines that were left out or out of order
 /// @throws seq::error with file and line
-trajectory read_tum(std::string const& path);
+trajectory read_tum(std::string const& path, std::vector<std::string>* warnings = nullptr);
 /// @param of whose poses they are, for the comment in the first line
 void write_tum(std::string const& path, trajectory const& poses, std::string const& of = "camera");
 

@@ -20,6 +20,10 @@ bool is_jpeg(std::vector<std::uint8_t> const& bytes);
 image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_jpeg(std::string const& path, std::vector<std::uint8_t> const& bytes);
 
+/// A picture of one channel with 16 bits. @throws seq::error also for any other
+depth_image read_png_depth(std::string const& path, std::vector<std::uint8_t> const& bytes);
+std::vector<std::uint8_t> write_png_depth(std::string const& name, depth_image const& depth);
+
 /// Reads only the header. @throws seq::error
 void read_png_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
                    int& height);

@@ -96,6 +96,16 @@ image read_image(std::string const& path) {
   fail_unknown(path, bytes);
 }
 
+depth_image read_depth_image(std::string const& path) {
+  std::vector<std::uint8_t> const bytes = read_file(path);
+  if (detail::is_png(bytes)) { return detail::read_png_depth(path, bytes); }
+  fail(path, bytes.empty() ? "empty file" : "not a PNG, which depth images must be");
+}
+
+void write_depth_png(std::string const& path, depth_image const& depth) {
+  write_file(path, detail::write_png_depth(path, depth));
+}
+
 void read_image_size(std::string const& path, int& width, int& height) {
   std::vector<std::uint8_t> const bytes = read_file(path);
   if (detail::is_png(bytes)) { return detail::read_png_size(path, bytes, width, height); }

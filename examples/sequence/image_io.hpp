@@ -18,12 +18,19 @@ namespace seq {
 ///   16384 a side
 image read_image(std::string const& path);
 
+/// Reads a depth image: a PNG of one channel with 16 bits. @throws seq::error as read_image, and
+/// for any other kind of image
+depth_image read_depth_image(std::string const& path);
+
 /// Width and height without decoding the pixels. @throws seq::error
 void read_image_size(std::string const& path, int& width, int& height);
 
 /// Writes an 8-bit grey PNG. @param compression zlib level 0..9 (1 is fast and good enough)
 /// @throws seq::error
 void write_png(std::string const& path, image const& picture, int compression = 1);
+
+/// Writes a PNG of one channel with 16 bits. @throws seq::error
+void write_depth_png(std::string const& path, depth_image const& depth);
 
 /// The bytes of an 8-bit grey PNG, for embedding. @throws seq::error
 std::vector<std::uint8_t> encode_png(image const& picture, int compression = 6);

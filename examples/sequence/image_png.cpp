@@ -115,6 +115,29 @@ void open_png(std::string const& path, std::vector<std::uint8_t> const& bytes, p
              png_get_image_height(source.png, source.info));
 }
 
+// Keeps 16 bits a sample, in the byte order of this machine.
+bool png_prepare_depth(png_source* s, int* passes) {
+  if (setjmp(png_jmpbuf(s->png)) != 0) { return false; }
+  std::uint16_t const one = 1;
+  unsigned char first = 0;
+  std::memcpy(&first, &one, 1);
+  if (first == 1) { png_set_swap(s->png); }
+  *passes = png_set_interlace_handling(s->png);
+  png_read_update_info(s->png, s->info);
+  return true;
+}
+
+// deflate shrinks by at most 1032, so a short file that claims a huge image is rejected before
+// memory is allocated
+void check_length(std::string const& path, png_source const& source, std::size_t file_size) {
+  std::size_t const height = png_get_image_height(source.png, source.info);
+  if (png_get_rowbytes(source.png, source.info) * height / 1040 > file_size) {
+    fail(path, "broken PNG: file is too short for its size of " +
+                   std::to_string(png_get_image_width(source.png, source.info)) + " x " +
+                   std::to_string(height));
+  }
+}
+
 // ---- out
 
 struct png_sink {
@@ -150,7 +173,8 @@ static void ft_seq_png_flush(png_structp) {}
 
 }  // extern "C"
 
-bool png_encode(png_sink* s, std::uint8_t const* pixels, int width, int height, int compression) {
+bool png_encode(png_sink* s, std::uint8_t const* pixels, int width, int height, int bits,
+                int compression) {
   s->png = png_create_write_struct(PNG_LIBPNG_VER_STRING, s->message, ft_seq_png_error,
                                    ft_seq_png_warning);
   if (s->png == nullptr) { return false; }
@@ -159,7 +183,7 @@ bool png_encode(png_sink* s, std::uint8_t const* pixels, int width, int height, 
   if (s->info == nullptr) { return false; }
   png_set_write_fn(s->png, s, ft_seq_png_write, ft_seq_png_flush);
   png_set_IHDR(s->png, s->info, static_cast<png_uint_32>(width), static_cast<png_uint_32>(height),
-               8, PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT,
+               bits, PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT,
                PNG_FILTER_TYPE_DEFAULT);
   png_set_compression_level(s->png, compression);
   if (compression <= 2) {
@@ -171,8 +195,9 @@ bool png_encode(png_sink* s, std::uint8_t const* pixels, int width, int height, 
   }
   png_set_compression_buffer_size(s->png, std::size_t(1) << 16);
   png_write_info(s->png, s->info);
+  std::size_t const row = static_cast<std::size_t>(width) * (bits == 16 ? 2 : 1);
   for (int y = 0; y < height; ++y) {
-    png_write_row(s->png, pixels + static_cast<std::size_t>(y) * static_cast<std::size_t>(width));
+    png_write_row(s->png, pixels + static_cast<std::size_t>(y) * row);
   }
   png_write_end(s->png, nullptr);
   return true;
@@ -202,12 +227,7 @@ image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes) 
   out.height = static_cast<int>(png_get_image_height(source.png, source.info));
   auto const width = static_cast<std::size_t>(out.width);
   auto const height = static_cast<std::size_t>(out.height);
-  // deflate shrinks by at most 1032, so a short file that claims a huge image is rejected before
-  // memory is allocated
-  if (png_get_rowbytes(source.png, source.info) * height / 1040 > bytes.size()) {
-    fail(path, "broken PNG: file is too short for its size of " + std::to_string(out.width) +
-                   " x " + std::to_string(out.height));
-  }
+  check_length(path, source, bytes.size());
 
   int passes = 1;
   int channels = 0;
@@ -249,7 +269,54 @@ std::vector<std::uint8_t> write_png(std::string const& name, image const& pictur
   bytes.reserve(picture.pixels.size() + picture.pixels.size() / 8 + 1024);
   png_sink sink;
   sink.bytes = &bytes;
-  if (!png_encode(&sink, picture.pixels.data(), picture.width, picture.height, compression)) {
+  if (!png_encode(&sink, picture.pixels.data(), picture.width, picture.height, 8, compression)) {
+    fail(name, std::string("cannot encode PNG: ") + sink.message);
+  }
+  return bytes;
+}
+
+depth_image read_png_depth(std::string const& path, std::vector<std::uint8_t> const& bytes) {
+  png_source source;
+  open_png(path, bytes, source);
+  auto const broken = [&] { fail(path, std::string("broken PNG: ") + source.message); };
+  int const bits = png_get_bit_depth(source.png, source.info);
+  int const channels = png_get_channels(source.png, source.info);
+  if (bits != 16 || channels != 1) {
+    fail(path, "PNG of " + std::to_string(channels) + " channels with " + std::to_string(bits) +
+                   " bits; a depth image must have 1 with 16");
+  }
+  check_length(path, source, bytes.size());
+  depth_image out;
+  out.width = static_cast<int>(png_get_image_width(source.png, source.info));
+  out.height = static_cast<int>(png_get_image_height(source.png, source.info));
+  auto const width = static_cast<std::size_t>(out.width);
+  out.pixels.assign(width * static_cast<std::size_t>(out.height), 0);
+  int passes = 1;
+  if (!png_prepare_depth(&source, &passes)) { broken(); }
+  auto* const rows = reinterpret_cast<png_bytep>(out.pixels.data());
+  for (int pass = 0; pass < passes; ++pass) {
+    if (!png_rows_grey(&source, rows, 2 * width, out.height)) { broken(); }
+  }
+  if (!png_finish(&source)) { broken(); }
+  return out;
+}
+
+std::vector<std::uint8_t> write_png_depth(std::string const& name, depth_image const& depth) {
+  std::size_t const pixels =
+      static_cast<std::size_t>(depth.width) * static_cast<std::size_t>(depth.height);
+  if (depth.width < 1 || depth.height < 1 || depth.pixels.size() != pixels) {
+    fail(name, "depth image holds " + std::to_string(depth.pixels.size()) + " pixels in place of " +
+                   std::to_string(depth.width) + " x " + std::to_string(depth.height));
+  }
+  std::vector<std::uint8_t> big_endian;
+  for (std::uint16_t const value : depth.pixels) {
+    big_endian.push_back(static_cast<std::uint8_t>(value >> 8));
+    big_endian.push_back(static_cast<std::uint8_t>(value & 255));
+  }
+  std::vector<std::uint8_t> bytes;
+  png_sink sink;
+  sink.bytes = &bytes;
+  if (!png_encode(&sink, big_endian.data(), depth.width, depth.height, 16, 1)) {
     fail(name, std::string("cannot encode PNG: ") + sink.message);
   }
   return bytes;

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Opens a stereo sequence on disk: EuRoC (ASL) or KITTI odometry layout (image_0 and
-/// image_1, or without them the colour images image_2 and image_3).
+/// @file Opens a sequence on disk: a pair of cameras or one, in EuRoC's (ASL) or KITTI odometry's
+/// layout (image_0 and image_1, or without them the colour images image_2 and image_3), or a camera
+/// with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt).
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -31,22 +33,34 @@ struct imu_recording {
 };
 
 /// Reads the data.csv of an EuRoC IMU: time stamp in ns, angular rate in rad/s, specific force in
-/// m/s^2; further columns are ignored. @throws seq::error naming file and line: not seven finite
-/// numbers, time stamps that do not increase; or without any sample
-std::vector<imu_sample> read_imu_samples(std::string const& path);
+/// m/s^2; further columns are ignored. A line whose stamp is doubled or out of order is left out.
+/// @param warnings gets a sentence for lines that were left out, and for stamps that are not in ns
+/// @throws seq::error naming file and line: not seven finite numbers; or without any sample
+std::vector<imu_sample> read_imu_samples(std::string const& path,
+                                         std::vector<std::string>* warnings = nullptr);
 
 struct open_options {
   /// Calibration file to use instead of the folder's own: sensor.yaml's parent `mav0`, a KITTI
-  /// calib.txt, or an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8). Empty = the
-  /// folder's.
+  /// calib.txt, an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8), or a camera.txt
+  /// (read_camera_txt). Empty = the folder's.
   std::string calibration;
-  /// Keeps fisheye (Kannala-Brandt) pairs as they are; otherwise every pair is rectified on load.
+  /// Keeps fisheye (Kannala-Brandt) pairs and single cameras as they are; others are rectified on
+  /// load: a single camera to a pinhole.
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
   /// Reads the IMU's samples, EuRoC layout, from mav0/imu0. Without it no file of the IMU is
   /// opened.
   bool read_imu = false;
+  /// What to open: with `any` a pair where there is one, else the camera with its depth images
+  /// where there are some, else the one camera.
+  camera_kind rig = camera_kind::any;
+  /// How far the time stamps of the two images of a frame may be apart, at least 0. Nothing = 1 ms
+  /// for a pair of cameras, 20 ms for colour and depth.
+  std::optional<std::int64_t> max_time_difference_ns;
+  /// Metres per unit of the depth images, 1e-9 to 1e3; 0 = as the calibration says (camera.txt, or
+  /// a settings file's RGBD.DepthMapFactor), else 1/5000, as TUM RGB-D has it.
+  double depth_unit = 0;
 };
 
 /// The sequence has no calibration of its own and none was named.
@@ -54,7 +68,8 @@ struct missing_calibration : error {
   using error::error;
 };
 
-/// Images that were left out because the other camera has none of the same time.
+/// Images that were left out because the other camera has none of the same time; with depth images
+/// `left` are those of the camera, `right` the depth images.
 struct unpaired_images {
   int left = 0;
   int right = 0;
@@ -64,9 +79,9 @@ struct unpaired_images {
 /// functions of one object that are const.
 class sequence {
 public:
-  /// @throws seq::error: no such folder, no layout recognised, no images, unreadable or absurd
-  ///   calibration (focal length not positive, NaN, zero baseline, sizes that differ from the
-  ///   images'), fewer than one stereo pair with equal time stamps, an IMU's file that is damaged;
+  /// @throws seq::error: no such folder, no layout recognised, no images, not the rig asked for,
+  ///   unreadable or absurd calibration (focal length not positive, NaN, zero baseline, sizes that
+  ///   differ from the images'), no frame with all its images, an IMU's file that is damaged;
   ///   missing_calibration
   static sequence open(std::string const& directory, open_options const& options = {});
 
@@ -75,16 +90,24 @@ public:
   ~sequence();
 
   std::string const& name() const;    ///< the folder's name
-  std::string const& layout() const;  ///< "euroc" or "kitti"
-  /// The rig of the frames that load() returns: rectified pinholes, or the fisheye pair.
+  std::string const& layout() const;  ///< "euroc", "kitti" or "tum"
+  camera_kind kind() const;           ///< stereo, mono or rgbd
+  /// The rig of the frames that load() returns: pinholes, rectified for a pair, or with fisheye()
+  /// Kannala-Brandt cameras. See stereo_rig for one camera.
   stereo_rig const& rig() const;
   bool fisheye() const;
+  double depth_unit() const;                   ///< metres per unit of depth images; 0 without
+  std::string const& depth_unit_from() const;  ///< who says so, for people
+  /// What was left out or looks wrong, a sentence each: lines with doubled time stamps, stamps that
+  /// differ, units, an IMU's rate, keys of the calibration that are not taken. Unpaired images are
+  /// not among them.
+  std::vector<std::string> const& warnings() const;
   bool has_body_frame() const;  ///< rig().T_body_left was given; otherwise it is the identity
   unpaired_images unpaired() const;
   orb_settings const& settings() const;  ///< empty unless an ORB-SLAM3 settings file was given
-  int size() const;                      ///< stereo pairs
+  int size() const;                      ///< frames
   std::int64_t time_ns(int i) const;
-  /// Decodes pair i, and rectifies it if needed.
+  /// Decodes frame i, and rectifies it if needed: a depth image takes the nearest pixel then.
   /// @throws seq::error for a broken file or a size that differs from the calibration's
   stereo_frame load(int i) const;
   /// Ground truth of the left camera (the body's moved by T_body_left and by the rectifying

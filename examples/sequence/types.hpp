@@ -45,7 +45,17 @@ struct camera_intrinsics {
   std::vector<double> distortion;         ///< in the order of `model`; empty for a pinhole
 };
 
-/// A calibrated pair. Camera frames: x right, y down, z forward; metres.
+/// What the cameras of a recording are.
+enum class camera_kind {
+  any,     ///< in options: what the folder holds
+  stereo,  ///< two cameras
+  mono,    ///< one camera
+  rgbd,    ///< one camera with depth images
+};
+
+/// A calibrated pair, or one camera: `right` equals `left` then, and T_left_right is the identity,
+/// or with depth images the place of a virtual right camera. Camera frames: x right, y down, z
+/// forward; metres.
 struct stereo_rig {
   camera_intrinsics left;
   camera_intrinsics right;
@@ -69,10 +79,18 @@ struct stamped_pose {
 /// Sorted by time.
 using trajectory = std::vector<stamped_pose>;
 
+/// Depths along the camera's axis, row-major, no padding; 0 = none. The sequence says the unit.
+struct depth_image {
+  int width = 0;
+  int height = 0;
+  std::vector<std::uint16_t> pixels;
+};
+
 struct stereo_frame {
   std::int64_t time_ns = 0;
   image left;
-  image right;
+  image right;        ///< of a pair only
+  depth_image depth;  ///< of a camera with depth only: registered to `left`, of its size
 };
 
 /// Noise densities of an IMU. The defaults are those of the EuRoC data sets.

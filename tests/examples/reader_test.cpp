@@ -228,7 +228,6 @@ TEST(reader_imu, refuses_damaged_files_with_file_and_line) {
     std::string from, to, expected;
   };
   std::vector<bad_case> const samples = {
-      {"67143168", "62142976", "data.csv:3: time stamps must increase"},
       {"1403715273267143168", "soon", "data.csv:3: 'soon' is not a time stamp"},
       {"9.80", "nan", "data.csv:3: 'nan' is not finite"},
       {"9.81", "9.8l", "data.csv:2: '9.8l' is not a number"},
@@ -573,33 +572,31 @@ TEST(reader, rejects_folders_that_hold_no_sequence) {
 }
 
 TEST(reader, rejects_missing_cameras_and_images) {
+  seq::open_options stereo;
+  stereo.rig = seq::camera_kind::stereo;
   temp_folder const euroc;
   write_euroc(euroc, 2);
   fs::remove_all(euroc.path("mav0/cam1/data"));
-  EXPECT_TRUE(contains(open_error(euroc.path()), "2 with equal time stamps, 0 with both files"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "cam1 lists 2 images, 0 of them there"));
   euroc.write("mav0/cam1/data.csv", "#timestamp\n");
   EXPECT_TRUE(contains(open_error(euroc.path()), "lists no images"));
   euroc.write("mav0/cam1/data.csv", std::to_string(stamp(0) + 1) + ",a.png\n");
-  EXPECT_TRUE(contains(open_error(euroc.path()), "no stereo pair"));
-  euroc.write("mav0/cam1/data.csv", "12.5,a.png\n");
-  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv:1: '12.5'"));
+  EXPECT_TRUE(contains(open_error(euroc.path()), "no pair of images"));
+  euroc.write("mav0/cam1/data.csv", "12.5s,a.png\n");
+  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv:1: '12.5s'"));
   euroc.write("mav0/cam1/data.csv", "99999999999999999999,a.png\n");
   EXPECT_TRUE(contains(open_error(euroc.path()), "not a time stamp"));
-  euroc.write("mav0/cam1/data.csv", "12,a.png\n12,b.png\n");
-  EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv:2: time stamp 12 occurs twice"));
   euroc.write("mav0/cam1/data.csv", "12\n");
   EXPECT_TRUE(contains(open_error(euroc.path()), "1 fields"));
   fs::remove(euroc.path("mav0/cam1/data.csv"));
   EXPECT_TRUE(contains(open_error(euroc.path()), "data.csv: no such file"));
   fs::remove_all(euroc.path("mav0/cam1"));
-  EXPECT_TRUE(contains(open_error(euroc.path()), "not a stereo sequence"));
+  EXPECT_TRUE(contains(open_error(euroc.path(), stereo), "not a stereo sequence"));
 
   temp_folder const kitti;
   write_kitti(kitti, 3);
   kitti.write("times.txt", "0\n0.1\n");
   EXPECT_TRUE(contains(open_error(kitti.path()), "2 times, none for"));
-  kitti.write("times.txt", "0\n0.1\n0.1\n");
-  EXPECT_TRUE(contains(open_error(kitti.path()), "times.txt:3: time stamps must increase"));
   kitti.write("times.txt", "0\n0.1\nnan\n");
   EXPECT_TRUE(contains(open_error(kitti.path()), "times.txt:3"));
   fs::remove(kitti.path("times.txt"));
@@ -612,7 +609,7 @@ TEST(reader, rejects_missing_cameras_and_images) {
   seq::write_png(kitti.path("image_1/000077.png"), picture(0));
   EXPECT_TRUE(contains(open_error(kitti.path()), "no stereo pair"));
   fs::remove_all(kitti.path("image_1"));
-  EXPECT_TRUE(contains(open_error(kitti.path()), "not a stereo sequence"));
+  EXPECT_TRUE(contains(open_error(kitti.path(), stereo), "not a stereo sequence"));
 }
 
 TEST(reader, rejects_absurd_calibrations) {
@@ -674,7 +671,7 @@ TEST(reader, names_broken_and_changing_images) {
 }
 
 TEST(reader_generated, a_written_sequence_is_read_back) {
-  for (seq::rig_kind const kind : {seq::rig_kind::pinhole, seq::rig_kind::fisheye}) {
+  for (seq::camera_kind const kind : {seq::camera_kind::pinhole, seq::camera_kind::fisheye}) {
     seq::generator_options options;
     options.rig = kind;
     options.width = 96;
@@ -685,7 +682,7 @@ TEST(reader_generated, a_written_sequence_is_read_back) {
     seq::write_asl(source, folder.path("generated"));
     seq::sequence const s = seq::sequence::open(folder.path("generated"));
     ASSERT_EQ(s.size(), 3);
-    EXPECT_EQ(s.fisheye(), kind == seq::rig_kind::fisheye);
+    EXPECT_EQ(s.fisheye(), kind == seq::camera_kind::fisheye);
     EXPECT_NEAR(s.rig().baseline(), source.rig().baseline(), 1e-9);
     EXPECT_NEAR(s.rig().left.fx, source.rig().left.fx, 1e-6);
     EXPECT_EQ(s.rig().left.model, source.rig().left.model);

@@ -123,7 +123,7 @@ inline std::int64_t nanoseconds(std::string const& text, std::string const& path
 }
 
 /// Seconds, as nanoseconds. @throws seq::error naming file and line: not a number, or beyond
-/// +-9.2e9 s
+/// +-4.6e9 s, so that no difference of two overflows
 inline std::int64_t seconds_to_ns(std::string const& text, std::string const& path, int line) {
   std::string const word = trim(text);
   char* end = nullptr;
@@ -132,8 +132,11 @@ inline std::int64_t seconds_to_ns(std::string const& text, std::string const& pa
   if (word.empty() || end != word.c_str() + word.size()) {
     fail_at(path, line, "'" + word + "' is not a time in seconds");
   }
-  if (!(std::fabs(seconds) <= 9.2e9L)) {
-    fail_at(path, line, "time " + word + " is beyond the limit of 9.2e9 seconds; nanoseconds?");
+  if (!(std::fabs(seconds) <= 4.6e9L)) {
+    fail_at(path, line,
+            "time " + word +
+                " is beyond the limit of 4.6e9 seconds: milli-, micro- or nanoseconds? Seconds are "
+                "expected");
   }
   return static_cast<std::int64_t>(std::llroundl(seconds * 1e9L));
 }

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/calibration.hpp"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/detail/calibration_checks.hpp"
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq {
+namespace {
+
+using namespace detail;
+
+/// The row of 12 numbers after `key`, 3x4.
+using projection_matrix = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
+
+/// Intrinsics out of P = K [I | t]; `offset` becomes t.
+camera_intrinsics from_projection(projection_matrix const& p, std::string const& path,
+                                  std::string const& key, Eigen::Vector3d& offset) {
+  check_number(p(0, 0), focal_limits, path, key + "[0] (fx)", to_text(p(0, 0)));
+  check_number(p(1, 1), focal_limits, path, key + "[5] (fy)", to_text(p(1, 1)));
+  Eigen::Matrix3d const k = p.leftCols<3>();
+  double const skew = std::max({std::fabs(k(0, 1)), std::fabs(k(1, 0)), std::fabs(k(2, 0)),
+                                std::fabs(k(2, 1)), std::fabs(k(2, 2) - 1)});
+  if (!(skew <= 1e-6)) {
+    throw error(path + ": " + key + ": not of the form fx 0 cx tx 0 fy cy ty 0 0 1 tz");
+  }
+  offset = k.inverse() * p.col(3);
+  camera_intrinsics camera;
+  camera.fx = k(0, 0);
+  camera.fy = k(1, 1);
+  camera.cx = k(0, 2);
+  camera.cy = k(1, 2);
+  return camera;
+}
+
+}  // namespace
+
+calibration read_kitti_calibration(std::string const& path, int width, int height, int left_camera,
+                                   camera_kind kind) {
+  std::string const left = "P" + std::to_string(left_camera);
+  std::string const right =
+      kind == camera_kind::stereo ? "P" + std::to_string(left_camera + 1) : left;
+  std::map<std::string, projection_matrix> found;
+  for (detail::text_line const& line : detail::read_lines(path)) {
+    std::size_t const colon = line.text.find(':');
+    std::string const key =
+        colon == std::string::npos ? std::string() : detail::trim(line.text.substr(0, colon));
+    if (key != left && key != right) {
+      continue;  // other cameras, the lidar
+    }
+    std::vector<std::string> const words = detail::split(line.text.substr(colon + 1), " \t", true);
+    if (words.size() != 12) {
+      detail::fail_at(path, line.number,
+                      key + " has " + std::to_string(words.size()) + " numbers, must have 12");
+    }
+    projection_matrix p;
+    for (int i = 0; i < 12; ++i) {
+      p(i / 4, i % 4) =
+          detail::finite_number(words[static_cast<std::size_t>(i)], path, line.number);
+    }
+    if (!found.emplace(key, p).second) {
+      detail::fail_at(path, line.number, key + " is given twice");
+    }
+  }
+  for (std::string const& key : {left, right}) {
+    if (found.count(key) == 0) { throw error(path + ": " + key + ": line is missing"); }
+  }
+  calibration result;
+  Eigen::Vector3d left_offset;
+  Eigen::Vector3d right_offset;
+  result.rig.left = from_projection(found[left], path, left, left_offset);
+  result.rig.right = from_projection(found[right], path, right, right_offset);
+  // x_camera = x_reference + offset for either camera.
+  result.rig.T_left_right.translation() = left_offset - right_offset;
+  result.T_reference_left.translation() = -left_offset;
+  result.rig.left.width = result.rig.right.width = width;
+  result.rig.left.height = result.rig.right.height = height;
+  if (kind != camera_kind::stereo) { set_one_camera(result.rig, kind); }
+  check_rig(result.rig, path, kind);
+  return result;
+}
+
+}  // namespace seq

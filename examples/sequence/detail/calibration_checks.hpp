@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What values of a calibration must be, with errors that name file, key, value and limit.
+/// Not API.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "examples/sequence/types.hpp"
+
+namespace seq::detail {
+
+constexpr double max_focal = 1e5;       // pixels
+constexpr double min_baseline = 1e-4;   // metres
+constexpr double max_baseline = 100.0;  // metres
+constexpr double max_coefficient = 1e4;
+
+/// Allowed values of a number; the lower end may be excluded.
+struct limits {
+  double low;
+  double high;
+  bool above_low = false;
+};
+constexpr limits focal_limits{0, max_focal, true};
+constexpr limits centre_limits{-max_focal, max_focal};
+constexpr limits coefficient_limits{-max_coefficient, max_coefficient};
+constexpr limits side_limits{1, 16384};
+constexpr limits fps_limits{0, 1e5};
+constexpr limits imu_rate_limits{1, 2e4};
+constexpr limits density_limits{0, 1e3, true};
+constexpr limits depth_unit_limits{1e-9, 1e3};  // metres
+
+/// @param text the value as it is written @throws seq::error not finite, or outside the limits
+void check_number(double value, limits const& range, std::string const& path,
+                  std::string const& key, std::string const& text);
+void check_number(double value, limits const& range, std::string const& path,
+                  std::string const& key);
+
+/// The closest rotation. @throws seq::error if `m` is farther than 1e-3 from every rotation
+Eigen::Matrix3d checked_rotation(Eigen::Matrix3d const& m, std::string const& path,
+                                 std::string const& key);
+
+/// From 16 (or 12: without the last row) numbers, row-major. @throws seq::error
+Eigen::Isometry3d checked_transform(std::vector<double> const& m, std::string const& path,
+                                    std::string const& key);
+
+/// A radial-tangential camera whose coefficients are all zero becomes a pinhole. (A Kannala-Brandt
+/// one stays: it has r = f theta then.)
+void drop_zero_distortion(camera_intrinsics& camera);
+
+/// Makes the rig that of its left camera alone: a virtual right one for depth images, else none.
+void set_one_camera(stereo_rig& rig, camera_kind kind);
+
+/// @param name of the camera, for the message @throws seq::error
+void check_camera(camera_intrinsics const& camera, std::string const& name,
+                  std::string const& source);
+
+}  // namespace seq::detail

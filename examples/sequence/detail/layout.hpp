@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The files of a recording, by the layout of its folder. Not API.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/reader.hpp"
+
+namespace seq::detail {
+
+/// The images of a frame on disk.
+struct frame_files {
+  std::int64_t time_ns = 0;
+  std::string left;
+  std::string second;  ///< the right image or the depth image; empty for one camera
+};
+
+struct layout_of_files {
+  std::string name;  ///< "euroc", "kitti" or "tum"
+  std::filesystem::path root;
+  std::filesystem::path mav0;  ///< EuRoC only
+  int left_camera = 0;         ///< KITTI only: number of the left camera
+  camera_kind kind = camera_kind::stereo;
+  std::vector<std::int64_t> times;  ///< KITTI only: of all frames, for poses.txt
+  std::vector<frame_files> frames;  ///< sorted by time
+  unpaired_images unpaired;
+  std::vector<std::string> warnings;
+};
+
+/// How far the stamps of two images of a frame may be apart where nobody says it, ns.
+constexpr std::int64_t most_between_cameras_ns = 1'000'000;
+constexpr std::int64_t most_to_depth_ns = 20'000'000;
+
+/// Recognises the layout and lists the frames. @throws seq::error
+layout_of_files find_layout(std::string const& directory, open_options const& options);
+
+// Its parts: they fill kind, times, frames, unpaired and warnings of a layout whose root is known.
+
+void find_euroc_frames(layout_of_files& layout, open_options const& options);
+void find_kitti_frames(layout_of_files& layout, open_options const& options);
+void find_tum_frames(layout_of_files& layout, open_options const& options);
+
+/// `folder`/`name`, or the same stem with another image extension; empty if neither exists.
+std::string find_image(std::filesystem::path const& folder, std::string const& name);
+/// Whether a file's name ends as that of an image.
+bool has_image_extension(std::filesystem::path const& file);
+
+/// A line of a list of images.
+struct listed_image {
+  std::int64_t time_ns = 0;
+  std::string file;  ///< where it is; empty where there is no such file
+};
+
+/// Two lists of images, each sorted by time.
+struct two_lists {
+  std::vector<listed_image> left, second;
+  std::string left_name, second_name;  ///< for messages
+};
+
+/// Pairs the images of two lists by the nearest time. @throws seq::error without any pair
+void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout);
+
+/// The frames of one camera: the images whose files are there. @param path of the list
+/// @throws seq::error without any
+void take_images(std::vector<listed_image> const& images, std::string const& path,
+                 layout_of_files& layout);
+
+/// Poses in the file's frame.
+struct raw_ground_truth {
+  enum frame { body, raw_left, kitti_reference };
+  trajectory poses;
+  frame of = raw_left;
+  bool orientation = false;
+};
+
+/// The ground truth that lies in the folder, sorted by time. @throws seq::error
+raw_ground_truth find_ground_truth(layout_of_files const& layout,
+                                   std::vector<std::string>& warnings);
+
+}  // namespace seq::detail

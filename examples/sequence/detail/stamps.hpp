@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Time stamps of lists: their unit, their order, and partners in another list. Not API.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace seq::detail {
+
+/// The stamps of a file with whole numbers of ns, or with decimal fractions of seconds.
+class stamp_column {
+public:
+  /// @param finest_ns steps of no more than this are not in nanoseconds
+  stamp_column(std::string path, std::int64_t finest_ns)
+      : path_(std::move(path)), finest_ns_(finest_ns) {}
+
+  /// @throws seq::error naming file and line: not a number, too large, or the first with or without
+  ///   a decimal point
+  void add(std::string const& text, int line);
+
+  /// Nanoseconds of each, as added. Whole numbers are nanoseconds, unless their median step says
+  /// that they are micro- or milliseconds or seconds; `warnings` says so then.
+  /// @throws seq::error for a time that overflows
+  std::vector<std::int64_t> times_ns(std::vector<std::string>& warnings) const;
+
+private:
+  std::string path_;
+  std::int64_t finest_ns_;
+  bool seconds_ = false;
+  std::vector<std::int64_t> values_;
+  std::vector<int> lines_;
+};
+
+/// Median of the steps above 0 between neighbours; 0 without any. Differences must not overflow.
+std::int64_t median_step(std::vector<std::int64_t> const& times);
+double median(std::vector<double> values);
+
+/// What becomes of lines whose time stamp is below that of a line before.
+enum class disordered {
+  sorted,    ///< they are put in their place
+  left_out,  ///< as few lines as possible are left out, so that the rest ascends
+};
+
+/// The lines to take, in the order of their stamps, none twice: of doubled stamps the first line.
+/// `warnings` says how many were left out or moved.
+/// @param what the lines are, in the plural
+std::vector<std::size_t> ordered_lines(std::vector<std::int64_t> const& times, disordered rule,
+                                       std::string const& path, std::string const& what,
+                                       std::vector<std::string>& warnings);
+
+/// Pairs of indices whose times are at most `most_ns` apart, and of which each is the nearest to
+/// the other. Both lists ascend.
+std::vector<std::pair<std::size_t, std::size_t>> nearest_pairs(std::vector<std::int64_t> const& a,
+                                                               std::vector<std::int64_t> const& b,
+                                                               std::int64_t most_ns);
+
+/// The smallest distance between times of two lists that ascend, ns; the largest number without.
+std::int64_t smallest_distance(std::vector<std::int64_t> const& a,
+                               std::vector<std::int64_t> const& b);
+
+/// Nanoseconds as milliseconds, for messages.
+std::string milliseconds(std::int64_t ns);
+
+}  // namespace seq::detail

@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+#include "examples/sequence/evaluation.hpp"
+
+namespace seq::detail {
+namespace {
+
+constexpr std::int64_t finest_step_ns = 50'000;
+
+/// EuRoC state_groundtruth_estimate0 and TUM-VI mocap0: time, position, quaternion w x y z; further
+/// columns are ignored.
+trajectory read_euroc_truth(std::string const& path, std::vector<std::string>& warnings) {
+  trajectory poses;
+  stamp_column stamps(path, finest_step_ns);
+  for (text_line const& line : read_lines(path)) {
+    if (is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const fields = split(line.text, ",", false);
+    if (fields.size() < 8) {
+      fail_at(path, line.number, std::to_string(fields.size()) + " fields, must have at least 8");
+    }
+    stamped_pose pose;
+    pose.T_world_camera =
+        pose_of_fields(fields.data() + 1, quaternion_order::w_first, path, line.number);
+    stamps.add(fields[0], line.number);
+    poses.push_back(pose);
+  }
+  std::vector<std::int64_t> const times = stamps.times_ns(warnings);
+  trajectory taken;
+  for (std::size_t const i : ordered_lines(times, disordered::sorted, path, "poses", warnings)) {
+    taken.push_back({times[i], poses[i].T_world_camera});
+  }
+  return taken;
+}
+
+/// KITTI poses.txt: 12 numbers a frame, 3x4 row-major; one line for each of `times`.
+trajectory read_kitti_poses(std::string const& path, std::vector<std::int64_t> const& times) {
+  trajectory poses;
+  for (text_line const& line : read_lines(path)) {
+    if (is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const words = split(line.text, " \t", true);
+    if (words.size() != 12) {
+      fail_at(path, line.number, std::to_string(words.size()) + " numbers, must have 12");
+    }
+    Eigen::Matrix<double, 3, 4> m;
+    for (int i = 0; i < 12; ++i) {
+      m(i / 4, i % 4) = finite_number(words[static_cast<std::size_t>(i)], path, line.number);
+    }
+    Eigen::Matrix3d const R = m.leftCols<3>();
+    double const residual = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+    if (!(residual <= 0.02) || !(R.determinant() > 0)) {
+      fail_at(path, line.number,
+              "not a rotation: |R R^T - I| = " + to_text(residual) + ", at most 0.02 allowed");
+    }
+    stamped_pose pose;
+    if (poses.size() < times.size()) { pose.time_ns = times[poses.size()]; }
+    pose.T_world_camera.linear() = Eigen::Quaterniond(R).normalized().toRotationMatrix();
+    pose.T_world_camera.translation() = m.col(3);
+    poses.push_back(pose);
+  }
+  if (poses.size() != times.size()) {
+    throw error(path + ": " + std::to_string(poses.size()) + " poses, must have one for each of " +
+                std::to_string(times.size()) + " frames");
+  }
+  // Lines whose times are doubled are counted where the times are read.
+  std::vector<std::string> said_already;
+  trajectory taken;
+  for (std::size_t const i :
+       ordered_lines(times, disordered::left_out, path, "poses", said_already)) {
+    taken.push_back(poses[i]);
+  }
+  return taken;
+}
+
+bool any_rotation(trajectory const& poses) {
+  return std::any_of(poses.begin(), poses.end(), [](stamped_pose const& pose) {
+    Eigen::Matrix3d const R = pose.T_world_camera.linear();
+    return (R - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-9;
+  });
+}
+
+}  // namespace
+
+raw_ground_truth find_ground_truth(layout_of_files const& layout,
+                                   std::vector<std::string>& warnings) {
+  raw_ground_truth truth;
+  std::string const euroc = (layout.mav0 / "state_groundtruth_estimate0" / "data.csv").string();
+  std::string const mocap = (layout.mav0 / "mocap0" / "data.csv").string();
+  std::string const tum = (layout.root / "groundtruth.txt").string();
+  std::string const kitti = (layout.root / "poses.txt").string();
+  if (!layout.mav0.empty() && (is_file(euroc) || is_file(mocap))) {
+    truth.poses = read_euroc_truth(is_file(euroc) ? euroc : mocap, warnings);
+    truth.of = raw_ground_truth::body;
+    truth.orientation = !truth.poses.empty();
+  } else if (is_file(tum)) {
+    truth.poses = read_tum(tum, &warnings);
+    truth.orientation = any_rotation(truth.poses);
+  } else if (layout.name == "kitti" && is_file(kitti)) {
+    truth.poses = read_kitti_poses(kitti, layout.times);
+    truth.of = raw_ground_truth::kitti_reference;
+    truth.orientation = any_rotation(truth.poses);
+  }
+  return truth;
+}
+
+}  // namespace seq::detail

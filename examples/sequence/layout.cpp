@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <iterator>
+#include <system_error>
+
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg"};
+
+std::vector<std::int64_t> times_of(std::vector<listed_image> const& list) {
+  std::vector<std::int64_t> times;
+  for (listed_image const& image : list) { times.push_back(image.time_ns); }
+  return times;
+}
+
+/// The images whose files are there.
+std::vector<listed_image> present(std::vector<listed_image> list) {
+  list.erase(std::remove_if(list.begin(), list.end(),
+                            [](listed_image const& image) { return image.file.empty(); }),
+             list.end());
+  return list;
+}
+
+}  // namespace
+
+std::string find_image(fs::path const& folder, std::string const& name) {
+  fs::path const listed = folder / name;
+  if (is_file(listed.string())) { return listed.string(); }
+  for (char const* extension : image_extensions) {
+    std::string const other = fs::path(listed).replace_extension(extension).string();
+    if (is_file(other)) { return other; }
+  }
+  return {};
+}
+
+bool has_image_extension(fs::path const& file) {
+  std::string extension = file.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return std::find(std::begin(image_extensions), std::end(image_extensions), extension) !=
+         std::end(image_extensions);
+}
+
+void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout) {
+  std::vector<listed_image> const left = present(lists.left);
+  std::vector<listed_image> const second = present(lists.second);
+  std::vector<std::int64_t> const left_times = times_of(left);
+  std::vector<std::int64_t> const second_times = times_of(second);
+  std::vector<double> apart;
+  for (auto const& [i, k] : nearest_pairs(left_times, second_times, most_ns)) {
+    layout.frames.push_back({left_times[i], left[i].file, second[k].file});
+    apart.push_back(static_cast<double>(second_times[k] - left_times[i]));
+  }
+  if (layout.frames.empty()) {
+    auto const count = [](std::string const& name, std::size_t listed, std::size_t there) {
+      return name + " lists " + std::to_string(listed) + " images, " + std::to_string(there) +
+             " of them there";
+    };
+    std::string reason =
+        "no pair of images: " + count(lists.left_name, lists.left.size(), left.size()) + "; " +
+        count(lists.second_name, lists.second.size(), second.size());
+    if (!left.empty() && !second.empty()) {
+      reason += "; the nearest time stamps are " +
+                milliseconds(smallest_distance(left_times, second_times)) + " ms apart, at most " +
+                milliseconds(most_ns) + " ms allowed";
+    }
+    throw error(layout.root.string() + ": " + reason);
+  }
+  layout.unpaired.left = static_cast<int>(left.size() - layout.frames.size());
+  layout.unpaired.right = static_cast<int>(second.size() - layout.frames.size());
+  double const offset = median(apart);
+  auto const farthest = std::max_element(
+      apart.begin(), apart.end(), [](double a, double b) { return std::fabs(a) < std::fabs(b); });
+  if (layout.kind == camera_kind::stereo && *farthest != 0) {
+    layout.warnings.push_back("the cameras' time stamps differ: " + lists.second_name + " is " +
+                              to_text(1e-6 * offset) + " ms after " + lists.left_name +
+                              " in the median, at most " + to_text(1e-6 * std::fabs(*farthest)) +
+                              " ms apart; pairs are the nearest within " + milliseconds(most_ns) +
+                              " ms");
+  }
+}
+
+void take_images(std::vector<listed_image> const& images, std::string const& path,
+                 layout_of_files& layout) {
+  for (listed_image const& image : images) {
+    if (!image.file.empty()) { layout.frames.push_back({image.time_ns, image.file, {}}); }
+  }
+  std::size_t const missing = images.size() - layout.frames.size();
+  if (layout.frames.empty()) {
+    throw error(path + ": none of the " + std::to_string(missing) + " listed images is there");
+  }
+  if (missing > 0) {
+    layout.warnings.push_back(path + ": " + std::to_string(missing) +
+                              " of the listed images are not there");
+  }
+}
+
+layout_of_files find_layout(std::string const& directory, open_options const& options) {
+  if (!is_directory(directory)) { throw error(directory + ": no such folder"); }
+  layout_of_files l;
+  std::error_code failure;
+  l.root = fs::canonical(directory, failure);
+  if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
+  auto const has = [&](char const* name) { return is_directory((l.root / name).string()); };
+  auto const has_file = [&](char const* name) { return is_file((l.root / name).string()); };
+  if (has("mav0")) {
+    l.mav0 = l.root / "mav0";
+  } else if (has("cam0")) {
+    l.mav0 = l.root;
+    l.root = l.root.parent_path();
+  }
+  if (!l.mav0.empty()) {
+    l.name = "euroc";
+    find_euroc_frames(l, options);
+  } else if (has("image_0") || has("image_2")) {
+    l.name = "kitti";
+    l.left_camera = has("image_0") ? 0 : 2;
+    find_kitti_frames(l, options);
+  } else if (has_file("rgb.txt") || has_file("associations.txt")) {
+    l.name = "tum";
+    find_tum_frames(l, options);
+  } else {
+    throw error(directory +
+                ": no sequence found: neither mav0/cam0 (EuRoC), image_0 or image_2 (KITTI), nor "
+                "rgb.txt or associations.txt (TUM RGB-D)");
+  }
+  return l;
+}
+
+}  // namespace seq::detail

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::int64_t finest_frame_step_ns = 1'000'000;
+
+/// The images of an EuRoC camera's data.csv.
+std::vector<listed_image> read_image_list(fs::path const& camera,
+                                          std::vector<std::string>& warnings) {
+  std::string const path = (camera / "data.csv").string();
+  stamp_column stamps(path, finest_frame_step_ns);
+  std::vector<std::string> names;
+  for (text_line const& line : read_lines(path)) {
+    if (is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const fields = split(line.text, ",", false);
+    if (fields.size() != 2) {
+      fail_at(path, line.number,
+              std::to_string(fields.size()) + " fields, must have 2 (time stamp, file)");
+    }
+    stamps.add(fields[0], line.number);
+    names.push_back(trim(fields[1]));
+    if (names.back().empty()) { fail_at(path, line.number, "no file name"); }
+  }
+  if (names.empty()) { throw error(path + ": lists no images"); }
+  std::vector<std::int64_t> const times = stamps.times_ns(warnings);
+  std::vector<listed_image> images;
+  for (std::size_t const i : ordered_lines(times, disordered::sorted, path, "images", warnings)) {
+    images.push_back({times[i], find_image(camera / "data", names[i])});
+  }
+  return images;
+}
+
+}  // namespace
+
+void find_euroc_frames(layout_of_files& layout, open_options const& options) {
+  auto const camera = [&](char const* name) { return layout.mav0 / name; };
+  auto const require_folder = [&](char const* name) {
+    if (!is_directory(camera(name).string())) {
+      throw error(camera(name).string() + ": no such folder: not a stereo sequence");
+    }
+  };
+  require_folder("cam0");
+  if (options.rig == camera_kind::rgbd) {
+    throw error(layout.root.string() + ": the EuRoC layout has no depth images");
+  }
+  bool const pair = options.rig == camera_kind::stereo ||
+                    (options.rig == camera_kind::any && is_directory(camera("cam1").string()));
+  layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
+  if (pair) {
+    require_folder("cam1");
+    two_lists lists;
+    lists.left = read_image_list(camera("cam0"), layout.warnings);
+    lists.second = read_image_list(camera("cam1"), layout.warnings);
+    lists.left_name = "cam0";
+    lists.second_name = "cam1";
+    pair_frames(lists, options.max_time_difference_ns.value_or(most_between_cameras_ns), layout);
+    return;
+  }
+  take_images(read_image_list(camera("cam0"), layout.warnings),
+              (camera("cam0") / "data.csv").string(), layout);
+}
+
+}  // namespace seq::detail

@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <utility>
+
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The words of each line that is no comment; each line has `count` of them.
+std::vector<std::pair<int, std::vector<std::string>>> read_words(std::string const& path,
+                                                                 std::size_t count,
+                                                                 char const* what) {
+  std::vector<std::pair<int, std::vector<std::string>>> lines;
+  for (text_line const& line : read_lines(path)) {
+    if (is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> words = split(line.text, " \t,", true);
+    if (words.size() != count) {
+      fail_at(path, line.number,
+              std::to_string(words.size()) + " words, must have " + std::to_string(count) + " (" +
+                  what + ")");
+    }
+    lines.emplace_back(line.number, std::move(words));
+  }
+  if (lines.empty()) { throw error(path + ": lists no images"); }
+  return lines;
+}
+
+/// rgb.txt or depth.txt
+std::vector<listed_image> read_list(fs::path const& root, char const* name,
+                                    std::vector<std::string>& warnings) {
+  std::string const path = (root / name).string();
+  std::vector<std::int64_t> times;
+  std::vector<std::string> files;
+  for (auto const& [number, words] : read_words(path, 2, "time, file")) {
+    times.push_back(seconds_to_ns(words[0], path, number));
+    files.push_back(words[1]);
+  }
+  std::vector<listed_image> images;
+  for (std::size_t const i : ordered_lines(times, disordered::sorted, path, "images", warnings)) {
+    images.push_back({times[i], find_image(root, files[i])});
+  }
+  return images;
+}
+
+/// A depth image's name has "depth" in it. ICL-NUIM lists depth first.
+bool depth_first(std::vector<std::string> const& words) {
+  return words[1].find("depth") != std::string::npos && words[3].find("depth") == std::string::npos;
+}
+
+/// associations.txt: time and file of a colour image, time and file of its depth image.
+void read_associations(std::string const& path, std::int64_t most_ns, layout_of_files& layout) {
+  std::vector<std::int64_t> times;
+  std::vector<frame_files> frames;
+  int far = 0;
+  std::int64_t farthest = 0;
+  for (auto const& [number, words] : read_words(path, 4, "time, colour, time, depth")) {
+    std::size_t const colour = depth_first(words) ? 2 : 0;
+    std::size_t const depth = 2 - colour;
+    std::int64_t const time = seconds_to_ns(words[colour], path, number);
+    std::int64_t const other = seconds_to_ns(words[depth], path, number);
+    std::int64_t const apart = time < other ? other - time : time - other;
+    if (apart > most_ns) {
+      ++far;
+      farthest = std::max(farthest, apart);
+      continue;
+    }
+    frames.push_back({time, find_image(layout.root, words[colour + 1]),
+                      find_image(layout.root, words[depth + 1])});
+    times.push_back(time);
+  }
+  if (far > 0) {
+    layout.warnings.push_back(path + ": " + std::to_string(far) + " pairs left out: up to " +
+                              milliseconds(farthest) + " ms apart, at most " +
+                              milliseconds(most_ns) + " ms allowed");
+  }
+  for (std::size_t const i :
+       ordered_lines(times, disordered::sorted, path, "pairs", layout.warnings)) {
+    frame_files const& frame = frames[i];
+    if (!frame.left.empty() && !frame.second.empty()) {
+      layout.frames.push_back(frame);
+    } else {
+      layout.unpaired.left += static_cast<int>(!frame.left.empty());
+      layout.unpaired.right += static_cast<int>(!frame.second.empty());
+    }
+  }
+  if (layout.frames.empty()) {
+    throw error(path + ": " + std::to_string(frames.size() + static_cast<std::size_t>(far)) +
+                " pairs, none that can be taken: " + std::to_string(far) + " more than " +
+                milliseconds(most_ns) + " ms apart, " + std::to_string(frames.size()) +
+                " without both files");
+  }
+}
+
+}  // namespace
+
+void find_tum_frames(layout_of_files& layout, open_options const& options) {
+  auto const path = [&](char const* name) { return (layout.root / name).string(); };
+  if (options.rig == camera_kind::stereo) {
+    throw error(layout.root.string() + ": the TUM RGB-D layout has no second camera");
+  }
+  bool const depth = is_file(path("associations.txt")) || is_file(path("depth.txt"));
+  if (options.rig == camera_kind::rgbd && !depth) {
+    throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
+  }
+  layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
+  std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);
+  if (is_file(path("associations.txt")) &&
+      (layout.kind == camera_kind::rgbd || !is_file(path("rgb.txt")))) {
+    read_associations(path("associations.txt"), most, layout);
+    return;
+  }
+  two_lists lists;
+  lists.left = read_list(layout.root, "rgb.txt", layout.warnings);
+  lists.left_name = "rgb.txt";
+  if (layout.kind == camera_kind::rgbd) {
+    lists.second = read_list(layout.root, "depth.txt", layout.warnings);
+    lists.second_name = "depth.txt";
+    pair_frames(lists, most, layout);
+    return;
+  }
+  take_images(lists.left, path("rgb.txt"), layout);
+}
+
+}  // namespace seq::detail

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/detail/stamps.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+constexpr std::int64_t largest = std::numeric_limits<std::int64_t>::max();
+
+std::string lines_text(std::size_t count) {
+  return std::to_string(count) + (count == 1 ? " line" : " lines");
+}
+
+/// Indices of a longest strictly ascending subsequence; of equal numbers the first.
+std::vector<std::size_t> longest_ascending(std::vector<std::int64_t> const& times) {
+  std::vector<std::size_t> last;  // of the subsequence of each length that ends lowest
+  std::vector<std::size_t> before(times.size());
+  for (std::size_t i = 0; i < times.size(); ++i) {
+    auto const place =
+        std::lower_bound(last.begin(), last.end(), times[i],
+                         [&](std::size_t k, std::int64_t time) { return times[k] < time; });
+    before[i] = place == last.begin() ? i : *(place - 1);
+    if (place == last.end()) {
+      last.push_back(i);
+    } else if (times[*place] != times[i]) {
+      *place = i;
+    }
+  }
+  std::vector<std::size_t> kept(last.size());
+  for (std::size_t n = kept.size(), i = last.empty() ? 0 : last.back(); n > 0; i = before[i]) {
+    kept[--n] = i;
+  }
+  return kept;
+}
+
+}  // namespace
+
+std::int64_t median_step(std::vector<std::int64_t> const& times) {
+  std::vector<std::int64_t> steps;
+  for (std::size_t i = 1; i < times.size(); ++i) {
+    if (times[i] > times[i - 1]) { steps.push_back(times[i] - times[i - 1]); }
+  }
+  if (steps.empty()) { return 0; }
+  auto const middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
+  std::nth_element(steps.begin(), middle, steps.end());
+  return *middle;
+}
+
+double median(std::vector<double> values) {
+  if (values.empty()) { return 0; }
+  auto const middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+void stamp_column::add(std::string const& text, int line) {
+  bool const seconds = text.find('.') != std::string::npos;
+  if (values_.empty()) { seconds_ = seconds; }
+  if (seconds != seconds_) {
+    fail_at(path_, line,
+            "time stamp " + trim(text) + (seconds ? " has" : " has no") +
+                " decimal point, unlike those before: seconds or nanoseconds?");
+  }
+  values_.push_back(seconds ? seconds_to_ns(text, path_, line) : nanoseconds(text, path_, line));
+  lines_.push_back(line);
+}
+
+std::vector<std::int64_t> stamp_column::times_ns(std::vector<std::string>& warnings) const {
+  std::int64_t const step = seconds_ ? 0 : median_step(values_);
+  if (step == 0 || step > finest_ns_) { return values_; }
+  struct unit {
+    char const* name;
+    std::int64_t ns;
+  };
+  unit taken{};
+  for (unit const& u : {unit{"microseconds", 1'000}, unit{"milliseconds", 1'000'000},
+                        unit{"seconds", 1'000'000'000}}) {
+    taken = u;
+    if (step > finest_ns_ / u.ns) { break; }
+  }
+  std::vector<std::int64_t> times = values_;
+  for (std::size_t i = 0; i < times.size(); ++i) {
+    if (times[i] > largest / taken.ns) {
+      fail_at(path_, lines_[i],
+              "time stamp " + std::to_string(times[i]) + " is too large for " + taken.name +
+                  ", which the median step of " + std::to_string(step) +
+                  " says they are; at most " + std::to_string(largest / taken.ns));
+    }
+    times[i] *= taken.ns;
+  }
+  warnings.push_back(path_ + ": time stamps were read as " + taken.name +
+                     ": their median step is " + std::to_string(step) +
+                     ", too short for nanoseconds");
+  return times;
+}
+
+std::vector<std::size_t> ordered_lines(std::vector<std::int64_t> const& times, disordered rule,
+                                       std::string const& path, std::string const& what,
+                                       std::vector<std::string>& warnings) {
+  std::vector<std::size_t> kept;
+  std::size_t moved = 0;
+  if (rule == disordered::sorted) {
+    std::vector<std::size_t> all(times.size());
+    std::iota(all.begin(), all.end(), std::size_t{0});
+    std::stable_sort(all.begin(), all.end(),
+                     [&](std::size_t a, std::size_t b) { return times[a] < times[b]; });
+    for (std::size_t const i : all) {
+      if (kept.empty() || times[kept.back()] != times[i]) { kept.push_back(i); }
+    }
+    for (std::size_t i = 1; i < times.size(); ++i) {
+      moved += static_cast<std::size_t>(times[i] < times[i - 1]);
+    }
+  } else {
+    kept = longest_ascending(times);
+  }
+  if (kept.size() < times.size()) {
+    std::vector<bool> taken(times.size());
+    for (std::size_t const i : kept) { taken[i] = true; }
+    auto const first =
+        static_cast<std::size_t>(std::find(taken.begin(), taken.end(), false) - taken.begin());
+    warnings.push_back(path + ": " + lines_text(times.size() - kept.size()) + " of " +
+                       std::to_string(times.size()) + " " + what +
+                       " left out: a time stamp that is there already" +
+                       (rule == disordered::sorted ? "" : ", or before that of an earlier line") +
+                       " (the first is " + std::to_string(times[first]) + " ns)");
+  }
+  if (moved > 0) {
+    warnings.push_back(path + ": " + lines_text(moved) + " of " + std::to_string(times.size()) +
+                       " " + what + " out of order, sorted by time");
+  }
+  return kept;
+}
+
+std::vector<std::pair<std::size_t, std::size_t>> nearest_pairs(std::vector<std::int64_t> const& a,
+                                                               std::vector<std::int64_t> const& b,
+                                                               std::int64_t most_ns) {
+  auto const nearest = [](std::vector<std::int64_t> const& list, std::int64_t time) {
+    auto const after = std::lower_bound(list.begin(), list.end(), time);
+    if (after == list.begin()) { return std::size_t{0}; }
+    bool const later = after != list.end() && *after - time < time - *(after - 1);
+    return static_cast<std::size_t>(after - list.begin()) - (later ? 0 : 1);
+  };
+  std::vector<std::pair<std::size_t, std::size_t>> pairs;
+  for (std::size_t i = 0; i < a.size() && !b.empty(); ++i) {
+    std::size_t const k = nearest(b, a[i]);
+    std::int64_t const distance = a[i] < b[k] ? b[k] - a[i] : a[i] - b[k];
+    if (distance <= most_ns && nearest(a, b[k]) == i) { pairs.emplace_back(i, k); }
+  }
+  return pairs;
+}
+
+std::int64_t smallest_distance(std::vector<std::int64_t> const& a,
+                               std::vector<std::int64_t> const& b) {
+  std::int64_t smallest = largest;
+  for (std::size_t i = 0, k = 0; i < a.size() && k < b.size();) {
+    smallest = std::min(smallest, a[i] < b[k] ? b[k] - a[i] : a[i] - b[k]);
+    (a[i] < b[k] ? i : k) += 1;
+  }
+  return smallest;
+}
+
+std::string milliseconds(std::int64_t ns) { return to_text(1e-6 * static_cast<double>(ns)); }
+
+}  // namespace seq::detail

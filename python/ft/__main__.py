@@ -30,11 +30,14 @@ def count(least, most):
     return parsed
 
 
-def near_depth(text):
-    value = float(text)
-    if not 0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"is {value}, must be above 0 and at most 1e6")
-    return value
+def number(least, most):
+    """A number in a range."""
+    def parsed(text):
+        value = float(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"is {value:g}, must be in [{least:g}, {most:g}]")
+        return value
+    return parsed
 
 
 def parser():
@@ -42,7 +45,7 @@ def parser():
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser(
-        "track", help="tracks a sequence in EuRoC or KITTI layout",
+        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout",
         epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 where "
                "Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
     command.add_argument("folder", nargs="?", metavar="FOLDER")
@@ -52,11 +55,18 @@ def parser():
     command.add_argument("--backend", "--device", default="auto", choices=["auto", "host", "cuda"],
                          help="auto is a GPU if there is one")
     command.add_argument("--threads", type=count(0, 4096), default=0, help="of the host; 0 = all")
-    command.add_argument("--rig", default="auto", choices=["auto", "rectified", "fisheye", "monocular"],
-                         help="auto: fisheye cameras as they are, others rectified")
+    command.add_argument("--rig", default="auto", choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"],
+                         help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one camera, of "
+                              "a pair the left one), rgbd (with depth images), rectified or fisheye (a pair); monocular is mono")
+    command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",
+                         help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 for depth")
+    command.add_argument("--depth-unit", type=number(1e-9, 1e3),
+                         help="metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)")
+    command.add_argument("--min-depth", type=number(0, 1e6), default=0.0, help="metres; smaller depths are taken for none")
+    command.add_argument("--max-depth", type=number(1e-9, float("inf")), help="metres; larger depths are taken for none")
     command.add_argument("--features", type=count(1, 1 << 20), default=0,
                          help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
-    command.add_argument("--near", type=near_depth, help="depth of map points, in baselines; default: the settings file's, or 50")
+    command.add_argument("--near", type=number(1e-6, 1e6), help="depth of map points, in baselines; default: the settings file's, or 50")
     command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
                          help="auto (the default): used if the sequence has one")
     command.add_argument("--out", default="track_sequence_out",
@@ -83,6 +93,10 @@ def main():
         if (arguments.folder is None) == (arguments.sequence is None):
             top.error("one of FOLDER and --sequence names the folder")
         arguments.folder = arguments.folder or arguments.sequence
+        if arguments.max_depth is not None and not arguments.max_depth > arguments.min_depth:
+            top.error(f"argument --max-depth: is {arguments.max_depth:g}, must be above --min-depth, {arguments.min_depth:g}")
+        if arguments.max_depth == float("inf"):
+            arguments.max_depth = None
     try:
         return arguments.run(arguments)
     except (RuntimeError, ValueError) as e:

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded sequences, trajectories and their errors."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import _ft
-from .rigs import FisheyePair, Imu, RectifiedPair, _matrix
+from .rigs import FisheyePair, Imu, MonocularCamera, RectifiedPair, RgbdCamera, _matrix
 
 
 @dataclass
 class Frame:
-    """A stereo pair: images (height, width) uint8, taken at time_ns."""
+    """Images taken at time_ns, a tuple in the order of ft.Odometry.track: left and right of a pair, the one of a single
+    camera, or that and its depth image; (height, width) uint8, depth uint16."""
 
     time_ns: int
-    left: np.ndarray
-    right: np.ndarray
+    images: tuple
+
+    @property
+    def left(self):
+        """That of the left camera, or of the only one."""
+        return self.images[0]
+
+    @property
+    def right(self):
+        """That of the right camera; of a pair."""
+        return self.images[1]
 
 
 def _times(values):
@@ -80,18 +91,26 @@ class Trajectory:
 
 
 class Sequence:
-    """Frames on disk, decoded when they are asked for; fisheye pairs as they are, others rectified. ground_truth is a
-    Trajectory, which is empty, and false, where there is none."""
+    """Frames on disk, decoded when they are asked for; of fisheye cameras as they are, of others rectified. rig: what
+    ft.Odometry takes. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
+    out or looks wrong, a sentence each. files: that of the extension."""
 
-    def __init__(self, files):
-        self.files = files  # of the extension
+    def __init__(self, files, min_depth=0.0, max_depth=None):
+        self.files = files
         rig = files.rig
-        self.baseline = rig["baseline"]
+        self.baseline, self.kind = rig["baseline"], rig["kind"]
         self.width, self.height = rig["width"], rig["height"]
-        if rig["kind"] == "fisheye":
+        left = _ft.KannalaBrandt(rig["left"]) if rig["fisheye"] else _ft.Pinhole(rig["left"][:4])
+        if self.kind == "mono":
+            self.rig = MonocularCamera(left)
+        elif self.kind == "rgbd":
+            self.rig = RgbdCamera(left, rig["baseline"], rig["depth_unit"], min_depth, max_depth)
+        elif rig["fisheye"]:
             self.rig = FisheyePair(rig["left"], rig["right"], rig["T_right_left"])
         else:
-            self.rig = RectifiedPair(rig["left"][:4], rig["baseline"])
+            self.rig = RectifiedPair(left, rig["baseline"])
+        self.left_camera = left
+        self.warnings = list(files.warnings)
         self.name, self.layout, self.settings, self.has_body_frame = files.name, files.layout, files.settings, files.has_body_frame
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
@@ -112,10 +131,22 @@ class Sequence:
         return (self[i] for i in range(len(self)))
 
 
-def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False):
-    """Opens a folder in EuRoC (ASL) or KITTI odometry layout. calibration: a file or folder in place of the sequence's
-    own. max_frames: 0 = all. imu: also reads mav0/imu0. Raises RuntimeError that names the file and what is wrong."""
-    return Sequence(_ft.SequenceFiles.open(str(folder), str(calibration), keep_fisheye, max_frames, imu))
+def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False, rig="auto", depth_unit=None,
+                  min_depth=0.0, max_depth=None, max_time_difference_ns=None):
+    """Opens a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM RGB-D.
+
+    calibration: a file or folder in place of the sequence's own. max_frames: 0 = all. imu: also reads mav0/imu0. rig: auto
+    (what the folder holds), stereo, mono (the left camera alone) or rgbd. depth_unit: metres per unit of depth images; None
+    = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
+    stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
+    looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
+    sequence = Sequence(_ft.SequenceFiles.open(str(folder), {
+        "calibration": str(calibration), "keep_fisheye": bool(keep_fisheye), "max_frames": max_frames, "imu": bool(imu),
+        "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
+    }), min_depth, max_depth)
+    for text in sequence.warnings:
+        warnings.warn(text, stacklevel=2)
+    return sequence
 
 
 def read_tum(file):

@@ -4,6 +4,7 @@
 import signal
 import sys
 import time
+import warnings
 
 import numpy as np
 
@@ -15,21 +16,29 @@ MOST_CLOUD_POINTS = 8000
 SAMPLES = 6  # frames that are drawn in the report
 
 
-def open_sequence(arguments):
-    sequence = ft.read_sequence(arguments.folder, calibration=arguments.calibration, keep_fisheye=arguments.rig != "rectified",
-                                max_frames=arguments.frames, imu=arguments.imu == "auto")
-    if arguments.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
-        raise ValueError(f"--rig fisheye: the cameras of {arguments.folder} are not a pair of Kannala-Brandt cameras")
-    if arguments.frame == "body" and arguments.rig == "monocular":
-        raise ValueError("--frame body: with --rig monocular the scale may be unknown, and then so are the poses of the body")
-    if arguments.frame == "body" and not sequence.has_body_frame:
-        raise ValueError(f"--frame body: the calibration of {arguments.folder} does not say where the body is")
+RIGS = {"auto": "auto", "stereo": "stereo", "rectified": "stereo", "fisheye": "stereo", "mono": "mono", "monocular": "mono",
+        "rgbd": "rgbd"}
+
+
+def open_sequence(a):
+    apart = None if a.max_time_difference is None else round(1e6 * a.max_time_difference)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they are printed
+        sequence = ft.read_sequence(a.folder, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
+                                    imu=a.imu == "auto", rig=RIGS[a.rig], depth_unit=a.depth_unit, min_depth=a.min_depth,
+                                    max_depth=a.max_depth, max_time_difference_ns=apart)
+    for text in sequence.warnings:
+        print(f"ft: warning: {text}", file=sys.stderr)
+    if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
+        raise ValueError(f"--rig fisheye: the cameras of {a.folder} are not a pair of Kannala-Brandt cameras")
+    if a.frame == "body" and sequence.kind == "mono":
+        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of the "
+                         "body")
+    if a.frame == "body" and not sequence.has_body_frame:
+        raise ValueError(f"--frame body: the calibration of {a.folder} does not say where the body is")
+    if sequence.kind != "rgbd" and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
+        raise ValueError(f"--depth-unit, --min-depth, --max-depth: no depth images of {a.folder} are used")
     return sequence
-
-
-def left_camera(rig):
-    """The left camera: ft.Pinhole or ft.KannalaBrandt."""
-    return ft.KannalaBrandt(rig.left) if isinstance(rig, ft.FisheyePair) else ft.Pinhole(rig.camera)
 
 
 def make_odometry(arguments, sequence, measure_stages):
@@ -40,8 +49,7 @@ def make_odometry(arguments, sequence, measure_stages):
         settings["features"] = arguments.features
     if arguments.near is not None:
         settings["near_depth"] = arguments.near
-    rig = ft.MonocularCamera(left_camera(sequence.rig)) if arguments.rig == "monocular" else sequence.rig
-    odometry = ft.Odometry(rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
+    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
                            threads=arguments.threads, measure_stages=measure_stages,
                            map_slots=max(1 << 14, 8 * settings["features"]), **settings)
     return odometry, settings
@@ -86,7 +94,7 @@ class Run:
 
     def __init__(self, arguments, sequence, odometry, viewer):
         self._arguments, self._sequence, self._odometry, self._viewer = arguments, sequence, odometry, viewer
-        self._camera = left_camera(sequence.rig)
+        self._camera = sequence.left_camera
         self._samples_due = {(2 * k + 1) * len(sequence) // (2 * SAMPLES) for k in range(SAMPLES)}
         if len(sequence) <= SAMPLES:
             self._samples_due = set(range(len(sequence)))
@@ -95,7 +103,7 @@ class Run:
         self._cloud, self._cloud_step = np.zeros((0, 3), np.float32), 1
         self._stage_names = []
         self.records, self.poses, self.samples = [], [], []
-        self.metric = arguments.rig != "monocular"
+        self.metric = sequence.kind != "mono"
         self.stopped_at, self.stopped_by = None, ""
         self.last = None
 
@@ -120,9 +128,8 @@ class Run:
             self._odometry.add_imu(*sample)
             if sample[0] >= frame.time_ns:
                 break
-        images = [frame.left] if self._arguments.rig == "monocular" else [frame.left, frame.right]
         begin = time.perf_counter()
-        pose = self._odometry.track(*images, frame.time_ns)
+        pose = self._odometry.track(*frame.images, frame.time_ns)
         total = 1e3 * (time.perf_counter() - begin)
         guessed = pose.keyframe and pose.inliers == 0 and pose.maps > 1  # the first frame of a later map
         tracked = pose.tracked and not guessed
@@ -182,7 +189,8 @@ class Run:
         a, sequence, last = self._arguments, self._sequence, self.last
         stages = self._stage_names if a.timing else []
         made = self._odometry.map()
-        rig = "monocular" if a.rig == "monocular" else "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified"
+        rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
+                                                        "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
         trajectory = ft.Trajectory.of(self.poses)
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
@@ -193,7 +201,7 @@ class Run:
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
-            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "with_imu": sequence.imu is not None,
+            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd", "with_imu": sequence.imu is not None,
             "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
@@ -210,7 +218,7 @@ def viewer_of(arguments, sequence):
         return None
     from . import view
 
-    return view.Viewer(view.open_rerun(arguments.record), left_camera(sequence.rig), sequence.width, sequence.height,
+    return view.Viewer(view.open_rerun(arguments.record), sequence.left_camera, sequence.width, sequence.height,
                        sequence.ground_truth, sequence.ground_truth_has_orientation)
 
 
@@ -224,8 +232,15 @@ def track(arguments):
     viewer = viewer_of(arguments, sequence)
     _ft.make_output_folder(arguments.out)
     odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)
-    baseline = "of which the left images are used" if arguments.rig == "monocular" else f"baseline {sequence.baseline:g} m"
-    print(f"sequence  {sequence.name}, {len(sequence)} stereo pairs of {sequence.width}x{sequence.height}, {baseline}")
+    what, more = {"mono": ("images of one camera,", ""), "rgbd": ("images with depth images of", "")}.get(
+        sequence.kind, ("stereo pairs of", f", baseline {sequence.baseline:g} m"))
+    print(f"sequence  {sequence.name}, {len(sequence)} {what} {sequence.width}x{sequence.height}{more}")
+    if sequence.kind == "rgbd":
+        most = float("inf") if arguments.max_depth is None else arguments.max_depth
+        print(f"depth     {sequence.rig.depth_scale:g} m a unit, {sequence.files.depth_unit_from}; taken from "
+              f"{arguments.min_depth:g} to {most:g} m")
+    if sequence.imu is not None:
+        print(f"imu       {len(sequence.imu_samples)} samples, {sequence.imu.rate_hz:g} Hz")
     print(f"backend   {backend_of(arguments.backend)}", flush=True)
     signal.signal(signal.SIGTERM, end_as_ctrl_c)
     run = Run(arguments, sequence, odometry, viewer)
@@ -237,8 +252,8 @@ def track(arguments):
         print(f"ft: stopped at frame {run.stopped_at}: {run.stopped_by}", file=sys.stderr)
         return 3
     if not any(record[2] for record in run.records):
-        why = "the camera does not move enough, or too few corners are seen" if arguments.rig == "monocular" else \
-            "too few corners are seen by both cameras"
+        why = {"mono": "the camera does not move enough, or too few corners are seen", "rgbd": "too few corners have a depth"}.get(
+            sequence.kind, "too few corners are seen by both cameras")
         print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']})", file=sys.stderr)
         return 1
     return 0

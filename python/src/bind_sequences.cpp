@@ -20,14 +20,36 @@ nb::object array_of(seq::image image) {
   return to_numpy(std::move(image.pixels), {h, w});
 }
 
+char const* kind_of(seq::sequence const& s) {
+  switch (s.kind()) {
+    case seq::camera_kind::mono:
+      return "mono";
+    case seq::camera_kind::rgbd:
+      return "rgbd";
+    default:
+      return "stereo";
+  }
+}
+
+/// @param name auto, stereo, mono or rgbd
+seq::camera_kind kind_named(std::string const& name) {
+  if (name == "auto") { return seq::camera_kind::any; }
+  if (name == "stereo") { return seq::camera_kind::stereo; }
+  if (name == "mono") { return seq::camera_kind::mono; }
+  if (name == "rgbd") { return seq::camera_kind::rgbd; }
+  throw argument_error("rig is '" + name + "', must be auto, stereo, mono or rgbd");
+}
+
 nb::dict rig_dict(seq::sequence const& s) {
   seq::stereo_rig const& r = s.rig();
   nb::dict d;
-  d["kind"] = s.fisheye() ? "fisheye" : "rectified";
+  d["kind"] = kind_of(s);
+  d["fisheye"] = s.fisheye();
   d["left"] = values_of(r.left);
   d["right"] = values_of(r.right);
   d["T_right_left"] = to_numpy(plain(r.T_left_right.inverse()));
   d["baseline"] = r.baseline();
+  d["depth_unit"] = s.depth_unit();
   d["width"] = r.left.width;
   d["height"] = r.left.height;
   return d;
@@ -73,6 +95,45 @@ nb::object imu_dict(seq::sequence const& s) {
   return d;
 }
 
+/// @param options a dict of ft.read_sequence
+seq::sequence opened(std::string const& folder, nb::dict const& options) {
+  seq::open_options o;
+  o.calibration = nb::cast<std::string>(options["calibration"]);
+  o.keep_fisheye = nb::cast<bool>(options["keep_fisheye"]);
+  o.max_frames = whole(options["max_frames"], "max_frames", 0);
+  o.read_imu = nb::cast<bool>(options["imu"]);
+  o.rig = kind_named(nb::cast<std::string>(options["rig"]));
+  nb::object const apart = options["max_time_difference_ns"];
+  if (!apart.is_none()) {
+    o.max_time_difference_ns = nanoseconds(apart, "max_time_difference_ns");
+    if (*o.max_time_difference_ns < 0) {
+      throw argument_error("max_time_difference_ns is " + text_of(apart) + ", must be at least 0");
+    }
+  }
+  nb::object const unit = options["depth_unit"];
+  if (!unit.is_none()) {
+    o.depth_unit = number(unit, "depth_unit");
+    if (!(o.depth_unit >= 1e-9 && o.depth_unit <= 1e3)) {
+      throw argument_error("depth_unit is " + text_of(unit) +
+                           ", must be in [1e-09, 1000] metres per unit");
+    }
+  }
+  nb::gil_scoped_release const released;
+  return seq::sequence::open(folder, o);
+}
+
+/// The images of a frame: left and right, one, or one and its depths.
+nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
+  nb::object const left = array_of(std::move(f.left));
+  if (s.kind() == seq::camera_kind::mono) { return nb::make_tuple(left); }
+  if (s.kind() == seq::camera_kind::stereo) {
+    return nb::make_tuple(left, array_of(std::move(f.right)));
+  }
+  auto const h = static_cast<std::size_t>(f.depth.height);
+  auto const w = static_cast<std::size_t>(f.depth.width);
+  return nb::make_tuple(left, to_numpy(std::move(f.depth.pixels), {h, w}));
+}
+
 nb::dict errors_of(seq::trajectory_error const& e) {
   auto const number = [](std::optional<double> const& v) -> nb::object {
     return v ? nb::object(nb::float_(*v)) : nb::object(nb::none());
@@ -92,20 +153,13 @@ nb::dict errors_of(seq::trajectory_error const& e) {
 
 void bind_sequences(nb::module_& m) {
   nb::class_<seq::sequence>(m, "SequenceFiles", "See ft.read_sequence.")
-      .def_static(
-          "open",
-          [](std::string const& folder, std::string const& calibration, bool keep_fisheye,
-             nb::handle max_frames, bool imu) {
-            int const most = whole(max_frames, "max_frames", 0);
-            nb::gil_scoped_release const released;
-            return seq::sequence::open(folder, {calibration, keep_fisheye, most, imu});
-          },
-          nb::arg("folder"), nb::arg("calibration"), nb::arg("keep_fisheye"),
-          nb::arg("max_frames").none(), nb::arg("imu"))
+      .def_static("open", opened, nb::arg("folder"), nb::arg("options"))
       .def("__len__", &seq::sequence::size)
       .def_prop_ro("name", &seq::sequence::name)
       .def_prop_ro("layout", &seq::sequence::layout)
       .def_prop_ro("rig", rig_dict)
+      .def_prop_ro("warnings", &seq::sequence::warnings)
+      .def_prop_ro("depth_unit_from", &seq::sequence::depth_unit_from)
       .def_prop_ro("settings", settings_dict)
       .def_prop_ro("has_body_frame", &seq::sequence::has_body_frame)
       .def_prop_ro("imu", imu_dict)
@@ -121,8 +175,8 @@ void bind_sequences(nb::module_& m) {
               nb::gil_scoped_release const released;
               f = s.load(i);
             }
-            return nb::make_tuple(f.time_ns, array_of(std::move(f.left)),
-                                  array_of(std::move(f.right)));
+            std::int64_t const time_ns = f.time_ns;
+            return nb::make_tuple(time_ns, images_of(s, std::move(f)));
           },
           nb::arg("i"));
   m.def(

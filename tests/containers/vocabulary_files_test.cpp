@@ -276,6 +276,55 @@ TEST(VocabularyFile, SaysWhatIsWrong) {
   EXPECT_THROW(ft::save_vocabulary(closed, ft::vocabulary_view{}), ft::bad_argument);
 }
 
+/// A stream that says whether more is asked for than it was given.
+class counted : public std::streambuf {
+public:
+  explicit counted(std::string bytes, char then) : bytes_(std::move(bytes)), then_(then) {}
+  std::size_t given = 0;
+
+private:
+  int_type underflow() override {  // one at a time, without end
+    byte_ = given < bytes_.size() ? bytes_[given] : then_;
+    ++given;
+    setg(&byte_, &byte_, &byte_ + 1);
+    return traits_type::to_int_type(byte_);
+  }
+  std::string bytes_;
+  char then_;
+  char byte_ = 0;
+};
+
+TEST(VocabularyFile, NoMoreIsReadThanItsHeadSays) {
+  std::string const file =
+      file_of(ft::make_vocabulary(test::drawn_vocabulary(3, 2).arrays()).view());
+  counted twice(file, 'x');
+  std::istream from(&twice);
+  EXPECT_EQ(ft::load_vocabulary(from)->nodes, 13);
+  EXPECT_EQ(twice.given, file.size());
+  counted other(std::string(16, '?'), 'x');
+  std::istream strange(&other);
+  EXPECT_THROW(ft::load_vocabulary(strange), ft::error);
+  EXPECT_EQ(other.given, 44u) << "its head";
+  counted text("10 6 0 7\n", '1');
+  std::istream of_text(&text);
+  EXPECT_THROW(ft::read_vocabulary_text(of_text), ft::error);
+  EXPECT_EQ(text.given, 9u) << "its first line";
+  counted endless("", '1');
+  std::istream of_ones(&endless);
+  EXPECT_THROW(ft::read_vocabulary_text(of_ones), ft::error);
+  EXPECT_LT(endless.given, 1000u);
+}
+
+TEST(VocabularyFile, MemoryGrowsWithWhatComesNotWithWhatTheHeadSays) {
+  std::string file = file_of(ft::make_vocabulary(test::drawn_vocabulary(3, 2).arrays()).view());
+  std::int32_t const most = 2147483647;
+  std::memcpy(&file[40], &most, sizeof most);  // 105 GB
+  EXPECT_NE(refusal(load, file).find("must be 105226698711"), std::string::npos);
+  one_way pipe(file);
+  std::istream from(&pipe);
+  EXPECT_THROW(ft::load_vocabulary(from), ft::error);
+}
+
 /// A file whose checksum fits, of a vocabulary whose arrays are changed.
 template <typename Change>
 std::string said_of(Change const& change) {

@@ -19,12 +19,12 @@
 #include <string>
 #include <vector>
 
-#include "ft/containers/detail/read_stream.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/detail/read_stream.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
 
@@ -80,6 +80,11 @@ struct vocabulary_file_head {
 };
 static_assert(sizeof(vocabulary_file_head) == 44, "without padding");
 inline constexpr std::size_t vocabulary_node_bytes = 1 + 4 + 4 + 8 + sizeof(descriptor);
+
+inline vocabulary_header header_of(vocabulary_file_head const& head) {
+  return {head.branching, head.levels, static_cast<word_scoring>(head.scoring),
+          static_cast<word_weighting>(head.weighting)};
+}
 
 /// Fills in the children of a breadth-first order from their numbers.
 /// @throws error unless they make one tree within the header's limits
@@ -145,35 +150,43 @@ struct checked_reader {
   }
 };
 
-/// @throws error unless a head is that of a file of this size
-inline void check_vocabulary_head(vocabulary_file_head const& head, std::size_t size) {
+/// Reads a head, and refuses it before anything of what it says is allocated.
+/// @throws error; bad_argument for numbers out of range
+inline vocabulary_file_head read_vocabulary_head(std::istream& from) {
   vocabulary_file_head const ours;
-  if (size < sizeof head || std::memcmp(head.magic, ours.magic, sizeof ours.magic) != 0) {
+  vocabulary_file_head head;
+  from.read(reinterpret_cast<char*>(&head), sizeof head);
+  if (static_cast<std::size_t>(from.gcount()) != sizeof head ||
+      std::memcmp(head.magic, ours.magic, sizeof ours.magic) != 0) {
     throw error("ft: this is not a vocabulary file");
   }
   if (head.version != ours.version || head.order != ours.order) {
     throw error("ft: the vocabulary file has another version or byte order");
   }
-  std::size_t const tail = sizeof head + sizeof(std::uint64_t);
-  if (head.nodes < 1 || size < tail ||
-      size - tail != checked_mul(static_cast<std::size_t>(head.nodes), vocabulary_node_bytes)) {
-    throw error("ft: the vocabulary file is truncated, or has bytes after its end");
+  header_of(head).check();
+  if (head.nodes < 1) {
+    throw error("ft: the vocabulary file has " + std::to_string(head.nodes) +
+                " nodes, is damaged or truncated");
   }
+  return head;
 }
 
-/// @param size bytes from here to the end
-inline vocabulary<memory_space::host> load_sized_vocabulary(std::istream& from, std::size_t size) {
+/// @throws error unless as many bytes as a head says follow it
+inline void require_vocabulary_bytes(std::size_t there, std::size_t wanted) {
+  if (there == wanted) { return; }
+  throw error("ft: the vocabulary file is truncated, or has bytes after its end: " +
+              std::to_string(there) + " bytes follow its head, must be " + std::to_string(wanted));
+}
+
+/// Reads what follows a head.
+inline vocabulary<memory_space::host> load_vocabulary_arrays(vocabulary_file_head const& head,
+                                                             std::istream& from) {
   checked_reader in{from, {}};
-  vocabulary_file_head head;
-  in.read(&head, min_of(size, sizeof head));
-  check_vocabulary_head(head, size);
+  in.sum.add(&head, sizeof head);
   std::vector<unsigned char> counts(static_cast<std::size_t>(head.nodes));
   in.read(counts.data(), counts.size());
   auto const words = std::count(counts.begin() + 1, counts.end(), 0);
-  vocabulary<memory_space::host> made(
-      {head.branching, head.levels, static_cast<word_scoring>(head.scoring),
-       static_cast<word_weighting>(head.weighting)},
-      head.nodes, static_cast<int>(words));
+  vocabulary<memory_space::host> made(header_of(head), head.nodes, static_cast<int>(words));
   vocabulary_view const& v = made.view();
   auto const read = [&](auto* to) { in.read(to, counts.size() * sizeof *to); };
   read(v.node);
@@ -224,16 +237,25 @@ inline void save_vocabulary(std::ostream& to, vocabulary_view const& v) {
   if (!to) { throw error("ft: the vocabulary could not be written"); }
 }
 
-/// Reads the binary form, to the end of the stream. For set-up: allocates.
-/// @throws error for a file that is truncated, damaged, of another version, or no vocabulary;
-///   bad_argument for a header out of range; std::bad_alloc
+/// Reads the binary form: as many bytes as its head says. For set-up: allocates.
+/// @throws error for a file that is truncated, damaged, of another version, or no vocabulary, or
+/// for
+///   bytes after its end in a stream that can be positioned; bad_argument for a header out of
+///   range; std::bad_alloc
 inline vocabulary<memory_space::host> load_vocabulary(std::istream& from) {
-  detail::require_readable(from);
-  std::size_t const size = detail::bytes_left(from);
-  if (size > 0) { return detail::load_sized_vocabulary(from, size); }
-  detail::file_bytes const file = detail::read_all(from);
+  if (!from) { throw error("ft: the vocabulary cannot be read from this stream"); }
+  auto const head = detail::read_vocabulary_head(from);
+  std::size_t const wanted =
+      sizeof(std::uint64_t) +
+      detail::checked_mul(static_cast<std::size_t>(head.nodes), detail::vocabulary_node_bytes);
+  if (std::size_t const left = detail::bytes_left(from)) {
+    detail::require_vocabulary_bytes(left, wanted);
+    return detail::load_vocabulary_arrays(head, from);
+  }
+  detail::file_bytes const file = detail::read_up_to(from, wanted);
+  detail::require_vocabulary_bytes(file.size, wanted);
   std::istringstream copy(std::string(file.data.get(), file.size));
-  return detail::load_sized_vocabulary(copy, file.size);
+  return detail::load_vocabulary_arrays(head, copy);
 }
 
 }  // namespace FT_ABI

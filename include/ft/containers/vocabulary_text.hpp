@@ -17,11 +17,11 @@
 #include <system_error>
 #include <vector>
 
-#include "ft/containers/detail/read_stream.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/detail/read_stream.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
 
@@ -33,7 +33,9 @@ namespace detail {
 /// Reads the numbers of a text line by line.
 class number_lines {
 public:
-  number_lines(char const* begin, char const* end) : at_(begin), end_(end) {}
+  /// @param line number of the first one
+  number_lines(char const* begin, char const* end, int line = 1)
+      : at_(begin), end_(end), line_(line) {}
 
   /// Goes to the next line that is not blank. @return false at the end
   bool next() {
@@ -78,10 +80,11 @@ public:
     if (at_ != end_ && *at_ != '\n') { refuse(at_, "the end of the line"); }
   }
 
-private:
   static bool is_space(char c) {
     return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f';
   }
+
+private:
   bool at_space() const { return at_ == end_ || *at_ == '\n' || is_space(*at_); }
   void skip_spaces() {
     while (at_ != end_ && is_space(*at_)) { ++at_; }
@@ -105,7 +108,7 @@ private:
 
   char const* at_;
   char const* end_;
-  int line_ = 1;
+  int line_;
 };
 
 /// A vocabulary's arrays, filled line by line.
@@ -117,6 +120,28 @@ struct vocabulary_lines {
   std::vector<int> word{-1};
   int words = 0;
 
+  /// Reads the first line that is not blank, at most, and refuses it before the rest is read.
+  /// @return number of the next line
+  int read_header(std::istream& from) {
+    constexpr std::size_t longest = 256;
+    std::string text;
+    int line = 1;
+    for (int c = from.get(); c != std::istream::traits_type::eof(); c = from.get()) {
+      if (c == '\n' && !text.empty()) { break; }
+      line += static_cast<int>(c == '\n');
+      bool const blank = c == '\n' || number_lines::is_space(static_cast<char>(c));
+      if (!blank || !text.empty()) { text += static_cast<char>(c); }
+      if (text.size() > longest) {
+        throw error("ft: line " + std::to_string(line) +
+                    " of the vocabulary, with its branching, has more than " +
+                    std::to_string(longest) + " characters");
+      }
+    }
+    if (text.empty()) { throw error("ft: the vocabulary's text is empty"); }
+    number_lines in(text.data(), text.data() + text.size(), line);
+    read_header(in);
+    return line + 1;
+  }
   void read_header(number_lines& in) {
     header.branching = in.integer("the branching", 0, max_branching);
     header.levels = in.integer("the levels", 1, max_vocabulary_levels);
@@ -153,13 +178,14 @@ struct vocabulary_lines {
 /// @throws error naming the line, for what is not such a file; bad_argument for a tree that
 ///   make_vocabulary() refuses; std::bad_alloc
 inline vocabulary<memory_space::host> read_vocabulary_text(std::istream& from) {
-  detail::require_readable(from);
+  if (!from) { throw error("ft: the vocabulary cannot be read from this stream"); }
   detail::vocabulary_lines lines;
+  int const second = lines.read_header(from);
   {
-    detail::file_bytes const file = detail::read_all(from);
-    detail::number_lines in(file.data.get(), file.data.get() + file.size);
-    if (!in.next()) { throw error("ft: the vocabulary's text is empty"); }
-    lines.read_header(in);
+    detail::file_bytes const file = detail::read_up_to(
+        from, static_cast<std::size_t>(std::numeric_limits<std::streamsize>::max()));
+    if (from.bad()) { throw error("ft: the vocabulary cannot be read from this stream"); }
+    detail::number_lines in(file.data.get(), file.data.get() + file.size, second);
     while (in.next()) { lines.read_node(in); }
   }
   return make_vocabulary(lines.arrays());

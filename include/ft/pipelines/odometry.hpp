@@ -18,6 +18,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/stage_clock.hpp"
+#include "ft/pipelines/detail/map_origin.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
@@ -227,17 +228,21 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
                     "the camera has no map to be saved");
-    detail::save_odometry_map(p.exec, p.stages.own.map, b, p.stages.geometry().levels, to);
+    detail::save_odometry_map(p.exec, p.stages.own.map, b, origin(), to);
   }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. Any time stamp may follow.
-  /// What was known about an IMU is forgotten. Waits, and allocates.
-  /// @throws error, with nothing changed, for a file that is truncated, damaged, or was written
-  ///   with other capacities; bad_argument for a pair that does not exist
+  /// What was known about an IMU is forgotten. Reads no more of the stream than the file's head
+  /// says. Waits, and allocates.
+  /// @throws error, with nothing changed, for a file that is truncated or damaged, has numbers out
+  ///   of range or, where the stream can be positioned, bytes after its end, and naming what
+  ///   differs for one that was made with another rig, image size, pyramid or capacity, or by
+  ///   another version of the format; bad_argument for a pair that does not exist
   void load_map(std::istream& from, int b = 0) {
     parts& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
-    detail::load_odometry_map(p.exec, p.stages.own.map, b, p.stages.geometry().levels, from);
+    detail::load_odometry_map(p.exec, p.stages.own.map, b, origin(), p.stages.geometry().levels,
+                              from);
     auto const i = static_cast<std::size_t>(b);
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
@@ -277,6 +282,9 @@ private:
     detail::require(made().prefetch != nullptr,
                     "the odometry was made without odometry_params::prefetch");
     return *parts_;
+  }
+  detail::map_origin origin() const {
+    return {made().rig, made().stages.settings.orb, made().stages.own.map};
   }
   void require_single() const {
     detail::require(made().stages.batch == 1,

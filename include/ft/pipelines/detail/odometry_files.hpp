@@ -1,31 +1,32 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The map of a camera as a file.
 ///
-/// Version 1, little-endian, without padding:
+/// Version 2, little-endian, without padding:
 /// - 16 bytes "ft odometry map" and 0; uint32 version; uint32 0x01020304;
-/// - int32 slots, words of a mask, keyframe positions, searched cameras, keypoints of an image,
-///   pyramid levels; uint64 bytes of the arrays;
-/// - the arrays in the order of each_array(), of one camera pair;
+/// - uint64 bytes of the text, uint64 bytes of the arrays;
+/// - the text of map_origin: rig, image size, settings and capacities;
+/// - the arrays in the order of each_array(), of one camera pair, what is not in use cleared;
 /// - uint64 FNV-1a hash of all bytes before it (Fowler, Noll, Vo).
 ///
-/// A file fits an odometry with the same six numbers.
+/// A file fits an odometry with the same text. Version 1 had capacities alone.
 #pragma once
 
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
 #include <istream>
-#include <iterator>
 #include <ostream>
 #include <string>
 #include <vector>
 
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/detail/read_stream.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/pipelines/detail/map_checks.hpp"
+#include "ft/pipelines/detail/map_origin.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -64,125 +65,164 @@ void each_array(odometry_map_view const& map, int b, Visit const& visit) {
   for (int* const column : holders) { visit(column + k.at(b, 0, 0), numbers); }
 }
 
-inline std::uint64_t fnv1a(unsigned char const* data, std::size_t bytes) {
-  std::uint64_t hash = 0xcbf29ce484222325u;
-  for (std::size_t i = 0; i < bytes; ++i) { hash = (hash ^ data[i]) * 0x100000001b3u; }
+/// Bytes of the arrays of a batch entry.
+inline std::uint64_t array_bytes_of(odometry_map_view const& map) {
+  std::uint64_t sum = 0;
+  each_array(map, 0, [&](auto* data, std::size_t n) { sum += n * sizeof *data; });
+  return sum;
+}
+
+inline constexpr std::uint64_t fnv1a_start = 0xcbf29ce484222325u;
+inline std::uint64_t fnv1a(void const* data, std::size_t bytes, std::uint64_t hash) {
+  auto const* const from = static_cast<unsigned char const*>(data);
+  for (std::size_t i = 0; i < bytes; ++i) { hash = (hash ^ from[i]) * 0x100000001b3u; }
   return hash;
 }
 
-/// The bytes before the arrays.
-inline std::vector<unsigned char> map_file_head(odometry_map_view const& map, int levels) {
-  std::uint64_t bytes = 0;
-  each_array(map, 0, [&](auto* data, std::size_t n) { bytes += n * sizeof *data; });
-  std::vector<unsigned char> head;
-  auto const put = [&](auto const& value) {
-    auto const* const from = reinterpret_cast<unsigned char const*>(&value);
-    head.insert(head.end(), from, from + sizeof value);
-  };
-  put("ft odometry map");
-  put(std::uint32_t{1});
-  put(std::uint32_t{0x01020304});
-  keyframes_view const& k = map.keyframes;
-  put(map.records.slots);
-  put(map.records.words);
-  put(k.positions);
-  put(k.cameras);
-  put(k.capacity);
-  put(levels);
-  put(bytes);
-  return head;
-}
+struct map_file_head {
+  char magic[16] = "ft odometry map";
+  std::uint32_t version = 2;
+  std::uint32_t order = 0x01020304;
+  std::uint64_t text_bytes = 0, array_bytes = 0;
+};
+static_assert(sizeof(map_file_head) == 40, "without padding");
+inline constexpr std::size_t version_end = 24;  ///< bytes up to what each version has
+
+/// Batch entry b of a map, in host memory.
+template <typename Exec>
+class host_map {
+public:
+  explicit host_map(odometry_map_view const& of)
+      : memory_([&](carver& c) {
+          carve(c, view_,
+                {of.records.slots,
+                 {of.keyframes.positions, of.keyframes.cameras, of.keyframes.capacity}},
+                1);
+        }) {}
+  odometry_map_view const& view() const { return view_; }
+  void download(Exec const& exec, odometry_map_view const& map, int b) const {
+    copy_all(exec, map, b, view_, 0);
+  }
+  void upload(Exec const& exec, odometry_map_view const& map, int b) const {
+    copy_all(exec, view_, 0, map, b);
+  }
+
+private:
+  static void copy_all(Exec const& exec, odometry_map_view const& from, int of,
+                       odometry_map_view const& to, int b) {
+    std::vector<void const*> arrays;
+    each_array(from, of, [&](auto* data, std::size_t) { arrays.push_back(data); });
+    std::size_t next = 0;
+    each_array(to, b, [&](auto* data, std::size_t n) {
+      copy_bytes(exec, data, arrays[next++], n * sizeof *data);
+    });
+    exec.wait();
+  }
+
+  odometry_map_view view_;  // the memory's constructor writes it
+  arena<staging_space<Exec>> memory_;
+};
 
 /// @throws error if the stream cannot be written; std::bad_alloc, cuda_error
 template <typename Exec>
-void save_odometry_map(Exec const& exec, odometry_map_view const& map, int b, int levels,
-                       std::ostream& to) {
-  std::vector<unsigned char> file = map_file_head(map, levels);
-  each_array(map, b, [&](auto* data, std::size_t n) {
-    auto const values = downloaded(exec, data, n);
-    auto const* const from = reinterpret_cast<unsigned char const*>(values.data());
-    file.insert(file.end(), from, from + n * sizeof *data);
-  });
-  std::uint64_t const hash = fnv1a(file.data(), file.size());
-  auto const size = static_cast<std::streamsize>(file.size());
-  to.write(reinterpret_cast<char const*>(file.data()), size);
-  to.write(reinterpret_cast<char const*>(&hash), sizeof hash);
+void save_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
+                       map_origin const& origin, std::ostream& to) {
+  host_map<Exec> const host(map);
+  host.download(exec, map, b);
+  clear_unused(host.view());
+  std::uint64_t hash = fnv1a_start;
+  auto const put = [&](void const* data, std::size_t bytes) {
+    hash = fnv1a(data, bytes, hash);
+    to.write(static_cast<char const*>(data), static_cast<std::streamsize>(bytes));
+  };
+  map_file_head head;
+  head.text_bytes = origin.text().size();
+  head.array_bytes = array_bytes_of(map);
+  put(&head, sizeof head);
+  put(origin.text().data(), origin.text().size());
+  each_array(host.view(), 0, [&](auto* data, std::size_t n) { put(data, n * sizeof *data); });
+  std::uint64_t const sum = hash;
+  put(&sum, sizeof sum);
   to.flush();
   if (!to) { throw error("ft: the map could not be written"); }
 }
 
-/// Refuses arrays that stages would follow out of bounds.
-/// @param host views whose arrays are in host memory, batch entry 0
-inline void check_loaded_map(odometry_map_view const& host, int levels) {
-  keyframes_view const& k = host.keyframes;
-  point_records_view const& r = host.records;
-  bool good = *r.alive >= 0 && *r.alive <= r.slots && *r.used >= 0 && *r.used <= r.slots &&
-              *r.made >= 0 && *k.count >= 0 && *k.count <= k.positions && *k.made >= *k.count;
-  for (int i = 0; i < k.positions * k.cameras; ++i) {
-    bool const used = i / k.cameras < *k.made;
-    good = good && (!used || (k.keypoints[i] >= 0 && k.keypoints[i] <= k.capacity));
-  }
-  for (int n = good ? *k.made - *k.count + 1 : 1; good && n <= *k.made; ++n) {
-    int const p = k.position(n);
-    for (double const v : k.T_cw[p].R.m) { good = good && std::isfinite(v); }
-    good = good && std::isfinite(k.T_cw[p].t.x + k.T_cw[p].t.y + k.T_cw[p].t.z);
-    good = good && k.neighbour[p] >= 0 && k.neighbour[p] <= *k.made;
-    for (int c = 0; c < k.cameras; ++c) {
-      for (int i = 0; i < k.keypoints[p * k.cameras + c]; ++i) {
-        auto const at = static_cast<std::size_t>(k.at(0, p, c * k.capacity + i));
-        good = good && k.holder[at] >= -1 && k.holder[at] < r.slots && k.octave[at] >= 0 &&
-               k.octave[at] < levels;
-      }
+/// Reads the parts of a map file, and no more of the stream.
+class map_file_reader {
+public:
+  explicit map_file_reader(std::istream& from) : from_(from) {}
+
+  /// @throws error for what is no map, is of another version, or has another origin
+  void read_head(map_origin const& origin, std::uint64_t array_bytes) {
+    map_file_head const ours;
+    map_file_head head;
+    auto* const bytes = reinterpret_cast<char*>(&head);
+    if (!take(bytes, version_end) || std::memcmp(bytes, &ours, sizeof ours.magic) != 0) {
+      throw error("ft: this is not a map of an odometry");
+    }
+    if (head.order != ours.order) {
+      throw error("ft: the map file was written with another byte order");
+    }
+    if (head.version != ours.version) {
+      throw error("ft: the map file has version " + std::to_string(head.version) +
+                  ", this ft reads version " + std::to_string(ours.version) +
+                  ": the map has to be made anew");
+    }
+    read(bytes + version_end, sizeof head - version_end);
+    constexpr std::uint64_t most_text = 1 << 16;
+    require_saved("bytes of text", head.text_bytes, std::uint64_t{0}, most_text);
+    std::string text(static_cast<std::size_t>(head.text_bytes), '\0');
+    read(text.data(), text.size());
+    origin.require_same(text);
+    require_saved("bytes of arrays", head.array_bytes, array_bytes, array_bytes);
+    std::uint64_t const wanted = array_bytes + sizeof hash_;
+    std::size_t const left = bytes_left(from_);  // 0: the stream cannot tell
+    if (left != 0 && left != wanted) {
+      throw error(
+          "ft: the map file is truncated, or has bytes after its end: " + std::to_string(left) +
+          " bytes follow its head, must be " + std::to_string(wanted));
     }
   }
-  if (!good) { throw error("ft: the map file has numbers out of range"); }
-}
+  void read(void* to, std::size_t bytes) {
+    if (!take(to, bytes)) { throw error("ft: the map file is truncated"); }
+  }
+  void read_hash() {
+    std::uint64_t const wanted = hash_;
+    std::uint64_t stored = 0;
+    read(&stored, sizeof stored);
+    if (stored != wanted) { throw error("ft: the map file is damaged"); }
+  }
 
-/// Reads a whole file before anything is changed.
-/// @throws error for a file that is truncated, damaged, of another version or other capacities
+private:
+  bool take(void* to, std::size_t bytes) {
+    from_.read(static_cast<char*>(to), static_cast<std::streamsize>(bytes));
+    if (static_cast<std::size_t>(from_.gcount()) != bytes) { return false; }
+    hash_ = fnv1a(to, bytes, hash_);
+    return true;
+  }
+
+  std::istream& from_;
+  std::uint64_t hash_ = fnv1a_start;
+};
+
+/// Reads and checks a whole file before anything is changed.
+/// @throws error for a file that is truncated or damaged, of another version, rig, image size,
+///   setting or capacity, or has numbers out of range
 template <typename Exec>
-void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b, int levels,
-                       std::istream& from) {
-  std::vector<char> const file{std::istreambuf_iterator<char>(from),
-                               std::istreambuf_iterator<char>()};
-  auto const* const bytes = reinterpret_cast<unsigned char const*>(file.data());
-  std::vector<unsigned char> const head = map_file_head(map, levels);
-  if (file.size() < 24 || std::memcmp(bytes, head.data(), 16) != 0) {
-    throw error("ft: this is not a map of an odometry");
-  }
-  if (std::memcmp(bytes + 16, head.data() + 16, 8) != 0) {
-    throw error("ft: the map file has another version or byte order");
-  }
-  if (file.size() < head.size() || std::memcmp(bytes, head.data(), head.size()) != 0) {
-    throw error("ft: the map file was written with other capacities, or is truncated");
-  }
-  std::uint64_t payload = 0;
-  std::memcpy(&payload, head.data() + head.size() - sizeof payload, sizeof payload);
-  std::uint64_t hash = 0;
-  if (file.size() != head.size() + payload + sizeof hash) {
-    throw error("ft: the map file is truncated, or has bytes after its end");
-  }
-  std::memcpy(&hash, bytes + file.size() - sizeof hash, sizeof hash);
-  if (hash != fnv1a(bytes, file.size() - sizeof hash)) {
-    throw error("ft: the map file is damaged");
-  }
-  // In host memory first, to be checked; then in the executor's.
-  odometry_map_view host;
-  odometry_map_capacity const size{
-      map.records.slots, {map.keyframes.positions, map.keyframes.cameras, map.keyframes.capacity}};
-  arena<staging_space<Exec>> const memory([&](carver& c) { carve(c, host, size, 1); });
-  std::size_t at = head.size();
-  each_array(host, 0, [&](auto* data, std::size_t n) {
-    std::memcpy(static_cast<void*>(data), bytes + at, n * sizeof *data);
-    at += n * sizeof *data;
+void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
+                       map_origin const& origin, int levels, std::istream& from) {
+  map_file_reader in(from);
+  in.read_head(origin, array_bytes_of(map));
+  host_map<Exec> const host(map);
+  each_array(host.view(), 0, [&](auto* data, std::size_t n) {
+    in.read(static_cast<void*>(data), n * sizeof *data);
   });
-  check_loaded_map(host, levels);
-  std::vector<void const*> arrays;
-  each_array(host, 0, [&](auto* data, std::size_t) { arrays.push_back(data); });
-  std::size_t next = 0;
-  each_array(map, b, [&](auto* data, std::size_t n) {
-    copy_bytes(exec, data, arrays[next++], n * sizeof *data);
-  });
+  in.read_hash();
+  check_saved_counts(host.view());
+  clear_unused(host.view());
+  check_saved_points(host.view());
+  check_saved_keyframes(host.view(), levels);
+  host.upload(exec, map, b);
   fill_bytes(exec, map.records.found_frame + map.records.at(b, 0), 0,
              static_cast<std::size_t>(map.records.slots) * sizeof(int));
   exec.wait();

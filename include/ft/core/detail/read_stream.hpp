@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file All bytes of a stream at once.
+/// @file The bytes of a stream that a file says it has.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,6 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -20,10 +19,6 @@ struct file_bytes {
   std::unique_ptr<char[]> data;  // a vector would write it twice
   std::size_t size = 0;
 };
-
-inline void require_readable(std::istream const& from) {
-  if (!from) { throw error("ft: the vocabulary cannot be read from this stream"); }
-}
 
 /// Bytes of a stream from where it is to its end; 0 if it cannot tell.
 inline std::size_t bytes_left(std::istream& from) {
@@ -38,22 +33,22 @@ inline std::size_t bytes_left(std::istream& from) {
   return left;
 }
 
-/// The rest of a stream. @throws error if it cannot be read; std::bad_alloc
-inline file_bytes read_all(std::istream& from) {
-  // One more, so that the end is met without another block.
-  std::size_t room = max_of(bytes_left(from), std::size_t{1} << 12) + 1;
+/// The next bytes of a stream: `most`, or those before its end if there are fewer. Memory grows
+/// with what comes, not with what a file says. @throws std::bad_alloc
+inline file_bytes read_up_to(std::istream& from, std::size_t most) {
+  // One more than is left, so that the end is met without another block.
+  std::size_t room = min_of(most, max_of(bytes_left(from), std::size_t{1} << 12) + 1);
   file_bytes file{std::unique_ptr<char[]>(new char[room]), 0};
   while (true) {
     from.read(file.data.get() + file.size, static_cast<std::streamsize>(room - file.size));
     file.size += static_cast<std::size_t>(from.gcount());
-    if (file.size < room) { break; }
-    std::unique_ptr<char[]> larger(new char[2 * room]);
+    if (file.size < room || room == most) { return file; }
+    std::size_t const wanted = most - room < room ? most : 2 * room;
+    std::unique_ptr<char[]> larger(new char[wanted]);
     std::memcpy(larger.get(), file.data.get(), file.size);
     file.data = std::move(larger);
-    room *= 2;
+    room = wanted;
   }
-  if (from.bad()) { throw error("ft: the vocabulary cannot be read from this stream"); }
-  return file;
 }
 
 }  // namespace detail

@@ -161,4 +161,4 @@ def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
     if truth is None:
         raise ValueError("the ground truth is None: errors need one, and not every sequence has one")
     a, b = Trajectory.of(poses), Trajectory.of(truth)
-    return _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), orientation, interval_s)
+    return _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), bool(orientation), interval_s)

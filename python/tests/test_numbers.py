@@ -109,6 +109,19 @@ def test_counts_that_an_int_cannot_hold_are_refused(name, make, value):
         make(value)
 
 
+@pytest.mark.parametrize("b", [-1, 1, 2**31 - 1])
+def test_cameras_that_are_not_there_are_refused(walk, b):
+    tracker, orb = odometry(mask_size=(WIDTH, HEIGHT), imu=ft.Imu()), ft.OrbExtractor(WIDTH, HEIGHT, device="host", mask_size=(8, 8))
+    follow(tracker, walk, 1)
+    mask = np.ones((HEIGHT, WIDTH), np.uint8)
+    for call in (lambda: tracker.keypoints(b), lambda: tracker.map(b), lambda: tracker.save_map(b), lambda: tracker.reset(b),
+                 lambda: tracker.load_map(b"", b), lambda: tracker.predict(np.eye(4), b), lambda: tracker.set_mask(mask, 0, b),
+                 lambda: tracker.set_mask(mask, 2 if b == 1 else b), lambda: tracker.add_imu(10**9, (0, 0, 0), (0, 0, 0), b),
+                 lambda: orb.set_mask(np.ones((8, 8), np.uint8), b)):
+        with pytest.raises(ValueError):
+            call()
+
+
 @pytest.mark.parametrize("name", ["batch", "map_slots", "keyframes", "local_points", "window_points", "threads", "features", "levels"])
 def test_negative_counts_are_refused(name):
     with pytest.raises(ValueError):

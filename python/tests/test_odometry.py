@@ -81,6 +81,41 @@ def test_a_map_goes_out_and_in(walk):
         second.load_map(saved[:-10])
 
 
+def test_maps_that_do_not_fit_change_nothing(walk):
+    """Of other rigs, sizes and settings, cut off, or with a byte that is another one."""
+    made = walk.odometry()
+    follow(made, walk, 5)
+    saved = made.save_map()
+    other = {
+        "baseline": ft.Odometry(ft.RectifiedPair(CAMERA, 0.5), WIDTH, HEIGHT, features=400, device="host"),
+        "fx": ft.Odometry(ft.RectifiedPair((300.0, *CAMERA[1:]), BASELINE), WIDTH, HEIGHT, features=400, device="host"),
+        "size": ft.Odometry(walk.rig, WIDTH + 16, HEIGHT, features=400, device="host"),
+        "rig": ft.Odometry(ft.MultiRig([ft.RigCamera(CAMERA, BASELINE)]), WIDTH, HEIGHT, features=400, device="host"),
+    }
+    for name, odometry in other.items():
+        with pytest.raises(RuntimeError, match=name):
+            odometry.load_map(saved)
+    random = np.random.default_rng(7)
+    tracker = walk.odometry()
+    want = follow(walk.odometry(), walk, 3)
+    assert np.array_equal(tracker.track(*walk.frame(0)).T_world_camera, want[0].T_world_camera)
+    damaged = [b"", b"no map", saved[:8], saved[:100], saved[:len(saved) // 2], saved[:-1], saved + b"\0", memoryview(saved)[:-9]]
+    for at in random.integers(0, len(saved), 40):
+        changed = bytearray(saved)
+        changed[at] ^= int(random.integers(1, 256))
+        damaged.append(changed)
+    for data in damaged[:6] + damaged[7:]:
+        with pytest.raises(RuntimeError, match="map"):
+            tracker.load_map(data)
+    for no_bytes in (None, "text", 5, [1, 2]):
+        with pytest.raises(ValueError, match="save_map"):
+            tracker.load_map(no_bytes)
+    for i in (1, 2):
+        assert np.array_equal(tracker.track(*walk.frame(i)).T_world_camera, want[i].T_world_camera)
+    tracker.load_map(bytearray(saved))
+    assert tracker.track(*walk.frame(5)).tracked
+
+
 def test_keypoints_hold_points(walk):
     odometry = walk.odometry()
     follow(odometry, walk, 3)

@@ -189,6 +189,17 @@ def test_what_is_no_recording_is_named(tmp_path, text):
         view.Recording(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize("change", [{"truth": {"time_ns": [0.5], "T_world_camera": [[0] * 12], "orientation": True}},
+                                    {"truth": {"time_ns": [1, 2], "T_world_camera": [[0] * 12], "orientation": True}}, {"truth": [1]}])
+def test_a_broken_head_is_named(recording, tmp_path, change):
+    import json
+
+    head = json.loads((recording / "recording.jsonl").read_text().splitlines()[0])
+    (tmp_path / "recording.jsonl").write_text(json.dumps({**head, **change}) + "\n")
+    with pytest.raises(RuntimeError, match="recording.jsonl:1"):
+        view.Recording(tmp_path)
+
+
 def test_a_broken_line_is_named(recording, tmp_path):
     shutil.copytree(recording, tmp_path / "broken")
     file = tmp_path / "broken/recording.jsonl"

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/check_calibration.hpp"
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/extended_unified.hpp"

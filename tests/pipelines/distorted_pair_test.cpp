@@ -134,6 +134,28 @@ template <typename Backend>
 class distorted_pair_odometry : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(distorted_pair_odometry, test::backends);
 
+TYPED_TEST(distorted_pair_odometry, refuses_a_lens_that_folds_in_either_image) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type, rig_type>;
+  for (auto const side : {&rig_type::left, &rig_type::right}) {
+    auto folded = rig();
+    (folded.*side).distortion[0] = -5;
+    try {
+      odometry(backend.exec, folded, params());
+      ADD_FAILURE() << "accepted";
+    } catch (ft::bad_argument const& e) {
+      std::string const message = e.what();
+      EXPECT_NE(message.find("480 x 360"), std::string::npos) << message;
+      EXPECT_NE(message.find("must be at least 0.25"), std::string::npos) << message;
+    }
+  }
+  // Of an image that ends before the fold, it is a lens like others.
+  auto small = rig();
+  small.left.distortion[0] = -0.5f;
+  small.left.distortion[1] = 0;
+  EXPECT_NO_THROW(odometry(backend.exec, small, params()));
+}
+
 TYPED_TEST(distorted_pair_odometry, follows_a_walk) {
   TypeParam backend;
   auto const& frames = walk();

@@ -316,6 +316,70 @@ TYPED_TEST(rgbd_odometry, refuses_bad_images_and_goes_on) {
   test::expect_same(all, good);
 }
 
+TYPED_TEST(rgbd_odometry, images_of_16_bits_need_a_scale) {
+  TypeParam backend;
+  auto rig = plain();
+  rig.depth_scale = plain_rig{}.depth_scale;  // none
+  ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, rig, params());
+  try {
+    odo.track(walk(rig)[0].images(), period);
+    ADD_FAILURE() << "accepted";
+  } catch (ft::bad_argument const& e) {
+    EXPECT_NE(std::string(e.what()).find("needs rgbd_rig::depth_scale"), std::string::npos);
+  }
+  // Floats are metres.
+  auto const t = odo.track(walk(rig)[0].images_in_metres(), period);
+  EXPECT_EQ(t.state, ft::tracking_state::tracking);
+  EXPECT_EQ(t.distant_points, 0);
+}
+
+/// The message of a frame with a wrong image.
+template <typename Odometry, typename Images>
+std::string message_of(Odometry& odo, Images const& images) {
+  try {
+    odo.track(images, period);
+  } catch (ft::bad_argument const& e) { return e.what(); }
+  return {};
+}
+
+TYPED_TEST(rgbd_odometry, messages_of_sizes_have_both_and_the_image) {
+  TypeParam backend;
+  ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, plain(), params());
+  auto const images = walk(plain())[0].images();
+  auto bad = images;
+  bad.depth.width = 470;
+  EXPECT_EQ(message_of(odo, bad), "ft: the depth image is 470x360, wanted 480x360");
+  bad = images;
+  bad.gray.height = 350;
+  EXPECT_EQ(message_of(odo, bad), "ft: the image is 480x350, wanted 480x360");
+  bad = images;
+  bad.gray.data = nullptr;
+  EXPECT_EQ(message_of(odo, bad), "ft: the image is null");
+  bad = images;
+  bad.depth.pitch = 958;
+  EXPECT_EQ(message_of(odo, bad),
+            "ft: the depth image has 958 bytes from row to row, must be at least 960");
+
+  ft::odometry stereo(backend.exec, test::room::rig(), params());
+  ft::stereo_images pair{images.gray, images.gray};
+  pair.right.width = 470;
+  EXPECT_EQ(message_of(stereo, pair), "ft: the right image is 470x360, wanted 480x360");
+  pair = {images.gray, images.gray};
+  pair.left.stride = 479;
+  EXPECT_EQ(message_of(stereo, pair),
+            "ft: the left image has a stride of 479, must be at least its width of 480");
+  ft::odometry two(backend.exec, test::room::rig(), params(), 2);
+  ft::stereo_images batch[2] = {{images.gray, images.gray}, {images.gray, images.gray}};
+  batch[1].left.height = 1;
+  std::int64_t const times[2] = {period, period};
+  try {
+    two.track(batch, times);
+    ADD_FAILURE() << "accepted";
+  } catch (ft::bad_argument const& e) {
+    EXPECT_STREQ(e.what(), "ft: the left image of camera pair 1 is 480x1, wanted 480x360");
+  }
+}
+
 TYPED_TEST(rgbd_odometry, refuses_bad_rigs) {
   TypeParam backend;
   auto const make = [&](plain_rig const& rig) {
@@ -326,7 +390,7 @@ TYPED_TEST(rgbd_odometry, refuses_bad_rigs) {
   rig.baseline = 0;
   EXPECT_THROW(make(rig), ft::bad_argument);
   rig = plain();
-  rig.depth_scale = 0;
+  rig.depth_scale = -0.001f;
   EXPECT_THROW(make(rig), ft::bad_argument);
   rig = plain();
   rig.min_depth = 2;

@@ -29,13 +29,15 @@ struct rgbd_rig {
   static constexpr int searches = 1;
   using camera_type = typename detail::camera_in_rig<Camera>::type;
   camera_type camera{};
-  double baseline = 0;    ///< of the virtual pair, metres; 0.08 suits sensors that see 0.5 to 4 m
-  float depth_scale = 1;  ///< metres per unit of a depth image: 1 / 5000 for TUM's 16-bit images
-  float min_depth = 0;    ///< metres; smaller depths are none
+  double baseline = 0;  ///< of the virtual pair, metres; 0.08 suits sensors that see 0.5 to 4 m
+  /// Metres per unit of a depth image: 0.001 for millimetres, 1 / 5000 for TUM's images. 0: none is
+  /// given, so depths are metres, and images of 16 bits are refused.
+  float depth_scale = 0;
+  float min_depth = 0;                                       ///< metres; smaller depths are none
   float max_depth = std::numeric_limits<float>::infinity();  ///< metres; larger depths are none
 
   /// @throws bad_argument as check()
-  static rgbd_rig make(Camera const& camera, double baseline, float depth_scale = 1) {
+  static rgbd_rig make(Camera const& camera, double baseline, float depth_scale = 0) {
     rgbd_rig rig;
     rig.camera = camera;
     rig.baseline = baseline;
@@ -52,7 +54,7 @@ struct rgbd_rig {
   void check() const {
     camera.check();
     pair().check();
-    detail::require_range("depth scale", depth_scale, 1e-9f, 1e9f);
+    if (depth_scale != 0) { detail::require_range("depth scale", depth_scale, 1e-9f, 1e9f); }
     detail::require_range("min_depth", min_depth, 0.0f, std::numeric_limits<float>::max());
     detail::require_range("max_depth", max_depth, min_depth,
                           std::numeric_limits<float>::infinity());

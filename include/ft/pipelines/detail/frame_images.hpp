@@ -42,6 +42,19 @@ absent_images absent_images_of(Rig const& rig) {
   return absent;
 }
 
+/// Pixels.
+struct image_size {
+  int width, height;
+};
+
+/// @param name such as "right image" @throws bad_argument with both sizes
+inline void require_size(char const* name, image_size given, image_size wanted) {
+  if (given.width == wanted.width && given.height == wanted.height) { return; }
+  throw bad_argument(std::string("ft: the ") + name + " is " + std::to_string(given.width) + "x" +
+                     std::to_string(given.height) + ", wanted " + std::to_string(wanted.width) +
+                     "x" + std::to_string(wanted.height));
+}
+
 /// Staging memory for the images of rigs, and the address from which frames fetch each image: that
 /// memory, or a buffer of the caller. Images that no camera has are never fetched.
 template <typename Exec>
@@ -155,11 +168,24 @@ private:
     memory_->sources[image] = {data, stride_};
     return data;
   }
+  /// "left image", "image 3", with the pair in a batch of several.
+  std::string name(int b, int camera) const {
+    std::string const which = images_ == 1   ? "image"
+                              : images_ == 2 ? (camera == 0 ? "left image" : "right image")
+                                             : "image " + std::to_string(camera);
+    return batch() == 1 ? which : which + " of camera pair " + std::to_string(b);
+  }
   void require_image(int b, int camera, gray_view image) const {
     require_camera(b, camera);
-    require(image.data != nullptr, "the image is null");
-    require(image.width == width_ && image.height == height_ && image.stride >= image.width,
-            "the image's size is not the tracker's, or its stride is below its width");
+    if (image.data == nullptr) { throw bad_argument("ft: the " + name(b, camera) + " is null"); }
+    if (image.width != width_ || image.height != height_) {  // no text of a name otherwise
+      require_size(name(b, camera).c_str(), {image.width, image.height}, {width_, height_});
+    }
+    if (image.stride < image.width) {
+      throw bad_argument("ft: the " + name(b, camera) + " has a stride of " +
+                         std::to_string(image.stride) + ", must be at least its width of " +
+                         std::to_string(image.width));
+    }
   }
 
   int width_ = 0;

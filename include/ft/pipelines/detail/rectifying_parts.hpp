@@ -3,6 +3,7 @@
 #pragma once
 
 #include "ft/cameras/distorted_pair.hpp"
+#include "ft/cameras/image_domain.hpp"
 #include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
@@ -32,9 +33,14 @@ public:
 
   rig_input() = default;
   /// @param geometry of the rectified images' pyramids
+  /// @throws bad_argument for a lens that does not fit its image, as require_invertible; a quarter
+  /// of
+  ///   the pixels must have a ray
   rig_input(Exec const& exec, rig_type const& rig, pyramid_geometry const& geometry, int batch) {
     int const width = rig.width > 0 ? rig.width : geometry.width[0];
     int const height = rig.height > 0 ? rig.height : geometry.height[0];
+    require_invertible(rig.left, width, height, 0.25);
+    require_invertible(rig.right, width, height, 0.25);
     images_ = frame_images<Exec>(pyramid_geometry::make(width, height, 1, 2.0f), {0, 2}, batch);
     raw_ = image_pyramid<Exec::space>(pyramid_geometry::make(width, height, 1, 2.0f), 2 * batch);
     table_ = remap_table<Exec::space>({geometry.width[0], geometry.height[0], width, height}, 2);

@@ -46,8 +46,9 @@ public:
   static constexpr memory_space staging = staging_space<Exec>;
 
   rig_input() = default;
-  rig_input(Exec const&, rgbd_rig<Camera> const&, pyramid_geometry const& geometry, int batch)
-      : images_(geometry, {0, 1}, batch),
+  rig_input(Exec const&, rgbd_rig<Camera> const& rig, pyramid_geometry const& geometry, int batch)
+      : scaled_(rig.depth_scale != 0),
+        images_(geometry, {0, 1}, batch),
         places_(batch),
         width_(geometry.width[0]),
         height_(geometry.height[0]) {
@@ -80,9 +81,15 @@ private:
   std::ptrdiff_t pixels() const { return static_cast<std::ptrdiff_t>(width_) * height_; }
   void require_depth(depth_view const& depth) const {
     require(depth.data != nullptr, "the depth image is null");
+    require(depth.is_float || scaled_,
+            "a depth image of 16 bits needs rgbd_rig::depth_scale, metres per unit: 0.001 for "
+            "millimetres");
+    require_size("depth image", {depth.width, depth.height}, {width_, height_});
     auto const row = static_cast<std::ptrdiff_t>(width_) * pixel_bytes(depth);
-    require(depth.width == width_ && depth.height == height_ && depth.pitch >= row,
-            "the depth image's size is not that of the grey one, or its stride is below its width");
+    if (depth.pitch < row) {
+      throw bad_argument("ft: the depth image has " + std::to_string(depth.pitch) +
+                         " bytes from row to row, must be at least " + std::to_string(row));
+    }
   }
   static std::ptrdiff_t pixel_bytes(depth_view const& depth) {
     return depth.is_float ? std::ptrdiff_t{sizeof(float)} : std::ptrdiff_t{sizeof(std::uint16_t)};
@@ -102,6 +109,7 @@ private:
     return {to, row, depth.is_float ? 1 : 0};
   }
 
+  bool scaled_ = false;  ///< the unit of depth images is known
   frame_images<Exec> images_;
   twin<depth_places, Exec::space, staging> places_;
   int width_ = 0;
@@ -120,7 +128,7 @@ public:
                 depth_sources_view const& depths)
       : rig_(rig), depths_(depths) {
     params_.bf = rig.pair().bf();
-    params_.scale = rig.depth_scale;
+    params_.scale = rig.depth_scale != 0 ? rig.depth_scale : 1;
     params_.min_depth = rig.min_depth;
     params_.max_depth = rig.max_depth;
     memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {

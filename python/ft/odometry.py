@@ -7,7 +7,7 @@ import numpy as np
 
 from . import _ft
 from .features import _frames, _options
-from .rigs import _matrix, _two
+from .rigs import _matrix, _two, check_calibration
 from .streams import handle_of
 
 
@@ -20,7 +20,7 @@ class Odometry:
     near_depth: map points are made up to this many baselines away. map_slots, keyframes, local_points, window_points:
     limits of the map, of the local map and of adjustments. window: keyframes of an adjustment, moving and fixed.
     measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor. device: auto (a GPU if there
-    is one), host or cuda. Raises ValueError for values out of range.
+    is one), host or cuda. Raises ValueError for values out of range; warns of what check_calibration() finds.
 
     Not to be used by two threads at a time; other threads run while a frame is tracked.
     """
@@ -34,6 +34,8 @@ class Odometry:
         self.rig, self.scale_factor = rig, all_options["scale_factor"]
         self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
+        for found in check_calibration(rig, width, height):
+            warnings.warn(f"{found.name}: {found.text}", stacklevel=2)
 
     def track(self, *images, time_ns=None, stream=None):
         """Tracks a frame, and returns ft.Tracking.

@@ -3,7 +3,7 @@
 a matrix (3, 3) does, too."""
 
 from dataclasses import dataclass, field
-from typing import Optional
+from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -152,6 +152,20 @@ class MultiRig:
             if not isinstance(camera, RigCamera):
                 raise ValueError(f"cameras[{i}] is {type(camera).__name__}, must be ft.RigCamera")
         return _plain("multi", cameras=[c._plain() for c in self.cameras])
+
+
+class CalibrationWarning(NamedTuple):
+    """A word, such as "principal_point", and a sentence that has the numbers."""
+
+    name: str
+    text: str
+
+
+def check_calibration(rig, width, height):
+    """Signs that a calibration is another camera's, another size's or in other units, a list of CalibrationWarning: wrong
+    calibrations are tracked without an error, and wrongly. Empty for an ordinary one. width, height: of the images that
+    are searched, pixels. ft.Odometry warns of these. Raises ValueError for what is no rig, and for sizes out of range."""
+    return [CalibrationWarning(*found) for found in _ft.check_calibration(rig, width, height)]
 
 
 @dataclass

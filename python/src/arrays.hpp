@@ -256,6 +256,7 @@ void bind_places(nb::module_& m);
 void bind_rectifier(nb::module_& m);
 void bind_reports(nb::module_& m);
 void bind_sequences(nb::module_& m);
+void bind_calibration(nb::module_& m);
 void bind_cameras(nb::module_& m);
 
 /// The rig of a rig object of ft.rigs.

@@ -36,6 +36,7 @@ NB_MODULE(_ft, m) {
   nanobind::register_exception_translator(ftpy::translate);
   m.def("devices", ftpy::devices,
         "Where work can run: 'host', and a line 'cuda: NAME' for each GPU that can be used.");
+  ftpy::bind_calibration(m);
   ftpy::bind_cameras(m);
   ftpy::bind_features(m);
   ftpy::bind_odometry(m);

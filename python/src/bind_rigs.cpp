@@ -30,7 +30,12 @@ rig rig_of(nb::handle given) {
   r.T_right_left = kept.matrix(d["T_right_left"], "T_right_left");
   r.baseline = number(d["baseline"], "baseline");
   nb::object const scale = d["depth_scale"];
-  if (!scale.is_none()) { r.depth_scale = number(scale, "depth_scale"); }
+  if (!scale.is_none()) {
+    r.depth_scale = number(scale, "depth_scale");
+    if (!(*r.depth_scale > 0)) {
+      throw argument_error("depth_scale is " + text_of(scale) + ", must be above 0, or None");
+    }
+  }
   r.min_depth = number(d["min_depth"], "min_depth");
   nb::object const most = d["max_depth"];
   r.max_depth =

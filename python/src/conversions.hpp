@@ -10,6 +10,7 @@
 
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/stereo_rig.hpp"
@@ -139,6 +140,25 @@ using kannala_brandt_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala
 
 inline ft::rectified_rig rectified_of(rig const& r) {
   return ft::rectified_rig::make(camera_of<ft::pinhole<float>>(r.left, "left"), r.baseline);
+}
+constexpr int most_cameras = 16;  ///< of a multi_rig
+
+/// @tparam N at least as many as there are; the others are not used
+template <int N>
+ft::multi_rig<N> multi_of(rig const& r) {
+  std::size_t const n = r.cameras.size();
+  if (n < 1 || n > most_cameras) {
+    throw argument_error("the rig has " + std::to_string(n) + " cameras, must have 1 to " +
+                         std::to_string(most_cameras));
+  }
+  ft::multi_rig<N> all{};
+  for (ft::rig_camera& c : all.of) { c = ft::rig_camera::none(); }
+  for (std::size_t i = 0; i < n; ++i) {
+    rig_camera const& given = r.cameras[i];
+    all.of[i] = {camera_of<ft::pinhole<float>>(given.camera, "rig's"), given.baseline,
+                 to_ft(given.T_camera_body).cast<float>()};
+  }
+  return all;
 }
 inline kannala_brandt_rig fisheye_of(rig const& r) {
   return {camera_of<ft::kannala_brandt<float>>(r.left, "left"),

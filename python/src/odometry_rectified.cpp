@@ -26,7 +26,7 @@ std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const& o) {
   return translated([&] {
     auto const with = [&](auto const& camera) {
       using rig_type = ft::rgbd_rig<std::decay_t<decltype(camera)>>;
-      rig_type rig = rig_type::make(camera, o.of.baseline, narrow(o.of.depth_scale.value_or(1)));
+      rig_type rig = rig_type::make(camera, o.of.baseline, narrow(o.of.depth_scale.value_or(0)));
       rig.min_depth = narrow(o.of.min_depth);
       rig.max_depth = narrow(o.of.max_depth);
       rig.check();

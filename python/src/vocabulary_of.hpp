@@ -20,9 +20,7 @@ inline ft::vocabulary<ft::memory_space::host> vocabulary_of(std::string const& f
   try {
     bool const text = first >= '0' && first <= '9';
     return text ? ft::read_vocabulary_text(from) : ft::load_vocabulary(from);
-  } catch (ft::error const& e) {
-    throw ft::error("vocabulary '" + file + "': " + e.what());
-  }
+  } catch (ft::error const& e) { throw ft::error("vocabulary '" + file + "': " + e.what()); }
 }
 
 }  // namespace ftpy

@@ -197,7 +197,8 @@ void warn_of_unread(yaml_file const& file, camera_kind kind, std::vector<std::st
     // camera where one is enough.
     bool const beside = file.has("LEFT.K") && begins_with(key, "Camera.");
     bool const other =
-        kind != camera_kind::stereo && (begins_with(key, "Camera2.") || begins_with(key, "RIGHT."));
+        kind != camera_kind::stereo &&
+        (begins_with(key, "Camera2.") || begins_with(key, "RIGHT.") || key == "LEFT.R");
     if (beside || other) { continue; }
     for (char const* part :
          {"Camera", "Stereo.", "IMU.", "RGBD.", "LEFT.", "RIGHT.", "ORBextractor."}) {

@@ -101,7 +101,7 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
   } else if (is_file(tum)) {
     truth.poses = read_tum(tum, &warnings);
     truth.orientation = any_rotation(truth.poses);
-  } else if (layout.name == "kitti" && is_file(kitti)) {
+  } else if (is_file(kitti)) {
     truth.poses = read_kitti_poses(kitti, layout.times);
     truth.of = raw_ground_truth::kitti_reference;
     truth.orientation = any_rotation(truth.poses);

@@ -133,6 +133,9 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
                 ": no sequence found: neither mav0/cam0 (EuRoC), image_0 or image_2 (KITTI), nor "
                 "rgb.txt or associations.txt (TUM RGB-D)");
   }
+  if (l.times.empty()) {
+    for (frame_files const& frame : l.frames) { l.times.push_back(frame.time_ns); }
+  }
   return l;
 }
 

@@ -67,6 +67,7 @@ struct run_report {
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
   int maps = 0;                     ///< maps begun; more than one after a long loss
   bool one_camera = false;          ///< the left images alone were used
+  bool depth_images = false;        ///< one camera with depth images was used
   bool with_imu = false;            ///< the sequence's IMU was used
   std::vector<std::string> stages;  ///< names; the last one is "total"
   std::vector<frame_record> records;

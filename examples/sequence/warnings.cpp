@@ -54,14 +54,20 @@ std::vector<std::string> warnings_of(run_report const& report) {
   }
   double const share = stereo_share(report.records);
   if (!report.one_camera && share < least_stereo_share) {
-    out.push_back("only " + fixed(100 * share, 1) +
-                  " % of the keypoints have a stereo match: left and right may be exchanged, or "
-                  "the calibration is that of other cameras");
+    out.push_back(
+        "only " + fixed(100 * share, 1) +
+        (report.depth_images
+             ? " % of the keypoints have a depth: the depth images may be nearly empty, or "
+               "their unit or range is another one"
+             : " % of the keypoints have a stereo match: left and right may be exchanged, "
+               "or the calibration is that of other cameras"));
   }
   if (report.unpaired_left > 0 || report.unpaired_right > 0) {
     out.push_back(
         "images without a partner were left out: " + std::to_string(report.unpaired_left) +
-        " of the left camera, " + std::to_string(report.unpaired_right) + " of the right one");
+        (report.depth_images ? " of the camera, " : " of the left camera, ") +
+        std::to_string(report.unpaired_right) +
+        (report.depth_images ? " depth images" : " of the right one"));
   }
   if (report.maps > 1) {
     out.push_back(std::to_string(report.maps) +

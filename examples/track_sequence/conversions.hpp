@@ -10,6 +10,7 @@
 #include "examples/track_sequence/odometry.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/rgbd_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 
 namespace app {
@@ -44,6 +45,12 @@ Rig rig_of(odometry_options const& o) {
     return Rig::make(pinhole);
   } else if constexpr (ft::is_monocular_v<Rig>) {
     return Rig::make(fisheye(o.left));
+  } else if constexpr (std::is_same_v<Rig, ft::rgbd_rig<>>) {
+    Rig rig = Rig::make(pinhole, f(o.baseline), f(o.depth_unit));
+    rig.min_depth = f(o.min_depth);
+    rig.max_depth = f(o.max_depth);
+    rig.check();
+    return rig;
   } else if constexpr (Rig::rectified) {
     return Rig::make(pinhole, f(o.baseline));
   } else {

@@ -16,6 +16,7 @@ std::string cuda_device_name() {
 
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options) {
   if (options.monocular) { return make_cuda_monocular(options); }
+  if (options.rgbd) { return make_cuda_rgbd(options); }
   if (options.fisheye) { return std::make_unique<cuda_odometry<fisheye_rig>>(options); }
   return std::make_unique<cuda_odometry<ft::rectified_rig>>(options);
 }

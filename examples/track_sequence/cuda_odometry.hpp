@@ -27,13 +27,10 @@ class cuda_odometry final : public odometry {
 public:
   explicit cuda_odometry(odometry_options const& options)
       : inner_(ft::cuda_exec(stream_.get()), options, cuda_device_name()) {}
-  frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
-                      std::uint8_t const* right) override {
-    return inner_.track(time_ns, left, right);
+  frame_outcome track(std::int64_t time_ns, frame_pixels const& images) override {
+    return inner_.track(time_ns, images);
   }
-  void prefetch(std::uint8_t const* left, std::uint8_t const* right) override {
-    inner_.prefetch(left, right);
-  }
+  void prefetch(frame_pixels const& images) override { inner_.prefetch(images); }
   void forget_prefetched() override { inner_.forget_prefetched(); }
   frame_outcome track_prefetched(std::int64_t time_ns) override {
     return inner_.track_prefetched(time_ns);

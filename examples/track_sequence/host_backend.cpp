@@ -9,6 +9,7 @@ namespace app {
 
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options) {
   if (options.monocular) { return make_host_monocular(options); }
+  if (options.rgbd) { return make_host_rgbd(options); }
   ft::host_exec const exec(options.threads);
   if (options.fisheye) {
     return std::make_unique<visual_odometry<ft::host_exec, fisheye_rig>>(exec, options,

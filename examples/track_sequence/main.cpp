@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracks a stereo sequence with ft and writes a trajectory, times, a summary and a report.
+// Tracks a sequence with ft and writes a trajectory, times, a summary and a report.
 #include <exception>
 #include <iostream>
 #include <string>
@@ -24,6 +24,7 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
   report.image_width = options.width;
   report.image_height = options.height;
   report.one_camera = options.monocular;
+  report.depth_images = options.rgbd;
   report.metric = !options.monocular;
   report.stages = odometry.stage_names();
   if (!a.timing) { report.stages = {report.stages.back()}; }
@@ -31,12 +32,33 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
                     {"levels", std::to_string(options.levels)},
                     {"layout", sequence.layout()},
                     {"rig", options.monocular ? "monocular"
+                            : options.rgbd    ? "rgbd"
                             : options.fisheye ? "fisheye"
                                               : "rectified"},
                     {"frame", a.frame},
                     {"read-ahead", std::to_string(*a.read_ahead)},
                     {"realtime", a.realtime ? "yes" : "no"},
                     {"near points, baselines", std::to_string(options.near_depth)}};
+}
+
+/// What was found in the folder.
+void print_recording(seq::sequence const& sequence, app::odometry_options const& o) {
+  bool const pair = !o.monocular && !o.rgbd;
+  std::cout << "sequence  " << sequence.name() << ", " << sequence.size()
+            << (pair     ? " stereo pairs of "
+                : o.rgbd ? " images with depth images of "
+                         : " images of one camera, ")
+            << o.width << "x" << o.height;
+  if (pair) { std::cout << ", baseline " << o.baseline << " m"; }
+  std::cout << "\n";
+  if (o.rgbd) {
+    std::cout << "depth     " << o.depth_unit << " m a unit, " << sequence.depth_unit_from()
+              << "; taken from " << o.min_depth << " to " << o.max_depth << " m\n";
+  }
+  if (auto const& imu = sequence.imu()) {
+    std::cout << "imu       " << imu->samples.size() << " samples, " << imu->calibration.rate_hz
+              << " Hz\n";
+  }
 }
 
 int run(app::arguments a) {
@@ -47,13 +69,7 @@ int run(app::arguments a) {
   auto const odometry = app::make_odometry(a, options, report.backend);
   if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
   describe(a, sequence, options, *odometry, report);
-  std::cout << "sequence  " << sequence.name() << ", " << sequence.size() << " stereo pairs of "
-            << options.width << "x" << options.height;
-  if (options.monocular) {
-    std::cout << ", of which the left images are used\n";
-  } else {
-    std::cout << ", baseline " << options.baseline << " m\n";
-  }
+  print_recording(sequence, options);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
 
   app::watch_interrupts();
@@ -73,6 +89,7 @@ int run(app::arguments a) {
   if (report.tracked == 0) {
     std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: "
               << (options.monocular ? "the camera does not move enough, or too few corners are seen"
+                  : options.rgbd    ? "too few corners have a depth"
                                     : "too few corners are seen by both cameras")
               << " (--features " << options.features << ")\n";
     return app::exit_failed;

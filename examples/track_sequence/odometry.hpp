@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <iosfwd>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -38,8 +39,12 @@ struct imu_options {
 struct odometry_options {
   int width = 0, height = 0;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< of the rectified pair, pixels
-  double baseline = 0;                    ///< metres
+  double baseline = 0;                    ///< metres; with depth images of the virtual pair
   bool monocular = false;                 ///< the left camera alone
+  bool rgbd = false;                      ///< the left camera with depth images:
+  double depth_unit = 0;                  ///< metres per unit
+  double min_depth = 0;                   ///< metres; smaller depths are none
+  double max_depth = std::numeric_limits<double>::infinity();  ///< metres; larger depths are none
   bool fisheye = false;                   ///< Kannala-Brandt cameras, not rectified:
   std::array<double, 8> left{}, right{};  ///< fx fy cx cy k1 k2 k3 k4
   rigid_pose T_right_left;                ///< left-camera points to the right camera
@@ -56,11 +61,19 @@ struct odometry_options {
   int prefetch = 0;             ///< frames that prefetch() may take ahead; 0 for one camera
 };
 
+/// The images of a frame, width x height pixels without padding. A camera pair has left and right,
+/// one camera left alone, one with depth images left and depth; what is not used is not read.
+struct frame_pixels {
+  std::uint8_t const* left = nullptr;
+  std::uint8_t const* right = nullptr;
+  std::uint16_t const* depth = nullptr;
+};
+
 /// One left keypoint of the last processed frame, for drawing.
 struct seen_keypoint {
   float x, y;
   int octave;
-  float depth;   ///< metres, -1 = no stereo match
+  float depth;   ///< metres, -1 = none
   int point;     ///< map point held, -1 = none
   bool matched;  ///< matched to a map point from before this frame
 };
@@ -85,18 +98,17 @@ struct frame_outcome {
   std::vector<double> stage_ms;  ///< one per stage_names(); see odometry_options::measure_stages
 };
 
-/// Tracks a camera pair, or one camera; the world is the first tracked frame's left camera.
+/// Tracks a camera pair, or one camera, also with depth images; the world is the first tracked
+/// frame's left camera.
 class odometry {
 public:
   virtual ~odometry() = default;
   /// @param time_ns when the pair was taken; the time since the last pair scales the predicted
   ///   motion
-  /// @param left,right width x height bytes without padding; one camera has no use for `right`
-  virtual frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
-                              std::uint8_t const* right) = 0;
+  virtual frame_outcome track(std::int64_t time_ns, frame_pixels const& images) = 0;
   /// Gives a pair that a later track_prefetched() tracks. It stays as it is until then, or until
   /// forget_prefetched(). At most odometry_options::prefetch are given and not yet tracked.
-  virtual void prefetch(std::uint8_t const* left, std::uint8_t const* right) = 0;
+  virtual void prefetch(frame_pixels const& images) = 0;
   /// Forgets the pairs that were given; they may go then.
   virtual void forget_prefetched() = 0;
   /// track() of the pair that was given first.
@@ -117,11 +129,14 @@ public:
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options);
 /// That of one camera.
 std::unique_ptr<odometry> make_host_monocular(odometry_options const& options);
+/// That of one camera with depth images.
+std::unique_ptr<odometry> make_host_rgbd(odometry_options const& options);
 
 /// Name of the CUDA device; empty if there is no usable one.
 std::string cuda_device_name();
 std::unique_ptr<odometry> make_cuda_odometry(odometry_options const& options);
-/// That of one camera; only in a program with CUDA.
+/// That of one camera, and of one with depth images; only in a program with CUDA.
 std::unique_ptr<odometry> make_cuda_monocular(odometry_options const& options);
+std::unique_ptr<odometry> make_cuda_rgbd(odometry_options const& options);
 
 }  // namespace app

@@ -17,9 +17,13 @@ constexpr char const* footer =
 void add_input(CLI::App& app, arguments& a, std::string& folder) {
   app.add_option("FOLDER", folder, "folder of the sequence");
   app.add_option("--sequence", a.sequence, "the same as an option");
-  app.add_option("--calibration", a.calibration,
-                 "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt or a folder with "
-                 "cam0, cam1; default: the sequence's own");
+  app.add_option(
+      "--calibration", a.calibration,
+      "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt, a camera.txt (fx "
+      "fy cx cy) or a folder with cam0, cam1; default: the sequence's own");
+  app.add_option("--max-time-difference", a.max_time_difference_ms,
+                 "how far the time stamps of the two images of a frame may be apart, in ms; "
+                 "default: 1 for a pair, 20 for colour and depth");
   app.add_option("--frames", a.frames, "stop after so many; 0 = all")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--read-ahead", a.read_ahead,
@@ -39,11 +43,20 @@ void add_tracking(CLI::App& app, arguments& a) {
          "--threads", a.threads,
          "threads of each stage of the host backend; 0 = all; with 1 no frame is prefetched")
       ->check(CLI::Range(0, 4096));
-  app.add_option("--rig", a.rig,
-                 "auto (fisheye cameras as they are, others rectified), rectified, fisheye (two "
-                 "Kannala-Brandt cameras, not rectified) or monocular (the left images alone; "
-                 "without an IMU the scale of the path is not known)")
-      ->check(CLI::IsMember({"auto", "rectified", "fisheye", "monocular"}))
+  app.add_option(
+         "--rig", a.rig,
+         "auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), "
+         "mono (one camera, of a pair the left one; without an IMU the scale of the path is "
+         "not known), rgbd (one camera with depth images), rectified (a pair) or fisheye "
+         "(two Kannala-Brandt cameras, not rectified); monocular is mono")
+      ->check(
+          CLI::IsMember({"auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"}))
+      ->capture_default_str();
+  app.add_option("--depth-unit", a.depth_unit,
+                 "metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)");
+  app.add_option("--min-depth", a.min_depth, "metres; smaller depths are taken for none")
+      ->capture_default_str();
+  app.add_option("--max-depth", a.max_depth, "metres; larger depths are taken for none")
       ->capture_default_str();
   app.add_option(
          "--features", a.features,
@@ -78,10 +91,29 @@ void add_output(CLI::App& app, arguments& a) {
   app.add_flag("--quiet", a.quiet, "no progress display");
 }
 
+/// @throws CLI::ValidationError for a number outside its limits, or NaN
+void check_ranges(CLI::App const& app, arguments const& a) {
+  auto const require = [&](char const* option, bool holds, std::string const& limit) {
+    if (app.count(option) > 0 && !holds) {
+      throw CLI::ValidationError(option, app.get_option(option)->as<std::string>() + ": " + limit);
+    }
+  };
+  double const apart = a.max_time_difference_ms.value_or(0);
+  require("--near", a.near_depth > 0 && a.near_depth <= 1e6, "must be above 0 and at most 1e6");
+  require("--max-time-difference", apart >= 0 && apart <= 1e4, "must be 0 to 10000 ms");
+  require("--depth-unit", a.depth_unit >= 1e-9 && a.depth_unit <= 1e3,
+          "must be 1e-9 to 1000 metres a unit");
+  require("--min-depth", a.min_depth >= 0 && a.min_depth <= 1e6, "must be 0 to 1e6 m");
+  require("--max-depth", a.max_depth > a.min_depth,
+          "must be above --min-depth, which is " + std::to_string(a.min_depth) + " m");
+}
+
 }  // namespace
 
 int parse(int argc, char** argv, arguments& a) {
-  CLI::App app("Tracks a stereo sequence (EuRoC or KITTI odometry layout) with ft.");
+  CLI::App app(
+      "Tracks a sequence with ft: a pair of cameras or one (EuRoC or KITTI odometry layout), or a "
+      "camera with depth images (TUM RGB-D layout).");
   std::string folder;
   add_input(app, a, folder);
   add_tracking(app, a);
@@ -92,9 +124,7 @@ int parse(int argc, char** argv, arguments& a) {
   app.footer(footer);
   try {
     app.parse(argc, argv);
-    if (app.count("--near") > 0 && !(a.near_depth > 0 && a.near_depth <= 1e6)) {  // rejects NaN
-      throw CLI::ValidationError("--near", "must be above 0 and at most 1e6");
-    }
+    check_ranges(app, a);
     if (!folder.empty() && !a.sequence.empty()) {
       throw CLI::ValidationError(folder, "--sequence names the folder already");
     }

@@ -2,6 +2,7 @@
 /// @file The command line of track_sequence.
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <string>
 
@@ -30,6 +31,10 @@ struct arguments {
   int frames = 0;
   std::optional<int> read_ahead;  ///< else as usual_read_ahead() says
   double near_depth = 0;
+  std::optional<double> max_time_difference_ms;  ///< else as the reader has it
+  double depth_unit = 0;                         ///< metres; 0 = as the recording says
+  double min_depth = 0;                          ///< metres
+  double max_depth = std::numeric_limits<double>::infinity();  ///< metres
   bool realtime = false;
   bool timing = false;
   bool quiet = false;

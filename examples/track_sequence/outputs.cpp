@@ -82,7 +82,7 @@ void write_map(arguments const& a, seq::sequence const& sequence, map_writer con
 }  // namespace
 
 void make_output_folder(arguments const& a) {
-  for (char const* part : {"mav0", "cam0", "image_0", "image_2"}) {
+  for (char const* part : {"mav0", "cam0", "image_0", "image_2", "rgb.txt", "associations.txt"}) {
     if (fs::exists(fs::path(a.out) / part)) {
       throw seq::error("--out " + a.out + ": is the folder of a sequence (it has " + part +
                        "), whose ground truth could be overwritten");
@@ -111,7 +111,10 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
       seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
   report.unpaired_left = sequence.unpaired().left;
   report.unpaired_right = sequence.unpaired().right;
-  report.warnings = seq::warnings_of(report);
+  report.warnings = sequence.warnings();
+  for (std::string const& warning : seq::warnings_of(report)) {
+    report.warnings.push_back(warning);
+  }
   write_map(a, sequence, map);
   seq::write_times_csv(a.out + "/times.csv", report);
   seq::write_summary_json(a.out + "/summary.json", report);

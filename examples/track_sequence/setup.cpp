@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <stdexcept>
 
@@ -30,36 +31,61 @@ void set_rig(seq::sequence const& sequence, odometry_options& o) {
   o.baseline = rig.baseline();
   o.fps = rig.fps;
   o.fisheye = sequence.fisheye();
+  o.monocular = sequence.kind() == seq::camera_kind::mono;
+  o.rgbd = sequence.kind() == seq::camera_kind::rgbd;
+  o.depth_unit = sequence.depth_unit();
   if (!o.fisheye) { return; }
   o.left = kannala_brandt_of(rig.left);
   o.right = kannala_brandt_of(rig.right);
   o.T_right_left = plain_pose(rig.T_left_right.inverse());
 }
 
+seq::camera_kind kind_of(std::string const& rig) {
+  if (rig == "auto") { return seq::camera_kind::any; }
+  if (rig == "rgbd") { return seq::camera_kind::rgbd; }
+  bool const one = rig == "mono" || rig == "monocular";
+  return one ? seq::camera_kind::mono : seq::camera_kind::stereo;
+}
+
+/// @throws seq::error for options that do not fit the sequence
+void check_fit(arguments const& a, seq::sequence const& sequence) {
+  using seq::camera_kind;
+  if (a.rig == "fisheye" && !sequence.fisheye()) {
+    throw seq::error("--rig fisheye: the cameras of " + a.sequence +
+                     " are not a pair of Kannala-Brandt cameras");
+  }
+  if (a.frame == "body" && sequence.kind() == camera_kind::mono) {
+    throw seq::error(
+        "--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the "
+        "poses of the body");
+  }
+  if (a.frame == "body" && !sequence.has_body_frame()) {
+    throw seq::error("--frame body: the calibration of " + a.sequence +
+                     " does not say where the body is");
+  }
+  bool const depth = a.depth_unit > 0 || a.min_depth > 0 || std::isfinite(a.max_depth);
+  if (depth && sequence.kind() != camera_kind::rgbd) {
+    throw seq::error("--depth-unit, --min-depth, --max-depth: no depth images of " + a.sequence +
+                     " are used");
+  }
+}
+
 }  // namespace
 
 seq::sequence open_sequence(arguments const& a) {
   seq::open_options open;
+  open.rig = kind_of(a.rig);
+  open.depth_unit = a.depth_unit;
+  if (a.max_time_difference_ms) {
+    open.max_time_difference_ns = std::llround(1e6 * *a.max_time_difference_ms);
+  }
   open.calibration = a.calibration;
   open.keep_fisheye = a.rig != "rectified";
   open.max_frames = a.frames;
   open.read_imu = a.imu != "off";
   try {
     auto sequence = seq::sequence::open(a.sequence, open);
-    if (a.rig == "fisheye" && !sequence.fisheye()) {
-      throw seq::error("--rig fisheye: the cameras of " + a.sequence +
-                       " are not a pair of Kannala-Brandt cameras");
-    }
-    if (a.frame == "body" && a.rig == "monocular") {
-      throw seq::error(
-          "--frame body: with --rig monocular the scale may be unknown, and then so are the poses "
-          "of "
-          "the body");
-    }
-    if (a.frame == "body" && !sequence.has_body_frame()) {
-      throw seq::error("--frame body: the calibration of " + a.sequence +
-                       " does not say where the body is");
-    }
+    check_fit(a, sequence);
     return sequence;
   } catch (seq::missing_calibration const& e) {
     throw seq::error(std::string(e.what()) + "; --calibration names one that is elsewhere");
@@ -69,7 +95,8 @@ seq::sequence open_sequence(arguments const& a) {
 odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   auto const& settings = sequence.settings();
   odometry_options o;
-  o.monocular = a.rig == "monocular";
+  o.min_depth = a.min_depth;
+  o.max_depth = a.max_depth;
   set_rig(sequence, o);
   o.features =
       a.features > 0 ? a.features : settings.features.value_or(o.width > 1000 ? 2000 : 1200);

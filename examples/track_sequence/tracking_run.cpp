@@ -62,6 +62,10 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
   return s;
 }
 
+frame_pixels pixels_of(seq::stereo_frame const& frame) {
+  return {frame.left.pixels.data(), frame.right.pixels.data(), frame.depth.pixels.data()};
+}
+
 /// The frames to be tracked, in their order. The odometry gets the images of each one early.
 class upcoming_frames {
 public:
@@ -94,7 +98,7 @@ private:
   void give(int i) {
     try {
       seq::stereo_frame frame = reader_.take(i);
-      odometry_.prefetch(frame.left.pixels.data(), frame.right.pixels.data());
+      odometry_.prefetch(pixels_of(frame));
       given_.push_back(std::move(frame));
     } catch (...) { failure_ = std::current_exception(); }
   }
@@ -167,10 +171,8 @@ void tracking_run::track_all() {
 
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
-  frame_outcome const outcome =
-      prefetch_ > 0
-          ? odometry_.track_prefetched(frame.time_ns)
-          : odometry_.track(frame.time_ns, frame.left.pixels.data(), frame.right.pixels.data());
+  frame_outcome const outcome = prefetch_ > 0 ? odometry_.track_prefetched(frame.time_ns)
+                                              : odometry_.track(frame.time_ns, pixels_of(frame));
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
   if (recording_) {

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <ostream>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -53,14 +54,13 @@ public:
         inner_(exec, rig_of<Rig>(options), odometry_params_of(options)),
         sums_(stage_names_of<Rig>()) {}
 
-  frame_outcome track(std::int64_t time_ns, std::uint8_t const* left,
-                      std::uint8_t const* right) override {
+  frame_outcome track(std::int64_t time_ns, frame_pixels const& images) override {
     return timed(time_ns,
-                 [&](std::int64_t stamp) { return inner_.track(images_of(left, right), stamp); });
+                 [&](std::int64_t stamp) { return inner_.track(images_of(images), stamp); });
   }
-  void prefetch(std::uint8_t const* left, std::uint8_t const* right) override {
+  void prefetch(frame_pixels const& images) override {
     double const start = now_ms();
-    inner_.prefetch(images_of(left, right));
+    inner_.prefetch(images_of(images));
     prefetch_ms_ += now_ms() - start;
   }
   void forget_prefetched() override { inner_.forget_prefetched(); }
@@ -133,14 +133,15 @@ private:
     out.stage_ms = sums_.ms();
     return out;
   }
-  typename ft::odometry<Exec, Rig>::images_type images_of(
-      std::uint8_t const* left, [[maybe_unused]] std::uint8_t const* right) const {
+  typename ft::odometry<Exec, Rig>::images_type images_of(frame_pixels const& of) const {
     int const w = options_.width;
     int const h = options_.height;
     if constexpr (ft::is_monocular_v<Rig>) {
-      return {left, w, h, w};
+      return {of.left, w, h, w};
+    } else if constexpr (std::is_same_v<Rig, ft::rgbd_rig<>>) {
+      return {{of.left, w, h, w}, ft::image_view<std::uint16_t const>{of.depth, w, h, w}};
     } else {
-      return {{left, w, h, w}, {right, w, h, w}};
+      return {{of.left, w, h, w}, {of.right, w, h, w}};
     }
   }
 

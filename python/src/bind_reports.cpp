@@ -88,6 +88,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.map_points = count("map_points");
   r.maps = count("maps");
   r.one_camera = flag("one_camera");
+  r.depth_images = flag("depth_images");
   r.with_imu = flag("with_imu");
   r.metric = flag("metric");
   r.estimate = trajectory_of(run["time_ns"], run["poses"], "the estimate");

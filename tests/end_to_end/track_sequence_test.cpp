@@ -458,7 +458,9 @@ TEST(BrokenInput, NoLists) {
 TEST(BrokenInput, NoSecondCamera) {
   spoilt_sequence const s(few);
   fs::remove_all(s.path("cam1"));
-  EXPECT_TRUE(complained_of(track(s.path(), s.out()), "cam1"));
+  for (char const* rig : {"stereo", "rectified", "fisheye"}) {
+    EXPECT_TRUE(complained_of(track(s.path(), s.out(), {"--rig", rig}), "cam1"));
+  }
 }
 
 TEST(BrokenInput, NoImages) {
@@ -689,25 +691,34 @@ TEST_P(BadOption, IsRefused) {
 
 INSTANTIATE_TEST_SUITE_P(
     Options, BadOption,
-    testing::Values(bad_option{"Unknown", {"--bogus"}, "--bogus"},
-                    bad_option{"Stray", {"stray"}, "stray"},
-                    bad_option{"NoFeatures", {"--features", "0"}, "--features"},
-                    bad_option{"NegativeFeatures", {"--features", "-3"}, "--features"},
-                    bad_option{"TextFeatures", {"--features", "many"}, "--features"},
-                    bad_option{"FractionalFeatures", {"--features", "1.5"}, "--features"},
-                    bad_option{"HugeFeatures", {"--features", "99999999999"}, "--features"},
-                    bad_option{"MissingValue", {"--features"}, "--features"},
-                    bad_option{"NegativeThreads", {"--threads", "-1"}, "--threads"},
-                    bad_option{"ManyThreads", {"--threads", "5000"}, "--threads"},
-                    bad_option{"NegativeFrames", {"--frames", "-1"}, "--frames"},
-                    bad_option{"NegativeNear", {"--near", "-1"}, "--near"},
-                    bad_option{"ZeroNear", {"--near", "0"}, "--near"},
-                    bad_option{"NanNear", {"--near", "nan"}, "--near"},
-                    bad_option{"InfiniteNear", {"--near", "inf"}, "--near"},
-                    bad_option{"Backend", {"--backend", "abacus"}, "--backend"},
-                    bad_option{"ReadAhead", {"--read-ahead", "-1"}, "--read-ahead"},
-                    bad_option{"Frame", {"--frame", "wheel"}, "--frame"},
-                    bad_option{"Poses", {"--poses", "euler"}, "--poses"}),
+    testing::Values(
+        bad_option{"Unknown", {"--bogus"}, "--bogus"}, bad_option{"Stray", {"stray"}, "stray"},
+        bad_option{"NoFeatures", {"--features", "0"}, "--features"},
+        bad_option{"NegativeFeatures", {"--features", "-3"}, "--features"},
+        bad_option{"TextFeatures", {"--features", "many"}, "--features"},
+        bad_option{"FractionalFeatures", {"--features", "1.5"}, "--features"},
+        bad_option{"HugeFeatures", {"--features", "99999999999"}, "--features"},
+        bad_option{"MissingValue", {"--features"}, "--features"},
+        bad_option{"NegativeThreads", {"--threads", "-1"}, "--threads"},
+        bad_option{"ManyThreads", {"--threads", "5000"}, "--threads"},
+        bad_option{"NegativeFrames", {"--frames", "-1"}, "--frames"},
+        bad_option{"NegativeNear", {"--near", "-1"}, "--near"},
+        bad_option{"ZeroNear", {"--near", "0"}, "--near"},
+        bad_option{"NanNear", {"--near", "nan"}, "--near"},
+        bad_option{"InfiniteNear", {"--near", "inf"}, "--near"},
+        bad_option{"Rig", {"--rig", "tripod"}, "--rig"},
+        bad_option{"NegativeDifference", {"--max-time-difference", "-1"}, "--max-time-difference"},
+        bad_option{"NanDifference", {"--max-time-difference", "nan"}, "--max-time-difference"},
+        bad_option{"ZeroUnit", {"--depth-unit", "0"}, "--depth-unit"},
+        bad_option{"LargeUnit", {"--depth-unit", "5000"}, "--depth-unit"},
+        bad_option{"NanUnit", {"--depth-unit", "nan"}, "--depth-unit"},
+        bad_option{"NegativeDepth", {"--min-depth", "-1"}, "--min-depth"},
+        bad_option{"DepthRange", {"--min-depth", "3", "--max-depth", "2"}, "--max-depth"},
+        bad_option{"NanDepth", {"--max-depth", "nan"}, "--max-depth"},
+        bad_option{"Backend", {"--backend", "abacus"}, "--backend"},
+        bad_option{"ReadAhead", {"--read-ahead", "-1"}, "--read-ahead"},
+        bad_option{"Frame", {"--frame", "wheel"}, "--frame"},
+        bad_option{"Poses", {"--poses", "euler"}, "--poses"}),
     [](auto const& instance) { return std::string(instance.param.name); });
 
 TEST(Options, SequenceIsRequired) {
@@ -718,9 +729,11 @@ TEST(Options, HelpNamesThem) {
   outcome const o = run_program(tracker, {"--help"});
   ASSERT_TRUE(succeeded(o));
   for (char const* option :
-       {"--sequence", "--calibration", "--backend", "--features", "--near", "--threads", "--frames",
-        "--realtime", "--out", "--quiet", "--read-ahead", "--frame", "--poses", "--timing",
-        "--version", "exit status"}) {
+       {"--sequence",   "--calibration", "--backend",   "--features",  "--near",
+        "--threads",    "--frames",      "--realtime",  "--out",       "--quiet",
+        "--rig",        "--depth-unit",  "--min-depth", "--max-depth", "--max-time-difference",
+        "--read-ahead", "--frame",       "--poses",     "--timing",    "--version",
+        "exit status"}) {
     EXPECT_TRUE(contains(o.out, option)) << option;
   }
 }

@@ -612,4 +612,218 @@ TEST(calibration_real, euroc_settings_and_sensor_files_agree) {
   EXPECT_NEAR(a.baseline(), 0.110078, 1e-6);
 }
 
+std::string const opencv_settings = R"(%YAML:1.0
+Camera.type:"PinHole"
+Camera.fx:380.5
+Camera.bf: 45.66
+Camera.width: 640#px
+Camera.height: 480
+Camera.fps: 30#fps
+Camera.RGB: 1 # colour
+LEFT.D: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data:[-0.1, 0.02, 0.0003, -0.0001, 0.005]
+LEFT.K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data:[390.0, 0.0, 320.0, 0.0, 391.0, 240.0, 0.0, 0.0, 1.0]#K
+LEFT.R:!!opencv-matrix
+   rows:3
+   cols:3
+   dt:d
+   data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+RIGHT.D:[-0.1, 0.02, 0.0003, -0.0001, 0.25]
+RIGHT.K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [390.0, 0.0, 320.0,
+          0.0, 390.0, 240.0,#second row
+          0.0, 0.0, 1.0]
+RIGHT.R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+RIGHT.P: !!opencv-matrix
+   rows: 3
+   cols: 4
+   dt: d
+   data: [380.5, 0.0, 321.5, -45.66, 0.0, 380.5, 239.75, 0.0, 0.0, 0.0, 1.0, 0.0]
+)";
+
+TEST(calibration_opencv_yaml, is_read_as_opencv_reads_it) {
+  temp_folder const folder;
+  for (char const* head : {"%YAML:1.0", "YAML:1.0", "%YAML 1.0\n---"}) {
+    seq::calibration const c = seq::read_orb_slam3_settings(
+        folder.write("s.yaml", replaced(opencv_settings, "%YAML:1.0", head)));
+    EXPECT_EQ(c.rig.left.distortion, (std::vector<double>{-0.1, 0.02, 0.0003, -0.0001, 0.005}))
+        << head;
+    EXPECT_EQ(c.rig.right.distortion.back(), 0.25) << head;
+    EXPECT_EQ(c.rig.left.fy, 391) << head;
+    EXPECT_EQ(c.rig.left.width, 640) << head;
+    EXPECT_EQ(c.rig.fps, 30) << head;
+    EXPECT_NEAR(c.rig.baseline(), 0.12, 1e-12) << head;
+    EXPECT_EQ(c.warnings, std::vector<std::string>{}) << head;
+  }
+}
+
+TEST(calibration_opencv_yaml, a_hash_inside_quotes_is_no_comment) {
+  temp_folder const folder;
+  std::string const path =
+      folder.write("s.yaml", replaced(opencv_settings, "\"PinHole\"", "\"Pin1#Hole\""));
+  EXPECT_TRUE(
+      contains(message_of([&] { seq::read_orb_slam3_settings(path); }), "Camera.type = Pin1#Hole"));
+}
+
+TEST(calibration_orb_slam3, a_key_with_two_values_is_refused) {
+  temp_folder const folder;
+  std::string const twice = new_settings + "Camera1.fx: 500\n";
+  EXPECT_TRUE(
+      contains(message_of([&] { seq::read_orb_slam3_settings(folder.write("s.yaml", twice)); }),
+               "Camera1.fx is given twice: 458.654 and 500"));
+  std::string const same = new_settings + "Camera1.fx: 458.654\n";
+  EXPECT_EQ(seq::read_orb_slam3_settings(folder.write("s.yaml", same)).rig.left.fx, 458.654);
+}
+
+TEST(calibration_orb_slam3, all_eight_coefficients_are_taken) {
+  temp_folder const folder;
+  std::string const text =
+      replaced(new_settings, "Camera2.k3: 0.125",
+               "Camera1.k3: 0.1\nCamera1.k4: 0.02\nCamera1.k5: 0.03\nCamera1.k6: 0.04\n"
+               "Camera2.k3: 0.125");
+  seq::calibration const c = seq::read_orb_slam3_settings(folder.write("s.yaml", text));
+  EXPECT_EQ(c.rig.left.distortion, (std::vector<double>{-0.28340811, 0.07395907, 0.00019359,
+                                                        1.76187114e-05, 0.1, 0.02, 0.03, 0.04}));
+  EXPECT_EQ(c.rig.right.distortion.size(), 5U);
+  std::string const hole = replaced(text, "Camera1.k5: 0.03\n", "");
+  EXPECT_TRUE(
+      contains(message_of([&] { seq::read_orb_slam3_settings(folder.write("s.yaml", hole)); }),
+               "Camera1.k5 is missing"));
+}
+
+TEST(calibration_orb_slam3, says_what_it_does_not_take) {
+  temp_folder const folder;
+  auto const warnings = [&](std::string const& text) {
+    return seq::read_orb_slam3_settings(folder.write("s.yaml", new_settings + text)).warnings;
+  };
+  EXPECT_EQ(warnings("Viewer.PointSize: 2\nSystem.LoadAtlasFromFile: \"x\"\nCamera.RGB: 1\n"),
+            std::vector<std::string>{});
+  for (char const* key :
+       {"Camera1.k9", "Camera.newWidth", "IMU.TimeShift", "ORBextractor.nCells", "Stereo.Offset"}) {
+    auto const said = warnings(std::string(key) + ": 600\n");
+    ASSERT_EQ(said.size(), 1U) << key;
+    EXPECT_TRUE(contains(said[0], key)) << said[0];
+  }
+}
+
+std::string const rgbd_settings =
+    "%YAML:1.0\nCamera.type: \"PinHole\"\nCamera1.fx: 535.4\nCamera1.fy: 539.2\n"
+    "Camera1.cx: 320.1\nCamera1.cy: 247.6\nCamera1.k1: 0.1\nCamera1.k2: -0.2\n"
+    "Camera1.p1: 0.001\nCamera1.p2: 0.002\nCamera1.k3: 0.3\nCamera.width: 640\n"
+    "Camera.height: 480\nCamera.fps: 30\nStereo.ThDepth: 40.0\nStereo.b: 0.07732\n"
+    "RGBD.DepthMapFactor: 5208.0\n";
+
+TEST(calibration_orb_slam3, one_camera_and_depth) {
+  temp_folder const folder;
+  using seq::camera_kind;
+  std::string const path = folder.write("s.yaml", rgbd_settings);
+  seq::calibration const rgbd = seq::read_calibration(path, 0, 0, 0, camera_kind::rgbd);
+  EXPECT_EQ(rgbd.rig.left.fy, 539.2);
+  EXPECT_EQ(rgbd.rig.left.distortion.back(), 0.3);
+  EXPECT_NEAR(rgbd.rig.baseline(), 0.07732, 1e-15);
+  EXPECT_NEAR(rgbd.depth_unit.value(), 1 / 5208.0, 1e-15);
+  EXPECT_EQ(rgbd.warnings, std::vector<std::string>{});
+  seq::calibration const mono = seq::read_calibration(path, 0, 0, 0, camera_kind::mono);
+  EXPECT_EQ(mono.rig.left.fx, 535.4);
+  EXPECT_EQ(mono.rig.baseline(), 0);
+  EXPECT_EQ(
+      seq::read_calibration(folder.write("pair.yaml", new_settings), 0, 0, 0, camera_kind::mono)
+          .rig.left.fx,
+      458.654);
+  EXPECT_TRUE(contains(message_of([&] { seq::read_calibration(path); }), "Camera2.fx is missing"));
+  // the older format
+  std::string const old =
+      "%YAML:1.0\nCamera.fx: 500\nCamera.fy: 501\nCamera.cx: 320\nCamera.cy: 240\n"
+      "Camera.width: 640\nCamera.height: 480\nCamera.bf: 40.0\nDepthMapFactor: 1000.0\n";
+  seq::calibration const older =
+      seq::read_calibration(folder.write("old.yaml", old), 0, 0, 0, camera_kind::rgbd);
+  EXPECT_NEAR(older.rig.baseline(), 0.08, 1e-15);
+  EXPECT_EQ(older.depth_unit.value(), 0.001);
+  for (char const* factor : {"0", "-1", "nan", "1e12"}) {
+    std::string const bad = folder.write("bad.yaml", replaced(rgbd_settings, "5208.0", factor));
+    EXPECT_TRUE(
+        contains(message_of([&] { seq::read_calibration(bad, 0, 0, 0, camera_kind::rgbd); }),
+                 std::string("RGBD.DepthMapFactor = ") + factor))
+        << factor;
+  }
+}
+
+TEST(calibration_tum, reads_camera_txt) {
+  temp_folder const folder;
+  auto const read = [&](std::string const& text) {
+    return seq::read_calibration(folder.write("camera.txt", text), 640, 480, 0,
+                                 seq::camera_kind::rgbd);
+  };
+  seq::calibration const c =
+      read("# fx fy cx cy; depth in units of 1 mm, 0 = none\n525 524 319 239\n");
+  EXPECT_EQ(c.rig.left.model, seq::lens::pinhole);
+  EXPECT_EQ(c.rig.left.fy, 524);
+  EXPECT_EQ(c.rig.left.width, 640);
+  EXPECT_EQ(c.rig.baseline(), seq::usual_virtual_baseline);
+  EXPECT_EQ(c.depth_unit.value(), 0.001);
+  EXPECT_EQ(read("# depth in units of 0.2 mm\n525 525 319 239\n").depth_unit.value(), 0.2 * 1e-3);
+  EXPECT_EQ(read("# depth in units of 0.01 m\n525 525 319 239\n").depth_unit.value(), 0.01);
+  EXPECT_FALSE(read("525 525 319 239\n").depth_unit);
+  EXPECT_EQ(read("525 525 319 239 0.1 0.2 0.3 0.4 0.5\n").rig.left.distortion.size(), 5U);
+  EXPECT_EQ(read("525 525 319 239 0.1 0.2 0.3 0.4 0.5 6 7 8\n").rig.left.distortion.back(), 8);
+  struct bad_case {
+    std::string text, expected;
+  };
+  for (bad_case const& b : std::vector<bad_case>{
+           {"", "camera.txt: "},
+           {"525 525 319\n", "camera.txt:1: 3 numbers"},
+           {"525 525 319 239\n1 2 3 4\n", "camera.txt:2: a second camera"},
+           {"0 525 319 239\n", "fx = 0: must be above 0"},
+           {"525 525 319 1e9\n", "cy = 1e+09"},
+           {"# depth in units of 1 furlong\n525 525 319 239\n", "'furlong': must be m, cm"},
+           {"# depth in units of 0 mm\n525 525 319 239\n", "depth unit = 0"},
+           {"# depth in units of -1 mm\n525 525 319 239\n", "depth unit = -0.001"},
+           {"# depth in units of nan mm\n525 525 319 239\n", "'nan' is not finite"},
+       }) {
+    std::string const message = message_of([&] { read(b.text); });
+    EXPECT_TRUE(contains(message, b.expected)) << message;
+  }
+}
+
+TEST(calibration_euroc, one_camera_needs_no_second_file) {
+  temp_folder const folder;
+  folder.write("mav0/cam0/sensor.yaml", left_sensor + "rolling_shutter: 0.02\n");
+  seq::calibration const c =
+      seq::read_euroc_calibration(folder.path("mav0"), seq::camera_kind::mono);
+  EXPECT_EQ(c.rig.left.fx, 458.654);
+  EXPECT_EQ(c.rig.baseline(), 0);
+  EXPECT_TRUE(c.has_body_frame);
+  ASSERT_EQ(c.warnings.size(), 1U);
+  EXPECT_TRUE(contains(c.warnings[0], "rolling_shutter"));
+  std::string const kitti = folder.write("calib.txt", kitti_text.substr(0, kitti_text.find("P1:")));
+  EXPECT_EQ(seq::read_kitti_calibration(kitti, 1241, 376, 0, seq::camera_kind::mono).rig.left.fx,
+            718.856);
+}
+
+TEST(calibration_real, files_that_were_refused_or_cut) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  std::string const cases = shared + "/cases/";
+  std::string const dialect = cases + "opencv_yaml_dialect/02_left_right_nospace.yaml";
+  std::string const rational = cases + "rational_k456_dropped/settings.yaml";
+  if (!std::filesystem::exists(dialect)) { GTEST_SKIP() << "no " << dialect; }
+  EXPECT_EQ(seq::read_calibration(dialect).rig.left.distortion,
+            (std::vector<double>{-0.1, 0.02, 0.0003, -0.0001, 0.0}));
+  EXPECT_EQ(seq::read_calibration(rational).rig.left.distortion,
+            (std::vector<double>{-0.05, 0.01, 0.0002, -0.0001, 0.1, 0.02, 0.03, 0.04}));
+}
+
 }  // namespace

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "examples/sequence/asl_writer.hpp"
+#include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/generator.hpp"
 #include "examples/sequence/image_io.hpp"
 #include "examples/sequence/rectify.hpp"
@@ -671,7 +672,7 @@ TEST(reader, names_broken_and_changing_images) {
 }
 
 TEST(reader_generated, a_written_sequence_is_read_back) {
-  for (seq::camera_kind const kind : {seq::camera_kind::pinhole, seq::camera_kind::fisheye}) {
+  for (seq::rig_kind const kind : {seq::rig_kind::pinhole, seq::rig_kind::fisheye}) {
     seq::generator_options options;
     options.rig = kind;
     options.width = 96;
@@ -682,7 +683,7 @@ TEST(reader_generated, a_written_sequence_is_read_back) {
     seq::write_asl(source, folder.path("generated"));
     seq::sequence const s = seq::sequence::open(folder.path("generated"));
     ASSERT_EQ(s.size(), 3);
-    EXPECT_EQ(s.fisheye(), kind == seq::camera_kind::fisheye);
+    EXPECT_EQ(s.fisheye(), kind == seq::rig_kind::fisheye);
     EXPECT_NEAR(s.rig().baseline(), source.rig().baseline(), 1e-9);
     EXPECT_NEAR(s.rig().left.fx, source.rig().left.fx, 1e-6);
     EXPECT_EQ(s.rig().left.model, source.rig().left.model);
@@ -781,6 +782,512 @@ TEST(reader_real, fisheye_pairs_with_a_settings_file) {
   EXPECT_TRUE(seq::sequence::open(folder, options).rig().rectified());
   options.calibration = shared + "/golden/kb8_overlap/settings.yaml";
   EXPECT_TRUE(contains(open_error(folder, options), "the calibration has 512 x 512"));
+}
+
+/// Whether one of the sentences has all parts.
+bool said(std::vector<std::string> const& warnings, std::vector<std::string> const& parts) {
+  return std::any_of(warnings.begin(), warnings.end(), [&](std::string const& warning) {
+    return std::all_of(parts.begin(), parts.end(),
+                       [&](std::string const& part) { return contains(warning, part); });
+  });
+}
+
+/// A list of EuRoC images named by their number.
+std::string image_list(std::vector<std::string> const& stamps) {
+  std::string csv = "#timestamp [ns],filename\n";
+  for (std::size_t i = 0; i < stamps.size(); ++i) {
+    csv += stamps[i] + "," + std::to_string(stamp(static_cast<int>(i))) + ".png\n";
+  }
+  return csv;
+}
+
+TEST(reader_one_camera, euroc_without_the_second_one) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  write_euroc_truth(folder);
+  seq::open_options one;
+  one.rig = seq::camera_kind::mono;
+  seq::sequence const of_pair = seq::sequence::open(folder.path(), one);
+  fs::remove_all(folder.path("mav0/cam1"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  for (seq::sequence const* q : {&of_pair, &s}) {
+    EXPECT_EQ(q->kind(), seq::camera_kind::mono);
+    ASSERT_EQ(q->size(), 3);
+    EXPECT_EQ(q->load(1).left.pixels, picture(2).pixels);
+    EXPECT_TRUE(q->load(1).right.pixels.empty());
+    EXPECT_EQ(q->rig().left.fx, 40);
+    EXPECT_EQ(q->rig().baseline(), 0);
+    EXPECT_EQ(q->warnings(), std::vector<std::string>{});
+    EXPECT_TRUE(q->ground_truth_has_orientation());
+  }
+  one.rig = seq::camera_kind::rgbd;
+  EXPECT_TRUE(contains(open_error(folder.path(), one), "no depth images"));
+  fs::remove(folder.path("mav0/cam0/data/" + std::to_string(stamp(1)) + ".png"));
+  seq::sequence const hole = seq::sequence::open(folder.path());
+  EXPECT_EQ(hole.size(), 2);
+  EXPECT_TRUE(said(hole.warnings(), {"cam0", "1 of the listed images are not there"}));
+}
+
+TEST(reader_one_camera, its_distortion_goes_on_load) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  fs::remove_all(folder.path("mav0/cam1"));
+  folder.write("mav0/cam0/sensor.yaml", sensor_text(0, "[-0.2, 0.02, 0.001, 0.0005]"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
+  EXPECT_EQ(s.load(0).left.width, width);
+  // A point that the raw camera sees is where the pinhole of the loaded images sees it.
+  seq::camera_intrinsics raw = s.rig().left;
+  raw.model = seq::lens::radial_tangential;
+  raw.distortion = {-0.2, 0.02, 0.001, 0.0005};
+  raw.fx = raw.fy = 40;
+  raw.cx = 31.5;
+  raw.cy = 23.5;
+  seq::image dot{width, height, std::vector<std::uint8_t>(width * height, 0)};
+  Eigen::Vector3d const point(0.35, -0.2, 1);
+  auto const at = seq::lens_projection(raw)(point).pixel;
+  dot.row(static_cast<int>(std::lround(at.y())))[std::lround(at.x())] = 255;
+  seq::write_png(folder.path("mav0/cam0/data/" + std::to_string(stamp(0)) + ".png"), dot);
+  seq::image const loaded = s.load(0).left;
+  auto const brightest = std::max_element(loaded.pixels.begin(), loaded.pixels.end());
+  auto const i = static_cast<int>(brightest - loaded.pixels.begin());
+  auto const expected = seq::lens_projection(s.rig().left)(point).pixel;
+  EXPECT_NEAR(i % width, expected.x(), 1.2);
+  EXPECT_NEAR(i / width, expected.y(), 1.2);
+}
+
+TEST(reader_one_camera, fisheye_stays_or_becomes_a_pinhole) {
+  temp_folder const folder;
+  write_euroc(folder, 1);
+  fs::remove_all(folder.path("mav0/cam1"));
+  folder.write("mav0/cam0/sensor.yaml",
+               sensor_text(0, "[0.01, 0.002, 0.001, 0.0005]", "equidistant"));
+  EXPECT_TRUE(seq::sequence::open(folder.path()).fisheye());
+  seq::open_options pinhole;
+  pinhole.keep_fisheye = false;
+  seq::sequence const s = seq::sequence::open(folder.path(), pinhole);
+  EXPECT_FALSE(s.fisheye());
+  EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
+}
+
+TEST(reader_one_camera, kitti) {
+  temp_folder const folder;
+  write_kitti(folder, 3);
+  fs::remove_all(folder.path("image_1"));
+  folder.write("calib.txt", kitti_calib.substr(0, kitti_calib.find("P1:")));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.kind(), seq::camera_kind::mono);
+  ASSERT_EQ(s.size(), 3);
+  EXPECT_EQ(s.load(2).left.pixels, picture(4).pixels);
+  EXPECT_EQ(s.unpaired().left, 0);
+}
+
+TEST(reader_stamps, cameras_are_paired_by_the_nearest_time) {
+  temp_folder const folder;
+  write_euroc(folder, 6);
+  auto const shifted = [](std::vector<std::int64_t> const& by_ns) {
+    std::vector<std::string> stamps;
+    for (std::size_t i = 0; i < by_ns.size(); ++i) {
+      stamps.push_back(std::to_string(stamp(static_cast<int>(i)) + by_ns[i]));
+    }
+    return image_list(stamps);
+  };
+  auto const open = [&](std::vector<std::int64_t> const& by_ns) {
+    folder.write("mav0/cam1/data.csv", shifted(by_ns));
+    return seq::sequence::open(folder.path());
+  };
+  for (auto const& by_ns : {std::vector<std::int64_t>(6, 12'000),
+                            std::vector<std::int64_t>{0, 1'000, 2'000, 0, -1'000, -2'000},
+                            std::vector<std::int64_t>(6, 1'000'000)}) {
+    seq::sequence const s = open(by_ns);
+    ASSERT_EQ(s.size(), 6);
+    EXPECT_EQ(s.time_ns(3), stamp(3));
+    EXPECT_EQ(s.load(3).right.pixels, picture(7).pixels);
+    EXPECT_TRUE(said(s.warnings(), {"time stamps differ"}));
+  }
+  EXPECT_TRUE(said(open(std::vector<std::int64_t>(6, 12'000)).warnings(), {"0.012 ms after cam0"}));
+  EXPECT_EQ(open(std::vector<std::int64_t>(6, 0)).warnings(), std::vector<std::string>{});
+  seq::sequence const some = open({0, 1'000'001, 0, 0, 0, -3'000'000});
+  EXPECT_EQ(some.size(), 4);
+  EXPECT_EQ(some.unpaired().left, 2);
+  EXPECT_EQ(some.unpaired().right, 2);
+  folder.write("mav0/cam1/data.csv", shifted(std::vector<std::int64_t>(6, 5'000'000)));
+  std::string const message = open_error(folder.path());
+  EXPECT_TRUE(contains(message, "5 ms apart, at most 1 ms")) << message;
+  seq::open_options wide;
+  wide.max_time_difference_ns = 5'000'000;
+  EXPECT_EQ(seq::sequence::open(folder.path(), wide).size(), 6);
+  wide.max_time_difference_ns = 10'000'000'000;  // no image is in two pairs
+  EXPECT_EQ(seq::sequence::open(folder.path(), wide).size(), 6);
+  wide.max_time_difference_ns = -1;
+  EXPECT_TRUE(contains(open_error(folder.path(), wide), "max_time_difference_ns = -1"));
+  wide.max_time_difference_ns = 0;
+  EXPECT_TRUE(contains(open_error(folder.path(), wide), "at most 0 ms"));
+}
+
+TEST(reader_stamps, doubled_and_disordered_images) {
+  temp_folder const folder;
+  write_euroc(folder, 4);
+  auto const at = [](int i) { return std::to_string(stamp(i)); };
+  folder.write("mav0/cam0/data.csv", image_list({at(0), at(1), at(1), at(3)}));
+  seq::sequence const doubled = seq::sequence::open(folder.path());
+  ASSERT_EQ(doubled.size(), 3);
+  EXPECT_EQ(doubled.load(1).left.pixels, picture(2).pixels) << "the first of two lines";
+  EXPECT_TRUE(said(doubled.warnings(), {"cam0/data.csv: 1 line of 4 images left out", at(1)}));
+  EXPECT_EQ(doubled.unpaired().right, 1);
+  std::string const csv = image_list({at(0), at(1), at(2), at(3)});
+  std::string const line1 = at(1) + "," + at(1) + ".png\n";
+  folder.write("mav0/cam0/data.csv", replaced(csv, line1, "") + line1);
+  seq::sequence const moved = seq::sequence::open(folder.path());
+  ASSERT_EQ(moved.size(), 4);
+  EXPECT_EQ(moved.time_ns(1), stamp(1));
+  EXPECT_EQ(moved.load(1).left.pixels, picture(2).pixels);
+  EXPECT_TRUE(said(moved.warnings(), {"1 line of 4 images out of order"}));
+
+  temp_folder const kitti;
+  write_kitti(kitti, 4);
+  kitti.write("times.txt", "0\n0.1\n0.1\n0.3\n");
+  kitti.write("poses.txt",
+              "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n"
+              "1 0 0 2 0 1 0 0 0 0 1 0\n1 0 0 3 0 1 0 0 0 0 1 0\n");
+  seq::sequence const s = seq::sequence::open(kitti.path());
+  ASSERT_EQ(s.size(), 3);
+  EXPECT_EQ(s.load(2).left.pixels, picture(6).pixels);
+  ASSERT_EQ(s.ground_truth().size(), 3U);
+  EXPECT_EQ(s.ground_truth()[2].T_world_camera.translation().x(), 3);
+  EXPECT_TRUE(said(s.warnings(), {"times.txt: 1 line of 4 frames left out"}));
+}
+
+TEST(reader_stamps, doubled_and_disordered_truth) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  folder.write("groundtruth.txt",
+               "1403715273.2 0 0 0 0 0 0 1\n1403715273.3 1 0 0 0 0 0 1\n"
+               "1403715273.3 9 0 0 0 0 0 1\n1403715273.2500 0.5 0 0 0 0 0 1\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  ASSERT_EQ(s.ground_truth().size(), 3U);
+  EXPECT_EQ(s.ground_truth()[1].T_world_camera.translation().x(), 0.5);
+  EXPECT_EQ(s.ground_truth()[2].T_world_camera.translation().x(), 1);
+  EXPECT_TRUE(said(s.warnings(), {"groundtruth.txt: 1 line of 4 poses left out"}));
+  EXPECT_TRUE(said(s.warnings(), {"1 line of 4 poses out of order"}));
+  fs::remove(folder.path("groundtruth.txt"));
+  write_euroc_truth(folder);
+  std::ofstream(folder.path("mav0/state_groundtruth_estimate0/data.csv"), std::ios::app)
+      << stamp(0) + 100'000'000 << ",7,7,7,1,0,0,0\n";
+  seq::sequence const again = seq::sequence::open(folder.path());
+  EXPECT_EQ(again.ground_truth().size(), 30U);
+  EXPECT_TRUE(said(again.warnings(), {"1 line of 31 poses left out"}));
+}
+
+TEST(reader_stamps, units_are_told_apart) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  struct unit {
+    std::string name;
+    std::int64_t ns;
+  };
+  for (unit const& u : {unit{"microseconds", 1'000}, unit{"milliseconds", 1'000'000}}) {
+    std::vector<std::string> stamps;
+    for (int i = 0; i < 3; ++i) { stamps.push_back(std::to_string(stamp(i) / u.ns)); }
+    for (int camera = 0; camera < 2; ++camera) {
+      folder.write("mav0/cam" + std::to_string(camera) + "/data.csv", image_list(stamps));
+    }
+    seq::sequence const s = seq::sequence::open(folder.path());
+    ASSERT_EQ(s.size(), 3);
+    EXPECT_EQ(s.time_ns(2), stamp(2) / u.ns * u.ns) << u.name;
+    EXPECT_TRUE(said(s.warnings(), {"cam0/data.csv", "read as " + u.name})) << u.name;
+  }
+  std::string const in_seconds =
+      image_list({"1403715273.262142976", "1403715273.312142976", "1403715273.362142976"});
+  folder.write("mav0/cam0/data.csv", in_seconds);
+  folder.write("mav0/cam1/data.csv", in_seconds);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.time_ns(1), stamp(1));
+  EXPECT_EQ(s.warnings(), std::vector<std::string>{});
+  folder.write("mav0/cam0/data.csv", image_list({"1403715273.262142976", "1403715273"}));
+  EXPECT_TRUE(
+      contains(open_error(folder.path()), "data.csv:3: time stamp 1403715273 has no decimal"));
+  folder.write("mav0/cam0/data.csv", image_list({"9223372036854775000", "9223372036854775040"}));
+  EXPECT_TRUE(contains(open_error(folder.path()), "too large for milliseconds"));
+  folder.write("mav0/cam0/data.csv", image_list({"1403715273262.5"}));
+  EXPECT_TRUE(contains(open_error(folder.path()), "beyond the limit of 4.6e9 seconds"));
+}
+
+TEST(reader_stamps, times_that_are_not_those_of_the_images_are_said) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  folder.write("groundtruth.txt", "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n");
+  EXPECT_TRUE(said(seq::sequence::open(folder.path()).warnings(),
+                   {"ground truth and images have no time in common"}));
+  temp_folder const kitti;
+  write_kitti(kitti, 3);
+  kitti.write("times.txt", "0\n103\n207\n");
+  EXPECT_TRUE(said(seq::sequence::open(kitti.path()).warnings(),
+                   {"frames are 104 s apart", "another unit"}));
+}
+
+/// 100 samples at a rate, from the first image on.
+std::string imu_at(double rate_hz, double accel, double gyro = 0.01) {
+  std::string text = "#timestamp [ns],w,w,w,a,a,a\n";
+  for (int i = 0; i < 100; ++i) {
+    text += std::to_string(stamp(0) + std::llround(1e9 * i / rate_hz)) + "," +
+            std::to_string(gyro) + ",0,0,0,0," + std::to_string(accel) + "\n";
+  }
+  return text;
+}
+
+TEST(reader_imu, rate_and_units_are_checked) {
+  temp_folder const folder;
+  write_euroc(folder, 3);
+  folder.write("mav0/imu0/sensor.yaml", imu_sensor_text);
+  seq::open_options options;
+  options.read_imu = true;
+  auto const warnings = [&](std::string const& samples) {
+    folder.write("mav0/imu0/data.csv", samples);
+    return seq::sequence::open(folder.path(), options).warnings();
+  };
+  EXPECT_EQ(warnings(imu_at(200, 9.8)), std::vector<std::string>{});
+  EXPECT_EQ(warnings(imu_at(190, 9.8)), std::vector<std::string>{});
+  EXPECT_TRUE(said(warnings(imu_at(50, 9.8)), {"come at 50 Hz, rate_hz says 200"}));
+  EXPECT_TRUE(said(warnings(imu_at(1000, 9.8)), {"come at 1000 Hz, rate_hz says 200"}));
+  EXPECT_TRUE(said(warnings(imu_at(200, 0.99)), {"measures 0.99 m/s^2", "in g?"}));
+  EXPECT_TRUE(said(warnings(imu_at(200, 9810)), {"measures 9810 m/s^2"}));
+  EXPECT_TRUE(said(warnings(imu_at(200, 9.8, 20)), {"20 rad/s", "degrees per second?"}));
+}
+
+TEST(reader_imu, doubled_and_disordered_lines_are_left_out) {
+  temp_folder const folder;
+  std::string const text = imu_at(200, 9.8);
+  std::vector<std::string> warnings;
+  auto const read = [&](std::string const& samples) {
+    warnings.clear();
+    return seq::read_imu_samples(folder.write("data.csv", samples), &warnings);
+  };
+  EXPECT_EQ(read(text).size(), 100U);
+  EXPECT_EQ(warnings, std::vector<std::string>{});
+  auto const line = [&](int i) {
+    std::string const key = std::to_string(stamp(0) + i * std::int64_t{5'000'000}) + ",";
+    std::size_t const at = text.find(key);
+    return text.substr(at, text.find('\n', at) + 1 - at);
+  };
+  auto const check = [&](std::string const& samples, std::size_t expected) {
+    auto const taken = read(samples);
+    EXPECT_EQ(taken.size(), expected);
+    EXPECT_TRUE(said(warnings, {"data.csv: ", "left out"}));
+    for (std::size_t i = 1; i < taken.size(); ++i) {
+      EXPECT_LT(taken[i - 1].time_ns, taken[i].time_ns);
+    }
+  };
+  check(replaced(text, line(30), line(30) + line(30)), 100);
+  check(replaced(text, line(30) + line(31), line(31) + line(30)), 99);
+  check(text + line(3), 100);
+  // one stamp far ahead costs one line, not all that follow
+  check(replaced(text, line(30), "9000000000000000000" + line(30).substr(19)), 99);
+  EXPECT_EQ(seq::read_imu_samples(folder.write("data.csv", text + line(3))).size(), 100U);
+}
+
+// ---- TUM RGB-D
+
+seq::depth_image depth_picture(int seed) {
+  seq::depth_image depth{width, height, {}};
+  for (int i = 0; i < width * height; ++i) {
+    depth.pixels.push_back(static_cast<std::uint16_t>(1500 + (i * 7 + seed * 31) % 1000));
+  }
+  return depth;
+}
+
+/// Colour and depth images at 30 Hz, the depth ones 5 ms later.
+void write_tum(temp_folder const& folder, int count) {
+  std::string rgb = "# timestamp filename\n";
+  std::string depth = rgb;
+  fs::create_directories(folder.path("rgb"));
+  fs::create_directories(folder.path("depth"));
+  for (int i = 0; i < count; ++i) {
+    char time[32];
+    std::snprintf(time, sizeof time, "%.6f", 1311868229.5 + i / 30.0);
+    rgb += std::string(time) + " rgb/" + std::to_string(i) + ".png\n";
+    std::snprintf(time, sizeof time, "%.6f", 1311868229.505 + i / 30.0);
+    depth += std::string(time) + " depth/" + std::to_string(i) + ".png\n";
+    seq::write_png(folder.path("rgb/" + std::to_string(i) + ".png"), picture(i));
+    seq::write_depth_png(folder.path("depth/" + std::to_string(i) + ".png"), depth_picture(i));
+  }
+  folder.write("rgb.txt", rgb);
+  folder.write("depth.txt", depth);
+  folder.write("camera.txt", "# depth in units of 1 mm\n40 40 31.5 23.5\n");
+  folder.write("groundtruth.txt", "1311868229.5 0 0 0 0 0 0 1\n1311868229.6 1 0 0 0 0 0.6 0.8\n");
+}
+
+TEST(reader_tum, opens_colour_and_depth) {
+  temp_folder const folder;
+  write_tum(folder, 4);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.layout(), "tum");
+  EXPECT_EQ(s.kind(), seq::camera_kind::rgbd);
+  ASSERT_EQ(s.size(), 4);
+  EXPECT_EQ(s.depth_unit(), 0.001);
+  EXPECT_EQ(s.rig().baseline(), 0.08);
+  EXPECT_EQ(s.load(2).left.pixels, picture(2).pixels);
+  EXPECT_EQ(s.load(2).depth.pixels, depth_picture(2).pixels);
+  EXPECT_TRUE(s.load(2).right.pixels.empty());
+  EXPECT_EQ(s.ground_truth().size(), 2U);
+  EXPECT_TRUE(s.ground_truth_has_orientation());
+  EXPECT_EQ(s.warnings(), std::vector<std::string>{});
+  seq::open_options one;
+  one.rig = seq::camera_kind::mono;
+  EXPECT_EQ(seq::sequence::open(folder.path(), one).kind(), seq::camera_kind::mono);
+  EXPECT_EQ(seq::sequence::open(folder.path(), one).depth_unit(), 0);
+  fs::remove(folder.path("depth.txt"));
+  EXPECT_EQ(seq::sequence::open(folder.path()).kind(), seq::camera_kind::mono);
+  one.rig = seq::camera_kind::rgbd;
+  EXPECT_TRUE(contains(open_error(folder.path(), one), "neither depth.txt nor associations.txt"));
+  one.rig = seq::camera_kind::stereo;
+  EXPECT_TRUE(contains(open_error(folder.path(), one), "no second camera"));
+}
+
+TEST(reader_tum, pairs_within_20_ms) {
+  temp_folder const folder;
+  write_tum(folder, 3);
+  std::ofstream(folder.path("rgb.txt"), std::ios::app) << "1311868230.0 rgb/0.png\n";
+  std::ofstream(folder.path("depth.txt"), std::ios::app) << "1311868230.025 depth/0.png\n";
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.size(), 3);
+  EXPECT_EQ(s.unpaired().left, 1);
+  EXPECT_EQ(s.unpaired().right, 1);
+  seq::open_options options;
+  options.max_time_difference_ns = 25'000'000;
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).size(), 4);
+  options.max_time_difference_ns = 1'000'000;
+  EXPECT_TRUE(contains(open_error(folder.path(), options), "5 ms apart, at most 1 ms"));
+}
+
+TEST(reader_tum, associations_are_taken_in_either_order) {
+  temp_folder const folder;
+  write_tum(folder, 3);
+  for (char const* text : {"10.0 rgb/0.png 10.0 depth/1.png\n10.1 rgb/2.png 10.11 depth/2.png\n",
+                           "10.0 depth/1.png 10.0 rgb/0.png\n10.11 depth/2.png 10.1 rgb/2.png\n"}) {
+    folder.write("associations.txt", text);
+    seq::sequence const s = seq::sequence::open(folder.path());
+    ASSERT_EQ(s.size(), 2);
+    EXPECT_EQ(s.time_ns(1), 10'100'000'000);
+    EXPECT_EQ(s.load(0).left.pixels, picture(0).pixels);
+    EXPECT_EQ(s.load(0).depth.pixels, depth_picture(1).pixels);
+  }
+  folder.write("associations.txt",
+               "10.0 rgb/0.png 10.0 depth/0.png\n10.1 rgb/1.png 10.2 depth/1.png\n"
+               "10.0 rgb/2.png 10.0 depth/2.png\n10.3 rgb/9.png 10.3 depth/2.png\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.size(), 1);
+  EXPECT_TRUE(said(s.warnings(), {"1 pairs left out: up to 100 ms apart, at most 20 ms"}));
+  EXPECT_TRUE(said(s.warnings(), {"1 line of 3 pairs left out"}));
+  EXPECT_EQ(s.unpaired().right, 1);
+  folder.write("associations.txt", "10.0 rgb/0.png 10.0\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "associations.txt:1: 3 words, must have 4"));
+  folder.write("associations.txt", "1e300 rgb/0.png 10.0 depth/0.png\n");
+  EXPECT_TRUE(contains(open_error(folder.path()), "beyond the limit"));
+}
+
+TEST(reader_tum, the_depth_unit_is_given_or_assumed_or_doubted) {
+  temp_folder const folder;
+  write_tum(folder, 2);
+  seq::open_options options;
+  options.depth_unit = 0.0005;
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).depth_unit(), 0.0005);
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).depth_unit_from(), "as asked for");
+  folder.write("camera.txt", "40 40 31.5 23.5\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.depth_unit(), 1.0 / 5000);
+  EXPECT_TRUE(contains(s.depth_unit_from(), "assumed"));
+  for (double const unit : {1.0, 1e-6}) {
+    options.depth_unit = unit;
+    EXPECT_TRUE(said(seq::sequence::open(folder.path(), options).warnings(),
+                     {"the median depth is", "is the unit another one?"}));
+  }
+  for (double const unit : {-1.0, 1e-12, 1e6, std::nan("")}) {
+    options.depth_unit = unit;
+    EXPECT_TRUE(contains(open_error(folder.path(), options), "depth_unit = "));
+  }
+  options = {};
+  options.calibration = folder.write(
+      "s.yaml",
+      "%YAML:1.0\nCamera.type: PinHole\nCamera1.fx: 40\nCamera1.fy: 40\nCamera1.cx: 31.5\n"
+      "Camera1.cy: 23.5\nStereo.b: 0.1\nRGBD.DepthMapFactor: 2000\n");
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).depth_unit(), 1.0 / 2000);
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).rig().baseline(), 0.1);
+  fs::remove(folder.path("camera.txt"));
+  EXPECT_THROW(seq::sequence::open(folder.path()), seq::missing_calibration);
+}
+
+TEST(reader_tum, depth_images_of_another_kind_are_named) {
+  temp_folder const folder;
+  write_tum(folder, 2);
+  seq::write_png(folder.path("depth/0.png"), picture(0));
+  EXPECT_TRUE(contains(open_error(folder.path()), "1 channels with 8 bits"));
+  seq::write_depth_png(folder.path("depth/0.png"), {2, 2, {1, 2, 3, 4}});
+  EXPECT_TRUE(contains(open_error(folder.path()), "2 x 2 pixels, the camera's images 64 x 48"));
+  seq::write_depth_png(folder.path("depth/0.png"), depth_picture(0));
+  truncate_file(folder.path("depth/1.png"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(contains(message_of([&] { s.load(1); }), "depth/1.png"));
+  seq::write_depth_png(folder.path("depth/0.png"),
+                       {width, height, std::vector<std::uint16_t>(width * height, 0)});
+  EXPECT_TRUE(said(seq::sequence::open(folder.path()).warnings(), {"no pixel has a depth"}));
+}
+
+TEST(reader_tum, depth_moves_with_a_distorted_image) {
+  temp_folder const folder;
+  write_tum(folder, 1);
+  folder.write("camera.txt", "# depth in units of 1 mm\n40 40 31.5 23.5 -0.2 0.02 0.001 0.0005\n");
+  // Grey and depth have an edge at the same column, which stays the same after the lens is undone.
+  seq::image grey{width, height, {}};
+  seq::depth_image depth{width, height, {}};
+  for (int i = 0; i < width * height; ++i) {
+    bool const right = i % width >= 50;
+    grey.pixels.push_back(right ? 200 : 0);
+    depth.pixels.push_back(right ? 3000 : 1000);
+  }
+  seq::write_png(folder.path("rgb/0.png"), grey);
+  seq::write_depth_png(folder.path("depth/0.png"), depth);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  seq::stereo_frame const frame = s.load(0);
+  int wrong = 0;
+  for (std::size_t i = 0; i < frame.depth.pixels.size(); ++i) {
+    std::uint16_t const d = frame.depth.pixels[i];
+    EXPECT_TRUE(d == 1000 || d == 3000) << "no mean of two depths: " << d;
+    wrong += static_cast<int>((frame.left.pixels[i] > 100) != (d == 3000));
+  }
+  EXPECT_LE(wrong, height);
+  EXPECT_NE(frame.depth.pixels, depth.pixels);
+}
+
+TEST(reader_real, ground_truth_with_a_doubled_stamp) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  std::string const file = shared + "/cases/tum_duplicate_stamp/groundtruth.txt";
+  if (!fs::exists(file)) { GTEST_SKIP() << "no " << file; }
+  std::vector<std::string> warnings;
+  EXPECT_EQ(seq::read_tum(file, &warnings).size(), 15U);
+  EXPECT_TRUE(said(warnings, {"1 line of 16 poses left out"}));
+}
+
+TEST(reader_real, one_camera_and_depth) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  struct recording {
+    std::string name;
+    seq::camera_kind kind;
+    int frames;
+  };
+  for (recording const& r : {recording{"euroc_mh05_mono", seq::camera_kind::mono, 75},
+                             recording{"rgbd_7scenes_kitchen", seq::camera_kind::rgbd, 190},
+                             recording{"rgbd_hololens_office", seq::camera_kind::rgbd, 140},
+                             recording{"rgbd_tartanair", seq::camera_kind::rgbd, 50}}) {
+    std::string const folder = shared + "/data/" + r.name;
+    if (!fs::exists(folder)) { GTEST_SKIP() << "no " << folder; }
+    seq::sequence const s = seq::sequence::open(folder);
+    EXPECT_EQ(s.kind(), r.kind) << r.name;
+    EXPECT_EQ(s.size(), r.frames) << r.name;
+    EXPECT_EQ(s.depth_unit(), r.kind == seq::camera_kind::rgbd ? 0.001 : 0) << r.name;
+    EXPECT_TRUE(s.ground_truth_has_orientation()) << r.name;
+    EXPECT_EQ(s.warnings(), std::vector<std::string>{}) << r.name;
+  }
 }
 
 }  // namespace

@@ -111,6 +111,16 @@ public:
          {"image_0/000000.png", "image_0/000001.png", "image_1/000000.png", "image_1/000001.png"}) {
       picture(std::string("kitti/") + name);
     }
+    files_.write("tum/rgb.txt", "1.0 rgb/0.png\n1.1 rgb/1.png\n");
+    files_.write("tum/depth.txt", "1.001 depth/0.png\n1.101 depth/1.png\n");
+    files_.write("tum/camera.txt", "# depth in units of 1 mm\n10 10 8 6 0.01 0 0 0\n");
+    files_.write("tum/groundtruth.txt", "1.0 0 0 0 0 0 0 1\n1.1 1 0 0 0 0 0 1\n");
+    fs::create_directories(files_.path("tum/depth"));
+    for (char const* name : {"0.png", "1.png"}) {
+      picture(std::string("tum/rgb/") + name);
+      seq::write_depth_png(files_.path(std::string("tum/depth/") + name),
+                           {16, 12, std::vector<std::uint16_t>(16 * 12, 2000)});
+    }
   }
   /// Opens the sequence with `bytes` as one of its files and loads what it lists.
   void open_with(std::string const& sequence, std::string const& file,
@@ -123,16 +133,24 @@ public:
       options.max_frames = 2;
       options.read_imu = true;
       auto const opened = seq::sequence::open(files_.path(sequence), options);
-      fuzz::require(opened.size() >= 1, "an opened sequence has a pair");
+      fuzz::require(opened.size() >= 1, "an opened sequence has a frame");
+      bool const pair = opened.kind() == seq::camera_kind::stereo;
+      bool const depth = opened.kind() == seq::camera_kind::rgbd;
+      fuzz::require((opened.depth_unit() > 0) == depth, "a depth has a unit");
       if (auto const& imu = opened.imu()) { check_imu(*imu); }
       for (int i = 0; i < opened.size(); ++i) {
         auto const frame = opened.load(i);
         fuzz::require(frame.left.width == opened.rig().left.width &&
-                          frame.right.width == opened.rig().right.width,
+                          (!pair || frame.right.width == opened.rig().right.width) &&
+                          (!depth || frame.depth.pixels.size() == frame.left.pixels.size()),
                       "frames have the rig's size");
       }
     } catch (seq::error const&) {}
-    files_.write(name, before);
+    if (before.empty()) {
+      fs::remove(files_.path(name));
+    } else {
+      files_.write(name, before);
+    }
   }
   folder const& files() const { return files_; }
 
@@ -151,6 +169,14 @@ void read_settings(folder const& files, std::string const& bytes) {
     fuzz::require(read.rig.left.fx > 0 && read.rig.right.fy > 0 && read.rig.baseline() > 0,
                   "a rig that is read can be used");
   } catch (seq::error const&) {}
+  for (auto const kind : {seq::camera_kind::mono, seq::camera_kind::rgbd}) {
+    try {
+      auto const read = seq::read_calibration(files.path("settings.yaml"), 16, 12, 0, kind);
+      fuzz::require(read.rig.left.fx > 0 && read.depth_unit.value_or(1) > 0 &&
+                        (read.rig.baseline() > 0) == (kind == seq::camera_kind::rgbd),
+                    "a camera that is read can be used");
+    } catch (seq::error const&) {}
+  }
 }
 
 void read_picture(folder const& files, std::string const& bytes) {
@@ -232,7 +258,7 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
   if (size == 0) { return 0; }
   static sequences const s;
   std::string const bytes(reinterpret_cast<char const*>(data) + 1, size - 1);
-  switch (data[0] % 15) {
+  switch (data[0] % 24) {
     case 1:
       s.open_with("euroc", "mav0/cam0/sensor.yaml", bytes);
       break;
@@ -271,6 +297,18 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 14:
       load_vocabulary(bytes, true);
+      break;
+    case 20:
+      s.open_with("tum", "rgb.txt", bytes);
+      break;
+    case 21:
+      s.open_with("tum", "associations.txt", bytes);
+      break;
+    case 22:
+      s.open_with("tum", "camera.txt", bytes);
+      break;
+    case 23:
+      s.open_with("tum", "depth/0.png", bytes);
       break;
     default:
       read_settings(s.files(), bytes);

@@ -24,7 +24,7 @@ struct layout_of_files {
   std::filesystem::path mav0;  ///< EuRoC only
   int left_camera = 0;         ///< KITTI only: number of the left camera
   camera_kind kind = camera_kind::stereo;
-  std::vector<std::int64_t> times;  ///< KITTI only: of all frames, for poses.txt
+  std::vector<std::int64_t> times;  ///< of all frames, for poses.txt
   std::vector<frame_files> frames;  ///< sorted by time
   unpaired_images unpaired;
   std::vector<std::string> warnings;

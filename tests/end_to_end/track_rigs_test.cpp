@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file track_sequence with one camera, with depth images, and with recordings whose time stamps,
+/// units or calibrations are not as they should be. All on the host executor.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/image_io.hpp"
+#include "tests/end_to_end/process.hpp"
+#include "tests/end_to_end/track_support.hpp"
+#include "tests/support/sequence.hpp"
+
+namespace {
+
+using namespace app_test;
+
+json summary_of(temp_folder const& folder) {
+  return json::parse(read_file(folder.path("out/summary.json")));
+}
+
+// ---- one camera
+
+TEST(OneCamera, WithoutTheOtherIsTrackedAsWithIt) {
+  spoilt_sequence const s(many);
+  temp_folder const both;
+  ASSERT_TRUE(succeeded(track(s.path(), both.path("out"), {"--rig", "mono"})));
+  fs::remove_all(s.path("cam1"));
+  temp_folder const one;
+  outcome const o = track(s.path(), one.path("out"));
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "images of one camera"));
+  EXPECT_EQ(read_file(one.path("out/trajectory.txt")), read_file(both.path("out/trajectory.txt")));
+  EXPECT_GE(summary_of(one).at("tracked").get<int>(), many / 3);
+}
+
+// ---- depth images
+
+constexpr int plane_frames = 8;
+constexpr int plane_width = 640;
+constexpr int plane_height = 480;
+
+/// A camera that moves by 0.02 m a frame along x before a wall 2 m away: 4 pixels a frame.
+void write_wall(temp_folder const& folder, std::string const& unit) {
+  constexpr int side = 4;  // of a square of one grey, pixels
+  constexpr int step = 4;
+  std::mt19937 bits(7);
+  std::vector<std::uint8_t> squares(400 * 300);
+  for (auto& grey : squares) { grey = static_cast<std::uint8_t>(bits() >> 24); }
+  seq::depth_image const depth{plane_width, plane_height,
+                               std::vector<std::uint16_t>(plane_width * plane_height, 2000)};
+  fs::create_directories(folder.path("rgb"));
+  fs::create_directories(folder.path("depth"));
+  std::string rgb;
+  std::string depths;
+  std::string truth;
+  for (int i = 0; i < plane_frames; ++i) {
+    seq::image grey = plain(0, plane_width, plane_height);
+    for (int y = 0; y < plane_height; ++y) {
+      for (int x = 0; x < plane_width; ++x) {
+        auto const at = (y / side) * 400 + (x + step * i) / side;
+        grey.row(y)[x] = squares[static_cast<std::size_t>(at)];
+      }
+    }
+    std::string const name = std::to_string(i) + ".png";
+    seq::write_png(folder.path("rgb/" + name), grey);
+    seq::write_depth_png(folder.path("depth/" + name), depth);
+    char line[96];
+    std::snprintf(line, sizeof line, "%.6f rgb/%s\n", 100 + i / 30.0, name.c_str());
+    rgb += line;
+    std::snprintf(line, sizeof line, "%.6f depth/%s\n", 100.004 + i / 30.0, name.c_str());
+    depths += line;
+    std::snprintf(line, sizeof line, "%.6f %.6f 0 0 0 0 0 1\n", 100 + i / 30.0, 0.02 * i);
+    truth += line;
+  }
+  folder.write("rgb.txt", rgb);
+  folder.write("depth.txt", depths);
+  folder.write("groundtruth.txt", truth);
+  folder.write("camera.txt", unit + "400 400 320 240\n");
+}
+
+double last_x(temp_folder const& folder) {
+  return seq::read_tum(folder.path("out/trajectory.txt")).back().T_world_camera.translation().x();
+}
+
+TEST(DepthCamera, PathIsInMetres) {
+  temp_folder const folder;
+  write_wall(folder, "# depth in units of 1 mm\n");
+  outcome const o = track(folder.path(), folder.path("out"));
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "8 images with depth images of 640x480"));
+  EXPECT_TRUE(contains(o.out, "0.001 m a unit, as the calibration says"));
+  json const summary = summary_of(folder);
+  EXPECT_EQ(summary.at("tracked"), plane_frames);
+  EXPECT_TRUE(summary.at("scale").is_null());
+  EXPECT_LT(summary.at("ate_rmse_m").get<double>(), 0.002);
+  EXPECT_EQ(summary.at("warnings").get<strings>(), strings{});
+  EXPECT_NEAR(last_x(folder), 0.02 * (plane_frames - 1), 0.003);
+  // Reading ahead and prefetching change nothing.
+  std::string const path = read_file(folder.path("out/trajectory.txt"));
+  ASSERT_TRUE(succeeded(track(folder.path(), folder.path("out"), {"--read-ahead", "0"})));
+  EXPECT_EQ(read_file(folder.path("out/trajectory.txt")), path);
+}
+
+TEST(DepthCamera, UnitAndRangeAreOptions) {
+  temp_folder const folder;
+  write_wall(folder, "");
+  outcome const o = track(folder.path(), folder.path("out"));
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "0.0002 m a unit, assumed, as TUM RGB-D has it"));
+  EXPECT_NEAR(last_x(folder), 0.2 * 0.02 * (plane_frames - 1), 0.001);
+  ASSERT_TRUE(succeeded(track(folder.path(), folder.path("out"), {"--depth-unit", "0.002"})));
+  EXPECT_NEAR(last_x(folder), 2 * 0.02 * (plane_frames - 1), 0.006);
+  for (strings const& range : {strings{"--min-depth", "2.1"}, strings{"--max-depth", "1.9"}}) {
+    strings options = {"--depth-unit", "0.001"};
+    options.insert(options.end(), range.begin(), range.end());
+    outcome const none = track(folder.path(), folder.path("out"), options);
+    EXPECT_EQ(none.status, 1) << none;
+    EXPECT_TRUE(contains(none.err, "too few corners have a depth")) << none;
+  }
+  strings const whole = {"--depth-unit", "0.001", "--min-depth", "1.9", "--max-depth", "2.1"};
+  EXPECT_TRUE(succeeded(track(folder.path(), folder.path("out"), whole)));
+}
+
+TEST(DepthCamera, OptionsThatDoNotFit) {
+  temp_folder const folder;
+  write_wall(folder, "");
+  std::string const out = folder.path("out");
+  EXPECT_TRUE(complained_of(track(folder.path(), out, {"--rig", "stereo"}), "no second camera"));
+  EXPECT_TRUE(complained_of(track(folder.path(), out, {"--rig", "mono", "--depth-unit", "0.001"}),
+                            "--depth-unit"));
+  EXPECT_TRUE(complained_of(track(generated(few), out, {"--rig", "rgbd"}), "no depth images"));
+  EXPECT_TRUE(complained_of(track(generated(few), out, {"--max-depth", "4"}), "--max-depth"));
+  fs::remove(folder.path("camera.txt"));
+  EXPECT_TRUE(complained_of(track(folder.path(), out), "--calibration"));
+}
+
+// ---- stamps
+
+TEST(Stamps, CamerasThatDifferByMicroseconds) {
+  spoilt_sequence const s(few);
+  std::string const before = read_file(s.path("cam1/data.csv"));
+  std::ofstream later(s.path("cam1/data.csv"));
+  for (std::string const& line : lines_of(before)) {
+    std::size_t const comma = line.find(',');
+    if (line[0] == '#') { continue; }
+    later << std::stoll(line.substr(0, comma)) + 12'000 << line.substr(comma) << "\n";
+  }
+  later.close();
+  outcome const o = track(s.path(), s.out());
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "6 stereo pairs"));
+  EXPECT_TRUE(contains(o.out, "warning: the cameras' time stamps differ"));
+  EXPECT_TRUE(complained_of(track(s.path(), s.out(), {"--max-time-difference", "0.01"}),
+                            "0.012 ms apart, at most 0.01 ms"));
+}
+
+TEST(Stamps, ADoubledLineEndsNothing) {
+  spoilt_sequence const s(few);
+  for (char const* name : {"cam0/data.csv", "imu0/data.csv"}) {
+    if (!fs::exists(s.path(name))) { continue; }
+    strings lines = lines_of(read_file(s.path(name)));
+    lines.insert(lines.begin() + 3, lines[3]);
+    std::ofstream out(s.path(name));
+    for (std::string const& line : lines) { out << line << "\n"; }
+  }
+  outcome const o = track(s.path(), s.out());
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "cam0/data.csv: 1 line of 7 images left out"));
+}
+
+// ---- recordings
+
+/// One plain command: frames tracked of all, and the error as the summary has it.
+void expect_recorded(std::string const& name, int tracked, double most_m, bool scale_known,
+                     strings const& options = {}) {
+  SEQ_TEST_SHARED_OR_SKIP(shared);
+  std::string const sequence = shared + "/data/" + name;
+  if (!fs::exists(sequence)) { GTEST_SKIP() << "no " << sequence; }
+  temp_folder const folder;
+  strings all = {"--threads", "0"};
+  all.insert(all.end(), options.begin(), options.end());
+  outcome const o = track(sequence, folder.path("out"), all);
+  ASSERT_TRUE(succeeded(o));
+  json const summary = summary_of(folder);
+  EXPECT_GE(summary.at("tracked").get<int>(), tracked);
+  EXPECT_EQ(summary.at("scale").is_null(), scale_known);
+  EXPECT_LT(summary.at("ate_rmse_m").get<double>(), most_m);
+}
+
+}  // namespace

@@ -77,7 +77,10 @@ int run(app::arguments a) {
   report.keyframes = odometry->keyframes();
   report.map_points = odometry->map_points();
   report.maps = odometry->maps();
-  app::finish(a, sequence, *odometry, report);
+  auto const map = [&](std::ostream& to, Eigen::Isometry3d const& T_file_world) {
+    odometry->write_map(to, app::plain_pose(T_file_world));
+  };
+  app::finish(a, sequence, map, report);
   if (report.stopped_at) {
     std::cerr << "track_sequence: stopped at frame " << *report.stopped_at << ": "
               << report.stopped_by << "\n";

@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/track_sequence/outputs.hpp"
 
+#include <unistd.h>
+
+#include <cerrno>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <sstream>
 #include <string>
+#include <system_error>
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/warnings.hpp"
-#include "examples/track_sequence/setup.hpp"
 
 namespace app {
 namespace {
@@ -66,13 +69,12 @@ void write_poses(arguments const& a, seq::sequence const& sequence, seq::run_rep
 }
 
 /// Writes the points of the map, in the world of the poses.
-void write_map(arguments const& a, seq::sequence const& sequence, odometry const& odometry) {
+void write_map(arguments const& a, seq::sequence const& sequence, map_writer const& map) {
   std::string const path = a.out + "/map.ply";
-  std::ostringstream map;
-  odometry.write_map(map, plain_pose(a.frame == "body" ? sequence.rig().T_body_left
-                                                       : Eigen::Isometry3d::Identity()));
+  std::ostringstream text;
+  map(text, a.frame == "body" ? sequence.rig().T_body_left : Eigen::Isometry3d::Identity());
   std::ofstream out(path, std::ios::binary);
-  out << map.str();
+  out << text.str();
   out.flush();
   if (!out) { throw seq::error(path + ": cannot be written"); }
 }
@@ -86,10 +88,18 @@ void make_output_folder(arguments const& a) {
                        "), whose ground truth could be overwritten");
     }
   }
-  fs::create_directories(a.out);
+  std::error_code failed;
+  fs::create_directories(a.out, failed);
+  if (!failed && !fs::is_directory(a.out)) {
+    failed = std::make_error_code(std::errc::not_a_directory);
+  }
+  if (!failed && ::access(a.out.c_str(), W_OK | X_OK) != 0) {
+    failed = std::error_code(errno, std::generic_category());
+  }
+  if (failed) { throw seq::error("--out " + a.out + ": cannot be written: " + failed.message()); }
 }
 
-void finish(arguments const& a, seq::sequence const& sequence, odometry const& odometry,
+void finish(arguments const& a, seq::sequence const& sequence, map_writer const& map,
             seq::run_report& report) {
   report.truth = sequence.ground_truth();
   report.frame = a.frame;
@@ -105,7 +115,7 @@ void finish(arguments const& a, seq::sequence const& sequence, odometry const& o
   for (std::string const& warning : seq::warnings_of(report)) {
     report.warnings.push_back(warning);
   }
-  write_map(a, sequence, odometry);
+  write_map(a, sequence, map);
   seq::write_times_csv(a.out + "/times.csv", report);
   seq::write_summary_json(a.out + "/summary.json", report);
   seq::write_html(a.out + "/report.html", report);

@@ -2,22 +2,29 @@
 /// @file The files that a run leaves, and what it prints at its end.
 #pragma once
 
+#include <Eigen/Geometry>
+#include <functional>
+#include <iosfwd>
+
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
-#include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
 
 namespace app {
 
 /// Makes the folder for the files.
-/// @throws seq::error where it is the folder of a sequence, whose ground truth has the name of an
-///   output
+/// @throws seq::error where it cannot be written, or is the folder of a sequence, whose ground
+/// truth
+///   has the name of an output
 void make_output_folder(arguments const& a);
+
+/// Writes the points of the map as PLY. @param T_file_world what moves them first
+using map_writer = std::function<void(std::ostream&, Eigen::Isometry3d const& T_file_world)>;
 
 /// Moves the poses and the map to the frame asked for, compares them with the ground truth, writes
 /// the files and prints the summary.
 /// @throws seq::error
-void finish(arguments const& a, seq::sequence const& sequence, odometry const& odometry,
+void finish(arguments const& a, seq::sequence const& sequence, map_writer const& map,
             seq::run_report& report);
 
 }  // namespace app

@@ -12,13 +12,16 @@ from ._ft import (
 from .features import Keypoints, OrbExtractor, StereoMatcher, StereoMatches
 from .odometry import Odometry
 from .rectification import Rectifier
-from .rigs import DistortedPair, FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera
+from .rigs import (
+    CalibrationWarning, DistortedPair, FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera,
+    check_calibration,
+)
 from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, read_tum
 from .streams import Stream
 
 __all__ = [
-    "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
+    "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
     "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan",
     "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher", "StereoMatches", "Stream", "Tracking",
-    "Trajectory", "Unified", "__version__", "devices", "evaluate", "read_sequence", "read_tum",
+    "Trajectory", "Unified", "__version__", "check_calibration", "devices", "evaluate", "read_sequence", "read_tum",
 ]

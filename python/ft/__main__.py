@@ -2,86 +2,15 @@
 """python -m ft track FOLDER tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
 
 import argparse
-import json
 import sys
-import time
-from pathlib import Path
 
 import ft
 
 
-def viewer_of(arguments, sequence):
-    """A viewer, or None. Raises MissingPackage."""
-    if not arguments.view and arguments.record is None:
-        return None
-    from ft import view
-
-    camera = getattr(sequence.rig, "camera", None) or sequence.rig.left
-    return view.Viewer(view.open_rerun(arguments.record), camera, sequence.width, sequence.height,
-                       sequence.ground_truth, sequence.ground_truth_has_orientation)
-
-
-def show(viewer, i, frame, pose, odometry, milliseconds):
-    """What is known about a frame, to the viewer."""
-    from ft import view
-
-    counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
-              "local map": pose.local_points}
-    times = {**odometry.stage_times(), "total": milliseconds}
-    seen = view.Seen(i, frame.time_ns, frame.left, pose.tracked, pose.keyframe, pose.T_world_camera,
-                     odometry.keypoints(), counts, times)
-    viewer.show(seen, odometry.map() if pose.tracked and pose.keyframe else None)
-
-
 def track(arguments):
-    sequence = ft.read_sequence(arguments.folder, calibration=arguments.calibration, max_frames=arguments.frames,
-                                imu=arguments.imu)
-    viewer = viewer_of(arguments, sequence)
-    options = {"features": arguments.features} if arguments.features else {}
-    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.device,
-                           measure_stages=viewer is not None, **options)
-    samples = iter(sequence.imu_samples)
-    waiting = next(samples, None)
-    poses, spent, stopped, i = [], 0.0, None, 0
-    try:
-        for i, frame in enumerate(sequence):
-            while waiting is not None and waiting[0] <= frame.time_ns:
-                odometry.add_imu(*waiting)
-                waiting = next(samples, None)
-            begin = time.perf_counter()
-            pose = odometry.track(frame.left, frame.right, frame.time_ns)
-            took = time.perf_counter() - begin
-            spent += took
-            if pose.tracked:
-                poses.append((frame.time_ns, pose.T_world_camera))
-            if viewer is not None:
-                show(viewer, i, frame, pose, odometry, 1e3 * took)
-    except KeyboardInterrupt:
-        stopped = i
-    if viewer is not None:
-        viewer.finish()
-    return report(arguments, sequence, poses, spent, stopped)
+    from . import track as program
 
-
-def report(arguments, sequence, poses, spent, stopped):
-    """Writes trajectory and summary. Returns the exit status."""
-    if not poses:
-        print("no frame could be tracked", file=sys.stderr)
-        return 1
-    out = Path(arguments.out)
-    out.mkdir(parents=True, exist_ok=True)
-    trajectory = ft.Trajectory.of(poses)
-    trajectory.write_tum(out / "trajectory.txt")
-    summary = {"sequence": sequence.name, "frames": len(sequence), "tracked": len(poses), "stopped_at": stopped,
-               "frames_per_s": len(poses) / spent if spent else None}
-    if len(sequence.ground_truth):
-        errors = ft.evaluate(trajectory, sequence.ground_truth, orientation=sequence.ground_truth_has_orientation)
-        summary.update({k: v for k, v in errors.items() if k != "T_truth_estimate"})
-    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(summary, indent=1))
-    if stopped is not None:
-        print(f"stopped at frame {stopped}", file=sys.stderr)
-    return 0 if stopped is None else 3
+    return program.track(arguments)
 
 
 def view_recording(arguments):
@@ -91,18 +20,61 @@ def view_recording(arguments):
     return 0
 
 
+def count(least, most):
+    """A whole number in a range."""
+    def parsed(text):
+        value = int(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"is {value}, must be in [{least}, {most}]")
+        return value
+    return parsed
+
+
+def number(least, most):
+    """A number in a range."""
+    def parsed(text):
+        value = float(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"is {value:g}, must be in [{least:g}, {most:g}]")
+        return value
+    return parsed
+
+
 def parser():
     top = argparse.ArgumentParser(prog="python -m ft", description=__doc__)
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
-    command = commands.add_parser("track", help="tracks a sequence in EuRoC or KITTI layout")
-    command.add_argument("folder")
+    command = commands.add_parser(
+        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout",
+        epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 where "
+               "Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
+    command.add_argument("folder", nargs="?", metavar="FOLDER")
+    command.add_argument("--sequence", help="the same as an option")
     command.add_argument("--calibration", default="", help="in place of the sequence's own")
-    command.add_argument("--frames", type=int, default=0, help="stop after so many; 0 = all")
-    command.add_argument("--features", type=int, default=0, help="keypoints per image; default: 1200")
-    command.add_argument("--device", default="auto", choices=["auto", "host", "cuda"])
-    command.add_argument("--imu", action="store_true", help="use the sequence's IMU")
-    command.add_argument("--out", default="ft_track_out", help="folder for trajectory.txt and summary.json")
+    command.add_argument("--frames", type=count(0, 2**31 - 1), default=0, help="stop after so many; 0 = all")
+    command.add_argument("--backend", "--device", default="auto", choices=["auto", "host", "cuda"],
+                         help="auto is a GPU if there is one")
+    command.add_argument("--threads", type=count(0, 4096), default=0, help="of the host; 0 = all")
+    command.add_argument("--rig", default="auto", choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"],
+                         help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one camera, of "
+                              "a pair the left one), rgbd (with depth images), rectified or fisheye (a pair); monocular is mono")
+    command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",
+                         help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 for depth")
+    command.add_argument("--depth-unit", type=number(1e-9, 1e3),
+                         help="metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)")
+    command.add_argument("--min-depth", type=number(0, 1e6), default=0.0, help="metres; smaller depths are taken for none")
+    command.add_argument("--max-depth", type=number(1e-9, float("inf")), help="metres; larger depths are taken for none")
+    command.add_argument("--features", type=count(1, 1 << 20), default=0,
+                         help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
+    command.add_argument("--near", type=number(1e-6, 1e6), help="depth of map points, in baselines; default: the settings file's, or 50")
+    command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
+                         help="auto (the default): used if the sequence has one")
+    command.add_argument("--out", default="track_sequence_out",
+                         help="folder for trajectory.txt, groundtruth.txt, map.ply, times.csv, summary.json, report.html")
+    command.add_argument("--frame", default="camera", choices=["camera", "body"], help="whose poses are written and compared")
+    command.add_argument("--poses", default="tum", choices=["tum", "kitti"], help="kitti: also poses.txt, 12 numbers a frame")
+    command.add_argument("--timing", action="store_true", help="measures the stages of a frame")
+    command.add_argument("--quiet", action="store_true", help="no progress display")
     shown = command.add_mutually_exclusive_group()
     shown.add_argument("--view", action="store_true", help="show the run in the viewer rerun, as it goes (rerun-sdk)")
     shown.add_argument("--record", metavar="FILE.rrd", help="write what the viewer shows to a file (rerun-sdk)")
@@ -115,7 +87,16 @@ def parser():
 
 
 def main():
-    arguments = parser().parse_args()
+    top = parser()
+    arguments = top.parse_args()
+    if arguments.command == "track":
+        if (arguments.folder is None) == (arguments.sequence is None):
+            top.error("one of FOLDER and --sequence names the folder")
+        arguments.folder = arguments.folder or arguments.sequence
+        if arguments.max_depth is not None and not arguments.max_depth > arguments.min_depth:
+            top.error(f"argument --max-depth: is {arguments.max_depth:g}, must be above --min-depth, {arguments.min_depth:g}")
+        if arguments.max_depth == float("inf"):
+            arguments.max_depth = None
     try:
         return arguments.run(arguments)
     except (RuntimeError, ValueError) as e:

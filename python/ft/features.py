@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import _ft
+from .rigs import _two
 from .streams import handle_of
 
 
@@ -53,11 +54,20 @@ class StereoMatches:
 
 def _options(width, height, features=1200, levels=8, scale_factor=1.2, ini_threshold=20, min_threshold=7,
              mask_size=(0, 0), std_sort=False, threads=0):
+    mask_width, mask_height = _two(mask_size, "mask_size")
     return {
         "width": width, "height": height, "features": features, "levels": levels, "scale_factor": scale_factor,
-        "ini_threshold": ini_threshold, "min_threshold": min_threshold, "mask_width": mask_size[0],
-        "mask_height": mask_size[1], "std_sort": std_sort, "threads": threads,
+        "ini_threshold": ini_threshold, "min_threshold": min_threshold, "mask_width": mask_width,
+        "mask_height": mask_height, "std_sort": bool(std_sort), "threads": threads,
     }
+
+
+def _frames(images):
+    """Of a sequence of images for each camera, those of each frame."""
+    numbers = [len(of_camera) for of_camera in images]
+    if len(set(numbers)) > 1:
+        raise ValueError(f"{' and '.join(map(str, numbers))} images of the cameras, must be equally many of each")
+    return list(zip(*images))
 
 
 class OrbExtractor:
@@ -72,7 +82,7 @@ class OrbExtractor:
     def __init__(self, width, height, *, batch=1, device="auto", **options):
         self._options = _options(width, height, **options)
         self._pipeline = _ft.FeaturePipeline(self._options, batch, None, device)
-        self.batch = batch
+        self.batch = int(batch)
 
     def extract(self, images, stream=None):
         """Keypoints of an image, (height, width) uint8; with batch > 1, of a sequence of images, as a list. On a GPU images
@@ -83,7 +93,7 @@ class OrbExtractor:
         return all_keypoints[0] if single else all_keypoints
 
     def set_mask(self, mask, i=0):
-        """Keypoints of image i come from where the mask, (mask height, mask width) uint8, is not 0."""
+        """Keypoints of image i come from where the mask, (mask height, mask width) uint8 or bool, is not 0."""
         self._pipeline.set_mask(i, mask)
 
 
@@ -94,13 +104,13 @@ class StereoMatcher:
     def __init__(self, rig, width, height, *, batch=1, device="auto", **options):
         self._options = _options(width, height, **options)
         self._pipeline = _ft.FeaturePipeline(self._options, 2 * batch, rig, device)
-        self.batch = batch
+        self.batch = int(batch)
 
     def match(self, left, right, stream=None):
         """StereoMatches of two images (height, width) uint8; with batch > 1, of two sequences of images, as a list. stream:
         see OrbExtractor.extract."""
         single = self.batch == 1 and not isinstance(left, (list, tuple))
-        pairs = [(left, right)] if single else list(zip(left, right))
+        pairs = [(left, right)] if single else _frames((left, right))
         scale = self._options["scale_factor"]
         found = [
             StereoMatches(Keypoints(**l, scale_factor=scale), Keypoints(**r, scale_factor=scale), right_x, depth)

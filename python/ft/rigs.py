@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs of cameras, and the IMU on them. Lengths are in metres, parameters of cameras in pixels."""
+"""Rigs of cameras, and the IMU on them. Lengths are in metres, parameters of cameras in pixels. Where fx, fy, cx, cy stand,
+a matrix (3, 3) does, too."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -10,21 +12,38 @@ from . import _ft
 IDENTITY = np.eye(4)
 
 
-def _matrix(values):
-    return np.ascontiguousarray(values, dtype=np.float64)
+MODELS = (_ft.Pinhole, _ft.RadTan, _ft.KannalaBrandt, _ft.DoubleSphere, _ft.Unified, _ft.ExtendedUnified, _ft.FieldOfView)
 
 
-def _values(camera):
-    """The parameters of a camera model, or of a list of numbers."""
-    return [float(v) for v in getattr(camera, "parameters", camera)]
+def _matrix(values, name="the matrix"):
+    try:
+        return np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise ValueError(f"{name} is no matrix of numbers: {e}") from None
 
 
-def _plain(kind, left, right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth_scale=1.0, raw=(0, 0),
+def _two(values, name):
+    try:
+        first, second = values
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {values!r}, must be two numbers") from None
+    return first, second
+
+
+def _values(camera, name="the camera", models=(_ft.Pinhole,)):
+    """The parameters of a camera, which is one of some models, a matrix (3, 3), or a sequence of numbers."""
+    if isinstance(camera, MODELS) and not isinstance(camera, models):
+        allowed = " or ".join(f"ft.{m.__name__}" for m in models)
+        raise ValueError(f"{name} is ft.{type(camera).__name__}, must be {allowed}, or its parameters")
+    return _ft.camera_values(camera, name)
+
+
+def _plain(kind, left=(), right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth=(None, 0.0, None), raw=(0, 0),
            cameras=()):
     return {
-        "kind": kind, "left": _values(left), "right": _values(right), "wanted": _values(wanted),
-        "T_right_left": _matrix(T_right_left), "baseline": float(baseline), "depth_scale": float(depth_scale),
-        "raw_width": int(raw[0]), "raw_height": int(raw[1]), "cameras": list(cameras),
+        "kind": kind, "left": left, "right": right, "wanted": wanted, "T_right_left": _matrix(T_right_left, "T_right_left"),
+        "baseline": baseline, "depth_scale": depth[0], "min_depth": depth[1], "max_depth": depth[2],
+        "raw_width": raw[0], "raw_height": raw[1], "cameras": list(cameras),
     }
 
 
@@ -36,13 +55,13 @@ class RectifiedPair:
     baseline: float
 
     def _plain(self):
-        return _plain("rectified", self.camera, baseline=self.baseline)
+        return _plain("rectified", _values(self.camera), baseline=self.baseline)
 
 
 @dataclass
 class DistortedPair:
-    """Two cameras with radial-tangential distortion (ft.RadTan, or fx, fy, cx, cy, k1, k2, p1, p2, k3 ...). Their
-    images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4) maps points
+    """Two cameras with radial-tangential distortion (ft.RadTan, or fx, fy, cx, cy and 0, 4, 5 or 8 of k1, k2, p1, p2, k3
+    ...). Their images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4) maps points
     of the left camera to the right one. `size` is width and height of the images that come in."""
 
     left: object
@@ -52,7 +71,9 @@ class DistortedPair:
     size: tuple
 
     def _plain(self):
-        return _plain("distorted", self.left, self.right, self.wanted, self.T_right_left, raw=self.size)
+        models = (_ft.RadTan, _ft.Pinhole)
+        return _plain("distorted", _values(self.left, "the left camera", models), _values(self.right, "the right camera", models),
+                      _values(self.wanted, "wanted"), self.T_right_left, raw=_two(self.size, "size"))
 
 
 @dataclass
@@ -65,20 +86,27 @@ class FisheyePair:
     T_right_left: np.ndarray
 
     def _plain(self):
-        return _plain("fisheye", self.left, self.right, T_right_left=self.T_right_left)
+        models = (_ft.KannalaBrandt,)
+        return _plain("fisheye", _values(self.left, "the left camera", models), _values(self.right, "the right camera", models),
+                      T_right_left=self.T_right_left)
 
 
 @dataclass
 class RgbdCamera:
     """A camera (ft.Pinhole, ft.RadTan, or their parameters) with registered depth images, uint16 or float32.
-    `depth_scale` is metres per unit; `baseline` is that of the virtual pair that keypoints with depth count as."""
+    `depth_scale` is metres per unit: 0.001 for millimetres, 1 / 5000 for TUM's images. uint16 images need one; without it
+    those of float32 are in metres. Depths below `min_depth` or above `max_depth`, metres, None = no limit, are none.
+    `baseline` is that of the virtual pair that keypoints with depth count as."""
 
     camera: object
     baseline: float = 0.08
-    depth_scale: float = 1.0
+    depth_scale: Optional[float] = None
+    min_depth: float = 0.0
+    max_depth: Optional[float] = None
 
     def _plain(self):
-        return _plain("rgbd", self.camera, baseline=self.baseline, depth_scale=self.depth_scale)
+        return _plain("rgbd", _values(self.camera, models=(_ft.Pinhole, _ft.RadTan)), baseline=self.baseline,
+                      depth=(self.depth_scale, self.min_depth, self.max_depth))
 
 
 @dataclass
@@ -91,9 +119,8 @@ class MonocularCamera:
 
     def _plain(self):
         fisheye = isinstance(self.camera, _ft.KannalaBrandt)
-        if not fisheye and len(_values(self.camera)) != 4:
-            raise ValueError("the camera must be ft.Pinhole, its fx, fy, cx, cy, or ft.KannalaBrandt")
-        return _plain("monocular_fisheye" if fisheye else "monocular", self.camera)
+        values = _values(self.camera, models=(_ft.Pinhole, _ft.KannalaBrandt))
+        return _plain("monocular_fisheye" if fisheye else "monocular", values)
 
 
 @dataclass
@@ -107,7 +134,8 @@ class RigCamera:
     T_camera_body: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def _plain(self):
-        return {"camera": _values(self.camera), "baseline": float(self.baseline), "T_camera_body": _matrix(self.T_camera_body)}
+        return {"camera": _values(self.camera), "baseline": self.baseline,
+                "T_camera_body": _matrix(self.T_camera_body, "T_camera_body")}
 
 
 @dataclass
@@ -120,7 +148,24 @@ class MultiRig:
     cameras: list
 
     def _plain(self):
-        return _plain("multi", (), cameras=[c._plain() for c in self.cameras])
+        for i, camera in enumerate(self.cameras):
+            if not isinstance(camera, RigCamera):
+                raise ValueError(f"cameras[{i}] is {type(camera).__name__}, must be ft.RigCamera")
+        return _plain("multi", cameras=[c._plain() for c in self.cameras])
+
+
+class CalibrationWarning(NamedTuple):
+    """A word, such as "principal_point", and a sentence that has the numbers."""
+
+    name: str
+    text: str
+
+
+def check_calibration(rig, width, height):
+    """Signs that a calibration is another camera's, another size's or in other units, a list of CalibrationWarning: wrong
+    calibrations are tracked without an error, and wrongly. Empty for an ordinary one. width, height: of the images that
+    are searched, pixels. ft.Odometry warns of these. Raises ValueError for what is no rig, and for sizes out of range."""
+    return [CalibrationWarning(*found) for found in _ft.check_calibration(rig, width, height)]
 
 
 @dataclass
@@ -136,4 +181,4 @@ class Imu:
     rate_hz: float = 200.0
 
     def __post_init__(self):
-        self.T_imu_camera = _matrix(self.T_imu_camera)
+        self.T_imu_camera = _matrix(self.T_imu_camera, "T_imu_camera")

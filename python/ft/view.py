@@ -64,7 +64,7 @@ class Viewer:
 
     def __init__(self, rerun, camera, width, height, truth=None, truth_has_orientation=True):
         self._rerun = rerun
-        camera = [float(v) for v in getattr(camera, "parameters", camera)]
+        camera = _ft.camera_values(camera, "the camera")
         self._camera = _ft.KannalaBrandt(camera) if len(camera) == 8 else _ft.Pinhole(camera[:4])
         self._truth = truth if truth is not None and len(truth) else None
         self._oriented = truth_has_orientation
@@ -208,11 +208,14 @@ class Recording:
             raise RuntimeError(f"{self._file}: {e}") from e
         if not isinstance(self.header, dict) or self.header.get("ft_recording") != FORMAT:
             raise RuntimeError(f"{self._file}: is no recording of format {FORMAT}")
-        truth = self.header["truth"]
-        self.truth = None
-        if truth:
-            self.truth = Trajectory(np.array(truth["time_ns"], dtype=np.int64), _matrices(truth["T_world_camera"]))
-        self.truth_has_orientation = bool(truth and truth["orientation"])
+        self.truth, self.truth_has_orientation = None, False
+        try:
+            truth = self.header["truth"]
+            if truth:
+                self.truth = Trajectory(truth["time_ns"], _matrices(truth["T_world_camera"]))
+                self.truth_has_orientation = bool(truth["orientation"])
+        except (KeyError, TypeError, ValueError) as e:
+            raise RuntimeError(f"{self._file}:1: {e!r}") from e
 
     def __iter__(self):
         with open(self._file, encoding="utf-8") as lines:
@@ -222,7 +225,7 @@ class Recording:
                     return
                 try:
                     yield self._seen(json.loads(line))
-                except (KeyError, ValueError) as e:
+                except (KeyError, TypeError, ValueError) as e:
                     raise RuntimeError(f"{self._file}:{number}: {e!r}") from e
 
     def _seen(self, f):

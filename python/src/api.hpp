@@ -20,6 +20,18 @@ struct argument_error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// fx, fy, cx, cy and 0, 4, 5 or 8 coefficients in OpenCV's order become 12 numbers: the others are
+/// 0. @param of whose they are, for a message @throws argument_error for another number of them
+inline void complete_radtan(std::vector<double>& values, std::string const& of) {
+  std::size_t const n = values.size();
+  if (n != 4 && n != 8 && n != 9 && n != 12) {
+    throw argument_error(of + " has " + std::to_string(n) +
+                         " parameters, must have 4, 8, 9 or 12: fx, fy, cx, cy, then k1, k2, p1, "
+                         "p2, then k3, then k4, k5, k6");
+  }
+  values.resize(12);
+}
+
 /// Grey, 8 bits.
 struct image {
   std::uint8_t const* data = nullptr;
@@ -48,8 +60,9 @@ struct rig {
   std::vector<double> wanted;       ///< distorted: fx, fy, cx, cy of both rectified cameras
   pose T_right_left{};
   double baseline = 0;
-  double depth_scale = 1;
-  int raw_width = 0, raw_height = 0;  ///< distorted
+  std::optional<double> depth_scale;    ///< rgbd: metres per unit
+  double min_depth = 0, max_depth = 0;  ///< rgbd, metres
+  int raw_width = 0, raw_height = 0;    ///< distorted
 };
 
 struct imu {
@@ -107,6 +120,7 @@ struct frame_images {
 struct tracking {
   pose T_world_camera{};
   std::string state;
+  std::string reason, explanation;  ///< a word and a sentence; empty without
   bool metric = true;
   bool keyframe = false;
   int inliers = 0, keypoints = 0, stereo_points = 0, local_points = 0, left_out = 0;

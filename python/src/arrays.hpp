@@ -6,20 +6,54 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 
+#include <unistd.h>
+
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
+#include <limits>
+#include <memory>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "python/src/api.hpp"
+#include "python/src/numbers.hpp"
 
 namespace ftpy {
 
-namespace nb = nanobind;
-
 using any_array = nb::ndarray<nb::ro>;
+
+/// A pipeline. A process that was forked has none of its threads: there it is not called, and left
+/// where it is.
+template <typename T>
+class owned {
+public:
+  owned() = default;
+  owned(owned const&) = delete;
+  owned& operator=(owned const&) = delete;
+  owned& operator=(std::unique_ptr<T> made) {
+    of_ = std::move(made);
+    return *this;
+  }
+  ~owned() {
+    if (getpid() != process_) { static_cast<void>(of_.release()); }
+  }
+  T* operator->() const {
+    if (getpid() != process_) {
+      throw std::runtime_error(
+          "this object was made before os.fork(), and its threads are the parent's: make one in "
+          "the child, or start the child with multiprocessing.get_context('spawn')");
+    }
+    return of_.get();
+  }
+
+private:
+  std::unique_ptr<T> of_;
+  pid_t process_ = getpid();
+};
 
 /// Keeps the arrays of a call.
 class arrays {
@@ -37,20 +71,23 @@ public:
     kept_.push_back(a);
     return a;
   }
-  image gray(nb::handle given, std::string const& name) {
+  image gray(nb::handle given, std::string const& name) { return bytes(given, name, false); }
+  /// As gray(), or what a comparison gives: bool.
+  image mask(nb::handle given, std::string const& name) { return bytes(given, name, true); }
+  /// Of n rows, which may be none, without gaps. @return the first one, and n in `rows`
+  std::uint8_t const* rows_of_bytes(nb::handle given, std::string const& name, int columns,
+                                    int& rows) {
     any_array const a = take(given, name);
-    if (a.ndim() != 2) {
-      throw argument_error(name + " has " + std::to_string(a.ndim()) +
-                           " dimensions, must have 2 (rows, columns)");
+    bool const fits = a.ndim() == 2 && a.dtype() == nb::dtype<std::uint8_t>() &&
+                      a.shape(1) == static_cast<std::size_t>(columns) &&
+                      (a.shape(0) < 2 || a.stride(0) == columns) &&
+                      (a.shape(0) < 1 || a.stride(1) == 1);
+    if (!fits || a.device_type() != nb::device::cpu::value) {
+      throw argument_error(name + " must be a uint8 array of shape (n, " + std::to_string(columns) +
+                           ") without gaps, on the host");
     }
-    if (a.dtype() != nb::dtype<std::uint8_t>()) {
-      throw argument_error(name + " has another type than uint8");
-    }
-    require_rows(a, name);
-    require_place(a, name);
-    return {static_cast<std::uint8_t const*>(a.data()), static_cast<int>(a.shape(1)),
-            static_cast<int>(a.shape(0)),
-            static_cast<int>(a.shape(0) > 1 ? a.stride(0) : a.shape(1))};
+    rows = length(static_cast<std::int64_t>(a.shape(0)), name, "number of rows");
+    return static_cast<std::uint8_t const*>(a.data());
   }
   /// Of a given size, which can be written.
   rectified_image written(nb::handle given, std::string const& name, int width, int height) {
@@ -79,8 +116,7 @@ public:
         static_cast<std::ptrdiff_t>(is_float ? sizeof(float) : sizeof(std::uint16_t));
     auto const row = static_cast<std::ptrdiff_t>(
         a.shape(0) > 1 ? a.stride(0) : static_cast<std::int64_t>(a.shape(1)));
-    return {a.data(), static_cast<int>(a.shape(1)), static_cast<int>(a.shape(0)), row * bytes,
-            is_float};
+    return {a.data(), columns_of(a, name), rows_of(a, name), row * bytes, is_float};
   }
   /// Of doubles, one after the other. @param shape what it must have
   double const* doubles(nb::handle given, std::string const& name,
@@ -95,7 +131,7 @@ public:
       ++i;
     }
     std::int64_t step = static_cast<std::int64_t>(n);
-    for (i = 0; same && i < a.ndim(); ++i) {
+    for (i = 0; same && n > 0 && i < a.ndim(); ++i) {  // without elements there are no steps
       step /= static_cast<std::int64_t>(a.shape(i));
       same = a.stride(i) == step || a.shape(i) == 1;
     }
@@ -125,7 +161,13 @@ public:
   pose matrix(nb::handle given, std::string const& name) {
     double const* const from = doubles(given, name, {4, 4});
     pose m;
-    for (std::size_t i = 0; i < 16; ++i) { m[i] = from[i]; }
+    for (std::size_t i = 0; i < 16; ++i) {
+      m[i] = from[i];
+      if (!(std::abs(m[i]) <= static_cast<double>(std::numeric_limits<float>::max()))) {
+        throw argument_error(name + "[" + std::to_string(i / 4) + ", " + std::to_string(i % 4) +
+                             "] is " + std::to_string(m[i]) + ", must be finite, at most 3.4e38");
+      }
+    }
     if (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1) {
       throw argument_error(name + " is no rigid motion: its last row must be 0 0 0 1");
     }
@@ -133,8 +175,39 @@ public:
   }
 
 private:
+  image bytes(nb::handle given, std::string const& name, bool or_bool) {
+    any_array const a = take(given, name);
+    if (a.ndim() != 2) {
+      throw argument_error(name + " has " + std::to_string(a.ndim()) +
+                           " dimensions, must have 2 (rows, columns)");
+    }
+    if (a.dtype() != nb::dtype<std::uint8_t>() && !(or_bool && a.dtype() == nb::dtype<bool>())) {
+      throw argument_error(name + " has another type than uint8" + (or_bool ? " and bool" : ""));
+    }
+    require_rows(a, name);
+    require_place(a, name);
+    std::int64_t const row = a.shape(0) > 1 ? a.stride(0) : static_cast<std::int64_t>(a.shape(1));
+    return {static_cast<std::uint8_t const*>(a.data()), columns_of(a, name), rows_of(a, name),
+            length(row, name, "distance of rows")};
+  }
+  static int length(std::int64_t n, std::string const& name, char const* what) {
+    if (n > std::numeric_limits<int>::max()) {
+      throw argument_error(name + " has a " + what + " of " + std::to_string(n) +
+                           ", must be at most " + std::to_string(std::numeric_limits<int>::max()));
+    }
+    return static_cast<int>(n);
+  }
+  static int rows_of(any_array const& a, std::string const& name) {
+    return length(static_cast<std::int64_t>(a.shape(0)), name, "height");
+  }
+  static int columns_of(any_array const& a, std::string const& name) {
+    return length(static_cast<std::int64_t>(a.shape(1)), name, "width");
+  }
   static void require_rows(any_array const& a, std::string const& name) {
-    if (a.shape(0) == 0 || a.shape(1) == 0) { throw argument_error(name + " is empty"); }
+    if (a.shape(0) == 0 || a.shape(1) == 0) {
+      throw argument_error(name + " is empty: its shape is (" + std::to_string(a.shape(0)) + ", " +
+                           std::to_string(a.shape(1)) + ")");
+    }
     bool const columns = a.shape(1) == 1 || a.stride(1) == 1;
     bool const rows = a.shape(0) == 1 || a.stride(0) >= static_cast<std::int64_t>(a.shape(1));
     if (!columns || !rows) {
@@ -159,10 +232,11 @@ private:
 /// A NumPy array that owns the numbers.
 template <typename T>
 nb::object to_numpy(std::vector<T> values, std::initializer_list<std::size_t> shape) {
-  auto* const owned = new std::vector<T>(std::move(values));
-  nb::capsule const owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  auto* const kept = new std::vector<T>(std::move(values));
+  kept->reserve(1);  // an array of nothing has an address, too
+  nb::capsule const owner(kept, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
   std::vector<std::size_t> const sizes(shape);
-  return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), sizes.size(), sizes.data(), owner));
+  return nb::cast(nb::ndarray<nb::numpy, T>(kept->data(), sizes.size(), sizes.data(), owner));
 }
 template <typename T>
 nb::object to_numpy(std::vector<T> values) {
@@ -180,7 +254,9 @@ void bind_features(nb::module_& m);
 void bind_odometry(nb::module_& m);
 void bind_places(nb::module_& m);
 void bind_rectifier(nb::module_& m);
+void bind_reports(nb::module_& m);
 void bind_sequences(nb::module_& m);
+void bind_calibration(nb::module_& m);
 void bind_cameras(nb::module_& m);
 
 /// The rig of a rig object of ft.rigs.

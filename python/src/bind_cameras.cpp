@@ -2,6 +2,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <cstring>
+#include <type_traits>
 
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/extended_unified.hpp"
@@ -33,16 +34,26 @@ struct bound_camera {
 
   static void bind(nb::module_& m, char const* name, char const* doc) {
     nb::class_<bound_camera>(m, name, doc)
-        .def(nb::init<std::vector<double> const&>(), nb::arg("parameters"))
+        .def(nb::init<nb::handle, nb::handle>(), nb::arg("parameters").none(),
+             nb::arg("distortion").none() = nb::none())
         .def_prop_ro("parameters", [](bound_camera const& c) { return c.parameters(); })
-        .def("project", &bound_camera::project, nb::arg("points"),
+        .def("project", &bound_camera::project, nb::arg("points").none(),
              "Pixels (n, 2) of points (n, 3) in the camera's frame, and which of them are valid.")
-        .def("unproject", &bound_camera::unproject, nb::arg("pixels"),
+        .def("unproject", &bound_camera::unproject, nb::arg("pixels").none(),
              "Rays (n, 3) with z = 1 or unit length, by model, of pixels (n, 2), and which of them "
              "are valid.");
   }
 
-  explicit bound_camera(std::vector<double> const& given) {
+  /// @param parameters all of them, or a matrix (3, 3) @param distortion those that follow, of any
+  ///   shape
+  bound_camera(nb::handle parameters, nb::handle distortion) {
+    std::vector<double> given = camera_values(parameters, "parameters");
+    if (!distortion.is_none()) {
+      nb::object const flat = nb::module_::import_("numpy").attr("ravel")(distortion);
+      std::vector<double> const more = numbers(flat, "distortion");
+      given.insert(given.end(), more.begin(), more.end());
+    }
+    if (std::is_same_v<camera, ft::radtan8<double>>) { complete_radtan(given, "RadTan"); }
     if (given.size() != values) {
       throw argument_error(std::to_string(given.size()) + " parameters, must be " +
                            std::to_string(values));
@@ -90,10 +101,16 @@ struct bound_camera {
 }  // namespace
 
 void bind_cameras(nb::module_& m) {
-  bound_camera<ft::pinhole>::bind(m, "Pinhole", "Parameters fx, fy, cx, cy, pixels.");
+  m.def("camera_values", camera_values, nb::arg("camera").none(), nb::arg("name"),
+        "Parameters of a model, of a sequence of them, or of a matrix (3, 3): fx, fy, cx, cy ...");
+  bound_camera<ft::pinhole>::bind(m, "Pinhole",
+                                  "Parameters fx, fy, cx, cy, pixels, or a matrix (3, 3). As for "
+                                  "all models, `distortion` are those that follow, an array of any "
+                                  "shape.");
   bound_camera<ft::radtan8>::bind(m, "RadTan",
                                   "Radial-tangential distortion: fx, fy, cx, cy, k1, k2, p1, p2, "
-                                  "k3, k4, k5, k6, as OpenCV orders them.");
+                                  "k3, k4, k5, k6, as OpenCV orders them; with 0, 4, 5 or 8 "
+                                  "coefficients, the others are 0.");
   bound_camera<ft::kannala_brandt>::bind(m, "KannalaBrandt",
                                          "Fisheye: fx, fy, cx, cy, k1, k2, k3, k4.");
   bound_camera<ft::double_sphere>::bind(m, "DoubleSphere", "fx, fy, cx, cy, xi, alpha.");

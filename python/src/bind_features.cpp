@@ -19,19 +19,19 @@ nb::dict to_dict(keypoint_arrays k) {
 /// An extractor, with a rig also a stereo matcher.
 class feature_pipeline {
 public:
-  feature_pipeline(nb::handle options, int batch, nb::handle of, std::string const& device) {
+  feature_pipeline(nb::handle options, nb::handle batch, nb::handle of, std::string const& device) {
     feature_options const o = feature_options_of(options);
     width_ = o.width;
     height_ = o.height;
     bool const gpu = gpu_ = on_gpu(device);
     rig const r = of.is_none() ? rig{} : rig_of(of);
-    batch_ = batch;
+    int const n = batch_ = whole(batch, "batch");
     nb::gil_scoped_release const released;
-    inner_ = gpu ? cuda::make_features(o, batch, r) : host::make_features(o, batch, r);
+    inner_ = gpu ? cuda::make_features(o, n, r) : host::make_features(o, n, r);
   }
   void set_mask(int i, nb::handle mask) {
     arrays kept;
-    image const v = kept.gray(mask, "mask");
+    image const v = kept.mask(mask, "mask");
     nb::gil_scoped_release const released;
     inner_->set_mask(i, v);
   }
@@ -88,7 +88,7 @@ private:
     return images;
   }
 
-  std::unique_ptr<features> inner_;
+  owned<features> inner_;
   int width_ = 0, height_ = 0, batch_ = 0;
   bool gpu_ = false;
 };
@@ -97,9 +97,10 @@ private:
 
 void bind_features(nb::module_& m) {
   nb::class_<feature_pipeline>(m, "FeaturePipeline", "See ft.OrbExtractor and ft.StereoMatcher.")
-      .def(nb::init<nb::handle, int, nb::handle, std::string const&>(), nb::arg("options"),
-           nb::arg("batch"), nb::arg("rig").none(), nb::arg("device"))
-      .def("set_mask", &feature_pipeline::set_mask, nb::arg("i"), nb::arg("mask"))
+      .def(nb::init<nb::handle, nb::handle, nb::handle, std::string const&>(),
+           nb::arg("options").none(), nb::arg("batch").none(), nb::arg("rig").none(),
+           nb::arg("device"))
+      .def("set_mask", &feature_pipeline::set_mask, nb::arg("i"), nb::arg("mask").none())
       .def("extract", &feature_pipeline::extract, nb::arg("images"), nb::arg("stream") = 0)
       .def("match", &feature_pipeline::match, nb::arg("images"), nb::arg("stream") = 0)
       .def_prop_ro("capacity", &feature_pipeline::capacity);

@@ -36,10 +36,12 @@ NB_MODULE(_ft, m) {
   nanobind::register_exception_translator(ftpy::translate);
   m.def("devices", ftpy::devices,
         "Where work can run: 'host', and a line 'cuda: NAME' for each GPU that can be used.");
+  ftpy::bind_calibration(m);
   ftpy::bind_cameras(m);
   ftpy::bind_features(m);
   ftpy::bind_odometry(m);
   ftpy::bind_places(m);
   ftpy::bind_rectifier(m);
+  ftpy::bind_reports(m);
   ftpy::bind_sequences(m);
 }

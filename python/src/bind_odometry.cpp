@@ -23,14 +23,14 @@ class bound_odometry {
 public:
   bound_odometry(nb::handle of, nb::handle options, nb::handle inertial,
                  std::string const& device) {
-    auto const get = [&](char const* name) { return nb::cast<int>(options[name]); };
+    auto const get = [&](char const* name) { return whole(options[name], name); };
     odometry_options o;
     o.of = rig_of(of);
     o.orb = feature_options_of(options);
     width_ = o.orb.width;
     height_ = o.orb.height;
     o.batch = batch_ = get("batch");
-    o.near_depth = nb::cast<double>(options["near_depth"]);
+    o.near_depth = number(options["near_depth"], "near_depth");
     o.map_slots = get("map_slots");
     o.keyframes = get("keyframes");
     o.local_points = get("local_points");
@@ -40,6 +40,7 @@ public:
     o.measure_stages = nb::cast<bool>(options["measure_stages"]);
     if (!inertial.is_none()) { o.inertial = imu_of(inertial); }
     is_rgbd_ = o.of.kind == "rgbd";
+    has_depth_scale_ = o.of.depth_scale.has_value();
     if (o.of.kind == "distorted" && o.of.raw_width > 0) {
       width_ = o.of.raw_width;
       height_ = o.of.raw_height;
@@ -57,19 +58,19 @@ public:
   }
 
   /// @param given sequences of the arrays of a rig
-  std::vector<tracking> track(nb::sequence const& given, std::vector<std::int64_t> const& time_ns,
-                              std::uintptr_t stream) {
+  std::vector<tracking> track(nb::sequence const& given, nb::handle at, std::uintptr_t stream) {
     arrays kept(gpu_);
+    std::vector<std::int64_t> const time_ns = times(at, "time_ns");
     std::vector<frame_images> const images = images_of(kept, given);
     require_number(images.size(), time_ns.size(), static_cast<std::size_t>(batch_));
     nb::gil_scoped_release const released;
     if (kept.on_device()) { inner_->wait_for(stream); }
     return inner_->track(images, time_ns);
   }
-  std::vector<std::int64_t> track_timed(nb::sequence const& given,
-                                        std::vector<std::int64_t> const& time_ns,
+  std::vector<std::int64_t> track_timed(nb::sequence const& given, nb::handle at,
                                         std::uintptr_t stream) {
     arrays kept(gpu_);
+    std::vector<std::int64_t> const time_ns = times(at, "time_ns");
     std::vector<frame_images> const images = images_of(kept, given);
     auto const batch = static_cast<std::size_t>(batch_);
     require_number(images.size(), time_ns.size(), images.size() / batch * batch);
@@ -77,8 +78,9 @@ public:
     if (kept.on_device()) { inner_->wait_for(stream); }
     return inner_->track_timed(images, time_ns);
   }
-  void add_imu(std::int64_t time_ns, nb::handle accel, nb::handle gyro, int b) {
-    inner_->add_imu(b, time_ns, vector(accel, "accel"), vector(gyro, "gyro"));
+  void add_imu(nb::handle time_ns, nb::handle accel, nb::handle gyro, int b) {
+    inner_->add_imu(b, nanoseconds(time_ns, "time_ns"), vector(accel, "accel"),
+                    vector(gyro, "gyro"));
   }
   void predict(nb::handle T_world_camera, int b) {
     arrays kept;
@@ -87,13 +89,14 @@ public:
   void reset(int b) { inner_->reset(b); }
   void set_mask(nb::handle mask, int camera, int b) {
     arrays kept;
-    image const v = kept.gray(mask, "mask");
+    image const v = kept.mask(mask, "mask");
     nb::gil_scoped_release const released;
     inner_->set_mask(b, camera, v);
   }
-  void recognize_places(std::string const& vocabulary, int candidates) {
+  void recognize_places(std::string const& vocabulary, nb::handle candidates) {
+    int const n = whole(candidates, "candidates");
     nb::gil_scoped_release const released;
-    inner_->recognize_places(vocabulary, candidates);
+    inner_->recognize_places(vocabulary, n);
   }
   nb::dict keypoints(int b) const {
     require_camera(b);
@@ -151,18 +154,21 @@ private:
     arrays kept;
     imu i;
     i.T_imu_camera = kept.matrix(given.attr("T_imu_camera"), "T_imu_camera");
-    i.gyro_noise = nb::cast<double>(given.attr("gyro_noise"));
-    i.accel_noise = nb::cast<double>(given.attr("accel_noise"));
-    i.gyro_walk = nb::cast<double>(given.attr("gyro_walk"));
-    i.accel_walk = nb::cast<double>(given.attr("accel_walk"));
-    i.rate_hz = nb::cast<double>(given.attr("rate_hz"));
+    auto const get = [&](char const* name) { return number(given.attr(name), name); };
+    i.gyro_noise = get("gyro_noise");
+    i.accel_noise = get("accel_noise");
+    i.gyro_walk = get("gyro_walk");
+    i.accel_walk = get("accel_walk");
+    i.rate_hz = get("rate_hz");
     return i;
   }
   static std::array<double, 3> vector(nb::handle given, char const* name) {
-    std::array<double, 3> v{};
-    if (nb::len(given) != 3) { throw argument_error(std::string(name) + " must have 3 numbers"); }
-    for (std::size_t i = 0; i < 3; ++i) { v[i] = nb::cast<double>(given[i]); }
-    return v;
+    std::vector<double> const v = numbers(given, name);
+    if (v.size() != 3) {
+      throw argument_error(std::string(name) + " has " + std::to_string(v.size()) +
+                           " numbers, must have 3");
+    }
+    return {v[0], v[1], v[2]};
   }
   std::vector<frame_images> images_of(arrays& kept, nb::sequence const& given) const {
     std::size_t const of_rig = names_.size() / static_cast<std::size_t>(batch_);
@@ -179,6 +185,11 @@ private:
         if (is_rgbd_ && i == 1) {
           f.depth = kept.depth(h[i], name);
           require_size(f.depth.width, f.depth.height, name);
+          if (!f.depth.is_float && !has_depth_scale_) {
+            throw argument_error(name +
+                                 " is uint16 and the rig has no depth_scale, metres per unit: "
+                                 "0.001 for millimetres, 1 / 5000 for TUM's images");
+          }
         } else {
           f.grey.push_back(kept.framed(h[i], name));
           require_size(f.grey.back().width, f.grey.back().height, name);
@@ -205,10 +216,11 @@ private:
                          std::to_string(batch_));
   }
 
-  std::unique_ptr<odometry> inner_;
+  owned<odometry> inner_;
   std::vector<std::string> names_;  ///< [batch][images of the rig]
   int width_ = 0, height_ = 0, batch_ = 1;
   bool is_rgbd_ = false;
+  bool has_depth_scale_ = false;
   bool gpu_ = false;
 };
 
@@ -220,6 +232,10 @@ void bind_tracking(nb::module_& m) {
           "world, which is that of the first frame with a map; metres if `metric`.")
       .def_ro("state", &tracking::state, "initialising, tracking, recovering or lost")
       .def_prop_ro("tracked", [](tracking const& t) { return t.state == "tracking"; })
+      .def_ro("reason", &tracking::reason,
+              "why the frame is not tracked, or its pose to be doubted, a word such as 'dark' or "
+              "'few_matches', see ft::tracking_reason; empty without a reason")
+      .def_ro("explanation", &tracking::explanation, "the same as a sentence that has the numbers")
       .def_ro("metric", &tracking::metric,
               "whether lengths are metres; False with one camera alone, whose unit is the median "
               "depth of the first points")
@@ -252,9 +268,10 @@ void bind_tracking(nb::module_& m) {
           "accel_bias", [](tracking const& t) { return to_numpy(t.accel_bias); }, "(3,) m/s^2")
       .def("__repr__", [](tracking const& t) {
         pose const& T = t.T_world_camera;
-        return "<ft.Tracking " + t.state + ", " + std::to_string(t.inliers) + " inliers, at " +
-               std::to_string(T[3]) + " " + std::to_string(T[7]) + " " + std::to_string(T[11]) +
-               (t.metric ? " m>" : ">");
+        std::string const why = t.reason.empty() ? "" : " (" + t.reason + ")";
+        return "<ft.Tracking " + t.state + why + ", " + std::to_string(t.inliers) +
+               " inliers, at " + std::to_string(T[3]) + " " + std::to_string(T[7]) + " " +
+               std::to_string(T[11]) + (t.metric ? " m>" : ">");
       });
 }
 
@@ -263,21 +280,21 @@ void bind_tracking(nb::module_& m) {
 void bind_odometry(nb::module_& m) {
   bind_tracking(m);
   nb::class_<bound_odometry>(m, "OdometryPipeline", "See ft.Odometry.")
-      .def(nb::init<nb::handle, nb::handle, nb::handle, std::string const&>(), nb::arg("rig"),
-           nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
-      .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns"),
+      .def(nb::init<nb::handle, nb::handle, nb::handle, std::string const&>(),
+           nb::arg("rig").none(), nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
+      .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns").none(),
            nb::arg("stream") = 0)
-      .def("track_timed", &bound_odometry::track_timed, nb::arg("images"), nb::arg("time_ns"),
-           nb::arg("stream") = 0,
+      .def("track_timed", &bound_odometry::track_timed, nb::arg("images"),
+           nb::arg("time_ns").none(), nb::arg("stream") = 0,
            "track() of several frames in turn, for the bench: what each took in C++, nanoseconds.")
-      .def("add_imu", &bound_odometry::add_imu, nb::arg("time_ns"), nb::arg("accel"),
-           nb::arg("gyro"), nb::arg("b") = 0)
-      .def("predict", &bound_odometry::predict, nb::arg("T_world_camera"), nb::arg("b") = 0)
+      .def("add_imu", &bound_odometry::add_imu, nb::arg("time_ns").none(), nb::arg("accel").none(),
+           nb::arg("gyro").none(), nb::arg("b") = 0)
+      .def("predict", &bound_odometry::predict, nb::arg("T_world_camera").none(), nb::arg("b") = 0)
       .def("reset", &bound_odometry::reset, nb::arg("b") = 0)
-      .def("set_mask", &bound_odometry::set_mask, nb::arg("mask"), nb::arg("camera") = 0,
+      .def("set_mask", &bound_odometry::set_mask, nb::arg("mask").none(), nb::arg("camera") = 0,
            nb::arg("b") = 0)
       .def("recognize_places", &bound_odometry::recognize_places, nb::arg("vocabulary"),
-           nb::arg("candidates") = 16)
+           nb::arg("candidates").none() = 16)
       .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
       .def("stage_times", &bound_odometry::stage_times)

@@ -6,21 +6,20 @@ namespace {
 
 class bound_places {
 public:
-  bound_places(std::string const& vocabulary, int keyframes, int features, int levels_up,
-               std::string const& device) {
+  bound_places(nb::handle vocabulary, nb::handle keyframes, nb::handle features,
+               nb::handle levels_up, std::string const& device) {
     bool const gpu = on_gpu(device);
-    place_options const o{vocabulary, keyframes, features, levels_up};
+    place_options const o{nb::cast<std::string>(nb::str(vocabulary)), whole(keyframes, "keyframes"),
+                          whole(features, "features"), whole(levels_up, "levels_up")};
     nb::gil_scoped_release const released;
     inner_ = gpu ? cuda::make_places(o) : host::make_places(o);
   }
   void describe(nb::handle descriptors) {
     arrays kept;
-    image const v = kept.gray(descriptors, "descriptors");
-    if (v.width != 32 || v.stride != 32) {
-      throw argument_error("descriptors must have 32 bytes each: shape (n, 32), without gaps");
-    }
+    int n = 0;
+    std::uint8_t const* const first = kept.rows_of_bytes(descriptors, "descriptors", 32, n);
     nb::gil_scoped_release const released;
-    inner_->describe(v.data, v.height);
+    inner_->describe(first, n);
   }
   std::int64_t add(int map) { return inner_->add(map); }
   void erase(std::int64_t keyframe) { inner_->erase(keyframe); }
@@ -42,7 +41,7 @@ public:
   int size() const { return inner_->size(); }
 
 private:
-  std::unique_ptr<places> inner_;
+  owned<places> inner_;
 };
 
 }  // namespace
@@ -51,12 +50,13 @@ void bind_places(nb::module_& m) {
   nb::class_<bound_places>(m, "PlaceRecognition",
                            "Finds keyframes that show the same place as a frame, by the words of a "
                            "vocabulary (DBoW2's text form, or ft's binary one).")
-      .def(nb::init<std::string const&, int, int, int, std::string const&>(), nb::arg("vocabulary"),
-           nb::arg("keyframes") = 5000, nb::arg("features") = 2000, nb::arg("levels_up") = 4,
+      .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, std::string const&>(),
+           nb::arg("vocabulary").none(), nb::arg("keyframes").none() = 5000,
+           nb::arg("features").none() = 2000, nb::arg("levels_up").none() = 4,
            nb::arg("device") = "auto")
-      .def("describe", &bound_places::describe, nb::arg("descriptors"),
-           "Transforms the descriptors of a frame, (n, 32) uint8, into words. They are the frame "
-           "of the next add() or query().")
+      .def("describe", &bound_places::describe, nb::arg("descriptors").none(),
+           "Transforms the descriptors of a frame, (n, 32) uint8, n may be 0, into words. They are "
+           "the frame of the next add() or query().")
       .def("add", &bound_places::add, nb::arg("map") = 0,
            "Adds the frame as a keyframe, and returns its number.")
       .def("erase", &bound_places::erase, nb::arg("keyframe"))

@@ -6,22 +6,23 @@ namespace {
 
 class bound_rectifier {
 public:
-  bound_rectifier(nb::handle of, int width, int height, int border, int threads,
-                  std::string const& device)
-      : width_(width), height_(height), gpu_(on_gpu(device)) {
+  bound_rectifier(nb::handle of, nb::handle width, nb::handle height, nb::handle border,
+                  nb::handle threads, std::string const& device)
+      : width_(whole(width, "width")), height_(whole(height, "height")), gpu_(on_gpu(device)) {
     rig const r = rig_of(of);
-    if (border < 0 || border > 255) {
-      throw argument_error("border is " + std::to_string(border) + ", must be 0 to 255");
-    }
-    border_ = static_cast<std::uint8_t>(border);
-    given_width_ = r.raw_width > 0 ? r.raw_width : width;
-    given_height_ = r.raw_height > 0 ? r.raw_height : height;
+    border_ = static_cast<std::uint8_t>(whole(border, "border", 0, 255));
+    given_width_ = r.raw_width > 0 ? r.raw_width : width_;
+    given_height_ = r.raw_height > 0 ? r.raw_height : height_;
+    int const n = whole(threads, "threads");
     nb::gil_scoped_release const released;
-    inner_ = gpu_ ? cuda::make_rectifier(r, width, height, threads)
-                  : host::make_rectifier(r, width, height, threads);
+    inner_ = gpu_ ? cuda::make_rectifier(r, width_, height_, n)
+                  : host::make_rectifier(r, width_, height_, n);
   }
 
   nb::object rectify(nb::handle left, nb::handle right, nb::handle out, std::uintptr_t stream) {
+    if (!out.is_none() && (!nb::hasattr(out, "__len__") || nb::len(out) != 2)) {
+      throw argument_error("out is " + text_of(out) + ", must be two arrays");
+    }
     arrays kept(gpu_);
     image const given[2] = {taken(kept, left, "the left image"),
                             taken(kept, right, "the right image")};
@@ -86,7 +87,7 @@ private:
                                               inner_->device()));
   }
 
-  std::unique_ptr<rectifier> inner_;
+  owned<rectifier> inner_;
   int width_, height_;
   int given_width_ = 0, given_height_ = 0;
   std::uint8_t border_ = 0;
@@ -97,10 +98,11 @@ private:
 
 void bind_rectifier(nb::module_& m) {
   nb::class_<bound_rectifier>(m, "RectificationPipeline", "See ft.Rectifier.")
-      .def(nb::init<nb::handle, int, int, int, int, std::string const&>(), nb::arg("rig"),
-           nb::arg("width"), nb::arg("height"), nb::arg("border"), nb::arg("threads"),
-           nb::arg("device"))
-      .def("rectify", &bound_rectifier::rectify, nb::arg("left"), nb::arg("right"),
+      .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
+                    std::string const&>(),
+           nb::arg("rig").none(), nb::arg("width").none(), nb::arg("height").none(),
+           nb::arg("border").none(), nb::arg("threads").none(), nb::arg("device"))
+      .def("rectify", &bound_rectifier::rectify, nb::arg("left").none(), nb::arg("right").none(),
            nb::arg("out").none(), nb::arg("stream") = 0)
       .def("map", &bound_rectifier::map, nb::arg("camera"))
       .def_prop_ro("baseline", &bound_rectifier::baseline);

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <nanobind/stl/vector.h>
 
+#include <limits>
+
 #include "python/src/arrays.hpp"
 
 namespace ftpy {
@@ -21,15 +23,25 @@ rig rig_of(nb::handle given) {
   for (nb::handle const h : d["cameras"]) {
     rig_camera c;
     c.camera = nb::cast<std::vector<double>>(h["camera"]);
-    c.baseline = nb::cast<double>(h["baseline"]);
+    c.baseline = number(h["baseline"], "baseline");
     c.T_camera_body = kept.matrix(h["T_camera_body"], "T_camera_body");
     r.cameras.push_back(c);
   }
   r.T_right_left = kept.matrix(d["T_right_left"], "T_right_left");
-  r.baseline = nb::cast<double>(d["baseline"]);
-  r.depth_scale = nb::cast<double>(d["depth_scale"]);
-  r.raw_width = nb::cast<int>(d["raw_width"]);
-  r.raw_height = nb::cast<int>(d["raw_height"]);
+  r.baseline = number(d["baseline"], "baseline");
+  nb::object const scale = d["depth_scale"];
+  if (!scale.is_none()) {
+    r.depth_scale = number(scale, "depth_scale");
+    if (!(*r.depth_scale > 0)) {
+      throw argument_error("depth_scale is " + text_of(scale) + ", must be above 0, or None");
+    }
+  }
+  r.min_depth = number(d["min_depth"], "min_depth");
+  nb::object const most = d["max_depth"];
+  r.max_depth =
+      most.is_none() ? std::numeric_limits<double>::infinity() : number(most, "max_depth");
+  r.raw_width = whole(d["raw_width"], "size[0]");
+  r.raw_height = whole(d["raw_height"], "size[1]");
   return r;
 }
 
@@ -53,13 +65,13 @@ std::vector<std::string> image_names(rig const& of) {
 }
 
 feature_options feature_options_of(nb::handle options) {
-  auto const get = [&](char const* name) { return nb::cast<int>(options[name]); };
+  auto const get = [&](char const* name) { return whole(options[name], name); };
   feature_options o;
   o.width = get("width");
   o.height = get("height");
   o.features = get("features");
   o.levels = get("levels");
-  o.scale_factor = nb::cast<double>(options["scale_factor"]);
+  o.scale_factor = number(options["scale_factor"], "scale_factor");
   o.ini_threshold = get("ini_threshold");
   o.min_threshold = get("min_threshold");
   o.mask_width = get("mask_width");

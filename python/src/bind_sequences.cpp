@@ -3,20 +3,12 @@
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/reader.hpp"
-#include "python/src/arrays.hpp"
+#include "python/src/trajectories.hpp"
 
 namespace ftpy {
 namespace {
 
-pose plain(Eigen::Isometry3d const& T) {
-  pose m{};
-  for (int r = 0; r < 4; ++r) {
-    for (int c = 0; c < 4; ++c) { m[static_cast<std::size_t>(4 * r + c)] = T.matrix()(r, c); }
-  }
-  return m;
-}
-
-std::vector<double> camera_values(seq::camera_intrinsics const& c) {
+std::vector<double> values_of(seq::camera_intrinsics const& c) {
   std::vector<double> v{c.fx, c.fy, c.cx, c.cy};
   v.insert(v.end(), c.distortion.begin(), c.distortion.end());
   return v;
@@ -28,46 +20,53 @@ nb::object array_of(seq::image image) {
   return to_numpy(std::move(image.pixels), {h, w});
 }
 
-/// Times (n) and poses (n, 4, 4).
-nb::tuple arrays_of(seq::trajectory const& t) {
-  std::vector<std::int64_t> time;
-  std::vector<double> T;
-  for (auto const& p : t) {
-    time.push_back(p.time_ns);
-    pose const m = plain(p.T_world_camera);
-    T.insert(T.end(), m.begin(), m.end());
+char const* kind_of(seq::sequence const& s) {
+  switch (s.kind()) {
+    case seq::camera_kind::mono:
+      return "mono";
+    case seq::camera_kind::rgbd:
+      return "rgbd";
+    default:
+      return "stereo";
   }
-  std::size_t const n = time.size();
-  return nb::make_tuple(to_numpy(std::move(time)), to_numpy(std::move(T), {n, 4, 4}));
 }
 
-seq::trajectory trajectory_of(std::vector<std::int64_t> const& time, nb::handle poses,
-                              std::string const& name) {
-  arrays kept;
-  double const* m = kept.doubles(poses, name, {time.size(), 4, 4});
-  seq::trajectory t;
-  for (std::size_t i = 0; i < time.size(); ++i, m += 16) {
-    if (i > 0 && time[i] <= time[i - 1]) { throw argument_error(name + ": times must ascend"); }
-    seq::stamped_pose p;
-    p.time_ns = time[i];
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 4; ++c) { p.T_world_camera.matrix()(r, c) = m[4 * r + c]; }
-    }
-    t.push_back(p);
-  }
-  return t;
+/// @param name auto, stereo, mono or rgbd
+seq::camera_kind kind_named(std::string const& name) {
+  if (name == "auto") { return seq::camera_kind::any; }
+  if (name == "stereo") { return seq::camera_kind::stereo; }
+  if (name == "mono") { return seq::camera_kind::mono; }
+  if (name == "rgbd") { return seq::camera_kind::rgbd; }
+  throw argument_error("rig is '" + name + "', must be auto, stereo, mono or rgbd");
 }
 
 nb::dict rig_dict(seq::sequence const& s) {
   seq::stereo_rig const& r = s.rig();
   nb::dict d;
-  d["kind"] = s.fisheye() ? "fisheye" : "rectified";
-  d["left"] = camera_values(r.left);
-  d["right"] = camera_values(r.right);
+  d["kind"] = kind_of(s);
+  d["fisheye"] = s.fisheye();
+  d["left"] = values_of(r.left);
+  d["right"] = values_of(r.right);
   d["T_right_left"] = to_numpy(plain(r.T_left_right.inverse()));
   d["baseline"] = r.baseline();
+  d["depth_unit"] = s.depth_unit();
   d["width"] = r.left.width;
   d["height"] = r.left.height;
+  return d;
+}
+
+nb::dict settings_dict(seq::sequence const& s) {
+  auto const& from = s.settings();
+  nb::dict d;
+  auto const put = [&](char const* name, auto const& value) {
+    if (value) { d[name] = *value; }
+  };
+  put("features", from.features);
+  put("levels", from.levels);
+  put("scale_factor", from.scale_factor);
+  put("ini_threshold", from.ini_threshold);
+  put("min_threshold", from.min_threshold);
+  put("near_depth", from.depth_threshold);
   return d;
 }
 
@@ -96,6 +95,45 @@ nb::object imu_dict(seq::sequence const& s) {
   return d;
 }
 
+/// @param options a dict of ft.read_sequence
+seq::sequence opened(std::string const& folder, nb::dict const& options) {
+  seq::open_options o;
+  o.calibration = nb::cast<std::string>(options["calibration"]);
+  o.keep_fisheye = nb::cast<bool>(options["keep_fisheye"]);
+  o.max_frames = whole(options["max_frames"], "max_frames", 0);
+  o.read_imu = nb::cast<bool>(options["imu"]);
+  o.rig = kind_named(nb::cast<std::string>(options["rig"]));
+  nb::object const apart = options["max_time_difference_ns"];
+  if (!apart.is_none()) {
+    o.max_time_difference_ns = nanoseconds(apart, "max_time_difference_ns");
+    if (*o.max_time_difference_ns < 0) {
+      throw argument_error("max_time_difference_ns is " + text_of(apart) + ", must be at least 0");
+    }
+  }
+  nb::object const unit = options["depth_unit"];
+  if (!unit.is_none()) {
+    o.depth_unit = number(unit, "depth_unit");
+    if (!(o.depth_unit >= 1e-9 && o.depth_unit <= 1e3)) {
+      throw argument_error("depth_unit is " + text_of(unit) +
+                           ", must be in [1e-09, 1000] metres per unit");
+    }
+  }
+  nb::gil_scoped_release const released;
+  return seq::sequence::open(folder, o);
+}
+
+/// The images of a frame: left and right, one, or one and its depths.
+nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
+  nb::object const left = array_of(std::move(f.left));
+  if (s.kind() == seq::camera_kind::mono) { return nb::make_tuple(left); }
+  if (s.kind() == seq::camera_kind::stereo) {
+    return nb::make_tuple(left, array_of(std::move(f.right)));
+  }
+  auto const h = static_cast<std::size_t>(f.depth.height);
+  auto const w = static_cast<std::size_t>(f.depth.width);
+  return nb::make_tuple(left, to_numpy(std::move(f.depth.pixels), {h, w}));
+}
+
 nb::dict errors_of(seq::trajectory_error const& e) {
   auto const number = [](std::optional<double> const& v) -> nb::object {
     return v ? nb::object(nb::float_(*v)) : nb::object(nb::none());
@@ -115,19 +153,15 @@ nb::dict errors_of(seq::trajectory_error const& e) {
 
 void bind_sequences(nb::module_& m) {
   nb::class_<seq::sequence>(m, "SequenceFiles", "See ft.read_sequence.")
-      .def_static(
-          "open",
-          [](std::string const& folder, std::string const& calibration, bool keep_fisheye,
-             int max_frames, bool imu) {
-            nb::gil_scoped_release const released;
-            return seq::sequence::open(folder, {calibration, keep_fisheye, max_frames, imu});
-          },
-          nb::arg("folder"), nb::arg("calibration"), nb::arg("keep_fisheye"), nb::arg("max_frames"),
-          nb::arg("imu"))
+      .def_static("open", opened, nb::arg("folder"), nb::arg("options"))
       .def("__len__", &seq::sequence::size)
       .def_prop_ro("name", &seq::sequence::name)
       .def_prop_ro("layout", &seq::sequence::layout)
       .def_prop_ro("rig", rig_dict)
+      .def_prop_ro("warnings", &seq::sequence::warnings)
+      .def_prop_ro("depth_unit_from", &seq::sequence::depth_unit_from)
+      .def_prop_ro("settings", settings_dict)
+      .def_prop_ro("has_body_frame", &seq::sequence::has_body_frame)
       .def_prop_ro("imu", imu_dict)
       .def_prop_ro("ground_truth",
                    [](seq::sequence const& s) { return arrays_of(s.ground_truth()); })
@@ -141,34 +175,40 @@ void bind_sequences(nb::module_& m) {
               nb::gil_scoped_release const released;
               f = s.load(i);
             }
-            return nb::make_tuple(f.time_ns, array_of(std::move(f.left)),
-                                  array_of(std::move(f.right)));
+            std::int64_t const time_ns = f.time_ns;
+            return nb::make_tuple(time_ns, images_of(s, std::move(f)));
           },
           nb::arg("i"));
   m.def(
       "evaluate_arrays",
-      [](std::vector<std::int64_t> const& time, nb::handle poses,
-         std::vector<std::int64_t> const& truth_time, nb::handle truth, bool orientation,
-         double interval_s) {
-        return errors_of(seq::evaluate(trajectory_of(time, poses, "the estimate"),
-                                       trajectory_of(truth_time, truth, "the ground truth"),
-                                       orientation, interval_s));
+      [](nb::handle time, nb::handle poses, nb::handle truth_time, nb::handle truth,
+         bool orientation, nb::handle interval_s) {
+        seq::trajectory const estimate = trajectory_of(time, poses, "the estimate");
+        seq::trajectory const reference = trajectory_of(truth_time, truth, "the ground truth");
+        if (reference.empty()) {
+          throw argument_error(
+              "the ground truth is empty: errors need one, and not every sequence has one");
+        }
+        try {
+          return errors_of(
+              seq::evaluate(estimate, reference, orientation, number(interval_s, "interval_s")));
+        } catch (seq::error const& e) { throw argument_error(e.what()); }
       },
-      nb::arg("time_ns"), nb::arg("poses"), nb::arg("truth_time_ns"), nb::arg("truth"),
-      nb::arg("orientation"), nb::arg("interval_s"));
+      nb::arg("time_ns").none(), nb::arg("poses").none(), nb::arg("truth_time_ns").none(),
+      nb::arg("truth").none(), nb::arg("orientation"), nb::arg("interval_s").none());
   m.def(
       "write_tum",
-      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+      [](std::string const& file, nb::handle time, nb::handle poses) {
         seq::write_tum(file, trajectory_of(time, poses, "the trajectory"));
       },
-      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      nb::arg("file"), nb::arg("time_ns").none(), nb::arg("poses").none(),
       "Writes poses (n, 4, 4) in TUM format.");
   m.def(
       "write_kitti",
-      [](std::string const& file, std::vector<std::int64_t> const& time, nb::handle poses) {
+      [](std::string const& file, nb::handle time, nb::handle poses) {
         seq::write_kitti_poses(file, trajectory_of(time, poses, "the trajectory"));
       },
-      nb::arg("file"), nb::arg("time_ns"), nb::arg("poses"),
+      nb::arg("file"), nb::arg("time_ns").none(), nb::arg("poses").none(),
       "Writes poses (n, 4, 4) in KITTI's format: 12 numbers a line.");
   m.def(
       "read_tum", [](std::string const& file) { return arrays_of(seq::read_tum(file)); },

@@ -10,6 +10,7 @@
 
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/stereo_rig.hpp"
@@ -93,31 +94,29 @@ inline pose from_ft(ft::rigid<double> const& T) {
   return m;
 }
 
-/// The parameters of a model in its own order; those that are missing are 0.
+/// The parameters of a model in its own order. Distortion may be left out, and is 0 then.
 template <typename Camera>
-Camera camera_of(std::vector<double> const& values, char const* which) {
+Camera camera_of(std::vector<double> values, char const* which) {
   constexpr std::size_t most = sizeof(Camera) / sizeof(float);
-  if (values.size() < 4 || values.size() > most) {
+  if constexpr (most == 12) { complete_radtan(values, "the " + std::string(which) + " camera"); }
+  if (values.size() != 4 && values.size() != most) {
     throw argument_error("the " + std::string(which) + " camera has " +
-                         std::to_string(values.size()) + " parameters, must have 4 to " +
-                         std::to_string(most));
+                         std::to_string(values.size()) + " parameters, must have 4" +
+                         (most > 4 ? " or " + std::to_string(most) : ": fx, fy, cx, cy"));
   }
+  values.resize(most);
   Camera c{};
   c.fx = narrow(values[0]);
   c.fy = narrow(values[1]);
   c.cx = narrow(values[2]);
   c.cy = narrow(values[3]);
-  if constexpr (most > 4) {
-    float lens[most - 4] = {};
-    for (std::size_t i = 4; i < values.size(); ++i) { lens[i - 4] = narrow(values[i]); }
-    if constexpr (most == 8) {
-      c.k1 = lens[0];
-      c.k2 = lens[1];
-      c.k3 = lens[2];
-      c.k4 = lens[3];
-    } else {
-      for (std::size_t i = 0; i < most - 4; ++i) { c.distortion[i] = lens[i]; }
-    }
+  if constexpr (most == 8) {
+    c.k1 = narrow(values[4]);
+    c.k2 = narrow(values[5]);
+    c.k3 = narrow(values[6]);
+    c.k4 = narrow(values[7]);
+  } else if constexpr (most == 12) {
+    for (std::size_t i = 4; i < most; ++i) { c.distortion[i - 4] = narrow(values[i]); }
   }
   return c;
 }
@@ -141,6 +140,25 @@ using kannala_brandt_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala
 
 inline ft::rectified_rig rectified_of(rig const& r) {
   return ft::rectified_rig::make(camera_of<ft::pinhole<float>>(r.left, "left"), r.baseline);
+}
+constexpr int most_cameras = 16;  ///< of a multi_rig
+
+/// @tparam N at least as many as there are; the others are not used
+template <int N>
+ft::multi_rig<N> multi_of(rig const& r) {
+  std::size_t const n = r.cameras.size();
+  if (n < 1 || n > most_cameras) {
+    throw argument_error("the rig has " + std::to_string(n) + " cameras, must have 1 to " +
+                         std::to_string(most_cameras));
+  }
+  ft::multi_rig<N> all{};
+  for (ft::rig_camera& c : all.of) { c = ft::rig_camera::none(); }
+  for (std::size_t i = 0; i < n; ++i) {
+    rig_camera const& given = r.cameras[i];
+    all.of[i] = {camera_of<ft::pinhole<float>>(given.camera, "rig's"), given.baseline,
+                 to_ft(given.T_camera_body).cast<float>()};
+  }
+  return all;
 }
 inline kannala_brandt_rig fisheye_of(rig const& r) {
   return {camera_of<ft::kannala_brandt<float>>(r.left, "left"),

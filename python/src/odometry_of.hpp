@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "ft/containers/vocabulary_files.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "python/src/conversions.hpp"
 #include "python/src/vocabulary_of.hpp"
@@ -54,7 +55,7 @@ inline char const* name_of(ft::tracking_state s) {
   return "lost";
 }
 
-inline tracking plain(ft::tracking const& t) {
+inline tracking plain(ft::tracking const& t, ft::tracking_rules const& rules) {
   auto const wide = [](ft::vec3<float> v) {
     return std::array<double, 3>{static_cast<double>(v.x), static_cast<double>(v.y),
                                  static_cast<double>(v.z)};
@@ -62,6 +63,11 @@ inline tracking plain(ft::tracking const& t) {
   tracking r;
   r.T_world_camera = from_ft(t.T_world_camera);
   r.state = name_of(t.state);
+  auto const why = ft::explain(t, rules);
+  if (why.reason != ft::tracking_reason::none) {
+    r.reason = ft::name_of(why.reason);
+    r.explanation = why.text;
+  }
   r.metric = t.metric;
   r.keyframe = t.keyframe;
   r.inliers = t.inliers;
@@ -89,7 +95,9 @@ class odometry_of final : public odometry, private executor {
 
 public:
   odometry_of(Rig const& rig, odometry_options const& o)
-      : executor(o.orb.threads), inner_(exec, rig, odometry_params_of(o), o.batch) {}
+      : executor(o.orb.threads),
+        rules_(odometry_params_of(o).rules),
+        inner_(exec, rig, odometry_params_of(o), o.batch) {}
 
   void wait_for(std::uintptr_t stream) override { wait_for_stream(stream); }
   std::vector<tracking> track(std::vector<frame_images> const& images,
@@ -99,7 +107,7 @@ public:
       for (frame_images const& f : images) { given.push_back(images_of(f)); }
       ft::tracking const* const t = inner_.track(given.data(), time_ns.data());
       std::vector<tracking> all;
-      for (std::size_t b = 0; b < images.size(); ++b) { all.push_back(plain(t[b])); }
+      for (std::size_t b = 0; b < images.size(); ++b) { all.push_back(plain(t[b], rules_)); }
       return all;
     });
   }
@@ -235,6 +243,7 @@ private:
   }
 
   ft::vocabulary<exec_type::space> words_;
+  ft::tracking_rules rules_;
   inner_type inner_;
 };
 

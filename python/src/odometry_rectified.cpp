@@ -26,7 +26,11 @@ std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const& o) {
   return translated([&] {
     auto const with = [&](auto const& camera) {
       using rig_type = ft::rgbd_rig<std::decay_t<decltype(camera)>>;
-      return make(rig_type::make(camera, o.of.baseline, narrow(o.of.depth_scale)), o);
+      rig_type rig = rig_type::make(camera, o.of.baseline, narrow(o.of.depth_scale.value_or(0)));
+      rig.min_depth = narrow(o.of.min_depth);
+      rig.max_depth = narrow(o.of.max_depth);
+      rig.check();
+      return make(rig, o);
     };
     if (o.of.left.size() == 4) { return with(camera_of<ft::pinhole<float>>(o.of.left, "depth")); }
     return with(camera_of<ft::radtan8<float>>(o.of.left, "depth"));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
+#include <limits>
 #include <map>
 
 #include "ft/pipelines/place_recognition.hpp"
@@ -29,7 +30,7 @@ public:
       auto const bytes = static_cast<std::size_t>(n) * sizeof(ft::descriptor);
       ft::buffer<ft::descriptor, ft::staging_space<exec_type>> const given(
           static_cast<std::size_t>(n > 0 ? n : 1));
-      std::memcpy(given.data(), descriptors, bytes);
+      if (n > 0) { std::memcpy(given.data(), descriptors, bytes); }
       *counts_.data() = n;
       ft::keypoints_view const to = frames_.view();
       ft::copy(exec, ft::array_of<ft::field::orb>(to),
@@ -47,7 +48,8 @@ public:
     });
   }
   void erase(std::int64_t keyframe) override {
-    auto const found = ids_.find(static_cast<std::uint32_t>(keyframe));
+    bool const fits = keyframe >= 0 && keyframe <= std::numeric_limits<std::uint32_t>::max();
+    auto const found = fits ? ids_.find(static_cast<std::uint32_t>(keyframe)) : ids_.end();
     if (found == ids_.end()) {
       throw argument_error("there is no keyframe " + std::to_string(keyframe));
     }

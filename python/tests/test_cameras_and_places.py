@@ -87,5 +87,9 @@ def test_a_vocabulary_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ValueError, match="nothing.txt"):
         ft.PlaceRecognition(str(tmp_path / "nothing.txt"))
     (tmp_path / "bad.txt").write_text("10 6 0 0\n0 0 1 2 3\n")
-    with pytest.raises((ValueError, RuntimeError)):
-        ft.PlaceRecognition(str(tmp_path / "bad.txt"))
+    (tmp_path / "empty.txt").write_text("")
+    (tmp_path / "large.txt").write_text("10 6 0 0\n" + "0 0 " + "9" * 400 + "\n")
+    (tmp_path / "binary.bin").write_bytes(bytes(range(256)) * 8)
+    for name in ("bad.txt", "empty.txt", "large.txt", "binary.bin"):
+        with pytest.raises(RuntimeError, match=name):
+            ft.PlaceRecognition(tmp_path / name)

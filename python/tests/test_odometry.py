@@ -81,6 +81,41 @@ def test_a_map_goes_out_and_in(walk):
         second.load_map(saved[:-10])
 
 
+def test_maps_that_do_not_fit_change_nothing(walk):
+    """Of other rigs, sizes and settings, cut off, or with a byte that is another one."""
+    made = walk.odometry()
+    follow(made, walk, 5)
+    saved = made.save_map()
+    other = {
+        "baseline": ft.Odometry(ft.RectifiedPair(CAMERA, 0.5), WIDTH, HEIGHT, features=400, device="host"),
+        "fx": ft.Odometry(ft.RectifiedPair((300.0, *CAMERA[1:]), BASELINE), WIDTH, HEIGHT, features=400, device="host"),
+        "size": ft.Odometry(walk.rig, WIDTH + 16, HEIGHT, features=400, device="host"),
+        "rig": ft.Odometry(ft.MultiRig([ft.RigCamera(CAMERA, BASELINE)]), WIDTH, HEIGHT, features=400, device="host"),
+    }
+    for name, odometry in other.items():
+        with pytest.raises(RuntimeError, match=name):
+            odometry.load_map(saved)
+    random = np.random.default_rng(7)
+    tracker = walk.odometry()
+    want = follow(walk.odometry(), walk, 3)
+    assert np.array_equal(tracker.track(*walk.frame(0)).T_world_camera, want[0].T_world_camera)
+    damaged = [b"", b"no map", saved[:8], saved[:100], saved[:len(saved) // 2], saved[:-1], saved + b"\0", memoryview(saved)[:-9]]
+    for at in random.integers(0, len(saved), 40):
+        changed = bytearray(saved)
+        changed[at] ^= int(random.integers(1, 256))
+        damaged.append(changed)
+    for data in damaged[:6] + damaged[7:]:
+        with pytest.raises(RuntimeError, match="map"):
+            tracker.load_map(data)
+    for no_bytes in (None, "text", 5, [1, 2]):
+        with pytest.raises(ValueError, match="save_map"):
+            tracker.load_map(no_bytes)
+    for i in (1, 2):
+        assert np.array_equal(tracker.track(*walk.frame(i)).T_world_camera, want[i].T_world_camera)
+    tracker.load_map(bytearray(saved))
+    assert tracker.track(*walk.frame(5)).tracked
+
+
 def test_keypoints_hold_points(walk):
     odometry = walk.odometry()
     follow(odometry, walk, 3)
@@ -103,6 +138,29 @@ def test_predict_and_reset(walk):
         odometry.predict(np.diag([2.0, 1, 1, 1]))
     with pytest.raises(ValueError):
         odometry.predict(np.eye(3))
+
+
+def test_why_a_frame_is_not_tracked(walk):
+    left, right, t = walk.frame(0)
+    one = lambda a, b: walk.odometry().track(a, b, 1)
+    fine = one(left, right)
+    assert fine.tracked and fine.reason == fine.explanation == ""
+    noise = np.random.default_rng(1)
+    grey = noise.integers(126, 129, left.shape).astype(np.uint8)
+    for images, reason, words in [((left // 40, right // 40), "dark", "mean grey value"), ((255 - left // 40, 255 - right // 40), "bright", "white"),
+                                  ((grey, grey), "low_texture", "uniform"), ((right, left), "stereo_inconsistent", "exchanged")]:
+        pose = one(*images)
+        assert not pose.tracked and pose.reason == reason and words in pose.explanation, pose.explanation
+        assert f"({reason})" in repr(pose)
+    depth = np.zeros(left.shape, np.uint16)
+    pose = ft.Odometry(ft.RgbdCamera(CAMERA, depth_scale=0.001), WIDTH, HEIGHT, features=400, device="host").track(left, depth, t)
+    assert not pose.tracked and pose.reason == "no_depth"
+    single = ft.Odometry(ft.MonocularCamera(CAMERA), WIDTH, HEIGHT, features=400, device="host")
+    assert single.track(left, 1).reason == "awaits_motion"
+    tracker = walk.odometry()
+    follow(tracker, walk, 3)
+    black = np.zeros_like(left)
+    assert tracker.track(black, black, t + 10**9).reason == "dark"
 
 
 def test_samples_of_an_imu_are_taken(walk):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigs of several cameras, and one camera from nothing."""
 
+import warnings
+
 import numpy as np
 import pytest
 from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, Walk
@@ -174,3 +176,45 @@ def test_an_imu_that_has_told_nothing_gives_one_camera_no_scale():
         assert pose.state == "initialising"
         assert not pose.metric
         assert not pose.imu_known
+
+
+T_RIGHT_LEFT = np.eye(4)
+T_RIGHT_LEFT[0, 3] = -BASELINE
+LENS = (*CAMERA, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("rig", [
+    ft.RectifiedPair(CAMERA, BASELINE), ft.DistortedPair(CAMERA, CAMERA, T_RIGHT_LEFT, CAMERA, (WIDTH, HEIGHT)),
+    ft.FisheyePair(LENS, LENS, T_RIGHT_LEFT), ft.RgbdCamera(CAMERA), ft.RgbdCamera(ft.RadTan(CAMERA), depth_scale=0.001),
+    ft.MonocularCamera(CAMERA), ft.MonocularCamera(ft.KannalaBrandt(LENS)), ft.MultiRig([mounted((0, 0)), mounted(ASIDE)]),
+], ids=lambda rig: type(rig).__name__)
+def test_an_ordinary_calibration_has_no_warnings(rig):
+    assert ft.check_calibration(rig, WIDTH, HEIGHT) == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        odometry_of(rig)
+
+
+@pytest.mark.parametrize("rig, name", [
+    (ft.RectifiedPair(CAMERA, 110.0), "baseline_long"), (ft.RectifiedPair(CAMERA, 0.00011), "baseline_short"),
+    (ft.RectifiedPair((*CAMERA[:2], 10.0, 120.0), BASELINE), "principal_point"),
+    (ft.RectifiedPair((*CAMERA[:2], 320.0, 240.0), BASELINE), "principal_point"),
+    (ft.MonocularCamera((22.0, 22.0, *CAMERA[2:])), "focal_length"), (ft.RgbdCamera(CAMERA, depth_scale=1000.0), "depth_scale"),
+    (ft.FisheyePair(LENS, LENS, np.linalg.inv(T_RIGHT_LEFT)), "baseline_direction"),
+    (ft.MultiRig([mounted((0, 0), baseline=110.0)]), "baseline_long"),
+])
+def test_a_wrong_calibration_is_a_warning(rig, name):
+    found = ft.check_calibration(rig, WIDTH, HEIGHT)
+    assert [f.name for f in found] == [name] and found[0].text
+    with pytest.warns(UserWarning, match=name):
+        odometry_of(rig)
+
+
+def test_what_is_refused_is_found_too():
+    found = ft.check_calibration(ft.RectifiedPair((-1.0, *CAMERA[1:]), BASELINE), WIDTH, HEIGHT)
+    assert [f.name for f in found] == ["refused"] and "fx" in found[0].text
+    for bad in ((0, HEIGHT), (WIDTH, -1), (640.5, HEIGHT), (WIDTH, 2**31)):
+        with pytest.raises(ValueError):
+            ft.check_calibration(ft.RectifiedPair(CAMERA, BASELINE), *bad)
+    with pytest.raises(ValueError, match="rig"):
+        ft.check_calibration(None, WIDTH, HEIGHT)

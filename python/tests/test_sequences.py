@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +14,16 @@ import ft
 
 
 def write_png(file, image):
-    """An 8-bit grey PNG."""
+    """A grey PNG of 8 or 16 bits."""
     import struct
     import zlib
 
     def chunk(name, data):
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
-    rows = b"".join(b"\0" + row.tobytes() for row in image)
-    file.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", image.shape[1], image.shape[0], 8, 0, 0, 0, 0))
+    bits = 8 * image.dtype.itemsize
+    rows = b"".join(b"\0" + row.astype(f">u{bits // 8}").tobytes() for row in image)
+    file.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", image.shape[1], image.shape[0], bits, 0, 0, 0, 0))
                      + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
 
 
@@ -113,10 +117,199 @@ def test_what_is_no_sequence_is_named(tmp_path):
         ft.read_sequence(tmp_path)
 
 
-def test_the_program_tracks_a_folder(folder, tmp_path):
-    done = subprocess.run([sys.executable, "-m", "ft", "track", str(folder), "--out", str(tmp_path), "--device", "host",
-                           "--features", "400"], capture_output=True, text=True, check=False)
+@pytest.fixture(scope="session")
+def folder_with_truth(folder, tmp_path_factory):
+    root = tmp_path_factory.mktemp("truth") / "kitti"
+    shutil.copytree(folder, root)
+    rows = []
+    for i in range(12):
+        T = np.eye(4)
+        T[:2, 3] = Walk().position(i)
+        rows.append(T[:3].ravel())
+    np.savetxt(root / "poses.txt", rows)
+    return root
+
+
+@pytest.fixture(scope="session")
+def folder_with_depth(tmp_path_factory):
+    """The walk in the layout of TUM RGB-D, depths in millimetres."""
+    root = tmp_path_factory.mktemp("tum")
+    walk = Walk()
+    lists = {"rgb": [], "depth": []}
+    truth = []
+    for i in range(12):
+        at = f"{1 + 0.05 * i:.6f}"
+        for name, image in (("rgb", walk.frame(i)[0]), ("depth", walk.depth(i))):
+            (root / name).mkdir(exist_ok=True)
+            write_png(root / name / f"{at}.png", image)
+            lists[name].append(f"{at} {name}/{at}.png\n")
+        truth.append(" ".join(map(str, [at, *walk.position(i), 0, 0, 0, 0, 1])) + "\n")
+    for name, lines in lists.items():
+        (root / f"{name}.txt").write_text("".join(lines))
+    (root / "groundtruth.txt").write_text("".join(truth))
+    (root / "camera.txt").write_text("# fx fy cx cy\n" + " ".join(map(str, CAMERA)) + "\n")
+    return root
+
+
+@pytest.fixture(scope="session")
+def folder_of_one(folder_with_truth, tmp_path_factory):
+    """The left camera alone."""
+    root = tmp_path_factory.mktemp("one") / "kitti"
+    shutil.copytree(folder_with_truth, root)
+    shutil.rmtree(root / "image_1")
+    return root
+
+
+def test_depth_images_are_read(folder_with_depth):
+    sequence = ft.read_sequence(folder_with_depth, depth_unit=0.001, min_depth=0.5, max_depth=10.0)
+    assert sequence.kind == "rgbd" and len(sequence) == 12
+    assert isinstance(sequence.rig, ft.RgbdCamera) and sequence.rig.depth_scale == 0.001
+    assert (sequence.rig.min_depth, sequence.rig.max_depth) == (0.5, 10.0)
+    assert np.array_equal(sequence[3].images[0], Walk().frame(3)[0]) and np.array_equal(sequence[3].images[1], Walk().depth(3))
+    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, features=400, device="host")
+    poses = [(f.time_ns, odometry.track(*f.images, f.time_ns).T_world_camera) for f in sequence]
+    errors = ft.evaluate(poses, sequence.ground_truth)
+    assert errors["pairs"] == 12 and errors["ate_m"] < 0.005
+    assert abs(ft.read_sequence(folder_with_depth).rig.depth_scale - 1 / 5000) < 1e-12
+    single = ft.read_sequence(folder_with_depth, rig="mono")
+    assert single.kind == "mono" and len(single[0].images) == 1
+    for bad in ({"depth_unit": 0}, {"depth_unit": float("nan")}, {"rig": "odd"}, {"max_time_difference_ns": 0.5}, {"max_time_difference_ns": -1}):
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            ft.read_sequence(folder_with_depth, **bad)
+    with pytest.raises(RuntimeError, match=str(folder_with_depth)):
+        ft.read_sequence(folder_with_depth, rig="stereo")
+
+
+def test_one_camera_is_read(folder_of_one, folder_with_truth):
+    for sequence in (ft.read_sequence(folder_of_one), ft.read_sequence(folder_with_truth, rig="mono")):
+        assert sequence.kind == "mono" and len(sequence) == 12 and isinstance(sequence.rig, ft.MonocularCamera)
+        odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, features=1000, device="host")
+        tracked = [odometry.track(*f.images, f.time_ns).tracked for f in sequence]
+        assert tracked[-1] and len(sequence.ground_truth) == 12
+
+
+def test_what_a_recording_lacks_is_a_warning(folder_with_depth, tmp_path):
+    root = tmp_path / "tum"
+    shutil.copytree(folder_with_depth, root)
+    lines = (root / "rgb.txt").read_text().splitlines(keepends=True)
+    (root / "rgb.txt").write_text("".join([*lines[:5], lines[4], *lines[5:]]))
+    with pytest.warns(UserWarning, match="rgb.txt"):
+        sequence = ft.read_sequence(root)
+    assert len(sequence) == 12 and len(sequence.warnings) == 1
+
+
+def program_of_the_readme():
+    text = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    return text.split("\n## Python\n", 1)[1].split("```python\n", 1)[1].split("```", 1)[0]
+
+
+def test_the_readmes_program_runs_with_and_without_truth(folder, folder_with_truth, folder_of_one):
+    program = program_of_the_readme()
+    assert program.count('"FOLDER"') == 1
+    for root in (folder, folder_with_truth, folder_of_one):
+        done = subprocess.run([sys.executable, "-c", program.replace('"FOLDER"', repr(str(root)))], capture_output=True, text=True,
+                              check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count("<ft.Tracking ") == 12
+        assert root == folder_of_one or done.stdout.count("<ft.Tracking tracking") == 12
+        assert ("ate_m" in done.stdout) == (root != folder)
+        if root == folder_with_truth:
+            assert "'pairs': 12" in done.stdout
+
+
+def test_a_sequence_without_truth_is_false_about_it(folder, folder_with_truth):
+    assert not ft.read_sequence(folder).ground_truth
+    sequence = ft.read_sequence(folder_with_truth)
+    assert sequence.ground_truth and len(sequence.ground_truth) == 12
+    with pytest.raises(ValueError, match="ground truth"):
+        ft.evaluate([(1, np.eye(4))], ft.read_sequence(folder).ground_truth)
+
+
+def track(*arguments, **options):
+    return subprocess.run([sys.executable, "-m", "ft", "track", *map(str, arguments)], capture_output=True, text=True, check=False,
+                          **options)
+
+
+def test_the_program_tracks_a_folder(folder, folder_with_truth, tmp_path):
+    for root, truth in ((folder, False), (folder_with_truth, True)):
+        out = tmp_path / str(truth)
+        done = track(root, "--out", out, "--backend", "host", "--features", "400")
+        assert done.returncode == 0, done.stderr
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["tracked"] == summary["frames"] == 12 and summary["stopped_at"] is None
+        assert len(ft.read_tum(out / "trajectory.txt")) == 12
+        assert (out / "groundtruth.txt").exists() == truth
+        assert summary["ate_rmse_m"] < 0.005 if truth else summary["ate_rmse_m"] is None
+        assert len((out / "times.csv").read_text().splitlines()) == 13
+        assert (out / "map.ply").read_bytes().startswith(b"ply\n") and "<svg" in (out / "report.html").read_text()
+        assert "track  12/12  100 %" in done.stdout and "ATE RMSE" in done.stdout
+
+
+def test_options_of_the_program(folder_with_truth, tmp_path):
+    done = track("--sequence", folder_with_truth, "--out", tmp_path, "--device", "host", "--features", "400", "--frames", "6", "--timing",
+                 "--poses", "kitti", "--imu", "off", "--threads", "1", "--near", "40", "--rig", "rectified", "--quiet")
     assert done.returncode == 0, done.stderr
+    assert "track  " not in done.stdout
+    assert np.loadtxt(tmp_path / "poses.txt").shape == (6, 12)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["tracked"] == summary["frames"] == 12 and summary["stopped_at"] is None
-    assert len(ft.read_tum(tmp_path / "trajectory.txt")) == 12
+    assert len(summary["stages"]) > 5 and summary["options"]["near points, baselines"].startswith("40")
+    for bad in (["--frames", "-1"], ["--near", "nan"], ["--near", "0"], ["--threads", "9999"], ["--rig", "odd"], [folder_with_truth]):
+        done = track("--sequence", folder_with_truth, "--out", tmp_path / "none", *bad)
+        assert done.returncode == 2, done.stderr
+    for bad, word in ((["--rig", "fisheye"], "--rig fisheye"), (["--frame", "body"], "--frame body")):
+        done = track(folder_with_truth, "--out", tmp_path / "none", *bad)
+        assert done.returncode == 1 and word in done.stderr
+    assert not (tmp_path / "none").exists()
+
+
+def test_one_camera_and_depth_images_by_the_program(folder_with_truth, folder_of_one, folder_with_depth, tmp_path):
+    for root, rig in ((folder_with_truth, "mono"), (folder_with_truth, "monocular"), (folder_of_one, "auto")):
+        done = track(root, "--out", tmp_path / rig, "--backend", "host", "--features", "1000", "--rig", rig)
+        assert done.returncode == 0, done.stderr
+        summary = json.loads((tmp_path / rig / "summary.json").read_text())
+        assert 0 < summary["tracked"] < 12 and summary["scale"] is not None
+    done = track(folder_with_depth, "--out", tmp_path / "d", "--backend", "host", "--features", "400", "--depth-unit", "0.001", "--max-depth", "9")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "d/summary.json").read_text())
+    assert summary["tracked"] == 12 and summary["ate_rmse_m"] < 0.005 and "0.001 m a unit" in done.stdout
+    for bad in (["--min-depth", "3", "--max-depth", "2"], ["--depth-unit", "0"], ["--max-time-difference", "-1"]):
+        assert track(folder_with_depth, "--out", tmp_path / "e", *bad).returncode == 2
+    done = track(folder_with_truth, "--out", tmp_path / "e", "--max-depth", "2")
+    assert done.returncode == 1 and "--max-depth" in done.stderr
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(folder, folder_with_truth, tmp_path):
+    (tmp_path / "file").write_text("")
+    places = [tmp_path / "file", tmp_path / "file/under", folder_with_truth]
+    if os.geteuid() != 0:
+        (tmp_path / "closed").mkdir(mode=0o555)
+        places.append(tmp_path / "closed")
+    for out in places:
+        done = track(folder, "--out", out, "--backend", "host")
+        assert done.returncode == 1 and f"--out {out}" in done.stderr, done.stderr
+        assert "track  " not in done.stdout
+    assert (tmp_path / "file").read_text() == ""
+    assert len((folder_with_truth / "poses.txt").read_text().splitlines()) == 12
+
+
+def test_an_image_that_cannot_be_read_ends_the_run(folder, tmp_path):
+    root = tmp_path / "kitti"
+    shutil.copytree(folder, root)
+    (root / "image_0/000007.png").write_bytes(b"no image")
+    done = track(root, "--out", tmp_path / "out", "--backend", "host", "--features", "400")
+    assert done.returncode == 3 and "stopped at frame 7" in done.stderr
+    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    assert summary["stopped_at"] == 7 and summary["frames"] == 7
+
+
+def test_options_are_those_of_track_sequence():
+    """What the C++ program offers, but for what has no meaning here."""
+    root = Path(__file__).resolve().parents[2]
+    source = (root / "examples/track_sequence/options.cpp").read_text(encoding="utf-8")
+    import re
+
+    theirs = set(re.findall(r'add_(?:option|flag)\(\s*"(--[a-z-]+)"', source))
+    assert "--features" in theirs and len(theirs) > 10
+    shown = track("--help").stdout
+    without = {"--read-ahead", "--realtime"}  # Python has no threads that read ahead
+    assert not {option for option in theirs - without if option not in shown}

@@ -189,6 +189,17 @@ def test_what_is_no_recording_is_named(tmp_path, text):
         view.Recording(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize("change", [{"truth": {"time_ns": [0.5], "T_world_camera": [[0] * 12], "orientation": True}},
+                                    {"truth": {"time_ns": [1, 2], "T_world_camera": [[0] * 12], "orientation": True}}, {"truth": [1]}])
+def test_a_broken_head_is_named(recording, tmp_path, change):
+    import json
+
+    head = json.loads((recording / "recording.jsonl").read_text().splitlines()[0])
+    (tmp_path / "recording.jsonl").write_text(json.dumps({**head, **change}) + "\n")
+    with pytest.raises(RuntimeError, match="recording.jsonl:1"):
+        view.Recording(tmp_path)
+
+
 def test_a_broken_line_is_named(recording, tmp_path):
     shutil.copytree(recording, tmp_path / "broken")
     file = tmp_path / "broken/recording.jsonl"
@@ -208,7 +219,7 @@ def test_the_program_says_which_package_is_missing(walk_folder, recording, tmp_p
     done = run(arguments[0], folder, *arguments[1:], cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1 and "rerun-sdk" in done.stderr and "Traceback" not in done.stderr
-    assert not (tmp_path / "ft_track_out").exists()
+    assert not (tmp_path / "track_sequence_out").exists()
 
 
 def test_a_run_is_shown_or_recorded_not_both(walk_folder, tmp_path):

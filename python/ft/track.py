@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The program `python -m ft track`: options, defaults and files are those of track_sequence."""
+
+import signal
+import sys
+import time
+import warnings
+
+import numpy as np
+
+import ft
+
+from . import _ft
+
+MOST_CLOUD_POINTS = 8000
+SAMPLES = 6  # frames that are drawn in the report
+
+
+RIGS = {"auto": "auto", "stereo": "stereo", "rectified": "stereo", "fisheye": "stereo", "mono": "mono", "monocular": "mono",
+        "rgbd": "rgbd"}
+
+
+def open_sequence(a):
+    apart = None if a.max_time_difference is None else round(1e6 * a.max_time_difference)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they are printed
+        sequence = ft.read_sequence(a.folder, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
+                                    imu=a.imu == "auto", rig=RIGS[a.rig], depth_unit=a.depth_unit, min_depth=a.min_depth,
+                                    max_depth=a.max_depth, max_time_difference_ns=apart)
+    for text in sequence.warnings:
+        print(f"ft: warning: {text}", file=sys.stderr)
+    if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
+        raise ValueError(f"--rig fisheye: the cameras of {a.folder} are not a pair of Kannala-Brandt cameras")
+    if a.frame == "body" and sequence.kind == "mono":
+        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of the "
+                         "body")
+    if a.frame == "body" and not sequence.has_body_frame:
+        raise ValueError(f"--frame body: the calibration of {a.folder} does not say where the body is")
+    if sequence.kind != "rgbd" and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
+        raise ValueError(f"--depth-unit, --min-depth, --max-depth: no depth images of {a.folder} are used")
+    return sequence
+
+
+def make_odometry(arguments, sequence, measure_stages):
+    """The settings file's values where the command line has none."""
+    settings = dict(sequence.settings)
+    settings.setdefault("features", 2000 if sequence.width > 1000 else 1200)
+    if arguments.features:
+        settings["features"] = arguments.features
+    if arguments.near is not None:
+        settings["near_depth"] = arguments.near
+    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
+                           threads=arguments.threads, measure_stages=measure_stages,
+                           map_slots=max(1 << 14, 8 * settings["features"]), **settings)
+    return odometry, settings
+
+
+def duration_text(seconds):
+    whole = int(seconds + 0.5)
+    if whole < 60:
+        return f"{whole} s"
+    return f"{whole // 60} min {whole % 60} s" if whole < 3600 else f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+class Progress:
+    """One line that changes on a terminal; elsewhere a line every 10 %."""
+
+    def __init__(self, total, quiet):
+        self._total, self._quiet, self._terminal = total, quiet, sys.stdout.isatty()
+        self._begin, self._drawn, self._tenth = time.monotonic(), -1.0, 0
+
+    def step(self, done, note=""):
+        now = time.monotonic()
+        if self._terminal:
+            show = done == self._total or now - self._drawn > 0.1
+        else:
+            show = 10 * done // self._total > self._tenth
+        if self._quiet or not show:
+            return
+        self._drawn, self._tenth = now, 10 * done // self._total
+        rate = done / max(now - self._begin, 1e-6)
+        left = f"  ETA {duration_text((self._total - done) / rate)}" if done < self._total else ""
+        text = f"track  {done}/{self._total}  {100 * done // self._total} %  {rate:.{1 if rate < 1000 else 0}f} frames/s{left}"
+        print(f"\r{text}  {note}\033[K" if self._terminal else f"{text}  {note}".rstrip(), end="" if self._terminal else "\n",
+              flush=True)
+
+    def finish(self):
+        if self._terminal and not self._quiet and self._drawn >= 0:
+            print(flush=True)
+
+
+class Run:
+    """What is known about a run so far."""
+
+    def __init__(self, arguments, sequence, odometry, viewer):
+        self._arguments, self._sequence, self._odometry, self._viewer = arguments, sequence, odometry, viewer
+        self._camera = sequence.left_camera
+        self._samples_due = {(2 * k + 1) * len(sequence) // (2 * SAMPLES) for k in range(SAMPLES)}
+        if len(sequence) <= SAMPLES:
+            self._samples_due = set(range(len(sequence)))
+        self._imu = iter(sequence.imu_samples)
+        self._before = (-1, {})
+        self._cloud, self._cloud_step = np.zeros((0, 3), np.float32), 1
+        self._stage_names = []
+        self.records, self.poses, self.samples = [], [], []
+        self.metric = sequence.kind != "mono"
+        self.stopped_at, self.stopped_by = None, ""
+        self.last = None
+
+    def track_all(self):
+        progress = Progress(len(self._sequence), self._arguments.quiet)
+        begin, i = time.monotonic(), 0
+        try:
+            for i in range(len(self._sequence)):
+                try:
+                    frame = self._sequence[i]
+                except RuntimeError as e:
+                    self.stopped_at, self.stopped_by = i, str(e)
+                    break
+                progress.step(i + 1, "" if self._track(i, frame) else "lost")
+        except KeyboardInterrupt as e:
+            self.stopped_at, self.stopped_by = len(self.records), str(e) or "SIGINT"
+        progress.finish()
+        self.wall_s = time.monotonic() - begin
+
+    def _track(self, i, frame):
+        for sample in self._imu:
+            self._odometry.add_imu(*sample)
+            if sample[0] >= frame.time_ns:
+                break
+        begin = time.perf_counter()
+        pose = self._odometry.track(*frame.images, frame.time_ns)
+        total = 1e3 * (time.perf_counter() - begin)
+        guessed = pose.keyframe and pose.inliers == 0 and pose.maps > 1  # the first frame of a later map
+        tracked = pose.tracked and not guessed
+        stages = self._odometry.stage_times() if self._arguments.timing or self._viewer else {}
+        self._stage_names += [name for name in stages if name not in self._stage_names]
+        self.records.append((i, frame.time_ns, tracked, stages, total, pose))
+        if tracked and pose.metric and not self.metric:
+            self.metric, self.poses = True, []  # those before have an unknown scale
+        if tracked and pose.metric == self.metric:
+            self.poses.append((frame.time_ns, pose.T_world_camera))
+        self._look(i, frame.left, pose, tracked)
+        if self._viewer is not None:
+            self._show(i, frame, pose, tracked, {**stages, "total": total})
+        self.last = pose
+        return tracked
+
+    def _look(self, i, image, pose, tracked):
+        """Keeps points that a keyframe begins, and frames for the report."""
+        begins = tracked and pose.keyframe
+        sample = i in self._samples_due
+        if not begins and not sample and i + 1 not in self._samples_due:
+            return
+        k = self._odometry.keypoints()
+        at = np.stack([k["x"], k["y"]], axis=1)
+        if begins:
+            new = (k["point"] >= 0) & ~k["matched"] & (k["depth"] > 0)
+            rays, valid = self._camera.unproject(at[new].astype(np.float64))
+            valid &= rays[:, 2] > 0
+            points = k["depth"][new][valid, None] * rays[valid] / rays[valid, 2:]
+            T = pose.T_world_camera
+            self._cloud = np.concatenate([self._cloud, (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)])
+            while len(self._cloud) >= MOST_CLOUD_POINTS:
+                self._cloud, self._cloud_step = self._cloud[::2], 2 * self._cloud_step
+        if sample:
+            last, seen = self._before
+            drawn = []
+            for n, (x, y) in enumerate(at.tolist()):
+                point = int(k["point"][n])
+                from_x, from_y = seen.get(point, (-1, -1)) if last == i - 1 and k["matched"][n] else (-1, -1)
+                octave = int(k["octave"][n])
+                size = 31.0 * self._odometry.scale_factor ** octave
+                drawn.append((x, y, size, octave, float(k["depth"][n]), bool(k["matched"][n]), from_x, from_y))
+            self.samples.append((i, image, drawn))
+        self._before = i, {int(p): tuple(xy) for p, xy in zip(k["point"], at.tolist()) if p >= 0}
+
+    def _show(self, i, frame, pose, tracked, milliseconds):
+        from .view import Seen
+
+        counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
+                  "local map": pose.local_points}
+        self._viewer.show(Seen(i, frame.time_ns, frame.left, tracked, pose.keyframe, pose.T_world_camera,
+                               self._odometry.keypoints(), counts, milliseconds),
+                          self._odometry.map() if tracked and pose.keyframe else None)
+
+    def write(self, settings):
+        """The files that track_sequence writes. Prints its summary."""
+        a, sequence, last = self._arguments, self._sequence, self.last
+        stages = self._stage_names if a.timing else []
+        made = self._odometry.map()
+        rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
+                                                        "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
+        trajectory = ft.Trajectory.of(self.poses)
+        sys.stdout.flush()
+        _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
+            "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
+            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)), "layout": sequence.layout,
+                        "rig": rig, "frame": a.frame, "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
+            "stages": [*stages, "total"],
+            "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
+                        for i, t, tracked, ms, total, pose in self.records],
+            "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
+            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd", "with_imu": sequence.imu is not None,
+            "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
+            "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
+            "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
+        })
+
+
+def backend_of(wanted):
+    return "cuda" if wanted != "host" and len(ft.devices()) > 1 else "host"
+
+
+def viewer_of(arguments, sequence):
+    """A viewer, or None. Raises view.MissingPackage."""
+    if not arguments.view and arguments.record is None:
+        return None
+    from . import view
+
+    return view.Viewer(view.open_rerun(arguments.record), sequence.left_camera, sequence.width, sequence.height,
+                       sequence.ground_truth, sequence.ground_truth_has_orientation)
+
+
+def end_as_ctrl_c(*_):
+    raise KeyboardInterrupt("SIGTERM")
+
+
+def track(arguments):
+    """Returns the exit status: 0; 1 where no frame could be tracked; 3 for a run that was stopped."""
+    sequence = open_sequence(arguments)
+    viewer = viewer_of(arguments, sequence)
+    _ft.make_output_folder(arguments.out)
+    odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)
+    what, more = {"mono": ("images of one camera,", ""), "rgbd": ("images with depth images of", "")}.get(
+        sequence.kind, ("stereo pairs of", f", baseline {sequence.baseline:g} m"))
+    print(f"sequence  {sequence.name}, {len(sequence)} {what} {sequence.width}x{sequence.height}{more}")
+    if sequence.kind == "rgbd":
+        most = float("inf") if arguments.max_depth is None else arguments.max_depth
+        print(f"depth     {sequence.rig.depth_scale:g} m a unit, {sequence.files.depth_unit_from}; taken from "
+              f"{arguments.min_depth:g} to {most:g} m")
+    if sequence.imu is not None:
+        print(f"imu       {len(sequence.imu_samples)} samples, {sequence.imu.rate_hz:g} Hz")
+    print(f"backend   {backend_of(arguments.backend)}", flush=True)
+    signal.signal(signal.SIGTERM, end_as_ctrl_c)
+    run = Run(arguments, sequence, odometry, viewer)
+    run.track_all()
+    if viewer is not None:
+        viewer.finish()
+    run.write(settings)
+    if run.stopped_at is not None:
+        print(f"ft: stopped at frame {run.stopped_at}: {run.stopped_by}", file=sys.stderr)
+        return 3
+    if not any(record[2] for record in run.records):
+        why = {"mono": "the camera does not move enough, or too few corners are seen", "rgbd": "too few corners have a depth"}.get(
+            sequence.kind, "too few corners are seen by both cameras")
+        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']})", file=sys.stderr)
+        return 1
+    return 0

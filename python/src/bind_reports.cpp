@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+// What track_sequence writes, of a run in Python.
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/vector.h>
+
+#include <iostream>
+
+#include "examples/sequence/reader.hpp"
+#include "examples/sequence/report.hpp"
+#include "examples/track_sequence/options.hpp"
+#include "examples/track_sequence/outputs.hpp"
+#include "examples/track_sequence/processor_name.hpp"
+#include "ft/pipelines/map_files.hpp"
+#include "python/src/trajectories.hpp"
+
+namespace ftpy {
+namespace {
+
+app::arguments arguments_of(nb::handle out, std::string const& frame, std::string const& poses) {
+  app::arguments a;
+  a.out = nb::cast<std::string>(nb::str(out));
+  a.frame = frame;
+  a.poses = poses;
+  return a;
+}
+
+/// @param given number of the frame, time stamp, whether it has a pose, times of stages, tracking
+seq::frame_record record_of(nb::handle given) {
+  auto const& t = nb::cast<tracking const&>(given[4]);
+  seq::frame_record r;
+  r.index = nb::cast<int>(given[0]);
+  r.time_ns = nb::cast<std::int64_t>(given[1]);
+  r.tracked = nb::cast<bool>(given[2]);
+  r.stage_ms = nb::cast<std::vector<double>>(given[3]);
+  r.keyframe = t.keyframe;
+  r.keypoints = t.keypoints;
+  r.stereo_matches = t.stereo_points;
+  r.inliers = t.inliers;
+  r.local_points = t.local_points;
+  auto const vector = [](std::array<double, 3> const& v) {
+    return Eigen::Vector3d(v[0], v[1], v[2]);
+  };
+  if (t.imu_known) {
+    r.imu = seq::imu_record{t.imu_optimized, vector(t.velocity), vector(t.gyro_bias),
+                            vector(t.accel_bias), vector(t.gravity)};
+  }
+  return r;
+}
+
+/// @param given number of the frame, image, columns of keypoints
+seq::sample_frame sample_of(nb::handle given) {
+  arrays kept;
+  image const picture = kept.gray(given[1], "the image of a sample");
+  seq::sample_frame s;
+  s.index = nb::cast<int>(given[0]);
+  s.picture.width = picture.width;
+  s.picture.height = picture.height;
+  for (int y = 0; y < picture.height; ++y) {
+    std::uint8_t const* const row = picture.data + static_cast<std::ptrdiff_t>(y) * picture.stride;
+    s.picture.pixels.insert(s.picture.pixels.end(), row, row + picture.width);
+  }
+  for (nb::handle const k : given[2]) {
+    auto const at = [&](int i) { return nb::cast<float>(k[i]); };
+    s.keypoints.push_back(
+        {at(0), at(1), at(2), nb::cast<int>(k[3]), at(4), nb::cast<bool>(k[5]), at(6), at(7)});
+  }
+  return s;
+}
+
+seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
+  auto const text = [&](char const* name) { return nb::cast<std::string>(run[name]); };
+  auto const count = [&](char const* name) { return nb::cast<int>(run[name]); };
+  auto const flag = [&](char const* name) { return nb::cast<bool>(run[name]); };
+  seq::run_report r;
+  r.title = "Tracking of " + sequence.name();
+  r.sequence = sequence.name();
+  r.backend = text("backend");
+  r.device = r.backend == "host" ? app::processor_name() : cuda_devices().at(0);
+  r.options = nb::cast<std::map<std::string, std::string>>(run["options"]);
+  r.image_width = count("width");
+  r.image_height = count("height");
+  r.stages = nb::cast<std::vector<std::string>>(run["stages"]);
+  for (nb::handle const h : run["records"]) { r.records.push_back(record_of(h)); }
+  for (seq::frame_record const& record : r.records) { r.tracked += record.tracked ? 1 : 0; }
+  r.frames = static_cast<int>(r.records.size());
+  r.lost = r.frames - r.tracked;
+  r.keyframes = count("keyframes");
+  r.map_points = count("map_points");
+  r.maps = count("maps");
+  r.one_camera = flag("one_camera");
+  r.depth_images = flag("depth_images");
+  r.with_imu = flag("with_imu");
+  r.metric = flag("metric");
+  r.estimate = trajectory_of(run["time_ns"], run["poses"], "the estimate");
+  for (nb::handle const h : run["samples"]) { r.samples.push_back(sample_of(h)); }
+  for (nb::handle const p : run["cloud"]) {
+    auto const at = [&](int i) { return nb::cast<float>(p[i]); };
+    r.cloud.emplace_back(at(0), at(1), at(2));
+  }
+  nb::object const stopped = run["stopped_at"];
+  if (!stopped.is_none()) {
+    r.stopped_at = nb::cast<int>(stopped);
+    r.stopped_by = text("stopped_by");
+  }
+  r.wall_s = nb::cast<double>(run["wall_s"]);
+  return r;
+}
+
+/// @param points,normals (n, 3)
+ft::odometry_map map_of(nb::handle points, nb::handle normals) {
+  ft::odometry_map map;
+  auto const vector = [](nb::handle v) {
+    return ft::vec3<float>{nb::cast<float>(v[0]), nb::cast<float>(v[1]), nb::cast<float>(v[2])};
+  };
+  std::size_t const n = nb::len(points);
+  for (std::size_t i = 0; i < n; ++i) {
+    ft::downloaded_point p{};
+    p.position = vector(points[i]);
+    p.normal = vector(normals[i]);
+    map.points.push_back(p);
+  }
+  return map;
+}
+
+ft::pose moved(Eigen::Isometry3d const& T) {
+  ft::pose p;
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) { p.R.m[3 * r + c] = static_cast<float>(T.matrix()(r, c)); }
+  }
+  p.t = {static_cast<float>(T.matrix()(0, 3)), static_cast<float>(T.matrix()(1, 3)),
+         static_cast<float>(T.matrix()(2, 3))};
+  return p;
+}
+
+}  // namespace
+
+void bind_reports(nb::module_& m) {
+  m.def(
+      "make_output_folder",
+      [](nb::handle out) { app::make_output_folder(arguments_of(out, "camera", "tum")); },
+      nb::arg("out"), "Raises RuntimeError for a folder that cannot be written.");
+  m.def(
+      "write_run",
+      [](seq::sequence const& sequence, nb::handle out, std::string const& frame,
+         std::string const& poses, nb::handle run) {
+        seq::run_report report = report_of(sequence, run);
+        ft::odometry_map map = map_of(run["map_position"], run["map_normal"]);
+        auto const write = [&](std::ostream& to, Eigen::Isometry3d const& T_file_world) {
+          ft::pose const T = moved(T_file_world);
+          for (auto& p : map.points) {
+            p.position = T * p.position;
+            p.normal = T.R * p.normal;
+          }
+          ft::write_ply(to, map);
+        };
+        app::finish(arguments_of(out, frame, poses), sequence, write, report);
+        std::cout << std::flush;
+      },
+      nb::arg("sequence"), nb::arg("out"), nb::arg("frame"), nb::arg("poses"), nb::arg("run"),
+      "Writes the files of a run, and prints its summary.");
+}
+
+}  // namespace ftpy

@@ -100,7 +100,10 @@ public:
     return device_->optimize_inertial_pose(r);
   }
 
-  void load_vocabulary(std::string const& path) override { device_->load_vocabulary(path); }
+  void load_vocabulary(std::string const& path,
+                       ft::orbslam3::vocabulary_facts const* expected) override {
+    device_->load_vocabulary(path, expected);
+  }
   bool has_vocabulary() const override { return device_->has_vocabulary(); }
   ft::orbslam3::word_lists transform_words(ft::orbslam3::descriptor_rows const& rows) override {
     return device_->transform_words(rows);

@@ -176,8 +176,11 @@ public:
 
   /// Reads the vocabulary of compute_bow(): DBoW2's text, beside which ft's binary form is written,
   /// or that form. Takes a second or so for a text of a million nodes. Before other threads call.
-  /// @throws error if there is none that can be read
-  void load_vocabulary(std::string const& path) { device_->load_vocabulary(path); }
+  /// @param expected what the vocabulary must say, see vocabulary_facts; nullptr: anything
+  /// @throws error if there is none that can be read, or another one
+  void load_vocabulary(std::string const& path, vocabulary_facts const* expected = nullptr) {
+    device_->load_vocabulary(path, expected);
+  }
 
   /// Whether compute_bow() can be called: there are a vocabulary, and descriptors. From any thread.
   template <typename Frame>
@@ -281,6 +284,10 @@ public:
   void map_point_changed(map_point* point) { mirror_.changes().push(point); }
   /// The queue of changed points, for code that does not include the accelerator.
   change_queue<map_point>& changes() { return mirror_.changes(); }
+  /// The same, for maps, which may outlive this.
+  std::shared_ptr<change_queue<map_point>> const& shared_changes() const {
+    return mirror_.shared_changes();
+  }
 
   /// Must be called before a map point is deleted, such as the temporary ones of Tracking's
   /// localisation mode, and not under its locks. From any thread.

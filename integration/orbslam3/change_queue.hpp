@@ -3,9 +3,12 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <condition_variable>
 #include <cstddef>
+#include <memory>
 #include <mutex>
+#include <utility>
 #include <vector>
 
 namespace ft {
@@ -59,7 +62,7 @@ public:
     stopped_ = true;
     pushed_.notify_all();
   }
-  /// Ignores all later pushes: for a tracker that takes no more points.
+  /// Ignores all later pushes: for a tracker that takes no more points, or is gone.
   void close() {
     std::lock_guard<std::mutex> const lock(mutex_);
     closed_ = true;
@@ -80,6 +83,30 @@ private:
   bool awaited_ = false;
   bool stopped_ = false;
   bool closed_ = false;
+};
+
+/// A member of ORB_SLAM3::Map: where changes of its points go. Each system has maps of its own, so
+/// two systems in one process do not meet. The queues live as long as the map: of a tracker that is
+/// gone a closed one stays. From any thread.
+template <typename MapPoint>
+class map_changes {
+public:
+  /// `point` has changed, see change_queue::push(). Nothing happens where no tracker listens.
+  void push(MapPoint* point) {
+    if (change_queue<MapPoint>* const to = to_.load(std::memory_order_acquire)) { to->push(point); }
+  }
+  /// From now on changes go to `queue`, and no longer to an earlier one.
+  void send_to(std::shared_ptr<change_queue<MapPoint>> queue) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    if (queue.get() == to_.load(std::memory_order_relaxed)) { return; }
+    to_.store(queue.get(), std::memory_order_release);
+    kept_.push_back(std::move(queue));  // a push may be in an earlier one
+  }
+
+private:
+  std::atomic<change_queue<MapPoint>*> to_{nullptr};
+  std::mutex mutex_;
+  std::vector<std::shared_ptr<change_queue<MapPoint>>> kept_;
 };
 
 }  // namespace orbslam3

@@ -55,10 +55,12 @@ public:
     exec().wait();
   }
 
-  /// For set-up: allocates. @throws as read_vocabulary()
-  void load(std::string const& path) {
+  /// For set-up: allocates. @throws as read_vocabulary() and require_same()
+  void load(std::string const& path, vocabulary_facts const* expected) {
+    auto const read = read_vocabulary(path);
+    if (expected != nullptr) { require_same(path, facts_of(read.view()), *expected); }
     device_.enter();
-    vocabulary_ = upload(exec(), read_vocabulary(path).view());
+    vocabulary_ = upload(exec(), read.view());
   }
   bool loaded() const { return vocabulary_.view().nodes > 0; }
   void measure(bool on) { clock_.measure(on); }

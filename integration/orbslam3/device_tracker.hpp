@@ -105,7 +105,8 @@ public:
   virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
 
   /// Reads a vocabulary, as read_vocabulary() of vocabulary_file.hpp. For set-up: allocates.
-  virtual void load_vocabulary(std::string const& path) = 0;
+  /// @param expected as require_same() of vocabulary_file.hpp; nullptr: anything
+  virtual void load_vocabulary(std::string const& path, vocabulary_facts const* expected) = 0;
   virtual bool has_vocabulary() const = 0;
   /// Words of a frame's descriptors and the groups of its keypoints; without a vocabulary none.
   /// From any thread, one at a time, beside all other calls but load_vocabulary().

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstddef>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -38,7 +39,7 @@ public:
   /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
   /// frame.mnId, mK, mDistCoef and the bounds.
   /// @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
-  /// @throws bad_argument for an image of another size
+  /// @throws frame_refused for an image of another size or type
   template <typename Image>
   void extract(Image const& left, Image const& right, frame_type& frame) {
     detail::require(settings_.images == 2, "the settings are for one image");
@@ -103,14 +104,16 @@ public:
   }
   /// The same for a frame that the CPU has extracted. @param left,right the extractors'
   /// mvImagePyramid; level 0 is used
+  /// @throws frame_refused as extract()
   template <typename Image>
   void compute_stereo_matches(frame_type& frame, std::vector<Image> const& left,
                               std::vector<Image> const& right) {
     stage_timer timer(sums(stage::stereo), *device_);
     detail::require(!left.empty() && !right.empty(), "the pyramids are empty");
+    grey_image const images[2] = {view_of(left.front()), view_of(right.front())};
     int const b = frames_.load(frame, frame.mvKeys, true, -1);
     timer.on_device([&] {
-      device_->build_pyramids(view_of(left.front()), view_of(right.front()));
+      device_->build_pyramids(images[0], images[1]);
       device_->match_stereo(b);
     });
     frames_.set_stereo(b);
@@ -158,7 +161,16 @@ protected:
 
 private:
   template <typename Image>
-  static grey_image view_of(Image const& image) {
+  grey_image view_of(Image const& image) const {
+    if (image.cols != settings_.width || image.rows != settings_.height) {
+      throw frame_refused("ft: the image is " + std::to_string(image.cols) + "x" +
+                          std::to_string(image.rows) + ", the settings say " +
+                          std::to_string(settings_.width) + "x" + std::to_string(settings_.height));
+    }
+    if (image.data == nullptr || image.type() != grey_type) {
+      throw frame_refused("ft: the image's type is " + std::to_string(image.type()) +
+                          " instead of CV_8UC1 (0), or it has no data");
+    }
     return {image.data, image.cols, image.rows,
             static_cast<int>(static_cast<std::size_t>(image.step))};
   }

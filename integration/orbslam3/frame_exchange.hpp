@@ -23,6 +23,13 @@ namespace orbslam3 {
 
 inline constexpr int grey_type = 0;  ///< CV_8UC1
 
+/// A frame that the accelerator cannot take: images of another size or type, or more keypoints than
+/// there is room for. Nothing has changed, and the next frame may be taken.
+class frame_refused : public bad_argument {
+public:
+  using bad_argument::bad_argument;
+};
+
 /// The device's buffers and the frames in them.
 template <typename Frame>
 class frame_exchange {
@@ -317,9 +324,9 @@ private:
 
   void put_count(frame_arrays const& a, int image, int n) const {
     if (n > a.capacity) {
-      throw bad_argument("ft: the frame has " + std::to_string(n) +
-                         " keypoints in an image, there is room for " + std::to_string(a.capacity) +
-                         ": see settings::most_keypoints");
+      throw frame_refused("ft: the frame has " + std::to_string(n) +
+                          " keypoints in an image, there is room for " +
+                          std::to_string(a.capacity) + ": see settings::most_keypoints");
     }
     a.count[image] = n;
   }

@@ -9,12 +9,15 @@
 #include <iostream>
 #include <memory>
 #include <ostream>
+#include <set>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/change_queue.hpp"
+#include "integration/orbslam3/frame_calls.hpp"
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 #include "integration/orbslam3/verify.hpp"
@@ -25,10 +28,13 @@ namespace orbslam3 {
 /// Defined by the unit that includes make_tracker.hpp.
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
+struct no_vocabulary {};
+
 /// Every call takes the CPU's own code as a callable, `cpu`, which must give the same result. No
 /// exception leaves these functions: the first failure is printed on stderr, and from then on the
-/// CPU runs all stages. Constructed at the first image, when everything that settings_of() takes is
-/// known.
+/// CPU runs all stages. A frame that is refused (see frame_refused) is the CPU's in those stages
+/// that cannot take it; the reason is printed once, and the next frame is the accelerator's again.
+/// Constructed at the first image, when everything that settings_of() takes is known.
 /// @tparam Types with frame, map_point and, for settings_of(), fisheye_camera
 template <typename Types>
 class front_end {
@@ -36,33 +42,48 @@ public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
+  /// Poses are the CPU's, unless FT_ORBSLAM3_HOST names other stages, or "none".
   /// @param make_settings called for the settings
   /// @param detection hooks if they are compiled in, unless FT_ORBSLAM3_COMPARE=1; the other
   ///   options come from the environment
   /// @param vocabulary see options::vocabulary; FT_ORBSLAM3_VOCABULARY replaces it
-  template <typename MakeSettings>
+  /// @param theirs ORBVocabulary, which must have the same words; nullptr: is not compared
+  template <typename MakeSettings, typename Vocabulary = no_vocabulary>
   front_end(MakeSettings const& make_settings, change_detection detection,
-            std::string const& vocabulary = {}) {
+            std::string const& vocabulary = {}, Vocabulary const* theirs = nullptr) {
     attempt([&] {
       options o;
+      set_modes(o, "poses", stage_mode::host);
       o.detection = detection;
       o.vocabulary = vocabulary;
       o = from_environment(o);
       settings const s = make_settings();
-      start(make_tracker(s), s, o);
+      start(make_tracker(s), s, o, theirs);
     });
   }
   /// With a given tracker and options.
-  front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
-    attempt([&] { start(std::move(device), s, o); });
+  template <typename Vocabulary = no_vocabulary>
+  front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o,
+            Vocabulary const* theirs = nullptr) {
+    attempt([&] { start(std::move(device), s, o, theirs); });
   }
   front_end(front_end const&) = delete;
   front_end& operator=(front_end const&) = delete;
 
   /// Whether the accelerator runs a stage.
   bool uses(stage s) const { return works_ && gpu_->uses(s); }
-  /// For the hooks; nullptr if no changes need to be pushed. Valid as long as this object.
-  change_queue<map_point>* changes() { return works_ ? &gpu_->changes() : nullptr; }
+  /// For the hooks; nullptr if no changes need to be pushed. After this object is gone it is
+  /// closed: pushes do nothing.
+  std::shared_ptr<change_queue<map_point>> changes() const {
+    return works_ ? gpu_->shared_changes() : nullptr;
+  }
+  /// At each image, by the tracking thread: sends the changes of these maps' points here.
+  /// @param maps Atlas::GetAllMaps(): pointers to maps that have a map_changes `mChanges`
+  template <typename Maps>
+  void watch(Maps const& maps) {
+    if (!works_) { return; }
+    for (auto* const map : maps) { map->mChanges.send_to(gpu_->shared_changes()); }
+  }
 
   /// In System::TrackStereo, before it copies or rectifies the images: wakes the threads that
   /// extract() needs. Does not wait for them.
@@ -271,14 +292,17 @@ public:
   void print(std::ostream& out) {
     if (gpu_ != nullptr && gpu_->chosen().statistics) { orbslam3::print(out, gpu_->times()); }
     if (both_ != nullptr) { both_->summary(out); }
+    if (refused_ > 0) { out << "ft: " << refused_ << " calls were refused\n"; }
   }
 
 private:
-  static constexpr int refused = recovery_refused;
+  static constexpr int answer_refused = recovery_refused;
 
-  void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
+  template <typename Vocabulary>
+  void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o,
+             Vocabulary const* theirs) {
     gpu_ = std::make_unique<accelerator<Types>>(std::move(device), s, o);
-    load_vocabulary(o);
+    load_vocabulary(o, theirs);
     if (o.verify) {
       both_ = std::make_unique<verifier<Types>>(*gpu_, nullptr);
       both_->print_frames(std::cerr);
@@ -286,13 +310,18 @@ private:
     works_ = true;
   }
   /// Without a vocabulary only the transform stays the CPU's.
-  void load_vocabulary(options const& o) {
+  template <typename Vocabulary>
+  void load_vocabulary(options const& o, Vocabulary const* theirs) {
     if (o.vocabulary.empty() || o[stage::transform] == stage_mode::host) { return; }
     try {
+      if constexpr (!std::is_same_v<Vocabulary, no_vocabulary>) {
+        if (theirs != nullptr) {
+          vocabulary_facts const facts = facts_of(*theirs);
+          return gpu_->load_vocabulary(o.vocabulary, &facts);
+        }
+      }
       gpu_->load_vocabulary(o.vocabulary);
-    } catch (std::exception const& e) {
-      std::cerr << "ft: " << e.what() << "; ORB-SLAM3's own code finds the words\n";
-    }
+    } catch (std::exception const& e) { say(e.what(), "finds the words"); }
   }
   /// @return whether it succeeded
   template <typename Call>
@@ -300,12 +329,22 @@ private:
     try {
       call();
       return true;
-    } catch (std::exception const& e) {
-      std::cerr << "ft: " << e.what() << "; ORB-SLAM3's own code tracks from here on\n";
-    }
+    } catch (frame_refused const& e) {
+      refuse(e.what());
+      return false;
+    } catch (std::exception const& e) { say(e.what(), "tracks from here on"); }
     works_ = false;
     if (gpu_ != nullptr) { gpu_->changes().close(); }
     return false;
+  }
+  /// Each reason is printed once, up to ten of them.
+  void refuse(std::string const& reason) {
+    ++refused_;
+    if (reasons_.size() < 10 && reasons_.insert(reason).second) { say(reason, "takes this frame"); }
+  }
+  static void say(std::string const& reason, char const* what) {
+    bool const ours = reason.rfind("ft: ", 0) == 0;
+    std::cerr << (ours ? "" : "ft: ") << reason << "; ORB-SLAM3's own code " << what << "\n";
   }
   bool has_room_for(std::size_t points) {
     bool room = false;
@@ -334,13 +373,14 @@ private:
   /// either(), but the CPU's own code has what the accelerator refuses.
   template <typename Cpu, typename Gpu, typename Both>
   int unless_refused(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
-    static_assert(inertial_refused == refused && words_refused == refused, "one number for all");
+    static_assert(inertial_refused == answer_refused && words_refused == answer_refused,
+                  "one number for all");
     bool left = false;
     int const answer = either(
         s, cpu,
         [&] {
           int const n = on_gpu();
-          left = n == refused;
+          left = n == answer_refused;
           return n;
         },
         on_both);
@@ -354,38 +394,9 @@ private:
   std::unique_ptr<verifier<Types>> both_;
   std::atomic<bool> works_{false};  ///< mapping reads it, too
   std::size_t most_told_ = 0;       ///< points of a local map that had no room
+  std::atomic<int> refused_{0};     ///< calls
+  std::set<std::string> reasons_;
 };
-
-// The calls in the constructors of Frame take a pointer. With nullptr the CPU does everything, as
-// for the first frames of a monocular system.
-
-template <typename Types, typename Cpu, typename... Images>
-void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
-             Images const&... images) {
-  if (gpu == nullptr) { return cpu(); }
-  gpu->extract(frame, cpu, images...);
-}
-template <typename Types, typename Cpu>
-void undistort(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  if (gpu == nullptr) { return cpu(); }
-  gpu->undistort(frame, cpu);
-}
-template <typename Types, typename Cpu>
-void assign_to_grid(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  if (gpu == nullptr) { return cpu(); }
-  gpu->assign_to_grid(frame, cpu);
-}
-template <typename Types, typename Cpu, typename Image>
-void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
-            std::vector<Image>& left, std::vector<Image>& right) {
-  if (gpu == nullptr) { return cpu(); }
-  gpu->stereo(frame, cpu, left, right);
-}
-template <typename Types, typename Cpu>
-void stereo_fisheye(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  if (gpu == nullptr) { return cpu(); }
-  gpu->stereo_fisheye(frame, cpu);
-}
 
 }  // namespace orbslam3
 }  // namespace ft

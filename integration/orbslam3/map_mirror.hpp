@@ -85,16 +85,19 @@ public:
     ids_.reserve(1, -1);
     on_device_ = capacity_;
     device_->reserve_map(capacity_);
-    if (detection != change_detection::hooks) { changes_.close(); }
+    if (detection != change_detection::hooks) { changes_->close(); }
   }
   map_mirror(map_mirror const&) = delete;
   map_mirror& operator=(map_mirror const&) = delete;
   ~map_mirror() {
-    changes_.stop();
+    changes_->stop();
     if (reader_.joinable()) { reader_.join(); }
+    changes_->close();  // maps still have it
   }
 
-  change_queue<MapPoint>& changes() { return changes_; }
+  change_queue<MapPoint>& changes() { return *changes_; }
+  /// For maps, which may outlive this.
+  std::shared_ptr<change_queue<MapPoint>> const& shared_changes() const { return changes_; }
 
   /// Ends a call whose flush() was not reached.
   class call_end {
@@ -161,7 +164,7 @@ public:
   /// not read after the return.
   void forget(MapPoint const* point) {
     auto const lock = lock_first();
-    changes_.forget(point);
+    changes_->forget(point);
     pushed_once_.erase(point);
     auto const known = slot_by_address_.find(point);
     if (known != slot_by_address_.end()) { release(known->second); }
@@ -170,7 +173,7 @@ public:
   /// Forgets all points; for a system reset.
   void clear() {
     auto const lock = lock_first();
-    changes_.take(taken_, std::numeric_limits<std::size_t>::max());
+    changes_->take(taken_, std::numeric_limits<std::size_t>::max());
     pushed_once_.clear();
     for (int slot = capacity_ - 1; slot >= 0; --slot) {
       if (owner(slot) != nullptr) { release(slot); }
@@ -289,7 +292,7 @@ private:
 
   /// Reads the first `most` pushed points.
   void look_at_changes(std::size_t most) {
-    changes_.take(taken_, most);
+    changes_->take(taken_, most);
     for (MapPoint* const point : taken_) {
       auto const known = slot_by_address_.find(point);
       if (known != slot_by_address_.end()) {
@@ -305,7 +308,7 @@ private:
   }
   /// The reader thread.
   void read_changes() {
-    while (changes_.await()) {
+    while (changes_->await()) {
       {
         std::lock_guard<std::mutex> const lock(mutex_);
         ++round_;
@@ -374,7 +377,7 @@ private:
 
   device_tracker* device_;
   change_detection detection_;
-  change_queue<MapPoint> changes_;
+  std::shared_ptr<change_queue<MapPoint>> changes_ = std::make_shared<change_queue<MapPoint>>();
   mutable std::mutex mutex_;  ///< guards all members below; taken before the locks of map points
   std::unique_lock<std::mutex> in_call_;
   std::atomic<int> wanted_{0};

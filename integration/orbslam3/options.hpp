@@ -57,6 +57,12 @@ inline char const* name_of(stage s) {
 /// Whether a stage reads map points on the device.
 inline bool reads_map(stage s) { return s >= stage::search_last_frame && s < stage::transform; }
 
+/// Whether a stage computes a pose. ft's are not the CPU's to the bit.
+inline bool gives_pose(stage s) {
+  return s == stage::pose_last_frame || s == stage::solve_pnp ||
+         (s >= stage::pose_local_map && s <= stage::pose_inertial_last_keyframe);
+}
+
 enum class stage_mode {
   device,  ///< run by the accelerator
   host,    ///< run by ORB-SLAM3's own code: the call sites check accelerator::uses()
@@ -85,13 +91,13 @@ inline bool may_bypass(stage s) {
 }
 
 /// Sets the mode of the stages in a list such as "extract,stereo"; "all" means all stages that can
-/// have it.
+/// have it, "poses" those of them that give a pose, "none" no stage.
 /// @throws bad_argument for an unknown name, or a stage that cannot be bypassed
 inline void set_modes(options& o, std::string const& list, stage_mode mode) {
   for (std::size_t begin = 0; begin < list.size();) {
     std::size_t const end = std::min(list.find(',', begin), list.size());
     std::string const name = list.substr(begin, end - begin);
-    bool known = name == "all";
+    bool known = name == "all" || name == "poses" || name == "none";
     for (int i = 0; i < stage_count; ++i) {
       auto const s = static_cast<stage>(i);
       bool const possible = mode != stage_mode::bypass || may_bypass(s);
@@ -99,22 +105,25 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
         detail::require(possible, "only pose_last_frame and pose_local_map can be bypassed");
         known = true;
       }
-      if (possible && (name == "all" || name == name_of(s))) { o[s] = mode; }
+      bool const meant = name == "all" || (name == "poses" && gives_pose(s)) || name == name_of(s);
+      if (possible && meant) { o[s] = mode; }
     }
     if (!known) {
       std::string names;
       for (int i = 0; i < stage_count; ++i) {
         names += name_of(static_cast<stage>(i)) + std::string(", ");
       }
-      throw bad_argument("ft: '" + name + "' is no stage; there are: " + names + "all");
+      throw bad_argument("ft: '" + name + "' is no stage; there are: " + names +
+                         "all, poses, none");
     }
     begin = end + 1;
   }
 }
 
 /// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
-/// stages, FT_ORBSLAM3_STATISTICS and FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds
-/// changes of map points by comparing; FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
+/// stages, the first of which replaces what `o` leaves to the CPU; FT_ORBSLAM3_STATISTICS and
+/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
+/// FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
 /// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
   auto const text = [](char const* name) {
@@ -124,7 +133,10 @@ inline options from_environment(options o = {}) {
   auto const flag = [&](char const* name, bool& value) {
     if (!text(name).empty()) { value = text(name) != "0"; }
   };
-  set_modes(o, text("FT_ORBSLAM3_HOST"), stage_mode::host);
+  if (!text("FT_ORBSLAM3_HOST").empty()) {
+    std::replace(o.modes.begin(), o.modes.end(), stage_mode::host, stage_mode::device);
+    set_modes(o, text("FT_ORBSLAM3_HOST"), stage_mode::host);
+  }
   set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
   flag("FT_ORBSLAM3_STATISTICS", o.statistics);
   flag("FT_ORBSLAM3_VERIFY", o.verify);

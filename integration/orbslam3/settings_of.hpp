@@ -2,6 +2,8 @@
 /// @file The shim's settings from the members of ORB-SLAM3's Tracking, in one call.
 #pragma once
 
+#include <string>
+
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/plain_types.hpp"
@@ -24,6 +26,7 @@ struct extractor_parameters {
   int levels = 0;
   int ini_threshold = 0;
   int min_threshold = 0;
+  std::string vocabulary = {};  ///< the file given to System, for front_end; empty: none
 };
 
 /// System::eSensor without the inertial variants; Tracking keeps it as mSensor.

@@ -2,18 +2,25 @@
 /// @file The vocabulary that ORB-SLAM3 is started with, from its file.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
+#include <cstddef>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <iomanip>
+#include <istream>
+#include <sstream>
 #include <string>
 #include <system_error>
+#include <vector>
 
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
+#include "integration/orbslam3/word_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -21,13 +28,25 @@ inline namespace FT_ABI {
 
 namespace vocabulary_detail {
 
-/// Whether `file` exists and is not older than what it was made of.
-inline bool is_current(std::string const& file, std::string const& made_of) {
-  std::error_code first;
-  std::error_code second;
-  auto const made = std::filesystem::last_write_time(file, first);
-  auto const changed = std::filesystem::last_write_time(made_of, second);
-  return !first && !second && made >= changed;
+/// The name of the binary form of a text: with its size and the hash of all of it, so that another
+/// text has another name, whatever the files' dates. Reads `text` to its end, and goes back.
+inline std::string name_beside(std::string const& path, std::istream& text) {
+  vocabulary_hash hash;
+  std::size_t size = 0;
+  std::vector<char> part(std::size_t{1} << 20);
+  do {
+    text.read(part.data(), static_cast<std::streamsize>(part.size()));
+    auto const n = static_cast<std::size_t>(text.gcount());
+    size += n;
+    std::memset(part.data() + n, 0, std::min<std::size_t>(part.size() - n, 8));
+    hash.add(part.data(), (n + 7) / 8 * 8);
+  } while (text);
+  text.clear();
+  text.seekg(0);
+  std::ostringstream name;
+  name << path << "." << size << "-" << std::hex << std::setw(16) << std::setfill('0')
+       << hash.value() << ".ft";
+  return name.str();
 }
 /// Where it cannot be written, the next start reads the text again. Several processes may write.
 inline void write_beside(std::string const& file, vocabulary_view const& v) {
@@ -47,8 +66,39 @@ inline void write_beside(std::string const& file, vocabulary_view const& v) {
 
 }  // namespace vocabulary_detail
 
+/// Of a vocabulary in host memory. Words of weight 0 at the end are left out: ORB-SLAM3's reader
+/// makes one of the empty line at the end of a file.
+inline vocabulary_facts facts_of(vocabulary_view const& v) {
+  std::vector<int> node(static_cast<std::size_t>(v.words));
+  for (int i = 0; i < v.nodes; ++i) {
+    if (v.word[i] != no_word) { node[v.word[i]] = i; }
+  }
+  return facts_of(
+      {v.header.branching, v.header.levels, static_cast<int>(v.header.scoring),
+       static_cast<int>(v.header.weighting), node.size(), 0, 0},
+      [&](std::size_t w) { return v.weight[node[w]]; },
+      [&](std::size_t w) { return v.orb[node[w]]; });
+}
+
+/// @throws error naming the file and what differs, with both values
+inline void require_same(std::string const& path, vocabulary_facts const& got,
+                         vocabulary_facts const& want) {
+  auto const same = [&](char const* name, auto a, auto b) {
+    if (a == b) { return; }
+    throw error("ft: the vocabulary '" + path + "' is not the System's: " + name + " " +
+                std::to_string(a) + ", the System's " + std::to_string(b));
+  };
+  same("branching", got.branching, want.branching);
+  same("levels", got.levels, want.levels);
+  same("scoring", got.scoring, want.scoring);
+  same("weighting", got.weighting, want.weighting);
+  same("number of words", got.words, want.words);
+  same("hash of the words' descriptors", got.descriptors, want.descriptors);
+  same("hash of the words' weights", got.weights, want.weights);
+}
+
 /// Reads DBoW2's text form, or ft's binary form. Of a text the binary form is written beside it,
-/// as "<path>.ft", and read instead of the text as long as it is not older.
+/// as "<path>.<size>-<hash>.ft", and read instead of a text of that size and hash.
 /// @throws error for a file that cannot be opened or is no vocabulary; bad_argument, std::bad_alloc
 inline vocabulary<memory_space::host> read_vocabulary(std::string const& path) {
   std::ifstream file(path, std::ios::binary);
@@ -58,10 +108,10 @@ inline vocabulary<memory_space::host> read_vocabulary(std::string const& path) {
   file.clear();
   file.seekg(0);
   if (std::memcmp(first, "ft vocabulary", sizeof first) == 0) { return load_vocabulary(file); }
-  std::string const beside = path + ".ft";
-  if (vocabulary_detail::is_current(beside, path)) {
+  std::string const beside = vocabulary_detail::name_beside(path, file);
+  std::ifstream binary(beside, std::ios::binary);
+  if (binary) {
     try {
-      std::ifstream binary(beside, std::ios::binary);
       return load_vocabulary(binary);
     } catch (error const&) {  // damaged, or of another version: made again
     }

@@ -24,7 +24,9 @@ class word_calls : public executor_calls<Exec> {
 public:
   explicit word_calls(Exec exec) : executor_calls<Exec>(std::move(exec)) {}
 
-  void load_vocabulary(std::string const& path) override { bags_->load(path); }
+  void load_vocabulary(std::string const& path, vocabulary_facts const* expected) override {
+    bags_->load(path, expected);
+  }
   bool has_vocabulary() const override { return bags_->loaded(); }
   word_lists transform_words(descriptor_rows const& rows) override {
     return bags_->transform(rows);

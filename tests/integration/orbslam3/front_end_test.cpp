@@ -8,7 +8,9 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cstddef>
 #include <cstdlib>
+#include <cstring>
 #include <memory>
 #include <sstream>
 #include <stdexcept>
@@ -185,6 +187,89 @@ TEST_P(front_ends, that_lose_the_device_between_features_and_stereo_have_a_frame
   EXPECT_NE(next.mvDepth, got.mvDepth);
 }
 
+stand_in::matrix grey(int rows, int cols, int type = 0) {
+  stand_in::matrix m;
+  m.create(rows, cols, type);
+  std::memset(m.data, 7, static_cast<std::size_t>(rows) * static_cast<std::size_t>(m.step));
+  return m;
+}
+
+TEST_P(front_ends, leave_images_that_do_not_fit_to_the_cpu_and_take_the_next_ones) {
+  auto const s = settings_for(sensor::stereo);
+  int by_cpu = 0;
+  shim fresh(make(s), s, {});
+  stand_in::frame const want = construct_with(&fresh, sensor::stereo, by_cpu);
+  for (bool const verify : {false, true}) {
+    heard said;
+    ft::orbslam3::options o;
+    o.verify = verify;
+    shim gpu(make(s), s, o);
+    std::vector<stand_in::matrix> const images[] = {
+        {grey(472, 624), grey(472, 624)},
+        {grey(960, 1280), grey(960, 1280)},
+        {grey(480, 640), grey(480, 639)},
+        {grey(480, 640, 5), grey(480, 640, 5)},
+        {grey(480, 640), {}},
+    };
+    for (int round = 0; round < 2; ++round) {
+      for (auto const& pair : images) {
+        stand_in::frame f;
+        int calls = 0;
+        gpu.extract(
+            f, [&] { calls = 1; }, pair[0], pair[1]);
+        EXPECT_EQ(calls, 1);
+        std::vector<stand_in::matrix> left{pair[0]};
+        std::vector<stand_in::matrix> right{pair[1]};
+        gpu.stereo(
+            f, [&] { calls = 2; }, left, right);
+        EXPECT_EQ(calls, 2);
+        int by_cpu_next = 0;
+        stand_in::frame const next = construct_with(&gpu, sensor::stereo, by_cpu_next);
+        EXPECT_EQ(by_cpu_next, verify ? 2 : 0);
+        EXPECT_EQ(next.N, want.N);
+        EXPECT_EQ(next.mvuRight, want.mvuRight);
+      }
+    }
+    EXPECT_TRUE(
+        said.has("the image is 624x472, the settings say 640x480; ORB-SLAM3's own code "
+                 "takes this frame"))
+        << said.text();
+    EXPECT_TRUE(said.has("the image is 0x0")) << said.text();
+    EXPECT_TRUE(said.has("type is 5")) << said.text();
+    if (!verify) { EXPECT_EQ(said.lines(), 5) << said.text(); }
+    EXPECT_TRUE(gpu.uses(stage::extract));
+  }
+}
+
+TEST_P(front_ends, leave_a_frame_with_too_many_keypoints_to_the_cpu_and_take_the_next_one) {
+  scene s(sensor::stereo, 4);
+  s.settings.most_keypoints = 2000;
+  plain_search const plain(s.settings);
+  heard said;
+  shim gpu(make(s.settings), s.settings, {});
+  stand_in::frame want = s.current;
+  int const n = plain.search_last(want, s.last, 15, false);
+  stand_in::frame many = s.current;
+  many.mnId += 1;
+  for (auto* const keys : {&many.mvKeys, &many.mvKeysUn}) { keys->resize(5000); }
+  many.mDescriptors.resize(5000);
+  many.mvuRight.resize(5000, -1);
+  many.mvpMapPoints.resize(5000);
+  many.mvbOutlier.resize(5000);
+  for (int round = 0; round < 2; ++round) {
+    std::fill(many.mvpMapPoints.begin(), many.mvpMapPoints.end(), nullptr);
+    EXPECT_EQ(gpu.search_by_projection(many, s.last, 15, false, [] { return 77; }), 77);
+    std::fill_n(many.mvpMapPoints.begin(), 20, s.map.front().get());
+    EXPECT_EQ(gpu.pose_optimization(many, stage::pose_last_frame, [] { return 78; }), 78);
+    stand_in::frame got = s.current;
+    got.mnId += 2 + static_cast<unsigned long>(round);
+    EXPECT_EQ(gpu.search_by_projection(got, s.last, 15, false, [] { return -1; }), n);
+    EXPECT_EQ(got.mvpMapPoints, want.mvpMapPoints);
+  }
+  EXPECT_TRUE(said.has("5000 keypoints in an image, there is room for ")) << said.text();
+  EXPECT_EQ(said.lines(), 1) << said.text();
+}
+
 TEST_P(front_ends, verify_searches_and_poses_and_keep_the_accelerators_answers) {
   for (sensor const kind : {sensor::stereo, sensor::fisheye_stereo}) {
     std::vector<unsigned long> answers[2];
@@ -251,6 +336,32 @@ TEST(front_end_at_start, takes_hooks_unless_the_environment_compares) {
     o = ft::orbslam3::from_environment(o);
     unsetenv("FT_ORBSLAM3_COMPARE");
     EXPECT_EQ(o.detection == ft::orbslam3::change_detection::compare, compare);
+  }
+}
+
+TEST(front_end_at_start, leaves_poses_to_the_cpu_unless_the_environment_says_which_stages) {
+  heard quiet;
+  struct {
+    char const* host;
+    std::vector<stage> by_cpu;
+  } const cases[] = {
+      {nullptr,
+       {stage::pose_last_frame, stage::pose_local_map, stage::pose_reference_keyframe,
+        stage::pose_relocalization, stage::pose_inertial_last_frame,
+        stage::pose_inertial_last_keyframe, stage::solve_pnp}},
+      {"none", {}},
+      {"extract,solve_pnp", {stage::extract, stage::solve_pnp}},
+  };
+  for (auto const& c : cases) {
+    if (c.host != nullptr) { setenv("FT_ORBSLAM3_HOST", c.host, 1); }
+    shim const gpu([] { return settings_for(sensor::stereo); },
+                   ft::orbslam3::change_detection::hooks);
+    unsetenv("FT_ORBSLAM3_HOST");
+    for (int i = 0; i < ft::orbslam3::stage_count; ++i) {
+      auto const s = static_cast<stage>(i);
+      bool const by_cpu = std::find(c.by_cpu.begin(), c.by_cpu.end(), s) != c.by_cpu.end();
+      EXPECT_EQ(gpu.uses(s), !by_cpu) << ft::orbslam3::name_of(s);
+    }
   }
 }
 

@@ -314,7 +314,7 @@ TEST(shim_options, take_all_stages_at_once_and_refuse_unknown_ones) {
   ft::orbslam3::set_modes(o, "pose_reference_keyframe", stage_mode::device);
   EXPECT_EQ(o[stage::pose_reference_keyframe], stage_mode::device);
   EXPECT_EQ(o[stage::pose_relocalization], stage_mode::host);
-  ft::orbslam3::set_modes(o, "all", stage_mode::bypass);
+  ft::orbslam3::set_modes(o, "all,none", stage_mode::bypass);
   EXPECT_EQ(o[stage::pose_relocalization], stage_mode::host);
   EXPECT_EQ(o[stage::extract], stage_mode::host);
   EXPECT_EQ(o[stage::pose_last_frame], stage_mode::bypass);

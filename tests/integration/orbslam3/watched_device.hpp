@@ -97,7 +97,10 @@ public:
     on_call("optimize_inertial_pose");
     return to_->optimize_inertial_pose(r);
   }
-  void load_vocabulary(std::string const& path) override { to_->load_vocabulary(path); }
+  void load_vocabulary(std::string const& path,
+                       ft::orbslam3::vocabulary_facts const* expected) override {
+    to_->load_vocabulary(path, expected);
+  }
   bool has_vocabulary() const override { return to_->has_vocabulary(); }
   ft::orbslam3::word_lists transform_words(ft::orbslam3::descriptor_rows const& rows) override {
     on_call("transform_words");

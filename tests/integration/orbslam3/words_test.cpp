@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -217,25 +218,116 @@ TEST_P(words, come_from_the_text_once_and_then_from_the_binary_form_beside_it) {
     return f.mBowVec;
   };
   EXPECT_EQ(transformed(path), want.frame.mBowVec);
-  ASSERT_TRUE(std::filesystem::exists(path + ".ft"));
-  EXPECT_EQ(transformed(path + ".ft"), want.frame.mBowVec);
-  // As long as the text is not newer, it is not read.
-  auto const time = std::filesystem::last_write_time(path);
-  std::ofstream(path) << "no vocabulary";
-  std::filesystem::last_write_time(path, time);
-  EXPECT_EQ(transformed(path), want.frame.mBowVec);
-  // A damaged binary form, and one that is older, are made again.
-  text();
-  std::ofstream(path + ".ft", std::ios::app) << "x";
-  EXPECT_EQ(transformed(path), want.frame.mBowVec);
-  EXPECT_EQ(transformed(path + ".ft"), want.frame.mBowVec);
+  auto const beside = [&] {
+    std::vector<std::string> all;
+    for (auto const& f : std::filesystem::directory_iterator(files.file(""))) {
+      if (f.path().extension() == ".ft") { all.push_back(f.path().string()); }
+    }
+    return all;
+  };
+  ASSERT_EQ(beside().size(), 1u);
+  std::string const binary = beside().front();
+  EXPECT_EQ(transformed(binary), want.frame.mBowVec);
+  // It is read: here it is another one's.
+  auto const original = vocabulary;
   vocabulary.weight.back() = 3.25;
   plain_words const other(vocabulary);
-  std::filesystem::last_write_time(
-      text(), std::filesystem::last_write_time(path + ".ft") + std::chrono::hours(1));
   auto changed = v;
   changed.transform(other);
+  ASSERT_NE(changed.frame.mBowVec, want.frame.mBowVec);
+  write_text(files.file("other.txt"), vocabulary);
+  EXPECT_EQ(transformed(files.file("other.txt")), changed.frame.mBowVec);
+  ASSERT_EQ(beside().size(), 2u);
+  std::string const others = beside()[beside()[0] == binary ? 1 : 0];
+  std::filesystem::copy_file(others, binary, std::filesystem::copy_options::overwrite_existing);
   EXPECT_EQ(transformed(path), changed.frame.mBowVec);
+  // A damaged one is made again.
+  std::ofstream(binary, std::ios::app) << "x";
+  EXPECT_EQ(transformed(path), want.frame.mBowVec);
+  EXPECT_EQ(transformed(binary), want.frame.mBowVec);
+  // Another text of the same size has another one, even if it is older; so has a longer text.
+  vocabulary = original;
+  std::swap(vocabulary.weight[vocabulary.weight.size() - 1],
+            vocabulary.weight[vocabulary.weight.size() - 2]);
+  plain_words const swapped(vocabulary);
+  auto const size = std::filesystem::file_size(path);
+  std::filesystem::last_write_time(
+      text(), std::filesystem::last_write_time(binary) - std::chrono::hours(1));
+  ASSERT_EQ(std::filesystem::file_size(path), size);
+  auto swap_frame = v;
+  swap_frame.transform(swapped);
+  EXPECT_EQ(transformed(path), swap_frame.frame.mBowVec);
+  EXPECT_EQ(beside().size(), 3u);
+  std::ofstream(path, std::ios::app) << "\n";
+  EXPECT_EQ(transformed(path), swap_frame.frame.mBowVec);
+  EXPECT_EQ(beside().size(), 4u);
+}
+
+/// Of ORBVocabulary: what the comparison asks for.
+struct systems_vocabulary {
+  test::plain_vocabulary v;
+  std::vector<std::size_t> node;  ///< of a word
+
+  explicit systems_vocabulary(test::plain_vocabulary const& from) : v(from) {
+    for (std::size_t i = 1; i < v.word.size(); ++i) {
+      if (v.word[i] >= 0) { node.push_back(i); }
+    }
+  }
+  int getBranchingFactor() const { return v.header.branching; }
+  int getDepthLevels() const { return v.header.levels; }
+  int getScoringType() const { return static_cast<int>(v.header.scoring); }
+  int getWeightingType() const { return static_cast<int>(v.header.weighting); }
+  unsigned size() const { return static_cast<unsigned>(node.size()); }
+  double getWordWeight(unsigned w) const { return v.weight[node[w]]; }
+  stand_in::matrix getWord(unsigned w) const {
+    stand_in::matrix m;
+    m.create(1, 32, 0);
+    std::memcpy(m.data, v.orb[node[w]].words, 32);
+    return m;
+  }
+};
+
+TEST_P(words, are_the_cpus_where_the_system_has_another_vocabulary) {
+  two_views v(sensor::stereo);
+  ft::orbslam3::options o;
+  o.vocabulary = text();
+  systems_vocabulary const same(vocabulary);
+  systems_vocabulary with_empty_line = same;  // a word of weight 0 more
+  with_empty_line.node.push_back(with_empty_line.v.weight.size());
+  with_empty_line.v.weight.push_back(0);
+  with_empty_line.v.orb.emplace_back();
+  for (systems_vocabulary const* theirs : {&same, &std::as_const(with_empty_line)}) {
+    heard said;
+    front_end gpu(make(v.settings), v.settings, o, theirs);
+    auto f = v.frame;
+    gpu.compute_bow(f, [] { FAIL() << "the CPU was asked"; });
+    EXPECT_FALSE(f.mBowVec.empty());
+    EXPECT_EQ(said.lines(), 0) << said.text();
+  }
+  std::vector<std::pair<std::string, systems_vocabulary>> others;
+  auto const with = [&](char const* what, auto const& change) {
+    others.emplace_back(what, same);
+    change(others.back().second);
+  };
+  using other_one = systems_vocabulary;
+  with("branching 6, the System's 7", [](other_one& t) { t.v.header.branching = 7; });
+  with("levels 4, the System's 5", [](other_one& t) { t.v.header.levels = 5; });
+  with("scoring ", [](other_one& t) { t.v.header.scoring = ft::word_scoring::dot_product; });
+  with("weighting ", [](other_one& t) { t.v.header.weighting = ft::word_weighting::binary; });
+  with("number of words ", [](other_one& t) { t.node.pop_back(); });
+  with("descriptors ", [](other_one& t) { t.v.orb[t.node[3]].words[7] ^= 1u; });
+  with("weights ", [](other_one& t) { t.v.weight[t.node[3]] *= 1.0000001; });
+  for (auto const& [what, other] : others) {
+    heard said;
+    front_end gpu(make(v.settings), v.settings, o, &other);
+    int calls = 0;
+    auto f = v.frame;
+    gpu.compute_bow(f, [&] { ++calls; });
+    EXPECT_EQ(calls, 1);
+    EXPECT_EQ(said.lines(), 1) << said.text();
+    EXPECT_TRUE(said.has("words.txt' is not the System's: ") && said.has(what)) << said.text();
+    EXPECT_TRUE(gpu.uses(stage::search_by_bow));
+  }
 }
 
 TEST_P(words, without_a_vocabulary_are_the_cpus) {

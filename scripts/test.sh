@@ -172,13 +172,11 @@ build_all() {
 # Tests are compiled for the GPU that they will run on; one that nvcc does not know translates the default, PTX.
 # Without a GPU device code is only compiled, which is done fast.
 cuda_options() {
-  local capability
-  capability=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | head -1 || true)
-  if [[ ! $capability =~ ^[0-9]+\.[0-9]+$ ]]; then
-    echo "-DFT_FAST_COMPILE=ON"
-  elif nvcc --list-gpu-arch | grep -qx "compute_${capability/./}"; then
-    echo "-DFT_TEST_CUDA_ARCHITECTURES=${capability/./}"
-  fi
+  case $gpus in
+    '') echo "-DFT_FAST_COMPILE=ON" ;;
+    default) ;;
+    *) echo "-DFT_TEST_CUDA_ARCHITECTURES=${gpus//$'\n'/;}" ;;
+  esac
 }
 
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
@@ -224,6 +222,8 @@ printf '== Dependencies\n'
 ft_install_missing test
 have_cuda=1
 ft_find_nvcc || have_cuda=0
+gpus=
+if ((have_cuda)); then gpus=$(ft_gpu_architectures); fi
 
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes

@@ -199,18 +199,9 @@ test_host() {
   run_ctest host "$build" -LE 'gpu|cuda' "${which[@]}"
 }
 
-# Twice, so that a missing include guard shows as well.
-clang_compiles_alone() {
-  clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
-    -Iinclude -include "$1" -include "$1" -x c++ /dev/null
-}
 check_headers_with_clang() {
-  local headers header
-  mapfile -t headers < <(cd include &&
-    find ft -name '*.hpp' -not -path '*/detail/*' -not -path '*/interop/*' | sort)
-  for header in "${headers[@]}"; do ft_start clang_compiles_alone "$header"; done
-  ft_wait
-  echo "${#headers[@]} headers"
+  tests/checks/headers.py --self-test
+  tests/checks/headers.py --jobs "$jobs"
 }
 
 # Slow checkers repeat less.

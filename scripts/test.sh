@@ -97,6 +97,7 @@ run_steps() {
 finish() {
   local status=$?
   stop_pulse
+  stop_ahead
   rm -f "$cpu_file"
   printf '\n== Summary\n'
   if ((${#timings[@]} > 0)); then
@@ -204,6 +205,35 @@ check_headers_with_clang() {
   tests/checks/headers.py --jobs "$jobs"
 }
 
+configure_sanitizers() {
+  cmake --preset host-asan
+  cmake --preset host-tsan
+}
+build_sanitized() {
+  cmake --build "$asan" --parallel "$1" --target ft_host_tests
+}
+build_threads() {
+  cmake --build --preset host-tsan --parallel "$1"
+}
+# A core that other steps leave idle builds ahead of its turn. Failures show when it is built in its turn.
+start_ahead() {
+  export -f build_sanitized build_threads
+  export asan
+  setsid nice -n 15 bash -c 'build_sanitized 1 && build_threads 1' >/dev/null 2>&1 </dev/null 4>&- &
+  ahead=$!
+}
+stop_ahead() {
+  if [[ -z ${ahead:-} ]]; then return 0; fi
+  kill -TERM -- "-$ahead" 2>/dev/null || true
+  wait "$ahead" 2>/dev/null || true
+  ahead=
+}
+build_sanitizers() {
+  stop_ahead
+  build_sanitized "$jobs"
+  build_threads "$jobs"
+}
+
 # Slow checkers repeat less.
 run_sanitizer_tests() {
   FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan"
@@ -221,6 +251,10 @@ step "Include directions" check_includes
 step "Documentation" docs/build.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
+if ((!quick)); then
+  step "Sanitizers: configure" configure_sanitizers
+  step "Sanitizers: start to build beside the next steps" start_ahead
+fi
 step "Host: tests" test_host
 if command -v clang++ >/dev/null; then
   step "Host: headers with clang++" check_headers_with_clang
@@ -240,13 +274,10 @@ else
 fi
 if ((!quick)); then
   step "Python: package and tests" test_python
-  step "Sanitizers: configure" cmake --preset host-asan
-  step "Sanitizers: build" cmake --build "$asan" --parallel "$jobs" --target ft_host_tests
+  step "Sanitizers: build" build_sanitizers
   step "Sanitizers: tests" run_sanitizer_tests
-  step "ThreadSanitizer: configure" cmake --preset host-tsan
-  step "ThreadSanitizer: build" cmake --build --preset host-tsan
-  step "ThreadSanitizer: the shim beside a mapping thread" \
-    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
+  step "ThreadSanitizer: the shim beside a mapping thread, an odometry beside its adjustments" \
+    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)|thread_tests'
   step "Fuzzers" fuzz
   step "Consumers" tests/consumers/run.sh "$build"
 fi

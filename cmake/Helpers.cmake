@@ -118,6 +118,18 @@ function(ft_add_test)
     PROPERTIES ${properties})
 endfunction()
 
+# ft_write_unit(unit sources...): a file that includes them by their paths from the project's folder, which it has to be
+# compiled with as an include folder. So it has the same text in every checkout, for compiler caches.
+function(ft_write_unit unit)
+  set(text)
+  foreach(source IN LISTS ARGN)
+    get_filename_component(source ${source} ABSOLUTE)
+    file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${source})
+    string(APPEND text "#include \"${relative}\"\n")
+  endforeach()
+  file(CONFIGURE OUTPUT ${unit} CONTENT "${text}" @ONLY)
+endfunction()
+
 # ft_make_units(out folder extension sources...): units that include FT_TEST_BATCH of the sources each. Those
 # with the tracker come first, then those with another pipeline: most of what the compiler does for them is the
 # pipeline, once in a unit.
@@ -141,16 +153,11 @@ function(ft_make_units out folder extension)
   math(EXPR last "${count} - 1")
   foreach(begin RANGE 0 ${last} ${FT_TEST_BATCH})
     list(SUBLIST all ${begin} ${FT_TEST_BATCH} sources)
-    set(text)
-    foreach(source IN LISTS sources)
-      get_filename_component(source ${source} ABSOLUTE)
-      string(APPEND text "#include \"${source}\"\n")
-    endforeach()
     list(GET sources 0 first)
     get_filename_component(first ${first} ABSOLUTE)
     file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${first})
     set(unit ${CMAKE_CURRENT_BINARY_DIR}/${folder}/${relative}.${extension})
-    file(CONFIGURE OUTPUT ${unit} CONTENT "${text}" @ONLY)
+    ft_write_unit(${unit} ${sources})
     list(APPEND units ${unit})
   endforeach()
   set(${out} ${units} PARENT_SCOPE)

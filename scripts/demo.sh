@@ -12,7 +12,8 @@ usage: scripts/demo.sh [SEQUENCE_DIR] [options of track_sequence]
 Builds ft and tracks a stereo sequence. The first time it installs what is missing (apt-get).
 SEQUENCE_DIR is a folder in EuRoC (ASL) or KITTI odometry layout; without it, a sequence is generated, with ground truth.
 The GPU is used where there are one and a CUDA toolkit, else the CPU; '--backend host' asks for the CPU.
-The report is written to build/demo/report. Ctrl-C ends the tracking with the report of what was tracked.
+The programs are built in build-demo/bin, for the CPU alone without a GPU, else for the GPU that is there. The
+report is written to build-demo/report. Ctrl-C ends the tracking with the report of what was tracked.
 
   scripts/demo.sh
   scripts/demo.sh ~/data/MH_01_easy/mav0
@@ -34,19 +35,26 @@ case ${1:-} in
     ;;
 esac
 
-build=$ft_root/build
-report=$build/demo/report
+build=$ft_root/build-demo
+report=$build/report
 
 ft_install_missing build
-ft_find_nvcc || echo "ft: no CUDA toolkit found, building for the CPU"
-
-options=(-DFT_BUILD_EXAMPLES=ON)
-if [[ ! -f $build/CMakeCache.txt ]]; then options+=(-DFT_BUILD_TESTS=OFF -DFT_BUILD_BENCH=OFF); fi
-ft_configure "$build" "${options[@]}"
+options=(-DFT_ENABLE_CUDA=OFF)
+if ! ft_find_nvcc; then
+  echo "ft: no CUDA toolkit found, building for the CPU"
+else
+  gpus=$(ft_gpu_architectures)
+  case $gpus in
+    '') echo "ft: no GPU found, building for the CPU" ;;
+    default) options=(-DFT_ENABLE_CUDA=ON -UFT_CUDA_ARCHITECTURES) ;;
+    *) options=(-DFT_ENABLE_CUDA=ON "-DFT_CUDA_ARCHITECTURES=${gpus//$'\n'/;}") ;;
+  esac
+fi
+ft_configure "$build" "${options[@]}" -DFT_BUILD_EXAMPLES=ON -DFT_BUILD_TESTS=OFF -DFT_BUILD_BENCH=OFF
 cmake --build "$build" --parallel "$(ft_jobs)" --target track_sequence generate_sequence
 
 if [[ -z $sequence ]]; then
-  sequence=$build/demo/sequence
+  sequence=$build/sequence
   if [[ ! -f $sequence/.complete ]]; then
     rm -rf "$sequence"
     "$build/bin/generate_sequence" --out "$sequence"

@@ -91,6 +91,16 @@ ft_find_nvcc() {
   return 1
 }
 
+# Compute capabilities of the GPUs here that nvcc knows, as it writes them (90), a line each. Where there are GPUs
+# and it knows none of them: default.
+ft_gpu_architectures() {
+  local all known
+  all=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | grep -xE '[0-9]+\.[0-9]+' | tr -d . | sort -u || true)
+  if [[ -z $all ]]; then return 0; fi
+  known=$(grep -xFf <(nvcc --list-gpu-arch | sed 's/compute_//') <<<"$all" || true)
+  echo "${known:-default}"
+}
+
 # Compile jobs at a time: FT_JOBS, else one a core and at most one per 2 GB of memory.
 ft_jobs() {
   if [[ -n ${FT_JOBS:-} ]]; then

@@ -13,7 +13,7 @@ usage: scripts/test.sh [--quick]
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
   --quick   the library alone: its stages and pipelines, the camera contract, recorded answers and headers; of CUDA
             the conformance program, track_sequence and the headers. No applications, integration, Python, sanitizers,
-            fuzzers, consumer projects or benches
+            fuzzers, consumer projects or benches. It has a build folder of its own, build-quick
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
 EOF
@@ -29,6 +29,7 @@ for argument in "$@"; do
 done
 
 build=$ft_root/build
+if ((quick)); then build=$ft_root/build-quick; fi
 asan=$ft_root/build-asan
 jobs=$(ft_jobs)
 if [[ -z ${FT_DATA:-} && -d $ft_root/../shared ]]; then
@@ -36,12 +37,11 @@ if [[ -z ${FT_DATA:-} && -d $ft_root/../shared ]]; then
   export FT_DATA
 fi
 export UBSAN_OPTIONS=${UBSAN_OPTIONS:-print_stacktrace=1}
-export CTEST_OUTPUT_ON_FAILURE=1
 
-summaries=()
 timings=()
 cpu_file=$(mktemp)
-current=start
+summaries=$(mktemp)  # lines
+current=Dependencies
 
 # Seconds of processor time that ended children have used, into the variable `cpu`.
 cpu=0
@@ -52,28 +52,60 @@ read_cpu() {
   cpu=$(awk -F'[ms ]+' '{ printf "%d", 60 * $1 + $2 + 60 * $3 + $4 }' <<<"$children")
 }
 
-# step NAME COMMAND...: a heading, the command, the time it took. The first failure ends the run.
-step() {
-  current=$1
+# step NAME COMMAND...: is run later, by run_steps.
+steps=()
+step() { steps+=("$(printf '%q ' "$@")"); }
+
+# A line now and then while a command says nothing. No job of this shell, which waits for its jobs.
+exec 4>&1
+start_pulse() {
+  pulse=$(
+    while sleep 50 4>&- && kill -0 $$ 2>/dev/null; do
+      printf -- '-- %s: %d s\n' "$current" $((SECONDS - begin)) >&4
+    done >/dev/null 2>&1 &
+    echo $!
+  )
+}
+stop_pulse() {
+  if [[ -n ${pulse:-} ]]; then kill "$pulse" 2>/dev/null || true; fi
+  pulse=
+}
+
+# A heading, the command, the time it took. The first failure ends the run.
+run_step() {
+  current="$1"
   shift
-  local begin=$SECONDS cpu_begin
+  begin=$SECONDS
+  local cpu_begin
   read_cpu
   cpu_begin=$cpu
   printf '\n== %s\n' "$current"
+  start_pulse
   "$@"
+  stop_pulse
   read_cpu
   timings+=("$(printf '%5d s  %5d s  %s' $((SECONDS - begin)) $((cpu - cpu_begin)) "$current")")
+}
+run_steps() {
+  local k command
+  for k in "${!steps[@]}"; do
+    eval "command=(${steps[k]})"
+    run_step "$((k + 1)) of ${#steps[@]}: ${command[0]}" "${command[@]:1}"
+  done
 }
 
 finish() {
   local status=$?
+  stop_pulse
+  stop_ahead
   rm -f "$cpu_file"
   printf '\n== Summary\n'
   if ((${#timings[@]} > 0)); then
     printf '   time  processors\n'
     printf '%s\n' "${timings[@]}" "$(printf '%5d s  %5d s  %s' "$SECONDS" "$cpu" "all")"
   fi
-  if ((${#summaries[@]} > 0)); then printf '%s\n' "${summaries[@]}"; fi
+  cat "$summaries"
+  rm -f "$summaries"
   if ((status != 0)); then
     printf 'FAILED: %s\n' "$current" >&2
     exit "$status"
@@ -82,18 +114,9 @@ finish() {
 trap finish EXIT
 trap 'exit 130' INT TERM
 
-# run_ctest NAME BUILD_DIR OPTION...: shows ctest's output and keeps its closing line for the summary.
+# run_ctest NAME BUILD_DIR OPTION...
 run_ctest() {
-  local name=$1 dir=$2 log status=0
-  shift 2
-  log=$dir/ctest-$name.log
-  ctest --test-dir "$dir" --parallel "$jobs" --no-tests=error "$@" 2>&1 | tee "$log" |
-    { grep -vE '^ *(Start +[0-9]+:|[0-9]+/[0-9]+ Test .*(Passed|\*\*\*Skipped) )' || true; } ||
-    status=$?
-  local closing
-  closing=$(grep -E '^[0-9]+% tests passed, ' "$log" | tail -1 || true)
-  summaries+=("${closing:-no test ran} ($name)")
-  return "$status"
+  scripts/run_ctest.py "$1" "$2" "$summaries" --parallel "$jobs" "${@:3}"
 }
 
 check_includes() {
@@ -139,7 +162,7 @@ test_python() {
   export FT_WHEEL
   (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
     tee "$build/pytest.log" || status=$?
-  summaries+=("$(tail -1 "$build/pytest.log") (Python)")
+  echo "$(tail -1 "$build/pytest.log") (Python)" >>"$summaries"
   return "$status"
 }
 
@@ -150,13 +173,11 @@ build_all() {
 # Tests are compiled for the GPU that they will run on; one that nvcc does not know translates the default, PTX.
 # Without a GPU device code is only compiled, which is done fast.
 cuda_options() {
-  local capability
-  capability=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null | head -1 || true)
-  if [[ ! $capability =~ ^[0-9]+\.[0-9]+$ ]]; then
-    echo "-DFT_FAST_COMPILE=ON"
-  elif nvcc --list-gpu-arch | grep -qx "compute_${capability/./}"; then
-    echo "-DFT_TEST_CUDA_ARCHITECTURES=${capability/./}"
-  fi
+  case $gpus in
+    '') echo "-DFT_FAST_COMPILE=ON" ;;
+    default) ;;
+    *) echo "-DFT_TEST_CUDA_ARCHITECTURES=${gpus//$'\n'/;}" ;;
+  esac
 }
 
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
@@ -164,7 +185,8 @@ configure_build() {
   local cuda
   read -ra cuda <<<"$(cuda_options)"
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 "${cuda[@]}"
+    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 \
+    -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host contract_tests_host conformance)
 build_host() {
@@ -175,21 +197,41 @@ build_host() {
 test_host() {
   local which=()
   if ((quick)); then which=(-R "^($(IFS='|' && echo "${quick_tests[*]}"))"); fi
-  run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$' "${which[@]}"
+  run_ctest host "$build" -LE 'gpu|cuda' "${which[@]}"
 }
 
-# Twice, so that a missing include guard shows as well.
-clang_compiles_alone() {
-  clang++ -std=c++17 -fsyntax-only -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror \
-    -Iinclude -include "$1" -include "$1" -x c++ /dev/null
-}
 check_headers_with_clang() {
-  local headers header
-  mapfile -t headers < <(cd include &&
-    find ft -name '*.hpp' -not -path '*/detail/*' -not -path '*/interop/*' | sort)
-  for header in "${headers[@]}"; do ft_start clang_compiles_alone "$header"; done
-  ft_wait
-  echo "${#headers[@]} headers"
+  tests/checks/headers.py --self-test
+  tests/checks/headers.py --jobs "$jobs"
+}
+
+configure_sanitizers() {
+  cmake --preset host-asan
+  cmake --preset host-tsan
+}
+build_sanitized() {
+  cmake --build "$asan" --parallel "$1" --target ft_host_tests
+}
+build_threads() {
+  cmake --build --preset host-tsan --parallel "$1"
+}
+# A core that other steps leave idle builds ahead of its turn. Failures show when it is built in its turn.
+start_ahead() {
+  export -f build_sanitized build_threads
+  export asan
+  setsid nice -n 15 bash -c 'build_sanitized 1 && build_threads 1' >/dev/null 2>&1 </dev/null 4>&- &
+  ahead=$!
+}
+stop_ahead() {
+  if [[ -z ${ahead:-} ]]; then return 0; fi
+  kill -TERM -- "-$ahead" 2>/dev/null || true
+  wait "$ahead" 2>/dev/null || true
+  ahead=
+}
+build_sanitizers() {
+  stop_ahead
+  build_sanitized "$jobs"
+  build_threads "$jobs"
 }
 
 # Slow checkers repeat less.
@@ -197,15 +239,22 @@ run_sanitizer_tests() {
   FT_TEST_EFFORT=${FT_TEST_EFFORT:-10} run_ctest sanitizers "$asan"
 }
 
-step "Dependencies" ft_install_missing test
+printf '== Dependencies\n'
+ft_install_missing test
 have_cuda=1
 ft_find_nvcc || have_cuda=0
+gpus=
+if ((have_cuda)); then gpus=$(ft_gpu_architectures); fi
 
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes
 step "Documentation" docs/build.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
+if ((!quick)); then
+  step "Sanitizers: configure" configure_sanitizers
+  step "Sanitizers: start to build beside the next steps" start_ahead
+fi
 step "Host: tests" test_host
 if command -v clang++ >/dev/null; then
   step "Host: headers with clang++" check_headers_with_clang
@@ -220,18 +269,16 @@ elif ((have_cuda)); then
   step "CUDA, examples, benches: build" build_all "$build"
   step "CUDA: tests, skipped without a device" run_ctest cuda "$build" -L 'gpu|cuda'
 else
-  printf '\nno CUDA toolkit found: nothing of CUDA is built\n'
+  printf 'no CUDA toolkit found: nothing of CUDA is built\n'
   if ((!quick)); then step "Examples, benches: build" build_all "$build"; fi
 fi
 if ((!quick)); then
   step "Python: package and tests" test_python
-  step "Sanitizers: configure" cmake --preset host-asan
-  step "Sanitizers: build" cmake --build "$asan" --parallel "$jobs" --target ft_host_tests
+  step "Sanitizers: build" build_sanitizers
   step "Sanitizers: tests" run_sanitizer_tests
-  step "ThreadSanitizer: configure" cmake --preset host-tsan
-  step "ThreadSanitizer: build" cmake --build --preset host-tsan
-  step "ThreadSanitizer: the shim beside a mapping thread" \
-    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
+  step "ThreadSanitizer: the shim beside a mapping thread, an odometry beside its adjustments" \
+    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)|thread_tests'
   step "Fuzzers" fuzz
   step "Consumers" tests/consumers/run.sh "$build"
 fi
+run_steps

@@ -22,19 +22,20 @@ struct sum_terms {
 };
 
 /// Scratch of ordered_sum, and its result.
-template <int K, typename T = float>
+/// @tparam T of the sums of 32 lanes @tparam Total of the sums of these
+template <int K, typename T = float, typename Total = T>
 struct ordered_sum_scratch {
   sum_terms<K, T> warp[sum_lanes / 32];
-  sum_terms<K, T> total;
+  sum_terms<K, Total> total;
 };
 
 namespace detail {
 
 /// K sums by one thread. It completes 32 lanes before the next 32, so that they stay in the L1
 /// cache.
-template <int K, typename T, typename Add>
-FT_HOST_DEVICE void sum_by_warps(sum_terms<K, T>& total, int n, Add const& add) {
-  auto const into = [](sum_terms<K, T>& to, sum_terms<K, T> const& from) {
+template <int K, typename T, typename Total, typename Add>
+FT_HOST_DEVICE void sum_by_warps(sum_terms<K, Total>& total, int n, Add const& add) {
+  auto const into = [](auto& to, sum_terms<K, T> const& from) {
     for (int k = 0; k < K; ++k) { to.of[k] += from.of[k]; }
   };
   total = {};
@@ -89,12 +90,12 @@ __device__ T transposed_warp_sum(T (&v)[K], int lane) {
 /// Groups have one thread or sum_lanes.
 /// @param add add(i, sum_terms<K, T>& acc) adds term i
 /// @param then then() is run by the first thread once the sums are known, while the others wait
-template <int K, typename T, typename Group, typename Add, typename Then>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int n, Add const& add,
-                                Then const& then) {
+template <int K, typename T, typename Total, typename Group, typename Add, typename Then>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T, Total>& scratch, int n,
+                                Add const& add, Then const& then) {
   if constexpr (Group::max_threads == 1) {
     static_cast<void>(g);
-    detail::sum_by_warps(scratch.total, n, add);
+    detail::sum_by_warps<K, T>(scratch.total, n, add);
     then();
   } else {
     static_assert(Group::max_threads == sum_lanes, "one thread per lane");
@@ -116,7 +117,7 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int
     g.sync();
     if (warp == 0) {
       if (lane < K) {
-        T sum = 0;
+        Total sum = 0;
         FT_UNROLL
         for (int w = 0; w < sum_lanes / 32; ++w) { sum += scratch.warp[w].of[lane]; }
         scratch.total.of[lane] = sum;
@@ -128,8 +129,8 @@ FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int
 #endif
   }
 }
-template <int K, typename T, typename Group, typename Add>
-FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T>& scratch, int n,
+template <int K, typename T, typename Total, typename Group, typename Add>
+FT_HOST_DEVICE void ordered_sum(Group g, ordered_sum_scratch<K, T, Total>& scratch, int n,
                                 Add const& add) {
   ordered_sum(g, scratch, n, add, [] {});
 }

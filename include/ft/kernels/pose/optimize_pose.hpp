@@ -28,6 +28,7 @@ namespace detail {
 
 struct pose_scratch {
   ordered_sum_scratch<pose_terms, double> sums;
+  ordered_sum_scratch<pose_terms, float, double> short_sums;
   damped_descent descent;
   rigid<strict_double> start;
   rigid<strict_double> best;  ///< the best pose of a round so far
@@ -39,8 +40,9 @@ struct pose_scratch {
 /// Optimises one pose by one group, of one thread or of sum_lanes: prepare() for every observation,
 /// then solve().
 ///
-/// All in double, but for the float 1 / z of a stereo residual: where few inliers are left, float
-/// noise of the curvature is larger than the damping that determines the step.
+/// Poses, points in the camera's frame and steps are in double: where few inliers are left, float
+/// noise of the curvature is larger than the damping that determines the step. Errors and sums are
+/// in double where precise() says so.
 template <typename Group, typename Rig>
 struct pose_solver {
   Group g;
@@ -103,7 +105,7 @@ private:
     bool weighs = false;
     FT_NO_UNROLL
     for (bool first = true, running = true; running; first = false) {
-      sum_terms_at(T, robust, first, weighs, [&] { advance(first); });
+      sum_terms_at(T, robust, first, weighs, [&](auto const& sums) { advance(sums, first); });
       running = s.descent.running;
       T = s.T;
     }
@@ -112,17 +114,17 @@ private:
 
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
   /// @param first whether the trial is the start
-  FT_HOST_DEVICE void advance(bool first) const {
+  FT_HOST_DEVICE void advance(pose_sums const& there, bool first) const {
     // Works on copies, so that scratch is loaded at once and not word by word between stores. Not
     // of the poses: registers are short.
     damped_descent next = s.descent;
     bool better = true;
     if (first) {
-      next.begin(s.sums.total, params);
+      next.begin(there, params);
     } else {
-      better = next.judge(s.sums.total.of[pose_terms - 1], params);
+      better = next.judge(there.of[pose_terms - 1], params);
     }
-    pose_sums const sums = better ? s.sums.total : s.best_sums;
+    pose_sums const sums = better ? there : s.best_sums;
     if (better) {
       s.best_sums = sums;
       s.best = first ? s.start : s.T;
@@ -133,47 +135,65 @@ private:
     s.descent = next;
   }
 
+  /// Whether sums are in double, as the reference's are: they decide where few observations are
+  /// left, and without a small step, which ends a round earlier than the reference does.
+  FT_HOST_DEVICE bool precise() const { return params.small_step == 0 || problem.count < 64; }
+
   /// Sums gradient, curvature and cost at pose T over the observations that are included; then
-  /// one thread runs then().
+  /// one thread runs then(sums).
   /// @param first whether T is the start, where unusable observations are found
   /// @param weighs set if an error of this thread has less than its full weight
   template <typename Then>
   FT_HOST_DEVICE void sum_terms_at(rigid<real> const& T, bool robust, bool first, bool& weighs,
                                    Then const& then) const {
-    auto const add = [&](int i, pose_sums& acc) {
-      observation const o = s.observations.template get<Rig>(i, problem);
-      if (!(o.inv_sigma2 > 0)) { return; }
-      reprojection<Rig, real, true> const r(rig, T, o);
-      real const chi2 = r.chi2(o);
-      if (first && !(chi2 < largest_chi2)) {
-        s.observations.mark(i, problem,
-                            s.observations.flags(i, problem) | prepared_observations::unusable);
-        return;
-      }
-      real const limit = (r.rows == 3 ? limits.stereo : limits.mono).robust;
-      real weight = static_cast<double>(o.inv_sigma2);
-      real cost = chi2;
-      if (robust && chi2 > limit) {  // Huber
-        weighs = true;
-        real const product = scalar::sqrt(limit * chi2);
-        cost = real(2.0) * product - limit;
-        weight = weight * (limit / product);
-      }
-      acc.of[pose_terms - 1] += cost.value;
-      mat3<real> const P = r.derivative(rig, o);
-      vec3<real> const W{weight, weight, r.rows == 3 ? weight : real(0.0)};
-      vec3<real> const e{r.error[0], r.error[1], r.error[2]};
-      if constexpr (is_monocular_v<Rig>) {
-        add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
-      } else if constexpr (displaced) {
-        add_motion_terms(r.in_body, displaced_equations(P, W, e), acc.of);
-      } else if constexpr (Rig::rectified) {
-        add_motion_terms(r.in_body, rectified_equations(P, W, e), acc.of);
-      } else {
-        add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
-      }
-    };
-    ordered_sum<pose_terms>(g, s.sums, problem.count, add, then);
+    if (precise()) {
+      ordered_sum<pose_terms>(
+          g, s.sums, problem.count,
+          [&](int i, auto& acc) { add_terms<real>(i, T, robust, first, weighs, acc); },
+          [&] { then(s.sums.total); });
+    } else {
+      ordered_sum<pose_terms>(
+          g, s.short_sums, problem.count,
+          [&](int i, auto& acc) { add_terms<strict_float>(i, T, robust, first, weighs, acc); },
+          [&] { then(s.short_sums.total); });
+    }
+  }
+
+  /// Adds the terms of observation i. Its point is moved in double.
+  template <typename Number, typename Sums>
+  FT_HOST_DEVICE void add_terms(int i, rigid<real> const& T, bool robust, bool first, bool& weighs,
+                                Sums& acc) const {
+    using plain = plain_scalar_t<Number>;
+    observation const o = s.observations.template get<Rig>(i, problem);
+    if (!(o.inv_sigma2 > 0)) { return; }
+    vec3<real> const in_body = T * o.point.template cast<real>();
+    reprojection<Rig, Number, true> const r(rig, in_body.template cast<Number>(), o);
+    Number const chi2 = r.chi2(o);
+    if (first && !(chi2 < Number(static_cast<plain>(largest_chi2)))) {
+      s.observations.mark(i, problem,
+                          s.observations.flags(i, problem) | prepared_observations::unusable);
+      return;
+    }
+    Number const limit = static_cast<plain>((r.rows == 3 ? limits.stereo : limits.mono).robust);
+    Number weight = static_cast<plain>(o.inv_sigma2);
+    Number cost = chi2;
+    if (robust && chi2 > limit) {  // Huber
+      weighs = true;
+      Number const product = scalar::sqrt(limit * chi2);
+      cost = product + product - limit;
+      weight = weight * (limit / product);
+    }
+    acc.of[pose_terms - 1] += cost.value;
+    mat3<Number> const P = r.derivative(rig, o);
+    vec3<Number> const W{weight, weight, r.rows == 3 ? weight : Number(0)};
+    vec3<Number> const e{r.error[0], r.error[1], r.error[2]};
+    if constexpr (is_monocular_v<Rig> || !Rig::rectified) {
+      add_motion_terms(r.in_body, monocular_equations(P, W, e), acc.of);
+    } else if constexpr (displaced) {
+      add_motion_terms(r.in_body, displaced_equations(P, W, e), acc.of);
+    } else {
+      add_motion_terms(r.in_body, rectified_equations(P, W, e), acc.of);
+    }
   }
 
   /// Flags observation i as inlier or outlier at s.T. Returns whether its flags changed.

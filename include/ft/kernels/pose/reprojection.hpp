@@ -32,8 +32,12 @@ struct reprojection {
   Real iz = Real(0);     ///< 1 / z of a rectified pair; the errors in stereo have it as a float
   bool valid = true;     ///< whether the point is in the domain of the camera model
 
-  FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o) {
-    in_body = T_cw * vec3<Real>{real(o.point.x), real(o.point.y), real(o.point.z)};
+  FT_HOST_DEVICE reprojection(Rig const& rig, rigid<Real> const& T_cw, observation const& o)
+      : reprojection(rig, T_cw * vec3<Real>{real(o.point.x), real(o.point.y), real(o.point.z)}, o) {
+  }
+  /// @param point the observation's, in the frame of the pose
+  FT_HOST_DEVICE reprojection(Rig const& rig, vec3<Real> point, observation const& o)
+      : in_body(point) {
     in_camera = in_body;
     rows = 2;
     error[2] = Real(0);

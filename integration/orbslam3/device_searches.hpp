@@ -269,8 +269,10 @@ public:
   }
 
   void queue_pose(Exec const& exec, context const& c) {
+    pose_params exact;
+    exact.small_step = 0;  // every step that the CPU takes
     optimize_frame_poses(exec, rig_, {c.frame, c.map, c.geometry},
-                         {&inputs_->T_cw, optimized_, observations_});
+                         {&inputs_->T_cw, optimized_, observations_}, exact);
   }
 
   // ---- results: downloaded by the last launch, valid after exec.wait()

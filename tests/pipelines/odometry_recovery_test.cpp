@@ -105,6 +105,7 @@ ft::odometry_params params() {
   auto p = test::room::odometry_params(8192);
   p.keyframes = 40;
   p.window = {4, 2};
+  p.rules.matches_without_window = false;  // words alone find the camera
   return p;
 }
 /// A lost camera is searched for in narrow windows, which do not reach from one place to the next.

@@ -117,13 +117,10 @@ private:
       if constexpr (!Rig::rectified) {
         return T_cw;
       } else {
-        auto const at = [&](vec3<strict_double> p) { return rig.to_body(camera, p); };
-        vec3<strict_double> const t = at(T_cw.t);
-        auto const& m = T_cw.R.m;
-        vec3<strict_double> const x = at(vec3<strict_double>{m[0], m[3], m[6]} + T_cw.t) - t;
-        vec3<strict_double> const y = at(vec3<strict_double>{m[1], m[4], m[7]} + T_cw.t) - t;
-        vec3<strict_double> const z = at(vec3<strict_double>{m[2], m[5], m[8]} + T_cw.t) - t;
-        return rigid<strict_double>{{{x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z}}, t}
+        // What turns derivatives turns the columns of a rotation.
+        return rigid<strict_double>{
+            rig.derivative_in_body(camera, T_cw.R.transposed()).transposed(),
+            rig.to_body(camera, T_cw.t)}
             .orthonormalized();
       }
     }

@@ -79,7 +79,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   } else {
     queue_prefetched_motion(line, s);
   }
-  s.search_without_window(line.then("search without window"));
+  s.search_without_window(line.then("pose last frame"));
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));

@@ -71,9 +71,9 @@ function(ft_set_test_architectures target)
 endfunction()
 
 # ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
-# One GoogleTest executable; each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many
-# parts of it do; with FT_FAST_COMPILE one is made of all that need a device. The label gpu marks what needs a device, cuda what needs no more than the CUDA compiler;
-# the target ft_host_tests builds all others.
+# One GoogleTest executable. Each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many parts of it do;
+# those that need a device stay one each, or with FT_FAST_COMPILE are one together. The label gpu marks what needs a
+# device, cuda what needs no more than the CUDA compiler; the target ft_host_tests builds all others.
 function(ft_add_test)
   cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
   if(arg_UNPARSED_ARGUMENTS OR NOT arg_NAME OR NOT arg_SOURCES)
@@ -90,8 +90,11 @@ function(ft_add_test)
     add_dependencies(ft_host_tests ${arg_NAME})
   endif()
   set(shards ${FT_TEST_SHARDS})
-  if("gpu" IN_LIST arg_LABELS AND FT_FAST_COMPILE)
-    set(shards 1)  # compiled where no GPU is: all of its tests skip
+  if("gpu" IN_LIST arg_LABELS)
+    set(shards 0)
+    if(FT_FAST_COMPILE)
+      set(shards 1)  # compiled where no GPU is: all of its tests skip
+    endif()
   endif()
   set(properties TIMEOUT 600)
   if(shards)

@@ -197,7 +197,7 @@ build_host() {
 test_host() {
   local which=()
   if ((quick)); then which=(-R "^($(IFS='|' && echo "${quick_tests[*]}"))"); fi
-  run_ctest host "$build" -LE 'gpu|cuda' "${which[@]}"
+  run_ctest host "$build" -LE 'gpu|cuda' -E '_NOT_BUILT$' "${which[@]}"
 }
 
 check_headers_with_clang() {
@@ -205,10 +205,6 @@ check_headers_with_clang() {
   tests/checks/headers.py --jobs "$jobs"
 }
 
-configure_sanitizers() {
-  cmake --preset host-asan
-  cmake --preset host-tsan
-}
 build_sanitized() {
   cmake --build "$asan" --parallel "$1" --target ft_host_tests
 }
@@ -221,6 +217,11 @@ start_ahead() {
   export asan
   setsid nice -n 15 bash -c 'build_sanitized 1 && build_threads 1' >/dev/null 2>&1 </dev/null 4>&- &
   ahead=$!
+}
+prepare_sanitizers() {
+  cmake --preset host-asan
+  cmake --preset host-tsan
+  start_ahead
 }
 stop_ahead() {
   if [[ -z ${ahead:-} ]]; then return 0; fi
@@ -246,15 +247,12 @@ ft_find_nvcc || have_cuda=0
 gpus=
 if ((have_cuda)); then gpus=$(ft_gpu_architectures); fi
 
+if ((!quick)); then step "Sanitizers: configure, and begin to build beside the next steps" prepare_sanitizers; fi
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes
 step "Documentation" docs/build.sh "$build/docs"
 step "Host: configure" configure_build
 step "Host: build, warnings are errors" build_host
-if ((!quick)); then
-  step "Sanitizers: configure" configure_sanitizers
-  step "Sanitizers: start to build beside the next steps" start_ahead
-fi
 step "Host: tests" test_host
 if command -v clang++ >/dev/null; then
   step "Host: headers with clang++" check_headers_with_clang

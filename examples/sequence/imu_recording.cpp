@@ -3,7 +3,7 @@
 #include <utility>
 #include <vector>
 
-#include "examples/sequence/detail/imu_recording.hpp"
+#include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
 #include "examples/sequence/detail/text.hpp"
 

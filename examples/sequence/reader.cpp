@@ -10,7 +10,6 @@
 
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/detail/calibration_checks.hpp"
-#include "examples/sequence/detail/imu_recording.hpp"
 #include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
 #include "examples/sequence/detail/text.hpp"

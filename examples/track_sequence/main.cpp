@@ -55,6 +55,10 @@ void print_recording(seq::sequence const& sequence, app::odometry_options const&
     std::cout << "depth     " << o.depth_unit << " m a unit, " << sequence.depth_unit_from()
               << "; taken from " << o.min_depth << " to " << o.max_depth << " m\n";
   }
+  if (o.monocular && !sequence.imu()) {
+    std::cout << "scale     unknown: one camera without an IMU; errors are those after alignment "
+                 "with Sim(3)\n";
+  }
   if (auto const& imu = sequence.imu()) {
     std::cout << "imu       " << imu->samples.size() << " samples, " << imu->calibration.rate_hz
               << " Hz\n";

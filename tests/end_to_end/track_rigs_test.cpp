@@ -8,9 +8,11 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <random>
 #include <string>
 #include <vector>
 
+#include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/image_io.hpp"
 #include "tests/end_to_end/process.hpp"
 #include "tests/end_to_end/track_support.hpp"
@@ -192,5 +194,11 @@ void expect_recorded(std::string const& name, int tracked, double most_m, bool s
   EXPECT_EQ(summary.at("scale").is_null(), scale_known);
   EXPECT_LT(summary.at("ate_rmse_m").get<double>(), most_m);
 }
+
+TEST(Recorded, EurocByItsOneCamera) { expect_recorded("euroc_mh05_mono", 65, 0.03, false); }
+TEST(Recorded, KitchenWithDepth) {
+  expect_recorded("rgbd_7scenes_kitchen", 60, 0.04, true, {"--frames", "60"});
+}
+TEST(Recorded, RenderedWithDepth) { expect_recorded("rgbd_tartanair", 50, 0.5, true); }
 
 }  // namespace

@@ -739,8 +739,11 @@ TEST(reader_real, euroc_pairs) {
   EXPECT_EQ(sparse.size(), 25);
   EXPECT_FALSE(sparse.ground_truth().empty());
   EXPECT_EQ(sparse.load(24).right.height, 480);
-  EXPECT_TRUE(
-      contains(open_error(shared + "/data/euroc_v101_mono_flight"), "not a stereo sequence"));
+  seq::open_options pair;
+  pair.rig = seq::camera_kind::stereo;
+  std::string const flight = shared + "/data/euroc_v101_mono_flight";
+  EXPECT_TRUE(contains(open_error(flight, pair), "not a stereo sequence"));
+  EXPECT_EQ(seq::sequence::open(flight).kind(), seq::camera_kind::mono);
 }
 
 TEST(reader_real, euroc_imu) {

@@ -80,4 +80,9 @@ struct raw_ground_truth {
 raw_ground_truth find_ground_truth(layout_of_files const& layout,
                                    std::vector<std::string>& warnings);
 
+/// Says in `warnings` where the rate is not the calibration's, or the units are unlikely: a median
+/// specific force that is not near gravity, a median angular rate above 3 rad/s.
+void check_imu(imu_recording const& imu, std::string const& path,
+               std::vector<std::string>& warnings);
+
 }  // namespace seq::detail

@@ -130,6 +130,7 @@
 #include "ft/kernels/odometry/begin_frame.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
+#include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"

@@ -3,7 +3,7 @@
 # Builds the fuzzers of tests/fuzz/ with AddressSanitizer and UndefinedBehaviorSanitizer and lets them run, as many
 # at a time as FT_JOBS says:
 #   scripts/fuzz.sh [SECONDS]     the sum over all of them; 60 without the argument. The images get two shares of
-#                                 five: an execution there takes a thousand times as long as elsewhere
+#                                 six: an execution there takes a thousand times as long as elsewhere
 # Each begins with tests/fuzz/corpus/NAME and what earlier runs found (build-fuzz/corpus/NAME). It ends with
 # an error where a fuzzer finds one; the input is then in build-fuzz/NAME.
 # Without a clang++ that has libFuzzer it says so and ends with 77.
@@ -18,7 +18,7 @@ if ! [[ $seconds =~ ^[1-9][0-9]*$ ]]; then
   exit 2
 fi
 folder=build-fuzz
-fuzzers=(images containers cameras readers)
+fuzzers=(images containers cameras readers files)
 flags=(-std=c++17 -O1 -g1 -Iinclude -I. -fsanitize=fuzzer,address,undefined,float-cast-overflow
   -fno-sanitize-recover=all)
 mkdir -p "$folder"

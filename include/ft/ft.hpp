@@ -133,6 +133,7 @@
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
+#include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"

@@ -24,6 +24,7 @@ struct arrays {
   int* inliers = nullptr;
   ft::pose* T_cw = nullptr;
   unsigned char* matched = nullptr;
+  int* none = nullptr;
   ft::odometry_state_view state;
 };
 
@@ -45,6 +46,7 @@ struct room {
           v.inliers = c.take<int>(1);
           v.T_cw = c.take<ft::pose>(1);
           v.matched = c.take<unsigned char>(n);
+          v.none = c.take<int>(1);
           carve(c, v.state, 1);
         }) {
     rules.wanted_near_points = 10;
@@ -55,6 +57,7 @@ struct room {
     std::fill_n(v.holder, cameras * keypoints, -1);
     std::fill_n(v.depth, cameras * keypoints, -1.0f);
     *v.inliers = rules.min_inliers;
+    *v.none = 0;
     *v.T_cw = ft::pose::identity();
     v.state.tracks[0] = ft::camera_track::initial();
     v.state.tracks[0].state = ft::tracking_state::tracking;
@@ -85,6 +88,7 @@ struct room {
     in.T_cw = there.T_cw;
     in.matched = there.matched;
     in.begins_maps = begins_maps;
+    in.local.slot_count = there.none;
     ft::judge_frames(exec, rules, in, there.state);
     ft::keyframe_order order{};
     ft::copy(exec, &order, static_cast<ft::keyframe_order const*>(there.state.order), 1);
@@ -162,6 +166,34 @@ TYPED_TEST(JudgeFrames, ALostCameraBeginsAMapOrGoesOnWithItWhereAnImuTells) {
     EXPECT_EQ(r.track.seen_ns, guided ? 0 : 7) << "the map was not seen";
     EXPECT_EQ(r.track.new_keyframe, 1);
     EXPECT_EQ(r.T_cw.t.x, 2);
+  }
+}
+
+TYPED_TEST(JudgeFrames, ALostCameraNeedsMoreThanOneThatIsFollowed) {
+  TypeParam backend;
+  auto const rig = ft::rectified_rig::make({400.0f, 400.0f, 320.0f, 240.0f}, 0.3);
+  room<typename TypeParam::exec_type, ft::rectified_rig> r(backend.exec, rig);
+  r.rules.min_inliers = 11;
+  r.rules.min_recovered = 17;
+  struct judged {
+    ft::search_plan plan;
+    int inliers, min_evidence;
+    bool found;
+  };
+  using plan = ft::search_plan;
+  for (judged const& of :
+       {judged{plan::follow, 10, 0, false}, judged{plan::follow, 11, 0, true},
+        judged{plan::follow, 11, 1000, true}, judged{plan::recover, 11, 0, false},
+        judged{plan::recover, 16, 0, false}, judged{plan::recover, 17, 0, true},
+        judged{plan::recover, 17, 1, false}, judged{plan::nothing, 100, 0, false}}) {
+    SCOPED_TRACE(std::to_string(static_cast<int>(of.plan)) + " " + std::to_string(of.inliers) +
+                 " " + std::to_string(of.min_evidence));
+    lose(r, 0, false);
+    r.data.host.state.tracks[0].plan = of.plan;
+    *r.data.host.inliers = of.inliers;
+    r.rules.min_evidence = of.min_evidence;
+    r.judge();
+    EXPECT_EQ(r.track.state == ft::tracking_state::tracking, of.found);
   }
 }
 

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "tests/support/backends.hpp"
@@ -22,6 +23,7 @@ struct arrays {
   ft::place_outcome* outcome = nullptr;
   ft::pose* found_T_cw = nullptr;
   int* found_inliers = nullptr;
+  std::int64_t* found_evidence = nullptr;
   ft::pose* T_cw = nullptr;
   int* inliers = nullptr;
   int* matches = nullptr;
@@ -30,6 +32,8 @@ struct arrays {
   ft::odometry_state_view state;
 };
 
+constexpr std::int64_t plain = std::int64_t{ft::tracking_rules{}.min_evidence} << 16;
+
 /// What a camera comes with, and becomes.
 struct camera {
   ft::place_outcome outcome;
@@ -37,6 +41,7 @@ struct camera {
   int lost_with_features;
   int gather = 0;
   int adjusting = 0;
+  std::int64_t evidence = plain;
 };
 
 /// Cameras that were lost at x = 1 m, and found, if so, at x = 5 m.
@@ -55,6 +60,7 @@ struct room {
           v.outcome = c.take<ft::place_outcome>(n);
           v.found_T_cw = c.take<ft::pose>(n);
           v.found_inliers = c.take<int>(n);
+          v.found_evidence = c.take<std::int64_t>(n);
           v.T_cw = c.take<ft::pose>(n);
           v.inliers = c.take<int>(n);
           v.matches = c.take<int>(n);
@@ -73,6 +79,7 @@ struct room {
     in.outcome = there.outcome;
     in.found_T_cw = there.found_T_cw;
     in.found_inliers = there.found_inliers;
+    in.found_evidence = there.found_evidence;
     in.T_cw = there.T_cw;
     in.inliers = there.inliers;
     in.matches = there.matches;
@@ -103,6 +110,7 @@ private:
     v.found_T_cw[b] = ft::pose::identity();
     v.found_T_cw[b].t.x = 5;
     v.found_inliers[b] = from.found_inliers;
+    v.found_evidence[b] = from.evidence;
     v.T_cw[b] = ft::pose::identity();
     v.inliers[b] = v.matches[b] = 0;
     v.begins[b] = ft::keyframe_order::add;
@@ -130,8 +138,10 @@ using outcome = ft::place_outcome;
 TYPED_TEST(SettleLost, ACameraThatIsFoundIsTracked) {
   TypeParam backend;
   int const enough = ft::tracking_rules{}.min_recovered;
-  room<typename TypeParam::exec_type> r(
-      backend.exec, {{outcome::known, enough, 4}, {outcome::known, enough - 1, 4}});
+  room<typename TypeParam::exec_type> r(backend.exec,
+                                        {{outcome::known, enough, 4},
+                                         {outcome::known, enough - 1, 4},
+                                         {outcome::known, 10 * enough, 4, 0, 0, plain - 1}});
   arrays const& v = r.data.host;
   EXPECT_EQ(v.state.tracks[0].state, ft::tracking_state::tracking);
   EXPECT_EQ(v.state.tracks[0].lost_frames, 0);
@@ -143,6 +153,8 @@ TYPED_TEST(SettleLost, ACameraThatIsFoundIsTracked) {
   EXPECT_EQ(v.matches[0], held);
   EXPECT_EQ(r.holders(0), held);
   EXPECT_EQ(r.matched(0), held);
+  EXPECT_EQ(v.state.tracks[2].state, ft::tracking_state::recovering) << "too little evidence";
+  EXPECT_EQ(v.inliers[2], 0);
   // With fewer inliers it is not found.
   EXPECT_EQ(v.state.tracks[1].state, ft::tracking_state::recovering);
   EXPECT_EQ(v.state.tracks[1].lost_frames, 9);

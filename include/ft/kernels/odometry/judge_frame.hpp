@@ -7,13 +7,16 @@
 
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/frame.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"
+#include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/kernels/search/frustum.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -31,6 +34,10 @@ struct searched_frames {
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;   ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                             ///< a map point from before the frame
+  local_search<Rig> local;  ///< in which a lost camera's points were searched; its pose, stamps
+                            ///< and `seen` are not used
+  int local_capacity = 0;   ///< of its slots
+  map_points_view map;
   map_beginnings begins;    ///< of a monocular_rig
   bool begins_maps = true;  ///< false: a lost camera begins no new map
 };
@@ -88,9 +95,10 @@ struct judge_camera_frame {
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
-    bool const found = before.plan == search_plan::follow    ? inliers >= rules.min_inliers
-                       : before.plan == search_plan::recover ? inliers >= rules.min_recovered
-                                                             : false;
+    bool const found = before.plan == search_plan::follow ? inliers >= rules.min_inliers
+                       : before.plan == search_plan::recover
+                           ? inliers >= rules.min_recovered && is_evident(g, b, rules, in)
+                           : false;
     keypoint_counts const counts = release_and_count(g, b, in, rules.near_depth, found);
     g.sync();
     if (g.rank() != 0) { return; }
@@ -130,6 +138,17 @@ struct judge_camera_frame {
   }
 
 private:
+  /// Whether a lost camera's matches are more than a wrong pose would find.
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static bool is_evident(Group g, int b, tracking_rules const& rules,
+                                        searched_frames<Rig> const& in) {
+    local_search<Rig> at = in.local;
+    at.T_cw = in.T_cw;
+    searched_evidence const of = weigh_points(g, b, at, in.local_capacity, in.frame, in.map);
+    int const inliers = in.inliers[b];
+    return is_enough(of.bits(inliers), rules);
+  }
+
   template <typename Group, typename Rig>
   FT_HOST_DEVICE static keypoint_counts release_and_count(Group g, int b,
                                                           searched_frames<Rig> const& in,

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
@@ -26,6 +27,7 @@ struct looked_up_frames {
   place_outcome const* outcome = nullptr;  ///< [batch] memory that the executor's threads read
   pose const* found_T_cw = nullptr;        ///< [batch] of frames whose place is known
   int const* found_inliers = nullptr;      ///< [batch] likewise
+  std::int64_t const* found_evidence = nullptr;  ///< [batch] likewise, 1 / 65536 bits
   // Written, for cameras that were lost.
   pose* T_cw = nullptr;              ///< [batch]
   int* inliers = nullptr;            ///< [batch]
@@ -46,8 +48,9 @@ struct settle_lost_camera {
                                  odometry_state_view const& state) const {
     if (g.rank() == 0) { in.begins[b] = keyframe_order::none; }
     if (in.outcome[b] == place_outcome::not_lost) { return; }
-    bool const found =
-        in.outcome[b] == place_outcome::known && in.found_inliers[b] >= rules.min_recovered;
+    bool const found = in.outcome[b] == place_outcome::known &&
+                       in.found_inliers[b] >= rules.min_recovered &&
+                       is_enough(in.found_evidence[b], rules);
     int held = 0;
     auto const first = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
     for (int i = g.rank(); i < in.frame.numbers(); i += g.size()) {
@@ -81,9 +84,9 @@ struct settle_lost_camera {
 }  // namespace detail
 
 /// Lost cameras whose place is known are tracked at the pose that was found, if it has
-/// min_recovered inliers. The others begin a new map if `patience` is at its end, as judge_frames()
-/// decides without a look-up. Keypoints of a frame that is not found hold nothing. Asynchronous on
-/// `exec`; allocates nothing; one launch.
+/// min_recovered inliers and min_evidence. The others begin a new map if `patience` is at its end,
+/// as judge_frames() decides without a look-up. Keypoints of a frame that is not found hold
+/// nothing. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>
 void settle_lost_frames(Exec const& exec, tracking_rules const& rules, looked_up_frames const& in,
                         odometry_state_view const& state) {

@@ -28,11 +28,14 @@ enum class tracking_state : int {
 /// When a frame counts as tracked, when a keyframe is made, and when a map is given up. Numbers are
 /// keypoints of one frame, unless said otherwise.
 struct tracking_rules {
-  int min_stereo_points = 60;    ///< with depth, to begin a map
-  int min_motion_inliers = 20;   ///< to trust the pose from the last frame
-  int min_inliers = 20;          ///< to call a frame tracked
-  int min_recovered = 30;        ///< inliers to call a lost camera found
-  float first_wide_search = 6;   ///< factor on the search radius in the first round of attempts
+  int min_stereo_points = 60;   ///< with depth, to begin a map
+  int min_motion_inliers = 20;  ///< to trust the pose from the last frame
+  int min_inliers = 20;         ///< to call a frame tracked
+  int min_recovered = 20;       ///< inliers to call a lost camera found
+  int min_evidence = 64;        ///< and what they must say, bits: that a wrong pose matches as many
+                                ///< of the points that it should see has a chance of at most
+                                ///< 2^-min_evidence
+  float first_wide_search = 6;  ///< factor on the search radius in the first round of attempts
   float later_wide_search = 20;  ///< and in the second; the first where no motion is known
   int patience = 5;              ///< frames in a row that have enough points and are not found,
                                  ///< before a new map; before a keyframe where an IMU tells where

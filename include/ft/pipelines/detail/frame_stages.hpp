@@ -171,6 +171,22 @@ public:
             params.optimize_local ? memory.observations.inliers : nullptr, Rig::searches};
   }
 
+  /// The search in the local map.
+  local_search<searched_rig> local_input() const {
+    local_search<searched_rig> search;
+    search.rig = rig;
+    search.T_cw = pose_of_motion();
+    search.slots = memory.local.device.slots;
+    search.slot_count = memory.local.device.count;
+    search.stamps = stamps();
+    search.frustum = frustum;
+    search.geometry = geometry();
+    search.params = local_params;
+    search.radius_factor = radius_factor;
+    search.seen = memory.visible;
+    return search;
+  }
+
   // ---- state
 
   /// Makes extractor and matcher. take_memory() and initialize() follow.
@@ -259,20 +275,6 @@ private:
     search.params.max_x = frustum.max_x;
     search.params.max_y = frustum.max_y;
     search.stamps = stamps();
-    return search;
-  }
-  local_search<searched_rig> local_input() const {
-    local_search<searched_rig> search;
-    search.rig = rig;
-    search.T_cw = pose_of_motion();
-    search.slots = memory.local.device.slots;
-    search.slot_count = memory.local.device.count;
-    search.stamps = stamps();
-    search.frustum = frustum;
-    search.geometry = geometry();
-    search.params = local_params;
-    search.radius_factor = radius_factor;
-    search.seen = memory.visible;
     return search;
   }
   void optimize(Exec const& exec, pose const* start) const {

@@ -14,6 +14,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/words/keyframe_words.hpp"
@@ -59,6 +60,7 @@ public:
                                     static_cast<std::size_t>(numbers));
       m.T_cw = c.template take<pose>(b);
       m.inliers = c.template take<int>(b);
+      m.evidence = c.template take<std::int64_t>(b);
       m.begins = c.template take<keyframe_order>(b);
     });
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
@@ -127,10 +129,11 @@ private:
     place_candidates_view candidates;
     observations_view observations;
     int* map = nullptr;                ///< [1] 0
-    int* first_right = nullptr;        ///< [1]
+    int* first_right = nullptr;        ///< [1] keypoints of an image, at most
     int* live = nullptr;               ///< [positions][numbers] of the camera that is looked up
     pose* T_cw = nullptr;              ///< [batch] found
     int* inliers = nullptr;            ///< [batch] found
+    std::int64_t* evidence = nullptr;  ///< [batch] found
     keyframe_order* begins = nullptr;  ///< [batch]
   };
   struct staging {
@@ -181,8 +184,23 @@ private:
                       stages.own.information + static_cast<std::ptrdiff_t>(b) * information_terms};
     poses.observations.inliers = m.inliers + b;
     optimize_frame_poses(exec, stages.rig, {in.frame, in.map, in.geometry}, poses);
+    weigh(exec, stages, b, in, candidates.data[found.candidate]);
     exec.wait();
     return true;
+  }
+  /// The evidence of what was found among the points of a keyframe's first camera.
+  template <typename Stages>
+  void weigh(Exec const& exec, Stages const& stages, int b, relocalization_input const& in,
+             int row) const {
+    memory const& m = memory_.view();
+    auto search = stages.local_input();
+    search.T_cw = m.T_cw + b;
+    search.slots = in.holder + in.keyframes.groups.at(row);
+    search.slot_count = m.first_right;
+    search.centres = nullptr;
+    search.radius_factor = nullptr;
+    weigh_recoveries(exec, search, stages.own.map.keyframes.capacity, in.frame, in.map,
+                     m.inliers + b, m.evidence + b);
   }
 
   /// Rows of the keyframes that look like frame b, the best first.
@@ -237,6 +255,7 @@ private:
     in.outcome = staging_->outcome;
     in.found_T_cw = m.T_cw;
     in.found_inliers = m.inliers;
+    in.found_evidence = m.evidence;
     in.T_cw = stages.memory.poses;
     in.inliers = stages.memory.observations.inliers;
     in.matches = stages.memory.local_work.matches;

@@ -139,6 +139,9 @@ public:
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
     in.matched = own.matched;
+    in.local = this->local_input();
+    in.local_capacity = this->params.local_points;
+    in.map = memory.map;
     if constexpr (starts_from_motion) {
       in.begins = beginning.begins();
       in.begins.patience = settings.rules.patience;

@@ -32,8 +32,8 @@ def open_sequence(a):
     if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
         raise ValueError(f"--rig fisheye: the cameras of {a.folder} are not a pair of Kannala-Brandt cameras")
     if a.frame == "body" and sequence.kind == "mono":
-        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of the "
-                         "body")
+        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of "
+                         "the body")
     if a.frame == "body" and not sequence.has_body_frame:
         raise ValueError(f"--frame body: the calibration of {a.folder} does not say where the body is")
     if sequence.kind != "rgbd" and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
@@ -160,7 +160,8 @@ class Run:
             valid &= rays[:, 2] > 0
             points = k["depth"][new][valid, None] * rays[valid] / rays[valid, 2:]
             T = pose.T_world_camera
-            self._cloud = np.concatenate([self._cloud, (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)])
+            added = (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)
+            self._cloud = np.concatenate([self._cloud, added])
             while len(self._cloud) >= MOST_CLOUD_POINTS:
                 self._cloud, self._cloud_step = self._cloud[::2], 2 * self._cloud_step
         if sample:
@@ -195,13 +196,15 @@ class Run:
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
-            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)), "layout": sequence.layout,
-                        "rig": rig, "frame": a.frame, "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
+            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)),
+                        "layout": sequence.layout, "rig": rig, "frame": a.frame,
+                        "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
             "stages": [*stages, "total"],
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
-            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd", "with_imu": sequence.imu is not None,
+            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
+            "with_imu": sequence.imu is not None,
             "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
@@ -252,8 +255,8 @@ def track(arguments):
         print(f"ft: stopped at frame {run.stopped_at}: {run.stopped_by}", file=sys.stderr)
         return 3
     if not any(record[2] for record in run.records):
-        why = {"mono": "the camera does not move enough, or too few corners are seen", "rgbd": "too few corners have a depth"}.get(
-            sequence.kind, "too few corners are seen by both cameras")
+        why = {"mono": "the camera does not move enough, or too few corners are seen",
+               "rgbd": "too few corners have a depth"}.get(sequence.kind, "too few corners are seen by both cameras")
         print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']})", file=sys.stderr)
         return 1
     return 0

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/track_sequence/outputs.hpp"
 
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <sstream>
 #include <string>
+#include <system_error>
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/warnings.hpp"
@@ -77,6 +80,33 @@ void write_map(arguments const& a, seq::sequence const& sequence, odometry const
   if (!out) { throw seq::error(path + ": cannot be written"); }
 }
 
+/// @throws seq::error where a file of the run could not be written: before the run, not after it
+void require_writable(std::string const& folder) {
+  for (char const* name : {"trajectory.txt", "groundtruth.txt", "poses.txt", "map.ply", "times.csv",
+                           "summary.json", "report.html"}) {
+    fs::path const file = fs::path(folder) / name;
+    if (!fs::exists(file)) { continue; }
+    errno = 0;
+    if (fs::is_directory(file) || !std::ofstream(file, std::ios::app)) {
+      throw seq::error("--out " + folder + ": " + name + " is there and cannot be written" +
+                       (errno != 0 ? std::string(": ") + std::strerror(errno) : std::string()));
+    }
+  }
+  fs::path const probe = fs::path(folder) / ".written";
+  errno = 0;
+  std::ofstream out(probe);
+  out << "a file to see whether the folder can be written\n";
+  out.close();
+  bool const written = static_cast<bool>(out);
+  int const reason = errno;
+  std::error_code ignored;
+  fs::remove(probe, ignored);
+  if (!written) {
+    throw seq::error("--out " + folder + ": cannot be written" +
+                     (reason != 0 ? std::string(": ") + std::strerror(reason) : std::string()));
+  }
+}
+
 }  // namespace
 
 void make_output_folder(arguments const& a) {
@@ -86,7 +116,10 @@ void make_output_folder(arguments const& a) {
                        "), whose ground truth could be overwritten");
     }
   }
-  fs::create_directories(a.out);
+  std::error_code failed;
+  fs::create_directories(a.out, failed);
+  if (failed) { throw seq::error("--out " + a.out + ": cannot be made: " + failed.message()); }
+  require_writable(a.out);
 }
 
 void finish(arguments const& a, seq::sequence const& sequence, odometry const& odometry,

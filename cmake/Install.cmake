@@ -20,7 +20,7 @@ configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/ftConfig.cmake.in
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/ftConfigVersion.cmake
   COMPATIBILITY SameMajorVersion ARCH_INDEPENDENT)
 install(FILES ${PROJECT_BINARY_DIR}/ftConfig.cmake ${PROJECT_BINARY_DIR}/ftConfigVersion.cmake
-              ${CMAKE_CURRENT_LIST_DIR}/CudaRuntime.cmake
+              ${CMAKE_CURRENT_LIST_DIR}/CudaRuntime.cmake ${CMAKE_CURRENT_LIST_DIR}/BuildType.cmake
         DESTINATION ${package_dir})
 
 configure_file(${CMAKE_CURRENT_LIST_DIR}/ft.pc.in ${PROJECT_BINARY_DIR}/ft.pc @ONLY)

@@ -49,9 +49,11 @@ def make_odometry(arguments, sequence, measure_stages):
         settings["features"] = arguments.features
     if arguments.near is not None:
         settings["near_depth"] = arguments.near
-    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
-                           threads=arguments.threads, measure_stages=measure_stages,
-                           map_slots=max(1 << 14, 8 * settings["features"]), **settings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the calibration, which are printed
+        odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
+                               threads=arguments.threads, measure_stages=measure_stages,
+                               map_slots=max(1 << 14, 8 * settings["features"]), **settings)
     return odometry, settings
 
 
@@ -92,8 +94,9 @@ class Progress:
 class Run:
     """What is known about a run so far."""
 
-    def __init__(self, arguments, sequence, odometry, viewer):
+    def __init__(self, arguments, sequence, odometry, viewer, calibration):
         self._arguments, self._sequence, self._odometry, self._viewer = arguments, sequence, odometry, viewer
+        self._calibration = calibration
         self._camera = sequence.left_camera
         self._samples_due = {(2 * k + 1) * len(sequence) // (2 * SAMPLES) for k in range(SAMPLES)}
         if len(sequence) <= SAMPLES:
@@ -131,8 +134,7 @@ class Run:
         begin = time.perf_counter()
         pose = self._odometry.track(*frame.images, frame.time_ns)
         total = 1e3 * (time.perf_counter() - begin)
-        guessed = pose.keyframe and pose.inliers == 0 and pose.maps > 1  # the first frame of a later map
-        tracked = pose.tracked and not guessed
+        tracked = pose.tracked and pose.reason != "new_map"  # whose place is guessed
         stages = self._odometry.stage_times() if self._arguments.timing or self._viewer else {}
         self._stage_names += [name for name in stages if name not in self._stage_names]
         self.records.append((i, frame.time_ns, tracked, stages, total, pose))
@@ -204,7 +206,7 @@ class Run:
                         for i, t, tracked, ms, total, pose in self.records],
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
-            "with_imu": sequence.imu is not None,
+            "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
@@ -244,9 +246,12 @@ def track(arguments):
               f"{arguments.min_depth:g} to {most:g} m")
     if sequence.imu is not None:
         print(f"imu       {len(sequence.imu_samples)} samples, {sequence.imu.rate_hz:g} Hz")
-    print(f"backend   {backend_of(arguments.backend)}", flush=True)
+    print(f"backend   {backend_of(arguments.backend)}")
+    calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
+    for text in calibration:
+        print(f"warning   calibration: {text}")
     signal.signal(signal.SIGTERM, end_as_ctrl_c)
-    run = Run(arguments, sequence, odometry, viewer)
+    run = Run(arguments, sequence, odometry, viewer, calibration)
     run.track_all()
     if viewer is not None:
         viewer.finish()

@@ -262,6 +262,7 @@ def track(arguments):
     if not any(record[2] for record in run.records):
         why = {"mono": "the camera does not move enough, or too few corners are seen",
                "rgbd": "too few corners have a depth"}.get(sequence.kind, "too few corners are seen by both cameras")
-        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']})", file=sys.stderr)
+        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']}); {run.last.explanation}",
+              file=sys.stderr)
         return 1
     return 0

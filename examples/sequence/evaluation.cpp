@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
+#include <limits>
 #include <vector>
 
 #include "examples/sequence/detail/stamps.hpp"
@@ -48,28 +49,39 @@ Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
   return svd.matrixU() * sign.asDiagonal() * svd.matrixV().transpose();
 }
 
+/// A rotation, and how far positions spread that determine it.
+struct rotation_fit {
+  Eigen::Matrix3d R;
+  /// Metres, along the weaker of the two directions that fix R; infinite where orientations do.
+  double spread = std::numeric_limits<double>::infinity();
+  Eigen::Vector3d stronger = Eigen::Vector3d::Zero();  ///< the other one, in the truth's world
+};
+
 /// Rotation R that maximises sum truth_i . R estimate_i over centred points (Kabsch, Umeyama).
 ///
 /// @param covariance sum of truth_i estimate_i^T, m^2
 /// @param prior fixes the degrees of freedom that the points leave open: the rotation about the
 ///   line of collinear points, or all of it for points that coincide
-Eigen::Matrix3d best_rotation(Eigen::Matrix3d const& covariance, double count,
-                              Eigen::Matrix3d const& prior) {
+rotation_fit best_rotation(Eigen::Matrix3d const& covariance, double count,
+                           Eigen::Matrix3d const& prior) {
   constexpr double coincident = 1e-12;  // m^2: all within a micrometre
   constexpr double collinear = 1e-9;    // of the largest singular value
   Eigen::JacobiSVD<Eigen::Matrix3d> const svd(covariance,
                                               Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d const s = svd.singularValues();
-  if (!(s(0) > coincident * count)) { return prior; }
+  if (!(s(0) > coincident * count)) { return {prior}; }
   if (s(1) <= collinear * s(0)) {
     Eigen::Vector3d const to = svd.matrixU().col(0);
     Eigen::Vector3d const from = prior * svd.matrixV().col(0);
-    return Eigen::Quaterniond::FromTwoVectors(from, to).toRotationMatrix() * prior;
+    return {Eigen::Quaterniond::FromTwoVectors(from, to).toRotationMatrix() * prior,
+            std::sqrt(s(0) / count), Eigen::Vector3d::Zero()};
   }
-  return nearest_rotation(covariance / s(0));
+  return {nearest_rotation(covariance / s(0)), std::sqrt(s(1) / count), svd.matrixU().col(0)};
 }
 
-Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation) {
+/// @param fit gets the alignment's rotation
+Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation,
+                        rotation_fit& fit) {
   double const n = static_cast<double>(pairs.size());
   Eigen::Vector3d truth_mean = Eigen::Vector3d::Zero();
   Eigen::Vector3d estimate_mean = Eigen::Vector3d::Zero();
@@ -89,7 +101,8 @@ Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation
   Eigen::Matrix3d const prior =
       orientation ? nearest_rotation(rotation_sum / n) : Eigen::Matrix3d::Identity();
   Eigen::Isometry3d result = Eigen::Isometry3d::Identity();
-  result.linear() = best_rotation(covariance, n, prior);
+  fit = best_rotation(covariance, n, prior);
+  result.linear() = fit.R;
   result.translation() = truth_mean - result.linear() * estimate_mean;
   return result;
 }
@@ -157,19 +170,31 @@ void add_relative_errors(std::vector<matched_pose> const& pairs,
   }
 }
 
-/// The errors after the alignment.
+/// The errors after the alignment. Its rotation is not determined where positions spread no more
+/// in the weaker direction than they err across the stronger one.
 void add_absolute_errors(std::vector<matched_pose> const& pairs, bool orientation,
-                         trajectory_error& result) {
+                         rotation_fit const& fit, trajectory_error& result) {
   double translations = 0;
+  double across = 0;
   double rotations = 0;
   for (matched_pose const& p : pairs) {
     Eigen::Isometry3d const aligned = result.T_truth_estimate * p.estimate;
-    translations += (p.truth.translation() - aligned.translation()).squaredNorm();
+    Eigen::Vector3d const miss = p.truth.translation() - aligned.translation();
+    translations += miss.squaredNorm();
+    across += (miss - miss.dot(fit.stronger) * fit.stronger).squaredNorm();
     double const angle = angle_deg(p.truth.linear().transpose() * aligned.linear());
     rotations += angle * angle;
   }
   result.ate_rmse_m = root_mean_square(translations, pairs.size());
-  if (orientation) { result.ate_rotation_rmse_deg = root_mean_square(rotations, pairs.size()); }
+  if (!orientation) { return; }
+  double const error_across = root_mean_square(across, pairs.size());
+  if (fit.spread > error_across) {
+    result.ate_rotation_rmse_deg = root_mean_square(rotations, pairs.size());
+  } else {
+    result.ate_rotation_missing =
+        "the alignment is not determined: positions spread by " + detail::to_text(fit.spread) +
+        " m in the weaker direction, and err by " + detail::to_text(error_across) + " m there";
+  }
 }
 
 void check_sorted_and_finite(trajectory const& poses, char const* what) {
@@ -349,8 +374,9 @@ trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, b
         (pairs[i].estimate.translation() - pairs[i - 1].estimate.translation()).norm();
   }
   if (pairs.empty()) { return result; }
-  result.T_truth_estimate = align(pairs, orientation);
-  if (pairs.size() >= 3) { add_absolute_errors(pairs, orientation, result); }
+  rotation_fit fit;
+  result.T_truth_estimate = align(pairs, orientation, fit);
+  if (pairs.size() >= 3) { add_absolute_errors(pairs, orientation, fit, result); }
   auto const interval_ns = static_cast<std::int64_t>(std::llround(rpe_interval_s * 1e9));
   add_relative_errors(pairs, steps_over(pairs, interval_ns), orientation, result);
   return result;

@@ -53,6 +53,9 @@ struct trajectory_error {
       rpe_rmse_m;  ///< translation part of relative pose error over `rpe_interval_s`
   /// Rotation parts of both errors, degrees; nothing where ground truth has no orientations.
   std::optional<double> ate_rotation_rmse_deg, rpe_rotation_rmse_deg;
+  /// Why there is no ate_rotation_rmse_deg though ground truth has orientations; else empty. Poses
+  /// that spread less than their error in two directions do not tell how to turn the estimate.
+  std::string ate_rotation_missing;
   /// How many pairs of poses a relative error spans, where that is the same everywhere and none of
   /// that span is left out.
   std::optional<int> rpe_span;

@@ -129,7 +129,16 @@ run_figures figures_of(run_report const& report) {
     stage.ms = summarise(std::move(samples));
     f.stages.push_back(std::move(stage));
   }
-  if (!f.stages.empty() && f.stages.back().count > 0) {
+  std::vector<double> to_pose;
+  for (frame_record const& r : report.records) {
+    if (!(r.images_to_pose_ms >= 0)) { continue; }
+    to_pose.push_back(r.images_to_pose_ms);
+    f.images_to_pose.sum_ms += r.images_to_pose_ms;
+  }
+  f.images_to_pose.count = static_cast<int>(to_pose.size());
+  f.images_to_pose.ms = summarise(std::move(to_pose));
+  // What is computed ahead is in no stage: their sum is not the time of the frames.
+  if (report.prefetch == 0 && !f.stages.empty() && f.stages.back().count > 0) {
     f.processing_s = f.stages.back().sum_ms / 1000.0;
     if (*f.processing_s > 0) { f.fps = f.stages.back().count / *f.processing_s; }
   }
@@ -194,17 +203,27 @@ json evo_of(run_report const& report, detail::run_figures const& f) {
   return evo;
 }
 
+json times_of(detail::stage_figures const& stage) {
+  auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
+  return {{"mean_ms", ms(stage.ms.mean)},
+          {"std_ms", ms(stage.ms.std)},
+          {"p50_ms", ms(stage.ms.p50)},
+          {"p99_ms", ms(stage.ms.p99)},
+          {"max_ms", ms(stage.ms.max)}};
+}
+
 json stages_of(detail::run_figures const& f) {
   json stages = json::object();
-  for (auto const& stage : f.stages) {
-    auto const ms = [&](double v) { return stage.count > 0 ? number(v) : json(nullptr); };
-    stages[stage.name] = {{"mean_ms", ms(stage.ms.mean)},
-                          {"std_ms", ms(stage.ms.std)},
-                          {"p50_ms", ms(stage.ms.p50)},
-                          {"p99_ms", ms(stage.ms.p99)},
-                          {"max_ms", ms(stage.ms.max)}};
-  }
+  for (auto const& stage : f.stages) { stages[stage.name] = times_of(stage); }
   return stages;
+}
+
+json reason_counts_of(run_report const& report) {
+  json reasons = json::object();
+  for (frame_record const& r : report.records) {
+    if (!r.reason.empty()) { reasons[r.reason] = reasons.value(r.reason, 0) + 1; }
+  }
+  return reasons;
 }
 
 json vector_of(Eigen::Vector3d const& v) {
@@ -256,6 +275,9 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["rpe_rmse_m"] = number(f.rpe_rmse_m);
   root["ate_rotation_rmse_deg"] = number(f.ate_rotation_rmse_deg);
   root["rpe_rotation_rmse_deg"] = number(f.rpe_rotation_rmse_deg);
+  root["ate_rotation_missing"] = report.error.ate_rotation_missing.empty()
+                                     ? json(nullptr)
+                                     : json(report.error.ate_rotation_missing);
   root["frame"] = report.frame;
   root["evo"] = evo_of(report, f);
   root["warnings"] = report.warnings;
@@ -267,6 +289,9 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["mean_stereo_matches"] = number(f.mean_stereo_matches);
   root["mean_inliers"] = number(f.mean_inliers);
   root["mean_local_points"] = number(f.mean_local_points);
+  root["reasons"] = reason_counts_of(report);
+  root["images_to_pose"] = f.images_to_pose.count > 0 ? times_of(f.images_to_pose) : json(nullptr);
+  root["prefetch"] = report.prefetch;
   root["processing_s"] = number(f.processing_s);
   root["fps"] = number(f.fps);
   root["wall_s"] = number(report.wall_s);
@@ -321,7 +346,7 @@ void write_times_csv(std::string const& path, run_report const& report) {
         ",imu_optimized,velocity_x,velocity_y,velocity_z,gyro_bias_x,gyro_bias_y,gyro_bias_z,"
         "accel_bias_x,accel_bias_y,accel_bias_z";
   }
-  text += '\n';
+  text += ",images_to_pose_ms,reason\n";
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);
     text += r.tracked ? ",1" : ",0";
@@ -334,7 +359,9 @@ void write_times_csv(std::string const& path, run_report const& report) {
       if (auto const ms = detail::stage_time(r, s)) { text += detail::fixed(*ms, 6); }
     }
     if (report.with_imu) { text += imu_columns(r); }
-    text += '\n';
+    text += ',';
+    if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
+    text += ',' + csv_field(r.reason) + '\n';
   }
   detail::write_text(path, text);
 }

@@ -40,6 +40,10 @@ struct frame_record {
   int local_points = 0;
   std::vector<double> stage_ms;  ///< same order as run_report::stages
   std::optional<imu_record> imu;
+  double images_to_pose_ms =
+      -1;              ///< from handing the images over to having the pose; < 0 = unknown
+  std::string reason;  ///< why it is not tracked, or to be doubted; empty = neither
+  std::string why;     ///< the same as a sentence
 };
 
 /// A frame drawn in the report.
@@ -85,6 +89,9 @@ struct run_report {
   std::optional<double> wall_s;               ///< from the first frame's reading to the last pose
   std::string frame = "camera";               ///< whose poses `estimate` and `truth` are
   std::vector<std::string> warnings;          ///< see warnings.hpp
+  int prefetch =
+      0;  ///< frames given before they are tracked; `stages` leave out what that computes
+  std::vector<std::string> calibration;  ///< sentences about a calibration that looks wrong
 };
 
 /// Per-stage table (mean, std, p50, p99, max in ms) and the figures, for a terminal.
@@ -92,7 +99,10 @@ void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
 /// ground truth), scale (null where it is known or there is no ground truth), keyframes,
 /// map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null without
-/// one), warnings, stopped_at (null for a whole run), evo = figure -> command, and the rest.
+/// one), warnings, images_to_pose = mean_ms ... from handing a frame's images over to having its
+/// pose, prefetch = frames given ahead (then fps is null: the stages leave their keypoints and
+/// stereo out), reasons = name -> frames that were not tracked or are doubted,
+/// ate_rotation_missing, stopped_at (null for a whole run), evo = figure -> command, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

@@ -27,7 +27,7 @@ struct run_figures {
   std::optional<double> ate_rmse_m, rpe_rmse_m;
   std::optional<double> ate_rotation_rmse_deg, rpe_rotation_rmse_deg;
   std::optional<double> tracked_ratio;   ///< tracked / frames
-  std::optional<double> processing_s;    ///< sum of the last stage
+  std::optional<double> processing_s;    ///< sum of the last stage; nothing of prefetched frames
   std::optional<double> fps;             ///< timed frames / processing_s
   std::optional<double> wall_fps;        ///< frames / run_report::wall_s
   std::optional<double> mean_keypoints;  ///< over all records
@@ -35,6 +35,7 @@ struct run_figures {
   std::optional<double> mean_inliers;       ///< over tracked records
   std::optional<double> mean_local_points;  ///< over tracked records
   std::vector<stage_figures> stages;        ///< same order as run_report::stages
+  stage_figures images_to_pose;             ///< frame_record::images_to_pose_ms
 };
 
 run_figures figures_of(run_report const& report);

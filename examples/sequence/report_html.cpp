@@ -60,7 +60,10 @@ std::string cards(run_report const& r, run_figures const& f) {
   out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
               f.ate_rmse_m ? "ATE RMSE over " + grouped(r.error.pairs) + " poses" +
                                  (r.scale ? ", scaled to the ground truth" : "") +
-                                 rotation_note(f.ate_rotation_rmse_deg)
+                                 rotation_note(f.ate_rotation_rmse_deg) +
+                                 (r.error.ate_rotation_missing.empty()
+                                      ? ""
+                                      : "; rotation n/a: " + r.error.ate_rotation_missing)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   out += card("Relative error", f.rpe_rmse_m ? significant(*f.rpe_rmse_m) : "n/a", "m",
@@ -73,13 +76,22 @@ std::string cards(run_report const& r, run_figures const& f) {
   }
   out += card("Path", r.estimate.empty() && f.path_m <= 0 ? "n/a" : length_text(f.path_m), "m",
               path_note);
-  bool const timed = !f.stages.empty() && f.stages.back().count > 0;
-  out += card("Time per frame", timed ? significant(f.stages.back().ms.p50) : "n/a", "ms",
-              timed ? "median; p99 " + significant(f.stages.back().ms.p99) + " ms" : "not timed");
-  out += card("Throughput", f.fps ? significant(*f.fps) : "n/a", "frames/s",
-              !f.processing_s ? "not timed"
-              : f.wall_fps    ? "tracking alone; wall clock " + significant(*f.wall_fps)
-                              : fixed(*f.processing_s, 1) + " s of processing");
+  bool const timed = f.images_to_pose.count > 0;
+  out += card("Images to pose", timed ? significant(f.images_to_pose.ms.p50) : "n/a", "ms",
+              !timed ? "not timed"
+                     : "median; p99 " + significant(f.images_to_pose.ms.p99) + " ms" +
+                           (r.prefetch > 0 ? "; up to " + std::to_string(r.prefetch) +
+                                                 " frames given ahead wait for their turn"
+                                           : ""));
+  if (r.prefetch > 0) {
+    out += card("Throughput", f.wall_fps ? significant(*f.wall_fps) : "n/a", "frames/s",
+                f.wall_fps ? "wall clock, reading and decoding included" : "not timed");
+  } else {
+    out += card("Throughput", f.fps ? significant(*f.fps) : "n/a", "frames/s",
+                !f.processing_s ? "not timed"
+                : f.wall_fps    ? "tracking alone; wall clock " + significant(*f.wall_fps)
+                                : fixed(*f.processing_s, 1) + " s of processing");
+  }
   out +=
       card("Inliers", f.mean_inliers ? fixed(*f.mean_inliers, 0) : "n/a", "",
            f.mean_keypoints ? "mean, of " + grouped(std::llround(*f.mean_keypoints)) + " keypoints"

@@ -66,6 +66,22 @@ std::string stage_lines(detail::run_figures const& f) {
   return text;
 }
 
+/// The time that a user waits for, first.
+std::string pose_time_lines(run_report const& report, detail::run_figures const& f) {
+  using detail::fixed;
+  if (f.images_to_pose.count == 0) { return {}; }
+  statistics const& ms = f.images_to_pose.ms;
+  std::string text =
+      line("images to pose", "p50 " + fixed(ms.p50, 3) + " ms, mean " + fixed(ms.mean, 3) +
+                                 ", p99 " + fixed(ms.p99, 3) + ", max " + fixed(ms.max, 3));
+  if (report.prefetch > 0) {
+    text += line("", "up to " + std::to_string(report.prefetch) +
+                         " frames are given ahead, and wait for their turn; keypoints and stereo") +
+            line("", "are computed meanwhile and are not in `total`; alone: --read-ahead 0");
+  }
+  return text;
+}
+
 std::string count_lines(run_report const& report, detail::run_figures const& f) {
   using detail::fixed;
   std::string const share =
@@ -78,8 +94,10 @@ std::string count_lines(run_report const& report, detail::run_figures const& f) 
                      line("map points", std::to_string(report.map_points)) +
                      line("maps begun", std::to_string(report.maps)) +
                      line("mean keypoints", fixed(f.mean_keypoints, 1)) +
-                     line("mean inliers", fixed(f.mean_inliers, 1)) +
-                     line("throughput", fixed(f.fps, 1, " frames/s") + ", tracking alone");
+                     line("mean inliers", fixed(f.mean_inliers, 1));
+  if (report.prefetch == 0) {
+    text += line("throughput", fixed(f.fps, 1, " frames/s") + ", tracking alone");
+  }
   if (report.wall_s) {
     text += line("wall clock", fixed(report.wall_s, 1, " s, ") + fixed(f.wall_fps, 1, " frames/s") +
                                    ", reading and decoding included");
@@ -105,6 +123,8 @@ std::string error_lines(run_report const& report, detail::run_figures const& f) 
   text += line("RPE RMSE over 1 s", fixed(f.rpe_rmse_m, 4, " m") + why);
   if (f.ate_rotation_rmse_deg) {
     text += line("ATE rotation", fixed(f.ate_rotation_rmse_deg, 3, " deg"));
+  } else if (!report.error.ate_rotation_missing.empty()) {
+    text += line("ATE rotation", "n/a (" + report.error.ate_rotation_missing + ")");
   }
   if (f.rpe_rotation_rmse_deg) {
     text += line("RPE rotation", fixed(f.rpe_rotation_rmse_deg, 3, " deg over 1 s"));
@@ -129,8 +149,8 @@ void print_summary(std::ostream& out, run_report const& report) {
                             ? std::to_string(report.image_width) + " x " +
                                   std::to_string(report.image_height)
                             : "n/a");
-  text += '\n' + stage_lines(f) + '\n' + count_lines(report, f) + error_lines(report, f) +
-          detail::imu_lines(report);
+  text += '\n' + pose_time_lines(report, f) + stage_lines(f) + '\n' + count_lines(report, f) +
+          error_lines(report, f) + detail::imu_lines(report);
   for (std::string const& warning : report.warnings) { text += "  warning: " + warning + '\n'; }
   out << text << std::flush;
 }

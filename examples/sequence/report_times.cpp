@@ -106,7 +106,9 @@ std::string time_section(run_report const& r, run_figures const& f) {
   if (total == 0) {
     caption = merged ? "The slowest frame of " +
                            std::to_string(buckets.front().end - buckets.front().begin) + " a point."
-                     : "The whole frame.";
+              : r.prefetch > 0 ? "Calls of the frame, without its keypoints and stereo, which were "
+                                 "computed beside the frames before."
+                               : "The whole frame.";
     caption += " Stages are measured with --timing.";
   }
   if (above > 0) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/warnings.hpp"
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 
@@ -43,7 +44,47 @@ double stereo_share(std::vector<frame_record> const& records) {
   return keypoints == 0 ? 1.0 : static_cast<double>(matches) / static_cast<double>(keypoints);
 }
 
+/// The fastest motion between two poses in a row.
+struct fastest_step {
+  std::size_t to = 0;
+  double speed = 0;  ///< m/s
+};
+fastest_step fastest_of(trajectory const& poses) {
+  fastest_step fastest;
+  for (std::size_t i = 1; i < poses.size(); ++i) {
+    double const s = 1e-9 * static_cast<double>(poses[i].time_ns - poses[i - 1].time_ns);
+    double const speed =
+        (poses[i].T_world_camera.translation() - poses[i - 1].T_world_camera.translation()).norm() /
+        s;
+    if (speed > fastest.speed) { fastest = {i, speed}; }
+  }
+  return fastest;
+}
+
 }  // namespace
+
+std::vector<std::string> reasons_of(run_report const& report) {
+  struct reason {
+    std::string name;
+    int frames = 0;
+    frame_record const* first = nullptr;
+  };
+  std::vector<reason> all;  // in the order of their first frames
+  for (frame_record const& r : report.records) {
+    if (r.reason.empty()) { continue; }
+    auto at = std::find_if(all.begin(), all.end(),
+                           [&](reason const& known) { return known.name == r.reason; });
+    if (at == all.end()) { at = all.insert(all.end(), {r.reason, 0, &r}); }
+    ++at->frames;
+  }
+  std::vector<std::string> out;
+  for (reason const& r : all) {
+    out.push_back(r.name + " in " + std::to_string(r.frames) + " of " +
+                  std::to_string(report.records.size()) + " frames, first in frame " +
+                  std::to_string(r.first->index) + ": " + r.first->why);
+  }
+  return out;
+}
 
 std::vector<std::string> warnings_of(run_report const& report) {
   using detail::fixed;
@@ -52,6 +93,7 @@ std::vector<std::string> warnings_of(run_report const& report) {
     out.push_back("stopped at frame " + std::to_string(*report.stopped_at) + ": " +
                   report.stopped_by);
   }
+  for (std::string const& found : report.calibration) { out.push_back("calibration: " + found); }
   double const share = stereo_share(report.records);
   if (!report.one_camera && share < least_stereo_share) {
     out.push_back(
@@ -77,6 +119,17 @@ std::vector<std::string> warnings_of(run_report const& report) {
   if (loss const l = longest_loss(report.records); l.seconds > longest_loss_s) {
     out.push_back("tracking was lost for " + fixed(l.seconds, 1) + " s from frame " +
                   std::to_string(l.first_index) + " on");
+  }
+  for (std::string const& reason : reasons_of(report)) {
+    // One camera always waits for motion, at first.
+    bool const usual = report.tracked > 0 && reason.rfind("awaits_motion ", 0) == 0;
+    if (!usual) { out.push_back(reason); }
+  }
+  fastest_step const fastest = fastest_of(report.estimate);
+  if ((report.metric || report.scale) && fastest.speed > largest_speed) {
+    out.push_back("the camera moves at " + fixed(fastest.speed, 1) + " m/s before pose " +
+                  std::to_string(fastest.to) + ", above " + fixed(largest_speed, 0) +
+                  " m/s: is the baseline, or the depth, in metres, and are stamps in nanoseconds?");
   }
   return out;
 }

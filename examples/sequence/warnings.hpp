@@ -14,8 +14,16 @@ constexpr double least_stereo_share = 0.1;
 /// Longest time without a pose that is no cause for a warning, seconds.
 constexpr double longest_loss_s = 1.0;
 
+/// Fastest motion between two frames that is no cause for a warning, m/s.
+constexpr double largest_speed = 50;
+
+/// A sentence for each reason for which frames were not tracked, or are to be doubted, with their
+/// number and the first one's words.
+std::vector<std::string> reasons_of(run_report const& report);
+
 /// A sentence for each of: a run that was stopped, few stereo matches, images without a partner,
-/// more than one map begun, tracking lost for long. Reads the report's figures, not its warnings.
+/// more than one map begun, tracking lost for long, a calibration that looks wrong, the reasons for
+/// frames without a pose, an impossible speed. Reads the report's figures, not its warnings.
 std::vector<std::string> warnings_of(run_report const& report);
 
 }  // namespace seq

@@ -6,6 +6,7 @@
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
+#include "examples/sequence/warnings.hpp"
 #include "examples/track_sequence/interrupt.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
@@ -28,6 +29,8 @@ void describe(app::arguments const& a, seq::sequence const& sequence,
   report.metric = !options.monocular;
   report.stages = odometry.stage_names();
   if (!a.timing) { report.stages = {report.stages.back()}; }
+  report.prefetch = options.prefetch;
+  report.calibration = odometry.calibration_warnings();
   report.options = {{"features", std::to_string(options.features)},
                     {"levels", std::to_string(options.levels)},
                     {"layout", sequence.layout()},
@@ -75,6 +78,9 @@ int run(app::arguments a) {
   describe(a, sequence, options, *odometry, report);
   print_recording(sequence, options);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
+  for (std::string const& warning : report.calibration) {
+    std::cout << "warning   calibration: " << warning << "\n";
+  }
 
   app::watch_interrupts();
   app::tracking_run(a, sequence, *odometry, report).track_all();
@@ -95,7 +101,9 @@ int run(app::arguments a) {
               << (options.monocular ? "the camera does not move enough, or too few corners are seen"
                   : options.rgbd    ? "too few corners have a depth"
                                     : "too few corners are seen by both cameras")
-              << " (--features " << options.features << ")\n";
+              << " (--features " << options.features << ")";
+    for (std::string const& reason : seq::reasons_of(report)) { std::cerr << "; " << reason; }
+    std::cerr << "\n";
     return app::exit_failed;
   }
   return app::exit_done;

@@ -96,6 +96,9 @@ struct frame_outcome {
   int local_points = 0;
   imu_outcome imu;
   std::vector<double> stage_ms;  ///< one per stage_names(); see odometry_options::measure_stages
+  double images_to_pose_ms = 0;  ///< from handing the images over to having the pose
+  std::string reason;            ///< why it is not tracked, or to be doubted; empty = neither
+  std::string why;               ///< the same as a sentence
 };
 
 /// Tracks a camera pair, or one camera, also with depth images; the world is the first tracked
@@ -124,6 +127,8 @@ public:
   virtual int map_points() const = 0;
   virtual int maps() const = 0;  ///< maps begun: more than one if the camera was lost for long
   virtual std::string device() const = 0;
+  /// Sentences about a calibration that looks wrong.
+  virtual std::vector<std::string> calibration_warnings() const = 0;
 };
 
 std::unique_ptr<odometry> make_host_odometry(odometry_options const& options);

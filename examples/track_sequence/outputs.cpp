@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/track_sequence/outputs.hpp"
 
-#include <unistd.h>
-
 #include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -79,6 +78,33 @@ void write_map(arguments const& a, seq::sequence const& sequence, map_writer con
   if (!out) { throw seq::error(path + ": cannot be written"); }
 }
 
+/// @throws seq::error where a file of the run could not be written: before the run, not after it
+void require_writable(std::string const& folder) {
+  for (char const* name : {"trajectory.txt", "groundtruth.txt", "poses.txt", "map.ply", "times.csv",
+                           "summary.json", "report.html"}) {
+    fs::path const file = fs::path(folder) / name;
+    if (!fs::exists(file)) { continue; }
+    errno = 0;
+    if (fs::is_directory(file) || !std::ofstream(file, std::ios::app)) {
+      throw seq::error("--out " + folder + ": " + name + " is there and cannot be written" +
+                       (errno != 0 ? std::string(": ") + std::strerror(errno) : std::string()));
+    }
+  }
+  fs::path const probe = fs::path(folder) / ".written";
+  errno = 0;
+  std::ofstream out(probe);
+  out << "a file to see whether the folder can be written\n";
+  out.close();
+  bool const written = static_cast<bool>(out);
+  int const reason = errno;
+  std::error_code ignored;
+  fs::remove(probe, ignored);
+  if (!written) {
+    throw seq::error("--out " + folder + ": cannot be written" +
+                     (reason != 0 ? std::string(": ") + std::strerror(reason) : std::string()));
+  }
+}
+
 }  // namespace
 
 void make_output_folder(arguments const& a) {
@@ -90,13 +116,8 @@ void make_output_folder(arguments const& a) {
   }
   std::error_code failed;
   fs::create_directories(a.out, failed);
-  if (!failed && !fs::is_directory(a.out)) {
-    failed = std::make_error_code(std::errc::not_a_directory);
-  }
-  if (!failed && ::access(a.out.c_str(), W_OK | X_OK) != 0) {
-    failed = std::error_code(errno, std::generic_category());
-  }
-  if (failed) { throw seq::error("--out " + a.out + ": cannot be written: " + failed.message()); }
+  if (failed) { throw seq::error("--out " + a.out + ": cannot be made: " + failed.message()); }
+  require_writable(a.out);
 }
 
 void finish(arguments const& a, seq::sequence const& sequence, map_writer const& map,

@@ -218,6 +218,9 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.stereo_matches = outcome.stereo_matches;
   record.inliers = outcome.inliers;
   record.local_points = outcome.local_points;
+  record.images_to_pose_ms = outcome.images_to_pose_ms;
+  record.reason = outcome.reason;
+  record.why = outcome.why;
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {

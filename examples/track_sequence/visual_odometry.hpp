@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <deque>
 #include <ostream>
 #include <string>
 #include <type_traits>
@@ -14,6 +15,8 @@
 #include "examples/track_sequence/conversions.hpp"
 #include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/stage_sums.hpp"
+#include "ft/cameras/check_calibration.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/odometry.hpp"
 
@@ -62,8 +65,12 @@ public:
     double const start = now_ms();
     inner_.prefetch(images_of(images));
     prefetch_ms_ += now_ms() - start;
+    handed_ms_.push_back(start);
   }
-  void forget_prefetched() override { inner_.forget_prefetched(); }
+  void forget_prefetched() override {
+    handed_ms_.clear();
+    inner_.forget_prefetched();
+  }
   frame_outcome track_prefetched(std::int64_t time_ns) override {
     return timed(time_ns, [&](std::int64_t stamp) { return inner_.track_prefetched(stamp); });
   }
@@ -97,6 +104,13 @@ public:
   int map_points() const override { return last_.map_points; }
   int maps() const override { return last_.maps; }
   std::string device() const override { return device_; }
+  std::vector<std::string> calibration_warnings() const override {
+    std::vector<std::string> all;
+    for (auto const& found : ft::check_calibration(inner_.rig(), options_.width, options_.height)) {
+      all.push_back(std::string(ft::name_of(found.warning)) + ": " + found.text);
+    }
+    return all;
+  }
 
 private:
   /// @param track ft::tracking(std::int64_t stamp)
@@ -109,7 +123,13 @@ private:
     if (frames_ > 0) { interval_ns_ = stamp - time_ns_; }
     time_ns_ = stamp;
     ++frames_;
+    double handed = start;
+    if (!handed_ms_.empty()) {
+      handed = handed_ms_.front();
+      handed_ms_.pop_front();
+    }
     last_ = track(stamp);
+    images_to_pose_ms_ = now_ms() - handed;
     sums_.reset();
     if (options_.measure_stages) {
       for (auto const& stage : inner_.stage_times()) { sums_.add(stage.name, 1e-3 * stage.us); }
@@ -119,9 +139,12 @@ private:
   }
   frame_outcome outcome() const {
     frame_outcome out;
+    auto const found = ft::explain(last_, inner_.params().rules);
+    if (found.reason != ft::tracking_reason::none) { out.reason = ft::name_of(found.reason); }
+    out.why = found.text;
     // The first frame of a later map is at a guessed place.
-    bool const guessed = last_.keyframe && last_.inliers == 0 && last_.maps > 1;
-    out.tracked = last_.state == ft::tracking_state::tracking && !guessed;
+    out.tracked =
+        last_.state == ft::tracking_state::tracking && found.reason != ft::tracking_reason::new_map;
     out.keyframe = last_.keyframe;
     out.metric = last_.metric;
     out.T_wc = from_ft(last_.T_world_camera);
@@ -131,6 +154,7 @@ private:
     out.local_points = last_.local_points;
     out.imu = outcome_of(last_.imu);
     out.stage_ms = sums_.ms();
+    out.images_to_pose_ms = images_to_pose_ms_;
     return out;
   }
   typename ft::odometry<Exec, Rig>::images_type images_of(frame_pixels const& of) const {
@@ -153,6 +177,8 @@ private:
   std::int64_t time_ns_ = 0;      ///< of the last frame
   std::int64_t interval_ns_ = 1;  ///< time from the preceding frame to it
   double prefetch_ms_ = 0;        ///< in prefetch(), since the last frame
+  std::deque<double> handed_ms_;  ///< when the prefetched frames were given
+  double images_to_pose_ms_ = 0;  ///< of the last frame
   int frames_ = 0;
 };
 

@@ -20,8 +20,9 @@ from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, rea
 from .streams import Stream
 
 __all__ = [
-    "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame", "Imu", "KannalaBrandt",
-    "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole", "PlaceRecognition", "RadTan",
-    "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher", "StereoMatches", "Stream", "Tracking",
-    "Trajectory", "Unified", "__version__", "check_calibration", "devices", "evaluate", "read_sequence", "read_tum",
+    "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame",
+    "Imu", "KannalaBrandt", "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
+    "PlaceRecognition", "RadTan", "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher",
+    "StereoMatches", "Stream", "Tracking", "Trajectory", "Unified", "__version__", "check_calibration", "devices",
+    "evaluate", "read_sequence", "read_tum",
 ]

@@ -46,8 +46,8 @@ def parser():
     commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser(
         "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout",
-        epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 where "
-               "Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
+        epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 "
+               "where Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
     command.add_argument("folder", nargs="?", metavar="FOLDER")
     command.add_argument("--sequence", help="the same as an option")
     command.add_argument("--calibration", default="", help="in place of the sequence's own")
@@ -55,18 +55,22 @@ def parser():
     command.add_argument("--backend", "--device", default="auto", choices=["auto", "host", "cuda"],
                          help="auto is a GPU if there is one")
     command.add_argument("--threads", type=count(0, 4096), default=0, help="of the host; 0 = all")
-    command.add_argument("--rig", default="auto", choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"],
-                         help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one camera, of "
-                              "a pair the left one), rgbd (with depth images), rectified or fisheye (a pair); monocular is mono")
+    command.add_argument("--rig", default="auto",
+                         choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"],
+                         help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one "
+                              "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair); "
+                              "monocular is mono")
     command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",
-                         help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 for depth")
+                         help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 "
+                              "for depth images")
     command.add_argument("--depth-unit", type=number(1e-9, 1e3),
                          help="metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)")
     command.add_argument("--min-depth", type=number(0, 1e6), default=0.0, help="metres; smaller depths are taken for none")
     command.add_argument("--max-depth", type=number(1e-9, float("inf")), help="metres; larger depths are taken for none")
     command.add_argument("--features", type=count(1, 1 << 20), default=0,
                          help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
-    command.add_argument("--near", type=number(1e-6, 1e6), help="depth of map points, in baselines; default: the settings file's, or 50")
+    command.add_argument("--near", type=number(1e-6, 1e6),
+                         help="depth of map points, in baselines; default: the settings file's, or 50")
     command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
                          help="auto (the default): used if the sequence has one")
     command.add_argument("--out", default="track_sequence_out",

@@ -30,7 +30,8 @@ class Odometry:
         all_options = _options(width, height, **options)
         moving, fixed = _two(window, "window")
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
-                           local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points, measure_stages=bool(measure_stages))
+                           local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
+                           measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, all_options["scale_factor"]
         self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)

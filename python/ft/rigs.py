@@ -61,8 +61,8 @@ class RectifiedPair:
 @dataclass
 class DistortedPair:
     """Two cameras with radial-tangential distortion (ft.RadTan, or fx, fy, cx, cy and 0, 4, 5 or 8 of k1, k2, p1, p2, k3
-    ...). Their images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4) maps points
-    of the left camera to the right one. `size` is width and height of the images that come in."""
+    ...). Their images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4)
+    maps points of the left camera to the right one. `size` is width and height of the images that come in."""
 
     left: object
     right: object
@@ -72,8 +72,9 @@ class DistortedPair:
 
     def _plain(self):
         models = (_ft.RadTan, _ft.Pinhole)
-        return _plain("distorted", _values(self.left, "the left camera", models), _values(self.right, "the right camera", models),
-                      _values(self.wanted, "wanted"), self.T_right_left, raw=_two(self.size, "size"))
+        return _plain("distorted", _values(self.left, "the left camera", models),
+                      _values(self.right, "the right camera", models), _values(self.wanted, "wanted"),
+                      self.T_right_left, raw=_two(self.size, "size"))
 
 
 @dataclass

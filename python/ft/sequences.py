@@ -111,7 +111,8 @@ class Sequence:
             self.rig = RectifiedPair(left, rig["baseline"])
         self.left_camera = left
         self.warnings = list(files.warnings)
-        self.name, self.layout, self.settings, self.has_body_frame = files.name, files.layout, files.settings, files.has_body_frame
+        self.name, self.layout, self.settings = files.name, files.layout, files.settings
+        self.has_body_frame = files.has_body_frame
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
         samples = files.imu

@@ -32,8 +32,8 @@ def open_sequence(a):
     if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
         raise ValueError(f"--rig fisheye: the cameras of {a.folder} are not a pair of Kannala-Brandt cameras")
     if a.frame == "body" and sequence.kind == "mono":
-        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of the "
-                         "body")
+        raise ValueError("--frame body: with one camera (--rig mono) the scale may be unknown, and then so are the poses of "
+                         "the body")
     if a.frame == "body" and not sequence.has_body_frame:
         raise ValueError(f"--frame body: the calibration of {a.folder} does not say where the body is")
     if sequence.kind != "rgbd" and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
@@ -49,9 +49,11 @@ def make_odometry(arguments, sequence, measure_stages):
         settings["features"] = arguments.features
     if arguments.near is not None:
         settings["near_depth"] = arguments.near
-    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
-                           threads=arguments.threads, measure_stages=measure_stages,
-                           map_slots=max(1 << 14, 8 * settings["features"]), **settings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the calibration, which are printed
+        odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
+                               threads=arguments.threads, measure_stages=measure_stages,
+                               map_slots=max(1 << 14, 8 * settings["features"]), **settings)
     return odometry, settings
 
 
@@ -92,8 +94,9 @@ class Progress:
 class Run:
     """What is known about a run so far."""
 
-    def __init__(self, arguments, sequence, odometry, viewer):
+    def __init__(self, arguments, sequence, odometry, viewer, calibration):
         self._arguments, self._sequence, self._odometry, self._viewer = arguments, sequence, odometry, viewer
+        self._calibration = calibration
         self._camera = sequence.left_camera
         self._samples_due = {(2 * k + 1) * len(sequence) // (2 * SAMPLES) for k in range(SAMPLES)}
         if len(sequence) <= SAMPLES:
@@ -131,8 +134,7 @@ class Run:
         begin = time.perf_counter()
         pose = self._odometry.track(*frame.images, frame.time_ns)
         total = 1e3 * (time.perf_counter() - begin)
-        guessed = pose.keyframe and pose.inliers == 0 and pose.maps > 1  # the first frame of a later map
-        tracked = pose.tracked and not guessed
+        tracked = pose.tracked and pose.reason != "new_map"  # whose place is guessed
         stages = self._odometry.stage_times() if self._arguments.timing or self._viewer else {}
         self._stage_names += [name for name in stages if name not in self._stage_names]
         self.records.append((i, frame.time_ns, tracked, stages, total, pose))
@@ -160,7 +162,8 @@ class Run:
             valid &= rays[:, 2] > 0
             points = k["depth"][new][valid, None] * rays[valid] / rays[valid, 2:]
             T = pose.T_world_camera
-            self._cloud = np.concatenate([self._cloud, (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)])
+            added = (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)
+            self._cloud = np.concatenate([self._cloud, added])
             while len(self._cloud) >= MOST_CLOUD_POINTS:
                 self._cloud, self._cloud_step = self._cloud[::2], 2 * self._cloud_step
         if sample:
@@ -195,13 +198,15 @@ class Run:
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
-            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)), "layout": sequence.layout,
-                        "rig": rig, "frame": a.frame, "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
+            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)),
+                        "layout": sequence.layout, "rig": rig, "frame": a.frame,
+                        "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
             "stages": [*stages, "total"],
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
-            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd", "with_imu": sequence.imu is not None,
+            "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
+            "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
@@ -241,9 +246,12 @@ def track(arguments):
               f"{arguments.min_depth:g} to {most:g} m")
     if sequence.imu is not None:
         print(f"imu       {len(sequence.imu_samples)} samples, {sequence.imu.rate_hz:g} Hz")
-    print(f"backend   {backend_of(arguments.backend)}", flush=True)
+    print(f"backend   {backend_of(arguments.backend)}")
+    calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
+    for text in calibration:
+        print(f"warning   calibration: {text}")
     signal.signal(signal.SIGTERM, end_as_ctrl_c)
-    run = Run(arguments, sequence, odometry, viewer)
+    run = Run(arguments, sequence, odometry, viewer, calibration)
     run.track_all()
     if viewer is not None:
         viewer.finish()
@@ -252,8 +260,9 @@ def track(arguments):
         print(f"ft: stopped at frame {run.stopped_at}: {run.stopped_by}", file=sys.stderr)
         return 3
     if not any(record[2] for record in run.records):
-        why = {"mono": "the camera does not move enough, or too few corners are seen", "rgbd": "too few corners have a depth"}.get(
-            sequence.kind, "too few corners are seen by both cameras")
-        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']})", file=sys.stderr)
+        why = {"mono": "the camera does not move enough, or too few corners are seen",
+               "rgbd": "too few corners have a depth"}.get(sequence.kind, "too few corners are seen by both cameras")
+        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']}); {run.last.explanation}",
+              file=sys.stderr)
         return 1
     return 0

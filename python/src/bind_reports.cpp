@@ -37,6 +37,9 @@ seq::frame_record record_of(nb::handle given) {
   r.stereo_matches = t.stereo_points;
   r.inliers = t.inliers;
   r.local_points = t.local_points;
+  r.images_to_pose_ms = r.stage_ms.back();  // nothing is given ahead
+  r.reason = t.reason;
+  r.why = t.explanation;
   auto const vector = [](std::array<double, 3> const& v) {
     return Eigen::Vector3d(v[0], v[1], v[2]);
   };
@@ -87,6 +90,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.keyframes = count("keyframes");
   r.map_points = count("map_points");
   r.maps = count("maps");
+  r.calibration = nb::cast<std::vector<std::string>>(run["calibration"]);
   r.one_camera = flag("one_camera");
   r.depth_images = flag("depth_images");
   r.with_imu = flag("with_imu");

@@ -302,6 +302,16 @@ def test_an_image_that_cannot_be_read_ends_the_run(folder, tmp_path):
     assert summary["stopped_at"] == 7 and summary["frames"] == 7
 
 
+def test_black_images_are_told(folder, tmp_path):
+    root = tmp_path / "kitti"
+    shutil.copytree(folder, root)
+    for file in root.glob("image_*/*.png"):
+        write_png(file, np.zeros((HEIGHT, WIDTH), np.uint8))
+    done = track(root, "--out", tmp_path / "out", "--backend", "host")
+    assert done.returncode == 1 and "no frame could be tracked" in done.stderr and "nearly black" in done.stderr
+    assert json.loads((tmp_path / "out/summary.json").read_text())["reasons"] == {"dark": 12}
+
+
 def test_options_are_those_of_track_sequence():
     """What the C++ program offers, but for what has no meaning here."""
     root = Path(__file__).resolve().parents[2]

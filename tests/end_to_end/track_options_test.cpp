@@ -144,6 +144,8 @@ TEST(Warnings, CamerasExchanged) {
   outcome const o = track(s.path(), s.out());
   results const r = read_results(s.out(), few);
   EXPECT_TRUE(warned(r, {"stereo match", "left and right may be exchanged"}));
+  EXPECT_TRUE(warned(r, {"stereo_inconsistent in ", "first in frame 0"}));
+  EXPECT_GT(r.summary.at("reasons").at("stereo_inconsistent"), 0);
   expect_warnings_everywhere(o, r, s.out());
 }
 
@@ -167,6 +169,7 @@ TEST(Warnings, LostForLong) {
   outcome const o = track(s.path(), s.out());
   results const r = read_results(s.out(), frames);
   EXPECT_TRUE(warned(r, {"lost for", "from frame 22 on"}));
+  EXPECT_TRUE(warned(r, {"dark in 27 of 60 frames, first in frame 22: image 0 is nearly black"}));
   expect_warnings_everywhere(o, r, s.out());
 }
 
@@ -322,14 +325,56 @@ TEST(Options, StageTimesOnlyWhereAskedFor) {
   EXPECT_FALSE(contains(plain_run.out, "descriptors"));
   results const r = read_results(folder.path("out"), few);
   EXPECT_EQ(r.summary.at("stages").size(), 1u);
+  EXPECT_LT(plain_run.out.find("images to pose"), plain_run.out.find("total"));
   EXPECT_GT(r.summary.at("stages").at("total").at("mean_ms"), 0.0);
   outcome const timed = track(generated(few), folder.path("timed"), {"--timing"});
   ASSERT_TRUE(succeeded(timed));
   EXPECT_TRUE(contains(timed.out, "descriptors"));
   results const t = read_results(folder.path("timed"), few);
   EXPECT_GT(t.summary.at("stages").at("descriptors").at("mean_ms"), 0.0);
+  // Nothing is prefetched there: the whole frame is the time from its images to its pose.
+  EXPECT_EQ(t.summary.at("prefetch"), 0);
+  double const total = t.summary.at("stages").at("total").at("mean_ms");
+  double const to_pose = t.summary.at("images_to_pose").at("mean_ms");
+  EXPECT_LE(to_pose, total);
+  EXPECT_GT(to_pose, 0.9 * total);
   EXPECT_EQ(read_file(folder.path("out/trajectory.txt")),
             read_file(folder.path("timed/trajectory.txt")));
+}
+
+// The calls of a frame alone leave out its keypoints and stereo; the time to its pose has them, and
+// that it waits for the frames before it.
+TEST(Options, PrefetchedFramesSayWhatTheyLeaveOut) {
+  temp_folder const folder;
+  outcome const o = run_program(tracker, {generated(few), "--backend", "host", "--read-ahead", "2",
+                                          "--out", folder.path("out")});
+  ASSERT_TRUE(succeeded(o));
+  results const r = read_results(folder.path("out"), few);
+  int const prefetch = r.summary.at("prefetch");
+  ASSERT_GT(prefetch, 0);
+  EXPECT_TRUE(contains(o.out, "up to " + std::to_string(prefetch) + " frames are given ahead"));
+  double const total = r.summary.at("stages").at("total").at("mean_ms");
+  EXPECT_GT(r.summary.at("images_to_pose").at("mean_ms"), total);
+  EXPECT_TRUE(r.summary.at("fps").is_null());
+  EXPECT_GT(r.summary.at("wall_fps"), 0.0);
+}
+
+TEST(Options, AFolderThatCannotBeWrittenIsRefusedBeforeTheRun) {
+  temp_folder const folder;
+  std::ofstream(folder.path("file")) << "no folder";
+  for (char const* out : {"file", "file/below"}) {
+    outcome const o = track(generated(few), folder.path(out));
+    EXPECT_TRUE(complained_of(o, "--out"));
+    EXPECT_FALSE(contains(o.out, "frames/s"));
+  }
+  // A file of the run that is something else.
+  fs::create_directories(folder.path("out/summary.json"));
+  outcome const o = track(generated(few), folder.path("out"));
+  EXPECT_TRUE(complained_of(o, "summary.json is there and cannot be written"));
+  EXPECT_FALSE(contains(o.out, "frames/s"));
+  EXPECT_FALSE(fs::exists(folder.path("out/trajectory.txt")));
+  // Nothing is left of the attempt to write.
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder.path("out")), {}), 1);
 }
 
 TEST(Options, MissingCalibrationPointsToTheOption) {

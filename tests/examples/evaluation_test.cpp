@@ -133,6 +133,54 @@ TEST(evaluate, a_turn_of_the_camera_in_its_mount_is_a_rotation_error_alone) {
   EXPECT_TRUE(positions.ate_rmse_m);
 }
 
+/// A path of 2 mm says nothing of how to turn it: an error of a millimetre turns it about.
+TEST(evaluate, a_rotation_that_positions_do_not_determine_is_not_told) {
+  std::mt19937 random(7);
+  std::normal_distribution<double> noise(0, 1);
+  auto const jittered = [&](seq::trajectory poses, double sigma) {
+    for (auto& p : poses) {
+      p.T_world_camera.translation() +=
+          sigma * Eigen::Vector3d(noise(random), noise(random), noise(random));
+    }
+    return poses;
+  };
+  seq::trajectory still = winding_path(200);
+  for (auto& p : still) { p.T_world_camera = Eigen::Isometry3d::Identity(); }
+  auto const lost = seq::evaluate(jittered(still, 5e-4), jittered(still, 5e-4), true);
+  EXPECT_FALSE(lost.ate_rotation_rmse_deg);
+  EXPECT_NE(lost.ate_rotation_missing.find("not determined"), std::string::npos);
+  EXPECT_NE(lost.ate_rotation_missing.find(" m in the weaker direction"), std::string::npos);
+  EXPECT_NEAR(*lost.ate_rmse_m, 5e-4 * std::sqrt(6.0), 1e-4);
+  EXPECT_TRUE(lost.rpe_rotation_rmse_deg);  // it needs no alignment
+  // Straight with noise: what turns about the line is the noise.
+  seq::trajectory straight = still;
+  for (std::size_t i = 0; i < straight.size(); ++i) {
+    straight[i].T_world_camera.translation().x() = 0.1 * static_cast<double>(i);
+  }
+  EXPECT_FALSE(seq::evaluate(jittered(straight, 0.01), jittered(straight, 0.01), true)
+                   .ate_rotation_rmse_deg);
+  // An error along the line says nothing about it.
+  seq::trajectory wide = straight;
+  for (std::size_t i = 0; i < wide.size(); ++i) {
+    wide[i].T_world_camera.translation().y() = 0.05 * std::sin(0.1 * static_cast<double>(i));
+  }
+  seq::trajectory longer = wide;
+  for (auto& p : longer) { p.T_world_camera.translation().x() *= 1.05; }
+  auto const along = seq::evaluate(longer, wide, true);
+  EXPECT_GT(*along.ate_rmse_m, 0.1);
+  EXPECT_LT(along.ate_rotation_rmse_deg.value(), 0.1);
+  // Where the positions coincide, or lie on a line exactly, the orientations tell.
+  EXPECT_NEAR(*seq::evaluate(still, still, true).ate_rotation_rmse_deg, 0, 1e-9);
+  EXPECT_NEAR(*seq::evaluate(straight, straight, true).ate_rotation_rmse_deg, 0, 1e-9);
+  // A path wider than its error.
+  auto const path = winding_path(200);
+  auto const good = seq::evaluate(jittered(path, 0.01), path, true);
+  EXPECT_LT(good.ate_rotation_rmse_deg.value(), 2);
+  EXPECT_EQ(good.ate_rotation_missing, "");
+  // Without orientations nothing is missing.
+  EXPECT_EQ(seq::evaluate(jittered(still, 5e-4), still, false).ate_rotation_missing, "");
+}
+
 TEST(evaluate, a_steady_turn_is_the_relative_rotation_error) {
   seq::trajectory const truth = winding_path(200);
   seq::trajectory estimate = truth;

@@ -388,6 +388,60 @@ TEST_F(report, json_holds_every_key) {
   EXPECT_DOUBLE_EQ(j["stages"]["total"]["max_ms"], 400);
 }
 
+TEST_F(report, the_time_from_images_to_pose_leads) {
+  seq::run_report r = filled(20, true);
+  EXPECT_TRUE(summary(r)["images_to_pose"].is_null());  // not measured
+  for (auto& f : r.records) { f.images_to_pose_ms = 20 + f.index; }
+  r.wall_s = 2;
+  nlohmann::json j = summary(r);
+  EXPECT_DOUBLE_EQ(j["images_to_pose"]["mean_ms"], 29.5);
+  EXPECT_DOUBLE_EQ(j["images_to_pose"]["p50_ms"], 29);
+  EXPECT_DOUBLE_EQ(j["images_to_pose"]["p99_ms"], 39);
+  EXPECT_EQ(j["prefetch"], 0);
+  EXPECT_TRUE(j["fps"].is_number());
+  auto const printed = [](seq::run_report const& of) {
+    std::ostringstream out;
+    seq::print_summary(out, of);
+    return out.str();
+  };
+  EXPECT_LT(printed(r).find("images to pose    p50 29.000 ms"), printed(r).find("stage "));
+  EXPECT_EQ(printed(r).find("given ahead"), std::string::npos);
+  EXPECT_NE(printed(r).find("tracking alone"), std::string::npos);
+  EXPECT_NE(html(r).find("Images to pose"), std::string::npos);
+
+  r.prefetch = 4;
+  j = summary(r);
+  EXPECT_EQ(j["prefetch"], 4);
+  // The stages leave out what is computed ahead: no rate follows from them.
+  EXPECT_TRUE(j["fps"].is_null());
+  EXPECT_TRUE(j["processing_s"].is_null());
+  EXPECT_DOUBLE_EQ(j["wall_fps"], 10);
+  EXPECT_NE(printed(r).find("up to 4 frames are given ahead"), std::string::npos);
+  EXPECT_EQ(printed(r).find("tracking alone"), std::string::npos);
+  EXPECT_EQ(html(r).find("tracking alone"), std::string::npos);
+  EXPECT_NE(html(r).find("up to 4 frames given ahead"), std::string::npos);
+  EXPECT_EQ(markup_fault(html(r)), "");
+}
+
+TEST_F(report, reasons_are_counted_and_missing_figures_say_why) {
+  seq::run_report r = filled(20, true);
+  EXPECT_EQ(summary(r)["reasons"], nlohmann::json::object());
+  EXPECT_TRUE(summary(r)["ate_rotation_missing"].is_null());
+  r.records[2].reason = r.records[9].reason = "few_matches";
+  r.records[3].reason = "dark";
+  r.error.ate_rotation_rmse_deg.reset();
+  r.error.ate_rotation_missing = "the alignment is not determined";
+  nlohmann::json const j = summary(r);
+  EXPECT_EQ(j["reasons"], (nlohmann::json{{"few_matches", 2}, {"dark", 1}}));
+  EXPECT_EQ(j["ate_rotation_missing"], "the alignment is not determined");
+  EXPECT_TRUE(j["ate_rotation_rmse_deg"].is_null());
+  std::ostringstream out;
+  seq::print_summary(out, r);
+  EXPECT_NE(out.str().find("ATE rotation      n/a (the alignment is not determined)"),
+            std::string::npos);
+  EXPECT_NE(html(r).find("rotation n/a: the alignment is not determined"), std::string::npos);
+}
+
 TEST_F(report, json_means_inliers_over_tracked_frames) {
   seq::run_report r = filled(20, false);
   double sum = 0;
@@ -430,16 +484,21 @@ TEST_F(report, json_takes_any_bytes_and_numbers) {
 TEST_F(report, csv_has_a_row_for_each_frame) {
   seq::run_report r = filled(3, false);
   r.records[1].stage_ms = {1.5, nan_value};  // one unusable, one missing
+  r.records[0].images_to_pose_ms = 5;
+  r.records[1].reason = "dark";
   seq::write_times_csv(file("times.csv"), r);
   auto const lines = split(read_text(file("times.csv")), '\n');
   ASSERT_EQ(lines.size(), 4U);
   EXPECT_EQ(lines[0],
             "index,time_s,tracked,keyframe,keypoints,stereo_matches,inliers,local_points,fast_ms,"
             "match_ms,"
-            "total_ms");
-  EXPECT_EQ(lines[1], "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000");
-  EXPECT_EQ(lines[2], "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,");
-  for (auto const& line : lines) { EXPECT_EQ(split(line, ',').size(), 11U) << line; }
+            "total_ms,images_to_pose_ms,reason");
+  EXPECT_EQ(lines[1],
+            "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,");
+  EXPECT_EQ(lines[2], "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark");
+  for (auto const& line : lines) {
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 12) << line;
+  }
 }
 
 TEST_F(report, csv_quotes_names_and_keeps_signs) {

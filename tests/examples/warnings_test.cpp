@@ -80,6 +80,46 @@ TEST(WarningsOf, LostForLong) {
   EXPECT_TRUE(contains(only_warning(r), "lost for 2.4 s from frame 151 on"));
 }
 
+TEST(WarningsOf, ReasonsAreCounted) {
+  seq::run_report r = good_run(10);
+  for (std::size_t i : {3u, 4u, 7u}) {
+    r.records[i].reason = i == 4 ? "dark" : "few_matches";
+    r.records[i].why = "words of frame " + std::to_string(i);
+  }
+  auto const all = seq::warnings_of(r);
+  ASSERT_EQ(all.size(), 2u);
+  EXPECT_EQ(all[0], "few_matches in 2 of 10 frames, first in frame 3: words of frame 3");
+  EXPECT_EQ(all[1], "dark in 1 of 10 frames, first in frame 4: words of frame 4");
+  EXPECT_EQ(seq::reasons_of(r), all);
+  // One camera waits for motion, at first; it is a warning where it waits to the end.
+  r = good_run(10);
+  r.records[0].reason = "awaits_motion";
+  EXPECT_EQ(only_warning(r), "");
+  r.tracked = 0;
+  EXPECT_TRUE(contains(only_warning(r), "awaits_motion in 1 of 10 frames"));
+}
+
+TEST(WarningsOf, CalibrationsThatLookWrong) {
+  seq::run_report r = good_run(10);
+  r.calibration = {"baseline_long: the baseline is 110 m"};
+  EXPECT_EQ(only_warning(r), "calibration: baseline_long: the baseline is 110 m");
+}
+
+TEST(WarningsOf, ImpossibleSpeeds) {
+  seq::run_report r = good_run(10);
+  for (auto const& f : r.records) {
+    seq::stamped_pose p;
+    p.time_ns = f.time_ns;
+    p.T_world_camera.translation().x() = 2.49 * f.index;  // a step of 50 ms
+    r.estimate.push_back(p);
+  }
+  EXPECT_EQ(only_warning(r), "");
+  r.estimate[4].T_world_camera.translation().x() += 0.1;
+  EXPECT_TRUE(contains(only_warning(r), "moves at 51.8 m/s before pose 4, above 50 m/s"));
+  r.metric = false;  // a speed of unknown scale is none
+  EXPECT_EQ(only_warning(r), "");
+}
+
 TEST(WarningsOf, AStopGoesFirst) {
   seq::run_report r = good_run(10);
   r.stopped_at = 10;

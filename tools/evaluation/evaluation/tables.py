@@ -46,7 +46,7 @@ def load(run):
 def read_times(path):
     with open(path, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    names = [n for n in (rows[0] if rows else {}) if n.endswith("_ms")]
+    names = [n for n in (rows[0] if rows else {}) if n.endswith("_ms") and n != "images_to_pose_ms"]
     return {n.removesuffix("_ms"): [float(r[n]) if r[n] else 0.0 for r in rows] for n in names}
 
 

@@ -95,7 +95,8 @@ struct judge_camera_frame {
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
-    bool const found = before.plan == search_plan::follow ? inliers >= rules.min_inliers
+    bool const found = before.plan == search_plan::follow   ? inliers >= rules.min_inliers
+                       : before.plan == search_plan::rejoin ? inliers >= rules.min_recovered
                        : before.plan == search_plan::recover
                            ? inliers >= rules.min_recovered && is_evident(g, b, rules, in)
                            : false;

@@ -35,7 +35,9 @@ struct plan_camera_search {
                                  search_start const& start) const {
     camera_track const& t = state.tracks[b];
     bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
-    search_plan const plan = adopts ? search_plan::recover : plan_of(t, rules, start.inliers[b]);
+    search_plan const plan = adopts && t.lost_frames == 0 ? search_plan::rejoin
+                             : adopts                     ? search_plan::recover
+                                                          : plan_of(t, rules, start.inliers[b]);
     g.sync();
     if (plan != search_plan::follow) {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
@@ -44,7 +46,7 @@ struct plan_camera_search {
     if (g.rank() != 0) { return; }
     // A frame without points was no attempt.
     int const attempt = t.lost_with_features % recovery_attempts;
-    bool const recovers = plan == search_plan::recover;
+    bool const recovers = plan == search_plan::recover || plan == search_plan::rejoin;
     state.mode[b] = recovers ? local_map_mode::newest : local_map_mode::by_votes;
     // Without a motion to go on from, the camera may be far from each of the places.
     bool const guided = t.guided != 0;

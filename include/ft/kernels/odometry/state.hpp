@@ -67,7 +67,12 @@ inline constexpr int recovery_places = 3;
 inline constexpr int recovery_attempts = 2 * recovery_places;
 
 /// What a frame searches in the local map.
-enum class search_plan : int { nothing, follow, recover };
+enum class search_plan : int {
+  nothing,
+  follow,   ///< from the pose of the search from the last frame
+  rejoin,   ///< from the pose that matches anywhere in the image gave a camera that was not lost
+  recover,  ///< from one of several poses
+};
 
 /// Inputs of a frame from the host, one camera.
 struct odometry_input {

@@ -230,8 +230,8 @@ if ((!quick)); then
   step "Sanitizers: tests" run_sanitizer_tests
   step "ThreadSanitizer: configure" cmake --preset host-tsan
   step "ThreadSanitizer: build" cmake --build --preset host-tsan
-  step "ThreadSanitizer: the shim beside a mapping thread" \
-    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)'
+  step "ThreadSanitizer: the shim beside a mapping thread, an odometry beside its adjustments" \
+    run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)|thread_tests'
   step "Fuzzers" fuzz
   step "Consumers" tests/consumers/run.sh "$build"
 fi

@@ -190,6 +190,7 @@
 #include "ft/kernels/words/transform.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/monocular_start.hpp"
 #include "ft/pipelines/odometry.hpp"

@@ -68,7 +68,8 @@ class Odometry:
 
     def add_imu(self, time_ns, accel, gyro, b=0):
         """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in
-        order; a frame uses those that came before its track(). Any thread may call this."""
+        order; a frame uses those that came before its track(). One that is not after the one before, not finite or beyond
+        the sensor's range is left out. Any thread may call this."""
         self._pipeline.add_imu(time_ns, accel, gyro, b)
 
     def predict(self, T_world_camera, b=0):

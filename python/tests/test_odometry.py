@@ -169,10 +169,8 @@ def test_samples_of_an_imu_are_taken(walk):
         for k in range(10):
             odometry.add_imu(50_000_000 * i - 49_000_000 + 5_000_000 * k, (0, -9.81, 0), (0, 0, 0))
         assert odometry.track(*walk.frame(i)).tracked
-    with pytest.raises(ValueError):
-        odometry.add_imu(0, (0, -9.81, 0), (0, 0, 0))
-    with pytest.raises(ValueError):
-        odometry.add_imu(10**12, (0, float("nan"), 0), (0, 0, 0))
+    odometry.add_imu(0, (0, -9.81, 0), (0, 0, 0))  # left out: its time is not after the last one's
+    odometry.add_imu(10**12, (0, float("nan"), 0), (0, 0, 0))  # likewise, and counted
     with pytest.raises(ValueError):
         walk.odometry().add_imu(0, (0, 0, 0), (0, 0, 0))
 

@@ -59,19 +59,20 @@ struct room {
     v.imu.poses.result[0].stored.t_cw = {2, 0, 0};
   }
   /// The next frame. @param agree observations that are no outliers with the IMU
-  outcome frame(int agree, int visual = seen) {
+  outcome frame(int agree, int visual = seen, int all = seen) {
     arrays const& v = data.host;
     std::fill_n(v.holder, keypoints, -1);
-    for (int i = 0; i < seen; ++i) {
+    for (int i = 0; i < all; ++i) {
       v.observations.number[i] = 2 * i;
       v.observations.outlier[i] = i < agree ? 0 : 1;
       if (i < visual) { v.holder[2 * i] = 1000 + i; }
     }
-    *v.observations.count = seen;
+    *v.observations.count = all;
     *v.observations.inliers = visual;
     *v.T_cw = ft::pose::identity();
     v.T_cw->t.x = 1;
     v.imu.tracks[0].source = ft::inertial_source::last_keyframe;
+    v.imu.from_keyframe(0).status = ft::integration_status::integrated;
     data.push(exec);
     arrays const& there = data.device;
     ft::frame_view f;
@@ -121,6 +122,29 @@ TYPED_TEST(TakeInertialPoses, FewMatchesThatContradictTheImuAreWrongTwice) {
   EXPECT_EQ(o.track.source, ft::inertial_source::none);
   EXPECT_EQ(o.track.keyframe_moves, 0);
   EXPECT_EQ(o.track.contradicted, 0);
+}
+
+TYPED_TEST(TakeInertialPoses, ManyMatchesOutvoteTheImuAtOnce) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  int const many = ft::detail::outvoting_matches;
+  auto const link = [&] { return r.data.host.imu.from_keyframe(0).status; };
+  auto const agreed = r.frame(7 * many / 8, many, many);
+  EXPECT_EQ(agreed.inliers, 7 * many / 8);
+  EXPECT_EQ(agreed.x, 2);
+  EXPECT_EQ(link(), ft::integration_status::integrated);
+  auto const o = r.frame(7 * many / 8 - 1, many, many);
+  EXPECT_EQ(o.inliers, many) << "the visual pose stands";
+  EXPECT_EQ(o.held, many);
+  EXPECT_EQ(o.x, 1);
+  EXPECT_EQ(o.track.optimized, 0);
+  EXPECT_EQ(o.track.source, ft::inertial_source::none);
+  EXPECT_EQ(o.track.keyframe_moves, 0);
+  EXPECT_EQ(o.track.status, ft::integration_status::contradicted);
+  EXPECT_EQ(link(), ft::integration_status::contradicted);
+  EXPECT_FALSE(ft::usable(link()));
+  EXPECT_EQ(r.frame(0, many - 1, many - 1).inliers, 0) << "fewer may be wrong ones that agree";
+  EXPECT_EQ(link(), ft::integration_status::integrated);
 }
 
 TYPED_TEST(TakeInertialPoses, AgreementForgetsContradictions) {

@@ -341,15 +341,6 @@ TYPED_TEST(inertial_odometry, refuses_bad_input_and_goes_on) {
   EXPECT_THROW(without.add_imu(sample_at(0)), ft::bad_argument);
   ft::odometry odo(backend.exec, rig, params());
   EXPECT_THROW(odo.add_imu(sample_at(0), 1), ft::bad_argument);
-  auto nan = sample_at(0);
-  nan.gyro.y = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_THROW(odo.add_imu(nan), ft::bad_argument);
-  odo.add_imu(sample_at(1));
-  EXPECT_THROW(odo.add_imu(sample_at(1)), ft::bad_argument);
-  EXPECT_THROW(odo.add_imu(sample_at(0.5)), ft::bad_argument);
-  odo.add_imu(sample_at(1.25));
-  odo.reset();
-  odo.add_imu(sample_at(0));  // time begins anew
   auto p = params();
   p.imu.T_bc.R.m[0] = 2;
   EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
@@ -362,6 +353,59 @@ TYPED_TEST(inertial_odometry, refuses_bad_input_and_goes_on) {
   p = params();
   p.imu.initialization.known_scale = false;
   EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+}
+
+// A sample that is doubled, comes late or cannot be is as one that is missing.
+TYPED_TEST(inertial_odometry, a_bad_sample_is_left_out_and_counted) {
+  TypeParam backend;
+  ft::odometry odo(backend.exec, test::room::rig(), params());
+  float const inf = std::numeric_limits<float>::infinity();
+  ft::tracking last;
+  for (int i = 0; i < frame_count; ++i) {
+    for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
+      auto m = sample_at(0.25 * k);
+      if (k % 30 == 5) { m.gyro.y = k % 60 == 5 ? 1e7f : inf; }
+      odo.add_imu(m);
+      if (k % 30 == 15) { odo.add_imu(m); }
+      if (k % 30 == 25) { odo.add_imu(sample_at(0.25 * (k - 1))); }
+    }
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_EQ(last.state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(last, i), 0.02) << i;
+  }
+  EXPECT_TRUE(last.imu.optimized);
+  EXPECT_EQ(last.imu.left_out.out_of_range, 6);
+  EXPECT_EQ(last.imu.left_out.disordered, 5 + 5);
+  EXPECT_NEAR(last.imu.rate_hz, 80, 1e-6);
+  odo.reset();
+  odo.add_imu(sample_at(0));  // time begins anew
+  auto const& f = walk().front();
+  last = odo.track({test::room::view(f.left), test::room::view(f.right)}, period);
+  EXPECT_EQ(last.imu.left_out.disordered, 0);
+}
+
+TYPED_TEST(inertial_odometry, times_of_images_and_samples_may_be_any) {
+  TypeParam backend;
+  constexpr auto least = std::numeric_limits<std::int64_t>::min();
+  constexpr auto most = std::numeric_limits<std::int64_t>::max();
+  auto p = params();
+  p.imu.waiting = 8;
+  ft::odometry odo(backend.exec, test::room::rig(), p);
+  auto const& f = walk().front();
+  ft::stereo_images const images{test::room::view(f.left), test::room::view(f.right)};
+  for (int i = 0; i < 100; ++i) { odo.add_imu(sample_at(0.25 * i)); }  // a clock that is ahead
+  for (std::int64_t const time : {least, least + 1, std::int64_t{-1}, std::int64_t{0}, most}) {
+    auto const t = odo.track(images, time);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << time;
+    EXPECT_LT(error_of(t, 0), 0.01) << time;
+    EXPECT_FALSE(t.imu.known);
+    EXPECT_EQ(t.imu.left_out.crowded_out, 92);
+    EXPECT_EQ(t.imu.newest_s > 0, time < most) << time;
+  }
+  EXPECT_THROW(odo.track(images, most), ft::bad_argument);
+  EXPECT_THROW(odo.track(images, least), ft::bad_argument);
+  EXPECT_EQ(odo.last().state, ft::tracking_state::tracking);
 }
 
 #if defined(__CUDACC__)

@@ -55,15 +55,16 @@ struct imu_mount {
 /// What came of an integration.
 enum class integration_status : int {
   integrated = 0,
-  no_samples,  ///< the queue was empty, or there was no interval
-  one_sample,  ///< no step can be made from one sample
-  no_steps,    ///< all samples were older than the interval: an integral over no time
-  unordered,   ///< times of samples that do not ascend
-  not_finite,  ///< a sample or a time is NaN or infinite
-  gap,         ///< the samples leave out a longer time than the limit
-  repeated,    ///< integrated, but two samples have one time: a step of no duration among others
-  wrong_rate,  ///< the samples come much more or much less often than the noise was stated for
-  too_many,    ///< more steps than there is memory for
+  no_samples,    ///< the queue was empty, or there was no interval
+  one_sample,    ///< no step can be made from one sample
+  no_steps,      ///< all samples were older than the interval: an integral over no time
+  unordered,     ///< times of samples that do not ascend
+  not_finite,    ///< a sample or a time is NaN or infinite
+  gap,           ///< the samples leave out a longer time than the limit
+  repeated,      ///< integrated, but two samples have one time: a step of no duration among others
+  wrong_rate,    ///< the samples come much more or much less often than the noise was stated for
+  too_many,      ///< more steps than there is memory for
+  contradicted,  ///< integrated, but many matches of images say otherwise
 };
 
 /// Whether an integral of that status says how the body moved.

@@ -357,6 +357,14 @@ FT_HOST_DEVICE constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
 
 namespace detail {
 
+/// a - b, or the nearest number that there is: of times in ns, which may be any.
+FT_HOST_DEVICE constexpr std::int64_t saturated_difference(std::int64_t a, std::int64_t b) {
+  constexpr std::int64_t most = INT64_MAX;
+  constexpr std::int64_t least = INT64_MIN;
+  if (b < 0) { return a > most + b ? most : a - b; }
+  return a < least + b ? least : a - b;
+}
+
 /// Division by a number known at run time, as a multiplication. Exact while i * n is below 2^31.
 struct small_divider {
   std::uint32_t factor;

@@ -20,8 +20,13 @@ struct imu_params {
   /// or a multi_rig's body.
   rigid<double> T_bc = rigid<double>::identity();
   imu_noise noise;
-  int samples = 4096;          ///< between two frames, at most: with more, there is a gap
-  selection_params selection;  ///< a rate_hz of 0 becomes the noise's
+  int samples = 4096;     ///< between two frames, at most: with more, there is a gap
+  int waiting = 1 << 16;  ///< that wait for their frame, at most: with more, the oldest leave
+  /// Range of the sensor, of an axis. A sample that reaches it is left out, as one that is not
+  /// finite.
+  float max_accel = 156.9064f;  ///< m/s^2; 16 g
+  float max_gyro = 34.90659f;   ///< rad/s; 2000 degrees/s
+  selection_params selection;   ///< a rate_hz of 0 becomes the noise's
   /// `known_scale` is the rig's: an odometry of one camera sets it.
   initialization_params initialization = {9.81f, true, 8};
   /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
@@ -39,15 +44,27 @@ struct imu_measurement {
   vec3<float> gyro;      ///< rad/s
 };
 
-/// What the IMU says about a frame.
+/// Samples of an IMU that were left out since its odometry was made or its camera was reset.
+struct imu_left_out {
+  long long disordered = 0;    ///< with a time that is not after that of the sample before: doubled
+                               ///< or swapped ones
+  long long out_of_range = 0;  ///< not finite, or at imu_params::max_accel or max_gyro
+  long long crowded_out = 0;   ///< by newer ones, as imu_params::waiting were waiting
+};
+
+/// What the IMU says about a frame. imu_warnings() says in words what is wrong with its samples.
 struct imu_tracking {
-  bool known = false;      ///< gravity, velocity and biases are known; the rest is 0 until then
-  bool optimized = false;  ///< the frame's pose was optimised with the IMU
-  bool predicted = false;  ///< the frame's pose was predicted with the IMU
+  bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
+                       ///< what is said of the samples
+  bool optimized = false;             ///< the frame's pose was optimised with the IMU
+  bool predicted = false;             ///< the frame's pose was predicted with the IMU
   vec3<double> velocity = {0, 0, 0};  ///< of the IMU in the world, m/s
   vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
   imu_bias bias{};
   integration_status samples = integration_status::no_samples;  ///< those since the last frame
+  double rate_hz = 0;     ///< at which the last samples came, by their times; 0 = unknown
+  double newest_s = 0;    ///< time of the newest sample since the frame's; 0 = there is none
+  imu_left_out left_out;  ///< all of them so far
 };
 
 }  // namespace FT_ABI

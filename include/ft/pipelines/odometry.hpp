@@ -165,9 +165,12 @@ public:
     in.predicted = 1;
   }
   /// A sample of camera pair b's IMU. Samples of one IMU come in order; a frame uses those that
-  /// came before its track() call. May be called from another thread, also during track().
-  /// @throws bad_argument without odometry_params::imu, for a pair that does not exist, for numbers
-  ///   that are not finite, or for a time that is not after that of the sample before
+  /// came before its track() call. May be called from another thread, also during track(). A sample
+  /// that is not after the one before, not finite or beyond the sensor's range is left out and
+  /// counted: imu_tracking::left_out, imu_warnings(). After 16 in a row that are behind and ascend
+  /// the time of the one before them was wrong, and samples go on from there.
+  /// @throws bad_argument without odometry_params::imu, or for a pair that does not exist;
+  ///   std::bad_alloc
   void add_imu(imu_measurement const& sample, int b = 0) {
     parts& p = made();
     detail::require(p.stages.has_imu(), "the odometry was made without an IMU");

@@ -20,6 +20,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/bin_rays.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/map/match_candidates.hpp"
 #include "ft/kernels/map/point_masks.hpp"
 
 namespace ft {
@@ -157,7 +158,7 @@ struct camera_pair {
 };
 
 /// Item: a keypoint of a frame. Matches it with the keypoints of its partners, and keeps the match
-/// with the widest angle.
+/// that most others agree with.
 template <typename Rig>
 struct match_along_lines {
   using scratch = no_scratch;
@@ -183,24 +184,33 @@ struct match_along_lines {
     vec3<real> const f1 = narrow.cast<real>();
     descriptor const orb = kp.orb(i);
     auto const T_1w = in.T_cw[b].template cast<real>();
-    found best;
+    match_candidate found[max_partners];
+    int count = 0;
+    int partners = 0;
     for (int k = 0; k < max_partners && partner[k] != 0; ++k) {
-      auto const T_2w = map.keyframes.T_cw[map.keyframes.at(b, map.keyframes.position(partner[k]))]
-                            .template cast<real>();
+      ++partners;
+      auto const T_2w = pose_at(map.keyframes, b, partner[k]);
       camera_pair const T{T_2w * T_1w.inverse(), T_1w * T_2w.inverse()};
       match const m = nearest(g, in, map.keyframes, map.records, rays, b, partner[k], T, f1, orb);
       if (m.keypoint < 0) { continue; }
-      triangulate(in, map.keyframes, rays, b, i, partner[k], T, f1, m, best);
+      triangulate(in, map.keyframes, rays, b, i, partner[k], T, f1, m, found[count]);
+      count += static_cast<int>(found[count].keyframe != 0);
     }
-    if (g.rank() != 0 || best.keyframe == 0) { return; }
+    int const chosen =
+        most_supported(g, found, count, least_support(partners), [&](int of, int by) {
+          vec3<real> const p = T_1w.inverse() * found[of].point.template cast<real>();
+          return agrees_at(in, map.keyframes, b, found[by].keyframe, found[by].keypoint, p);
+        });
+    if (g.rank() != 0 || chosen < 0) { return; }
+    match_candidate const& best = found[chosen];
     out.keyframe[item] = best.keyframe;
-    out.keypoint[item] = best.at.keypoint;
+    out.keypoint[item] = best.keypoint;
     out.rank[item] =
-        static_cast<std::uint32_t>(best.at.distance) << 23 | static_cast<std::uint32_t>(i);
+        static_cast<std::uint32_t>(best.distance) << 23 | static_cast<std::uint32_t>(i);
     out.depth[item] = best.point.z;
     out.point[item] = best.point;
     std::ptrdiff_t const to =
-        map.keyframes.at(b, map.keyframes.position(best.keyframe), best.at.keypoint);
+        map.keyframes.at(b, map.keyframes.position(best.keyframe), best.keypoint);
     atomic_min(reinterpret_cast<unsigned*>(out.claim + to), static_cast<unsigned>(out.rank[item]));
   }
 
@@ -209,12 +219,16 @@ private:
     int keypoint;
     int distance;
   };
-  struct found {
-    int keyframe = 0;
-    match at{-1, 0};
-    real cosine = 2.0;
-    vec3<float> point{0, 0, 0};
-  };
+
+  FT_HOST_DEVICE static rigid<real> pose_at(keyframes_view const& kf, int b, int number) {
+    return kf.T_cw[kf.at(b, kf.position(number))].template cast<real>();
+  }
+  /// Whether a point of the world is seen where a keyframe has a keypoint.
+  FT_HOST_DEVICE static bool agrees_at(triangulation_input<Rig> const& in, keyframes_view const& kf,
+                                       int b, int number, int keypoint, vec3<real> p) {
+    std::ptrdiff_t const at = kf.at(b, kf.position(number), keypoint);
+    return agrees(in, pose_at(kf, b, number) * p, kf.x[at], kf.y[at], kf.octave[at]);
+  }
 
   /// The most similar free keypoint of a keyframe near the epipolar line.
   template <typename Group>
@@ -258,17 +272,17 @@ private:
     return {static_cast<int>(best & 0x7fffffu), static_cast<int>(best >> 23)};
   }
 
-  /// Keeps the point of two rays in `best`, if it is good and its angle is wider.
+  /// Writes the point of two rays, if it is good.
   FT_HOST_DEVICE static void triangulate(triangulation_input<Rig> const& in,
                                          keyframes_view const& kf, keyframe_rays_view const& rays,
                                          int b, int i, int number, camera_pair const& T,
-                                         vec3<real> f1, match const& m, found& best) {
+                                         vec3<real> f1, match const& m, match_candidate& out) {
     std::ptrdiff_t const at = kf.at(b, kf.position(number), m.keypoint);
     vec3<real> const d2 = T.T_12.R * rays.ray[at].template cast<real>();
     vec3<real> const c2 = T.T_12.t;
     real const a = dot(f1, d2);
     real const limit = in.params.max_cosine;
-    if (!(a < limit) || !(a < best.cosine)) { return; }
+    if (!(a < limit)) { return; }
     real const denominator = real(1) - a * a;
     real const on_first = dot(c2, f1);
     real const on_second = dot(c2, d2);
@@ -290,11 +304,9 @@ private:
                            real(static_cast<double>(in.geometry.scale[o2]));
     real const slack = in.params.octave_slack;
     if (!(by_distance * slack >= by_octave && by_distance <= by_octave * slack)) { return; }
-    best.keyframe = number;
-    best.at = m;
-    best.cosine = a;
-    best.point = {static_cast<float>(p1.x.value), static_cast<float>(p1.y.value),
-                  static_cast<float>(p1.z.value)};
+    vec3<float> const point{static_cast<float>(p1.x.value), static_cast<float>(p1.y.value),
+                            static_cast<float>(p1.z.value)};
+    out = {number, m.keypoint, m.distance, a, point};
   }
 
   FT_HOST_DEVICE static bool agrees(triangulation_input<Rig> const& in, vec3<real> p, float x,
@@ -362,10 +374,11 @@ struct enter_partner {
 
 /// Finds points of frames that become keyframes, for keypoints that hold none: `out.depth` and
 /// `out.point`. Each keypoint is matched with free keypoints of those earlier keyframes that share
-/// most points with the frame, by descriptors along epipolar lines; of its matches the one whose
-/// rays have the widest angle makes the point. Of several keypoints with the same match the one
-/// with the smallest Hamming distance has it, of equals the first. Asynchronous on `exec`;
-/// allocates nothing; four launches.
+/// most points with the frame, by descriptors along epipolar lines. Of its matches the one makes
+/// the point that most of the others agree with, of equals the one whose rays have the widest
+/// angle; with three keyframes or more it needs the agreement of one other, with six or more of
+/// two. Of several keypoints with the same match the one with the smallest Hamming distance has it,
+/// of equals the first. Asynchronous on `exec`; allocates nothing; four launches.
 template <typename Exec, typename Rig>
 void triangulate_points(Exec const& exec, triangulation_input<Rig> const& in,
                         odometry_map_view const& map, keyframe_rays_view const& rays,

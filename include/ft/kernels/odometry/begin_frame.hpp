@@ -3,6 +3,7 @@
 /// predicts the pose.
 #pragma once
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
@@ -51,7 +52,7 @@ struct predict_frame {
                                  predicted_frames const& out) const {
     odometry_input const& in = inputs[b];
     camera_track& t = state.tracks[b];
-    t.interval_ns = t.begun != 0 ? in.time_ns - t.time_ns : 0;
+    t.interval_ns = t.begun != 0 ? saturated_difference(in.time_ns, t.time_ns) : 0;
     t.time_ns = state.time_ns[b] = in.time_ns;
     t.begun = 1;
     rigid<double> const last = state.T_cw[b];

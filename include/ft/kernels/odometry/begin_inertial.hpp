@@ -120,14 +120,14 @@ private:
     t.status = v.from_last(b).status;
     camera_track& track = state.tracks[b];
     track.guided = 0;
-    bool const blind = track.time_ns - track.seen_ns >= longest_bridge_ns;
+    bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;
     if (!t.known() || !track.has_map() || blind) { return; }
     if (state.apply[b] != 0) { follow_map(t, b, in.keyframes); }
     bool const follows = t.follows != 0 && state.apply[b] == 0;
     if (follows && usable(v.from_last(b).status)) {
       t.source = inertial_source::last_frame;
     } else if (t.keyframe_moves != 0 && usable(v.from_keyframe(b).status) &&
-               track.time_ns - track.keyframe_ns < longest_bridge_ns) {
+               saturated_difference(track.time_ns, track.keyframe_ns) < longest_bridge_ns) {
       t.source = inertial_source::last_keyframe;
     } else {
       return;

@@ -8,6 +8,7 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
@@ -220,7 +221,7 @@ private:
                                state.T_cw[b].template cast<strict_double>())
                                   .orthonormalized()
                                   .template cast<double>();
-    t.velocity.observe(state.T_cw[b], now, t.time_ns - begins.first_ns[b]);
+    t.velocity.observe(state.T_cw[b], now, saturated_difference(t.time_ns, begins.first_ns[b]));
     state.T_cw[b] = now;
     state.order[b] = keyframe_order::add;
   }
@@ -232,7 +233,7 @@ private:
         n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
     float const share = Rig::rectified ? rules.keep_share : rules.unrectified_keep_share;
     auto const kept = mul(share, static_cast<float>(t.reference_tracked));
-    auto const age = mul(static_cast<double>(t.time_ns - t.keyframe_ns), 1e-9);
+    auto const age = mul(static_cast<double>(saturated_difference(t.time_ns, t.keyframe_ns)), 1e-9);
     bool const old = rules.keyframe_period_s > 0 && !(age < rules.keyframe_period_s);
     if constexpr (is_monocular_v<Rig>) {
       return old || n.held < rules.wanted_near_points || static_cast<float>(n.held) < kept;

@@ -26,6 +26,14 @@ inline constexpr int few_inliers = 10;
 /// After so many frames whose map points it contradicts, and none between where both agree, it is
 /// the IMU's state that is wrong.
 inline constexpr int most_contradictions = 3;
+/// So many matches that agree with one another are no accident: where the IMU is against more than
+/// one in eight of them, its samples or its state are wrong.
+inline constexpr int outvoting_matches = 80;
+
+/// @param with inliers of the pose with the IMU @param without of the pose of the images alone
+FT_HOST_DEVICE inline bool images_allow(int with, int without) {
+  return without >= outvoting_matches ? 8 * with >= 7 * without : 2 * with >= without;
+}
 
 /// Item: a camera. Takes the pose over where it was optimised.
 struct take_inertial_pose {
@@ -54,7 +62,7 @@ struct take_inertial_pose {
       inliers += static_cast<int>(holds && seen.outlier[at + i] == 0);
     }
     inliers = g.reduce(inliers, sum_op{});
-    bool const taken = optimized && 2 * inliers >= seen.inliers[b];
+    bool const taken = optimized && images_allow(inliers, seen.inliers[b]);
     g.sync();
     for (int i = g.rank(); taken && i < n; i += g.size()) {
       if (seen.outlier[at + i] != 0) { holder[seen.number[at + i]] = -1; }
@@ -66,7 +74,7 @@ struct take_inertial_pose {
       seen.inliers[b] = inliers;
       T_cw[b] = T;
     } else if (optimizes) {
-      contradict(t, optimized, seen.inliers[b]);
+      contradict(t, optimized, seen.inliers[b], v.from_keyframe(b));
     }
     int keypoints = 0;
     for (int c = 0; c < frame.cameras; ++c) { keypoints += *frame.camera(b, c).count; }
@@ -75,10 +83,15 @@ struct take_inertial_pose {
 
 private:
   /// Map points and IMU contradict each other. A blurred image has wrong matches that agree with
-  /// one another, so the IMU is right, but not again and again.
-  FT_HOST_DEVICE static void contradict(inertial_track& t, bool optimized, int& inliers) {
+  /// one another, so the IMU is right, but not again and again, nor against many matches. Of these
+  /// the pose stays, and what was integrated enters nothing.
+  FT_HOST_DEVICE static void contradict(inertial_track& t, bool optimized, int& inliers,
+                                        preintegrated& from_keyframe) {
     ++t.contradicted;
-    if (optimized && t.contradicted < most_contradictions) {
+    bool const outvoted = optimized && inliers >= outvoting_matches;
+    if (outvoted) {
+      t.status = from_keyframe.status = integration_status::contradicted;
+    } else if (optimized && t.contradicted < most_contradictions) {
       inliers = 0;
       return;
     }
@@ -91,11 +104,12 @@ private:
 }  // namespace detail
 
 /// Replaces poses and inliers by those of optimize_inertial_poses(), where that was not refused, at
-/// least half of the visual inliers agree, and the camera is not searched for. Keypoints that are
-/// outliers release their points. Where fewer agree the frame has no inliers, so that it is not
-/// tracked. The third such frame, if none in between agreed, keeps its visual pose, and the IMU
-/// says nothing until an estimate gives velocities anew. Asynchronous on `exec`; allocates nothing;
-/// one launch.
+/// least half of the visual inliers agree, or seven in eight of 80 or more, and the camera is not
+/// searched for. Keypoints that are outliers release their points. Where fewer agree, and there are
+/// fewer than 80, the frame has no inliers, so that it is not tracked. The third such frame, if
+/// none in between agreed, and any with more keep their visual pose, and the IMU says nothing until
+/// an estimate gives velocities anew; with more, the integral from the newest keyframe is dropped
+/// as `contradicted`. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param T_cw [batch]
 template <typename Exec>
 void take_inertial_poses(Exec const& exec, observations_view const& seen,

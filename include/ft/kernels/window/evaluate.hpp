@@ -39,7 +39,8 @@ struct window_point_scratch {
   }
 };
 
-/// One problem and one group of its points.
+/// One problem and one group of its points. Only of a problem that runs: the counts of others may
+/// be written meanwhile, for their next adjustment.
 struct window_points {
   window_problem_view const& problem;
   window_workspace const& work;
@@ -219,17 +220,20 @@ struct start_window {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, window_problem_view const& problem,
                                  window_workspace const& w, int const* selected) const {
+    int const b = item / w.groups();
+    bool const begins = item % w.groups() == 0;
+    bool const chosen = selected == nullptr || selected[b] != 0;
+    if (!chosen) {
+      if (begins && g.rank() == 0) { set_state(w, b, -1, false); }
+      return;
+    }
     window_points const in(problem, w, item);
-    bool const runs = (selected == nullptr || selected[in.b] != 0) && in.sound();
-    rigid<double> const* const T_cw = problem.T_cw + problem.view(in.b, 0);
-    if (in.base == 0) {
-      if (g.rank() == 0) {
-        bool const chosen = selected == nullptr || selected[in.b] != 0;
-        w.state_of(0, in.b) = {0, 0, params.first_damping, chosen ? 0 : -1, 0, runs ? 1 : 0, 0};
-        w.solved[in.b] = 0;
-      }
+    bool const runs = in.sound();
+    rigid<double> const* const T_cw = problem.T_cw + problem.view(b, 0);
+    if (begins) {
+      if (g.rank() == 0) { set_state(w, b, 0, runs); }
       for (int v = g.rank(); runs && v < in.views; v += g.size()) {
-        w.views_of(0, in.b)[v] = w.views_of(1, in.b)[v] = T_cw[v];
+        w.views_of(0, b)[v] = w.views_of(1, b)[v] = T_cw[v];
       }
     }
     if (!runs || in.base >= in.count) { return; }
@@ -239,6 +243,13 @@ struct start_window {
     }
     g.sync();
     evaluate_points(g, s, rig, params, in, T_cw, 0, true);
+  }
+
+private:
+  /// @param steps -1 = not selected
+  FT_HOST_DEVICE void set_state(window_workspace const& w, int b, int steps, bool runs) const {
+    w.state_of(0, b) = {0, 0, params.first_damping, steps, 0, runs ? 1 : 0, 0};
+    w.solved[b] = 0;
   }
 };
 

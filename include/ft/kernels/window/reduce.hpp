@@ -127,8 +127,13 @@ struct reduce_window {
     int const of_problem = 2 * w.pairs();
     int const b = item / of_problem;
     int const rows = item % of_problem;
+    window_state const before = w.state_of(turn, b);
+    if (!before.running) {
+      if (rows == 0 && g.rank() == 0) { w.state_of(turn + 1, b) = before; }
+      return;
+    }
     window_points const in(problem, w, b * w.groups());
-    window_state const state = judged(g, s.judge, w.state_of(turn, b), in, turn == 0, params);
+    window_state const state = judged(g, s.judge, before, in, turn == 0, params);
     if (rows == 0 && g.rank() == 0) { w.state_of(turn + 1, b) = state; }
     if (!state.running) { return; }
     int i = 0;

@@ -1,18 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The IMUs of an odometry: memory, samples that wait for their frame, and stages.
+/// @file The IMUs of an odometry: memory and stages.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
 #include <memory>
-#include <mutex>
-#include <string>
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/observations.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -29,60 +27,12 @@
 #include "ft/kernels/odometry/scale_map.hpp"
 #include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/detail/sample_queue.hpp"
 #include "ft/pipelines/imu_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
-
-/// Samples of one IMU that wait for their frame. Any thread may add; one takes.
-class sample_queue {
-public:
-  /// @throws bad_argument for numbers that are not finite, or a time that is not after the last one
-  void add(imu_measurement const& m) {
-    for (float const v : {m.accel.x, m.accel.y, m.accel.z}) {
-      require_finite("a specific force of the IMU", v);
-    }
-    for (float const v : {m.gyro.x, m.gyro.y, m.gyro.z}) {
-      require_finite("an angular rate of the IMU", v);
-    }
-    std::lock_guard<std::mutex> const lock(mutex_);
-    if (any_ && m.time_ns <= last_ns_) {
-      throw bad_argument("ft: the time of an IMU sample is " + std::to_string(m.time_ns) +
-                         " ns, must be after " + std::to_string(last_ns_));
-    }
-    any_ = true;
-    last_ns_ = m.time_ns;
-    waiting_.push_back(m);
-  }
-  /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
-  /// @param base_ns time 0 of the copies @return their number; above `capacity`, no more are copied
-  int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
-    std::lock_guard<std::mutex> const lock(mutex_);
-    auto const late = std::find_if(waiting_.begin(), waiting_.end(),
-                                   [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
-    auto const end = late == waiting_.end() ? late : late + 1;
-    int n = 0;
-    for (auto m = waiting_.begin(); m != end; ++m, ++n) {
-      if (n < capacity) {
-        to[n] = {static_cast<double>(m->time_ns - base_ns) * 1e-9, m->accel, m->gyro};
-      }
-    }
-    waiting_.erase(waiting_.begin(), late);
-    return n;
-  }
-  void clear() {
-    std::lock_guard<std::mutex> const lock(mutex_);
-    waiting_.clear();
-    any_ = false;
-  }
-
-private:
-  std::mutex mutex_;
-  std::vector<imu_measurement> waiting_;  ///< oldest first
-  std::int64_t last_ns_ = 0;
-  bool any_ = false;
-};
 
 /// Memory and stages. All stages are asynchronous on their executor and allocate nothing.
 template <typename Exec>
@@ -118,6 +68,7 @@ public:
     });
     std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
     queues_ = std::make_unique<sample_queue[]>(b);
+    for (int i = 0; i < batch; ++i) { queue(i).set_limits(params); }
     base_ns_.assign(b, 0);
   }
   void initialize(Exec const& exec) {
@@ -149,11 +100,12 @@ public:
     auto const i = static_cast<std::size_t>(b);
     if (!begun) { base_ns_[i] = from_ns = to_ns; }
     auto const seconds = [&](std::int64_t t) {
-      return static_cast<double>(t - base_ns_[i]) * 1e-9;
+      return static_cast<double>(saturated_difference(t, base_ns_[i])) * 1e-9;
     };
     imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
     auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
-    int const n = queue(b).take(base_ns_[i], to_ns - early_ns, params_.samples, to);
+    int const n =
+        queue(b).take(base_ns_[i], saturated_difference(to_ns, early_ns), params_.samples, to);
     inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples)};
   }
 
@@ -225,6 +177,9 @@ private:
 
   static void check(imu_params const& imu, odometry_params const& p, bool seeks_scale) {
     require_range("imu.samples", imu.samples, 2, 1 << 20);
+    require_range("imu.waiting", imu.waiting, 2, 1 << 24);
+    require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
+    require_range("imu.max_gyro", imu.max_gyro, 1e-3f, 1e9f);
     require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
     require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
     require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);

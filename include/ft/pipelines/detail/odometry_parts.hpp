@@ -226,6 +226,7 @@ private:
       if (stages.has_imu()) {
         results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
         results[i].imu = imu_tracking_of(stages.inertial.outputs[b]);
+        stages.inertial.queue(b).describe(time_ns[b], results[i].imu);
       }
     }
   }

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Samples of an IMU that wait for their frame.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <mutex>
+#include <vector>
+
+#include "ft/containers/inertial.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/pipelines/imu_params.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// How often the samples of an IMU come: the median of the last times between two of them.
+class measured_rate {
+public:
+  void add(std::int64_t interval_ns) {
+    last_[static_cast<std::size_t>(count_++ % size)] = interval_ns;
+  }
+  /// Hz; 0 = too few
+  double hz() const {
+    if (count_ < fewest) { return 0; }
+    std::array<std::int64_t, size> sorted = last_;
+    auto const n = static_cast<std::ptrdiff_t>(std::min(count_, size));
+    std::nth_element(sorted.begin(), sorted.begin() + n / 2, sorted.begin() + n);
+    return 1e9 / static_cast<double>(sorted[static_cast<std::size_t>(n / 2)]);
+  }
+
+private:
+  static constexpr long long size = 64;
+  static constexpr long long fewest = 8;
+  std::array<std::int64_t, size> last_{};
+  long long count_ = 0;
+};
+
+/// Samples of one IMU that wait for their frame. Any thread may add; one takes.
+class sample_queue {
+public:
+  /// So many samples in a row whose times ascend, all before that of a sample that came earlier,
+  /// show that this one's time was wrong, or that the clock was set back.
+  static constexpr int enough_behind = 16;
+
+  /// Before the first sample.
+  void set_limits(imu_params const& p) {
+    capacity_ = static_cast<std::size_t>(p.waiting);
+    max_accel_ = p.max_accel;
+    max_gyro_ = p.max_gyro;
+  }
+  /// Takes a sample, or leaves it out and counts it. @throws std::bad_alloc
+  void add(imu_measurement const& m) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    if (!within(m.accel, max_accel_) || !within(m.gyro, max_gyro_)) {
+      ++left_out_.out_of_range;
+      return;
+    }
+    if (any_ && m.time_ns <= last_ns_ && !shows_wrong_clock(m.time_ns)) {
+      ++left_out_.disordered;
+      return;
+    }
+    if (any_ && m.time_ns > last_ns_) { rate_.add(saturated_difference(m.time_ns, last_ns_)); }
+    any_ = true;
+    behind_ = 0;
+    last_ns_ = m.time_ns;
+    waiting_.push_back(m);
+    if (waiting_.size() - first_ <= capacity_) { return; }
+    ++left_out_.crowded_out;
+    if (++first_ >= capacity_) { drop_until(waiting_.begin() + at(first_)); }
+  }
+  /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
+  /// @param base_ns time 0 of the copies @return their number; above `capacity`, no more are copied
+  int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),
+                                   [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
+    auto const end = late == waiting_.end() ? late : late + 1;
+    int n = 0;
+    for (auto m = waiting_.begin() + at(first_); m != end; ++m, ++n) {
+      if (n < capacity) {
+        to[n] = {static_cast<double>(saturated_difference(m->time_ns, base_ns)) * 1e-9, m->accel,
+                 m->gyro};
+      }
+    }
+    drop_until(late);
+    return n;
+  }
+  /// What is told of the samples. @param time_ns of the frame
+  void describe(std::int64_t time_ns, imu_tracking& out) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    out.left_out = left_out_;
+    out.rate_hz = rate_.hz();
+    out.newest_s = any_ ? static_cast<double>(saturated_difference(last_ns_, time_ns)) * 1e-9 : 0.0;
+  }
+  void clear() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    waiting_.clear();
+    first_ = 0;
+    any_ = false;
+    behind_ = 0;
+    rate_ = {};
+    left_out_ = {};
+  }
+  std::size_t size() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return waiting_.size() - first_;
+  }
+
+private:
+  static std::ptrdiff_t at(std::size_t i) { return static_cast<std::ptrdiff_t>(i); }
+  /// Written so that a NaN is not.
+  static bool within(vec3<float> v, float limit) {
+    return std::abs(v.x) < limit && std::abs(v.y) < limit && std::abs(v.z) < limit;
+  }
+  /// @param time_ns not after that of the last sample @return whether the samples go on from here
+  bool shows_wrong_clock(std::int64_t time_ns) {
+    behind_ = behind_ > 0 && time_ns > behind_ns_ ? behind_ + 1 : 1;
+    behind_ns_ = time_ns;
+    if (behind_ < enough_behind) { return false; }
+    while (waiting_.size() > first_ && waiting_.back().time_ns >= time_ns) { waiting_.pop_back(); }
+    return true;
+  }
+  void drop_until(std::vector<imu_measurement>::iterator end) {
+    waiting_.erase(waiting_.begin(), end);
+    first_ = 0;
+  }
+
+  std::mutex mutex_;
+  std::vector<imu_measurement> waiting_;  ///< from `first_` on, oldest first
+  std::size_t first_ = 0;
+  std::size_t capacity_ = 1;
+  float max_accel_ = 0, max_gyro_ = 0;
+  std::int64_t last_ns_ = 0;    ///< of the newest sample
+  std::int64_t behind_ns_ = 0;  ///< of the last one that was left out for its time
+  int behind_ = 0;              ///< such ones in a row whose times ascend
+  bool any_ = false;
+  measured_rate rate_;
+  imu_left_out left_out_;
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

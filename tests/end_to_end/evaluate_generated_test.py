@@ -39,7 +39,7 @@ class Generated(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             done = evaluate(folder, "--sequences", "pinhole_1", "--modes", "offline", "--", "--near", "-3")
             self.assertEqual(done.returncode, 2)
-            self.assertIn("--near: must be above 0", done.stderr)
+            self.assertIn("--near: -3: must be above 0", done.stderr)
 
 
 if __name__ == "__main__":

@@ -437,7 +437,6 @@ TEST(tum, bad_lines_are_named) {
            {"nan 1 2 3 0 0 0 1\n", ":1: time nan"},
            {"1403715274512143104 1 2 3 0 0 0 1\n", "nanoseconds?"},
            {"1 1 2 3 0 0 0 0\n", ":1: quaternion norm is 0"},
-           {"1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "occurs twice"},
        }) {
     std::string const path = folder.write("t.txt", text);
     std::string const message = message_of([&] { seq::read_tum(path); });

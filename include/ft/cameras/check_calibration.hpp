@@ -97,15 +97,15 @@ public:
   /// @param which such as "left camera"
   template <typename Camera>
   void camera(std::string const& which, Camera const& camera, int width, int height) {
-    auto const wide = camera.template cast<double>();
+    auto const in_double = camera.template cast<double>();
     double values[num_params_v<Camera>];
-    std::memcpy(values, &wide, sizeof values);
+    std::memcpy(values, &in_double, sizeof values);
     bool usable = true;
     for (int i = 0; i < num_params_v<Camera>; ++i) {
       usable = finite(which + ": " + Camera::parameters.of[i].name, values[i]) && usable;
     }
     if (!usable || refused([&] { camera.check(); }, which)) { return; }
-    auto const axis = wide.project_with_jacobian({0, 0, 1});
+    auto const axis = in_double.project_with_jacobian({0, 0, 1});
     if (axis.value.valid) {
       focal_lengths(which, axis.jacobian.m[0], axis.jacobian.m[4], width, height);
       principal_point(which, axis.value.pixel, width, height);

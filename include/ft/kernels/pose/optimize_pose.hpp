@@ -211,6 +211,12 @@ private:
     return before != after;
   }
 
+  FT_HOST_DEVICE bool is_start(rigid<real> const& T) const {
+    bool same = T.t.x == s.start.t.x && T.t.y == s.start.t.y && T.t.z == s.start.t.z;
+    for (int i = 0; i < 9; ++i) { same = same && T.R.m[i] == s.start.R.m[i]; }
+    return same;
+  }
+
   /// @param enough whether there were enough observations for a pose
   FT_HOST_DEVICE void write_result(bool enough) const {
     int good = 0;
@@ -224,7 +230,8 @@ private:
     }
     good = g.reduce(good, sum_op{});
     if (g.rank() == 0) {
-      *problem.result = enough ? s.T.template cast<float>() : *problem.start;
+      // Where nothing moves it, the pose is the start to the bit, and not made orthonormal.
+      *problem.result = enough && !is_start(s.T) ? s.T.template cast<float>() : *problem.start;
       *problem.inliers = enough ? good : 0;
     }
     if (problem.information == nullptr) { return; }

@@ -1010,8 +1010,6 @@ TEST(reader_stamps, units_are_told_apart) {
   folder.write("mav0/cam0/data.csv", image_list({"1403715273.262142976", "1403715273"}));
   EXPECT_TRUE(
       contains(open_error(folder.path()), "data.csv:3: time stamp 1403715273 has no decimal"));
-  folder.write("mav0/cam0/data.csv", image_list({"9223372036854775000", "9223372036854775040"}));
-  EXPECT_TRUE(contains(open_error(folder.path()), "beyond the limit of 4.6e9 seconds"));
   folder.write("mav0/cam0/data.csv", image_list({"1403715273262.5"}));
   EXPECT_TRUE(contains(open_error(folder.path()), "beyond the limit of 4.6e9 seconds"));
 }

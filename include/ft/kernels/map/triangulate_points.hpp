@@ -32,6 +32,9 @@ struct triangulation_params {
   double max_cosine = 0.9998;  ///< of the angle between the rays of a point
   double chi2 = 5.991;         ///< largest reprojection error, in units of variance
   double octave_slack = 1.8;   ///< of the ratio of distances, to that of octaves
+  /// Whether a point needs other matches that agree with it; see least_support(). It keeps the
+  /// scale of a map that nothing else keeps, at the cost of half of the points.
+  bool needs_support = true;
 };
 
 /// Earlier keyframes with which a frame is matched.
@@ -196,8 +199,9 @@ struct match_along_lines {
       triangulate(in, map.keyframes, rays, b, i, partner[k], T, f1, m, found[count]);
       count += static_cast<int>(found[count].keyframe != 0);
     }
-    int const chosen =
-        most_supported(g, found, count, least_support(partners), [&](int of, int by) {
+    int const chosen = most_supported(
+        g, found, count, in.params.needs_support ? least_support(partners) : 0,
+        [&](int of, int by) {
           vec3<real> const p = T_1w.inverse() * found[of].point.template cast<real>();
           return agrees_at(in, map.keyframes, b, found[by].keyframe, found[by].keypoint, p);
         });

@@ -209,10 +209,13 @@ public:
                               start_.matches(), static_cast<int const*>(start_.first().count),
                               begins, frame);
   }
+  /// @param has_imu an IMU keeps the scale of the map
   void triangulate(Exec const& exec, rig_type const& rig, frame_view const& frame,
-                   pyramid_geometry const& geometry, odometry_memory<Exec> const& own) const {
-    triangulate_points(exec, input_of(rig, frame, geometry, own), own.map, memory_->rays,
-                       memory_->points);
+                   pyramid_geometry const& geometry, odometry_memory<Exec> const& own,
+                   bool has_imu) const {
+    triangulation_input<rig_type> in = input_of(rig, frame, geometry, own);
+    in.params.needs_support = !has_imu;
+    triangulate_points(exec, in, own.map, memory_->rays, memory_->points);
   }
   void enter(Exec const& exec, rig_type const& rig, frame_view const& frame,
              pyramid_geometry const& geometry, odometry_memory<Exec> const& own) const {

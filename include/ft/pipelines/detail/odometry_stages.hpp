@@ -170,7 +170,7 @@ public:
   }
   void triangulate(Exec const& exec) const {
     if constexpr (starts_from_motion) {
-      beginning.triangulate(exec, this->rig, memory.frame, this->geometry(), own);
+      beginning.triangulate(exec, this->rig, memory.frame, this->geometry(), own, has_imu());
     }
   }
   void enter_new_points(Exec const& exec) const {

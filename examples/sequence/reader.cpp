@@ -197,9 +197,11 @@ void check_overlap(std::vector<detail::frame_files> const& frames, std::int64_t 
   std::int64_t const begin = frames.front().time_ns;
   std::int64_t const end = frames.back().time_ns;
   if (first <= end && last >= begin) { return; }
-  warnings.push_back(std::string(what) + " and images have no time in common: " +
-                     seconds_text(first) + " to " + seconds_text(last) + " s, the images " +
-                     seconds_text(begin) + " to " + seconds_text(end) + " s");
+  // Times of today in seconds differ in digits that are not written.
+  warnings.push_back(std::string(what) + " and images have no time in common: the former " +
+                     (first > end ? "begins " + seconds_text(first - end) + " s after the last"
+                                  : "ends " + seconds_text(begin - last) + " s before the first") +
+                     " image");
 }
 
 /// Says where the first frame's depths are not those of a scene.

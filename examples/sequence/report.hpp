@@ -44,6 +44,7 @@ struct frame_record {
       -1;              ///< from handing the images over to having the pose; < 0 = unknown
   std::string reason;  ///< why it is not tracked, or to be doubted; empty = neither
   std::string why;     ///< the same as a sentence
+  std::vector<std::string> imu_warnings;  ///< sentences about the samples of the IMU until then
 };
 
 /// A frame drawn in the report.

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
+#include <utility>
 
 #include "examples/sequence/report_figures.hpp"
 
@@ -61,6 +63,13 @@ fastest_step fastest_of(trajectory const& poses) {
   return fastest;
 }
 
+/// What sentences that differ in numbers alone have in common.
+std::string without_numbers(std::string text) {
+  auto const in_number = [](char c) { return std::strchr("0123456789.e+-", c) != nullptr; };
+  text.erase(std::remove_if(text.begin(), text.end(), in_number), text.end());
+  return text;
+}
+
 }  // namespace
 
 std::vector<std::string> reasons_of(run_report const& report) {
@@ -82,6 +91,44 @@ std::vector<std::string> reasons_of(run_report const& report) {
     out.push_back(r.name + " in " + std::to_string(r.frames) + " of " +
                   std::to_string(report.records.size()) + " frames, first in frame " +
                   std::to_string(r.first->index) + ": " + r.first->why);
+  }
+  return out;
+}
+
+std::vector<std::string> imu_warnings_of(run_report const& report) {
+  struct kind {
+    std::string words, said;
+    bool counts_all = false;  // samples of the frames before, too
+    int first = 0;
+    int frames = 0;
+  };
+  auto const has = [](std::string const& text, char const* part) {
+    return text.find(part) != std::string::npos;
+  };
+  char const* const rate = "rate_hz says";  // also said of the recording
+  bool const rate_said = std::any_of(report.warnings.begin(), report.warnings.end(),
+                                     [&](std::string const& w) { return has(w, rate); });
+  std::vector<kind> all;  // in the order of their first frames
+  for (frame_record const& r : report.records) {
+    for (std::string const& said : r.imu_warnings) {
+      if (rate_said && has(said, rate)) { continue; }
+      std::string const words = without_numbers(said);
+      auto at = std::find_if(all.begin(), all.end(),
+                             [&](kind const& known) { return known.words == words; });
+      if (at == all.end()) {
+        at = all.insert(all.end(), {words, said, has(said, "left out"), r.index});
+      }
+      if (at->counts_all) { at->said = said; }
+      ++at->frames;
+    }
+  }
+  std::vector<std::string> out;
+  for (kind const& k : all) {
+    std::string const where = k.counts_all ? "; first in frame "
+                                           : "; in " + std::to_string(k.frames) + " of " +
+                                                 std::to_string(report.records.size()) +
+                                                 " frames, first in frame ";
+    out.push_back(k.said + where + std::to_string(k.first));
   }
   return out;
 }
@@ -120,6 +167,7 @@ std::vector<std::string> warnings_of(run_report const& report) {
     out.push_back("tracking was lost for " + fixed(l.seconds, 1) + " s from frame " +
                   std::to_string(l.first_index) + " on");
   }
+  for (std::string& said : imu_warnings_of(report)) { out.push_back(std::move(said)); }
   for (std::string const& reason : reasons_of(report)) {
     // One camera always waits for motion, at first.
     bool const usual = report.tracked > 0 && reason.rfind("awaits_motion ", 0) == 0;

@@ -11,6 +11,7 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/odometry.hpp"
 
 namespace app {
@@ -73,13 +74,18 @@ inline ft::imu_params imu_params_of(imu_options const& o) {
   return p;
 }
 
-inline imu_outcome outcome_of(ft::imu_tracking const& t) {
+inline imu_outcome outcome_of(ft::imu_tracking const& t, ft::imu_params const& params) {
   auto const wide = [](ft::vec3<float> v) {
     return std::array<double, 3>{static_cast<double>(v.x), static_cast<double>(v.y),
                                  static_cast<double>(v.z)};
   };
-  return {t.known,           t.optimized,        {t.velocity.x, t.velocity.y, t.velocity.z},
-          wide(t.bias.gyro), wide(t.bias.accel), {t.gravity.x, t.gravity.y, t.gravity.z}};
+  return {t.known,
+          t.optimized,
+          {t.velocity.x, t.velocity.y, t.velocity.z},
+          wide(t.bias.gyro),
+          wide(t.bias.accel),
+          {t.gravity.x, t.gravity.y, t.gravity.z},
+          ft::imu_warnings(t, params)};
 }
 
 inline ft::odometry_params odometry_params_of(odometry_options const& o) {

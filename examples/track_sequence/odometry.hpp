@@ -83,6 +83,7 @@ struct imu_outcome {
   bool known = false;      ///< gravity, velocity and biases are known
   bool optimized = false;  ///< the pose was optimised with the IMU
   std::array<double, 3> velocity{}, gyro_bias{}, accel_bias{}, gravity{};
+  std::vector<std::string> warnings;  ///< what is likely wrong with its samples, a sentence each
 };
 
 struct frame_outcome {

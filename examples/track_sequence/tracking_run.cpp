@@ -221,6 +221,7 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.images_to_pose_ms = outcome.images_to_pose_ms;
   record.reason = outcome.reason;
   record.why = outcome.why;
+  record.imu_warnings = outcome.imu.warnings;
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {

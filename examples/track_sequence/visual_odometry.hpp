@@ -152,7 +152,7 @@ private:
     out.stereo_matches = last_.stereo_points;
     out.inliers = last_.inliers;
     out.local_points = last_.local_points;
-    out.imu = outcome_of(last_.imu);
+    out.imu = outcome_of(last_.imu, inner_.params().imu);
     out.stage_ms = sums_.ms();
     out.images_to_pose_ms = images_to_pose_ms_;
     return out;

@@ -156,9 +156,10 @@ def read_tum(file):
 
 
 def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
-    """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations in degrees; None where
-    there is too little. orientation: whether the ground truth has orientations. Raises ValueError without a ground
-    truth."""
+    """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations ate_deg, rpe_deg; None
+    where there is too little. ate_rotation_missing: a str, why ate_deg is None though orientations are known, such as an
+    alignment that the path does not determine; else None. orientation: whether the ground truth has orientations. Raises
+    ValueError without a ground truth."""
     if truth is None:
         raise ValueError("the ground truth is None: errors need one, and not every sequence has one")
     a, b = Trajectory.of(poses), Trajectory.of(truth)

@@ -6,6 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -127,7 +128,11 @@ struct tracking {
   int map_points = 0, maps = 0, keyframes = 0;
   std::array<double, 36> covariance{};
   bool imu_known = false, imu_optimized = false;
+  bool imu_predicted = false;
   std::array<double, 3> velocity{}, gravity{}, gyro_bias{}, accel_bias{};
+  double imu_rate_hz = 0, imu_newest_s = 0;
+  std::map<std::string, long long> imu_left_out;  ///< why -> samples
+  std::vector<std::string> imu_warnings;
 };
 /// Keypoints of the last frame, those of the left images.
 struct tracked_keypoints {

@@ -1,5 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <nanobind/stl/map.h>
 #include <nanobind/stl/vector.h>
+
+#include <cmath>
+#include <limits>
 
 #include "python/src/arrays.hpp"
 
@@ -79,8 +83,8 @@ public:
     return inner_->track_timed(images, time_ns);
   }
   void add_imu(nb::handle time_ns, nb::handle accel, nb::handle gyro, int b) {
-    inner_->add_imu(b, nanoseconds(time_ns, "time_ns"), vector(accel, "accel"),
-                    vector(gyro, "gyro"));
+    inner_->add_imu(b, nanoseconds(time_ns, "time_ns"), measured(accel, "accel"),
+                    measured(gyro, "gyro"));
   }
   void predict(nb::handle T_world_camera, int b) {
     arrays kept;
@@ -162,13 +166,21 @@ private:
     i.rate_hz = get("rate_hz");
     return i;
   }
-  static std::array<double, 3> vector(nb::handle given, char const* name) {
-    std::vector<double> const v = numbers(given, name);
-    if (v.size() != 3) {
-      throw argument_error(std::string(name) + " has " + std::to_string(v.size()) +
-                           " numbers, must have 3");
+  /// What a sensor measured. Numbers that a float cannot hold are infinite: the odometry counts
+  /// such samples, a recording is not to end there.
+  static std::array<double, 3> measured(nb::handle given, std::string const& name) {
+    std::vector<nb::object> const items = items_of(given, name);
+    if (items.size() != 3) {
+      throw argument_error(name + " has " + std::to_string(items.size()) + " numbers, must have 3");
     }
-    return {v[0], v[1], v[2]};
+    std::array<double, 3> v{};
+    for (std::size_t i = 0; i < 3; ++i) {
+      v[i] = any_number(items[i], name + "[" + std::to_string(i) + "]");
+      if (!(std::abs(v[i]) <= static_cast<double>(std::numeric_limits<float>::max()))) {
+        v[i] = std::numeric_limits<double>::infinity();
+      }
+    }
+    return v;
   }
   std::vector<frame_images> images_of(arrays& kept, nb::sequence const& given) const {
     std::size_t const of_rig = names_.size() / static_cast<std::size_t>(batch_);
@@ -255,7 +267,20 @@ void bind_tracking(nb::module_& m) {
           },
           "(6, 6) float64 of a small rotation, then translation, in the camera's frame: rad, m")
       .def_ro("imu_known", &tracking::imu_known, "gravity, velocity and biases are known")
-      .def_ro("imu_optimized", &tracking::imu_optimized)
+      .def_ro("imu_optimized", &tracking::imu_optimized, "the pose was optimised with the IMU")
+      .def_ro("imu_predicted", &tracking::imu_predicted, "the pose was predicted with the IMU")
+      .def_ro("imu_rate_hz", &tracking::imu_rate_hz,
+              "at which the last samples came, by their times; 0 = unknown")
+      .def_ro("imu_newest_s", &tracking::imu_newest_s,
+              "time of the newest sample since the frame's, seconds; 0 = there is none")
+      .def_ro("imu_left_out", &tracking::imu_left_out,
+              "dict: samples that were left out so far, by 'disordered' (a time that is not after "
+              "that of the sample before), 'out_of_range' (not finite, or at the sensor's range), "
+              "'crowded_out' (too many waited for their frame)")
+      .def_ro("imu_warnings", &tracking::imu_warnings,
+              "list of str: what is likely wrong with the samples of the IMU, a sentence each: "
+              "left out, at another rate than Imu.rate_hz, contradicted by the images, on another "
+              "clock")
       .def_prop_ro(
           "velocity", [](tracking const& t) { return to_numpy(t.velocity); },
           "(3,) of the IMU in the world, m/s")

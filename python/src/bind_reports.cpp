@@ -40,6 +40,7 @@ seq::frame_record record_of(nb::handle given) {
   r.images_to_pose_ms = r.stage_ms.back();  // nothing is given ahead
   r.reason = t.reason;
   r.why = t.explanation;
+  r.imu_warnings = t.imu_warnings;
   auto const vector = [](std::array<double, 3> const& v) {
     return Eigen::Vector3d(v[0], v[1], v[2]);
   };

@@ -144,6 +144,9 @@ nb::dict errors_of(seq::trajectory_error const& e) {
   d["ate_m"] = number(e.ate_rmse_m);
   d["rpe_m"] = number(e.rpe_rmse_m);
   d["ate_deg"] = number(e.ate_rotation_rmse_deg);
+  d["ate_rotation_missing"] = e.ate_rotation_missing.empty()
+                                  ? nb::object(nb::none())
+                                  : nb::object(nb::str(e.ate_rotation_missing.c_str()));
   d["rpe_deg"] = number(e.rpe_rotation_rmse_deg);
   d["T_truth_estimate"] = to_numpy(plain(e.T_truth_estimate));
   return d;

@@ -83,13 +83,19 @@ inline std::int64_t nanoseconds(nb::handle given, std::string const& name) {
   return v;
 }
 
-/// A finite number that a float can hold.
-inline double number(nb::handle given, std::string const& name) {
+/// Any number; NaN and infinite ones, too.
+inline double any_number(nb::handle given, std::string const& name) {
   double const v = PyFloat_AsDouble(given.ptr());
   if (PyErr_Occurred() != nullptr) {
     PyErr_Clear();
     throw argument_error(name + " is " + text_of(given) + ", must be a number");
   }
+  return v;
+}
+
+/// A finite number that a float can hold.
+inline double number(nb::handle given, std::string const& name) {
+  double const v = any_number(given, name);
   if (!(std::abs(v) <= static_cast<double>(std::numeric_limits<float>::max()))) {
     throw argument_error(name + " is " + text_of(given) + ", must be finite, at most 3.4e38");
   }

@@ -15,6 +15,7 @@
 
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/pipelines/explain.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "python/src/conversions.hpp"
 #include "python/src/vocabulary_of.hpp"
@@ -55,7 +56,7 @@ inline char const* name_of(ft::tracking_state s) {
   return "lost";
 }
 
-inline tracking plain(ft::tracking const& t, ft::tracking_rules const& rules) {
+inline tracking plain(ft::tracking const& t, ft::odometry_params const& params) {
   auto const wide = [](ft::vec3<float> v) {
     return std::array<double, 3>{static_cast<double>(v.x), static_cast<double>(v.y),
                                  static_cast<double>(v.z)};
@@ -63,7 +64,7 @@ inline tracking plain(ft::tracking const& t, ft::tracking_rules const& rules) {
   tracking r;
   r.T_world_camera = from_ft(t.T_world_camera);
   r.state = name_of(t.state);
-  auto const why = ft::explain(t, rules);
+  auto const why = ft::explain(t, params.rules);
   if (why.reason != ft::tracking_reason::none) {
     r.reason = ft::name_of(why.reason);
     r.explanation = why.text;
@@ -85,6 +86,13 @@ inline tracking plain(ft::tracking const& t, ft::tracking_rules const& rules) {
   r.gravity = {t.imu.gravity.x, t.imu.gravity.y, t.imu.gravity.z};
   r.gyro_bias = wide(t.imu.bias.gyro);
   r.accel_bias = wide(t.imu.bias.accel);
+  r.imu_predicted = t.imu.predicted;
+  r.imu_rate_hz = t.imu.rate_hz;
+  r.imu_newest_s = t.imu.newest_s;
+  r.imu_left_out = {{"disordered", t.imu.left_out.disordered},
+                    {"out_of_range", t.imu.left_out.out_of_range},
+                    {"crowded_out", t.imu.left_out.crowded_out}};
+  r.imu_warnings = ft::imu_warnings(t.imu, params.imu);
   return r;
 }
 
@@ -95,9 +103,7 @@ class odometry_of final : public odometry, private executor {
 
 public:
   odometry_of(Rig const& rig, odometry_options const& o)
-      : executor(o.orb.threads),
-        rules_(odometry_params_of(o).rules),
-        inner_(exec, rig, odometry_params_of(o), o.batch) {}
+      : executor(o.orb.threads), inner_(exec, rig, odometry_params_of(o), o.batch) {}
 
   void wait_for(std::uintptr_t stream) override { wait_for_stream(stream); }
   std::vector<tracking> track(std::vector<frame_images> const& images,
@@ -107,7 +113,9 @@ public:
       for (frame_images const& f : images) { given.push_back(images_of(f)); }
       ft::tracking const* const t = inner_.track(given.data(), time_ns.data());
       std::vector<tracking> all;
-      for (std::size_t b = 0; b < images.size(); ++b) { all.push_back(plain(t[b], rules_)); }
+      for (std::size_t b = 0; b < images.size(); ++b) {
+        all.push_back(plain(t[b], inner_.params()));
+      }
       return all;
     });
   }
@@ -243,7 +251,6 @@ private:
   }
 
   ft::vocabulary<exec_type::space> words_;
-  ft::tracking_rules rules_;
   inner_type inner_;
 };
 

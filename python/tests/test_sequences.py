@@ -66,6 +66,26 @@ def test_a_sequence_is_tracked(folder):
     assert abs(again["ate_m"] - errors["ate_m"]) < 1e-9
 
 
+def test_a_rotation_error_that_is_missing_has_its_reason():
+    random = np.random.default_rng(2)
+
+    def errors(bend, orientation=True):
+        truth, guess = [], []
+        for i in range(30):
+            T, G = np.eye(4), np.eye(4)
+            T[:3, 3] = np.add((0.1 * i, bend * i * i, 0), random.normal(0, 0.01, 3))
+            G[:3, 3] = np.add((0.1 * i, bend * i * i, 0), random.normal(0, 0.01, 3))
+            truth.append((10**8 * (i + 1), T))
+            guess.append((10**8 * (i + 1), G))
+        return ft.evaluate(guess, truth, orientation=orientation)
+
+    bent, straight, unknown = errors(0.01), errors(0.0), errors(0.0, False)
+    assert bent["ate_deg"] < 2 and bent["ate_rotation_missing"] is None
+    assert straight["ate_deg"] is None and "not determined" in straight["ate_rotation_missing"]
+    assert straight["ate_m"] < 0.05
+    assert unknown["ate_deg"] is None and unknown["ate_rotation_missing"] is None
+
+
 def test_trajectories_are_written_and_read(tmp_path):
     poses = []
     for i in range(5):

@@ -219,4 +219,26 @@ TEST(Tracker, FollowsAGeneratedRobot) {
   EXPECT_FALSE(tracker.track(black.data(), black.data(), source.time_ns(11) + 50'000'000).tracked);
 }
 
+TEST(Tracker, SaysWhatIsWrongWithTheImu) {
+  ft_ros2::tracker_settings settings;
+  settings.pair = {320, 208, 200, 200, 160, 104, 0.1};
+  settings.imu.emplace();  // 200 Hz
+  std::vector<std::uint8_t> const grey(320 * 208, 90);
+  std::array<double, 3> const up = {0, -9.81, 0};
+  auto const warning_after = [&](std::int64_t step_ns, double strange) {
+    ft_ros2::tracker_of<ft::host_exec> tracker(ft::host_exec(1), settings);
+    std::int64_t const end = 1'000'000'000;
+    for (std::int64_t t = step_ns; t <= end; t += step_ns) {
+      tracker.add_imu(t, t == 40 * step_ns ? std::array<double, 3>{strange, 0, 0} : up, {0, 0, 0});
+    }
+    return tracker.track(grey.data(), grey.data(), end).imu_warning;
+  };
+  EXPECT_EQ(warning_after(5'000'000, 1), "");
+  std::string const slow = warning_after(20'000'000, 1);
+  EXPECT_EQ(slow, "samples of the IMU come at 50 Hz, rate_hz says 200");
+  std::string const both = warning_after(20'000'000, 1e7);
+  EXPECT_EQ(both.rfind("samples of the IMU come at 50 Hz, rate_hz says 200; ", 0), 0u) << both;
+  EXPECT_NE(both.find("left out: 1 that are not finite"), std::string::npos) << both;
+}
+
 }  // namespace ros2_tracker_test

@@ -105,6 +105,28 @@ TEST(WarningsOf, CalibrationsThatLookWrong) {
   EXPECT_EQ(only_warning(r), "calibration: baseline_long: the baseline is 110 m");
 }
 
+TEST(WarningsOf, TheImuIsToldOfOnceASentence) {
+  seq::run_report r = good_run(10);
+  std::string const rate = "samples of the IMU come at 50 Hz, rate_hz says 200";
+  for (std::size_t i = 3; i < 10; ++i) {
+    auto& said = r.records[i].imu_warnings;
+    said.push_back("samples of the IMU left out: " + std::to_string(i) + " that are not finite");
+    if (i == 5 || i == 7) { said.push_back(rate); }
+    if (i == 8) { said.push_back("the newest sample of the IMU is 1.5e+04 s after its image"); }
+    if (i == 9) { said.push_back("the newest sample of the IMU is 3 s after its image"); }
+  }
+  std::string const at_rate = rate + "; in 2 of 10 frames, first in frame 5";
+  std::vector<std::string> wanted = {
+      "samples of the IMU left out: 9 that are not finite; first in frame 3", at_rate,
+      "the newest sample of the IMU is 1.5e+04 s after its image; in 2 of 10 frames, first in "
+      "frame 8"};
+  EXPECT_EQ(seq::warnings_of(r), wanted);
+  // The recording's reader has told of the rate, but of nothing else.
+  r.warnings = {"imu0/data.csv: samples come at 50 Hz, rate_hz says 200: the noise"};
+  wanted.erase(wanted.begin() + 1);
+  EXPECT_EQ(seq::warnings_of(r), wanted);
+}
+
 TEST(WarningsOf, ImpossibleSpeeds) {
   seq::run_report r = good_run(10);
   for (auto const& f : r.records) {

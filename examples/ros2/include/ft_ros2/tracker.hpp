@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 
 namespace ft_ros2 {
 
@@ -51,6 +52,7 @@ struct estimate {
   std::array<double, 36> covariance{};
   bool moving_known = false;  ///< the frame before was tracked, too, so there are velocities:
   std::array<double, 3> linear{}, angular{};  ///< mean since then, in the base's frame
+  std::string imu_warning;  ///< what is likely wrong with samples of the IMU; empty if nothing
 };
 
 class tracker {

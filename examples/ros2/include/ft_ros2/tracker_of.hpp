@@ -4,7 +4,9 @@
 
 #include <array>
 #include <cstdint>
+#include <string>
 
+#include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "ft_ros2/base_frame.hpp"
 #include "ft_ros2/tracker.hpp"
@@ -50,6 +52,9 @@ public:
     e.keyframe = t.keyframe;
     e.inliers = t.inliers;
     e.map_points = t.map_points;
+    for (std::string const& said : ft::imu_warnings(t.imu, odometry_.params().imu)) {
+      e.imu_warning += (e.imu_warning.empty() ? "" : "; ") + said;
+    }
     if (e.tracked) {
       base_.take(t.T_world_camera, t.covariance, time_ns, e);
     } else {

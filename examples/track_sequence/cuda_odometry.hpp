@@ -48,6 +48,9 @@ public:
   int map_points() const override { return inner_.map_points(); }
   int maps() const override { return inner_.maps(); }
   std::string device() const override { return inner_.device(); }
+  std::vector<std::string> calibration_warnings() const override {
+    return inner_.calibration_warnings();
+  }
 
 private:
   owned_stream stream_;

@@ -109,7 +109,9 @@ def main():
     for test in count.failed:
         print(f"failed: {test}")
     with open(summary, "a", encoding="utf-8") as file:
-        file.write(f"{count.tests} tests, {len(count.failed)} failed, {count.skipped} skipped ({name})\n")
+        failed = len(count.failed)
+        passed = max(count.tests - failed - count.skipped, 0)
+        file.write(f"{name}: {passed} passed, {failed} failed, {count.skipped} skipped\n")
     return status
 
 

@@ -348,6 +348,9 @@ TYPED_TEST(odometry_pipeline, refuses_parameters_out_of_range) {
       [](auto& p) { p.adjustment_delay = 0; },
       [](auto& p) { p.rules.keep_share = std::numeric_limits<float>::quiet_NaN(); },
       [](auto& p) { p.rules.patience = 0; },
+      [](auto& p) { p.rules.min_support = 3; },
+      [](auto& p) { p.rules.doubtful_share = std::numeric_limits<float>::quiet_NaN(); },
+      [](auto& p) { p.rules.matched_search = 0; },
       [](auto& p) { p.rules.min_inliers = 0; },
       [](auto& p) { p.orb.width = 0; },
   };

@@ -42,6 +42,9 @@ inline void require_odometry_params(odometry_params const& p) {
   require_range("rules.min_motion_inliers", r.min_motion_inliers, 3, 1 << 24);
   require_range("rules.min_recovered", r.min_recovered, 3, 1 << 24);
   require_range("rules.min_evidence", r.min_evidence, 0, 1 << 20);
+  require_range("rules.min_support", r.min_support, 4, 1 << 24);  // a pose is drawn from four
+  require_range("rules.doubtful_share", r.doubtful_share, 0.0f, 1.0f);
+  require_range("rules.matched_search", r.matched_search, 0.1f, 1000.0f);
   require_range("rules.patience", r.patience, 1, 1 << 30);
   require_range("rules.first_wide_search", r.first_wide_search, 0.1f, 1000.0f);
   require_range("rules.later_wide_search", r.later_wide_search, 0.1f, 1000.0f);

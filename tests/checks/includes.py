@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks which part of ft includes which, and where kernels are launched.
 
-    core <- cameras, containers <- kernels <- pipelines <- everything outside include/ft
+    core <- math, cameras, containers <- kernels <- pipelines <- everything outside include/ft
     core, containers <- interop
 
-A folder detail/ belongs to its room; the one of core is open to all of include/ft. Violations are printed
+A folder detail/ belongs to its room; the one of core is open to all of include/ft. The room math is internal as a
+whole: outside include/ft only tests include it. Violations are printed
 as file:line; the exit status is 1 if there are any. --self-test checks the checker.
 """
 
@@ -18,10 +19,11 @@ from pathlib import Path
 # What the headers of a room may include, besides the version.
 ALLOWED_ROOMS = {
     "core": {"core"},
+    "math": {"core", "math"},
     "cameras": {"core", "cameras"},
     "containers": {"core", "containers"},
-    "kernels": {"core", "cameras", "containers", "kernels"},
-    "pipelines": {"core", "cameras", "containers", "kernels", "pipelines"},
+    "kernels": {"core", "math", "cameras", "containers", "kernels"},
+    "pipelines": {"core", "math", "cameras", "containers", "kernels", "pipelines"},
     "interop": {"core", "containers", "interop"},
 }
 UMBRELLA = "ft/ft.hpp"
@@ -124,7 +126,7 @@ class Checker:
             self.report(path, number, f"there is no {target}")
         self.includes.setdefault(name, set()).add(target)
         if name == UMBRELLA:
-            if "/detail/" in target or target.startswith("ft/interop/"):
+            if "/detail/" in target or target.startswith(("ft/interop/", "ft/math/")):
                 self.report(path, number, f"{target} does not belong in the umbrella")
         elif target == UMBRELLA:
             self.report(path, number, "includes the umbrella")
@@ -149,7 +151,8 @@ class Checker:
             if not match:
                 continue
             target = match.group(2)
-            if target.startswith("ft/") and "/detail/" in target:
+            internal = "/detail/" in target or (target.startswith("ft/math/") and parts[0] != "tests")
+            if target.startswith("ft/") and internal:
                 self.report(path, number, f"{target} is not API")
             elif target.startswith("examples/sequence/detail/") and not (support or support_tests):
                 self.report(path, number, f"{target} is not API")
@@ -169,7 +172,7 @@ class Checker:
         for path in headers:
             name = path.relative_to(self.include_dir).as_posix()
             room = room_of(name)
-            public = name == VERSION or room in ALLOWED_ROOMS.keys() - {"interop"}
+            public = name == VERSION or room in ALLOWED_ROOMS.keys() - {"interop", "math"}
             if public and "/detail/" not in name and name not in reached:
                 self.report(umbrella, 1, f"does not reach {name}")
 
@@ -187,6 +190,7 @@ CLEAN = {
     "include/ft/version.hpp": "#pragma once",
     "include/ft/core/math.hpp": "#include <cmath>\n// kernel<<<1, 1>>>(); in a comment is no launch",
     "include/ft/core/detail/bits.hpp": '#include "ft/core/math.hpp"',
+    "include/ft/math/so3.hpp": '#include "ft/core/math.hpp"',
     "include/ft/core/launch.hpp": '#include "ft/core/detail/bits.hpp"\nvoid f() { k<<<1, 1>>>(); }',
     "include/ft/cameras/pinhole.hpp": '#include "ft/core/math.hpp"',
     "include/ft/containers/soa.hpp": '#include "ft/core/detail/bits.hpp"',
@@ -197,7 +201,7 @@ CLEAN = {
     "include/ft/interop/thrust.hpp": "#include <thrust/sort.h>",
     "include/ft/interop/eigen.hpp": "#include <Eigen/Geometry>",
     "examples/sequence/reader.cpp": '#include "examples/sequence/detail/text.hpp"\n#include <Eigen/Core>',
-    "tests/kernels/blur_test.cpp": '#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
+    "tests/kernels/blur_test.cpp": '#include "ft/math/so3.hpp"\n#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
     "tests/examples/text_test.cpp": '#include "examples/sequence/detail/text.hpp"',
 }
 
@@ -211,6 +215,10 @@ VIOLATIONS = [
     ("include/ft/core/math.hpp", '#include "ft/core/nowhere.hpp"', "there is no"),
     ("include/ft/core/math.hpp", "#include <Eigen/Core>", "includes Eigen"),
     ("include/ft/core/math.hpp", "void g() { k<<<2, 2>>>(); }", "launches a kernel"),
+    ("include/ft/math/so3.hpp", '#include "ft/kernels/blur.hpp"', "math may not include kernels"),
+    ("include/ft/math/so3.hpp", '#include "ft/cameras/pinhole.hpp"', "math may not include cameras"),
+    ("include/ft/core/math.hpp", '#include "ft/math/so3.hpp"', "core may not include math"),
+    ("include/ft/cameras/pinhole.hpp", '#include "ft/math/so3.hpp"', "cameras may not include math"),
     ("include/ft/version.hpp", '#include "ft/core/math.hpp"', "includes ft/core/math.hpp"),
     ("include/ft/cameras/pinhole.hpp", '#include "ft/containers/soa.hpp"', "cameras may not include"),
     ("include/ft/containers/soa.hpp", '#include "ft/cameras/pinhole.hpp"', "containers may not"),
@@ -228,6 +236,8 @@ VIOLATIONS = [
     ("include/ft/interop/thrust.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
     ("include/ft/ft.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
     ("include/ft/ft.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
+    ("include/ft/ft.hpp", '#include "ft/math/so3.hpp"', "does not belong in the umbrella"),
+    ("bench/blur.cu", '#include "ft/math/so3.hpp"', "is not API"),
     ("include/ft/tools/extra.hpp", "", "is not a room"),
     ("include/ft/core/forgotten.hpp", "", "does not reach ft/core/forgotten.hpp"),
     ("examples/track/main.cpp", '#include "ft/core/detail/bits.hpp"', "is not API"),

@@ -77,14 +77,14 @@ protected:
     }
     if (solver.is_thread(2)) {
       s.prior_weight = 1.0;
-      if (solver.both) { s.prior = cast_state<wide>(in.prior[b].state); }
+      if (solver.both) { s.prior = cast_state<real64>(in.prior[b].state); }
     }
     for (int k = g.rank(); solver.both && k < 225; k += g.size()) {
       s.prior_H[k] = in.prior[b].information[k];
     }
     preintegrated const& walked = walk_of(b, in, solver.both);
     for (int k = g.rank(); k < 6; k += g.size()) {
-      s.walk[k] = scalar::reciprocal(wide(static_cast<double>(walked.walk[k])));
+      s.walk[k] = scalar::reciprocal(real64(static_cast<double>(walked.walk[k])));
     }
     s.rows.clear(g);
     information_of(g, s.matrices, integral, params.reference_quirks, s.omega);

@@ -26,20 +26,20 @@ struct inertial_scratch {
   ordered_sum_scratch<visual_terms, double> visual;
   information_scratch matrices;
   pose_mount mount;
-  wide_state first;  ///< the last keyframe's or the last frame's
-  wide_state frame;  ///< the frame's
-  rigid<wide> T_cw;  ///< the frame's
+  wide_state first;    ///< the last keyframe's or the last frame's
+  wide_state frame;    ///< the frame's
+  rigid<real64> T_cw;  ///< the frame's
   inertial_link link;
-  wide omega[81];
-  wide walk[6];  ///< information of the biases' change
+  real64 omega[81];
+  real64 walk[6];  ///< information of the biases' change
   wide_state prior;
-  wide prior_H[225];
+  real64 prior_H[225];
   inertial_rows rows;
-  wide weighted[inertial_rows::rows][inertial_rows::columns];  ///< omega times rows
+  real64 weighted[inertial_rows::rows][inertial_rows::columns];  ///< omega times rows
   prior_residual at_prior;
-  wide prior_HJ[225];  ///< prior_H times the derivative of the prior's error
-  wide prior_He[15];
-  wide prior_weight;
+  real64 prior_HJ[225];  ///< prior_H times the derivative of the prior's error
+  real64 prior_He[15];
+  real64 prior_weight;
 };
 
 /// The observations of one problem.
@@ -96,8 +96,8 @@ struct inertial_solver {
     constexpr int end = 2 * state_rows;
     for (int i = begin() + g.part_index(); i < end; i += g.parts()) {
       for (int j = i + g.part().rank(); j < end; j += g.part().size()) {
-        wide sum = walk_entry(i, j);
-        if (j < unknown::all) { sum += entry(i, j, wide(1.0)); }
+        real64 sum = walk_entry(i, j);
+        if (j < unknown::all) { sum += entry(i, j, real64(1.0)); }
         a[i][j] = sum;
       }
     }
@@ -126,7 +126,7 @@ private:
       int const i = k / columns;
       int const j = k - columns * i;
       if (j < begin()) { continue; }
-      wide sum = 0.0;
+      real64 sum = 0.0;
       FT_UNROLL
       for (int m = 0; m < 9; ++m) { sum += s.omega[9 * i + m] * s.rows.J[m][j]; }
       s.weighted[i][j] = sum;
@@ -146,33 +146,33 @@ private:
     if (part.rank() == 0) { s.at_prior.set(s.prior, s.first); }
     part.sync();
     for (int i = part.rank(); i < 15; i += part.size()) {
-      wide sum = 0.0;
+      real64 sum = 0.0;
       for (int m = 0; m < 15; ++m) { sum += s.prior_H[15 * i + m] * s.at_prior.error[m]; }
       s.prior_He[i] = sum;
     }
     part.sync();
     if (part.rank() == 0) {
-      wide c = 0.0;
+      real64 c = 0.0;
       for (int m = 0; m < 15; ++m) { c += s.at_prior.error[m] * s.prior_He[m]; }
-      s.prior_weight = c > wide(25.0) ? wide(5.0) / scalar::sqrt(c) : wide(1.0);
+      s.prior_weight = c > real64(25.0) ? real64(5.0) / scalar::sqrt(c) : real64(1.0);
     }
   }
 
   FT_HOST_DEVICE void sum_observations(bool robust, float* chi2) const {
     // Roots of 95 % of 2 and of 3 degrees of freedom.
-    wide const limit_mono = static_cast<double>(2.44765186f);
-    wide const limit_stereo = static_cast<double>(2.79553223f);
+    real64 const limit_mono = static_cast<double>(2.44765186f);
+    real64 const limit_stereo = static_cast<double>(2.79553223f);
     auto const add = [&](int i, sum_terms<visual_terms, double>& acc) {
       if (seen.outlier[i] != 0) { return; }
       observation const o = seen.items[i];
       visual_residual<Rig> const r(rig, s.T_cw, o);
       if (chi2 != nullptr) { chi2[i] = static_cast<float>(r.chi2.value); }
       if (!r.usable()) { return; }
-      wide weight = static_cast<double>(o.inv_sigma2);
-      wide const limit = r.rows == 3 ? limit_stereo : limit_mono;
+      real64 weight = static_cast<double>(o.inv_sigma2);
+      real64 const limit = r.rows == 3 ? limit_stereo : limit_mono;
       if (robust && r.chi2 > limit * limit) { weight *= limit / scalar::sqrt(r.chi2); }
-      wide_vec3 const W{weight, weight, r.rows == 3 ? weight : wide(0.0)};
-      wide_vec3 const e{r.error[0], r.error[1], r.error[2]};
+      strict_vec3d const W{weight, weight, r.rows == 3 ? weight : real64(0.0)};
+      strict_vec3d const e{r.error[0], r.error[1], r.error[2]};
       if constexpr (displaced) {
         add_motion_terms(r.in_pose, displaced_equations(r.P, W, e), acc.of);
       } else if constexpr (Rig::rectified && !is_monocular_v<Rig>) {
@@ -185,14 +185,14 @@ private:
   }
 
   /// Entry (i, j), i <= j, of the information of the unknowns; column unknown::all is the gradient.
-  FT_HOST_DEVICE wide entry(int i, int j, wide prior_weight) const {
-    wide sum = 0.0;
+  FT_HOST_DEVICE real64 entry(int i, int j, real64 prior_weight) const {
+    real64 sum = 0.0;
     FT_UNROLL
     for (int m = 0; m < 9; ++m) { sum += s.rows.J[m][i] * s.weighted[m][j]; }
     constexpr int r2 = unknown::r2;
     bool const gradient = j == unknown::all;
     if (i < r2 && (gradient || j < r2)) {
-      wide const* const from = gradient ? s.prior_He : s.prior_HJ + j;
+      real64 const* const from = gradient ? s.prior_He : s.prior_HJ + j;
       int const stride = gradient ? 1 : 15;
       sum += prior_weight * s.at_prior.transposed_times(i, from, stride);
     } else if (i >= r2 && i < r2 + 6 && (gradient || j < r2 + 6)) {
@@ -203,11 +203,11 @@ private:
     return sum;
   }
   /// Entry (i, j), i <= j, of the biases' walk; the frame's biases follow the unknowns.
-  FT_HOST_DEVICE wide walk_entry(int i, int j) const {
+  FT_HOST_DEVICE real64 walk_entry(int i, int j) const {
     int const k = i - unknown::g1;
-    if (i >= unknown::all) { return i == j ? s.walk[i - unknown::all] : wide(0.0); }
+    if (i >= unknown::all) { return i == j ? s.walk[i - unknown::all] : real64(0.0); }
     if (k < 0 || k >= 6) { return 0.0; }
-    return i == j ? s.walk[k] : (j == unknown::all + k ? -s.walk[k] : wide(0.0));
+    return i == j ? s.walk[k] : (j == unknown::all + k ? -s.walk[k] : real64(0.0));
   }
 
   FT_HOST_DEVICE void assemble_system() const {
@@ -215,7 +215,7 @@ private:
     if (g.rank() == 0) { system.begin(); }
     for (int i = begin() + g.part_index(); i < unknown::all; i += g.parts()) {
       for (int j = i + g.part().rank(); j <= unknown::all; j += g.part().size()) {
-        wide const sum = entry(i, j, s.prior_weight);
+        real64 const sum = entry(i, j, s.prior_weight);
         system.a[i][j] = j == unknown::all ? -sum : sum;
       }
     }
@@ -226,14 +226,14 @@ private:
   FT_HOST_DEVICE bool move_states() const {
     bool counts = false;
     auto const solution = [&](int k) {
-      wide_vec3 const d = s.matrices.system.solution(k, unknown::all);
-      auto const small = [this](wide v) { return scalar::abs(v) < wide(step_tolerance); };
+      strict_vec3d const d = s.matrices.system.solution(k, unknown::all);
+      auto const small = [this](real64 v) { return scalar::abs(v) < real64(step_tolerance); };
       counts = counts || !(small(d.x) && small(d.y) && small(d.z));
       return d;
     };
     if (is_thread(0)) {
-      wide_vec3 const turn = solution(unknown::r2);
-      wide_vec3 const shift = solution(unknown::t2);
+      strict_vec3d const turn = solution(unknown::r2);
+      strict_vec3d const shift = solution(unknown::t2);
       wide_state& x = s.frame;
       x.p = x.p + x.R * s.mount.shift_of_body(turn, shift);
       x.R = x.R * rotation_exp(s.mount.turn_of_body(turn));

@@ -6,9 +6,9 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/kernels/inertial/block_elimination.hpp"
-#include "ft/kernels/inertial/symmetric_eigen.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/math/block_systems.hpp"
+#include "ft/math/group_eigen.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -32,11 +32,11 @@ inline constexpr double least_eliminated = 1e-6;
 /// @param omega result, 9 x 9
 template <typename Group>
 FT_HOST_DEVICE void information_of(Group g, information_scratch& s, preintegrated const& integral,
-                                   bool as_they_are, wide* omega) {
+                                   bool as_they_are, real64* omega) {
   constexpr int n = 9;
   auto const C = [&](int i, int j) {
-    return wide(0.5) * (wide(static_cast<double>(integral.C[n * i + j])) +
-                        wide(static_cast<double>(integral.C[n * j + i])));
+    return real64(0.5) * (real64(static_cast<double>(integral.C[n * i + j])) +
+                          real64(static_cast<double>(integral.C[n * j + i])));
   };
   for (int k = g.rank(); k < n * n; k += g.size()) {
     int const i = k / n;
@@ -54,10 +54,10 @@ FT_HOST_DEVICE void information_of(Group g, information_scratch& s, preintegrate
         int const i = k / n;
         int const j = k - n * i;
         auto const entry = [&](int r, int c) {
-          wide_vec3 const x = s.system.solution(r / 3 * 3, n + c);
+          strict_vec3d const x = s.system.solution(r / 3 * 3, n + c);
           return r % 3 == 0 ? x.x : (r % 3 == 1 ? x.y : x.z);
         };
-        omega[k] = wide(0.5) * (entry(i, j) + entry(j, i));
+        omega[k] = real64(0.5) * (entry(i, j) + entry(j, i));
       }
       g.sync();
       return;
@@ -65,14 +65,14 @@ FT_HOST_DEVICE void information_of(Group g, information_scratch& s, preintegrate
   }
   s.eigen.diagonalize(g, n);
   auto const inverted = [&](int k) {
-    wide const value = s.eigen.value(k, n);
+    real64 const value = s.eigen.value(k, n);
     int below = 0;
     for (int m = 0; m < n; ++m) {
-      wide const other = s.eigen.value(m, n);
+      real64 const other = s.eigen.value(m, n);
       below += static_cast<int>(other < value || (other == value && m < k));
     }
     bool const noise = integral.steps == 1 && !as_they_are && below < 3;
-    return noise || !(value > wide(0.0)) ? wide(0.0) : scalar::reciprocal(value);
+    return noise || !(value > real64(0.0)) ? real64(0.0) : scalar::reciprocal(value);
   };
   for (int k = g.rank(); k < n * n; k += g.size()) {
     int const i = k / n;
@@ -116,12 +116,12 @@ template <typename Group, typename Entry>
 FT_HOST_DEVICE void change_unknowns(Group g, information_scratch& s, int at, Entry const& entry) {
   constexpr int n = state_rows;
   copy_block(g, s, at);
-  wide const* const H = s.eigen.a;
-  wide* const HA = s.eigen.v;
+  real64 const* const H = s.eigen.a;
+  real64* const HA = s.eigen.v;
   for (int k = g.rank(); k < n * n; k += g.size()) {
     int const i = k / n;
     int const j = k - n * i;
-    wide sum = j < 6 ? wide(0.0) : H[k];
+    real64 sum = j < 6 ? real64(0.0) : H[k];
     for (int m = 0; j < 6 && m < 6; ++m) { sum += H[n * i + m] * entry(m, j); }
     HA[k] = sum;
   }
@@ -130,7 +130,7 @@ FT_HOST_DEVICE void change_unknowns(Group g, information_scratch& s, int at, Ent
     int const i = k / n;
     int const j = k - n * i;
     if (i > j) { continue; }
-    wide sum = i < 6 ? wide(0.0) : HA[k];
+    real64 sum = i < 6 ? real64(0.0) : HA[k];
     for (int m = 0; i < 6 && m < 6; ++m) { sum += entry(m, i) * HA[n * m + j]; }
     s.system.a[at + i][at + j] = sum;
   }
@@ -158,7 +158,7 @@ FT_HOST_DEVICE void eliminate_first_state(Group g, information_scratch& s) {
   for (int k = g.rank(); k < n * n; k += g.size()) {
     int const i = k / n;
     int const j = k - n * i;
-    wide sum = 0.0;
+    real64 sum = 0.0;
     for (int m = 0; m < n; ++m) { sum += s.eigen.v[m * n + i] * a[m][n + j]; }
     a[i][j] = sum;
   }
@@ -167,10 +167,10 @@ FT_HOST_DEVICE void eliminate_first_state(Group g, information_scratch& s) {
     int const i = k / n;
     int const j = k - n * i;
     if (i > j) { continue; }
-    wide sum = 0.0;
+    real64 sum = 0.0;
     for (int m = 0; m < n; ++m) {
-      wide const value = s.eigen.value(m, n);
-      if (scalar::abs(value) > wide(least_eliminated)) { sum += a[m][i] * a[m][j] / value; }
+      real64 const value = s.eigen.value(m, n);
+      if (scalar::abs(value) > real64(least_eliminated)) { sum += a[m][i] * a[m][j] / value; }
     }
     a[n + i][n + j] -= sum;
   }
@@ -188,8 +188,8 @@ FT_HOST_DEVICE void write_information(Group g, information_scratch& s, int at,
   bool const whole = exceeds(g, s, at, least_information);
   if (!whole) { s.eigen.diagonalize(g, n); }
   auto const clipped = [&](int k) {
-    wide const value = s.eigen.value(k, n);
-    return value < wide(least_information) ? wide(0.0) : value;
+    real64 const value = s.eigen.value(k, n);
+    return value < real64(least_information) ? real64(0.0) : value;
   };
   for (int k = g.rank(); k < n * n; k += g.size()) {
     int const i = k / n;

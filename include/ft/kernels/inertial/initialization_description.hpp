@@ -9,20 +9,20 @@
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization_system.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
 /// The least turn that makes a direction point along z.
-FT_HOST_DEVICE inline mat3<double> turn_upwards(wide_vec3 up) {
-  wide const c = up.z;
-  wide_mat3 R{{1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0}};  // half a turn about x
-  if (c > wide(-1.0 + 1e-12)) {
-    wide const k = wide(1.0) / (wide(1.0) + c);
-    R = {{wide(1.0) - k * up.x * up.x, -(k * up.x * up.y), -up.x, -(k * up.x * up.y),
-          wide(1.0) - k * up.y * up.y, -up.y, up.x, up.y, c}};
+FT_HOST_DEVICE inline mat3<double> turn_upwards(strict_vec3d up) {
+  real64 const c = up.z;
+  strict_mat3d R{{1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0}};  // half a turn about x
+  if (c > real64(-1.0 + 1e-12)) {
+    real64 const k = real64(1.0) / (real64(1.0) + c);
+    R = {{real64(1.0) - k * up.x * up.x, -(k * up.x * up.y), -up.x, -(k * up.x * up.y),
+          real64(1.0) - k * up.y * up.y, -up.y, up.x, up.y, c}};
   }
   return R.cast<double>();
 }
@@ -34,10 +34,10 @@ FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const
                                                inertial_initialization& out,
                                                vec3<double>* velocities) {
   initialization_window const& in = of.in;
-  wide_vec3 const v0{of.x[0], of.x[1], of.x[2]};
-  wide_vec3 const ba{of.x[6], of.x[7], of.x[8]};
+  strict_vec3d const v0{of.x[0], of.x[1], of.x[2]};
+  strict_vec3d const ba{of.x[6], of.x[7], of.x[8]};
   joined_integrals joined = joined_integrals::none();
-  wide_vec3 v = v0;
+  strict_vec3d v = v0;
   int const last = in.count - 1;
   FT_NO_UNROLL
   for (int k = 0; k <= last; ++k) {
@@ -45,15 +45,15 @@ FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const
     v = v0 + scaled(of.gravity, joined.T) + joined.U + joined.W * ba;
     if (velocities != nullptr && of.g.rank() == 0) { velocities[k] = v.template cast<double>(); }
   }
-  wide_vec3 const from_origin = of.camera(last) + in.T_wc[0].t.template cast<wide>();
+  strict_vec3d const from_origin = of.camera(last) + in.T_wc[0].t.template cast<real64>();
   out.newest.R = of.rotation(last).template cast<double>();
   out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).template cast<double>();
   out.newest.v = v.template cast<double>();
   out.newest.bg = of.gyro_bias.template cast<double>();
   out.newest.ba = ba.template cast<double>();
   out.gravity = of.gravity.template cast<double>();
-  wide const G = static_cast<double>(of.params.gravity);
-  out.R_up = turn_upwards(scaled(of.gravity, wide(-1.0) / G));
+  real64 const G = static_cast<double>(of.params.gravity);
+  out.R_up = turn_upwards(scaled(of.gravity, real64(-1.0) / G));
   out.scale = of.scale.value;
   return joined;
 }
@@ -61,28 +61,28 @@ FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const
 /// Writes standard deviations and what the poses are off by.
 /// @param squares of what the poses are off by, summed
 template <typename Group>
-FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, wide squares,
+FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, real64 squares,
                                        joined_integrals const& joined,
                                        inertial_initialization& out) {
   using I = inertial_initializer<Group>;
   using unknown_row = typename I::unknown_row;
   auto const& equations = of.s.equations;
   int const count = of.in.count;
-  wide const sigma = of.scale * wide(static_cast<double>(of.params.position_sigma));
-  wide const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
+  real64 const sigma = of.scale * real64(static_cast<double>(of.params.position_sigma));
+  real64 const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
   // the given deviation may be too small
-  wide const factor = max_of(wide(1.0), scalar::sqrt(squares / freedom) / sigma);
-  auto const deviation = [&](wide variance) {
+  real64 const factor = max_of(real64(1.0), scalar::sqrt(squares / freedom) / sigma);
+  auto const deviation = [&](real64 variance) {
     return static_cast<float>((factor * scalar::sqrt(variance)).value);
   };
-  wide tilt = 0.0;
+  real64 tilt = 0.0;
   for (int j = 0; j < of.directions; ++j) {
     unknown_row row;
     row.x[I::direction + j] = 1.0;
     tilt += equations.variance(row.x);
   }
-  wide most = 0.0;
-  wide moving = 0.0;
+  real64 most = 0.0;
+  real64 moving = 0.0;
   for (int axis = 0; axis < 3; ++axis) {
     unknown_row row;
     row.x[I::bias + axis] = 1.0;
@@ -95,7 +95,7 @@ FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, wi
     moving += equations.variance(row.x);
   }
   out.position_rms =
-      static_cast<float>(scalar::sqrt(squares / wide(static_cast<double>(3 * count))).value);
+      static_cast<float>(scalar::sqrt(squares / real64(static_cast<double>(3 * count))).value);
   out.tilt_sigma = deviation(tilt);
   out.accel_bias_sigma = deviation(most);
   out.velocity_sigma = deviation(moving);

@@ -8,7 +8,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialization_system.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -21,7 +21,7 @@ struct initialization_scratch {
   static constexpr int most_joined = 64;
   least_squares<3> gyro;
   least_squares<most_unknowns> equations;
-  wide_vec3 residual[most_threads];      ///< of intervals
+  strict_vec3d residual[most_threads];   ///< of intervals
   joined_integrals joined[most_joined];  ///< from the first keyframe to the first of the others
 };
 
@@ -38,7 +38,7 @@ struct inertial_initializer {
 
   /// Factors of the unknowns, 0 at first.
   struct unknown_row {
-    wide x[most_unknowns];
+    real64 x[most_unknowns];
     FT_HOST_DEVICE unknown_row() {
       for (int i = 0; i < most_unknowns; ++i) { x[i] = 0.0; }
     }
@@ -51,22 +51,22 @@ struct inertial_initializer {
   scratch& s;
   initialization_window const& in;
   initialization_params const& params;
-  wide_mat3 R_cb;
-  wide_vec3 t_cb;
+  strict_mat3d R_cb;
+  strict_vec3d t_cb;
   bool resting;
-  wide_vec3 gyro_bias, gravity;
-  wide_vec3 basis[3];  ///< of the changes of gravity, m/s^2 each
-  int directions;      ///< how many of them: 3 at first, then 2
-  wide scale;
-  wide x[most_unknowns];
+  strict_vec3d gyro_bias, gravity;
+  strict_vec3d basis[3];  ///< of the changes of gravity, m/s^2 each
+  int directions;         ///< how many of them: 3 at first, then 2
+  real64 scale;
+  real64 x[most_unknowns];
 
   FT_HOST_DEVICE inertial_initializer(Group group, scratch& shared,
                                       initialization_window const& window,
                                       initialization_params const& p)
       : g(group), s(shared), in(window), params(p) {
     static_assert(Group::max_threads <= scratch::most_threads, "one residual each");
-    R_cb = in.mount.T_cb.R.template cast<wide>();
-    t_cb = in.mount.T_cb.t.template cast<wide>();
+    R_cb = in.mount.T_cb.R.template cast<real64>();
+    t_cb = in.mount.T_cb.t.template cast<real64>();
     gyro_bias = gravity = {0.0, 0.0, 0.0};
     resting = false;
     directions = 3;
@@ -78,16 +78,16 @@ struct inertial_initializer {
   }
 
   FT_HOST_DEVICE int pose_of(int k) const { return resting ? 0 : k; }
-  FT_HOST_DEVICE wide_mat3 camera_rotation(int k) const {
-    return in.T_wc[pose_of(k)].R.template cast<wide>();
+  FT_HOST_DEVICE strict_mat3d camera_rotation(int k) const {
+    return in.T_wc[pose_of(k)].R.template cast<real64>();
   }
-  FT_HOST_DEVICE wide_mat3 rotation(int k) const { return camera_rotation(k) * R_cb; }
+  FT_HOST_DEVICE strict_mat3d rotation(int k) const { return camera_rotation(k) * R_cb; }
   /// The camera's position from its first one, in the unit of the poses.
-  FT_HOST_DEVICE wide_vec3 camera(int k) const {
-    return in.T_wc[pose_of(k)].t.template cast<wide>() - in.T_wc[0].t.template cast<wide>();
+  FT_HOST_DEVICE strict_vec3d camera(int k) const {
+    return in.T_wc[pose_of(k)].t.template cast<real64>() - in.T_wc[0].t.template cast<real64>();
   }
   /// From the camera's position to the body's, metres.
-  FT_HOST_DEVICE wide_vec3 lever(int k) const { return camera_rotation(k) * t_cb; }
+  FT_HOST_DEVICE strict_vec3d lever(int k) const { return camera_rotation(k) * t_cb; }
   FT_HOST_DEVICE int unknowns() const {
     return direction + directions + (scale_is_sought() ? 1 : 0);
   }
@@ -98,7 +98,7 @@ struct inertial_initializer {
     bool missing = false;
     bool finite = true;
     for (int k = g.rank(); k < in.count; k += g.size()) {
-      wide sum = dot(camera(k), camera(k));
+      real64 sum = dot(camera(k), camera(k));
       for (int i = 0; i < 9; ++i) { sum += in.T_wc[k].R.m[i]; }
       if (k + 1 < in.count) {
         missing = missing || !has_integral(in.integrals[k]);
@@ -113,10 +113,11 @@ struct inertial_initializer {
     return usable(p.status) && p.steps >= 1 && !(p.dT <= 0);
   }
   /// Not finite if one of them is not.
-  FT_HOST_DEVICE static wide sum_of_numbers(preintegrated const& p) {
-    wide_vec3 const v = p.dV.template cast<wide>() + p.dP.template cast<wide>() +
-                        p.bias.gyro.template cast<wide>() + p.bias.accel.template cast<wide>();
-    wide sum = wide(static_cast<double>(p.dT)) + (v.x + (v.y + v.z));
+  FT_HOST_DEVICE static real64 sum_of_numbers(preintegrated const& p) {
+    strict_vec3d const v = p.dV.template cast<real64>() + p.dP.template cast<real64>() +
+                           p.bias.gyro.template cast<real64>() +
+                           p.bias.accel.template cast<real64>();
+    real64 sum = real64(static_cast<double>(p.dT)) + (v.x + (v.y + v.z));
     for (int i = 0; i < 9; ++i) {
       sum += static_cast<double>(p.dR.m[i]) + static_cast<double>(p.JRg.m[i]);
       sum += static_cast<double>(p.JVg.m[i]) + static_cast<double>(p.JVa.m[i]);
@@ -128,15 +129,15 @@ struct inertial_initializer {
   FT_HOST_DEVICE void find_rest() {
     if (scale_is_sought()) { return; }
     bool still = true;
-    wide const angle = static_cast<double>(params.rest_angle);
-    wide_mat3 const first = camera_rotation(0);
+    real64 const angle = static_cast<double>(params.rest_angle);
+    strict_mat3d const first = camera_rotation(0);
     for (int k = 1 + g.rank(); k < in.count; k += g.size()) {
-      still = still && norm_of(camera(k)) <= wide(static_cast<double>(params.rest_distance));
-      wide_mat3 const R = camera_rotation(k);
-      wide sum = 0.0;
+      still = still && norm_of(camera(k)) <= real64(static_cast<double>(params.rest_distance));
+      strict_mat3d const R = camera_rotation(k);
+      real64 sum = 0.0;
       for (int i = 0; i < 9; ++i) { sum += (R.m[i] - first.m[i]) * (R.m[i] - first.m[i]); }
       // the sum is 8 sin^2 of half the angle
-      still = still && sum <= wide(2.0) * angle * angle;
+      still = still && sum <= real64(2.0) * angle * angle;
     }
     resting = !g.any(!still);
   }
@@ -144,7 +145,7 @@ struct inertial_initializer {
   /// Gauss-Newton on the rotations of all intervals.
   FT_HOST_DEVICE bool find_gyro_bias(inertial_initialization& out) {
     auto& equations = s.gyro;
-    wide squares = 0.0;
+    real64 squares = 0.0;
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
       equations.begin(g, 3);
@@ -155,43 +156,43 @@ struct inertial_initializer {
       }
       if (!equations.factor(g)) { return false; }
       if (step == refinements) { break; }
-      wide d[3] = {equations.b[0], equations.b[1], equations.b[2]};
+      real64 d[3] = {equations.b[0], equations.b[1], equations.b[2]};
       equations.solve(d);
-      wide_vec3 const change{d[0], d[1], d[2]};
+      strict_vec3d const change{d[0], d[1], d[2]};
       gyro_bias = gyro_bias + change;
-      if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
+      if (dot(change, change) < real64(step_tolerance * step_tolerance)) { break; }
       g.sync();
     }
-    wide const rms = scalar::sqrt(squares / wide(3.0 * (in.count - 1)));
+    real64 const rms = scalar::sqrt(squares / real64(3.0 * (in.count - 1)));
     // two poses bound an interval
-    wide const given = wide(1.4142135623730951 * params.rotation_sigma);
-    wide sum = 0.0;
+    real64 const given = real64(1.4142135623730951 * params.rotation_sigma);
+    real64 sum = 0.0;
     for (int i = 0; i < 3; ++i) {
-      wide const row[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
+      real64 const row[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
       sum += equations.variance(row);
     }
     out.rotation_rms = static_cast<float>(rms.value);
     out.gyro_bias_sigma =
-        static_cast<float>((max_of(given, rms) * scalar::sqrt(sum / wide(3.0))).value);
+        static_cast<float>((max_of(given, rms) * scalar::sqrt(sum / real64(3.0))).value);
     return true;
   }
 
   /// Intervals `first` and following, one a thread, then added in their order. Ends with a sync.
-  FT_HOST_DEVICE void add_rotations(int first, wide& squares) const {
+  FT_HOST_DEVICE void add_rotations(int first, real64& squares) const {
     int const own = first + g.rank();
     if (own + 1 < in.count) {
-      wide_mat3 const seen = rotation(own).transposed() * rotation(own + 1);
-      wide_mat3 const off = rotation_at(in.integrals[own], gyro_bias).transposed() * seen;
+      strict_mat3d const seen = rotation(own).transposed() * rotation(own + 1);
+      strict_mat3d const off = rotation_at(in.integrals[own], gyro_bias).transposed() * seen;
       s.residual[g.rank()] = rotation_log(off);
     }
     g.sync();
     int const last = min_of(first + g.size(), in.count - 1);
     FT_NO_UNROLL
     for (int k = first; k < last; ++k) {
-      wide_mat3 const J = in.integrals[k].JRg.template cast<wide>();
-      wide_vec3 const r = s.residual[k - first];
+      strict_mat3d const J = in.integrals[k].JRg.template cast<real64>();
+      strict_vec3d const r = s.residual[k - first];
       for (int i = 0; i < 3; ++i) {
-        wide const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
+        real64 const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
         s.gyro.add(g, row, component(r, i), 1.0);
       }
       squares += dot(r, r);
@@ -219,15 +220,15 @@ struct inertial_initializer {
   }
 
   /// Row of one axis of a keyframe's position, and its right-hand side.
-  FT_HOST_DEVICE wide fill_row(joined_integrals const& joined, int k, int axis,
-                               wide (&row)[most_unknowns]) const {
+  FT_HOST_DEVICE real64 fill_row(joined_integrals const& joined, int k, int axis,
+                                 real64 (&row)[most_unknowns]) const {
     row[velocity + axis] = joined.T;
     row[position + axis] = 1.0;
     for (int j = 0; j < 3; ++j) { row[bias + j] = joined.E.m[3 * axis + j]; }
-    wide const fall = wide(0.5) * joined.T * joined.T;
+    real64 const fall = real64(0.5) * joined.T * joined.T;
     for (int j = 0; j < directions; ++j) { row[direction + j] = fall * component(basis[j], axis); }
-    wide const seen = component(camera(k), axis);
-    wide right =
+    real64 const seen = component(camera(k), axis);
+    real64 right =
         component(lever(k), axis) - component(joined.D, axis) - fall * component(gravity, axis);
     if (scale_is_sought()) {
       row[direction + directions] = -seen;
@@ -238,35 +239,36 @@ struct inertial_initializer {
   }
 
   /// Builds the system, and sums the squares that the last solution leaves. Ends with a sync.
-  FT_HOST_DEVICE wide build() const {
+  FT_HOST_DEVICE real64 build() const {
     system& equations = s.equations;
     g.sync();  // the last one may still be read
     equations.begin(g, unknowns());
-    wide const sigma = scale * wide(static_cast<double>(params.position_sigma));
-    wide const weight = wide(1.0) / (sigma * sigma);
-    wide squares = 0.0;
+    real64 const sigma = scale * real64(static_cast<double>(params.position_sigma));
+    real64 const weight = real64(1.0) / (sigma * sigma);
+    real64 squares = 0.0;
     joined_integrals joined = joined_integrals::none();
     FT_NO_UNROLL
     for (int k = 0; k < in.count; ++k) {
       joined = joined_up_to(k, joined);
       for (int axis = 0; axis < 3; ++axis) {
         unknown_row row;
-        wide const right = fill_row(joined, k, axis, row.x);
+        real64 const right = fill_row(joined, k, axis, row.x);
         equations.add(g, row.x, right, weight);
-        wide off = right;
+        real64 off = right;
         for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
         squares += off * off;
       }
     }
-    wide const prior = static_cast<double>(params.accel_bias_sigma);
+    real64 const prior = static_cast<double>(params.accel_bias_sigma);
     for (int i = 0; i < 3; ++i) {
-      equations.pull_to_zero(g, bias + i, wide(1.0) / (prior * prior));
+      equations.pull_to_zero(g, bias + i, real64(1.0) / (prior * prior));
     }
     if (resting) {
       // it can have moved by the distance of rest
-      wide const slow = wide(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / joined.T;
+      real64 const slow =
+          real64(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / joined.T;
       for (int i = 0; i < 3; ++i) {
-        equations.pull_to_zero(g, velocity + i, wide(1.0) / (slow * slow));
+        equations.pull_to_zero(g, velocity + i, real64(1.0) / (slow * slow));
       }
     }
     g.sync();
@@ -274,43 +276,43 @@ struct inertial_initializer {
   }
 
   /// Gravity on its sphere, and two directions to change it in.
-  FT_HOST_DEVICE bool set_gravity(wide_vec3 found) {
-    wide const length = norm_of(found);
-    wide const G = static_cast<double>(params.gravity);
-    if (!(length > wide(0.1) * G)) { return false; }
+  FT_HOST_DEVICE bool set_gravity(strict_vec3d found) {
+    real64 const length = norm_of(found);
+    real64 const G = static_cast<double>(params.gravity);
+    if (!(length > real64(0.1) * G)) { return false; }
     gravity = scaled(found, G / length);
-    wide_vec3 const a{scalar::abs(found.x), scalar::abs(found.y), scalar::abs(found.z)};
-    wide_vec3 const other = a.x <= a.y && a.x <= a.z ? wide_vec3{1.0, 0.0, 0.0}
-                            : a.y <= a.z             ? wide_vec3{0.0, 1.0, 0.0}
-                                                     : wide_vec3{0.0, 0.0, 1.0};
-    wide_vec3 const side = cross(gravity, other);
+    strict_vec3d const a{scalar::abs(found.x), scalar::abs(found.y), scalar::abs(found.z)};
+    strict_vec3d const other = a.x <= a.y && a.x <= a.z ? strict_vec3d{1.0, 0.0, 0.0}
+                               : a.y <= a.z             ? strict_vec3d{0.0, 1.0, 0.0}
+                                                        : strict_vec3d{0.0, 0.0, 1.0};
+    strict_vec3d const side = cross(gravity, other);
     basis[0] = scaled(side, G / norm_of(side));
-    basis[1] = scaled(cross(gravity, basis[0]), wide(1.0) / G);
+    basis[1] = scaled(cross(gravity, basis[0]), real64(1.0) / G);
     directions = 2;
     return true;
   }
 
   /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored.
-  FT_HOST_DEVICE bool solve(wide& squares) {
+  FT_HOST_DEVICE bool solve(real64& squares) {
     system& equations = s.equations;
     join_integrals();
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
       build();
-      wide next[most_unknowns];
+      real64 next[most_unknowns];
       for (int i = 0; i < most_unknowns; ++i) { next[i] = equations.b[i]; }
       if (!equations.factor(g)) { return false; }
       equations.solve(next);
-      wide_vec3 pull = gravity;
+      strict_vec3d pull = gravity;
       for (int j = 0; j < directions; ++j) { pull = pull + scaled(basis[j], next[direction + j]); }
       if (scale_is_sought()) { scale = next[direction + directions]; }
-      wide_vec3 const before = gravity;
-      if (!(scale > wide(0.0)) || !set_gravity(pull)) { return false; }
+      strict_vec3d const before = gravity;
+      if (!(scale > real64(0.0)) || !set_gravity(pull)) { return false; }
       for (int i = 0; i < direction; ++i) { x[i] = next[i]; }
       for (int i = direction; i < most_unknowns; ++i) { x[i] = 0.0; }
       if (scale_is_sought()) { x[direction + directions] = scale; }
-      wide_vec3 const change = gravity - before;
-      if (dot(change, change) < wide(step_tolerance * step_tolerance)) { break; }
+      strict_vec3d const change = gravity - before;
+      if (dot(change, change) < real64(step_tolerance * step_tolerance)) { break; }
     }
     squares = build();
     return equations.factor(g);

@@ -33,10 +33,10 @@ struct marginalize_inertial_pose : inertial_pose_item<Rig> {
     inertial_solver<Group, Rig> const solver{
         g, s, this->rig, item::observations_of(b, in), in.from_last_frame[b] != 0, 0.0};
     if (solver.is_thread(0)) {
-      s.frame = cast_state<wide>(result.round_state[result.rounds - 1]);
+      s.frame = cast_state<real64>(result.round_state[result.rounds - 1]);
       s.T_cw = pose_mount::of(this->mount).pose_of(s.frame);
     }
-    if (solver.is_thread(1)) { s.first = cast_state<wide>(result.first); }
+    if (solver.is_thread(1)) { s.first = cast_state<real64>(result.first); }
     this->load_terms(g, s, b, in, solver);
     bool const finite = this->write_prior(g, s, next, solver);
     if (!finite && g.rank() == 0) { next.known = 0; }

@@ -91,10 +91,10 @@ private:
   FT_HOST_DEVICE void load_states(scratch& s, int b, inertial_poses const& in,
                                   Solver const& solver) const {
     if (solver.is_thread(0)) {
-      s.frame = cast_state<wide>(body_state(in.start[b], this->mount));
+      s.frame = cast_state<real64>(body_state(in.start[b], this->mount));
       s.T_cw = pose_mount::of(this->mount).pose_of(s.frame);
     }
-    if (solver.is_thread(1)) { s.first = cast_state<wide>(body_state(in.first[b], this->mount)); }
+    if (solver.is_thread(1)) { s.first = cast_state<real64>(body_state(in.first[b], this->mount)); }
   }
 
   /// The states after the last round. Ends with a sync.
@@ -164,17 +164,17 @@ private:
       strict_float limit = is_mono ? mono_limit : stereo[round];
       if (is_mono && is_close(seen, i, r.in_pose)) { limit *= strict_float(1.5f); }
       // Written so that a NaN is an outlier.
-      bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > wide(0.0));
+      bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > real64(0.0));
       seen.outlier[i] = inlier ? 0 : 1;
       good += static_cast<int>(inlier);
     }
     return g.reduce(good, sum_op{});
   }
 
-  FT_HOST_DEVICE static bool is_close(inertial_observations const& seen, int i, wide_vec3 p) {
+  FT_HOST_DEVICE static bool is_close(inertial_observations const& seen, int i, strict_vec3d p) {
     constexpr float limit = 10;  // metres
     if (seen.distance != nullptr) { return seen.distance[i] < limit; }
-    return dot(p, p) < wide(static_cast<double>(limit * limit));
+    return dot(p, p) < real64(static_cast<double>(limit * limit));
   }
 
   /// Takes outliers that are not far off in again. Returns the number of observations that are not.

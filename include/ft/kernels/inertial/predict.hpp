@@ -8,8 +8,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/change_bias.hpp"
-#include "ft/kernels/inertial/rotation.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,34 +6,10 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/motion/constant_velocity.hpp"
+#include "ft/math/quaternion.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-namespace detail {
-
-/// The matrix of a rotation.
-template <typename S>
-FT_HOST_DEVICE mat3<S> rotation_of(quaternion<S> const& q) {
-  S const x2 = q.x + q.x;
-  S const y2 = q.y + q.y;
-  S const z2 = q.z + q.z;
-  S const xx = x2 * q.x;
-  S const yy = y2 * q.y;
-  S const zz = z2 * q.z;
-  S const xy = x2 * q.y;
-  S const xz = x2 * q.z;
-  S const yz = y2 * q.z;
-  S const wx = x2 * q.w;
-  S const wy = y2 * q.w;
-  S const wz = z2 * q.w;
-  S const one = S(1);
-  return {{one - (yy + zz), xy - wz, xz + wy, xy + wz, one - (xx + zz), yz - wx, xz - wy, yz + wx,
-           one - (xx + yy)}};
-}
-
-}  // namespace detail
-
 /// The body's state in a frame that stores the camera's pose. The same bits on every executor.
 FT_HOST_DEVICE inline inertial_state<float> body_state(stored_inertial_state const& frame,
                                                        imu_mount const& mount) {

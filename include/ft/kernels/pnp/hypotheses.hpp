@@ -37,9 +37,9 @@ FT_HOST_DEVICE projection<Scalar> project_any_side(pinhole<Scalar> const& camera
 /// float.
 /// @param camera of strict_float
 template <typename Camera>
-FT_HOST_DEVICE bool is_inlier(Camera const& camera, rigid<wide> const& T, pnp_problem const& from,
+FT_HOST_DEVICE bool is_inlier(Camera const& camera, rigid<real64> const& T, pnp_problem const& from,
                               int i) {
-  wide_vec3 const seen = T * from.point[i].template cast<double>().template cast<wide>();
+  strict_vec3d const seen = T * from.point[i].template cast<double>().template cast<real64>();
   auto const at =
       project_any_side(camera, seen.template cast<float>().template cast<strict_float>());
   strict_float const x = at.pixel.x - strict_float(from.pixel[i].x);
@@ -48,7 +48,7 @@ FT_HOST_DEVICE bool is_inlier(Camera const& camera, rigid<wide> const& T, pnp_pr
 }
 
 template <typename Group, typename Camera>
-FT_HOST_DEVICE int count_inliers(Group g, Camera const& camera, rigid<wide> const& T,
+FT_HOST_DEVICE int count_inliers(Group g, Camera const& camera, rigid<real64> const& T,
                                  pnp_problem const& from) {
   int count = 0;
   FT_NO_UNROLL
@@ -91,7 +91,7 @@ struct evaluate_hypothesis {
     g.sync();
     pnp_pose const found = mlpnp(g, s.solver, {from.ray, from.point, s.sample, pnp_sample});
     int count = 0;
-    if (found.valid) { count = count_inliers(g, camera, found.T_cw.template cast<wide>(), from); }
+    if (found.valid) { count = count_inliers(g, camera, found.T_cw.template cast<real64>(), from); }
     if (g.rank() == 0) {
       std::ptrdiff_t const slot = work.slot(b, h);
       work.T_cw[slot] = found.T_cw;

@@ -8,9 +8,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
-#include "ft/kernels/matrices/paired_eigen.hpp"
-#include "ft/kernels/matrices/small_matrices.hpp"
+#include "ft/math/group_eigen.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -23,9 +23,9 @@ struct pnp_selection {
   int const* index;  ///< [count]
   int count;         ///< at least 6
 
-  FT_HOST_DEVICE wide_vec3 ray_of(int i) const { return ray[index[i]].cast<wide>(); }
-  FT_HOST_DEVICE wide_vec3 point_of(int i) const {
-    return point[index[i]].cast<double>().cast<wide>();
+  FT_HOST_DEVICE strict_vec3d ray_of(int i) const { return ray[index[i]].cast<real64>(); }
+  FT_HOST_DEVICE strict_vec3d point_of(int i) const {
+    return point[index[i]].cast<double>().cast<real64>();
   }
 };
 
@@ -34,16 +34,16 @@ struct mlpnp_scratch {
   static constexpr int chunk = 16;  ///< correspondences that are prepared at a time
 
   paired_eigen<12> eigen;
-  wide row[chunk][14];
-  wide sum[42];
+  real64 row[chunk][14];
+  real64 sum[42];
 };
 
 /// How badly rays and points agree: over the first six, 1 minus the product of the ray, which is
 /// not of unit length, and the point's direction.
-FT_HOST_DEVICE inline wide disagreement(pnp_selection const& from, rigid<wide> const& T) {
-  wide sum = 0.0;
+FT_HOST_DEVICE inline real64 disagreement(pnp_selection const& from, rigid<real64> const& T) {
+  real64 sum = 0.0;
   for (int i = 0; i < 6; ++i) {
-    sum += wide(1.0) - dot(unit(T * from.point_of(i)), from.ray_of(i));
+    sum += real64(1.0) - dot(unit(T * from.point_of(i)), from.ray_of(i));
   }
   return sum;
 }
@@ -55,23 +55,23 @@ FT_HOST_DEVICE inline wide disagreement(pnp_selection const& from, rigid<wide> c
 ///   points are turned to these, and R lacks its first column
 template <typename Group>
 FT_HOST_DEVICE void set_equations(Group g, mlpnp_scratch& s, pnp_selection const& from,
-                                  wide_mat3 const* axes) {
+                                  strict_mat3d const* axes) {
   int const columns = axes == nullptr ? 3 : 2;  // of R
   int const n = 3 * columns + 3;
-  wide* const a = s.eigen.a;
+  real64* const a = s.eigen.a;
   small_divider const by_n(n);
   FT_NO_UNROLL
   for (int first = 0; first < from.count; first += s.chunk) {
     int const size = min_of(mlpnp_scratch::chunk, from.count - first);
     g.sync();
     for (int i = g.rank(); i < size; i += g.size()) {
-      wide_vec3 const u = unit(from.ray_of(first + i));
-      wide_vec3 x = from.point_of(first + i);
+      strict_vec3d const u = unit(from.ray_of(first + i));
+      strict_vec3d x = from.point_of(first + i);
       if (axes != nullptr) {
         x = *axes * x;
         x = {x.y, x.z, 1.0};
       }
-      wide* const row = s.row[i];
+      real64* const row = s.row[i];
       row[0] = u.x;
       row[1] = u.y;
       row[2] = u.z;
@@ -90,10 +90,10 @@ FT_HOST_DEVICE void set_equations(Group g, mlpnp_scratch& s, pnp_selection const
       int const k = r < 3 * columns ? r - i * columns : columns;
       int const j = c < 3 * columns ? c / columns : c - 3 * columns;
       int const l = c < 3 * columns ? c - j * columns : columns;
-      wide const one = i == j ? 1.0 : 0.0;
-      wide sum = first == 0 ? wide(0.0) : a[e];
+      real64 const one = i == j ? 1.0 : 0.0;
+      real64 sum = first == 0 ? real64(0.0) : a[e];
       for (int p = 0; p < size; ++p) {
-        wide const* const row = s.row[p];
+        real64 const* const row = s.row[p];
         sum += (one - row[i] * row[j]) * (row[3 + k] * row[3 + l]);
       }
       a[e] = sum;
@@ -110,19 +110,21 @@ FT_HOST_DEVICE void set_equations(Group g, mlpnp_scratch& s, pnp_selection const
 
 /// Sum of X X^T, in the world. Ends with a sync.
 template <typename Group>
-FT_HOST_DEVICE wide_mat3 second_moments(Group g, mlpnp_scratch& s, pnp_selection const& from) {
+FT_HOST_DEVICE strict_mat3d second_moments(Group g, mlpnp_scratch& s, pnp_selection const& from) {
   g.sync();
   for (int e = g.rank(); e < 9; e += g.size()) {
-    auto const coordinate = [](wide_vec3 v, int k) { return k == 0 ? v.x : (k == 1 ? v.y : v.z); };
-    wide sum = 0.0;
+    auto const coordinate = [](strict_vec3d v, int k) {
+      return k == 0 ? v.x : (k == 1 ? v.y : v.z);
+    };
+    real64 sum = 0.0;
     for (int p = 0; p < from.count; ++p) {
-      wide_vec3 const x = from.point_of(p);
+      strict_vec3d const x = from.point_of(p);
       sum += coordinate(x, e / 3) * coordinate(x, e % 3);
     }
     s.sum[e] = sum;
   }
   g.sync();
-  wide_mat3 S;
+  strict_mat3d S;
   for (int e = 0; e < 9; ++e) { S.m[e] = s.sum[e]; }
   g.sync();
   return S;
@@ -130,17 +132,17 @@ FT_HOST_DEVICE wide_mat3 second_moments(Group g, mlpnp_scratch& s, pnp_selection
 
 /// The pose of points in general position.
 template <typename Group>
-FT_HOST_DEVICE rigid<wide> general_pose(Group g, mlpnp_scratch& s, pnp_selection const& from) {
+FT_HOST_DEVICE rigid<real64> general_pose(Group g, mlpnp_scratch& s, pnp_selection const& from) {
   set_equations(g, s, from, nullptr);
   s.eigen.diagonalize(g, 12);
   int const k = s.eigen.smallest(12);
   auto const v = [&](int i) { return s.eigen.v[12 * i + k]; };
-  wide_mat3 const M{{v(0), v(1), v(2), v(3), v(4), v(5), v(6), v(7), v(8)}};
-  wide const size = norm(row_of(M, 0)) * norm(row_of(M, 1)) * norm(row_of(M, 2));
-  wide const scale = scalar::reciprocal(cube_root(size));
-  wide_vec3 const t = scaled(wide_vec3{v(9), v(10), v(11)}, scale);
-  rigid<wide> const plus{orthogonal_factor(M), t};
-  rigid<wide> const minus{plus.R, -t};
+  strict_mat3d const M{{v(0), v(1), v(2), v(3), v(4), v(5), v(6), v(7), v(8)}};
+  real64 const size = norm(row_of(M, 0)) * norm(row_of(M, 1)) * norm(row_of(M, 2));
+  real64 const scale = scalar::reciprocal(cube_root(size));
+  strict_vec3d const t = scaled(strict_vec3d{v(9), v(10), v(11)}, scale);
+  rigid<real64> const plus{orthogonal_factor(M), t};
+  rigid<real64> const minus{plus.R, -t};
   return disagreement(from, minus) < disagreement(from, plus) ? minus : plus;
 }
 
@@ -149,8 +151,8 @@ FT_HOST_DEVICE rigid<wide> general_pose(Group g, mlpnp_scratch& s, pnp_selection
 /// plane that lies straight before the camera comes out too large.
 /// @param moments sum of X X^T
 template <typename Group>
-FT_HOST_DEVICE rigid<wide> plane_pose(Group g, mlpnp_scratch& s, pnp_selection const& from,
-                                      wide_mat3 const& moments) {
+FT_HOST_DEVICE rigid<real64> plane_pose(Group g, mlpnp_scratch& s, pnp_selection const& from,
+                                        strict_mat3d const& moments) {
   for (int e = g.rank(); e < 9; e += g.size()) { s.eigen.a[e] = moments.m[e]; }
   g.sync();
   s.eigen.diagonalize(g, 3);
@@ -160,32 +162,32 @@ FT_HOST_DEVICE rigid<wide> plane_pose(Group g, mlpnp_scratch& s, pnp_selection c
   int const c = low == 2 ? 1 : 2;
   int const middle = moment(c) < moment(b) ? c : b;
   auto const axis = [&](int k) {
-    return wide_vec3{s.eigen.v[k], s.eigen.v[3 + k], s.eigen.v[6 + k]};
+    return strict_vec3d{s.eigen.v[k], s.eigen.v[3 + k], s.eigen.v[6 + k]};
   };
-  wide_mat3 const E = from_rows(axis(low), axis(middle), axis(b + c - middle));
+  strict_mat3d const E = from_rows(axis(low), axis(middle), axis(b + c - middle));
 
   set_equations(g, s, from, &E);
   s.eigen.diagonalize(g, 9);
   int const k = s.eigen.smallest(9);
   auto const v = [&](int i) { return s.eigen.v[9 * i + k]; };
-  wide_vec3 const c1{v(0), v(2), v(4)};
-  wide_vec3 const c2{v(1), v(3), v(5)};
-  wide_mat3 const T = from_rows(cross(c1, c2), c1, c2);
-  wide const size = norm(column_of(T, 1)) * norm(column_of(T, 2));
-  wide const scale = scalar::reciprocal(scalar::sqrt(size));
-  wide_vec3 const t = scaled(wide_vec3{v(6), v(7), v(8)}, scale);
+  strict_vec3d const c1{v(0), v(2), v(4)};
+  strict_vec3d const c2{v(1), v(3), v(5)};
+  strict_mat3d const T = from_rows(cross(c1, c2), c1, c2);
+  real64 const size = norm(column_of(T, 1)) * norm(column_of(T, 2));
+  real64 const scale = scalar::reciprocal(scalar::sqrt(size));
+  strict_vec3d const t = scaled(strict_vec3d{v(6), v(7), v(8)}, scale);
 
-  wide_mat3 Q = scaled((E.transposed() * orthogonal_factor(T)).transposed(), wide(-1.0));
-  if (determinant(Q) < wide(0.0)) {
+  strict_mat3d Q = scaled((E.transposed() * orthogonal_factor(T)).transposed(), real64(-1.0));
+  if (determinant(Q) < real64(0.0)) {
     Q = {{Q.m[0], Q.m[1], -Q.m[2], Q.m[3], Q.m[4], -Q.m[5], Q.m[6], Q.m[7], -Q.m[8]}};
   }
-  wide_mat3 const turned{
+  strict_mat3d const turned{
       {-Q.m[0], -Q.m[1], Q.m[2], -Q.m[3], -Q.m[4], Q.m[5], -Q.m[6], -Q.m[7], Q.m[8]}};
-  rigid<wide> best{Q, t};
-  wide least = disagreement(from, best);
+  rigid<real64> best{Q, t};
+  real64 least = disagreement(from, best);
   for (int other = 1; other < 4; ++other) {
-    rigid<wide> const candidate{other < 2 ? Q : turned, other % 2 == 0 ? t : -t};
-    wide const sum = disagreement(from, candidate);
+    rigid<real64> const candidate{other < 2 ? Q : turned, other % 2 == 0 ? t : -t};
+    real64 const sum = disagreement(from, candidate);
     if (sum < least) {
       best = candidate;
       least = sum;
@@ -196,8 +198,8 @@ FT_HOST_DEVICE rigid<wide> plane_pose(Group g, mlpnp_scratch& s, pnp_selection c
 
 /// The pose by linear equations. Its rotation is orthogonal; NaN where there is none.
 template <typename Group>
-FT_HOST_DEVICE rigid<wide> linear_pose(Group g, mlpnp_scratch& s, pnp_selection const& from) {
-  wide_mat3 const moments = second_moments(g, s, from);
+FT_HOST_DEVICE rigid<real64> linear_pose(Group g, mlpnp_scratch& s, pnp_selection const& from) {
+  strict_mat3d const moments = second_moments(g, s, from);
   return rank_of(moments) == 2 ? plane_pose(g, s, from, moments) : general_pose(g, s, from);
 }
 

@@ -12,10 +12,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
-#include "ft/kernels/matrices/small_matrices.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
-#include "ft/kernels/pose/se3.hpp"
+#include "ft/math/positive_definite.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/math/so3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -25,57 +25,45 @@ inline constexpr double not_solved = std::numeric_limits<double>::quiet_NaN();
 
 /// A rotation as its vector w, |w| the angle, and a translation.
 struct pose_vector {
-  wide_vec3 w, t;
+  strict_vec3d w, t;
 };
-
-/// The vector of a rotation. As in the reference NaN for no rotation at all, and where rounding
-/// makes the cosine of the angle larger than 1.
-FT_HOST_DEVICE inline wide_vec3 rotation_vector(wide_mat3 const& R) {
-  auto const& m = R.m;
-  wide const c = (m[0] + m[4] + m[8] - wide(1.0)) * wide(0.5);
-  if (!(c <= wide(1.0) && c >= wide(-1.0))) { return {not_solved, not_solved, not_solved}; }
-  wide const angle = strict_atan2(scalar::sqrt((wide(1.0) - c) * (wide(1.0) + c)), c);
-  wide const sine = strict_sin_cos(angle).sine;
-  return scaled(wide_vec3{m[7] - m[5], m[2] - m[6], m[3] - m[1]}, angle / (sine + sine));
-}
 
 /// A rotation, and the derivative of its turning by its vector: R(w + d) = R(w) Exp(J d).
 struct turned_pose {
-  rigid<wide> T;
-  wide_mat3 J;
+  rigid<real64> T;
+  strict_mat3d J;
 };
 FT_HOST_DEVICE inline turned_pose turned_by(pose_vector const& x) {
-  wide const angle2 = dot(x.w, x.w);
-  wide_rotation_terms const terms = wide_terms_of_rotation(angle2);
-  return {{one_plus(terms.a, terms.b, x.w, angle2), x.t}, one_plus(-terms.b, terms.c, x.w, angle2)};
+  auto const turn = rotation_exp_and_jacobian(x.w);
+  return {{turn.E, x.t}, turn.Jr};
 }
 
 /// Residuals of a correspondence and their derivatives: what the direction to the point has along
 /// two axes that are perpendicular to the ray. Row: derivatives by w, by t, the residual.
-FT_HOST_DEVICE inline void direction_rows(turned_pose const& at, wide_vec3 ray, wide_vec3 point,
-                                          wide (&row)[14]) {
-  wide_vec3 const b = unit(ray);
-  wide const zero = 0.0;
-  wide const one = 1.0;
-  wide const x = scalar::abs(b.x);
-  wide const y = scalar::abs(b.y);
-  wide const z = scalar::abs(b.z);
+FT_HOST_DEVICE inline void direction_rows(turned_pose const& at, strict_vec3d ray,
+                                          strict_vec3d point, real64 (&row)[14]) {
+  strict_vec3d const b = unit(ray);
+  real64 const zero = 0.0;
+  real64 const one = 1.0;
+  real64 const x = scalar::abs(b.x);
+  real64 const y = scalar::abs(b.y);
+  real64 const z = scalar::abs(b.z);
   bool const x_least = x <= y && x <= z;
-  wide_vec3 const far{x_least ? one : zero, !x_least && y <= z ? one : zero,
-                      !x_least && !(y <= z) ? one : zero};
-  wide_vec3 const side = unit(cross(b, far));
-  wide_vec3 const other = cross(b, side);
-  wide_vec3 const seen = at.T * point;
-  wide const inverse = scalar::reciprocal(norm(seen));
-  wide_vec3 const u = scaled(seen, inverse);
-  mat3<wide> const back = at.T.R.transposed();
-  mat3<wide> const J = at.J.transposed();
+  strict_vec3d const far{x_least ? one : zero, !x_least && y <= z ? one : zero,
+                         !x_least && !(y <= z) ? one : zero};
+  strict_vec3d const side = unit(cross(b, far));
+  strict_vec3d const other = cross(b, side);
+  strict_vec3d const seen = at.T * point;
+  real64 const inverse = scalar::reciprocal(norm(seen));
+  strict_vec3d const u = scaled(seen, inverse);
+  mat3<real64> const back = at.T.R.transposed();
+  mat3<real64> const J = at.J.transposed();
   for (int k = 0; k < 2; ++k) {
-    wide_vec3 const n = k == 0 ? side : other;
-    wide const residual = dot(n, u);
-    wide_vec3 const by_t = scaled(n - scaled(u, residual), inverse);
-    wide_vec3 const by_w = J * cross(point, back * by_t);
-    wide* const to = row + 7 * k;
+    strict_vec3d const n = k == 0 ? side : other;
+    real64 const residual = dot(n, u);
+    strict_vec3d const by_t = scaled(n - scaled(u, residual), inverse);
+    strict_vec3d const by_w = J * cross(point, back * by_t);
+    real64* const to = row + 7 * k;
     to[0] = by_w.x;
     to[1] = by_w.y;
     to[2] = by_w.z;
@@ -103,9 +91,9 @@ FT_HOST_DEVICE void sum_rows(Group g, mlpnp_scratch& s, pnp_selection const& fro
       int const r = e / 7;
       int const c = e - 7 * r;
       if (r > c) { continue; }
-      wide sum = first == 0 ? wide(0.0) : s.sum[e];
+      real64 sum = first == 0 ? real64(0.0) : s.sum[e];
       for (int p = 0; p < size; ++p) {
-        wide const* const row = s.row[p];
+        real64 const* const row = s.row[p];
         sum += row[r] * row[c] + row[7 + r] * row[7 + c];
       }
       s.sum[e] = sum;
@@ -117,19 +105,19 @@ FT_HOST_DEVICE void sum_rows(Group g, mlpnp_scratch& s, pnp_selection const& fro
 /// The largest change of a residual by a step, to first order. The group has synced after
 /// sum_rows().
 template <typename Group>
-FT_HOST_DEVICE wide largest_effect(Group g, mlpnp_scratch& s, pnp_selection const& from,
-                                   turned_pose const& at, wide const (&d)[6]) {
+FT_HOST_DEVICE real64 largest_effect(Group g, mlpnp_scratch& s, pnp_selection const& from,
+                                     turned_pose const& at, real64 const (&d)[6]) {
   double largest = 0;
   for (int i = g.rank(); i < from.count; i += g.size()) {
-    wide again[14];
-    wide const* row = again;
+    real64 again[14];
+    real64 const* row = again;
     if (from.count <= s.chunk) {
       row = s.row[i];
     } else {
       direction_rows(at, from.ray_of(i), from.point_of(i), again);
     }
     for (int k = 0; k < 14; k += 7) {
-      wide sum = 0.0;
+      real64 sum = 0.0;
       for (int c = 0; c < 6; ++c) { sum += row[k + c] * d[c]; }
       largest = max_of(largest, scalar::abs(sum).value);
     }
@@ -140,29 +128,29 @@ FT_HOST_DEVICE wide largest_effect(Group g, mlpnp_scratch& s, pnp_selection cons
 /// At most five steps of Gauss and Newton. A step with a part above 5, or with none below 1, is not
 /// taken and is the last one. NaN where there is no pose.
 template <typename Group>
-FT_HOST_DEVICE rigid<wide> refined_pose(Group g, mlpnp_scratch& s, pnp_selection const& from,
-                                        rigid<wide> const& start) {
+FT_HOST_DEVICE rigid<real64> refined_pose(Group g, mlpnp_scratch& s, pnp_selection const& from,
+                                          rigid<real64> const& start) {
   pose_vector x{rotation_vector(start.R), start.t};
   FT_NO_UNROLL
   for (int step = 0; step < 5; ++step) {
     turned_pose const at = turned_by(x);
     sum_rows(g, s, from, at);
-    wide d[6];
+    real64 d[6];
     solve_symmetric_6(s.sum, d);
-    wide largest = 0.0;
-    wide least = scalar::abs(d[0]);
-    wide whole = 0.0;
+    real64 largest = 0.0;
+    real64 least = scalar::abs(d[0]);
+    real64 whole = 0.0;
     FT_UNROLL
     for (int k = 0; k < 6; ++k) {
       largest = max_of(largest, scalar::abs(d[k]));
       least = min_of(least, scalar::abs(d[k]));
       whole += d[k] - d[k];
     }
-    if (largest > wide(5.0) || least > wide(1.0)) { break; }
-    x.w = x.w - wide_vec3{d[0], d[1], d[2]};
-    x.t = x.t - wide_vec3{d[3], d[4], d[5]};
+    if (largest > real64(5.0) || least > real64(1.0)) { break; }
+    x.w = x.w - strict_vec3d{d[0], d[1], d[2]};
+    x.t = x.t - strict_vec3d{d[3], d[4], d[5]};
     // Without a number there is no pose any more.
-    if (!(whole == wide(0.0)) || largest_effect(g, s, from, at, d) < wide(1e-5)) { break; }
+    if (!(whole == real64(0.0)) || largest_effect(g, s, from, at, d) < real64(1e-5)) { break; }
   }
   return turned_by(x).T;
 }
@@ -176,7 +164,7 @@ struct pnp_pose {
 /// Pose from at least six rays and points, by MLPnP. All threads of the group get it.
 template <typename Group>
 FT_HOST_DEVICE pnp_pose mlpnp(Group g, mlpnp_scratch& s, pnp_selection const& from) {
-  rigid<wide> const T = refined_pose(g, s, from, linear_pose(g, s, from));
+  rigid<real64> const T = refined_pose(g, s, from, linear_pose(g, s, from));
   bool valid = scalar::is_finite(T.t.x) && scalar::is_finite(T.t.y) && scalar::is_finite(T.t.z);
   for (int k = 0; k < 9; ++k) { valid = valid && scalar::is_finite(T.R.m[k]); }
   pnp_pose out{T.template cast<double>(), valid};

@@ -35,7 +35,8 @@ template <typename Group, typename Camera>
 FT_HOST_DEVICE int mark_inliers(Group g, Camera const& camera, rigid<double> const* T_cw,
                                 pnp_problem const& from, span<std::uint8_t> const& out) {
   int count = 0;
-  rigid<wide> const T = T_cw == nullptr ? rigid<wide>::identity() : T_cw->template cast<wide>();
+  rigid<real64> const T =
+      T_cw == nullptr ? rigid<real64>::identity() : T_cw->template cast<real64>();
   FT_NO_UNROLL
   for (int i = g.rank(); i < out.size; i += g.size()) {
     bool const in = T_cw != nullptr && i < from.count && is_inlier(camera, T, from, i);

@@ -9,8 +9,8 @@
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/normal_equations.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
-#include "ft/kernels/pose/se3.hpp"
-#include "ft/kernels/pose/solve6.hpp"
+#include "ft/math/positive_definite.hpp"
+#include "ft/math/se3.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

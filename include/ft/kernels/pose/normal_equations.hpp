@@ -9,7 +9,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/pose/solve6.hpp"
+#include "ft/math/positive_definite.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

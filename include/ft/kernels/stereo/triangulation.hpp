@@ -6,46 +6,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
+#include "ft/math/jacobi.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
-
-/// One Jacobi rotation: zeroes a[P][Q] of a symmetric matrix and rotates the columns of e. False if
-/// the angle is below the precision of a double.
-template <int P, int Q>
-FT_HOST_DEVICE bool rotate_4(strict_double (&a)[4][4], strict_double (&e)[4][4]) {
-  strict_double const off = a[P][Q];
-  strict_double const apart = a[Q][Q] - a[P][P];
-  constexpr double nothing = 1.0 / (1ull << 60);
-  if (scalar::abs(off) <= strict_double(nothing) * scalar::abs(apart)) { return false; }
-  // The smaller root of t^2 + 2 t apart / (2 off) - 1 = 0.
-  strict_double const twice = off + off;
-  strict_double const root = scalar::sqrt(apart * apart + twice * twice);
-  strict_double const t = apart >= 0.0 ? twice / (apart + root) : twice / (apart - root);
-  strict_double const c = strict_double(1.0) / scalar::sqrt(t * t + 1.0);
-  strict_double const s = t * c;
-  FT_UNROLL
-  for (int k = 0; k < 4; ++k) {
-    strict_double const kp = a[k][P];
-    strict_double const kq = a[k][Q];
-    a[k][P] = c * kp - s * kq;
-    a[k][Q] = s * kp + c * kq;
-  }
-  FT_UNROLL
-  for (int k = 0; k < 4; ++k) {
-    strict_double const pk = a[P][k];
-    strict_double const qk = a[Q][k];
-    a[P][k] = c * pk - s * qk;
-    a[Q][k] = s * pk + c * qk;
-    strict_double const ep = e[k][P];
-    strict_double const eq = e[k][Q];
-    e[k][P] = c * ep - s * eq;
-    e[k][Q] = s * ep + c * eq;
-  }
-  return true;
-}
 
 /// A symmetric 4 x 4 matrix: row i holds columns i to 3.
 struct symmetric_4 {
@@ -142,33 +108,6 @@ FT_HOST_DEVICE inline bool smallest_eigenvector_by_squares(symmetric_4 const& a,
     for (int k = 0; k < 4; ++k) { v[k] = larger ? power.at(k, i) : v[k]; }
   }
   return done;
-}
-
-/// Eigenvector of the smallest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations in a
-/// fixed order.
-FT_HOST_DEVICE inline void smallest_eigenvector_4(strict_double (&a)[4][4], strict_double (&v)[4]) {
-  strict_double e[4][4];
-  for (int i = 0; i < 4; ++i) {
-    for (int j = 0; j < 4; ++j) { e[i][j] = i == j ? 1.0 : 0.0; }
-  }
-  FT_NO_UNROLL
-  for (int sweep = 0; sweep < 10; ++sweep) {
-    bool turned = rotate_4<0, 1>(a, e);
-    turned = rotate_4<0, 2>(a, e) || turned;
-    turned = rotate_4<0, 3>(a, e) || turned;
-    turned = rotate_4<1, 2>(a, e) || turned;
-    turned = rotate_4<1, 3>(a, e) || turned;
-    turned = rotate_4<2, 3>(a, e) || turned;
-    if (!turned) { break; }
-  }
-  strict_double lowest = a[0][0];
-  for (int k = 0; k < 4; ++k) { v[k] = e[k][0]; }
-  for (int i = 1; i < 4; ++i) {
-    if (a[i][i] < lowest) {
-      lowest = a[i][i];
-      for (int k = 0; k < 4; ++k) { v[k] = e[k][i]; }
-    }
-  }
 }
 
 /// The point, in the left frame, that is seen along the rays `left` and `right`, both with z = 1.

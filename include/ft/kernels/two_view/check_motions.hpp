@@ -12,9 +12,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
+#include "ft/math/jacobi.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -40,42 +40,42 @@ inline constexpr std::uint32_t no_point_key = 0xffffffffu;
 
 /// The angle of a cosine, degrees.
 FT_HOST_DEVICE inline float degrees_of_cosine(float cosine) {
-  wide const c = static_cast<double>(cosine);
-  wide const one = 1.0;
+  real64 const c = static_cast<double>(cosine);
+  real64 const one = 1.0;
   if (!(c < one)) { return 0; }
-  wide const s = scalar::sqrt((one - c) * (one + c));
-  return static_cast<float>((strict_atan2(s, c) * wide(57.295779513082323)).value);
+  real64 const s = scalar::sqrt((one - c) * (one + c));
+  return static_cast<float>((strict_atan2(s, c) * real64(57.295779513082323)).value);
 }
 
 /// Two cameras, the first in the origin.
 struct two_cameras {
-  pinhole<wide> camera;
+  pinhole<real64> camera;
   wide_motion T_21;
-  wide_vec3 centre;  ///< of the second
-  wide P[12];        ///< projection matrix of the second, 3 x 4
-  wide limit;        ///< of a squared error, pixels^2
+  strict_vec3d centre;  ///< of the second
+  real64 P[12];         ///< projection matrix of the second, 3 x 4
+  real64 limit;         ///< of a squared error, pixels^2
 
-  FT_HOST_DEVICE void set(pinhole<wide> const& c, wide_motion const& T, wide sigma) {
+  FT_HOST_DEVICE void set(pinhole<real64> const& c, wide_motion const& T, real64 sigma) {
     camera = c;
     T_21 = T;
     centre = T.centre();
-    limit = wide(4.0) * (sigma * sigma);
-    wide_mat3 const KR = calibration_matrix(c) * T.R;
-    wide_vec3 const Kt = calibration_matrix(c) * T.t;
-    wide const t[3] = {Kt.x, Kt.y, Kt.z};
+    limit = real64(4.0) * (sigma * sigma);
+    strict_mat3d const KR = calibration_matrix(c) * T.R;
+    strict_vec3d const Kt = calibration_matrix(c) * T.t;
+    real64 const t[3] = {Kt.x, Kt.y, Kt.z};
     for (int k = 0; k < 12; ++k) { P[k] = k % 4 < 3 ? KR.m[3 * (k / 4) + k % 4] : t[k / 4]; }
   }
 
   /// The point of a match: the least right singular vector of the four equations x P3 - P1 = 0, y
   /// P3
   /// - P2 = 0 of both images.
-  FT_HOST_DEVICE wide_vec3 triangulated(matched_pixels const& m) const {
-    wide const zero = 0.0;
-    wide const x1 = static_cast<double>(m.x1);
-    wide const y1 = static_cast<double>(m.y1);
-    wide const x2 = static_cast<double>(m.x2);
-    wide const y2 = static_cast<double>(m.y2);
-    wide A[16] = {-camera.fx, zero, x1 - camera.cx, zero, zero, -camera.fy, y1 - camera.cy, zero};
+  FT_HOST_DEVICE strict_vec3d triangulated(matched_pixels const& m) const {
+    real64 const zero = 0.0;
+    real64 const x1 = static_cast<double>(m.x1);
+    real64 const y1 = static_cast<double>(m.y1);
+    real64 const x2 = static_cast<double>(m.x2);
+    real64 const y2 = static_cast<double>(m.y2);
+    real64 A[16] = {-camera.fx, zero, x1 - camera.cx, zero, zero, -camera.fy, y1 - camera.cy, zero};
     FT_UNROLL
     for (int k = 0; k < 4; ++k) {
       A[8 + k] = x2 * P[8 + k] - P[k];
@@ -91,30 +91,30 @@ struct two_cameras {
     }
     eigen.diagonalize();
     int const k = eigen.smallest();
-    wide const w = eigen.component(3, k);
+    real64 const w = eigen.component(3, k);
     return {eigen.component(0, k) / w, eigen.component(1, k) / w, eigen.component(2, k) / w};
   }
 
   /// Squared distance of a projected point from a pixel.
-  FT_HOST_DEVICE wide error2(wide_vec3 X, float x, float y) const {
-    wide const iz = scalar::reciprocal(X.z);
-    wide const dx = camera.fx * X.x * iz + camera.cx - wide(static_cast<double>(x));
-    wide const dy = camera.fy * X.y * iz + camera.cy - wide(static_cast<double>(y));
+  FT_HOST_DEVICE real64 error2(strict_vec3d X, float x, float y) const {
+    real64 const iz = scalar::reciprocal(X.z);
+    real64 const dx = camera.fx * X.x * iz + camera.cx - real64(static_cast<double>(x));
+    real64 const dy = camera.fy * X.y * iz + camera.cy - real64(static_cast<double>(y));
     return dx * dx + dy * dy;
   }
 
   FT_HOST_DEVICE checked_point check(matched_pixels const& m) const {
-    wide_vec3 const X = triangulated(m);
+    strict_vec3d const X = triangulated(m);
     checked_point out{X.cast<float>(), no_point_key};
     if (!scalar::is_finite(out.X.x) || !scalar::is_finite(out.X.y) || !scalar::is_finite(out.X.z)) {
       return out;
     }
-    wide_vec3 const from_second = X - centre;
-    wide_vec3 const X2 = T_21 * X;
-    wide const lengths = scalar::sqrt(dot(X, X)) * scalar::sqrt(dot(from_second, from_second));
+    strict_vec3d const from_second = X - centre;
+    strict_vec3d const X2 = T_21 * X;
+    real64 const lengths = scalar::sqrt(dot(X, X)) * scalar::sqrt(dot(from_second, from_second));
     auto const c = static_cast<float>((dot(X, from_second) / lengths).value);
     bool const apart = static_cast<double>(c) < parallel_cosine;
-    wide const zero = 0.0;
+    real64 const zero = 0.0;
     // written so that a NaN fails
     bool const in_front = !apart || (X.z > zero && X2.z > zero);
     bool const near = error2(X, m.x1, m.y1) <= limit && error2(X2, m.x2, m.y2) <= limit;
@@ -140,8 +140,8 @@ struct check_motion {
       return;
     }
     if (g.rank() == 0) {
-      s.cameras.set(wide_camera(in.camera[pair]), w.motion[item].cast<wide>(),
-                    wide(static_cast<double>(params.sigma_px)));
+      s.cameras.set(wide_camera(in.camera[pair]), w.motion[item].cast<real64>(),
+                    real64(static_cast<double>(params.sigma_px)));
     }
     g.sync();
     std::ptrdiff_t const from = std::ptrdiff_t{pair} * w.capacity;

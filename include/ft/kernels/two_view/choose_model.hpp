@@ -52,11 +52,11 @@ struct choose_model {
     take(c, p, params);
     bool const found = c.status == two_view_status::reconstructed;
     bool const homography = c.model == two_view_model::homography;
-    wide_mat3 M{};
+    strict_mat3d M{};
     if (found) {
       std::ptrdiff_t const at =
           homography ? c.sample[0] : std::ptrdiff_t{params.samples} + c.sample[1];
-      M = w.model[first + at].cast<wide>();
+      M = w.model[first + at].cast<real64>();
     }
     auto const mark = [&](auto const& error) { return mark_inliers(g, pair, w, error, params); };
     c.inliers = homography ? mark(homography_error(M)) : found ? mark(fundamental_error(M)) : 0;
@@ -85,9 +85,9 @@ private:
 
   FT_HOST_DEVICE static void take(chosen_model& c, prepared_pair const& p,
                                   two_view_params const& params) {
-    wide const H = c.score[0];
-    wide const F = c.score[1];
-    bool const any = H + F > wide(0.0);
+    real64 const H = c.score[0];
+    real64 const F = c.score[1];
+    bool const any = H + F > real64(0.0);
     c.ratio = any ? (H / (H + F)).value : 0.0;
     c.status = p.status;
     if (p.status != two_view_status::reconstructed) { return; }
@@ -103,7 +103,7 @@ private:
   FT_HOST_DEVICE static int mark_inliers(Group g, int pair, two_view_workspace const& w,
                                          Error const& error, two_view_params const& params) {
     std::ptrdiff_t const from = std::ptrdiff_t{pair} * w.capacity;
-    wide const weight = try_sample::weight_of(params);
+    real64 const weight = try_sample::weight_of(params);
     int count = 0;
     for (int i = g.rank(); i < w.prepared[pair].matches; i += g.size()) {
       bool const both = agreement_with(error, w.matched[from + i], weight).both;

@@ -46,14 +46,15 @@ struct prepare_pair {
         }
       });
     };
-    wide const n[4] = {double(n1), double(n1), double(n2), double(n2)};
+    real64 const n[4] = {double(n1), double(n1), double(n2), double(n2)};
     over_keypoints([](float v, int) { return static_cast<double>(v); });
-    wide mean[4];
-    for (int k = 0; k < 4; ++k) { mean[k] = wide(s.sums.total.of[k]) / n[k]; }
-    over_keypoints(
-        [&](float v, int k) { return scalar::abs(wide(static_cast<double>(v)) - mean[k]).value; });
-    wide scale[4];
-    for (int k = 0; k < 4; ++k) { scale[k] = n[k] / wide(s.sums.total.of[k]); }
+    real64 mean[4];
+    for (int k = 0; k < 4; ++k) { mean[k] = real64(s.sums.total.of[k]) / n[k]; }
+    over_keypoints([&](float v, int k) {
+      return scalar::abs(real64(static_cast<double>(v)) - mean[k]).value;
+    });
+    real64 scale[4];
+    for (int k = 0; k < 4; ++k) { scale[k] = n[k] / real64(s.sums.total.of[k]); }
     p.first = {mean[0], mean[1], scale[0], scale[1]};
     p.second = {mean[2], mean[3], scale[2], scale[3]};
     bool const spread = spreads(g, s, w.matched + std::ptrdiff_t{pair} * w.capacity, p);
@@ -99,14 +100,14 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static bool spreads(Group g, scratch& s, matched_pixels const* matched,
                                      prepared_pair const& p) {
-    wide const mean[4] = {p.first.mean_x, p.first.mean_y, p.second.mean_x, p.second.mean_y};
+    real64 const mean[4] = {p.first.mean_x, p.first.mean_y, p.second.mean_x, p.second.mean_y};
     ordered_sum(g, s.moments, p.matches, [&](int i, sum_terms<10, double>& acc) {
       matched_pixels const m = matched[i];
       float const xy[4] = {m.x1, m.y1, m.x2, m.y2};
       FT_UNROLL
       for (int image = 0; image < 2; ++image) {
-        wide const x = wide(static_cast<double>(xy[2 * image])) - mean[2 * image];
-        wide const y = wide(static_cast<double>(xy[2 * image + 1])) - mean[2 * image + 1];
+        real64 const x = real64(static_cast<double>(xy[2 * image])) - mean[2 * image];
+        real64 const y = real64(static_cast<double>(xy[2 * image + 1])) - mean[2 * image + 1];
         double* const sum = acc.of + 5 * image;
         sum[0] += x.value;
         sum[1] += y.value;
@@ -118,14 +119,14 @@ private:
     bool spread = true;
     for (int image = 0; image < 2; ++image) {
       double const* const sum = s.moments.total.of + 5 * image;
-      wide const count = double(p.matches);
-      wide const x = wide(sum[0]) / count;
-      wide const y = wide(sum[1]) / count;
-      wide const xx = wide(sum[2]) / count - x * x;
-      wide const xy = wide(sum[3]) / count - x * y;
-      wide const yy = wide(sum[4]) / count - y * y;
-      wide const trace = xx + yy;
-      spread = spread && xx * yy - xy * xy > wide(flat) * (trace * trace);
+      real64 const count = double(p.matches);
+      real64 const x = real64(sum[0]) / count;
+      real64 const y = real64(sum[1]) / count;
+      real64 const xx = real64(sum[2]) / count - x * x;
+      real64 const xy = real64(sum[3]) / count - x * y;
+      real64 const yy = real64(sum[4]) / count - y * y;
+      real64 const trace = xx + yy;
+      spread = spread && xx * yy - xy * xy > real64(flat) * (trace * trace);
     }
     return spread;
   }

@@ -16,7 +16,7 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/math/small_matrices.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -62,7 +62,7 @@ struct matched_pixels {
 
 /// x -> (x - mean) * scale.
 struct pixel_normalization {
-  wide mean_x, mean_y, scale_x, scale_y;
+  real64 mean_x, mean_y, scale_x, scale_y;
 };
 
 /// What is known of a pair before samples are drawn.

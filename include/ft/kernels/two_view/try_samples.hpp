@@ -11,24 +11,24 @@
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/matrices/paired_eigen.hpp"
-#include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"
+#include "ft/math/group_eigen.hpp"
+#include "ft/math/jacobi.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
 /// x -> T x of normalised homogeneous coordinates.
-FT_HOST_DEVICE inline wide_mat3 matrix_of(pixel_normalization const& n) {
-  wide const zero = 0.0;
+FT_HOST_DEVICE inline strict_mat3d matrix_of(pixel_normalization const& n) {
+  real64 const zero = 0.0;
   return {{n.scale_x, zero, -(n.mean_x * n.scale_x), zero, n.scale_y, -(n.mean_y * n.scale_y), zero,
-           zero, wide(1.0)}};
+           zero, real64(1.0)}};
 }
-FT_HOST_DEVICE inline wide_mat3 inverse_matrix_of(pixel_normalization const& n) {
-  wide const zero = 0.0;
-  wide const one = 1.0;
+FT_HOST_DEVICE inline strict_mat3d inverse_matrix_of(pixel_normalization const& n) {
+  real64 const zero = 0.0;
+  real64 const one = 1.0;
   return {{one / n.scale_x, zero, n.mean_x, zero, one / n.scale_y, n.mean_y, zero, zero, one}};
 }
 
@@ -40,7 +40,7 @@ struct try_sample {
 
   struct scratch {
     int taken[size];
-    wide rows[2 * size * unknowns];
+    real64 rows[2 * size * unknowns];
     paired_eigen<unknowns> eigen;
   };
 
@@ -61,22 +61,22 @@ struct try_sample {
     }
     g.sync();
     write_rows(g, s, matched, p, homography);
-    wide_mat3 const found = null_vector(g, s, homography ? 2 * size : size);
-    wide_mat3 const M = homography ? denormalized_H(p, found) : denormalized_F(p, found);
-    wide const weight = weight_of(params);
+    strict_mat3d const found = null_vector(g, s, homography ? 2 * size : size);
+    strict_mat3d const M = homography ? denormalized_H(p, found) : denormalized_F(p, found);
+    real64 const weight = weight_of(params);
     auto const score = [&](auto const& error) {
       return warp_ordered_sum(
           g, p.matches, [&](int i) { return agreement_with(error, matched[i], weight).score; });
     };
-    wide const total = homography ? score(homography_error(M)) : score(fundamental_error(M));
+    real64 const total = homography ? score(homography_error(M)) : score(fundamental_error(M));
     if (g.rank() == 0) {
       w.model[item] = M.cast<double>();
       w.score[item] = total.value;
     }
   }
 
-  FT_HOST_DEVICE static wide weight_of(two_view_params const& params) {
-    wide const sigma = static_cast<double>(params.sigma_px);
+  FT_HOST_DEVICE static real64 weight_of(two_view_params const& params) {
+    real64 const sigma = static_cast<double>(params.sigma_px);
     return scalar::reciprocal(sigma * sigma);
   }
 
@@ -87,25 +87,25 @@ private:
     int const rows = homography ? 2 * size : size;
     for (int r = g.rank(); r < rows; r += g.size()) {
       matched_pixels const m = matched[s.taken[homography ? r / 2 : r]];
-      auto const normal = [](float v, wide mean, wide scale) {
-        return (wide(static_cast<double>(v)) - mean) * scale;
+      auto const normal = [](float v, real64 mean, real64 scale) {
+        return (real64(static_cast<double>(v)) - mean) * scale;
       };
-      wide const u1 = normal(m.x1, p.first.mean_x, p.first.scale_x);
-      wide const v1 = normal(m.y1, p.first.mean_y, p.first.scale_y);
-      wide const u2 = normal(m.x2, p.second.mean_x, p.second.scale_x);
-      wide const v2 = normal(m.y2, p.second.mean_y, p.second.scale_y);
-      wide* const row = s.rows + unknowns * r;
+      real64 const u1 = normal(m.x1, p.first.mean_x, p.first.scale_x);
+      real64 const v1 = normal(m.y1, p.first.mean_y, p.first.scale_y);
+      real64 const u2 = normal(m.x2, p.second.mean_x, p.second.scale_x);
+      real64 const v2 = normal(m.y2, p.second.mean_y, p.second.scale_y);
+      real64* const row = s.rows + unknowns * r;
       if (!homography) {
-        wide const of[unknowns] = {u2 * u1, u2 * v1, u2, v2 * u1, v2 * v1, v2, u1, v1, 1.0};
+        real64 const of[unknowns] = {u2 * u1, u2 * v1, u2, v2 * u1, v2 * v1, v2, u1, v1, 1.0};
         for (int k = 0; k < unknowns; ++k) { row[k] = of[k]; }
         continue;
       }
       // Of x2 x (H x1) = 0 the first two rows, by turns.
       bool const upper = r % 2 == 0;
-      wide const x = upper ? v2 : u2;
-      wide const sign = upper ? 1.0 : -1.0;
-      wide const zero = 0.0;
-      wide const x1[3] = {u1, v1, 1.0};
+      real64 const x = upper ? v2 : u2;
+      real64 const sign = upper ? 1.0 : -1.0;
+      real64 const zero = 0.0;
+      real64 const x1[3] = {u1, v1, 1.0};
       for (int k = 0; k < 3; ++k) {
         row[k] = upper ? zero : x1[k];
         row[3 + k] = upper ? -x1[k] : zero;
@@ -117,11 +117,11 @@ private:
 
   /// The right singular vector of the smallest singular value, as a matrix.
   template <typename Group>
-  FT_HOST_DEVICE static wide_mat3 null_vector(Group g, scratch& s, int rows) {
+  FT_HOST_DEVICE static strict_mat3d null_vector(Group g, scratch& s, int rows) {
     for (int e = g.rank(); e < unknowns * unknowns; e += g.size()) {
-      wide sum = 0.0;
+      real64 sum = 0.0;
       for (int r = 0; r < rows; ++r) {
-        wide const* const row = s.rows + unknowns * r;
+        real64 const* const row = s.rows + unknowns * r;
         sum += row[e / unknowns] * row[e % unknowns];
       }
       s.eigen.a[e] = sum;
@@ -129,22 +129,23 @@ private:
     g.sync();
     s.eigen.diagonalize(g, unknowns);
     int const least = s.eigen.smallest(unknowns);
-    wide_mat3 M;
+    strict_mat3d M;
     for (int k = 0; k < 9; ++k) { M.m[k] = s.eigen.v[unknowns * k + least]; }
     return M;
   }
 
-  FT_HOST_DEVICE static wide_mat3 denormalized_H(prepared_pair const& p, wide_mat3 const& H) {
+  FT_HOST_DEVICE static strict_mat3d denormalized_H(prepared_pair const& p, strict_mat3d const& H) {
     return inverse_matrix_of(p.second) * (H * matrix_of(p.first));
   }
   /// Also makes it singular: M - M v v^T, where v is the last right singular vector.
-  FT_HOST_DEVICE static wide_mat3 denormalized_F(prepared_pair const& p, wide_mat3 M) {
+  FT_HOST_DEVICE static strict_mat3d denormalized_F(prepared_pair const& p, strict_mat3d M) {
     small_eigen<3> const eigen = eigen_of_square(M);
     int const last = eigen.smallest();
-    wide_vec3 const v{eigen.component(0, last), eigen.component(1, last), eigen.component(2, last)};
-    wide_vec3 const Mv = M * v;
-    wide const left[3] = {Mv.x, Mv.y, Mv.z};
-    wide const right[3] = {v.x, v.y, v.z};
+    strict_vec3d const v{eigen.component(0, last), eigen.component(1, last),
+                         eigen.component(2, last)};
+    strict_vec3d const Mv = M * v;
+    real64 const left[3] = {Mv.x, Mv.y, Mv.z};
+    real64 const right[3] = {v.x, v.y, v.z};
     for (int k = 0; k < 9; ++k) { M.m[k] = M.m[k] - left[k / 3] * right[k % 3]; }
     return matrix_of(p.second).transposed() * (M * matrix_of(p.first));
   }

@@ -10,10 +10,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/pose/solve6.hpp"
 #include "ft/kernels/window/links.hpp"
 #include "ft/kernels/window/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
+#include "ft/math/positive_definite.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -11,8 +11,8 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/pose/solve6.hpp"
 #include "ft/kernels/window/workspace.hpp"
+#include "ft/math/positive_definite.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -15,7 +15,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/words/strict_log.hpp"
+#include "ft/math/log.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Eigenvectors of a small symmetric matrix, several pairs of rows at once.
+/// @file Eigenvalues and eigenvectors of symmetric matrices, by a group of threads. Equal bits on
+/// every executor.
 #pragma once
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
+#include "ft/math/jacobi.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -97,20 +99,13 @@ private:
     real const pq = a[p * n + q];
     real const pp = a[p * n + p];
     real const qq = a[q * n + q];
-    real const size = scalar::abs(pq);
-    // Nothing is added to the smaller of two values of one sign by less than that.
-    bool const negligible =
-        scalar::abs(pp) + size == scalar::abs(pp) && scalar::abs(qq) + size == scalar::abs(qq);
-    if (negligible || !scalar::is_finite(pq)) { return false; }
-    real const d = qq - pp;
-    real const twice = pq + pq;
-    real const root = scalar::sqrt(d * d + twice * twice);
-    real const t = twice / (d < real(0.0) ? d - root : d + root);
+    if (nothing_to_turn(pq, pp, qq)) { return false; }
+    real const t = tangent_by_root(pq, pp, qq);
     if (!scalar::is_finite(t)) { return false; }
-    real const c = scalar::reciprocal(scalar::sqrt(t * t + real(1.0)));
-    tangent[k] = t;
-    cosine[k] = c;
-    sine[k] = t * c;
+    auto const r = jacobi_rotation::with(t);
+    tangent[k] = r.tangent;
+    cosine[k] = r.cosine;
+    sine[k] = r.sine;
     return true;
   }
   /// The four entries where the rows of one pair and the columns of another one meet, and their
@@ -150,12 +145,73 @@ private:
   }
   FT_HOST_DEVICE void turn_vector(int n, int k, int row) {
     if (second[k] >= n) { return; }
-    real& p = v[row * n + first[k]];
-    real& q = v[row * n + second[k]];
-    real const vp = p;
-    real const vq = q;
-    p = cosine[k] * vp - sine[k] * vq;
-    q = sine[k] * vp + cosine[k] * vq;
+    jacobi_rotation const r{tangent[k], cosine[k], sine[k]};
+    r.turn(v[row * n + first[k]], v[row * n + second[k]]);
+  }
+};
+
+/// A symmetric matrix of up to 15 rows, and its eigenvectors, by cyclic Jacobi rotations in a fixed
+/// order. Threads share the rows of a rotation; the bits do not depend on their number. Source:
+/// Golub and Van Loan, "Matrix computations", section 8.5.
+struct symmetric_eigen {
+  static constexpr int most = 15;
+  static constexpr int sweeps = 24;  ///< at most; eight are usual
+
+  real64 a[most * most];  ///< row-major, n x n; in the end the eigenvalues are on its diagonal
+  real64 v[most * most];  ///< column k is the eigenvector of eigenvalue k
+
+  FT_HOST_DEVICE real64 value(int k, int n) const { return a[k * n + k]; }
+
+  /// Diagonalises `a`, n x n, whose both triangles are set. The group has synced. Ends with a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void diagonalize(Group g, int n) {
+    for (int k = g.rank(); k < n * n; k += g.size()) { v[k] = k % (n + 1) == 0 ? 1.0 : 0.0; }
+    g.sync();
+    bool turned = true;
+    FT_NO_UNROLL
+    for (int sweep = 0; turned && sweep < sweeps; ++sweep) {
+      turned = false;
+      FT_NO_UNROLL
+      for (int p = 0; p + 1 < n; ++p) {
+        FT_NO_UNROLL
+        for (int q = p + 1; q < n; ++q) { turned = rotate(g, n, p, q) || turned; }
+      }
+    }
+  }
+
+  /// Entry (i, j) of the matrix with the eigenvalues that `map` gives for their numbers.
+  template <typename Map>
+  FT_HOST_DEVICE real64 recomposed(int n, int i, int j, Map const& map) const {
+    real64 sum = 0.0;
+    for (int k = 0; k < n; ++k) { sum += map(k) * (v[i * n + k] * v[j * n + k]); }
+    return sum;
+  }
+
+private:
+  /// Turns rows and columns p and q so that entry (p, q) is 0. Returns whether it was not
+  /// negligible.
+  template <typename Group>
+  FT_HOST_DEVICE bool rotate(Group g, int n, int p, int q) {
+    real64 const pq = a[p * n + q];
+    real64 const pp = a[p * n + p];
+    real64 const qq = a[q * n + q];
+    if (nothing_to_turn(pq, pp, qq)) { return false; }
+    auto const r = jacobi_rotation::with(tangent_by_ratio(pq, pp, qq));
+    g.sync();
+    for (int k = g.rank(); k < n; k += g.size()) {
+      r.turn(v[k * n + p], v[k * n + q]);
+      if (k == p) {
+        a[p * n + p] = pp - r.tangent * pq;
+        a[q * n + q] = qq + r.tangent * pq;
+        a[p * n + q] = a[q * n + p] = 0.0;
+      } else if (k != q) {
+        r.turn(a[k * n + p], a[k * n + q]);
+        a[p * n + k] = a[k * n + p];
+        a[q * n + k] = a[k * n + q];
+      }
+    }
+    g.sync();
+    return true;
   }
 };
 

@@ -15,7 +15,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners/detect_corners.hpp"
-#include "ft/kernels/corners/fast_score.hpp"
+#include "ft/kernels/corners/detail/fast_score.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 

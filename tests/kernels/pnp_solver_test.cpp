@@ -13,8 +13,8 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/pnp/linear_pose.hpp"
-#include "ft/kernels/pnp/refine_pose.hpp"
+#include "ft/kernels/pnp/detail/linear_pose.hpp"
+#include "ft/kernels/pnp/detail/refine_pose.hpp"
 #include "ft/math/group_eigen.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "tests/support/backends.hpp"

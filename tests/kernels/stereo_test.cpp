@@ -5,7 +5,7 @@
 #include "ft/containers/stereo_matches.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
 
 #include <gtest/gtest.h>
 

@@ -12,9 +12,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/pnp/hypotheses.hpp"
+#include "ft/kernels/pnp/detail/hypotheses.hpp"
 #include "ft/kernels/pnp/problem.hpp"
-#include "ft/kernels/pnp/refine_pose.hpp"
+#include "ft/kernels/pnp/detail/refine_pose.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 
 namespace ft {

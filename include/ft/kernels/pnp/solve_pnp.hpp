@@ -23,7 +23,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/pnp/hypotheses.hpp"
+#include "ft/kernels/pnp/detail/hypotheses.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 
 namespace ft {

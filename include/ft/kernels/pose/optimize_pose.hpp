@@ -16,11 +16,11 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/pose/damped_descent.hpp"
-#include "ft/kernels/pose/normal_equations.hpp"
+#include "ft/kernels/pose/detail/damped_descent.hpp"
+#include "ft/kernels/pose/detail/normal_equations.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
-#include "ft/kernels/pose/prepared_observations.hpp"
-#include "ft/kernels/pose/reprojection.hpp"
+#include "ft/kernels/pose/detail/prepared_observations.hpp"
+#include "ft/kernels/pose/detail/reprojection.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -7,8 +7,8 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/pyramid/by_rows.hpp"
-#include "ft/kernels/pyramid/by_tiles.hpp"
+#include "ft/kernels/pyramid/detail/by_rows.hpp"
+#include "ft/kernels/pyramid/detail/by_tiles.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
 

@@ -9,12 +9,12 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/candidates.hpp"
-#include "ft/kernels/search/frame_search.hpp"
-#include "ft/kernels/search/proposals.hpp"
-#include "ft/kernels/search/sequential.hpp"
-#include "ft/kernels/search/turns.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/candidates.hpp"
+#include "ft/kernels/search/detail/frame_search.hpp"
+#include "ft/kernels/search/detail/proposals.hpp"
+#include "ft/kernels/search/detail/sequential.hpp"
+#include "ft/kernels/search/detail/turns.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

@@ -16,7 +16,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/stereo/hamming.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,11 +10,11 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/two_view/check_motions.hpp"
-#include "ft/kernels/two_view/choose_model.hpp"
-#include "ft/kernels/two_view/prepare.hpp"
+#include "ft/kernels/two_view/detail/check_motions.hpp"
+#include "ft/kernels/two_view/detail/choose_model.hpp"
+#include "ft/kernels/two_view/detail/prepare.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/try_samples.hpp"
+#include "ft/kernels/two_view/detail/try_samples.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,9 +10,9 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/window/evaluate.hpp"
-#include "ft/kernels/window/reduce.hpp"
-#include "ft/kernels/window/solve.hpp"
+#include "ft/kernels/window/detail/evaluate.hpp"
+#include "ft/kernels/window/detail/reduce.hpp"
+#include "ft/kernels/window/detail/solve.hpp"
 #include "ft/kernels/window/workspace.hpp"
 
 namespace ft {

@@ -19,7 +19,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/stereo/hamming.hpp"
 
 namespace ft {

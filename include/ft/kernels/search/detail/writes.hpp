@@ -6,8 +6,8 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/open_points.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/open_points.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -12,7 +12,7 @@
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/transfer_error.hpp"
+#include "ft/kernels/two_view/detail/transfer_error.hpp"
 #include "ft/math/group_eigen.hpp"
 #include "ft/math/jacobi.hpp"
 

@@ -10,11 +10,11 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
-#include "ft/kernels/search/choose.hpp"
-#include "ft/kernels/search/open_points.hpp"
-#include "ft/kernels/search/writes.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/choose.hpp"
+#include "ft/kernels/search/detail/open_points.hpp"
+#include "ft/kernels/search/detail/writes.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -18,8 +18,8 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
-#include "ft/kernels/search/frame_search.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/frame_search.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 

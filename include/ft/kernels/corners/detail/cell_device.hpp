@@ -10,9 +10,9 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/corners/candidates.hpp"
+#include "ft/kernels/corners/detail/candidates.hpp"
 #include "ft/kernels/corners/cell.hpp"
-#include "ft/kernels/corners/fast_score.hpp"
+#include "ft/kernels/corners/detail/fast_score.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
 
 namespace ft {

@@ -12,10 +12,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/two_view/motions.hpp"
+#include "ft/kernels/two_view/detail/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
-#include "ft/kernels/two_view/transfer_error.hpp"
-#include "ft/kernels/two_view/try_samples.hpp"
+#include "ft/kernels/two_view/detail/transfer_error.hpp"
+#include "ft/kernels/two_view/detail/try_samples.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -8,8 +8,8 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
 #include "ft/kernels/search/windows.hpp"
 
 namespace ft {

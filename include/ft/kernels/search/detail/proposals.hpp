@@ -11,9 +11,9 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
-#include "ft/kernels/search/choose.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/choose.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -7,7 +7,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/pose/normal_equations.hpp"
+#include "ft/kernels/pose/detail/normal_equations.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/math/positive_definite.hpp"
 #include "ft/math/se3.hpp"

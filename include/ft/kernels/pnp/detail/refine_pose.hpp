@@ -12,7 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/pnp/linear_pose.hpp"
+#include "ft/kernels/pnp/detail/linear_pose.hpp"
 #include "ft/math/positive_definite.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"

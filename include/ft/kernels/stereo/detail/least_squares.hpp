@@ -9,7 +9,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/stereo/window_differences.hpp"
+#include "ft/kernels/stereo/detail/window_differences.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

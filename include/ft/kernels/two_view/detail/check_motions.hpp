@@ -12,7 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/two_view/motions.hpp"
+#include "ft/kernels/two_view/detail/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/math/jacobi.hpp"
 

@@ -15,7 +15,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
-#include "ft/kernels/window/residual.hpp"
+#include "ft/kernels/window/detail/residual.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,9 +14,9 @@
 #include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/stage.hpp"
-#include "ft/kernels/pnp/linear_pose.hpp"
+#include "ft/kernels/pnp/detail/linear_pose.hpp"
 #include "ft/kernels/pnp/problem.hpp"
-#include "ft/kernels/pnp/refine_pose.hpp"
+#include "ft/kernels/pnp/detail/refine_pose.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "ft/core/config.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

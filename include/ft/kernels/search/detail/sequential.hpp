@@ -3,8 +3,8 @@
 #pragma once
 
 #include "ft/core/config.hpp"
-#include "ft/kernels/search/assignment_context.hpp"
-#include "ft/kernels/search/choose.hpp"
+#include "ft/kernels/search/detail/assignment_context.hpp"
+#include "ft/kernels/search/detail/choose.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

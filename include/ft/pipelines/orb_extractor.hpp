@@ -16,7 +16,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
 

@@ -21,7 +21,6 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
-#include "ft/kernels/relocalization/correspondences.hpp"
 #include "ft/kernels/relocalization/frame_points.hpp"
 #include "ft/kernels/search/keyframe.hpp"
 #include "ft/kernels/words/search_by_words.hpp"

@@ -13,7 +13,7 @@
 #include "ft/kernels/inertial/inertial_residual.hpp"
 #include "ft/kernels/inertial/information.hpp"
 #include "ft/kernels/inertial/visual_residual.hpp"
-#include "ft/kernels/pose/detail/normal_equations.hpp"
+#include "ft/kernels/pose/detail/damped_descent.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -17,10 +17,8 @@
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/detail/damped_descent.hpp"
-#include "ft/kernels/pose/detail/normal_equations.hpp"
-#include "ft/kernels/pose/pose_problem.hpp"
-#include "ft/kernels/pose/detail/prepared_observations.hpp"
 #include "ft/kernels/pose/detail/reprojection.hpp"
+#include "ft/kernels/pose/pose_problem.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

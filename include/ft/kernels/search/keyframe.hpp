@@ -15,11 +15,11 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/kernels/search/assignment.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
 #include "ft/kernels/search/detail/candidates.hpp"
-#include "ft/kernels/search/detail/frame_search.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 

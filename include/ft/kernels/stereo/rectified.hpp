@@ -16,7 +16,6 @@
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/stereo/detail/least_squares.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
-#include "ft/kernels/stereo/detail/window_differences.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

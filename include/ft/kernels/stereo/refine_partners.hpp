@@ -15,8 +15,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/views.hpp"
+#include "ft/kernels/stereo/detail/least_squares.hpp"
 #include "ft/kernels/stereo/detail/triangulation.hpp"
-#include "ft/kernels/stereo/detail/window_differences.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -12,9 +12,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/two_view/detail/check_motions.hpp"
 #include "ft/kernels/two_view/detail/choose_model.hpp"
-#include "ft/kernels/two_view/detail/prepare.hpp"
-#include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/detail/try_samples.hpp"
+#include "ft/kernels/two_view/problem.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -16,7 +16,6 @@
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/clear_holders.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/local_map.hpp"

@@ -16,7 +16,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/map/triangulate_points.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"

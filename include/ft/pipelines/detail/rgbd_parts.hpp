@@ -19,7 +19,7 @@
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/images/depth_association.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 

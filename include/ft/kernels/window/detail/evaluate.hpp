@@ -10,7 +10,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/window/detail/links.hpp"
 #include "ft/kernels/window/detail/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/math/positive_definite.hpp"

@@ -187,6 +187,7 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/strict_log.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/imu_warnings.hpp"

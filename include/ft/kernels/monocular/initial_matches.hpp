@@ -35,6 +35,11 @@ struct frame_pair_view {
   feature_grid_view grids;  ///< of `second`
 };
 
+/// @throws bad_argument naming the value and the limit
+inline void check(initial_match_params const& p) {
+  detail::require_range("initial_match_params::max_hamming", p.max_hamming, 0, 255);
+}
+
 /// Matches of a batch of frame pairs.
 struct initial_matches_view {
   int capacity = 0;  ///< keypoints of a first frame
@@ -332,7 +337,7 @@ void search_initial_matches(Exec const& exec, frame_pair_view const& frames,
                             initial_match_workspace const& work) {
   int const first = frames.first.capacity;
   int const second = frames.second.capacity;
-  detail::require_range("max_hamming", params.max_hamming, 0, 255);
+  check(params);
   detail::require_range("keypoints of the first frame", first, 1, (1 << 23) - 1);
   detail::require_range("keypoints of the second frame", second, 1, (1 << 23) - 1);
   detail::require_range("capacity of the matches", out.capacity, first, first);

@@ -50,7 +50,7 @@ void adjust_window(Exec const& exec, Rig const& rig, window_problem_view const& 
   detail::require(problems.views == work.views && problems.points == work.points &&
                       problems.batch == work.batch,
                   "a window's workspace has the shape of its problems");
-  detail::require_range("steps of an adjustment", params.steps, 0, 1000);
+  check(params);
   using block = per_block<sum_lanes>;
   int const groups = problems.batch * work.groups();
   std::size_t const matrix = sizeof(double) * static_cast<std::size_t>(work.side()) *

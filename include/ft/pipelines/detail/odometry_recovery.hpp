@@ -149,8 +149,7 @@ private:
 
   static place_recovery const& checked(vocabulary_view const& words, place_recovery const& p) {
     require(words.words > 0, "the vocabulary has no words, was never made, or was moved from");
-    require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
-    require_range("candidates", p.candidates, 1, max_keyframes);
+    ft::check(p);
     return p;
   }
 

@@ -43,6 +43,7 @@
 #include "ft/kernels/distribution/node_codes.hpp"
 #include "ft/kernels/distribution/node_ranks.hpp"
 #include "ft/kernels/distribution/sort_by_code.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

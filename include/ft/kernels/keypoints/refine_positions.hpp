@@ -10,6 +10,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners/detail/fast_score.hpp"
 #include "ft/kernels/corners/detail/strip_host.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -13,10 +13,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/stereo/detail/least_squares.hpp"
 #include "ft/kernels/stereo/detail/triangulation.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,6 +14,8 @@
 #include "ft/kernels/two_view/detail/choose_model.hpp"
 #include "ft/kernels/two_view/detail/try_samples.hpp"
 #include "ft/kernels/two_view/problem.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -9,7 +9,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/window/detail/evaluate.hpp"
 #include "ft/kernels/window/detail/reduce.hpp"
@@ -17,6 +16,8 @@
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/math/block_systems.hpp"
 #include "ft/math/se3.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -108,7 +109,7 @@ void adjust_window(Exec const& exec, Rig const& rig, window_problem_view const& 
   detail::require(problems.views == work.views && problems.points == work.points &&
                       problems.batch == work.batch,
                   "a window's workspace has the shape of its problems");
-  detail::require_range("steps of an adjustment", params.steps, 0, 1000);
+  check(params);
   using block = per_block<sum_lanes>;
   int const groups = problems.batch * work.groups();
   std::size_t const matrix = sizeof(double) * static_cast<std::size_t>(work.side()) *

@@ -7,10 +7,10 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/math/group_eigen.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -15,7 +15,6 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/stage.hpp"
 #include "ft/kernels/pnp/detail/linear_pose.hpp"
@@ -23,6 +22,7 @@
 #include "ft/math/positive_definite.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

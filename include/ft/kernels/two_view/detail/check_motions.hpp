@@ -11,11 +11,12 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/math/jacobi.hpp"
 #include "ft/math/small_matrices.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

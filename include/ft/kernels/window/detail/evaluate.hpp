@@ -8,11 +8,12 @@
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/window/detail/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/math/positive_definite.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

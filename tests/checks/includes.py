@@ -30,7 +30,9 @@ ALLOWED_ROOMS = {
     "interop": {"types", "core", "containers", "interop"},
 }
 CONFIG = "ft/core/config.hpp"  # macros, open to all
-UMBRELLA = "ft/ft.hpp"
+UMBRELLA = "ft/stages.hpp"
+START = "ft/ft.hpp"  # what most programs need; the rest of the umbrella is the stages
+START_ROOMS = {"types", "cameras", "pipelines"}
 VERSION = "ft/version.hpp"
 
 # Third parties that one header alone may include.
@@ -69,7 +71,7 @@ def code_lines(path):
 
 
 def room_of(header):
-    """'ft/core/detail/x.hpp' -> 'core'; None for the umbrella and the version."""
+    """'ft/core/detail/x.hpp' -> 'core'; None for the umbrellas and the version."""
     parts = header.split("/")
     return parts[1] if len(parts) > 2 else None
 
@@ -129,10 +131,15 @@ class Checker:
         if not (self.include_dir / target).is_file():
             self.report(path, number, f"there is no {target}")
         self.includes.setdefault(name, set()).add(target)
-        if name == UMBRELLA:
+        if name == START:
+            if room_of(target) not in START_ROOMS and target not in (VERSION, "ft/core/execution.hpp"):
+                self.report(path, number, f"{target} belongs in {UMBRELLA}")
+            elif "/detail/" in target:
+                self.report(path, number, f"{target} is internal")
+        elif name == UMBRELLA:
             if "/detail/" in target or target.startswith(("ft/interop/", "ft/math/")):
                 self.report(path, number, f"{target} does not belong in the umbrella")
-        elif target == UMBRELLA:
+        elif target in (UMBRELLA, START):
             self.report(path, number, "includes the umbrella")
         elif target not in (VERSION, CONFIG):
             self.check_direction(path, number, room, target)
@@ -185,10 +192,10 @@ class Checker:
 CLEAN = {
     "include/ft/ft.hpp": "\n".join(
         f'#include "ft/{name}"'
-        for name in (
-            "version.hpp", "types/pose.hpp", "core/launch.hpp", "cameras/pinhole.hpp", "containers/soa.hpp",
-            "pipelines/tracker.hpp",
-        )
+        for name in ("version.hpp", "types/pose.hpp", "cameras/pinhole.hpp", "pipelines/tracker.hpp")
+    ),
+    "include/ft/stages.hpp": "\n".join(
+        f'#include "ft/{name}"' for name in ("ft.hpp", "core/launch.hpp", "containers/soa.hpp")
     ),
     "include/ft/version.hpp": "#pragma once",
     "include/ft/core/config.hpp": "#pragma once",
@@ -218,6 +225,8 @@ VIOLATIONS = [
     ("include/ft/core/math.hpp", '  #  include "ft/kernels/blur.hpp"', "core may not include kernels"),
     ("include/ft/core/math.hpp", "#include <ft/pipelines/tracker.hpp>", "core may not include pipe"),
     ("include/ft/core/math.hpp", '#include "ft/ft.hpp"', "includes the umbrella"),
+    ("include/ft/core/math.hpp", '#include "ft/stages.hpp"', "includes the umbrella"),
+    ("include/ft/ft.hpp", '#include "ft/kernels/blur.hpp"', "belongs in ft/stages.hpp"),
     ("include/ft/core/math.hpp", '#include "detail/bits.hpp"', "does not start with"),
     ("include/ft/core/math.hpp", '#include "ft/core/nowhere.hpp"', "there is no"),
     ("include/ft/core/math.hpp", "#include <Eigen/Core>", "includes Eigen"),
@@ -241,9 +250,9 @@ VIOLATIONS = [
     ("include/ft/pipelines/tracker.hpp", '#include "ft/interop/opencv.hpp"', "may not include interop"),
     ("include/ft/interop/thrust.hpp", '#include "ft/kernels/blur.hpp"', "interop may not include"),
     ("include/ft/interop/thrust.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
-    ("include/ft/ft.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
-    ("include/ft/ft.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
-    ("include/ft/ft.hpp", '#include "ft/math/so3.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/math/so3.hpp"', "does not belong in the umbrella"),
     ("bench/blur.cu", '#include "ft/math/so3.hpp"', "is not API"),
     ("include/ft/tools/extra.hpp", "", "is not a room"),
     ("include/ft/core/forgotten.hpp", "", "does not reach ft/core/forgotten.hpp"),
@@ -273,7 +282,7 @@ def self_test():
         text = CLEAN.get(name, "// new")
         line = text.count("\n") + 2 if added else 1
         found = run_on({**CLEAN, name: f"{text}\n{added}" if added else text})
-        where = "include/ft/ft.hpp:1" if "forgotten" in name else f"{name}:{line}"
+        where = "include/ft/stages.hpp:1" if "forgotten" in name else f"{name}:{line}"
         if not any(v.startswith(where + ":") and expected in v for v in found):
             failures.append(f"missed in {where}: {added or '(the file)'}; found: {found}")
         if len(found) != 1:

@@ -16,7 +16,9 @@ RESULTS = ROOT / "bench" / "results"
 
 
 def load(name):
-    return json.loads((RESULTS / name).read_text())
+    """The first measurement of a file, its settings and tables beside each other."""
+    record = json.loads((RESULTS / name).read_text())["records"][0]
+    return {**record, "gpu": "", **record.get("machine", {}), **record.get("settings", {}), **record.get("tables", {})}
 
 
 def frame_results():
@@ -105,7 +107,7 @@ def counts():
     found = False
     for rig, array in (("rectified", "rows"), ("fisheye", "fisheye")):
         for r in bench.get(array, []):
-            c = r.get("counts")
+            c = {k.removeprefix("counts."): v for k, v in r.items() if k.startswith("counts.")}
             if not c or r["batch"] != 1 or r["name"] not in ("frame", "frame, with pose optimisation"):
                 continue
             found = True
@@ -223,10 +225,10 @@ def host_stages():
     of_native = {r["name"]: r for r in native["host_stages"]}
     for r in usual["host_stages"]:
         n = of_native.get(r["name"], {})
-        cells = [r["name"], f"{r['ft']['p50_us']:.0f}"]
-        cells += [f"{r['opencv']['p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv" in r else ["", ""]
-        cells.append(f"{n['ft']['p50_us']:.0f}" if n else "")
-        cells.append(f"{n['times_as_fast']:.2f}" if "opencv" in n else "")
+        cells = [r["name"], f"{r['ft.p50_us']:.0f}"]
+        cells += [f"{r['opencv.p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv.p50_us" in r else ["", ""]
+        cells.append(f"{n['ft.p50_us']:.0f}" if n else "")
+        cells.append(f"{n['times_as_fast']:.2f}" if "opencv.p50_us" in n else "")
         cells += [r.get("counterpart", ""), r.get("difference", "")]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
@@ -238,8 +240,9 @@ def conformance():
         "| stage | items | identical, host | identical, CUDA | worst difference, host | worst difference, CUDA |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for name, h in host["stages"].items():
-        c = cuda["stages"][name]
+    on_cuda = {c["name"]: c for c in cuda["stages"]}
+    for h in host["stages"]:
+        name, c = h["name"], on_cuda[h["name"]]
         lines.append(
             f"| {name} | {h['items']} | {h['identical']} | {c['identical']} | {h['max_abs_diff']:.2g} | {c['max_abs_diff']:.2g} |"
         )
@@ -291,9 +294,9 @@ def self_test():
         {"model": "m", "scalar": "float", "function": "unproject", "backend": "cuda", "threads": 0, "ns_per_point": 0.0051}]
     assert cameras()[-1] == "| m | float | 2.5 |  |  |  |  | 0.0051 |", cameras()
     results.update(processor="a processor", host_stages=[
-        {"name": "blur", "calls": 9, "ft": {"p50_us": 50.0}, "opencv": {"p50_us": 100.0}, "times_as_fast": 2.0,
+        {"name": "blur", "calls": 9, "ft.p50_us": 50.0, "opencv.p50_us": 100.0, "times_as_fast": 2.0,
          "opencv_version": "OpenCV 0", "counterpart": "GaussianBlur", "difference": "none"},
-        {"name": "distribution", "calls": 9, "ft": {"p50_us": 7.0}}])
+        {"name": "distribution", "calls": 9, "ft.p50_us": 7.0}])
     assert host_stages()[-2:] == ["| blur | 50 | 100 | 2.00 | 50 | 2.00 | GaussianBlur | none |",
                                   "| distribution | 7 |  |  | 7 |  |  |  |"], host_stages()
     results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]

@@ -6,7 +6,6 @@
 
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/monocular_rig.hpp"

@@ -204,5 +204,28 @@ struct assert_camera_model {
   static constexpr bool value = true;
 };
 
+namespace detail {
+
+/// The ray of a pixel of `from`, rotated by `R_to_from` and projected by `to`. Valid where both
+/// models are defined and the result is finite. With cameras of strict_double all executors give
+/// the same bits, except for the last bit of an arc tangent or tangent in a camera model.
+template <typename From, typename To>
+FT_HOST_DEVICE projection<strict_double> transfer_pixel(From const& from,
+                                                        mat3<strict_double> const& R_to_from,
+                                                        To const& to, vec2<strict_double> pixel) {
+  auto const seen = from.unproject(pixel);
+  auto const projected = to.project(R_to_from * seen.direction);
+  bool const finite = scalar::is_finite(projected.pixel.x) && scalar::is_finite(projected.pixel.y);
+  return {projected.pixel, seen.valid && projected.valid && finite};
+}
+
+inline mat3<strict_double> strict_rotation(mat3<double> const& R) {
+  mat3<strict_double> strict;
+  for (int i = 0; i < 9; ++i) { strict.m[i] = R.m[i]; }
+  return strict;
+}
+
+}  // namespace detail
+
 }  // namespace FT_ABI
 }  // namespace ft

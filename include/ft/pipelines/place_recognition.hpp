@@ -14,8 +14,8 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
 #include "ft/kernels/words/query_database.hpp"
+#include "ft/kernels/words/score.hpp"
 #include "ft/kernels/words/transform.hpp"
 
 namespace ft {

@@ -13,7 +13,6 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"

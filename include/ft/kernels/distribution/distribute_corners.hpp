@@ -10,7 +10,7 @@
 ///
 /// It is computed in parallel, because
 /// - nodes are halved at fixed places, so that the path of a point does not depend on other points.
-///   The path is a code of two bits per depth (node_codes.hpp). Once the points are sorted by code
+///   The path is a code of two bits per depth (level_tree.hpp). Once the points are sorted by code
 ///   (sort_by_code.hpp), every node of every depth is a range of them;
 /// - every round but the last splits every node with more than one point. So the length of the list
 ///   after round k is the number of nodes at depth k, and all lengths are known before any node is
@@ -18,7 +18,7 @@
 ///   (node_ranks.hpp);
 /// - pushing to the front reverses the order. With the bits of every other depth inverted, the
 ///   nodes of a round are in ascending or descending order of their codes. So the list after the
-///   rounds that split every node is written at once (whole_rounds.hpp).
+///   rounds that split every node is written at once (node_ranks.hpp).
 ///
 /// Only the rounds that split node by node run one after the other (last_rounds.hpp), and each of
 /// them decides all nodes at once by ranks. docs/architecture.md explains why the result is that of
@@ -40,7 +40,6 @@
 #include "ft/kernels/distribution/last_rounds_packed.hpp"
 #include "ft/kernels/distribution/layout.hpp"
 #include "ft/kernels/distribution/level_tree.hpp"
-#include "ft/kernels/distribution/node_codes.hpp"
 #include "ft/kernels/distribution/node_ranks.hpp"
 #include "ft/kernels/distribution/sort_by_code.hpp"
 #include "ft/types/orb_params.hpp"

@@ -6,7 +6,6 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/kernels/images/transfer_pixel.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"

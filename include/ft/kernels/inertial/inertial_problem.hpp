@@ -5,7 +5,7 @@
 #include <type_traits>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/types/poses.hpp"
 

@@ -5,7 +5,7 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/ordered_sum.hpp"

@@ -2,7 +2,7 @@
 /// @file Reprojection error of an observation in double precision, and its derivative, for poses
 /// with an IMU.
 ///
-/// Other than pose/reprojection.hpp there is no rounding to float but for the angles of a
+/// Other than pose/detail/damped_descent.hpp there is no rounding to float but for the angles of a
 /// Kannala-Brandt camera, and a point behind a camera has an error like any other.
 #pragma once
 
@@ -11,7 +11,7 @@
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/math/so3.hpp"

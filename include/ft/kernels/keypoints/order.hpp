@@ -35,7 +35,7 @@ struct ordering_view {
   frame_arrivals arrivals;
 };
 
-/// For order_corners() without feature grids; see order_and_grid.hpp.
+/// For order_corners() without feature grids; see below.
 struct no_grids {};
 
 namespace detail {

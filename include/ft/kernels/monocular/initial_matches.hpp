@@ -19,9 +19,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/detail/candidate_list.hpp"
 #include "ft/kernels/search/detail/orientation_check.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 

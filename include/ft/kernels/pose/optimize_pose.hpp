@@ -9,14 +9,13 @@
 #include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/detail/damped_descent.hpp"
-#include "ft/kernels/pose/detail/reprojection.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"

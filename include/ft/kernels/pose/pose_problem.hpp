@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/types/poses.hpp"

@@ -9,7 +9,6 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"

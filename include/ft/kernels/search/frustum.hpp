@@ -12,7 +12,6 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"

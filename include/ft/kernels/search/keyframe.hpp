@@ -19,7 +19,6 @@
 #include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"

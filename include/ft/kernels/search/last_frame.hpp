@@ -17,7 +17,6 @@
 #include "ft/kernels/search/detail/candidates.hpp"
 #include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

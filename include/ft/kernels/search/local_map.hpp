@@ -13,7 +13,6 @@
 #include "ft/kernels/search/detail/candidate_list.hpp"
 #include "ft/kernels/search/detail/candidates.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

@@ -6,9 +6,9 @@
 #include <cstdint>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"

@@ -18,7 +18,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/slot_rows.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
 #include "ft/kernels/words/score.hpp"
 
 namespace ft {

@@ -20,7 +20,6 @@
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/detail/orientation_check.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 #include "ft/types/relocalization.hpp"
 
 namespace ft {

@@ -17,7 +17,6 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -19,7 +19,6 @@
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/refine_positions.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
-#include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/types/orb_params.hpp"

@@ -6,9 +6,7 @@
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
-#include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keyframe_rays.hpp"
 #include "ft/containers/stereo_matches.hpp"

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"

@@ -8,7 +8,6 @@
 #include <type_traits>
 
 #include "ft/cameras/rgbd_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/stereo_matches.hpp"

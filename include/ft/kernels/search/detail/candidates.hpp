@@ -8,7 +8,6 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/kernels/search/detail/candidate_list.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

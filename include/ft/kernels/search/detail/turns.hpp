@@ -14,8 +14,6 @@
 #include "ft/core/group.hpp"
 #include "ft/kernels/search/detail/assignment_context.hpp"
 #include "ft/kernels/search/detail/candidate_list.hpp"
-#include "ft/kernels/search/detail/choose.hpp"
-#include "ft/kernels/search/detail/open_points.hpp"
 #include "ft/kernels/search/detail/writes.hpp"
 
 namespace ft {

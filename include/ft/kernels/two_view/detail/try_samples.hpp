@@ -10,7 +10,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
-#include "ft/kernels/two_view/detail/transfer_error.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/math/group_eigen.hpp"
 #include "ft/math/jacobi.hpp"
@@ -19,7 +19,110 @@
 
 namespace ft {
 inline namespace FT_ABI {
+
+// How well matches agree with a homography or a fundamental matrix.
+
 namespace detail {
+
+/// Squared errors of a match in units of its variance, in both images.
+struct transfer_error {
+  real64 first, second;
+};
+
+/// The model x2 ~ H x1.
+struct homography_error {
+  /// Of 2 degrees of freedom at 95 %.
+  static constexpr double limit = 5.991;
+
+  strict_mat3d H;        ///< first image to second
+  strict_mat3d inverse;  ///< of any scale
+
+  FT_HOST_DEVICE explicit homography_error(strict_mat3d const& H_21) : H(H_21) {
+    strict_vec3d const r[3] = {
+        {H.m[0], H.m[1], H.m[2]}, {H.m[3], H.m[4], H.m[5]}, {H.m[6], H.m[7], H.m[8]}};
+    strict_vec3d const a = cross(r[1], r[2]);
+    strict_vec3d const b = cross(r[2], r[0]);
+    strict_vec3d const c = cross(r[0], r[1]);
+    inverse = {{a.x, b.x, c.x, a.y, b.y, c.y, a.z, b.z, c.z}};
+  }
+  FT_HOST_DEVICE transfer_error operator()(strict_vec3d x1, strict_vec3d x2) const {
+    return {distance2(inverse * x2, x1), distance2(H * x1, x2)};
+  }
+
+private:
+  /// Squared distance of the point a, in homogeneous coordinates, and b.
+  FT_HOST_DEVICE static real64 distance2(strict_vec3d a, strict_vec3d b) {
+    real64 const i = scalar::reciprocal(a.z);
+    real64 const x = b.x - a.x * i;
+    real64 const y = b.y - a.y * i;
+    return x * x + y * y;
+  }
+};
+
+/// The model x2^T F x1 = 0.
+struct fundamental_error {
+  /// Of 1 degree of freedom at 95 %.
+  static constexpr double limit = 3.841;
+
+  strict_mat3d F;
+
+  FT_HOST_DEVICE explicit fundamental_error(strict_mat3d const& F_21) : F(F_21) {}
+  FT_HOST_DEVICE transfer_error operator()(strict_vec3d x1, strict_vec3d x2) const {
+    return {distance2(F.transposed() * x2, x1), distance2(F * x1, x2)};
+  }
+
+private:
+  FT_HOST_DEVICE static real64 distance2(strict_vec3d line, strict_vec3d x) {
+    real64 const d = dot(line, x);
+    return d * d / (line.x * line.x + line.y * line.y);
+  }
+};
+
+/// What a match adds to the score of a model, and whether it agrees with it.
+struct agreement {
+  real64 score;
+  bool both;  ///< images
+};
+
+/// @param weight 1 / variance of a position, 1/pixels^2
+template <typename Error>
+FT_HOST_DEVICE agreement agreement_with(Error const& error, matched_pixels const& m,
+                                        real64 weight) {
+  // The same for both models, so that their scores compare.
+  constexpr double most = homography_error::limit;
+  auto const homogeneous = [](float x, float y) {
+    return strict_vec3d{static_cast<double>(x), static_cast<double>(y), real64(1.0)};
+  };
+  transfer_error const e = error(homogeneous(m.x1, m.y1), homogeneous(m.x2, m.y2));
+  real64 const c1 = e.first * weight;
+  real64 const c2 = e.second * weight;
+  // A NaN agrees with nothing.
+  bool const near1 = c1 <= real64(Error::limit);
+  bool const near2 = c2 <= real64(Error::limit);
+  real64 const zero = 0.0;
+  return {(near1 ? real64(most) - c1 : zero) + (near2 ? real64(most) - c2 : zero), near1 && near2};
+}
+
+/// Sum of term(i) for i in [0, n) by a thread or a warp, with the same bits: lane i mod 32, then a
+/// fixed tree.
+template <typename Group, typename Term>
+FT_HOST_DEVICE real64 warp_ordered_sum(Group g, int n, Term const& term) {
+  if constexpr (Group::max_threads == 1) {
+    static_cast<void>(g);
+    real64 lane[32];
+    for (int i = 0; i < 32; ++i) { lane[i] = 0.0; }
+    for (int i = 0; i < n; ++i) { lane[i % 32] += term(i); }
+    for (int d = 16; d > 0; d /= 2) {
+      for (int i = 0; i < d; ++i) { lane[i] += lane[i + d]; }
+    }
+    return lane[0];
+  } else {
+    static_assert(Group::max_threads == 32, "a thread or a warp");
+    real64 sum = 0.0;
+    for (int i = g.rank(); i < n; i += g.size()) { sum += term(i); }
+    return g.reduce(sum, sum_op{});
+  }
+}
 
 /// x -> T x of normalised homogeneous coordinates.
 FT_HOST_DEVICE inline strict_mat3d matrix_of(pixel_normalization const& n) {
@@ -153,5 +256,6 @@ private:
 };
 
 }  // namespace detail
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -189,7 +189,7 @@ struct window_normal {
 //
 //     e = axis of the skew part of A,   s = C_j - C_i - q.
 //
-// Where a view turns by w and its points move by u (see reduce.hpp), e changes by w_j - w_i and s
+// Where a view turns by w and its points move by u (see adjust_window.hpp), e changes by w_j - w_i and s
 // by u_i - u_j + w_i x q, up to first order about e = 0.
 
 struct link_error {

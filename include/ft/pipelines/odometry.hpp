@@ -276,6 +276,7 @@ public:
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
   odometry_params const& params() const { return made().stages.settings; }
   Rig const& rig() const { return made().rig; }
+  Exec const& executor() const { return made().exec; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }
   /// Executor memory, for user-defined stages.
   odometry_map_view map() const { return made().stages.own.map; }

@@ -16,8 +16,8 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/poses.hpp"
 #include "python/src/api.hpp"
 
 #if defined(__CUDACC__)

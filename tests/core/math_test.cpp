@@ -3,7 +3,7 @@
 // solvers.
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/bits.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 #include <gtest/gtest.h>
 

@@ -12,7 +12,7 @@
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/observations.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/example_rigs.hpp"
 
 namespace test {

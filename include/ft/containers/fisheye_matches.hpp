@@ -5,8 +5,8 @@
 #include <cstddef>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -5,7 +5,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

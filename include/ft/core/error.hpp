@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Exceptions thrown at the host edge of the library, and the checks that throw them.
+/// @file Checks at the host edge of the library.
 #pragma once
 
 #include <cmath>
@@ -7,32 +7,14 @@
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
-#include <stdexcept>
 #include <string>
 #include <type_traits>
 
 #include "ft/core/config.hpp"
+#include "ft/types/errors.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// Base of everything ft throws.
-class error : public std::runtime_error {
-public:
-  using std::runtime_error::runtime_error;
-};
-
-/// An argument out of range; the message names it, its value and the limit.
-class bad_argument : public error {
-public:
-  using error::error;
-};
-
-/// A CUDA call failed; the message contains the call and CUDA's description.
-class cuda_error : public error {
-public:
-  using error::error;
-};
 
 namespace detail {
 

@@ -17,7 +17,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
 #include "ft/kernels/map_updates.hpp"
@@ -27,6 +26,10 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

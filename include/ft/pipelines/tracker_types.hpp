@@ -6,28 +6,11 @@
 #include <iterator>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct tracker_params {
-  orb_params orb;
-  int map_slots = 1 << 16;      ///< map points on the device at a time, per rig
-  int local_points = 1 << 13;   ///< points of one local-map search
-  int updates = 1 << 13;        ///< map points that one update_map() can send
-  float window_radius = 7;      ///< half side at scale 1 of windows from the last frame, pixels
-  int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
-  bool optimize_last = true;    ///< pose optimisation after the search from the last frame
-  bool optimize_local = true;   ///< and after the search in the local map
-  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;  ///< record stage_times()
-  /// Columns of the left and the right image that see the same part of the scene, as in
-  /// orb_extractor; for pairs that are not rectified. The default is the whole image. If one of the
-  /// two lies outside its image, no keypoint has a stereo partner.
-  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
-};
 
 /// Slots of map points in host memory. Converts from anything with data() and size(), which must
 /// live until the call that takes the slots returns.

@@ -8,7 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 #include "ft_ros2/tracker.hpp"
 
 namespace ft_ros2 {

@@ -14,6 +14,7 @@
 #include "ft/kernels/corners/cell.hpp"
 #include "ft/kernels/corners/cell_device.hpp"
 #include "ft/kernels/corners/strip_host.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

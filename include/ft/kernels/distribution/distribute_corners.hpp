@@ -44,6 +44,7 @@
 #include "ft/kernels/distribution/sort_by_code.hpp"
 #include "ft/kernels/distribution/strongest.hpp"
 #include "ft/kernels/distribution/whole_rounds.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

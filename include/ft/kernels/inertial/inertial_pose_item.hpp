@@ -8,12 +8,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/inertial_problem.hpp"
 #include "ft/kernels/inertial/inertial_residual.hpp"
 #include "ft/kernels/inertial/inertial_solver.hpp"
 #include "ft/kernels/inertial/information.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

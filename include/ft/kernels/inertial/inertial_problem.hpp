@@ -7,6 +7,7 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/observations.hpp"
 #include "ft/core/config.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -8,12 +8,12 @@
 #include "ft/containers/observations.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/inertial/inertial_residual.hpp"
 #include "ft/kernels/inertial/information.hpp"
 #include "ft/kernels/inertial/visual_residual.hpp"
 #include "ft/kernels/pose/normal_equations.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -7,10 +7,23 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// @throws bad_argument naming the value and the limit
+inline void check(initialization_params const& p) {
+  constexpr float most = std::numeric_limits<float>::max();
+  detail::require_range("gravity", p.gravity, 0.1f, 100.0f);
+  detail::require_range("least_keyframes", p.least_keyframes, 3, 1 << 20);
+  detail::require_range("position_sigma", p.position_sigma, 1e-9f, most);
+  detail::require_range("rotation_sigma", p.rotation_sigma, 1e-9f, most);
+  detail::require_range("accel_bias_sigma", p.accel_bias_sigma, 1e-9f, 1e6f);
+  detail::require_range("rest_distance", p.rest_distance, 0.0f, most);
+  detail::require_range("rest_angle", p.rest_angle, 0.0f, most);
+}
 
 /// What came of an initialisation.
 enum class initialization_status : int {
@@ -23,37 +36,6 @@ enum class initialization_status : int {
   not_finite,     ///< a pose or an integral has NaN or infinity
   little_motion,  ///< a result is less certain than its limit: more keyframes, or more motion
   inconsistent,   ///< poses and integrals contradict each other
-};
-
-/// Parameters of initialize_inertial(). Positions are in the unit of the poses: metres, if their
-/// scale is known.
-struct initialization_params {
-  float gravity = 9.81f;            ///< m/s^2
-  bool known_scale = true;          ///< false: the poses of one camera
-  int least_keyframes = 4;          ///< 3 or more
-  float position_sigma = 0.005f;    ///< of a pose; it weighs poses against the bias' prior
-  float rotation_sigma = 0.001f;    ///< of a pose, rad
-  float accel_bias_sigma = 0.3f;    ///< the prior: biases of that size are usual, m/s^2
-  float rest_distance = 0.01f;      ///< from the first pose, while the body rests
-  float rest_angle = 0.005f;        ///< likewise, rad
-  float max_gyro_sigma = 0.005f;    ///< limits of little_motion: gyro bias, rad/s;
-  float max_tilt_sigma = 0.05f;     ///< direction of gravity, rad;
-  float max_velocity_sigma = 0.1f;  ///< last velocity, m/s;
-  float max_scale_sigma = 0.03f;    ///< share of the scale
-  float max_position_rms = 0.05f;   ///< limits of inconsistent: m,
-  float max_rotation_rms = 0.02f;   ///< and rad for an interval
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    constexpr float most = std::numeric_limits<float>::max();
-    detail::require_range("gravity", gravity, 0.1f, 100.0f);
-    detail::require_range("least_keyframes", least_keyframes, 3, 1 << 20);
-    detail::require_range("position_sigma", position_sigma, 1e-9f, most);
-    detail::require_range("rotation_sigma", rotation_sigma, 1e-9f, most);
-    detail::require_range("accel_bias_sigma", accel_bias_sigma, 1e-9f, 1e6f);
-    detail::require_range("rest_distance", rest_distance, 0.0f, most);
-    detail::require_range("rest_angle", rest_angle, 0.0f, most);
-  }
 };
 
 /// Gravity, velocity and biases. Standard deviations come from the poses' given ones, or from

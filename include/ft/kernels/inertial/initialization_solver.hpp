@@ -5,10 +5,11 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialization_system.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

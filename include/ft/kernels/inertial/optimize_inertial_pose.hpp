@@ -10,7 +10,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/inertial/inertial_pose_item.hpp"
@@ -19,6 +18,7 @@
 #include "ft/kernels/inertial/inertial_solver.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/inertial/visual_residual.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,10 +6,11 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/change_bias.hpp"
 #include "ft/kernels/inertial/rotation.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -16,6 +16,8 @@
 #include "ft/kernels/keypoints/descriptor.hpp"
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

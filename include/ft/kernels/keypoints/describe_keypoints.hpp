@@ -12,6 +12,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/keypoints/descriptor.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

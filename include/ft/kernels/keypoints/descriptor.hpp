@@ -12,6 +12,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
 #include "ft/kernels/keypoints/pattern.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -15,26 +15,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/distribution/layout.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// Pixel columns that both cameras of a fisheye pair see. Keypoints inside go to the end of the
-/// list. The default contains no keypoint.
-struct stereo_overlap {
-  float left = 0;
-  float right = 0;
-
-  /// Whether no keypoint of an image this wide is inside. Their columns lie strictly between 0 and
-  /// the width.
-  FT_HOST_DEVICE bool has_none(int width) const {
-    return right <= 0 || left >= static_cast<float>(width);
-  }
-  /// Whether every keypoint of an image this wide is inside.
-  FT_HOST_DEVICE bool has_all(int width) const {
-    return left <= 0 && right >= static_cast<float>(width);
-  }
-};
 
 /// Inputs and outputs of the ordering of a batch of images, all in executor memory.
 struct ordering_view {

@@ -10,6 +10,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners/fast_score.hpp"
 #include "ft/kernels/corners/strip_host.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

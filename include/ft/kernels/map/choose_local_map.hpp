@@ -16,14 +16,11 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/point_masks.hpp"
 #include "ft/kernels/map/slot_rows.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct local_map_params {
-  int keyframes = 30;   ///< with most votes, 1 to 64
-  int neighbours = 10;  ///< of these the best ones whose neighbours are added, 0 to 32
-};
 
 /// Which keyframes a local map is made of.
 enum class local_map_mode : int {

@@ -9,6 +9,7 @@
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/map/place_keyframe.hpp"
 #include "ft/kernels/map/record_keyframe.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

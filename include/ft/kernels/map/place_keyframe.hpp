@@ -17,6 +17,7 @@
 #include "ft/kernels/map/point_masks.hpp"
 #include "ft/kernels/map/select_new_points.hpp"
 #include "ft/kernels/map/slot_rows.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -9,10 +9,11 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/map/describe_point.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/map/place_keyframe.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

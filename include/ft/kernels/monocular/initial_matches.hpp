@@ -15,7 +15,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/candidate_list.hpp"
@@ -23,6 +22,8 @@
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/stereo/hamming.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -32,13 +33,6 @@ struct frame_pair_view {
   keypoints_view first;
   keypoints_view second;
   feature_grid_view grids;  ///< of `second`
-};
-
-struct initial_match_params {
-  float window_radius = 100;      ///< half side of a window, pixels
-  int max_hamming = 50;           ///< largest Hamming distance of a match, bits, 0 to 255
-  float ratio = 0.9f;             ///< the best distance is below this times the second best one
-  bool orientation_check = true;  ///< drops matches whose rotation differs from that of most others
 };
 
 /// Matches of a batch of frame pairs.

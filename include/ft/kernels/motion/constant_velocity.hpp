@@ -7,8 +7,9 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/pose/se3.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -99,16 +100,6 @@ FT_HOST_DEVICE inline rigid<strict_double> part_of_motion(rigid<strict_double> c
 }
 
 }  // namespace detail
-
-struct motion_params {
-  /// Time stamps whose distances differ by less than this share count as evenly spaced, and the
-  /// motion is repeated bit for bit. Recorded cameras jitter by less.
-  double even = 0.05;
-  /// A prediction covers at most this many motions; a longer gap needs a wide search.
-  double longest = 5;
-  /// Seconds after which a camera that is not found is thought to stand still.
-  double memory = 1;
-};
 
 /// The last motion of a camera, for a prediction with constant velocity. All functions give the
 /// same bits on every executor.

@@ -17,6 +17,7 @@
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/windows.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

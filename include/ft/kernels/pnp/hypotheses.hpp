@@ -11,12 +11,13 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/stage.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 #include "ft/kernels/pnp/refine_pose.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

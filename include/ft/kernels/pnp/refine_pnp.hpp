@@ -11,11 +11,11 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 #include "ft/kernels/pnp/refine_pose.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

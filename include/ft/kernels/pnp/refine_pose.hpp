@@ -10,12 +10,12 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
 #include "ft/kernels/matrices/small_matrices.hpp"
 #include "ft/kernels/pnp/linear_pose.hpp"
 #include "ft/kernels/pose/se3.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

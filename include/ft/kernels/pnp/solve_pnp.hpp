@@ -21,10 +21,11 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/pnp/hypotheses.hpp"
 #include "ft/kernels/pnp/problem.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -196,7 +197,7 @@ template <typename Exec, typename Camera>
 void continue_pnp(Exec const& exec, Camera const& camera, pnp_problems_view const& problems,
                   pnp_params const& params, pnp_results_view const& out,
                   pnp_workspace const& work) {
-  params.check();
+  check(params);
   detail::require_pnp(problems, out);
   detail::require_pnp(problems, work);
   detail::require_range("hypotheses that a call may need", pnp_hypotheses(params), 1,

@@ -5,12 +5,13 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/normal_equations.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/pose/se3.hpp"
 #include "ft/kernels/pose/solve6.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -13,10 +13,11 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

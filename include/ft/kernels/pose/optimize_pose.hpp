@@ -13,7 +13,6 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/damped_descent.hpp"
@@ -21,6 +20,8 @@
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/pose/prepared_observations.hpp"
 #include "ft/kernels/pose/reprojection.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -5,24 +5,11 @@
 #include "ft/containers/observations.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct pose_params {
-  int rounds = 4;
-  /// With fewer observations, outliers included, only the first round is run.
-  int enough_observations = 10;
-  int steps = 10;   ///< per round
-  int trials = 10;  ///< values of the damping tried per step
-  /// A round ends with a step whose components are all shorter than this, rad and m. That step is
-  /// taken without evaluating its cost. With 0, and where there are too few observations for more
-  /// than the first round, every step is evaluated and rounds end as the reference's do.
-  float small_step = 1e-4f;
-  double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
-  double chi2_stereo = 7.815;  ///< 95 % of 3
-};
 
 namespace detail {
 

@@ -6,8 +6,8 @@
 
 #include "ft/containers/observations.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -9,6 +9,7 @@
 #include "ft/core/detail/host_simd.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 #include "ft/kernels/words/search_by_words.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -13,10 +13,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/stereo/triangulation.hpp"
 #include "ft/kernels/stereo/window_differences.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,11 +10,12 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,12 +10,13 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/two_view/motions.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"
 #include "ft/kernels/two_view/try_samples.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

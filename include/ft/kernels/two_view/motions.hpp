@@ -7,10 +7,10 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/matrices/small_matrices.hpp"
 #include "ft/kernels/two_view/problem.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

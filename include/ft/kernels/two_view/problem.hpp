@@ -13,13 +13,24 @@
 #include "ft/containers/two_views.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// @throws bad_argument naming the value and the limit
+inline void check(two_view_params const& p) {
+  detail::require_range("two_view_params::samples", p.samples, 1, two_view_params::most_samples);
+  detail::require_range("two_view_params::sigma_px", p.sigma_px, 1e-6f, 1e6f);
+  // Outside [0, 1]: always the one or the other.
+  detail::require_range("two_view_params::homography_ratio", p.homography_ratio, -1.0f, 2.0f);
+  detail::require_range("two_view_params::min_points", p.min_points, 1, 1 << 24);
+  detail::require_range("two_view_params::min_parallax_deg", p.min_parallax_deg, 0.0f, 180.0f);
+}
 
 /// Pairs of images with matched keypoints. Positions are undistorted; those of very wide lenses are
 /// projected into a pinhole camera.
@@ -31,27 +42,6 @@ struct two_view_input {
   std::uint64_t const* seed = nullptr;     ///< [pairs] of the samples
 };
 static_assert(std::is_trivially_copyable<two_view_input>::value, "passed to kernels");
-
-/// Parameters of reconstruct_two_views().
-struct two_view_params {
-  static constexpr int most_samples = 1 << 16;
-
-  int samples = 200;   ///< sets of 8 matches; each makes a homography and a fundamental matrix
-  float sigma_px = 1;  ///< standard deviation of a keypoint's position
-  float homography_ratio = 0.5f;  ///< of scores, above which the homography is taken
-  int min_points = 50;
-  float min_parallax_deg = 1;
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    detail::require_range("two_view_params::samples", samples, 1, most_samples);
-    detail::require_range("two_view_params::sigma_px", sigma_px, 1e-6f, 1e6f);
-    // Outside [0, 1]: always the one or the other.
-    detail::require_range("two_view_params::homography_ratio", homography_ratio, -1.0f, 2.0f);
-    detail::require_range("two_view_params::min_points", min_points, 1, 1 << 24);
-    detail::require_range("two_view_params::min_parallax_deg", min_parallax_deg, 0.0f, 180.0f);
-  }
-};
 
 namespace detail {
 
@@ -146,7 +136,7 @@ namespace detail {
 inline void require_two_views(two_view_input const& in, two_view_params const& params,
                               two_view_reconstructions const& out,
                               two_view_workspace const& workspace) {
-  params.check();
+  check(params);
   require_pixels("keypoints of the first images", in.first);
   require_pixels("keypoints of the second images", in.second);
   require_range("batch of the second images", in.second.batch, in.first.batch, in.first.batch);

@@ -15,6 +15,8 @@
 #include "ft/kernels/two_view/prepare.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/try_samples.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

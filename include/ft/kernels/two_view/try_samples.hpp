@@ -10,11 +10,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/matrices/paired_eigen.hpp"
 #include "ft/kernels/matrices/small_eigen.hpp"
 #include "ft/kernels/two_view/problem.hpp"
 #include "ft/kernels/two_view/transfer_error.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

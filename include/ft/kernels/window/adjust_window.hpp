@@ -14,6 +14,7 @@
 #include "ft/kernels/window/reduce.hpp"
 #include "ft/kernels/window/solve.hpp"
 #include "ft/kernels/window/workspace.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

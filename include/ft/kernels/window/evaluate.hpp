@@ -8,12 +8,13 @@
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/solve6.hpp"
 #include "ft/kernels/window/links.hpp"
 #include "ft/kernels/window/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

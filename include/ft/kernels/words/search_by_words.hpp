@@ -21,6 +21,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/orientation_check.hpp"
 #include "ft/kernels/stereo/hamming.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -46,13 +47,6 @@ struct words_search {
   int const* keyframe = nullptr;
   /// [pairs] row of the frame; likewise.
   int const* frame = nullptr;
-};
-
-struct words_search_params {
-  int max_hamming = 50;  ///< largest Hamming distance of a match, bits, 0 to 255
-  /// The best distance is below this times the second best one. Left camera only.
-  float ratio = 0.75f;
-  bool orientation_check = true;  ///< drops matches whose rotation differs from that of most others
 };
 
 /// Matches of a batch of pairs.

@@ -23,6 +23,7 @@
 #include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
 #include "ft/kernels/upload.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

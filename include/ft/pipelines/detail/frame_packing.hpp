@@ -11,12 +11,12 @@
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

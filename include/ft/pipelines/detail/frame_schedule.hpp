@@ -19,6 +19,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/core/stage_clock.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -11,7 +11,6 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/side_branch.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
@@ -31,6 +30,10 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -23,6 +23,8 @@
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/monocular_start.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,7 +14,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -28,7 +28,9 @@
 #include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
-#include "ft/pipelines/imu_params.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -183,7 +185,7 @@ private:
     require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
     require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
     require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
-    imu.initialization.check();
+    ft::check(imu.initialization);
     require_range("imu.scale_position_sigma", imu.scale_position_sigma, 1e-9f, 1.0f);
     require_range("imu.scale_keyframes", imu.scale_keyframes, 1, max_keyframes);
     require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);

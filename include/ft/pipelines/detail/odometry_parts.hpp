@@ -18,7 +18,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
@@ -28,8 +27,11 @@
 #include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
-#include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -20,8 +20,10 @@
 #include "ft/kernels/words/keyframe_words.hpp"
 #include "ft/kernels/words/query_database.hpp"
 #include "ft/kernels/words/transform.hpp"
-#include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/relocalizer.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

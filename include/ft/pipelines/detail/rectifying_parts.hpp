@@ -17,6 +17,7 @@
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

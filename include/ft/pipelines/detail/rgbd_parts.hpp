@@ -22,6 +22,7 @@
 #include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

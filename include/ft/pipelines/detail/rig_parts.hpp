@@ -15,8 +15,8 @@
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
-#include "ft/pipelines/rig_images.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

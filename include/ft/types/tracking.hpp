@@ -1,54 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Inputs and outputs of an odometry.
+/// @file What an odometry tells of a frame, and its map in host memory.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
-#include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/map/choose_local_map.hpp"
-#include "ft/kernels/map/gather_window.hpp"
-#include "ft/kernels/odometry/state.hpp"
-#include "ft/kernels/window/workspace.hpp"
-#include "ft/pipelines/imu_params.hpp"
-#include "ft/pipelines/monocular_start.hpp"
-#include "ft/pipelines/orb_extractor.hpp"
-#include "ft/pipelines/relocalization_types.hpp"
-#include "ft/pipelines/rig_images.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
-inline namespace FT_ABI {
+inline namespace v0 {
 
-struct odometry_params {
-  orb_params orb;
-  tracking_rules rules;
-  int map_slots = 1 << 14;         ///< map points at a time, per camera pair
-  int keyframes = 128;             ///< at a time; the oldest one leaves
-  int local_points = 1 << 13;      ///< points of the local map, at most
-  local_map_params local_map;      ///< how these are chosen
-  float window_radius = 7;         ///< half side of a search from the last frame, pixels
-  int enough_matches = 20;         ///< with fewer, that search is repeated with twice the radius
-  window_selection window{10, 5};  ///< keyframes of an adjustment: moving ones, fixed ones
-  int window_points = 1 << 12;     ///< points of an adjustment, at most
-  window_params adjustment;        ///< how they are adjusted
-  int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
-  monocular_start_params start;    ///< of a monocular_rig
-  imu_params imu;                  ///< present or not
-  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;     ///< record stage_times()
-  /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each
-  /// takes the memory of its images and keypoints, and on the host a thread. 0 for a monocular_rig
-  int prefetch = 0;
-  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};  ///< as in tracker_params
-};
-
-/// How lost cameras are found by the words of a vocabulary.
-struct place_recovery {
-  int levels_up = 4;                     ///< see transform_params
-  int candidates = 16;                   ///< keyframes that are tried: those that are most alike
-  std::uint64_t seed = 0;                ///< of the samples of poses, with the time of the frame
-  relocalization_params relocalization;  ///< `frustum` is that of the odometry
+/// The state of a camera after a frame; see tracking_rules.
+enum class tracking_state : int {
+  initialising,  ///< no map yet: the frame had too few stereo points
+  tracking,    ///< the frame's pose comes from the map, or the frame begins a map, or goes on with
+               ///< it where an IMU tells
+  recovering,  ///< the last frames were not found; each frame tries another place
+  lost,        ///< all places were tried without success; the attempts go on
 };
 
 /// Where a rig's keypoints get their depths from.
@@ -60,7 +29,17 @@ enum class depth_origin : int {
 };
 
 /// A depth of more than so many baselines is distant: its disparity is a small part of a pixel.
-constexpr float distant_baselines = 1000;
+inline constexpr float distant_baselines = 1000;
+
+/// What a frame did for the start of a map.
+enum class start_outcome : int {
+  waiting = 0,   ///< too few keypoints for a first frame
+  took_first,    ///< it is the first frame now
+  forgot_first,  ///< too few keypoints, or too late: the next frame may become the first one
+  few_matches,   ///< likewise
+  no_motion,     ///< two views made no reconstruction; the first frame stays
+  started,       ///< there is a reconstruction; the next frame may become a first one
+};
 
 /// How light an image is, by 1024 pixels that are spread over it.
 struct image_light {
@@ -131,5 +110,14 @@ struct odometry_map {
   std::vector<downloaded_keyframe> keyframes;  ///< oldest first: the trajectory of the map
 };
 
-}  // namespace FT_ABI
+/// The time of one stage.
+struct stage_time {
+  char const* name;
+  /// From the end of all preceding stages to its own end, microseconds, summed over the launches of
+  /// this name; 0 if it ended while a preceding stage still ran. For a stage on a side branch of a
+  /// device: from the branch's fork.
+  double us;
+};
+
+}  // namespace v0
 }  // namespace ft

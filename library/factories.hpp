@@ -5,6 +5,12 @@
 
 #include "ft/any_odometry.hpp"
 
+#if defined(__CUDACC__)
+#define FT_LIBRARY_DEVICE cuda
+#else
+#define FT_LIBRARY_DEVICE host
+#endif
+
 namespace ft::library {
 
 #define FT_LIBRARY_FACTORIES(where)                                                                \

@@ -13,12 +13,6 @@
 #include "ft/pipelines/erase.hpp"
 #include "library/factories.hpp"
 
-#if defined(__CUDACC__)
-#define FT_LIBRARY_DEVICE cuda
-#else
-#define FT_LIBRARY_DEVICE host
-#endif
-
 namespace ft::library::FT_LIBRARY_DEVICE {
 
 #if defined(__CUDACC__)

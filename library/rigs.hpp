@@ -15,8 +15,9 @@
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
+#include "library/factories.hpp"
 
-namespace ft::library {
+namespace ft::library::FT_LIBRARY_DEVICE {
 
 inline float narrow(double v) { return static_cast<float>(v); }
 
@@ -107,4 +108,4 @@ multi_rig<N> multi_of(rig_description const& of) {
   return rig;
 }
 
-}  // namespace ft::library
+}  // namespace ft::library::FT_LIBRARY_DEVICE

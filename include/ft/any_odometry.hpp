@@ -11,23 +11,13 @@
 #include <utility>
 #include <vector>
 
-#include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/core/memory.hpp"
-#include "ft/core/stage_clock.hpp"
-#include "ft/core/views.hpp"
-#include "ft/kernels/images/depth_association.hpp"
-#include "ft/pipelines/odometry_types.hpp"
-#include "ft/pipelines/tracker_types.hpp"
-#include "ft/rig_description.hpp"
-
-/// Marks what a shared library of ft has for others.
-#if defined(__GNUC__)
-#define FT_API __attribute__((visibility("default")))
-#else
-#define FT_API
-#endif
+#include "ft/types/errors.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/rig_description.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace v0 {
@@ -47,7 +37,7 @@ struct device {
 /// the grey and the depth image.
 struct any_images {
   gray_view gray[2 * most_cameras];
-  depth_view depth;
+  depth_view depth = {};
 };
 
 /// An odometry behind one interface. Members are those of odometry, with the same errors, and what
@@ -153,12 +143,12 @@ private:
 /// @throws bad_argument as odometry's constructor, for a rig that is not in the library, for a GPU
 ///   that is not there, or any GPU if the library was built without CUDA; std::bad_alloc,
 ///   cuda_error
-FT_API any_odometry make_odometry(device const& where, rig_description const& rig,
-                                  odometry_params const& params, int batch = 1);
+FT_VISIBLE any_odometry make_odometry(device const& where, rig_description const& rig,
+                                      odometry_params const& params, int batch = 1);
 
 /// Names of the GPUs that the library ft::odometry can use, in the order of their numbers; none if
 /// it was built without CUDA.
-FT_API std::vector<std::string> gpu_names();
+FT_VISIBLE std::vector<std::string> gpu_names();
 
 }  // namespace v0
 }  // namespace ft

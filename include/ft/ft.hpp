@@ -2,6 +2,7 @@
 /// @file All of ft except the conversions for other libraries (ft/interop).
 #pragma once
 
+#include "ft/any_odometry.hpp"
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/check_calibration.hpp"
 #include "ft/cameras/distorted_pair.hpp"
@@ -187,6 +188,7 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/strict_log.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/erase.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
@@ -204,6 +206,7 @@
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"
+#include "ft/types/rig_description.hpp"
 #include "ft/types/scalars.hpp"
 #include "ft/types/tracking.hpp"
 #include "ft/version.hpp"

@@ -20,7 +20,9 @@
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/odometry.hpp"
-#include "ft/pipelines/rig_images.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/relocalization.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

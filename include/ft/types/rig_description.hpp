@@ -2,12 +2,14 @@
 /// @file A rig as passive data, the same in every compiler.
 #pragma once
 
+#include <cstddef>
 #include <initializer_list>
 #include <limits>
 #include <string>
 
-#include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/core/config.hpp"
+#include "ft/types/errors.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace v0 {

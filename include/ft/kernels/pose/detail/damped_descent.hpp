@@ -4,6 +4,7 @@
 #pragma once
 
 #include <limits>
+#include <type_traits>
 
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/monocular_rig.hpp"
@@ -239,13 +240,16 @@ FT_HOST_DEVICE void add_motion_terms(vec3<Number> p, point_equations<Number> con
   add(26, M.zz);
 }
 
-using pose_sums = sum_terms<pose_terms, double>;
+/// Sums of a descent in `Number`, strict_float or strict_double.
+template <typename Number>
+using pose_sums = sum_terms<pose_terms, plain_scalar_t<Number>>;
 
 /// Levenberg-Marquardt state machine, run by one thread: propose() gives a trial pose, judge()
-/// takes its cost. In double: where few inliers are left the curvature has a lower rank, and the
-/// damping alone, 1e-9 of its largest entry, determines the rest of a step.
+/// takes its cost.
+template <typename Number>
 struct damped_descent {
-  using real = strict_double;
+  using real = Number;
+  using plain = plain_scalar_t<Number>;
   real cost;      ///< at the best pose so far
   real expected;  ///< decrease of the cost that the model predicts
   real damping;
@@ -256,16 +260,16 @@ struct damped_descent {
   bool running;
 
   /// @param sums at the start
-  FT_HOST_DEVICE void begin(pose_sums const& sums, pose_params const& params) {
+  FT_HOST_DEVICE void begin(pose_sums<real> const& sums, pose_params const& params) {
     steps_left = params.steps;
-    double largest = 0;
+    plain largest = 0;
     int at = 6;
     for (int a = 0; a < 6; ++a) {
       largest = max_of(largest, sums.of[at]);
       at += 6 - a;
     }
-    damping = real(1e-5) * largest;
-    growth = 2.0;
+    damping = real(plain(1e-5)) * real(largest);
+    growth = plain(2);
     cost = sums.of[pose_terms - 1];
     trials_left = params.trials;
     small_gains = 0;
@@ -276,14 +280,14 @@ struct damped_descent {
   /// @return whether the trial is now the best pose
   FT_HOST_DEVICE bool judge(real there, pose_params const& params) {
     real const decrease = cost - there;
-    if (!(decrease > real(0.0) && scalar::is_finite(there))) {
+    if (!(decrease > real(0) && scalar::is_finite(there))) {
       refuse();
-      running = running && decrease != real(0.0);
+      running = running && decrease != real(0);
       return false;
     }
     damping = damping * factor_after(decrease);
-    growth = 2.0;
-    small_gains = decrease * real(1e3) < cost ? small_gains + 1 : 0;
+    growth = plain(2);
+    small_gains = decrease * real(1000) < cost ? small_gains + 1 : 0;
     cost = there;
     trials_left = params.trials;
     running = --steps_left > 0 && small_gains < 3;
@@ -294,16 +298,16 @@ struct damped_descent {
   /// @param sums at T
   /// @param T the best pose so far
   /// @param small a step whose components are all shorter ends the descent, unevaluated
-  FT_HOST_DEVICE rigid<real> propose(pose_sums const& sums, rigid<real> const& T,
-                                     pose_params const& params, double small) {
+  FT_HOST_DEVICE rigid<real> propose(pose_sums<real> const& sums, rigid<real> const& T,
+                                     pose_params const& params, float small) {
     real step[6];
-    while (running && !solve_6(sums.of, damping, step)) { refuse(); }
+    while (running && !solve(sums, step)) { refuse(); }
     if (!running) { return T; }
-    expected = 1e-3;
+    expected = plain(1e-3);
     bool all_small = true;
     for (int k = 0; k < 6; ++k) {
-      expected = expected + step[k] * (damping * step[k] + sums.of[k]);
-      all_small = all_small && scalar::abs(step[k]) < real(small);
+      expected = expected + step[k] * (damping * step[k] + real(sums.of[k]));
+      all_small = all_small && scalar::abs(step[k]) < real(static_cast<plain>(small));
     }
     running = !all_small;
     // After a refused trial the step is small because of the damping: a longer one was no better.
@@ -311,18 +315,26 @@ struct damped_descent {
   }
 
 private:
+  /// Float is for many observations, which leave blocks that are well conditioned, and for speed.
+  FT_HOST_DEVICE bool solve(pose_sums<real> const& sums, real (&step)[6]) const {
+    if constexpr (std::is_same_v<plain, float>) {
+      return solve_6_in_blocks(sums.of, damping, step);
+    } else {
+      return solve_6(sums.of, damping, step);
+    }
+  }
   /// Nielsen's factor of the damping after an accepted trial.
   FT_HOST_DEVICE real factor_after(real decrease) const {
-    real const least = 1.0 / 3.0;
+    real const least = plain(1.0 / 3.0);
     // There the cube below is above 2/3. Most steps are as good, and are spared the division.
-    if (decrease > real(0.94) * expected) { return least; }
-    real const m = real(2.0) * (decrease / expected) - real(1.0);
-    return max_of(least, min_of(real(1.0) - m * m * m, real(2.0 / 3.0)));
+    if (decrease > real(plain(0.94)) * expected) { return least; }
+    real const m = real(2) * (decrease / expected) - real(1);
+    return max_of(least, min_of(real(1) - m * m * m, real(plain(2.0 / 3.0))));
   }
   /// Increases the damping after a refused trial, or ends the descent.
   FT_HOST_DEVICE void refuse() {
     damping = damping * growth;
-    growth = growth * real(2.0);
+    growth = growth * real(2);
     running = --trials_left > 0 && scalar::is_finite(damping);
   }
 };

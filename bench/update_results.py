@@ -250,8 +250,53 @@ def conformance():
     return lines
 
 
+# What the table of odometries shows: record, row among those of a rig, and what to call it.
+ODOMETRIES = (
+    ("runs 2", "rectified", 0, "EuRoC pair"),
+    ("runs 2", "rectified", 1, "64 EuRoC pairs, each with its map"),
+    ("on_2026_11_25, runs 1", "rectified", 0, "generated pair"),
+    ("on_2026_11_25, runs 3", "rectified", 0, "200 generated pairs"),
+    ("on_2026_11_25, runs 1", "four cameras", 0, "two generated pairs in one rig"),
+    ("on_2026_11_25, runs 3", "four cameras", 0, "the same, 200 of them"),
+    ("with_imu, runs 1", "with IMU", 1, "with an IMU"),
+    ("with_imu, runs 1", "with IMU", 0, "the same, 5 ms apart"),
+    ("on_2026_11_26, runs 1", "prefetched", 0, "generated pair, prefetched"),
+)
+
+
+def odometries():
+    records = {r.get("name"): r for r in json.loads((RESULTS / "odometry_h200.json").read_text())["records"]}
+    lines = ["| | commit | keyframes | p50, us | p99, us | frames/s |", "|---|---|---:|---:|---:|---:|"]
+    for record, rig, number, name in ODOMETRIES:
+        of_rig = [r for r in records[record]["tables"]["odometry"] if r["rig"] == rig]
+        r = of_rig[number]
+        waited = r["frames_per_s"] * r["p99_us"] < 0.5e6  # for the next frame, so the rate says nothing
+        lines.append(
+            f"| {name} | {records[record]['commit']} | {100 * r['keyframes']:.0f} % | {r['p50_us']:.0f} | {r['p99_us']:.0f} | "
+            f"{'' if waited else format(r['frames_per_s'], '.0f')} |"
+        )
+        if number == 0 and record == "runs 2":
+            mps = records["runs 4"]
+            lines.append(
+                f"| the same on 12 % of the multiprocessors (CUDA MPS) | {mps['commit']} | | "
+                f"{mps['tables']['p50_us'][0]['rectified']:.0f} | {mps['tables']['p99_us'][0]['rectified']:.0f} | |"
+            )
+    return lines
+
+
+def places():
+    rows = load("words_h200.json")["words"]
+    lines = ["| | H200 | one core |", "|---|---:|---:|"]
+    for name, count in dict.fromkeys((r["name"], r["count"]) for r in rows):
+        of = {r["backend"]: r["p50_us"] for r in rows if (r["name"], r["count"]) == (name, count)}
+        lines.append(f"| {name}{f', {count}' if count != 1 else ''} | {of['cuda']:.0f} | {of['host']:.0f} |")
+    return lines
+
+
 TABLES = {
-    "docs/performance.md": {"recorded frames": recorded, "recorded stages": recorded_stages},
+    "docs/performance.md": {
+        "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+    },
     "bench/results/README.md": {
         "frames": frames,
         "counts": counts,

@@ -209,13 +209,14 @@ FT_HOST_DEVICE inline strict_vec3d rotation_log(strict_mat3d const& R) {
   return scaled(w, ratio);
 }
 
+inline constexpr double no_angle = std::numeric_limits<double>::quiet_NaN();
+
 /// The same, NaN for no rotation at all, and where rounding makes the cosine of the angle larger
 /// than 1: MLPnP's reference counts on it.
 FT_HOST_DEVICE inline strict_vec3d rotation_vector(strict_mat3d const& R) {
   auto const& m = R.m;
-  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   real64 const c = (m[0] + m[4] + m[8] - real64(1.0)) * real64(0.5);
-  if (!(c <= real64(1.0) && c >= real64(-1.0))) { return {nan, nan, nan}; }
+  if (!(c <= real64(1.0) && c >= real64(-1.0))) { return {no_angle, no_angle, no_angle}; }
   real64 const angle = strict_atan2(scalar::sqrt((real64(1.0) - c) * (real64(1.0) + c)), c);
   real64 const sine = strict_sin_cos(angle).sine;
   return scaled(strict_vec3d{m[7] - m[5], m[2] - m[6], m[3] - m[1]}, angle / (sine + sine));

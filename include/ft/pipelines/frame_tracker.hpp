@@ -19,7 +19,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/kernels/map_updates.hpp"
+#include "ft/kernels/upload.hpp"
 #include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"

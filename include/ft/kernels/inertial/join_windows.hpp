@@ -13,10 +13,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/inertial/detail/initialization_description.hpp"
+#include "ft/kernels/inertial/detail/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_description.hpp"
-#include "ft/kernels/inertial/initialization_solver.hpp"
-#include "ft/kernels/inertial/initialization_system.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 

@@ -14,8 +14,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/detail/slot_rows.hpp"
 #include "ft/kernels/map/point_masks.hpp"
-#include "ft/kernels/map/slot_rows.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/tracking.hpp"
 

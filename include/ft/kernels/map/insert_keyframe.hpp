@@ -6,9 +6,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/map/detail/place_keyframe.hpp"
+#include "ft/kernels/map/detail/record_keyframe.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
-#include "ft/kernels/map/place_keyframe.hpp"
-#include "ft/kernels/map/record_keyframe.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {

@@ -7,7 +7,6 @@
 #include <cstdint>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/keyframe_words.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"

@@ -9,9 +9,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/inertial/inertial_residual.hpp"
-#include "ft/kernels/inertial/information.hpp"
-#include "ft/kernels/inertial/visual_residual.hpp"
+#include "ft/kernels/inertial/detail/information.hpp"
+#include "ft/kernels/inertial/detail/visual_residual.hpp"
+#include "ft/kernels/inertial/inertial_problem.hpp"
 #include "ft/kernels/pose/detail/damped_descent.hpp"
 #include "ft/types/poses.hpp"
 

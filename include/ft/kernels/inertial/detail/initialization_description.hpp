@@ -5,9 +5,8 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
+#include "ft/kernels/inertial/detail/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_solver.hpp"
-#include "ft/kernels/inertial/initialization_system.hpp"
 #include "ft/math/so3.hpp"
 #include "ft/types/poses.hpp"
 

@@ -9,9 +9,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/map/describe_point.hpp"
+#include "ft/kernels/map/detail/describe_point.hpp"
+#include "ft/kernels/map/detail/place_keyframe.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
-#include "ft/kernels/map/place_keyframe.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 

@@ -6,7 +6,6 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_system.hpp"
 #include "ft/math/so3.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"

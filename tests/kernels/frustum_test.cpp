@@ -16,7 +16,7 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 
 namespace frustum_test {

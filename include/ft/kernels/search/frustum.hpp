@@ -12,9 +12,9 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -26,13 +26,6 @@ struct visibility {
   float cosine;    ///< of the angle between viewing direction and the point's normal
   float distance;  ///< from the camera's centre, metres: the length in the camera frame
   int level;       ///< predicted octave; -1 = not visible
-};
-
-struct frustum_params {
-  float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
-  float min_cosine = 0.5f;
-  float log_scale_factor = 0;  ///< natural logarithm of the pyramid's scale factor
-  int levels = 0;
 };
 
 /// Natural logarithm. Computed in double and rounded once, so that host and device agree. The

@@ -7,16 +7,15 @@
 #include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -4,6 +4,7 @@
 /// ft/interop.
 #pragma once
 
+#include "ft/any_odometry.hpp"
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/field_of_view.hpp"
@@ -17,6 +18,7 @@
 #include "ft/cameras/unified.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/check_params.hpp"
+#include "ft/pipelines/erase.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
@@ -34,6 +36,7 @@
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"
+#include "ft/types/rig_description.hpp"
 #include "ft/types/scalars.hpp"
 #include "ft/types/tracking.hpp"
 #include "ft/version.hpp"

@@ -83,6 +83,39 @@ FT_HOST_DEVICE bool solve_6(Number const* terms, Real damping, Real (&x)[6]) {
   return positive;
 }
 
+/// The same in 3 x 3 blocks (Schur complement): two divisions one after another instead of six. The
+/// error of a block's inverse is that of its rounding times its condition.
+template <typename Real, typename Number>
+FT_HOST_DEVICE bool solve_6_in_blocks(Number const* terms, Real damping, Real (&x)[6]) {
+  using plain = plain_scalar_t<Real>;
+  auto const at = [&](int i) { return Real(static_cast<plain>(terms[6 + i])); };
+  auto const b = [&](int i) { return Real(static_cast<plain>(terms[i])); };
+  symmetric_3<Real> const A{at(0) + damping, at(1), at(2),
+                            at(6) + damping, at(7), at(11) + damping};
+  symmetric_3<Real> const C{at(15) + damping, at(16), at(17),
+                            at(18) + damping, at(19), at(20) + damping};
+  // Columns of the upper right block.
+  vec3<Real> const B[3] = {{at(3), at(8), at(12)}, {at(4), at(9), at(13)}, {at(5), at(10), at(14)}};
+  symmetric_3<Real> A_inverse;
+  if (!A.invert(A_inverse)) { return false; }
+  vec3<Real> const w[3] = {A_inverse * B[0], A_inverse * B[1], A_inverse * B[2]};
+  symmetric_3<Real> const S{C.xx - dot(B[0], w[0]), C.xy - dot(B[0], w[1]), C.xz - dot(B[0], w[2]),
+                            C.yy - dot(B[1], w[1]), C.yz - dot(B[1], w[2]), C.zz - dot(B[2], w[2])};
+  symmetric_3<Real> S_inverse;
+  if (!S.invert(S_inverse)) { return false; }
+  vec3<Real> const first{b(0), b(1), b(2)};
+  vec3<Real> const y = S_inverse * vec3<Real>{b(3) - dot(w[0], first), b(4) - dot(w[1], first),
+                                              b(5) - dot(w[2], first)};
+  vec3<Real> const z = A_inverse * first;
+  x[0] = z.x - (w[0].x * y.x + w[1].x * y.y + w[2].x * y.z);
+  x[1] = z.y - (w[0].y * y.x + w[1].y * y.y + w[2].y * y.z);
+  x[2] = z.z - (w[0].z * y.x + w[1].z * y.y + w[2].z * y.z);
+  x[3] = y.x;
+  x[4] = y.y;
+  x[5] = y.z;
+  return true;
+}
+
 /// Solves a symmetric 6 x 6 system by elimination without exchanges, as for a positive definite
 /// one. A singular system gives infinities or NaN. Sums of the back substitution are divided once,
 /// as in the reference, so the bits are not those of solve_6.

@@ -281,6 +281,7 @@ public:
   /// As they were given to the constructor.
   odometry_params const& params() const { return made().given; }
   Rig const& rig() const { return made().rig; }
+  Exec const& executor() const { return made().exec; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }
   /// Executor memory, for user-defined stages.
   odometry_map_view map() const { return made().stages.own.map; }

@@ -119,5 +119,42 @@ struct stage_time {
   double us;
 };
 
+/// Results in host memory. Keypoints are left ones; for two unrectified cameras the right ones
+/// follow, for a multi_rig those of its other cameras. Keypoint k of camera c has number c *
+/// capacity + k.
+struct tracked_frame_view {
+  int* keypoints = nullptr;  ///< [batch][cameras]
+  pose* T_cw = nullptr;      ///< [batch]
+  int* matches = nullptr;    ///< [batch] keypoints that the last search matched to a map point
+  int* inliers = nullptr;    ///< [batch] of the last pose optimisation; matches if there was none
+  float* x = nullptr;        ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;        ///< likewise
+  int* octave = nullptr;     ///< likewise
+  int* holder = nullptr;     ///< likewise: slot of the map point held, -1 = none
+  /// [batch][depth_cameras * capacity] of left keypoints, metres, -1 = no stereo match
+  float* depth = nullptr;
+  /// likewise: in the left camera's frame, or the body's of a multi_rig; 0 = no stereo match
+  vec3<float>* point = nullptr;
+  int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
+  unsigned char* in_view =
+      nullptr;  ///< [batch][local_points] 1 = passed the frustum test of the local-map search
+  int capacity = 0;
+  int cameras = 1;
+  int depth_cameras = 1;  ///< the first of them, whose keypoints may have a depth
+  int local_points = 0;
+
+  FT_INLINE int numbers() const { return cameras * capacity; }
+};
+
+/// Memory that a pipeline took, for its whole batch.
+struct allocated_bytes {
+  std::size_t executor = 0;  ///< memory that its stages work on: on a device, the device's
+  std::size_t staging = 0;   ///< memory of images, inputs and results: next to a device, pinned
+
+  friend FT_INLINE allocated_bytes operator+(allocated_bytes const& a, allocated_bytes const& b) {
+    return {a.executor + b.executor, a.staging + b.staging};
+  }
+};
+
 }  // namespace v0
 }  // namespace ft

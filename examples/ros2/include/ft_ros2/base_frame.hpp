@@ -9,7 +9,7 @@
 #include <cstdint>
 
 #include "ft/types/poses.hpp"
-#include "ft_ros2/tracker.hpp"
+#include "ft_ros2/estimate.hpp"
 
 namespace ft_ros2 {
 

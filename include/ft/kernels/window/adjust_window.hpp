@@ -251,10 +251,10 @@ struct solve_window {
 ///
 /// An observation costs its squared weighted error, from `huber2` on Huber's function of it, and
 /// `no_image` where the point has no image. A disparity of a rectified pair is an observation of
-/// its own. A link costs its squared weighted errors; see detail/residual.hpp. A step that does not lower the
-/// cost is refused, and the next one has ten times the damping. The descent ends after `steps`
-/// tried ones, or with one that lowers the cost by a share below `enough`. Problems that have ended
-/// skip the remaining launches.
+/// its own. A link costs its squared weighted errors; see detail/residual.hpp. A step that does not
+/// lower the cost is refused, and the next one has ten times the damping. The descent ends after
+/// `steps` tried ones, or with one that lowers the cost by a share below `enough`. Problems that
+/// have ended skip the remaining launches.
 ///
 /// A problem that is not valid is left as it is: with counts out of range, no view that moves, no
 /// point that such a view sees, a view, a link of one that moves, or a point that is not finite, or

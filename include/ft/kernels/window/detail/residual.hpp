@@ -189,8 +189,8 @@ struct window_normal {
 //
 //     e = axis of the skew part of A,   s = C_j - C_i - q.
 //
-// Where a view turns by w and its points move by u (see adjust_window.hpp), e changes by w_j - w_i and s
-// by u_i - u_j + w_i x q, up to first order about e = 0.
+// Where a view turns by w and its points move by u (see adjust_window.hpp), e changes by w_j - w_i
+// and s by u_i - u_j + w_i x q, up to first order about e = 0.
 
 struct link_error {
   using real = window_real;

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cuda_runtime.h>
 
-#include "python/src/api.hpp"
+#include "ft/any_odometry.hpp"
 
-namespace ftpy {
+namespace ft {
+inline namespace v0 {
 
-std::vector<std::string> cuda_devices() {
+std::vector<std::string> gpu_names() {
   std::vector<std::string> names;
-  int devices = 0;
-  if (cudaGetDeviceCount(&devices) != cudaSuccess) {
+  int gpus = 0;
+  if (cudaGetDeviceCount(&gpus) != cudaSuccess) {
     static_cast<void>(cudaGetLastError());
     return names;
   }
-  for (int i = 0; i < devices; ++i) {
+  for (int i = 0; i < gpus; ++i) {
     cudaDeviceProp properties;
     if (cudaGetDeviceProperties(&properties, i) == cudaSuccess) {
       names.emplace_back(properties.name);
@@ -21,4 +22,5 @@ std::vector<std::string> cuda_devices() {
   return names;
 }
 
-}  // namespace ftpy
+}  // namespace v0
+}  // namespace ft

@@ -89,8 +89,9 @@ struct imu_outcome {
 struct frame_outcome {
   bool tracked = false;
   bool keyframe = false;
-  bool metric = true;  ///< lengths are in metres
-  rigid_pose T_wc;     ///< left camera to world
+  bool metric = true;              ///< lengths are in metres
+  rigid_pose T_wc;                 ///< left camera to world
+  std::vector<double> covariance;  ///< see seq::frame_record
   int keypoints = 0;
   int stereo_matches = 0;
   int inliers = 0;  ///< matched map points, without this frame's new ones

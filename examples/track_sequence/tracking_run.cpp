@@ -222,6 +222,7 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.reason = outcome.reason;
   record.why = outcome.why;
   record.imu_warnings = outcome.imu.warnings;
+  if (outcome.tracked) { record.covariance = outcome.covariance; }
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {

@@ -148,6 +148,10 @@ private:
     out.keyframe = last_.keyframe;
     out.metric = last_.metric;
     out.T_wc = from_ft(last_.T_world_camera);
+    for (int row = 0; row < 6; ++row) {
+      auto const* const begin = last_.covariance + 6 * row;
+      out.covariance.insert(out.covariance.end(), begin + row, begin + 6);
+    }
     out.keypoints = last_.keypoints;
     out.stereo_matches = last_.stereo_points;
     out.inliers = last_.inliers;

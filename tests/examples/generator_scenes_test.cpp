@@ -120,13 +120,14 @@ TEST(generator_scenes, things_hide_the_share_asked_for_and_nothing_else) {
   for (auto const what : {&things::bonnet, &things::dirt, &things::companion, &things::crossing}) {
     for (double const percent : {25.0, 40.0}) {
       auto o = corridor();
+      o.width = 376;
       o.speed = 1;
       generator const bare(o);
       generator const hidden(with(o, what, percent));
       for (int const frame : {0, 50, 100}) {  // 3 m on
-        // a tenth of the pixels happens to have about the same grey value
+        // its edges are up to a pixel more; some pixels happen to have the same grey value
         double const change = differing(bare.render(frame).left, hidden.render(frame).left);
-        EXPECT_LT(change, percent + 0.5) << frame;
+        EXPECT_LT(change, 1.12 * percent) << frame;
         EXPECT_GT(change, 0.85 * percent) << frame;
       }
     }

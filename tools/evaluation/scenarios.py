@@ -87,13 +87,16 @@ def run_all(options, work):
             for row in pool.map(lambda s, shop=shop, seed=seed: shop.row(s, seed), selected(options.only)):
                 rows.append(row)
                 print(scenario_runs.line_of(row), flush=True)
+                if options.out:
+                    write(options, rows)
         if options.work is None:
             shutil.rmtree(work / f"seed_{seed}", ignore_errors=True)
     return rows
 
 
 def write(options, rows):
-    devices = sorted({r.pop("device") for r in rows if r.get("device")})
+    devices = sorted({r["device"] for r in rows if r.get("device")})
+    rows = [{k: v for k, v in r.items() if k != "device"} for r in rows]
     result = {
         "what": "scenarios of tools/evaluation/scenarios.py; lengths in metres",
         "date": datetime.date.today().isoformat(),
@@ -127,8 +130,6 @@ def main(arguments):
     with tempfile.TemporaryDirectory() as temporary:
         work = options.work or pathlib.Path(temporary)
         rows = run_all(options, work)
-    if options.out:
-        write(options, rows)
     missed = [r for r in rows if r["misses"]]
     silent = [r for r in rows if r["silent"]]
     print(f"\n{len(rows)} rows; {len(missed)} miss a figure, {len(silent)} are silently wrong somewhere")

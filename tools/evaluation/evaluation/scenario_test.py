@@ -313,7 +313,7 @@ class Table(unittest.TestCase):
         self.assertEqual(len(names), len(set(names)))
         known = {
             "ate_m", "max_error_m", "rpe_frame_m", "rpe_second_m", "lost", "maps", "silent", "warned", "keyframe_share", "ate_share",
-            "gain", "gap_share", "imu_used", "jumps_right", "ate_over_allowed", "max_over_allowed",
+            "contained", "gain", "gap_share", "imu_used", "jumps_right", "ate_over_allowed", "max_over_allowed",
         }
         for s in scenarios.ALL:
             self.assertLessEqual({n for n, _ in (*s.limits, *s.least)}, known)

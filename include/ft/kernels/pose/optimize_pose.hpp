@@ -16,6 +16,7 @@
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/detail/damped_descent.hpp"
+#include "ft/kernels/pose/detail/reprojection.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"

@@ -27,7 +27,7 @@ struct fisheye_stereo_params {
   // Doubles, as in the reference: they are compared with floats, and 0.9998f is above 0.9998.
   double max_cosine = 0.9998;  ///< of the angle between the rays; above, the parallax is too small
   double chi2 = 5.991;         ///< reprojection error, in units of the octave's variance
-  float min_depth = 1e-4f;     ///< metres
+  float min_depth = 1e-4f;     ///< metres; no float lies between it and the double 1e-4
 };
 
 /// Inputs of stereo matching without rectification, apart from the keypoints.

@@ -2,7 +2,7 @@
 /// @file Reprojection error of an observation in double precision, and its derivative, for poses
 /// with an IMU.
 ///
-/// Other than pose/detail/damped_descent.hpp there is no rounding to float but for the angles of a
+/// Other than pose/detail/reprojection.hpp there is no rounding to float but for the angles of a
 /// Kannala-Brandt camera, and a point behind a camera has an error like any other.
 #pragma once
 

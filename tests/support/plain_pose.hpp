@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/types/poses.hpp"
 #include "tests/support/example_rigs.hpp"
 

@@ -3,7 +3,6 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
-#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/types/poses.hpp"

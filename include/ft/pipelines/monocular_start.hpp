@@ -53,7 +53,7 @@ public:
       : params_(params) {
     check(params.rules);
     check(params.two_views);
-    detail::require_range("initial_match_params::max_hamming", params.matching.max_hamming, 0, 255);
+    check(params.matching);
     detail::require_range("cameras", cameras.size(), std::size_t{1}, std::size_t{4096});
     detail::require_range("capacity", capacity, 1, (1 << 23) - 1);
     detail::require_range("columns of the grid", grid.cols, 1, 1 << 14);

@@ -278,7 +278,8 @@ public:
   }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
-  odometry_params const& params() const { return made().stages.settings; }
+  /// As they were given to the constructor.
+  odometry_params const& params() const { return made().given; }
   Rig const& rig() const { return made().rig; }
   Exec const& executor() const { return made().exec; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }

@@ -16,7 +16,8 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
 #include "ft/types/images.hpp"
@@ -201,13 +202,8 @@ private:
 
   static orb_params const& checked(orb_params const& p, int batch,
                                    std::vector<stereo_overlap> const& overlaps) {
-    detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
-    detail::require_range("min_threshold", p.min_threshold, 0, 255);
+    check(p);
     detail::require_range("batch", batch, 1, 4096);
-    detail::require_range("mask_width", p.mask_width, 0, max_image_side);
-    detail::require_range("mask_height", p.mask_height, 0, max_image_side);
-    detail::require((p.mask_width == 0) == (p.mask_height == 0),
-                    "mask_width and mask_height are both 0 or both above it");
     detail::require(overlaps.empty() || overlaps.size() == static_cast<std::size_t>(batch),
                     "give one stereo overlap per image, or none");
     for (std::size_t i = 0; i < overlaps.size(); ++i) {

@@ -41,9 +41,11 @@ struct tracking_rules {
   float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
   float unrectified_keep_share = 0.85f;  ///< the same for two cameras that are not rectified, which
                                          ///< are wide and see a point for longer
-  double keyframe_period_s = 0;  ///< a keyframe is made if the last one is older; 0: no such rule
-  float near_depth = 50;         ///< near is what is at most this many baselines away, of its own
-                                 ///< pair in a rig of several; near keypoints become map points
+  /// A keyframe is made if the last one is older; 0: no such rule. With an IMU it is 0 or
+  /// imu_params::keyframe_period_s, which holds.
+  double keyframe_period_s = 0;
+  float near_depth = 50;  ///< near is what is at most this many baselines away, of its own
+                          ///< pair in a rig of several; near keypoints become map points
   /// Whether a camera that is lost, whose motion is not known yet or that is in doubt is also
   /// searched for by matches anywhere in the image; see match_without_window(). Not where an IMU
   /// tells the motion.

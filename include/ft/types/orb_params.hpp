@@ -19,7 +19,7 @@ struct orb_params {
   int height = 0;
   int features = 1200;  ///< wanted per image; the result may have a few more
   /// Wanted of images in which a map of one camera may begin; at least `features`, or 0 = as many.
-  /// An odometry of one camera makes 0 five times `features`, as ORB-SLAM3 does; others need none.
+  /// In an odometry of one camera 0 is five times `features`, as in ORB-SLAM3; in others it is 0.
   int start_features = 0;
   int levels = 8;
   float scale_factor = 1.2f;
@@ -30,10 +30,10 @@ struct orb_params {
   int mask_height = 0;
   /// Poses and map points take keypoints where they are in the image, and not where ORB-SLAM3 takes
   /// them to be; see pyramid_geometry::exact. The keypoints themselves are the same. An odometry
-  /// always does so.
+  /// does so with false, too.
   bool exact_positions = false;
   /// Keypoints lie between pixels, as refine_positions() places them: not those of ORB-SLAM3. An
-  /// odometry of camera pairs does so.
+  /// odometry of camera pairs does so with false, too; one of other rigs refuses true.
   bool refine_positions = false;
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them

@@ -16,7 +16,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/images/transfer_pixel.hpp"
 #include "ft/types/poses.hpp"
 
 namespace ft {

@@ -16,7 +16,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/images/transfer_pixel.hpp"
 #include "ft/types/poses.hpp"
 
 namespace ft {

@@ -27,9 +27,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/inertial/detail/initialization_description.hpp"
+#include "ft/kernels/inertial/detail/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_description.hpp"
-#include "ft/kernels/inertial/initialization_solver.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 

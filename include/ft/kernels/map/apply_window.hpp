@@ -11,7 +11,7 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/map/describe_point.hpp"
+#include "ft/kernels/map/detail/describe_point.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/point_masks.hpp"
 #include "ft/types/poses.hpp"

@@ -17,11 +17,9 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 
@@ -34,6 +32,11 @@ struct frame_pair_view {
   keypoints_view second;
   feature_grid_view grids;  ///< of `second`
 };
+
+/// @throws bad_argument naming the value and the limit
+inline void check(initial_match_params const& p) {
+  detail::require_range("initial_match_params::max_hamming", p.max_hamming, 0, 255);
+}
 
 /// Matches of a batch of frame pairs.
 struct initial_matches_view {
@@ -332,7 +335,7 @@ void search_initial_matches(Exec const& exec, frame_pair_view const& frames,
                             initial_match_workspace const& work) {
   int const first = frames.first.capacity;
   int const second = frames.second.capacity;
-  detail::require_range("max_hamming", params.max_hamming, 0, 255);
+  check(params);
   detail::require_range("keypoints of the first frame", first, 1, (1 << 23) - 1);
   detail::require_range("keypoints of the second frame", second, 1, (1 << 23) - 1);
   detail::require_range("capacity of the matches", out.capacity, first, first);

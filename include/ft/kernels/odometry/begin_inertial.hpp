@@ -10,7 +10,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/group_copy.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"

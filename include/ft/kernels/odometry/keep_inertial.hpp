@@ -11,7 +11,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/group_copy.hpp"
+#include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialize.hpp"

@@ -8,7 +8,6 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"

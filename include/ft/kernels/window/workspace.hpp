@@ -17,6 +17,11 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// @throws bad_argument naming the value and the limit
+inline void check(window_params const& p) {
+  detail::require_range("steps of an adjustment", p.steps, 0, 1000);
+}
+
 namespace detail {
 
 /// Where a problem's descent is. Written by the launches themselves.

@@ -16,7 +16,6 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/tracker_types.hpp"

@@ -5,10 +5,10 @@
 #include <cstddef>
 #include <cstring>
 
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"

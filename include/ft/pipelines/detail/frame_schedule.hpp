@@ -17,7 +17,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/side_branch.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
 #include "ft/types/poses.hpp"
 

@@ -6,9 +6,7 @@
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
-#include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keyframe_rays.hpp"
 #include "ft/containers/stereo_matches.hpp"
@@ -16,7 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/map/triangulate_points.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"

@@ -8,7 +8,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
-#include "ft/core/side_branch.hpp"
 #include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/count_sightings.hpp"

@@ -4,7 +4,6 @@
 
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/image_domain.hpp"
-#include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/core/config.hpp"

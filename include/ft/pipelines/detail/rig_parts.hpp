@@ -11,7 +11,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/orb_extractor.hpp"

@@ -17,7 +17,9 @@ RESULTS = ROOT / "bench" / "results"
 
 
 def load(name):
-    return json.loads((RESULTS / name).read_text())
+    """The first measurement of a file, its settings and tables beside each other."""
+    record = json.loads((RESULTS / name).read_text())["records"][0]
+    return {**record, "gpu": "", **record.get("machine", {}), **record.get("settings", {}), **record.get("tables", {})}
 
 
 def frame_results():
@@ -106,7 +108,7 @@ def counts():
     found = False
     for rig, array in (("rectified", "rows"), ("fisheye", "fisheye")):
         for r in bench.get(array, []):
-            c = r.get("counts")
+            c = {k.removeprefix("counts."): v for k, v in r.items() if k.startswith("counts.")}
             if not c or r["batch"] != 1 or r["name"] not in ("frame", "frame, with pose optimisation"):
                 continue
             found = True
@@ -224,10 +226,10 @@ def host_stages():
     of_native = {r["name"]: r for r in native["host_stages"]}
     for r in usual["host_stages"]:
         n = of_native.get(r["name"], {})
-        cells = [r["name"], f"{r['ft']['p50_us']:.0f}"]
-        cells += [f"{r['opencv']['p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv" in r else ["", ""]
-        cells.append(f"{n['ft']['p50_us']:.0f}" if n else "")
-        cells.append(f"{n['times_as_fast']:.2f}" if "opencv" in n else "")
+        cells = [r["name"], f"{r['ft.p50_us']:.0f}"]
+        cells += [f"{r['opencv.p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv.p50_us" in r else ["", ""]
+        cells.append(f"{n['ft.p50_us']:.0f}" if n else "")
+        cells.append(f"{n['times_as_fast']:.2f}" if "opencv.p50_us" in n else "")
         cells += [r.get("counterpart", ""), r.get("difference", "")]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
@@ -239,8 +241,9 @@ def conformance():
         "| stage | items | identical, host | identical, CUDA | worst difference, host | worst difference, CUDA |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for name, h in host["stages"].items():
-        c = cuda["stages"][name]
+    on_cuda = {c["name"]: c for c in cuda["stages"]}
+    for h in host["stages"]:
+        name, c = h["name"], on_cuda[h["name"]]
         lines.append(
             f"| {name} | {h['items']} | {h['identical']} | {c['identical']} | {h['max_abs_diff']:.2g} | {c['max_abs_diff']:.2g} |"
         )
@@ -248,6 +251,55 @@ def conformance():
     return lines
 
 
+<<<<<<< HEAD
+# What the table of odometries shows: record, row among those of a rig, and what to call it.
+ODOMETRIES = (
+    ("runs 2", "rectified", 0, "EuRoC pair"),
+    ("runs 2", "rectified", 1, "64 EuRoC pairs, each with its map"),
+    ("on_2026_11_25, runs 1", "rectified", 0, "generated pair"),
+    ("on_2026_11_25, runs 3", "rectified", 0, "200 generated pairs"),
+    ("on_2026_11_25, runs 1", "four cameras", 0, "two generated pairs in one rig"),
+    ("on_2026_11_25, runs 3", "four cameras", 0, "the same, 200 of them"),
+    ("with_imu, runs 1", "with IMU", 1, "with an IMU"),
+    ("with_imu, runs 1", "with IMU", 0, "the same, 5 ms apart"),
+    ("on_2026_11_26, runs 1", "prefetched", 0, "generated pair, prefetched"),
+)
+
+
+def odometries():
+    records = {r.get("name"): r for r in json.loads((RESULTS / "odometry_h200.json").read_text())["records"]}
+    lines = ["| | commit | keyframes | p50, us | p99, us | frames/s |", "|---|---|---:|---:|---:|---:|"]
+    for record, rig, number, name in ODOMETRIES:
+        of_rig = [r for r in records[record]["tables"]["odometry"] if r["rig"] == rig]
+        r = of_rig[number]
+        waited = r["frames_per_s"] * r["p99_us"] < 0.5e6  # for the next frame, so the rate says nothing
+        lines.append(
+            f"| {name} | {records[record]['commit']} | {100 * r['keyframes']:.0f} % | {r['p50_us']:.0f} | {r['p99_us']:.0f} | "
+            f"{'' if waited else format(r['frames_per_s'], '.0f')} |"
+        )
+        if number == 0 and record == "runs 2":
+            mps = records["runs 4"]
+            lines.append(
+                f"| the same on 12 % of the multiprocessors (CUDA MPS) | {mps['commit']} | | "
+                f"{mps['tables']['p50_us'][0]['rectified']:.0f} | {mps['tables']['p99_us'][0]['rectified']:.0f} | |"
+            )
+    return lines
+
+
+def places():
+    rows = load("words_h200.json")["words"]
+    lines = ["| | H200 | one core |", "|---|---:|---:|"]
+    for name, count in dict.fromkeys((r["name"], r["count"]) for r in rows):
+        of = {r["backend"]: r["p50_us"] for r in rows if (r["name"], r["count"]) == (name, count)}
+        lines.append(f"| {name}{f', {count}' if count != 1 else ''} | {of['cuda']:.0f} | {of['host']:.0f} |")
+    return lines
+
+
+TABLES = {
+    "docs/performance.md": {
+        "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+    },
+=======
 def scenario_rows():
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     result = load("scenarios_host.json")
@@ -280,6 +332,7 @@ def median_mm(lengths):
 TABLES = {
     "docs/scenarios.md": {"scenarios": scenario_rows},
     "docs/performance.md": {"recorded frames": recorded, "recorded stages": recorded_stages},
+>>>>>>> scenarios
     "bench/results/README.md": {
         "frames": frames,
         "counts": counts,
@@ -322,9 +375,9 @@ def self_test():
         {"model": "m", "scalar": "float", "function": "unproject", "backend": "cuda", "threads": 0, "ns_per_point": 0.0051}]
     assert cameras()[-1] == "| m | float | 2.5 |  |  |  |  | 0.0051 |", cameras()
     results.update(processor="a processor", host_stages=[
-        {"name": "blur", "calls": 9, "ft": {"p50_us": 50.0}, "opencv": {"p50_us": 100.0}, "times_as_fast": 2.0,
+        {"name": "blur", "calls": 9, "ft.p50_us": 50.0, "opencv.p50_us": 100.0, "times_as_fast": 2.0,
          "opencv_version": "OpenCV 0", "counterpart": "GaussianBlur", "difference": "none"},
-        {"name": "distribution", "calls": 9, "ft": {"p50_us": 7.0}}])
+        {"name": "distribution", "calls": 9, "ft.p50_us": 7.0}])
     assert host_stages()[-2:] == ["| blur | 50 | 100 | 2.00 | 50 | 2.00 | GaussianBlur | none |",
                                   "| distribution | 7 |  |  | 7 |  |  |  |"], host_stages()
     results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]

@@ -307,6 +307,7 @@ public:
   traffic bytes() const { return device_->bytes(); }
   void reset_bytes() { device_->reset_bytes(); }
   map_mirror<map_point> const& mirror() const { return mirror_; }
+  map_mirror<map_point>& mirror() { return mirror_; }
 
 private:
   using map_call_end = typename map_mirror<map_point>::call_end;

@@ -560,6 +560,11 @@ TEST_P(words_verify, keeps_the_cpus_answer_where_the_accelerator_refuses) {
                               }),
             3);
   EXPECT_EQ(got.size(), 7u);
+  std::ostringstream summary;
+  gpu.print(summary);
+  EXPECT_EQ(summary.str(),
+            "verify: 1 frames, 0 with differences\n"
+            "verify: search_by_bow: 1 calls, 0 with differences, 0 in all, 1 refused\n");
 }
 
 INSTANTIATE_TEST_SUITE_P(executors, words, ::testing::ValuesIn(executors()), executor_name);

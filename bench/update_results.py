@@ -9,6 +9,7 @@ Each table stands between the lines <!-- NAME begins --> and <!-- NAME ends -->.
 """
 import json
 import pathlib
+import statistics
 import sys
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
@@ -293,7 +294,40 @@ def places():
     return lines
 
 
+def scenario_rows():
+    """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
+    try:
+        result = load("scenarios_host.json")
+    except FileNotFoundError:
+        return NOT_YET
+    by_name = {}
+    for r in result["rows"]:
+        by_name.setdefault(r["scenario"], []).append(r)
+    seeds = sorted({r["seed"] for r in result["rows"]})
+    lines = [
+        f"{result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
+        "",
+        "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | of frames | misses (seeds) |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|",
+    ]
+    for name, rows in by_name.items():
+        lengths = [median_mm(r.get(k) for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
+        totals = {k: sum(r.get(k) or 0 for r in rows) for k in ("lost", "silent", "frames")}
+        maps = max(r.get("maps") or 0 for r in rows)
+        missed = sorted({m for r in rows for m in r["misses"]})
+        said = ", ".join(f"{m} ({sum(m in r['misses'] for r in rows)})" for m in missed)
+        cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], totals["frames"], said]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
+
+
+def median_mm(lengths):
+    known = [v for v in lengths if v is not None]
+    return f"{1000 * statistics.median(known):.1f}" if known else ""
+
+
 TABLES = {
+    "docs/scenarios.md": {"scenarios": scenario_rows},
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
     },
@@ -346,6 +380,9 @@ def self_test():
                                   "| distribution | 7 |  |  | 7 |  |  |  |"], host_stages()
     results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]
     assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
+    one = dict(scenario="x", seed=1, frames=9, ate_m=0.01, ate_without_imu_m=None, max_error_m=0.5, lost=1, maps=2, silent=3, misses=["maps"])
+    results["rows"] = [one, dict(one, seed=2, ate_m=0.03, misses=[]), dict(one, seed=3, ate_m=None)]
+    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 27 | maps (2) |", scenario_rows()[-1]
     print("update_results.py: self-test passed")
 
 

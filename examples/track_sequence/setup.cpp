@@ -29,10 +29,11 @@ ft::camera_description camera_of(seq::camera_intrinsics const& c, bool fisheye) 
 ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
   auto const& rig = sequence.rig();
   bool const fisheye = sequence.fisheye();
+  auto const baseline = static_cast<double>(static_cast<float>(rig.baseline()));
   auto const left = camera_of(rig.left, fisheye);
   if (sequence.kind() == seq::camera_kind::mono) { return ft::rig_description::monocular(left); }
   if (sequence.kind() == seq::camera_kind::rgbd) {
-    auto rgbd = ft::rig_description::rgbd(left, rig.baseline(), sequence.depth_unit());
+    auto rgbd = ft::rig_description::rgbd(left, baseline, sequence.depth_unit());
     rgbd.min_depth = a.min_depth;
     rgbd.max_depth = a.max_depth;
     return rgbd;
@@ -42,7 +43,7 @@ ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
                                              rigid_of(rig.T_left_right.inverse()));
   }
   return ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy,
-                                             rig.baseline());
+                                             baseline);
 }
 
 ft::imu_params imu_params_of(seq::sequence const& sequence) {

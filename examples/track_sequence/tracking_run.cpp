@@ -232,6 +232,12 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.reason = outcome.reason;
   record.why = outcome.why;
   record.imu_warnings = outcome.imu_warnings;
+  if (outcome.tracked) {
+    for (int row = 0; row < 6; ++row) {  // the upper triangle
+      double const* const begin = found.covariance + 6 * row;
+      record.covariance.insert(record.covariance.end(), begin + row, begin + 6);
+    }
+  }
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A start for a program of yours: copy this file. It needs ft's headers and nothing else of ft. Two
 // distorted cameras, a mask, the pose of every frame in a file, frames that are not found, and a
-// picture of the keypoints.
+// picture of the keypoints. g++ -std=c++17 -O2 -Iinclude THIS.cpp -o my_stereo -ltbb -pthread
 //   my_stereo LEFT RIGHT    folders of 8-bit PGM files that are named by their nanoseconds
 //   my_stereo               without folders: a generated wall, half a second of it in the dark
 #include <ft/ft.hpp>
@@ -55,6 +55,7 @@ struct frame {
 
 image read_pgm(std::filesystem::path const& path) {
   std::ifstream file(path, std::ios::binary);
+  if (!file) { throw std::runtime_error(path.string() + ": cannot be opened"); }
   std::string magic;
   int w = 0, h = 0, white = 0;
   file >> magic >> w >> h >> white;
@@ -72,6 +73,14 @@ image read_pgm(std::filesystem::path const& path) {
   return read;
 }
 
+std::int64_t time_of(std::filesystem::path const& path) {
+  std::string const name = path.stem().string();
+  if (name.empty() || name.size() > 18 || name.find_first_not_of("0123456789") < name.size()) {
+    throw std::runtime_error(path.string() + ": its name is no time in nanoseconds");
+  }
+  return std::stoll(name);
+}
+
 /// Two folders with files of the same names.
 class recorded_camera {
 public:
@@ -79,14 +88,14 @@ public:
     for (auto const& entry : std::filesystem::directory_iterator(left)) {
       if (entry.path().extension() == ".pgm") { files_.push_back(entry.path()); }
     }
-    auto const time = [](auto const& path) { return std::stoll(path.stem().string()); };
+    if (files_.empty()) { throw std::runtime_error(left + ": no file *.pgm"); }
     std::sort(files_.begin(), files_.end(),
-              [&](auto const& a, auto const& b) { return time(a) < time(b); });
+              [](auto const& a, auto const& b) { return time_of(a) < time_of(b); });
   }
   bool next(frame& f) {
     if (next_ == files_.size()) { return false; }
     auto const& path = files_[next_++];
-    f = {std::stoll(path.stem().string()), read_pgm(path), read_pgm(right_ / path.filename())};
+    f = {time_of(path), read_pgm(path), read_pgm(right_ / path.filename())};
     return true;
   }
 

@@ -26,7 +26,7 @@ def run(out):
     command = [sys.executable, SCENARIOS, "--bin", PROGRAMS, *OPTIONS, "--jobs", jobs, "--out", out]
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=1700, check=False)
     print(done.stdout, done.stderr, flush=True)
-    return done.returncode, json.loads(pathlib.Path(out).read_text())["rows"]
+    return done.returncode, json.loads(pathlib.Path(out).read_text())["records"][0]["tables"]["rows"]
 
 
 def known_of(row):

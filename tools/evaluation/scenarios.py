@@ -109,8 +109,15 @@ def record_of(options, rows):
     }
 
 
+def plain(row):
+    """A row of a file: without what is not known; warnings with their numbers of frames."""
+    out = {k: v for k, v in row.items() if v is not None and k != "device"}
+    out["warnings"] = [f"{name} {count}" for name, count in (row["warnings"] or {}).items()]
+    return out
+
+
 def write(options, rows):
-    lines = [json.dumps({k: v for k, v in r.items() if k != "device"}) for r in rows]
+    lines = [json.dumps(plain(r)) for r in rows]
     record = json.dumps(record_of(options, rows), indent=1)[:-2].replace("\n", "\n  ")
     what = json.dumps("scenarios of tools/evaluation/scenarios.py; lengths in metres")
     table = '   "tables": {\n    "rows": [\n     ' + ",\n     ".join(lines) + "\n    ]\n   }"

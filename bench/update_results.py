@@ -251,7 +251,6 @@ def conformance():
     return lines
 
 
-<<<<<<< HEAD
 # What the table of odometries shows: record, row among those of a rig, and what to call it.
 ODOMETRIES = (
     ("runs 2", "rectified", 0, "EuRoC pair"),
@@ -295,14 +294,12 @@ def places():
     return lines
 
 
-TABLES = {
-    "docs/performance.md": {
-        "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
-    },
-=======
 def scenario_rows():
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
-    result = load("scenarios_host.json")
+    try:
+        result = load("scenarios_host.json")
+    except FileNotFoundError:
+        return NOT_YET
     by_name = {}
     for r in result["rows"]:
         by_name.setdefault(r["scenario"], []).append(r)
@@ -314,9 +311,9 @@ def scenario_rows():
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for name, rows in by_name.items():
-        lengths = [median_mm(r[k] for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
-        totals = {k: sum(r[k] or 0 for r in rows) for k in ("lost", "silent", "frames")}
-        maps = max(r["maps"] or 0 for r in rows)
+        lengths = [median_mm(r.get(k) for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
+        totals = {k: sum(r.get(k) or 0 for r in rows) for k in ("lost", "silent", "frames")}
+        maps = max(r.get("maps") or 0 for r in rows)
         missed = sorted({m for r in rows for m in r["misses"]})
         said = ", ".join(f"{m} ({sum(m in r['misses'] for r in rows)})" for m in missed)
         cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], totals["frames"], said]
@@ -331,8 +328,9 @@ def median_mm(lengths):
 
 TABLES = {
     "docs/scenarios.md": {"scenarios": scenario_rows},
-    "docs/performance.md": {"recorded frames": recorded, "recorded stages": recorded_stages},
->>>>>>> scenarios
+    "docs/performance.md": {
+        "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+    },
     "bench/results/README.md": {
         "frames": frames,
         "counts": counts,

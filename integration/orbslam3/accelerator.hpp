@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The shim between ORB-SLAM3's tracking and ft.
 ///
-/// A template over the system's own types, compiled inside it; see README.md in this folder.
+/// A template over the system's own types, compiled inside it; see docs/orbslam3.md.
 #pragma once
 
 #include <cstddef>

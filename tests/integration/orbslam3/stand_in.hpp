@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Types of the shape that the shim finds in ORB-SLAM3, written from the list of members in
-/// integration/orbslam3/README.md: enough to compile and test the shim without that system. With
+/// docs/orbslam3.md: enough to compile and test the shim without that system. With
 /// FT_TEST_OPENCV images, matrices and keypoints are OpenCV's, otherwise stand-ins as well.
 #pragma once
 

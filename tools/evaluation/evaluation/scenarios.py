@@ -58,7 +58,7 @@ IMAGES = (
         limits=(("maps", 1), ("silent", 0), *within(0.06)),
     ),
     Scenario(
-        "jumps", "31 jumps of up to 1.2 m and 25 degrees", faults=(faults.jumps(31),), limits=TRUTHFUL, least=(("jumps_right", 0.8),),
+        "jumps", "31 jumps of up to 1.2 m and 25 degrees", ("--fast-turn", "1", "5.5", "50"), faults=(faults.jumps(31),), limits=TRUTHFUL, least=(("jumps_right", 0.8),),
     ),
     *(
         Scenario(

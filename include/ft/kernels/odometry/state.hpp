@@ -84,6 +84,22 @@ struct odometry_input {
   int window;          ///< 1 = the adjustment in flight ends with this frame
 };
 
+/// What the matches and images of a frame say about its pose. Of a frame whose local map was not
+/// searched all is 0.
+struct frame_facts {
+  int matches = 0;          ///< keypoints that were matched, before the pose was optimised
+  int rejected_x = 0;       ///< of those that do not agree with it, the sums of their errors
+  int rejected_y = 0;       ///< likewise, down; 1 / 8 pixels
+  int rejected_length = 0;  ///< and the sum of what these amount to without signs
+  int flowing = 0;          ///< inliers that the motion since the last frame moved 2 pixels
+  int with_disparity = 0;   ///< matches that agree in the left image and have a disparity
+  int off_disparity = 0;    ///< of these, those whose disparity does not agree
+  int fixed = 0;            ///< near keypoints of what is fixed to a camera
+  int held_before = 0;      ///< camera_track::held of the last frame
+  int evidence = 0;         ///< of the inliers, bits
+  int moving = 0;           ///< 1 = the last frame moved against the one before
+};
+
 /// What is kept of one camera.
 struct camera_track {
   constant_velocity velocity;
@@ -106,6 +122,8 @@ struct camera_track {
   int agreed;                ///< keypoints of the current frame that agree with the pose tried last
   int map_keyframes;         ///< made in this map
   int keyframes;             ///< made in all maps
+  frame_facts facts;         ///< of the current frame
+  int moved;                 ///< 1 = most inliers moved 2 pixels since the frame before
   int new_keyframe;          ///< 1 = since the last adjustment was begun
   int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
 

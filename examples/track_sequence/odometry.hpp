@@ -11,6 +11,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace app {
@@ -100,6 +101,8 @@ struct frame_outcome {
   double images_to_pose_ms = 0;  ///< from handing the images over to having the pose
   std::string reason;            ///< why it is not tracked, or to be doubted; empty = neither
   std::string why;               ///< the same as a sentence
+  std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
+  int map_id = 0;  ///< of the map that the pose is in, from 1 on; 0 = none
 };
 
 /// Tracks a camera pair, or one camera, also with depth images; the world is the first tracked

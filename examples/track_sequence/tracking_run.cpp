@@ -222,6 +222,8 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.reason = outcome.reason;
   record.why = outcome.why;
   record.imu_warnings = outcome.imu.warnings;
+  record.warnings = outcome.warnings;
+  record.map_id = outcome.map_id;
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {

@@ -19,6 +19,7 @@
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/map_files.hpp"
 #include "ft/pipelines/odometry.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 
 namespace app {
 
@@ -142,6 +143,12 @@ private:
     auto const found = ft::explain(last_, inner_.params().rules);
     if (found.reason != ft::tracking_reason::none) { out.reason = ft::name_of(found.reason); }
     out.why = found.text;
+    for (ft::tracking_notice const& said : ft::warnings_of(last_, inner_.params())) {
+      // These have sentences of their own.
+      if (said.warning == ft::tracking_warning::imu) { continue; }
+      out.warnings.emplace_back(ft::name_of(said.warning), said.text);
+    }
+    out.map_id = last_.map_id;
     // The first frame of a later map is at a guessed place.
     out.tracked =
         last_.state == ft::tracking_state::tracking && found.reason != ft::tracking_reason::new_map;

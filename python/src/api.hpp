@@ -133,6 +133,8 @@ struct tracking {
   double imu_rate_hz = 0, imu_newest_s = 0;
   std::map<std::string, long long> imu_left_out;  ///< why -> samples
   std::vector<std::string> imu_warnings;
+  int map_id = 0;
+  std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
 };
 /// Keypoints of the last frame, those of the left images.
 struct tracked_keypoints {

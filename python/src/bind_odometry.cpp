@@ -248,6 +248,17 @@ void bind_tracking(nb::module_& m) {
               "why the frame is not tracked, or its pose to be doubted, a word such as 'dark' or "
               "'few_matches', see ft::tracking_reason; empty without a reason")
       .def_ro("explanation", &tracking::explanation, "the same as a sentence that has the numbers")
+      .def_ro("map_id", &tracking::map_id,
+              "number of the map that the pose is in, from 1 on; 0 without a map")
+      .def_prop_ro(
+          "warnings",
+          [](tracking const& t) {
+            nb::dict all;
+            for (auto const& [name, said] : t.warnings) { all[nb::str(name.c_str())] = said; }
+            return all;
+          },
+          "dict: what is to be told of the frame although it may be tracked, a sentence by name "
+          "such as 'two_motions' or 'doubtful_pose', see ft::tracking_warning; empty without")
       .def_ro("metric", &tracking::metric,
               "whether lengths are metres; False with one camera alone, whose unit is the median "
               "depth of the first points")

@@ -16,6 +16,7 @@
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "python/src/conversions.hpp"
 #include "python/src/vocabulary_of.hpp"
@@ -68,6 +69,10 @@ inline tracking plain(ft::tracking const& t, ft::odometry_params const& params) 
   if (why.reason != ft::tracking_reason::none) {
     r.reason = ft::name_of(why.reason);
     r.explanation = why.text;
+  }
+  r.map_id = t.map_id;
+  for (ft::tracking_notice const& said : ft::warnings_of(t, params)) {
+    r.warnings.emplace_back(ft::name_of(said.warning), said.text);
   }
   r.metric = t.metric;
   r.keyframe = t.keyframe;

@@ -34,24 +34,31 @@ struct warning_limits {
   double least_stereo_share = 0.3;     ///< of keypoints with a stereo match
   double stereo_drop = 0.65;           ///< or of that share, as a share of the usual one
   int moving_points = 20;              ///< that move otherwise than the rest, at least
-  double moving_share = 1.0 / 16;      ///< and as a share of all
+  double moving_share = 1.0 / 16;      ///< and as a share of all that are fixed to a camera
+  double rejected_share = 0.125;       ///< or of all matches that do not agree with the pose
   std::int64_t stays_ns = 1000000000;  ///< a doubt about a pose is one about the second after it
 };
 
 namespace detail {
 
+/// Whether many keypoints of a frame are fixed to a camera.
+inline bool has_fixed(tracking const& t, warning_limits const& limits) {
+  int const n = t.evidence.facts.fixed;
+  return n >= limits.moving_points && n >= limits.moving_share * (t.stereo_points + n);
+}
+
 /// Whether keypoints of a frame move otherwise than its pose says.
-inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
+/// @param fixed_before has_fixed() of the frame before: a camera that stops looks so for a frame
+inline bool has_two_motions(tracking const& t, warning_limits const& limits, bool fixed_before) {
   tracking_evidence const& e = t.evidence;
   frame_facts const& f = e.facts;
-  auto const many = [&](int n, int of) {
-    return n >= limits.moving_points && n >= limits.moving_share * of;
-  };
-  if (many(f.fixed, t.stereo_points + f.fixed)) { return true; }
+  if (fixed_before && has_fixed(t, limits)) { return true; }
   // Keypoints that do not agree with the pose, and agree with each other.
   int const together = (f.rejected_x < 0 ? -f.rejected_x : f.rejected_x) +
                        (f.rejected_y < 0 ? -f.rejected_y : f.rejected_y);
-  if (many(f.matches - t.inliers, f.matches / 2) && 10.0 * together > 3.0 * f.rejected_length) {
+  int const rejected = f.matches - t.inliers;
+  if (rejected >= limits.moving_points && rejected >= limits.rejected_share * f.matches &&
+      10.0 * together > 3.0 * f.rejected_length) {
     return true;
   }
   // The pose stands still while much of the image does not.
@@ -108,9 +115,10 @@ public:
       if (t.inliers > 0 && e.facts.evidence < params.rules.min_evidence) {
         all.add(tracking_warning::doubtful_pose);
       }
-      if (has_two_motions(t, limits)) { all.add(tracking_warning::two_motions); }
+      if (has_two_motions(t, limits, fixed_before_)) { all.add(tracking_warning::two_motions); }
       if (!unlit && has_odd_stereo(t, limits)) { all.add(tracking_warning::stereo_inconsistent); }
     }
+    fixed_before_ = has_fixed(t, limits);
     if (params.imu.present && !imu_warnings(t.imu, params.imu).empty()) {
       all.add(tracking_warning::imu);
     }
@@ -139,6 +147,7 @@ private:
 
   double usual_share_ = 0;
   bool repeats_ = false;
+  bool fixed_before_ = false;
   std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 };
 

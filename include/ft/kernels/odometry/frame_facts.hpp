@@ -41,19 +41,24 @@ struct chance_counts {
 };
 
 /// Counts them. All threads of a group call.
-/// @param seen [cameras][batch][capacity] of the local map, of which `count` entries are
-template <typename Group>
+/// @param in the search in the local map, with `seen`. A point that the search from the last frame
+///   matched is not searched again, and counts as seen
+/// @param capacity of its lists @param slots of the map
+template <typename Group, typename Rig>
 FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& frame,
-                                           pyramid_geometry const& geometry, visibility const* seen,
-                                           int capacity, int count) {
+                                           local_search<Rig> const& in, int capacity, int slots) {
   constexpr float circle = 3.14159265f * 5.991f * 16;
+  pyramid_geometry const& geometry = in.geometry;
   chance_counts n;
   int area = 0;
   for (int c = 0; c < frame.cameras; ++c) {
-    visibility const* const of =
-        seen + (static_cast<std::ptrdiff_t>(c) * frame.batch + b) * capacity;
-    for (int i = g.rank(); i < count; i += g.size()) {
-      n.points += static_cast<int>(of[i].level >= 0);
+    std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
+    visibility const* const seen =
+        in.seen + static_cast<std::ptrdiff_t>(c) * frame.batch * capacity + of_list;
+    for (int i = g.rank(); i < in.slot_count[b]; i += g.size()) {
+      bool const there =
+          seen[i].level >= 0 || (c == 0 && in.stamps.stamped(b, slots, in.slots[of_list + i]));
+      n.points += static_cast<int>(there);
     }
     keypoints_view const kp = frame.camera(b, c);
     for (int i = g.rank(); i < *kp.count; i += g.size()) {

@@ -16,9 +16,9 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// What is seen of an image, in cells of 16 x 12 that cover it.
+/// What is seen of an image, in cells of 32 x 24 that cover it.
 struct image_changes {
-  static constexpr int columns = 16, rows = 12;
+  static constexpr int columns = 32, rows = 24;
   static constexpr int cells = columns * rows;
   static constexpr int words = cells / 32;
   static constexpr int side = 4;  ///< samples of a cell are side x side pixels
@@ -84,12 +84,13 @@ struct watch_image {
     }
     auto const image = images.level(i, 0);
     bool const first = v.begun[i] == 0;
-    int textured = 0, moved = 0, still = 0, differ = 0, sum = 0, squares = 0;
+    int textured = 0, moved = 0, still = 0, known = 0, differ = 0, sum = 0, squares = 0;
     for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
       compared const to = compare(image, v, i, c, first);
       textured += static_cast<int>(to.is_textured());
       moved += static_cast<int>(to.has_moved());
       still += static_cast<int>(to.is_still());
+      known += static_cast<int>(!first && to.is_still() && v.frames[frames_at(i, c)] > 0);
       differ += static_cast<int>(to.differs);
       sum += to.sum;
       squares += to.squares;
@@ -97,12 +98,14 @@ struct watch_image {
     textured = g.reduce(textured, sum_op{});
     moved = g.reduce(moved, sum_op{});
     still = g.reduce(still, sum_op{});
+    known = g.reduce(known, sum_op{});
     differ = g.reduce(differ, sum_op{});
     sum = g.reduce(sum, sum_op{});
     squares = g.reduce(squares, sum_op{});
-    // Most of the image moves: what does not is not of the scene.
-    // With a camera that hardly moves there is much between both.
-    bool const rest_moves = !first && moved > still && 5 * (moved + still) > 4 * textured;
+    // Most of the image moves: what does not is not of the scene. Less is enough where that was so
+    // before. With a camera that hardly moves there is much between both.
+    bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
+    bool const rest_moves = !first && most && 5 * (moved + still) > 4 * textured;
     g.sync();
     if (g.rank() == 0) {
       image_changes& out = v.of[i];
@@ -149,10 +152,10 @@ private:
       return contrast >= least_contrast && was >= least_contrast;
     }
     FT_HOST_DEVICE bool has_moved() const {
-      return is_textured() && difference > noise && 2 * difference > min_of(contrast, was);
+      return is_textured() && difference > 6 * samples && 5 * difference > min_of(contrast, was);
     }
     FT_HOST_DEVICE bool is_still() const {
-      return is_textured() && (difference <= noise || 8 * difference <= min_of(contrast, was));
+      return is_textured() && (difference <= noise || 12 * difference <= min_of(contrast, was));
     }
   };
 

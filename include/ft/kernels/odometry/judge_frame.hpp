@@ -37,7 +37,7 @@ struct searched_frames {
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;   ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                             ///< a map point from before the frame
-  local_search<Rig> local;  ///< in which points were searched; its pose and stamps are not used
+  local_search<Rig> local;  ///< in which points were searched; its pose is not used
   int local_capacity = 0;   ///< of its slots
   map_points_view map;
   map_beginnings begins;             ///< of a monocular_rig
@@ -155,8 +155,8 @@ private:
   FT_HOST_DEVICE static frame_facts weigh(Group g, int b, searched_frames<Rig> const& in,
                                           rigid<double> const& last) {
     frame_facts facts = weigh_observations(g, b, in.rig, in.observations, in.T_cw[b], last);
-    chance_counts const by = count_chances(g, b, in.frame, in.local.geometry, in.local.seen,
-                                           in.local_capacity, in.local.slot_count[b]);
+    chance_counts const by =
+        count_chances(g, b, in.frame, in.local, in.local_capacity, in.map.capacity);
     facts.evidence = static_cast<int>(by.bits(in.inliers[b]) / evidence_one);
     return facts;
   }

@@ -32,8 +32,8 @@ std::vector<std::string> imu_warnings_of(run_report const& report);
 
 /// A sentence for each of: a run that was stopped, few stereo matches, images without a partner,
 /// more than one map begun, tracking lost for long, a calibration that looks wrong, the reasons for
-/// frames without a pose, warnings of frames, what is wrong with samples of the IMU, an impossible speed. Reads the
-/// report's figures, and its warnings only to say nothing twice.
+/// frames without a pose, warnings of frames, what is wrong with samples of the IMU, an impossible
+/// speed. Reads the report's figures, and its warnings only to say nothing twice.
 std::vector<std::string> warnings_of(run_report const& report);
 
 }  // namespace seq

@@ -41,10 +41,6 @@ seq::frame_record record_of(nb::handle given) {
   r.reason = t.reason;
   r.why = t.explanation;
   r.imu_warnings = t.imu_warnings;
-  for (auto const& said : t.warnings) {
-    if (said.first != "imu") { r.warnings.push_back(said); }  // has sentences of its own
-  }
-  r.map_id = t.map_id;
   auto const vector = [](std::array<double, 3> const& v) {
     return Eigen::Vector3d(v[0], v[1], v[2]);
   };

@@ -497,9 +497,27 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
             "total_ms,images_to_pose_ms,reason,map_id,warnings");
   EXPECT_EQ(lines[1],
             "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,,0,");
-  EXPECT_EQ(lines[2], "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions");
+  EXPECT_EQ(lines[2],
+            "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions");
   for (auto const& line : lines) {
     EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14) << line;
+  }
+}
+
+TEST_F(report, csv_has_the_covariances_that_are_known) {
+  seq::run_report r = filled(2, false);
+  for (int i = 0; i < 21; ++i) { r.records[0].covariance.push_back(0.5 + 1e-7 * i); }
+  seq::write_times_csv(file("times.csv"), r);
+  auto const lines = split(read_text(file("times.csv")), '\n');
+  ASSERT_EQ(lines.size(), 3U);
+  EXPECT_NE(lines[0].find(",covariance_00,covariance_01,"), std::string::npos);
+  EXPECT_NE(lines[0].find(",covariance_05,covariance_11,"), std::string::npos);
+  EXPECT_NE(lines[0].find(",covariance_45,covariance_55,images_to_pose_ms,"), std::string::npos);
+  EXPECT_NE(lines[1].find(",0.5,0.5000001,"), std::string::npos);
+  EXPECT_NE(lines[1].find(",0.5000019,0.500002,"), std::string::npos);
+  EXPECT_NE(lines[2].find(std::string(21, ',')), std::string::npos);
+  for (auto const& line : lines) {
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 12 + 21) << line;
   }
 }
 

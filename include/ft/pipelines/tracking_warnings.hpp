@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "ft/core/config.hpp"
-#include "ft/kernels/odometry/state.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

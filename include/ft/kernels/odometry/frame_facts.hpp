@@ -7,15 +7,17 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
-#include "ft/kernels/pose/reprojection.hpp"
+#include "ft/kernels/pose/detail/reprojection.hpp"
+#include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/search/frustum.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

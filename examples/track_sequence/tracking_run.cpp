@@ -232,6 +232,8 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.reason = outcome.reason;
   record.why = outcome.why;
   record.imu_warnings = outcome.imu_warnings;
+  record.warnings = outcome.warnings;
+  record.map_id = found.map_id;
   if (outcome.tracked) {
     for (int row = 0; row < 6; ++row) {  // the upper triangle
       double const* const begin = found.covariance + 6 * row;

@@ -12,6 +12,7 @@
 #include "ft/any_odometry.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "python/src/arrays.hpp"
 
 namespace ftpy {
@@ -92,6 +93,7 @@ struct tracking {
   ft::tracking of;
   ft::tracking_explanation why;
   std::vector<std::string> imu_warnings;
+  std::vector<ft::tracking_notice> warnings;
 };
 
 class bound_odometry {
@@ -150,7 +152,8 @@ public:
       std::vector<tracking> all;
       for (int b = 0; b < batch_; ++b) {
         all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
-                       ft::imu_warnings(t[b].imu, inner_->params().imu)});
+                       ft::imu_warnings(t[b].imu, inner_->params().imu),
+                       ft::warnings_of(t[b], inner_->params())});
       }
       return all;
     });
@@ -423,6 +426,20 @@ void bind_tracking(nb::module_& m) {
             return t.why.reason == ft::tracking_reason::none ? std::string() : t.why.text;
           },
           "the same as a sentence that has the numbers")
+      .def_prop_ro(
+          "map_id", [](tracking const& t) { return t.of.map_id; },
+          "number of the map that the pose is in, from 1 on; 0 without a map")
+      .def_prop_ro(
+          "warnings",
+          [](tracking const& t) {
+            nb::dict all;
+            for (auto const& said : t.warnings) {
+              all[ft::name_of(said.warning)] = nb::str(said.text.c_str());
+            }
+            return all;
+          },
+          "dict: what is to be told of the frame although it may be tracked, a sentence by name "
+          "such as 'two_motions' or 'doubtful_pose', see ft::tracking_warning; empty without")
       .def_prop_ro(
           "metric", [](tracking const& t) { return t.of.metric; },
           "whether lengths are metres; False with one camera alone, whose unit is the median "

@@ -26,6 +26,13 @@ struct imu_params {
   /// finite.
   float max_accel = 156.9064f;  ///< m/s^2; 16 g
   float max_gyro = 34.90659f;   ///< rad/s; 2000 degrees/s
+  /// Time of the IMU's clock less that of the images' at the same moment, s: Kalibr's timeshift
+  /// cam to imu, t_imu = t_camera + offset. At most max_time_offset_s either way.
+  double time_offset_s = 0;
+  /// The offset is estimated, where the camera turns at a changing rate. One that differs clearly
+  /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew.
+  bool estimate_time_offset = true;
+  static constexpr double max_time_offset_s = 10;
   selection_params selection;   ///< a rate_hz of 0 becomes the noise's
   /// `known_scale` is the rig's: an odometry of one camera sets it.
   initialization_params initialization = {9.81f, true, 8};
@@ -39,7 +46,7 @@ struct imu_params {
 
 /// A sample of an IMU.
 struct imu_measurement {
-  std::int64_t time_ns;  ///< on the images' clock
+  std::int64_t time_ns;  ///< on the images' clock, or imu_params::time_offset_s ahead of it
   vec3<float> accel;     ///< specific force, m/s^2; at rest it points up, 9.81 long
   vec3<float> gyro;      ///< rad/s
 };
@@ -50,6 +57,14 @@ struct imu_left_out {
                                ///< or swapped ones
   long long out_of_range = 0;  ///< not finite, or at imu_params::max_accel or max_gyro
   long long crowded_out = 0;   ///< by newer ones, as imu_params::waiting were waiting
+};
+
+/// How far the IMU's clock is ahead of that of the images, by how both turn.
+struct imu_clock_offset {
+  bool known = false;   ///< within a millisecond. Until the rate of turning has changed enough it is
+                        ///< not observable
+  double offset_s = 0;  ///< as imu_params::time_offset_s
+  double sigma_s = 0;   ///< its standard deviation; 0 = there is no estimate
 };
 
 /// What the IMU says about a frame. imu_warnings() says in words what is wrong with its samples.
@@ -65,6 +80,8 @@ struct imu_tracking {
   double rate_hz = 0;     ///< at which the last samples came, by their times; 0 = unknown
   double newest_s = 0;    ///< time of the newest sample since the frame's; 0 = there is none
   imu_left_out left_out;  ///< all of them so far
+  double time_offset_s = 0;  ///< in use: imu_params::time_offset_s, or one that was found
+  imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
 };
 
 }  // namespace FT_ABI

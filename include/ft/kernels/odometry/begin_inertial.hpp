@@ -69,8 +69,15 @@ struct begin_inertial_frame {
     for (int i = g.rank(); i < in.samples; i += g.size()) {
       v.samples[first + i] = samples[first + i];
     }
+    for (int i = g.rank(); in.anew != 0 && i < v.positions; i += g.size()) {
+      v.between[v.at(b, i)].status = integration_status::no_samples;
+    }
     if (g.rank() != 0) { return; }
     inertial_track& t = v.tracks[b];
+    if (in.anew != 0) {
+      t.begin_anew();
+      v.prior[b].known = 0;
+    }
     if (inputs[b].reset != 0) {
       t = inertial_track::initial();
       v.prior[b].known = 0;

@@ -46,6 +46,8 @@ struct inertial_track {
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
   int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
+  rigid<double> seen;  ///< T_cw of the last frame by its images alone
+  int stale;           ///< 1 = the next estimate comes from before the IMU began anew
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
   FT_HOST_DEVICE static inertial_track initial() {
@@ -53,7 +55,19 @@ struct inertial_track {
     t.last.q_cw = t.keyframe.q_cw = t.predicted.q_cw = {0, 0, 0, 1};
     t.restarts = 1;
     t.status = integration_status::no_samples;
+    t.seen = rigid<double>::identity();
     return t;
+  }
+  /// Nothing is known any longer, but the unit of the map.
+  FT_HOST_DEVICE void begin_anew() {
+    inertial_track const old = *this;
+    *this = initial();
+    metric = old.metric;
+    map = old.map;
+    origin = old.origin;
+    seen = old.seen;
+    status = old.status;
+    stale = 1;
   }
 };
 
@@ -68,6 +82,7 @@ struct keyframe_motion {
 struct inertial_input {
   double from_s, to_s;  ///< stamps of the last image and of this one; equal = there was none
   int samples;          ///< among which the ones between them are
+  int anew;             ///< 1 = what was integrated so far is wrong: the IMU begins anew
 };
 
 /// What the poses of the current frames are optimised from, as in inertial_poses. Executor memory.

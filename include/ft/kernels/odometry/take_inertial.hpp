@@ -68,6 +68,7 @@ struct take_inertial_pose {
       if (seen.outlier[at + i] != 0) { holder[seen.number[at + i]] = -1; }
     }
     if (!is_last) { return; }
+    t.seen = T_cw[b].template cast<double>();
     t.optimized = taken ? 1 : 0;
     if (taken) {
       t.contradicted = 0;

@@ -33,14 +33,17 @@ struct imu_params {
   /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew.
   bool estimate_time_offset = true;
   static constexpr double max_time_offset_s = 10;
-  selection_params selection;   ///< a rate_hz of 0 becomes the noise's
+  selection_params selection;  ///< a rate_hz of 0 becomes the noise's
   /// `known_scale` is the rig's: an odometry of one camera sets it.
   initialization_params initialization = {9.81f, true, 8};
   /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
   /// map's unit, which is the median depth of its first points;
   float scale_position_sigma = 5e-4f;
-  float scale_sigma = 0.005f;       ///< largest standard deviation of the scale, a share;
-  int scale_keyframes = 40;         ///< and keyframes that it is estimated from, at most
+  float scale_sigma = 0.005f;  ///< largest standard deviation of the scale, a share;
+  int scale_keyframes = 40;    ///< and keyframes that it is estimated from, at most
+  /// What gravity and the accelerometer's bias are off by together, between two images, m/s^2. A
+  /// bias looks like a tilt until the body has turned, and the scale of the axes is not exact.
+  float accel_sigma = 0.3f;
   double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
 };
 
@@ -61,8 +64,8 @@ struct imu_left_out {
 
 /// How far the IMU's clock is ahead of that of the images, by how both turn.
 struct imu_clock_offset {
-  bool known = false;   ///< within a millisecond. Until the rate of turning has changed enough it is
-                        ///< not observable
+  bool known = false;  ///< within a millisecond. Until the rate of turning has changed enough it is
+                       ///< not observable
   double offset_s = 0;  ///< as imu_params::time_offset_s
   double sigma_s = 0;   ///< its standard deviation; 0 = there is no estimate
 };
@@ -77,9 +80,9 @@ struct imu_tracking {
   vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
   imu_bias bias{};
   integration_status samples = integration_status::no_samples;  ///< those since the last frame
-  double rate_hz = 0;     ///< at which the last samples came, by their times; 0 = unknown
-  double newest_s = 0;    ///< time of the newest sample since the frame's; 0 = there is none
-  imu_left_out left_out;  ///< all of them so far
+  double rate_hz = 0;        ///< at which the last samples came, by their times; 0 = unknown
+  double newest_s = 0;       ///< time of the newest sample since the frame's; 0 = there is none
+  imu_left_out left_out;     ///< all of them so far
   double time_offset_s = 0;  ///< in use: imu_params::time_offset_s, or one that was found
   imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
 };

@@ -12,6 +12,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/geometry.hpp"
 #include "ft/core/group_copy.hpp"
+#include "ft/kernels/inertial/change_bias.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
@@ -118,6 +119,43 @@ private:
     if (t.source == inertial_source::none) {
       to.integral[b].status = integration_status::no_samples;
     }
+    loosen(to.integral[b], v.accel_sigma);
+  }
+  /// Adds what gravity and the accelerometer's bias may be off by together: an unknown
+  /// acceleration.
+  FT_HOST_DEVICE static void loosen(preintegrated& p, float sigma) {
+    using real = strict_float;
+    real const dv = real(sigma) * real(p.dT);
+    real const dp = real(0.5f) * dv * real(p.dT);
+    auto const add = [&](int row, int column, real value) {
+      float& c = p.C[9 * row + column];
+      c = (real(c) + value).value;
+    };
+    for (int i = 0; i < 3; ++i) {
+      add(3 + i, 3 + i, dv * dv);
+      add(6 + i, 6 + i, dp * dp);
+      add(3 + i, 6 + i, dv * dp);
+      add(6 + i, 3 + i, dv * dp);
+    }
+  }
+  /// Until all is known, the gyroscope says how the camera has turned. Where it is, its motion
+  /// says.
+  FT_HOST_DEVICE static void predict_turn(int b, inertial_prediction const& in,
+                                          predicted_frames const& out, inertial_view const& v,
+                                          camera_track& track, rigid<double> const& last) {
+    inertial_track const& t = v.tracks[b];
+    if (t.gyro_agrees == 0 || in.inputs[b].predicted != 0 || !usable(v.from_last(b).status)) {
+      return;
+    }
+    using real = strict_double;
+    mat3<real> const R_cb = in.mount.T_cb.R.template cast<real>();
+    mat3<real> const dR =
+        change_bias(v.from_last(b), t.last.bias).dR.template cast<real>().transposed();
+    mat3<real> const R = R_cb * dR * R_cb.transposed() * last.R.template cast<real>();
+    vec3<real> const centre = track.predicted.template cast<real>().centre();
+    rigid<real> const T = rigid<real>{R, R * vec3<real>{-centre.x, -centre.y, -centre.z}};
+    track.predicted = T.orthonormalized().template cast<double>();
+    out.T_cw[b] = track.predicted.template cast<float>();
   }
   FT_HOST_DEVICE static void predict(int b, inertial_prediction const& in,
                                      odometry_state_view const& state, predicted_frames const& out,
@@ -128,7 +166,11 @@ private:
     camera_track& track = state.tracks[b];
     track.guided = 0;
     bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;
-    if (!t.known() || !track.has_map() || blind) { return; }
+    if (!track.has_map() || blind) { return; }
+    if (!t.known()) {
+      predict_turn(b, in, out, v, track, state.T_cw[b]);
+      return;
+    }
     if (state.apply[b] != 0) { follow_map(t, b, in.keyframes); }
     bool const follows = t.follows != 0 && state.apply[b] == 0;
     if (follows && usable(v.from_last(b).status)) {

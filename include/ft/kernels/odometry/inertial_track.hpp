@@ -46,8 +46,10 @@ struct inertial_track {
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
   int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
-  rigid<double> seen;  ///< T_cw of the last frame by its images alone
-  int stale;           ///< 1 = the next estimate comes from before the IMU began anew
+  rigid<double> seen;         ///< T_cw of the last frame by its images alone
+  int sees;                   ///< 1 = it comes from many matches
+  int gyro_agrees;            ///< 1 = the gyroscope turned as the images until the last frame
+  int stale;                  ///< 1 = the next estimate comes from before the IMU began anew
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
   FT_HOST_DEVICE static inertial_track initial() {
@@ -66,6 +68,8 @@ struct inertial_track {
     map = old.map;
     origin = old.origin;
     seen = old.seen;
+    sees = old.sees;
+    gyro_agrees = old.gyro_agrees;
     status = old.status;
     stale = 1;
   }
@@ -97,8 +101,10 @@ struct inertial_inputs {
 /// The IMUs of all cameras. Executor memory.
 struct inertial_view {
   int batch = 0;
-  int positions = 0;                  ///< of the keyframe ring
-  bool seeks_scale = false;           ///< maps begin without one: those of one camera
+  int positions = 0;         ///< of the keyframe ring
+  bool seeks_scale = false;  ///< maps begin without one: those of one camera
+  imu_mount mount{};
+  float accel_sigma = 0;              ///< of imu_params
   inertial_track* tracks = nullptr;   ///< [batch]
   imu_sample* samples = nullptr;      ///< [batch][steps.capacity] since the last frame
   imu_interval* intervals = nullptr;  ///< [batch] from the last frame to the current one

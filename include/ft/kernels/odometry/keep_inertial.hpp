@@ -132,6 +132,8 @@ private:
     t.restarts = old.restarts;
     t.status = old.status;
     t.seen = old.seen;
+    t.sees = old.sees;
+    t.gyro_agrees = old.gyro_agrees;
     t.stale = old.stale;
     t.map = map;
     if (keyframes.count[b] == 0) { return; }

@@ -64,7 +64,7 @@ namespace detail {
 /// motion is not known, and one that found much less than the last frame held.
 FT_HOST_DEVICE inline bool is_doubtful(camera_track const& t, tracking_rules const& rules,
                                        int inliers) {
-  if (!rules.matches_without_window || !t.has_map() || t.guided != 0) { return false; }
+  if (!rules.matches_without_window || !t.has_map()) { return false; }
   return t.lost_frames > 0 || !t.velocity.known() ||
          static_cast<float>(inliers) < mul(rules.doubtful_share, static_cast<float>(t.held));
 }

@@ -25,7 +25,8 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// The last samples of a gyroscope as the rotation since the first one. add() allocates nothing.
+/// The last samples of a gyroscope as the rotation since the first one, or since the last gap or
+/// spike. add() allocates nothing.
 class turn_history {
 public:
   void reserve(std::size_t samples) { ring_.resize(samples); }
@@ -33,17 +34,19 @@ public:
   /// @param time_ns after that of the sample before
   void add(std::int64_t time_ns, vec3<float> gyro) {
     if (ring_.empty()) { return; }
-    entry next{time_ns, wide_mat3::identity(),
-               {static_cast<double>(gyro.x), static_cast<double>(gyro.y),
-                static_cast<double>(gyro.z)}};
+    entry next{
+        time_ns,
+        wide_mat3::identity(),
+        {static_cast<double>(gyro.x), static_cast<double>(gyro.y), static_cast<double>(gyro.z)}};
     if (count_ > 0) {
       entry const& last = at(count_ - 1);
       std::int64_t const step = saturated_difference(time_ns, last.time_ns);
-      if (step <= 0 || step > longest_gap_ns) {
+      wide_vec3 const jump = next.rate - last.rate;
+      if (step <= 0 || step > longest_gap_ns || dot(jump, jump) > wide(jerk * jerk)) {
         count_ = 0;
       } else {
-        next.R = nearest_rotation(last.R * rotation_exp(scaled(
-                                               last.rate + next.rate, half_seconds(step))));
+        next.R = nearest_rotation(last.R *
+                                  rotation_exp(scaled(last.rate + next.rate, half_seconds(step))));
       }
     }
     ring_[index(count_++)] = next;
@@ -71,6 +74,7 @@ public:
 
 private:
   static constexpr std::int64_t longest_gap_ns = 100'000'000;
+  static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
   struct entry {
     std::int64_t time_ns;
     wide_mat3 R;
@@ -123,11 +127,13 @@ public:
     if (seen_ > 0) {
       if (waiting_ == pending) { take_front(false); }
       attitude const& first = attitudes_[0];
-      pairs_[static_cast<std::size_t>(waiting_++)] = {
-          first.time_ns, time_ns, rotation_log(first.R.transposed() * now.R)};
+      pairs_[static_cast<std::size_t>(waiting_++)] = {first.time_ns, time_ns,
+                                                      rotation_log(first.R.transposed() * now.R)};
     }
     attitudes_[static_cast<std::size_t>(seen_++)] = now;
-    while (waiting_ > 0 && turns_.reaches(on_its_clock(pairs_[0].to_ns, reach_ns))) { take_front(true); }
+    while (waiting_ > 0 && turns_.reaches(on_its_clock(pairs_[0].to_ns, reach_ns))) {
+      take_front(true);
+    }
   }
   imu_clock_offset estimate() const;
 
@@ -149,7 +155,7 @@ private:
     wide_vec3 seen;
   };
   struct sums {
-    wide squares = 0.0;                 ///< of differences
+    wide squares = 0.0;                ///< of differences
     wide_vec3 by_time{0.0, 0.0, 0.0};  ///< of differences times their duration
   };
 
@@ -176,8 +182,8 @@ private:
     wide least = 1e30;
     for (int j = 0; j < points; ++j) {
       std::int64_t const d = (j - reach) * step_ns;
-      wide_vec3 const r = t.seen - rotation_log(turns_.at_time(from + d).transposed() *
-                                                turns_.at_time(to + d));
+      wide_vec3 const r =
+          t.seen - rotation_log(turns_.at_time(from + d).transposed() * turns_.at_time(to + d));
       off[static_cast<std::size_t>(j)] = r;
       least = min_of(least, dot(r, r));
     }

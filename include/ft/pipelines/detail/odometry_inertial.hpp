@@ -69,8 +69,9 @@ public:
     if (!present()) { return; }
     check(params, p, seeks_scale);
     view_.seeks_scale = seeks_scale;
+    view_.accel_sigma = params.accel_sigma;
     if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
-    mount_ = mount_of(params.T_bc);
+    view_.mount = mount_ = mount_of(params.T_bc);
     variances_ = variances_of(params.noise);
     batch_ = batch;
     views_ = p.window.moving + p.window.fixed;
@@ -130,10 +131,12 @@ public:
     imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
     auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
     bool const anew = params_.estimate_time_offset && correct_clock(b);
-    auto const on_its_clock = [&](std::int64_t t) { return saturated_difference(t, -offset_ns_[i]); };
-    int const n = queue(b).take(on_its_clock(base_ns_[i]),
-                                on_its_clock(saturated_difference(to_ns, early_ns)),
-                                params_.samples, to);
+    auto const on_its_clock = [&](std::int64_t t) {
+      return saturated_difference(t, -offset_ns_[i]);
+    };
+    int const n =
+        queue(b).take(on_its_clock(base_ns_[i]),
+                      on_its_clock(saturated_difference(to_ns, early_ns)), params_.samples, to);
     inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0};
   }
   /// After a frame. @param map number of the map that it was tracked in; 0 = none
@@ -166,7 +169,8 @@ public:
   }
   template <typename Rig>
   void optimize(Exec const& exec, Rig const& rig, odometry_state_view const& state,
-                frame_view const& frame, observations_view const& seen, pose* T_cw) const {
+                frame_view const& frame, observations_view const& seen, float const* information,
+                pose* T_cw) const {
     inertial_poses const poses = problems(seen);
     inertial_pose_params how;
     how.step_tolerance = 1e-4;              // the next step would be a hundredth of it or less
@@ -174,7 +178,7 @@ public:
     how.outliers_given = true;
     how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);
-    take_inertial_poses(exec, seen, state, frame, T_cw, view_);
+    take_inertial_poses(exec, {seen, state, frame, information, T_cw}, view_);
   }
   /// Needed by the next frame alone.
   template <typename Rig>
@@ -208,10 +212,8 @@ private:
   /// What the images alone tell of the IMU's attitude.
   void add_attitude(int b, int maps, std::int64_t time_ns) {
     int& last = seen_map_[static_cast<std::size_t>(b)];
-    mat3<strict_double> const R_wc =
-        outputs[b].seen.R.template cast<strict_double>().transposed();
-    mat3<strict_double> const R_cb =
-        params_.T_bc.R.template cast<strict_double>().transposed();
+    mat3<strict_double> const R_wc = outputs[b].seen.R.template cast<strict_double>().transposed();
+    mat3<strict_double> const R_cb = params_.T_bc.R.template cast<strict_double>().transposed();
     if (maps > 0) { queue(b).add_attitude(time_ns, (R_wc * R_cb).cast<double>(), last == maps); }
     last = maps;
   }
@@ -241,6 +243,7 @@ private:
     require_range("imu.waiting", imu.waiting, 2, 1 << 24);
     require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
     require_range("imu.max_gyro", imu.max_gyro, 1e-3f, 1e9f);
+    require_range("imu.accel_sigma", imu.accel_sigma, 0.0f, 100.0f);
     require_range("imu.time_offset_s", imu.time_offset_s, -imu_params::max_time_offset_s,
                   imu_params::max_time_offset_s);
     require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);

@@ -80,7 +80,8 @@ public:
     if (++first_ >= capacity_) { drop_until(waiting_.begin() + at(first_)); }
   }
   /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
-  /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @return their number; above `capacity`, no more are copied
+  /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @return their number; above
+  /// `capacity`, no more are copied
   int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
     std::lock_guard<std::mutex> const lock(mutex_);
     auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),

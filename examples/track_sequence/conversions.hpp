@@ -71,6 +71,7 @@ inline ft::imu_params imu_params_of(imu_options const& o) {
   for (std::size_t i = 0; i < 9; ++i) { p.T_bc.R.m[i] = o.T_imu_left.R[i]; }
   p.T_bc.t = {o.T_imu_left.t[0], o.T_imu_left.t[1], o.T_imu_left.t[2]};
   p.noise = {f(o.gyro_noise), f(o.accel_noise), f(o.gyro_walk), f(o.accel_walk), f(o.rate_hz)};
+  p.time_offset_s = o.time_offset_s;
   return p;
 }
 

@@ -34,6 +34,7 @@ struct imu_options {
   rigid_pose T_imu_left;  ///< left-camera points to the IMU
   double gyro_noise = 0, accel_noise = 0, gyro_walk = 0, accel_walk = 0;  ///< densities
   double rate_hz = 0;
+  double time_offset_s = 0;  ///< of its clock from the images'
 };
 
 struct odometry_options {

@@ -116,9 +116,13 @@ odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
   if (sequence.imu()) {
     auto const& imu = *sequence.imu();
     auto const& noise = imu.calibration.noise;
-    o.imu = imu_options{
-        plain_pose(imu.T_imu_left), noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk,
-        imu.calibration.rate_hz};
+    o.imu = imu_options{plain_pose(imu.T_imu_left),
+                        noise.gyro,
+                        noise.accel,
+                        noise.gyro_walk,
+                        noise.accel_walk,
+                        imu.calibration.rate_hz,
+                        a.imu_time_offset_s.value_or(imu.calibration.time_offset_s)};
   }
   return o;
 }

@@ -69,6 +69,7 @@ struct rig {
 struct imu {
   pose T_imu_camera{};
   double gyro_noise = 0, accel_noise = 0, gyro_walk = 0, accel_walk = 0, rate_hz = 0;
+  double time_offset_s = 0;
 };
 
 struct feature_options {
@@ -130,8 +131,9 @@ struct tracking {
   bool imu_known = false, imu_optimized = false;
   bool imu_predicted = false;
   std::array<double, 3> velocity{}, gravity{}, gyro_bias{}, accel_bias{};
-  double imu_rate_hz = 0, imu_newest_s = 0;
-  std::map<std::string, long long> imu_left_out;  ///< why -> samples
+  double imu_rate_hz = 0, imu_newest_s = 0, imu_time_offset_s = 0;
+  std::optional<std::array<double, 2>> imu_clock;  ///< offset and standard deviation, s
+  std::map<std::string, long long> imu_left_out;   ///< why -> samples
   std::vector<std::string> imu_warnings;
 };
 /// Keypoints of the last frame, those of the left images.

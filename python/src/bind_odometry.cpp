@@ -164,6 +164,7 @@ private:
     i.gyro_walk = get("gyro_walk");
     i.accel_walk = get("accel_walk");
     i.rate_hz = get("rate_hz");
+    i.time_offset_s = get("time_offset_s");
     return i;
   }
   /// What a sensor measured. Numbers that a float cannot hold are infinite: the odometry counts
@@ -273,6 +274,17 @@ void bind_tracking(nb::module_& m) {
               "at which the last samples came, by their times; 0 = unknown")
       .def_ro("imu_newest_s", &tracking::imu_newest_s,
               "time of the newest sample since the frame's, seconds; 0 = there is none")
+      .def_ro("imu_time_offset_s", &tracking::imu_time_offset_s,
+              "by which the IMU's clock is taken to be ahead of that of the images, seconds: "
+              "Imu.time_offset_s, or what was found")
+      .def_prop_ro(
+          "imu_clock",
+          [](tracking const& t) -> nb::object {
+            if (!t.imu_clock) { return nb::none(); }
+            return nb::make_tuple((*t.imu_clock)[0], (*t.imu_clock)[1]);
+          },
+          "(offset, standard deviation) of the IMU's clock as found by how camera and IMU turn, "
+          "seconds; None while that tells it not within a millisecond")
       .def_ro("imu_left_out", &tracking::imu_left_out,
               "dict: samples that were left out so far, by 'disordered' (a time that is not after "
               "that of the sample before), 'out_of_range' (not finite, or at the sensor's range), "

@@ -38,6 +38,7 @@ inline ft::odometry_params odometry_params_of(odometry_options const& o) {
     p.imu.T_bc = to_ft(i.T_imu_camera);
     p.imu.noise = {narrow(i.gyro_noise), narrow(i.accel_noise), narrow(i.gyro_walk),
                    narrow(i.accel_walk), narrow(i.rate_hz)};
+    p.imu.time_offset_s = i.time_offset_s;
   }
   return p;
 }
@@ -89,6 +90,8 @@ inline tracking plain(ft::tracking const& t, ft::odometry_params const& params) 
   r.imu_predicted = t.imu.predicted;
   r.imu_rate_hz = t.imu.rate_hz;
   r.imu_newest_s = t.imu.newest_s;
+  r.imu_time_offset_s = t.imu.time_offset_s;
+  if (t.imu.clock.known) { r.imu_clock = {{t.imu.clock.offset_s, t.imu.clock.sigma_s}}; }
   r.imu_left_out = {{"disordered", t.imu.left_out.disordered},
                     {"out_of_range", t.imu.left_out.out_of_range},
                     {"crowded_out", t.imu.left_out.crowded_out}};

@@ -53,6 +53,11 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
   if (t.samples == integration_status::contradicted) {
     out.push_back(
         "the images contradict the IMU: its samples since the last keyframe are not used");
+  } else if (t.newest_s < 0 && (t.samples == integration_status::one_sample ||
+                                t.samples == integration_status::no_steps)) {
+    out.push_back("samples of the IMU come too late: the newest one is " + text(-t.newest_s) +
+                  " s before its image, time_offset_s says " + text(1e3 * params.time_offset_s) +
+                  " ms");
   } else if (!usable(t.samples) && std::abs(t.newest_s) > params.selection.longest_gap_s) {
     out.push_back("the newest sample of the IMU is " + text(std::abs(t.newest_s)) + " s " +
                   (t.newest_s > 0 ? "after" : "before") +

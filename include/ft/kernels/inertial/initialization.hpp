@@ -28,16 +28,17 @@ enum class initialization_status : int {
 /// Parameters of initialize_inertial(). Positions are in the unit of the poses: metres, if their
 /// scale is known.
 struct initialization_params {
-  float gravity = 9.81f;            ///< m/s^2
-  bool known_scale = true;          ///< false: the poses of one camera
-  int least_keyframes = 4;          ///< 3 or more
-  float position_sigma = 0.005f;    ///< of a pose; it weighs poses against the bias' prior
-  float rotation_sigma = 0.001f;    ///< of a pose, rad
-  float accel_bias_sigma = 0.3f;    ///< the prior: biases of that size are usual, m/s^2
-  float rest_distance = 0.01f;      ///< from the first pose, while the body rests
-  float rest_angle = 0.005f;        ///< likewise, rad
-  float max_gyro_sigma = 0.005f;    ///< limits of little_motion: gyro bias, rad/s;
-  float max_tilt_sigma = 0.05f;     ///< direction of gravity, rad;
+  float gravity = 9.81f;          ///< m/s^2
+  bool known_scale = true;        ///< false: the poses of one camera
+  int least_keyframes = 4;        ///< 3 or more
+  float position_sigma = 0.005f;  ///< of a pose; it weighs poses against the bias' prior
+  float rotation_sigma = 0.001f;  ///< of a pose, rad
+  float accel_bias_sigma = 0.5f;  ///< the prior: biases of that size are usual, m/s^2
+  float rest_distance = 0.01f;    ///< from the first pose, while the body rests
+  float rest_angle = 0.005f;      ///< likewise, rad
+  float max_gyro_sigma = 0.005f;  ///< limits of little_motion: gyro bias, rad/s;
+  /// direction of gravity, rad; at rest the prior alone makes it 0.072;
+  float max_tilt_sigma = 0.08f;
   float max_velocity_sigma = 0.1f;  ///< last velocity, m/s;
   float max_scale_sigma = 0.03f;    ///< share of the scale
   float max_position_rms = 0.05f;   ///< limits of inconsistent: m,

@@ -84,6 +84,8 @@ struct begin_inertial_frame {
       v.prior[b].known = 0;
     }
     v.intervals[b] = {in.from_s, in.to_s, first, in.samples};
+    double const newest_s = in.samples > 0 ? samples[first + in.samples - 1].time_s : in.to_s;
+    t.unseen_s = static_cast<float>(max_of(in.to_s - newest_s, 0.0));
     v.starts[2 * b] = {b, 1, t.last.bias};
     v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
     t.restarts = 0;
@@ -119,23 +121,33 @@ private:
     if (t.source == inertial_source::none) {
       to.integral[b].status = integration_status::no_samples;
     }
-    loosen(to.integral[b], v.accel_sigma);
+    loosen(to.integral[b], v.accel_sigma, t.unseen_s);
   }
+  /// How fast motion may change where samples are still to come: usual for a hand, m/s^3, rad/s^2.
+  static constexpr float usual_jerk = 30, usual_turn = 10;
+
   /// Adds what gravity and the accelerometer's bias may be off by together: an unknown
-  /// acceleration.
-  FT_HOST_DEVICE static void loosen(preintegrated& p, float sigma) {
+  /// acceleration; and what the motion may have done since the last sample.
+  /// @param unseen time since then, s
+  FT_HOST_DEVICE static void loosen(preintegrated& p, float sigma, float unseen) {
     using real = strict_float;
     real const dv = real(sigma) * real(p.dT);
     real const dp = real(0.5f) * dv * real(p.dT);
+    real const late = unseen;
+    real const half = real(0.5f) * late * late;
+    real const late_dr = real(usual_turn) * half;
+    real const late_dv = real(usual_jerk) * half;
+    real const late_dp = late_dv * late * real(1.0f / 3);
     auto const add = [&](int row, int column, real value) {
       float& c = p.C[9 * row + column];
       c = (real(c) + value).value;
     };
     for (int i = 0; i < 3; ++i) {
-      add(3 + i, 3 + i, dv * dv);
-      add(6 + i, 6 + i, dp * dp);
-      add(3 + i, 6 + i, dv * dp);
-      add(6 + i, 3 + i, dv * dp);
+      add(i, i, late_dr * late_dr);
+      add(3 + i, 3 + i, dv * dv + late_dv * late_dv);
+      add(6 + i, 6 + i, dp * dp + late_dp * late_dp);
+      add(3 + i, 6 + i, dv * dp + late_dv * late_dp);
+      add(6 + i, 3 + i, dv * dp + late_dv * late_dp);
     }
   }
   /// Until all is known, the gyroscope says how the camera has turned. Where it is, its motion

@@ -46,6 +46,7 @@ struct inertial_track {
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
   int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
+  float unseen_s;             ///< from the newest of them to the current frame; 0 = none
   rigid<double> seen;         ///< T_cw of the last frame by its images alone
   int sees;                   ///< 1 = it comes from many matches
   int gyro_agrees;            ///< 1 = the gyroscope turned as the images until the last frame

@@ -12,8 +12,8 @@
 namespace imu_clock_test {
 
 using ft::detail::imu_clock;
-using ft::detail::wide;
-using wide_vec3 = ft::vec3<wide>;
+using ft::detail::real64;
+using strict_vec3d = ft::vec3<real64>;
 
 /// A motion, as rates about three axes at a time, rad/s.
 using motion = ft::vec3<double> (*)(double);
@@ -43,17 +43,17 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
   std::mt19937 random(seed);
   std::normal_distribution<double> noise;
   auto const noisy = [&](double sigma) {
-    return wide_vec3{sigma * noise(random), sigma * noise(random), sigma * noise(random)};
+    return strict_vec3d{sigma * noise(random), sigma * noise(random), sigma * noise(random)};
   };
   imu_clock clock;
   clock.reserve(200, std::llround(1e9 * s.middle_s));
-  auto R = ft::mat3<wide>::identity();
+  auto R = ft::mat3<real64>::identity();
   std::int64_t sample_ns = 0;
   auto const offset_ns = static_cast<std::int64_t>(std::llround(1e9 * s.offset_s));
   auto const lead_ns = static_cast<std::int64_t>(std::llround(1e9 * s.lead_s));
   for (std::int64_t t = 0; t <= s.frames * 50'000'000LL; t += fine_ns) {
     auto const rate = s.turn(static_cast<double>(t) * 1e-9 + 0.25e-3);
-    wide_vec3 const step{rate.x * 5e-4, rate.y * 5e-4, rate.z * 5e-4};
+    strict_vec3d const step{rate.x * 5e-4, rate.y * 5e-4, rate.z * 5e-4};
     if (t % 50'000'000 == 0) {
       for (; sample_ns <= t + lead_ns - offset_ns; sample_ns += 5'000'000) {  // images' clock
         auto w = s.turn(static_cast<double>(sample_ns) * 1e-9);
@@ -66,7 +66,7 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
       auto const seen = R * ft::detail::rotation_exp(noisy(s.attitude_noise));
       clock.add_attitude(t, seen.template cast<double>(), t / 50'000'000 != s.new_map);
       if (t / 50'000'000 + 1 == s.new_map) {
-        R = R * ft::detail::rotation_exp(wide_vec3{1.0, -0.5, 0.3});
+        R = R * ft::detail::rotation_exp(strict_vec3d{1.0, -0.5, 0.3});
       }
     }
     R = R * ft::detail::rotation_exp(step);

@@ -10,15 +10,15 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/core/group_copy.hpp"
-#include "ft/kernels/inertial/change_bias.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/odometry/begin_frame.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -123,6 +123,15 @@ private:
     }
     loosen(to.integral[b], v.accel_sigma, t.unseen_s);
   }
+  /// More than 6 g all the time between two images is no motion of a camera, m/s^2.
+  static constexpr float most_accel = 60;
+
+  FT_HOST_DEVICE static bool is_no_motion(preintegrated const& p) {
+    using real = strict_float;
+    vec3<real> const dV = p.dV.template cast<real>();
+    real const most = real(most_accel) * real(p.dT);
+    return usable(p.status) && !(dot(dV, dV) <= most * most);
+  }
   /// How fast motion may change where samples are still to come: usual for a hand, m/s^3, rad/s^2.
   static constexpr float usual_jerk = 30, usual_turn = 10;
 
@@ -178,6 +187,11 @@ private:
     camera_track& track = state.tracks[b];
     track.guided = 0;
     bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;
+    if (is_no_motion(v.from_last(b))) {
+      t.status = v.from_last(b).status = integration_status::contradicted;
+      v.from_keyframe(b).status = integration_status::contradicted;
+      t.keyframe_moves = t.follows = 0;
+    }
     if (!track.has_map() || blind) { return; }
     if (!t.known()) {
       predict_turn(b, in, out, v, track, state.T_cw[b]);

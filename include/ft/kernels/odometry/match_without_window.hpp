@@ -6,15 +6,17 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/odometry/state.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -64,7 +66,7 @@ namespace detail {
 /// motion is not known, and one that found much less than the last frame held.
 FT_HOST_DEVICE inline bool is_doubtful(camera_track const& t, tracking_rules const& rules,
                                        int inliers) {
-  if (!rules.matches_without_window || !t.has_map()) { return false; }
+  if (!rules.matches_without_window || !t.has_map() || t.guided != 0) { return false; }
   return t.lost_frames > 0 || !t.velocity.known() ||
          static_cast<float>(inliers) < mul(rules.doubtful_share, static_cast<float>(t.held));
 }

@@ -6,18 +6,20 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/inertial/change_bias.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/math/so3.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -53,21 +55,19 @@ inline constexpr double turn_difference = 0.02, turn_share = 0.05;
 /// A pose with the IMU is farther from that of many matches than their errors explain: above this
 /// square of the distance, in standard deviations.
 inline constexpr float most_deviations2 = 30;
-/// The same of one that was predicted from the last frame.
-inline constexpr float most_surprise2 = 1000;
 
 /// Whether the gyroscope turned between two frames as the images say.
 /// @param from, to T_cw by the images
 FT_HOST_DEVICE inline bool turns_agree(preintegrated const& integral, imu_bias const& bias,
                                        imu_mount const& mount, rigid<double> const& from,
                                        rigid<double> const& to) {
-  mat3<wide> const R_bc = mount.T_bc.R.template cast<wide>();
-  mat3<wide> const seen = R_bc * from.R.template cast<wide>() *
-                          to.R.template cast<wide>().transposed() * R_bc.transposed();
-  mat3<wide> const measured = change_bias(integral, bias).dR.template cast<wide>();
-  vec3<wide> const off = rotation_log(measured.transposed() * seen);
-  vec3<wide> const turn = rotation_log(seen);
-  wide const most = wide(turn_difference) + wide(turn_share) * scalar::sqrt(dot(turn, turn));
+  mat3<real64> const R_bc = mount.T_bc.R.template cast<real64>();
+  mat3<real64> const seen = R_bc * from.R.template cast<real64>() *
+                            to.R.template cast<real64>().transposed() * R_bc.transposed();
+  mat3<real64> const measured = change_bias(integral, bias).dR.template cast<real64>();
+  vec3<real64> const off = rotation_log(measured.transposed() * seen);
+  vec3<real64> const turn = rotation_log(seen);
+  real64 const most = real64(turn_difference) + real64(turn_share) * scalar::sqrt(dot(turn, turn));
   return dot(off, off) <= most * most;
 }
 
@@ -75,14 +75,14 @@ FT_HOST_DEVICE inline bool turns_agree(preintegrated const& integral, imu_bias c
 /// @param information of `of`: upper triangle by rows, of a twist of its camera, rotation first
 FT_HOST_DEVICE inline float deviations2(pose const& of, pose const& other,
                                         float const* information) {
-  rigid<wide> const d = of.template cast<wide>() * other.template cast<wide>().inverse();
-  vec3<wide> const w = rotation_log(d.R);
-  wide const x[6] = {w.x, w.y, w.z, d.t.x, d.t.y, d.t.z};
-  wide sum = 0.0;
+  rigid<real64> const d = of.template cast<real64>() * other.template cast<real64>().inverse();
+  vec3<real64> const w = rotation_log(d.R);
+  real64 const x[6] = {w.x, w.y, w.z, d.t.x, d.t.y, d.t.z};
+  real64 sum = 0.0;
   int at = 0;
   for (int i = 0; i < 6; ++i) {
     for (int j = i; j < 6; ++j) {
-      wide const term = x[i] * x[j] * wide(static_cast<double>(information[at++]));
+      real64 const term = x[i] * x[j] * real64(static_cast<double>(information[at++]));
       sum += i == j ? term : term + term;
     }
   }
@@ -104,7 +104,7 @@ struct take_inertial_pose {
     observations_view const& seen = in.seen;
     inertial_track& t = v.tracks[b];
     inertial_pose_result const& result = v.poses.result[b];
-    // A camera that was lost has been searched for with a wide radius: too many wrong matches.
+    // A camera that was lost has been searched for with a real64 radius: too many wrong matches.
     bool const optimizes =
         t.source != inertial_source::none && in.state.tracks[b].plan == search_plan::follow;
     bool const optimized = optimizes && result.status == inertial_pose_status::optimised;
@@ -127,10 +127,6 @@ struct take_inertial_pose {
         in.information == nullptr
             ? nullptr
             : in.information + static_cast<std::ptrdiff_t>(b) * information_terms;
-    // A camera that was found elsewhere than predicted: by its images alone.
-    bool const elsewhere = t.source != inertial_source::none && many && information != nullptr &&
-                           in.state.tracks[b].plan == search_plan::rejoin &&
-                           !is_near(in.T_cw[b], t.predicted, information, most_surprise2);
     bool const near = !optimized || !many || information == nullptr ||
                       is_near(in.T_cw[b], result.stored, information, most_deviations2);
     bool const turned = !many || t.sees == 0 || !usable(v.from_last(b).status) ||
@@ -150,8 +146,8 @@ struct take_inertial_pose {
       t.contradicted = 0;
       seen.inliers[b] = inliers;
       in.T_cw[b] = T;
-    } else if (optimizes || !turned || elsewhere) {
-      contradict(t, optimized || !turned || elsewhere, seen.inliers[b], v.from_keyframe(b));
+    } else if (optimizes || !turned) {
+      contradict(t, optimized || !turned, seen.inliers[b], v.from_keyframe(b));
     }
     int keypoints = 0;
     for (int c = 0; c < in.frame.cameras; ++c) { keypoints += *in.frame.camera(b, c).count; }

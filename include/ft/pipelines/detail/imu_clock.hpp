@@ -17,9 +17,10 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
-#include "ft/pipelines/imu_params.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/math/so3.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -36,13 +37,13 @@ public:
     if (ring_.empty()) { return; }
     entry next{
         time_ns,
-        wide_mat3::identity(),
+        strict_mat3d::identity(),
         {static_cast<double>(gyro.x), static_cast<double>(gyro.y), static_cast<double>(gyro.z)}};
     if (count_ > 0) {
       entry const& last = at(count_ - 1);
       std::int64_t const step = saturated_difference(time_ns, last.time_ns);
-      wide_vec3 const jump = next.rate - last.rate;
-      if (step <= 0 || step > longest_gap_ns || dot(jump, jump) > wide(jerk * jerk)) {
+      strict_vec3d const jump = next.rate - last.rate;
+      if (step <= 0 || step > longest_gap_ns || dot(jump, jump) > real64(jerk * jerk)) {
         count_ = 0;
       } else {
         next.R = nearest_rotation(last.R *
@@ -58,7 +59,7 @@ public:
     return count_ > 0 && at(count_ - 1).time_ns >= time_ns;
   }
   /// @param time_ns within what it covers
-  wide_mat3 at_time(std::int64_t time_ns) const {
+  strict_mat3d at_time(std::int64_t time_ns) const {
     std::size_t low = oldest(), high = count_ - 1;
     while (high - low > 1) {
       std::size_t const middle = low + (high - low) / 2;
@@ -66,9 +67,9 @@ public:
     }
     entry const& a = at(low);
     entry const& b = at(high);
-    wide const into = seconds(time_ns - a.time_ns);
-    wide const share = into / seconds(b.time_ns - a.time_ns);
-    wide_vec3 const mean = a.rate + scaled(b.rate - a.rate, wide(0.5) * share);
+    real64 const into = seconds(time_ns - a.time_ns);
+    real64 const share = into / seconds(b.time_ns - a.time_ns);
+    strict_vec3d const mean = a.rate + scaled(b.rate - a.rate, real64(0.5) * share);
     return a.R * rotation_exp(scaled(mean, into));
   }
 
@@ -77,11 +78,11 @@ private:
   static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
   struct entry {
     std::int64_t time_ns;
-    wide_mat3 R;
-    wide_vec3 rate;
+    strict_mat3d R;
+    strict_vec3d rate;
   };
-  static wide seconds(std::int64_t ns) { return wide(static_cast<double>(ns) * 1e-9); }
-  static wide half_seconds(std::int64_t ns) { return wide(static_cast<double>(ns) * 0.5e-9); }
+  static real64 seconds(std::int64_t ns) { return real64(static_cast<double>(ns) * 1e-9); }
+  static real64 half_seconds(std::int64_t ns) { return real64(static_cast<double>(ns) * 0.5e-9); }
   std::size_t index(std::size_t i) const { return i % ring_.size(); }
   entry const& at(std::size_t i) const { return ring_[index(i)]; }
   std::size_t oldest() const { return count_ > ring_.size() ? count_ - ring_.size() : 0; }
@@ -114,7 +115,7 @@ public:
   void add_attitude(std::int64_t time_ns, mat3<double> const& R, bool follows) {
     if (!follows) { seen_ = 0; }
     // The longest turn: its rate changes most, and its errors are no larger.
-    attitude const now{time_ns, R.cast<wide>()};
+    attitude const now{time_ns, R.cast<real64>()};
     auto const age = [&](int i) {
       return saturated_difference(time_ns, attitudes_[static_cast<std::size_t>(i)].time_ns);
     };
@@ -148,15 +149,15 @@ private:
   static constexpr double fewest = 30, strange = 0.1;
   struct attitude {
     std::int64_t time_ns;
-    wide_mat3 R;
+    strict_mat3d R;
   };
   struct turn {
     std::int64_t from_ns, to_ns;
-    wide_vec3 seen;
+    strict_vec3d seen;
   };
   struct sums {
-    wide squares = 0.0;                ///< of differences
-    wide_vec3 by_time{0.0, 0.0, 0.0};  ///< of differences times their duration
+    real64 squares = 0.0;                 ///< of differences
+    strict_vec3d by_time{0.0, 0.0, 0.0};  ///< of differences times their duration
   };
 
   std::int64_t on_its_clock(std::int64_t time_ns, std::int64_t later_ns) const {
@@ -177,19 +178,19 @@ private:
   void take(turn const& t) {
     std::int64_t const from = on_its_clock(t.from_ns, 0), to = on_its_clock(t.to_ns, 0);
     if (!turns_.covers(from - reach_ns, to + reach_ns)) { return; }
-    wide const duration = static_cast<double>(to - from) * 1e-9;
-    std::array<wide_vec3, points> off;
-    wide least = 1e30;
+    real64 const duration = static_cast<double>(to - from) * 1e-9;
+    std::array<strict_vec3d, points> off;
+    real64 least = 1e30;
     for (int j = 0; j < points; ++j) {
       std::int64_t const d = (j - reach) * step_ns;
-      wide_vec3 const r =
+      strict_vec3d const r =
           t.seen - rotation_log(turns_.at_time(from + d).transposed() * turns_.at_time(to + d));
       off[static_cast<std::size_t>(j)] = r;
       least = min_of(least, dot(r, r));
     }
-    if (!(least < wide(strange * strange))) { return; }
-    wide const keep = memory;
-    weight_ = keep * weight_ + wide(1.0);
+    if (!(least < real64(strange * strange))) { return; }
+    real64 const keep = memory;
+    weight_ = keep * weight_ + real64(1.0);
     times_ = keep * times_ + duration * duration;
     for (std::size_t j = 0; j < points; ++j) {
       sums& s = sums_[j];
@@ -198,7 +199,7 @@ private:
     }
   }
   /// What remains of the squares with the bias that suits them best.
-  wide cost(int j) const {
+  real64 cost(int j) const {
     sums const& s = sums_[static_cast<std::size_t>(j)];
     return s.squares - dot(s.by_time, s.by_time) / times_;
   }
@@ -210,34 +211,34 @@ private:
   std::array<turn, pending> pairs_{};
   int waiting_ = 0;
   std::array<sums, points> sums_{};
-  wide weight_ = 0.0, times_ = 0.0;
+  real64 weight_ = 0.0, times_ = 0.0;
 };
 
 inline imu_clock_offset imu_clock::estimate() const {
   imu_clock_offset out;
-  if (!(weight_ > wide(fewest))) { return out; }
+  if (!(weight_ > real64(fewest))) { return out; }
   int best = 0;
   for (int j = 1; j < points; ++j) {
     if (cost(j) < cost(best)) { best = j; }
   }
   if (best == 0 || best == points - 1) { return out; }  // too far, or nothing is told
-  wide const before = cost(best - 1), at = cost(best), after = cost(best + 1);
-  wide const bend = before + after - (at + at);
-  if (!(bend > wide(0.0))) { return out; }
-  wide const aside = wide(0.5) * (before - after) / bend;
-  wide const least = at - wide(0.25) * (before - after) * aside;
-  wide const step = static_cast<double>(step_ns) * 1e-9;
+  real64 const before = cost(best - 1), at = cost(best), after = cost(best + 1);
+  real64 const bend = before + after - (at + at);
+  if (!(bend > real64(0.0))) { return out; }
+  real64 const aside = real64(0.5) * (before - after) / bend;
+  real64 const least = at - real64(0.25) * (before - after) * aside;
+  real64 const step = static_cast<double>(step_ns) * 1e-9;
   // The sum grows by bend / 2 over a step: in units of a turn's variance, by one over a deviation.
-  wide const variance = max_of(least, wide(1e-12)) / (wide(3.0) * weight_ - wide(4.0));
-  wide const sigma = step * scalar::sqrt(wide(2.0) * variance / bend);
-  out.offset_s = ((wide(static_cast<double>(best - reach)) + aside) * step).value +
+  real64 const variance = max_of(least, real64(1e-12)) / (real64(3.0) * weight_ - real64(4.0));
+  real64 const sigma = step * scalar::sqrt(real64(2.0) * variance / bend);
+  out.offset_s = ((real64(static_cast<double>(best - reach)) + aside) * step).value +
                  static_cast<double>(middle_ns_) * 1e-9;
   out.sigma_s = sigma.value;
   // A motion that repeats itself has several minima.
   bool alone = true;
   for (int j = 1; j + 1 < points; ++j) {
     bool const minimum = cost(j) <= cost(j - 1) && cost(j) <= cost(j + 1);
-    alone = alone && (!minimum || std::abs(j - best) <= 1 || cost(j) > wide(2.0) * least);
+    alone = alone && (!minimum || std::abs(j - best) <= 1 || cost(j) > real64(2.0) * least);
   }
   if (!alone) { return {}; }
   out.known = out.sigma_s < 1e-3;

@@ -304,6 +304,7 @@ private:
     float const gyro_walk = get("gyro_walk");
     float const accel_walk = get("accel_walk");
     p.noise = {gyro, accel, gyro_walk, accel_walk, get("rate_hz")};
+    p.time_offset_s = number(given.attr("time_offset_s"), "time_offset_s");
     return p;
   }
   /// What a sensor measured. Numbers that a float cannot hold are infinite: the odometry counts
@@ -488,6 +489,19 @@ void bind_tracking(nb::module_& m) {
       .def_prop_ro(
           "imu_newest_s", [](tracking const& t) { return t.of.imu.newest_s; },
           "time of the newest sample since the frame's, seconds; 0 = there is none")
+      .def_prop_ro(
+          "imu_time_offset_s", [](tracking const& t) { return t.of.imu.time_offset_s; },
+          "by which the IMU's clock is taken to be ahead of that of the images, seconds: "
+          "Imu.time_offset_s, or what was found")
+      .def_prop_ro(
+          "imu_clock",
+          [](tracking const& t) -> nb::object {
+            ft::imu_clock_offset const& clock = t.of.imu.clock;
+            if (!clock.known) { return nb::none(); }
+            return nb::make_tuple(clock.offset_s, clock.sigma_s);
+          },
+          "(offset, standard deviation) of the IMU's clock as found by how camera and IMU turn, "
+          "seconds; None while that tells it not within a millisecond")
       .def_prop_ro(
           "imu_left_out",
           [](tracking const& t) {

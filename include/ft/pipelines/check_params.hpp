@@ -66,6 +66,9 @@ inline void check(imu_params const& imu) {
   detail::require_range("imu.waiting", imu.waiting, 2, 1 << 24);
   detail::require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
   detail::require_range("imu.max_gyro", imu.max_gyro, 1e-3f, 1e9f);
+  detail::require_range("imu.accel_sigma", imu.accel_sigma, 0.0f, 100.0f);
+  detail::require_range("imu.time_offset_s", imu.time_offset_s, -imu_params::max_time_offset_s,
+                        imu_params::max_time_offset_s);
   detail::require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
   detail::require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
   detail::require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);

@@ -234,8 +234,8 @@ private:
       results[i].metric = !stages_type::starts_from_motion;
       if (stages.has_imu()) {
         results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
-        results[i].imu = imu_tracking_of(stages.inertial.outputs[b]);
-        stages.inertial.queue(b).describe(time_ns[b], results[i].imu);
+        bool const tracked = results[i].state == tracking_state::tracking;
+        stages.inertial.describe(b, tracked ? results[i].maps : 0, time_ns[b], results[i].imu);
       }
       warnings[i].judge(results[i], time_ns[b], first, stages.settings);
     }

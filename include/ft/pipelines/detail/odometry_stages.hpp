@@ -131,7 +131,8 @@ public:
   // ---- the end
 
   void optimize_inertial(Exec const& exec) const {
-    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
+                      own.information, memory.poses);
   }
   void marginalize(Exec const& exec) const {
     inertial.marginalize(exec, this->rig, memory.observations);

@@ -53,7 +53,7 @@ struct odometry_options {
   double scale_factor = 1.2;
   int ini_threshold = 20;
   int min_threshold = 7;
-  double near_depth = 50;  ///< points nearer than this many baselines become map points
+  double near_depth = 50;  ///< baselines: see ft::tracking_rules
   double fps = 20;
   std::optional<imu_options> imu;
   int threads = 0;              ///< of the host version; 0 = all

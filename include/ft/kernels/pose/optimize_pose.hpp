@@ -139,6 +139,12 @@ private:
   /// left, and without a small step, which ends a round earlier than the reference does.
   FT_HOST_DEVICE bool precise() const { return params.small_step == 0 || problem.count < 64; }
 
+  /// Whether the third row is that of a disparity. Of rigs without a right column it is not used.
+  FT_HOST_DEVICE bool by_disparity() const {
+    if constexpr (Rig::rectified && !is_monocular_v<Rig>) { return limits.disparity_root > 0; }
+    return false;
+  }
+
   /// Sums gradient, curvature and cost at pose T over the observations that are included; then
   /// one thread runs then(sums).
   /// @param first whether T is the start, where unusable observations are found
@@ -167,7 +173,9 @@ private:
     observation const o = s.observations.template get<Rig>(i, problem);
     if (!(o.inv_sigma2 > 0)) { return; }
     vec3<real> const in_body = T * o.point.template cast<real>();
-    reprojection<Rig, Number, true> const r(rig, in_body.template cast<Number>(), o);
+    reprojection<Rig, Number, true> r(rig, in_body.template cast<Number>(), o);
+    Number const root = static_cast<plain>(limits.disparity_root);
+    if (by_disparity()) { r.take_disparity(root); }
     Number const chi2 = r.chi2(o);
     if (first && !(chi2 < Number(static_cast<plain>(largest_chi2)))) {
       s.observations.mark(i, problem,
@@ -184,7 +192,8 @@ private:
       weight = weight * (limit / product);
     }
     acc.of[pose_terms - 1] += cost.value;
-    mat3<Number> const P = r.derivative(rig, o);
+    mat3<Number> P = r.derivative(rig, o);
+    if (by_disparity()) { P = r.with_disparity(P, root); }
     vec3<Number> const W{weight, weight, r.rows == 3 ? weight : Number(0)};
     vec3<Number> const e{r.error[0], r.error[1], r.error[2]};
     if constexpr (is_monocular_v<Rig> || !Rig::rectified) {
@@ -200,7 +209,8 @@ private:
   FT_HOST_DEVICE bool classify(int i) const {
     observation o = s.observations.template get<Rig>(i, problem);
     o.inv_sigma2 = ::fabsf(o.inv_sigma2);
-    reprojection<Rig> const r(rig, s.T, o);
+    reprojection<Rig> r(rig, s.T, o);
+    if (by_disparity()) { r.take_disparity(real(static_cast<double>(limits.disparity_root))); }
     // Written so that a NaN is too far.
     bool const far = !(static_cast<float>(r.chi2(o).value) <=
                        (r.rows == 3 ? limits.stereo : limits.mono).inlier);

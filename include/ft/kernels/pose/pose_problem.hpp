@@ -22,6 +22,9 @@ struct pose_params {
   float small_step = 1e-4f;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
+  /// Weight of a disparity, in those of a pixel, which then takes the place of the right column's
+  /// error. 0: the right column is an observation as exact as the left one, as in the reference.
+  double disparity_weight = 0;
 };
 
 namespace detail {
@@ -38,9 +41,11 @@ struct pose_limit {
 };
 struct pose_limits {
   pose_limit mono, stereo;
+  float disparity_root;  ///< of the weight of a disparity; 0 = as in pose_params
 
   FT_HOST_DEVICE static pose_limits of(pose_params const& params) {
-    return {pose_limit::of(params.chi2_mono), pose_limit::of(params.chi2_stereo)};
+    return {pose_limit::of(params.chi2_mono), pose_limit::of(params.chi2_stereo),
+            static_cast<float>(square_root(params.disparity_weight))};
   }
 };
 

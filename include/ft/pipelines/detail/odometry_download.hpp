@@ -53,6 +53,7 @@ inline void require_odometry_params(odometry_params const& p) {
   require_range("rules.keep_share", r.keep_share, 0.0f, 1.0f);
   require_range("rules.unrectified_keep_share", r.unrectified_keep_share, 0.0f, 1.0f);
   require_range("rules.near_depth", r.near_depth, 1e-3f, 1e6f);
+  require_range("rules.far_depth", r.far_depth, 0.0f, 1e6f);
   require_range("rules.motion.even", r.motion.even, 0.0, 1.0);
   require_range("rules.motion.longest", r.motion.longest, 1.0, 1e6);
   require_range("rules.motion.memory", r.motion.memory, 1e-3, 1e6);

@@ -17,7 +17,6 @@
 #include "bench/owned_executor.hpp"
 #include "bench/runner.hpp"
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"

@@ -7,7 +7,7 @@
 
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
-#include "ft/containers/image_batch.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/kernels/images/build_remap.hpp"
 #include "ft/kernels/images/rectify.hpp"

@@ -3,7 +3,7 @@
 """ft.OrbExtractor beside cv2.ORB on one thread of the host: keypoints, how evenly they lie, repeatability, matches that are
 right, time.
 
-    bench/orb_beside_opencv.py FOLDER --json bench/results/orb_opencv.json --commit COMMIT
+    bench/orb_beside_opencv.py FOLDER --json raw.json --commit COMMIT
 
 FOLDER is a sequence in EuRoC or KITTI layout. Each image is compared with itself turned, scaled, shifted and darkened by a
 known homography, with new noise. Repeatability: the share of keypoints that have one within 2.5 pixels of where the

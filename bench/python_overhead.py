@@ -3,7 +3,7 @@
 """What a call of ft.Odometry.track costs above ft::odometry::track, in one process, on the same images.
 
     build/bin/generate_sequence --out FOLDER --frames 200
-    bench/python_overhead.py FOLDER --arrays cupy torch --json bench/results/python_overhead_h200.json --commit COMMIT
+    bench/python_overhead.py FOLDER --arrays cupy torch --json raw.json --commit COMMIT
     bench/python_overhead.py FOLDER --device host --arrays numpy
 
 The images of FOLDER, a sequence in EuRoC or KITTI layout, are decoded and brought to where they shall lie before anything

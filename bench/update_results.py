@@ -9,6 +9,7 @@ Each table stands between the lines <!-- NAME begins --> and <!-- NAME ends -->.
 """
 import json
 import pathlib
+import statistics
 import sys
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
@@ -16,7 +17,9 @@ RESULTS = ROOT / "bench" / "results"
 
 
 def load(name):
-    return json.loads((RESULTS / name).read_text())
+    """The first measurement of a file, its settings and tables beside each other."""
+    record = json.loads((RESULTS / name).read_text())["records"][0]
+    return {**record, "gpu": "", **record.get("machine", {}), **record.get("settings", {}), **record.get("tables", {})}
 
 
 def frame_results():
@@ -105,7 +108,7 @@ def counts():
     found = False
     for rig, array in (("rectified", "rows"), ("fisheye", "fisheye")):
         for r in bench.get(array, []):
-            c = r.get("counts")
+            c = {k.removeprefix("counts."): v for k, v in r.items() if k.startswith("counts.")}
             if not c or r["batch"] != 1 or r["name"] not in ("frame", "frame, with pose optimisation"):
                 continue
             found = True
@@ -223,10 +226,10 @@ def host_stages():
     of_native = {r["name"]: r for r in native["host_stages"]}
     for r in usual["host_stages"]:
         n = of_native.get(r["name"], {})
-        cells = [r["name"], f"{r['ft']['p50_us']:.0f}"]
-        cells += [f"{r['opencv']['p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv" in r else ["", ""]
-        cells.append(f"{n['ft']['p50_us']:.0f}" if n else "")
-        cells.append(f"{n['times_as_fast']:.2f}" if "opencv" in n else "")
+        cells = [r["name"], f"{r['ft.p50_us']:.0f}"]
+        cells += [f"{r['opencv.p50_us']:.0f}", f"{r['times_as_fast']:.2f}"] if "opencv.p50_us" in r else ["", ""]
+        cells.append(f"{n['ft.p50_us']:.0f}" if n else "")
+        cells.append(f"{n['times_as_fast']:.2f}" if "opencv.p50_us" in n else "")
         cells += [r.get("counterpart", ""), r.get("difference", "")]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
@@ -238,8 +241,9 @@ def conformance():
         "| stage | items | identical, host | identical, CUDA | worst difference, host | worst difference, CUDA |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for name, h in host["stages"].items():
-        c = cuda["stages"][name]
+    on_cuda = {c["name"]: c for c in cuda["stages"]}
+    for h in host["stages"]:
+        name, c = h["name"], on_cuda[h["name"]]
         lines.append(
             f"| {name} | {h['items']} | {h['identical']} | {c['identical']} | {h['max_abs_diff']:.2g} | {c['max_abs_diff']:.2g} |"
         )
@@ -247,8 +251,86 @@ def conformance():
     return lines
 
 
+# What the table of odometries shows: record, row among those of a rig, and what to call it.
+ODOMETRIES = (
+    ("runs 2", "rectified", 0, "EuRoC pair"),
+    ("runs 2", "rectified", 1, "64 EuRoC pairs, each with its map"),
+    ("on_2026_11_25, runs 1", "rectified", 0, "generated pair"),
+    ("on_2026_11_25, runs 3", "rectified", 0, "200 generated pairs"),
+    ("on_2026_11_25, runs 1", "four cameras", 0, "two generated pairs in one rig"),
+    ("on_2026_11_25, runs 3", "four cameras", 0, "the same, 200 of them"),
+    ("with_imu, runs 1", "with IMU", 1, "with an IMU"),
+    ("with_imu, runs 1", "with IMU", 0, "the same, 5 ms apart"),
+    ("on_2026_11_26, runs 1", "prefetched", 0, "generated pair, prefetched"),
+)
+
+
+def odometries():
+    records = {r.get("name"): r for r in json.loads((RESULTS / "odometry_h200.json").read_text())["records"]}
+    lines = ["| | commit | keyframes | p50, us | p99, us | frames/s |", "|---|---|---:|---:|---:|---:|"]
+    for record, rig, number, name in ODOMETRIES:
+        of_rig = [r for r in records[record]["tables"]["odometry"] if r["rig"] == rig]
+        r = of_rig[number]
+        waited = r["frames_per_s"] * r["p99_us"] < 0.5e6  # for the next frame, so the rate says nothing
+        lines.append(
+            f"| {name} | {records[record]['commit']} | {100 * r['keyframes']:.0f} % | {r['p50_us']:.0f} | {r['p99_us']:.0f} | "
+            f"{'' if waited else format(r['frames_per_s'], '.0f')} |"
+        )
+        if number == 0 and record == "runs 2":
+            mps = records["runs 4"]
+            lines.append(
+                f"| the same on 12 % of the multiprocessors (CUDA MPS) | {mps['commit']} | | "
+                f"{mps['tables']['p50_us'][0]['rectified']:.0f} | {mps['tables']['p99_us'][0]['rectified']:.0f} | |"
+            )
+    return lines
+
+
+def places():
+    rows = load("words_h200.json")["words"]
+    lines = ["| | H200 | one core |", "|---|---:|---:|"]
+    for name, count in dict.fromkeys((r["name"], r["count"]) for r in rows):
+        of = {r["backend"]: r["p50_us"] for r in rows if (r["name"], r["count"]) == (name, count)}
+        lines.append(f"| {name}{f', {count}' if count != 1 else ''} | {of['cuda']:.0f} | {of['host']:.0f} |")
+    return lines
+
+
+def scenario_rows():
+    """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
+    try:
+        result = load("scenarios_host.json")
+    except FileNotFoundError:
+        return NOT_YET
+    by_name = {}
+    for r in result["rows"]:
+        by_name.setdefault(r["scenario"], []).append(r)
+    seeds = sorted({r["seed"] for r in result["rows"]})
+    lines = [
+        f"{result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
+        "",
+        "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | of frames | misses (seeds) |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|",
+    ]
+    for name, rows in by_name.items():
+        lengths = [median_mm(r.get(k) for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
+        totals = {k: sum(r.get(k) or 0 for r in rows) for k in ("lost", "silent", "frames")}
+        maps = max(r.get("maps") or 0 for r in rows)
+        missed = sorted({m for r in rows for m in r["misses"]})
+        said = ", ".join(f"{m} ({sum(m in r['misses'] for r in rows)})" for m in missed)
+        cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], totals["frames"], said]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
+
+
+def median_mm(lengths):
+    known = [v for v in lengths if v is not None]
+    return f"{1000 * statistics.median(known):.1f}" if known else ""
+
+
 TABLES = {
-    "docs/performance.md": {"recorded frames": recorded, "recorded stages": recorded_stages},
+    "docs/scenarios.md": {"scenarios": scenario_rows},
+    "docs/performance.md": {
+        "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+    },
     "bench/results/README.md": {
         "frames": frames,
         "counts": counts,
@@ -291,13 +373,16 @@ def self_test():
         {"model": "m", "scalar": "float", "function": "unproject", "backend": "cuda", "threads": 0, "ns_per_point": 0.0051}]
     assert cameras()[-1] == "| m | float | 2.5 |  |  |  |  | 0.0051 |", cameras()
     results.update(processor="a processor", host_stages=[
-        {"name": "blur", "calls": 9, "ft": {"p50_us": 50.0}, "opencv": {"p50_us": 100.0}, "times_as_fast": 2.0,
+        {"name": "blur", "calls": 9, "ft.p50_us": 50.0, "opencv.p50_us": 100.0, "times_as_fast": 2.0,
          "opencv_version": "OpenCV 0", "counterpart": "GaussianBlur", "difference": "none"},
-        {"name": "distribution", "calls": 9, "ft": {"p50_us": 7.0}}])
+        {"name": "distribution", "calls": 9, "ft.p50_us": 7.0}])
     assert host_stages()[-2:] == ["| blur | 50 | 100 | 2.00 | 50 | 2.00 | GaussianBlur | none |",
                                   "| distribution | 7 |  |  | 7 |  |  |  |"], host_stages()
     results["ablation"] = [dict(row, times_reference=1.0), dict(row, name="other", backend="host", times_reference=2.5)]
     assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
+    one = dict(scenario="x", seed=1, frames=9, ate_m=0.01, ate_without_imu_m=None, max_error_m=0.5, lost=1, maps=2, silent=3, misses=["maps"])
+    results["rows"] = [one, dict(one, seed=2, ate_m=0.03, misses=[]), dict(one, seed=3, ate_m=None)]
+    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 27 | maps (2) |", scenario_rows()[-1]
     print("update_results.py: self-test passed")
 
 

@@ -20,10 +20,10 @@
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/types/poses.hpp"
 
 namespace bench {
 inline namespace FT_ABI {

@@ -21,8 +21,8 @@
 #include "ft/kernels/monocular/initial_matches.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
 #include "ft/kernels/words/query_database.hpp"
+#include "ft/kernels/words/score.hpp"
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/pipelines/monocular_start.hpp"
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Compiles each public header alone as C++: the target header_check_host, built on request, since scripts/test.sh
-# has clang++ do the same where there is one. With CUDA those headers which nvcc reads differently, and ft.hpp, are
+# has clang++ do the same where there is one. With CUDA those headers which nvcc reads differently, and stages.hpp, are
 # also compiled alone as CUDA, for one architecture: for nvcc the others have the same text as for a C++ compiler.
 
 file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/include
@@ -53,7 +53,7 @@ if(FT_HAS_CUDA)
   foreach(header IN LISTS headers)
     file(STRINGS ${PROJECT_SOURCE_DIR}/include/${header} cuda_lines LIMIT_COUNT 1
          REGEX "__CUDA|include [<\"](cuda|cub|thrust|cooperative)")
-    if(cuda_lines OR header MATCHES "^ft/(ft\\.hpp|interop/.*)$")
+    if(cuda_lines OR header MATCHES "^ft/(stages\\.hpp|interop/.*)$")
       list(APPEND cuda_headers ${header})
     endif()
   endforeach()

@@ -185,7 +185,7 @@ configure_build() {
   local cuda
   read -ra cuda <<<"$(cuda_options)"
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 \
+    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host contract_tests_host conformance)

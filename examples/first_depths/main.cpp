@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The program of the README: depths of the keypoints of a rectified stereo pair. It needs only ft's
 // headers. g++ compiles this file for the host, nvcc for the GPU.
-#include <ft/ft.hpp>
+#include <ft/stages.hpp>
 
 #include <cstdio>
 #include <vector>

@@ -39,6 +39,21 @@ void take_times(time_options const& times, seq::generator_options& options) {
   }
 }
 
+template <typename Add>
+void add_scene(CLI::App& app, Add const& add, std::string& scene, seq::generator_options& options) {
+  add("--scene", scene, "room, or corridor: straight along one")
+      ->check(CLI::IsMember({"room", "corridor"}));
+  add("--speed", options.speed, "in the corridor, m/s, after 2 s");
+  add("--look-aside", options.look_aside, "in the corridor: degrees to the left of the way");
+  add("--repeat", options.repeat, "the corridor looks the same after so many metres; 0 = never");
+  add("--bonnet", options.hiding.bonnet, "percent: covers the lower edge, fixed to the cameras");
+  add("--dirt", options.hiding.dirt, "percent: patches all over, fixed to the cameras");
+  add("--companion", options.hiding.companion, "percent: a thing ahead that goes along");
+  add("--crossing", options.hiding.crossing, "percent: a thing ahead that crosses to the left");
+  add("--crossing-speed", options.hiding.crossing_speed, "m/s");
+  app.footer("Shares are those of the left image.");
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -69,6 +84,8 @@ int main(int argc, char** argv) {
   add("--exposure", exposure_ms,
       "exposure time, ms: images are blurred by motion, and take longer");
   add_times(app, times);
+  std::string scene = "room";
+  add_scene(app, add, scene, options);
   app.add_flag("--imu,!--no-imu", writing.imu, "write imu0; the default");
   add("--imu-rate", options.imu_rate, "samples per second");
   add("--imu-noise", options.imu_noise_scale,
@@ -86,6 +103,7 @@ int main(int argc, char** argv) {
 
   try {
     options.rig = rig == "fisheye" ? seq::rig_kind::fisheye : seq::rig_kind::pinhole;
+    options.scene = scene == "corridor" ? seq::scene_kind::corridor : seq::scene_kind::room;
     options.exposure_change = !steady_exposure;
     options.threads = writing.threads;
     options.exposure_s = 1e-3 * exposure_ms;

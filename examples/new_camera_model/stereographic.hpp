@@ -5,7 +5,7 @@
 #include <ft/cameras/camera_model.hpp>
 #include <ft/core/arithmetic.hpp>
 #include <ft/core/config.hpp>
-#include <ft/core/geometry.hpp>
+#include <ft/types/poses.hpp>
 
 /// r = 2 tan(theta / 2), theta the angle off the axis: the unit sphere seen from its rear pole.
 /// With d = |(x, y, z)| and s = z + d:

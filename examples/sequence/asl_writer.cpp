@@ -154,7 +154,11 @@ void write_options(fs::path const& path, generator_options const& o) {
       << "\nimu_rate: " << o.imu_rate << "\nimu_noise_scale: " << o.imu_noise_scale
       << "\nimu_noise: " << o.imu.gyro << " " << o.imu.accel << " " << o.imu.gyro_walk << " "
       << o.imu.accel_walk << "\ngyro_bias: " << o.gyro_bias << "\naccel_bias: " << o.accel_bias
-      << "\nexposure_s: " << o.exposure_s;
+      << "\nexposure_s: " << o.exposure_s
+      << "\nscene: " << (o.scene == scene_kind::corridor ? "corridor" : "room")
+      << "\nspeed: " << o.speed << "\nlook_aside: " << o.look_aside << "\nrepeat: " << o.repeat
+      << "\nhiding: " << o.hiding.bonnet << " " << o.hiding.dirt << " " << o.hiding.companion << " "
+      << o.hiding.crossing << " " << o.hiding.crossing_speed;
   for (auto const& s : o.blind) { out << "\nblind: " << s.from_s << " " << s.to_s; }
   for (auto const& s : o.dropped) { out << "\ndropped: " << s.from_s << " " << s.to_s; }
   for (auto const& f : o.fast_turns) {

@@ -11,6 +11,7 @@
 #include "examples/sequence/detail/random.hpp"
 #include "examples/sequence/detail/simulated_imu.hpp"
 #include "examples/sequence/generated/constants.hpp"
+#include "examples/sequence/generated/hiding.hpp"
 #include "examples/sequence/generated/render.hpp"
 #include "examples/sequence/generated/rig.hpp"
 #include "examples/sequence/generated/room.hpp"
@@ -38,6 +39,7 @@ struct generator::impl {
   generator_options options;
   stereo_rig rig;
   std::vector<surface> surfaces;
+  generated::hiding_surfaces hiding;
   generated::spline route;
   std::array<view, 2> views;
   std::vector<float> normal;
@@ -53,6 +55,19 @@ struct generator::impl {
   void check_camera(int c) const {
     if (c != 0 && c != 1) {
       throw error("generator: camera " + std::to_string(c) + "; must be 0 or 1");
+    }
+  }
+  void build_scene(double duration_s) {
+    auto const& o = options;
+    if (o.scene == scene_kind::corridor) {
+      constexpr double beyond = 20;  // metres to the wall at the end
+      double const length = generated::driven(duration_s, o.speed) + beyond;
+      surfaces = generated::build_corridor(key(o.seed, 1), length, o.repeat);
+      route =
+          generated::plan_drive(key(o.seed, 2), duration_s, o.speed, o.look_aside, o.fast_turns);
+    } else {
+      surfaces = generated::furnish(key(o.seed, 1));
+      route = generated::plan_route(key(o.seed, 2), duration_s, o.fast_turns);
     }
   }
   std::int64_t time_ns(int i) const {
@@ -110,9 +125,9 @@ generator::generator(generator_options const& options) : impl_(std::make_unique<
   m.options = generated::complete(options);
   auto const& o = m.options;
   m.rig = generated::make_rig(o);
-  m.surfaces = generated::furnish(key(o.seed, 1));
   double const duration = (o.frames - 1) / o.fps;
-  m.route = generated::plan_route(key(o.seed, 2), duration + 0.1, o.fast_turns);
+  m.build_scene(duration + 0.1);
+  m.hiding = generated::hide(key(o.seed, 5), o.hiding, m.rig.left, duration);
   m.views[0] = generated::make_view(m.rig.left, Eigen::Isometry3d::Identity(), o.vignetting);
   m.views[1] = generated::make_view(m.rig.right, m.rig.T_left_right, o.vignetting);
   m.normal = generated::normal_table();
@@ -127,14 +142,20 @@ generator::generator(generator_options const& options) : impl_(std::make_unique<
 
   // small pictures need no fine textures
   double const detail = std::clamp(m.rig.left.fx / 435.0, 0.2, 1.5);
-  int const count = static_cast<int>(m.surfaces.size());
-  parallel_for(count, o.threads, [&](int k) {
-    // the largest surfaces come last in the list: start with them
-    auto const i = static_cast<std::size_t>(count - 1 - k);
-    surface& s = m.surfaces[i];
-    s.skin = generated::paint(key(o.seed, 4, i), s.width, s.height, s.texels_per_m * detail,
-                              s.brightness);
-  });
+  auto const paint_all = [&](std::vector<surface>& surfaces, std::uint64_t kind) {
+    int const count = static_cast<int>(surfaces.size());
+    parallel_for(count, o.threads, [&](int k) {
+      // the largest surfaces come last in the list: start with them
+      auto const i = static_cast<std::size_t>(count - 1 - k);
+      surface& s = surfaces[i];
+      std::uint64_t const number = s.paint >= 0 ? static_cast<std::uint64_t>(s.paint) : i;
+      s.skin = generated::paint(key(o.seed, kind, number), s.width, s.height,
+                                s.texels_per_m * detail, s.brightness);
+    });
+  };
+  paint_all(m.surfaces, 4);
+  std::uint64_t kind = 6;
+  for (auto* surfaces : m.hiding.all()) { paint_all(*surfaces, kind++); }
 }
 
 generator::generator(generator&&) noexcept = default;
@@ -173,9 +194,14 @@ std::vector<float> generator::impl::collect_light(int i, view const& v,
   if (within(options.blind, i)) { return std::vector<float>(v.rays.size(), 0.0f); }
   double const t = seconds(time_ns(i));
   auto const at = [&](double when) {
-    return generated::trace(
-        v, surfaces,
-        motion_at(route, std::max(when, 0.0)).T_world_camera * T_left_other * v.T_left_this);
+    when = std::max(when, 0.0);
+    Eigen::Isometry3d const T_world_left = motion_at(route, when).T_world_camera;
+    Eigen::Isometry3d const T_left_camera = T_left_other * v.T_left_this;
+    std::vector<generated::placed_surfaces> seen;
+    generated::place(hiding, options.hiding, when, motion_at(route, 0).T_world_camera, T_world_left,
+                     T_left_camera, seen);
+    seen.push_back({&surfaces, (T_world_left * T_left_camera).inverse()});
+    return generated::trace(v, seen);
   };
   int const count = exposure_steps(t);
   std::vector<float> sum = at(t + options.exposure_s * (0.5 / count - 0.5));

@@ -18,6 +18,12 @@
 
 namespace seq {
 
+/// Where the camera goes.
+enum class scene_kind {
+  room,      ///< laps through a room
+  corridor,  ///< straight along a corridor, 5 m wide and 3 m high
+};
+
 enum class rig_kind {
   pinhole,  ///< rectified pair, 752 x 480, fx = fy = 435, baseline 0.11 m
   fisheye,  ///< two Kannala-Brandt cameras, 512 x 512, fx about 190, slightly rotated; black past
@@ -35,6 +41,16 @@ struct time_span {
 struct fast_turn {
   time_span when;      ///< at least 0.2 s
   double degrees = 0;  ///< to the left; -360 to 360
+};
+
+/// What hides parts of the pinhole rig's left images; 0 = nothing. Shares in percent of the image,
+/// 0 to 80.
+struct hiding_things {
+  double bonnet = 0;     ///< fixed to the cameras: the lower edge, 0.6 m away
+  double dirt = 0;       ///< fixed to the cameras: patches all over the image, 0.5 m away
+  double companion = 0;  ///< in the middle, 2 m ahead: goes where the camera goes, does not turn
+  double crossing = 0;   ///< a band across the middle, 2 m ahead: crosses from right to left
+  double crossing_speed = 0.5;  ///< m/s, 0 to 10
 };
 
 struct generator_options {
@@ -55,8 +71,13 @@ struct generator_options {
   std::vector<time_span> blind;       ///< black images, with noise: a covered lens
   std::vector<time_span> dropped;     ///< frames that write_asl leaves out
   std::vector<fast_turn> fast_turns;  ///< they blur images that have an exposure
-  double imu_rate = 200;              ///< Hz, 10 to 10000
-  imu_noise imu;                      ///< densities, at most 1 (gyro) and 10 (accelerometer)
+  scene_kind scene = scene_kind::room;
+  double speed = 2;       ///< in the corridor, after 2 s, m/s, 0 (at rest) to 40
+  double look_aside = 0;  ///< in the corridor: degrees to the left of the way, -180 to 180
+  double repeat = 0;  ///< the corridor looks the same after so many metres, 0.2 to 100; 0 = never
+  hiding_things hiding;
+  double imu_rate = 200;       ///< Hz, 10 to 10000
+  imu_noise imu;               ///< densities, at most 1 (gyro) and 10 (accelerometer)
   double gyro_bias = 0.005;    ///< standard deviation of each axis' first bias, rad/s, 0 to 1
   double accel_bias = 0.03;    ///< likewise, m/s^2, 0 to 10
   double imu_noise_scale = 1;  ///< times densities and first biases, 0 to 100; 0 = ideal samples
@@ -110,6 +131,7 @@ public:
   /// Whether frame i is in a span of options().dropped. It can be rendered nevertheless.
   bool dropped(int i) const;
 
+  /// (This and below) hiding_things are not there.
   /// The surface seen at pixel (u, v) of a camera (0 left, 1 right), in that camera's frame,
   /// metres; nothing outside the lens' range.
   std::optional<Eigen::Vector3d> surface_point(int i, int camera, double u, double v) const;

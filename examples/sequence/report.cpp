@@ -336,6 +336,28 @@ std::string imu_columns(frame_record const& r) {
   return text;
 }
 
+constexpr std::size_t covariance_columns = 21;  // the upper triangle of 6 x 6
+
+std::string covariance_heads() {
+  std::string text;
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) {
+      text += ",covariance_" + std::to_string(row) + std::to_string(column);
+    }
+  }
+  return text;
+}
+
+/// Empty where it is not known.
+std::string covariance_of(frame_record const& r) {
+  if (r.covariance.size() != covariance_columns) { return std::string(covariance_columns, ','); }
+  std::ostringstream out;
+  out.imbue(std::locale::classic());
+  out.precision(9);
+  for (double const value : r.covariance) { out << ',' << value; }
+  return out.str();
+}
+
 }  // namespace
 
 void write_times_csv(std::string const& path, run_report const& report) {
@@ -346,6 +368,9 @@ void write_times_csv(std::string const& path, run_report const& report) {
         ",imu_optimized,velocity_x,velocity_y,velocity_z,gyro_bias_x,gyro_bias_y,gyro_bias_z,"
         "accel_bias_x,accel_bias_y,accel_bias_z";
   }
+  bool const covariances = std::any_of(report.records.begin(), report.records.end(),
+                                       [](frame_record const& r) { return !r.covariance.empty(); });
+  if (covariances) { text += covariance_heads(); }
   text += ",images_to_pose_ms,reason\n";
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);
@@ -359,6 +384,7 @@ void write_times_csv(std::string const& path, run_report const& report) {
       if (auto const ms = detail::stage_time(r, s)) { text += detail::fixed(*ms, 6); }
     }
     if (report.with_imu) { text += imu_columns(r); }
+    if (covariances) { text += covariance_of(r); }
     text += ',';
     if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
     text += ',' + csv_field(r.reason) + '\n';

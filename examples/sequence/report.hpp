@@ -40,6 +40,8 @@ struct frame_record {
   int local_points = 0;
   std::vector<double> stage_ms;  ///< same order as run_report::stages
   std::optional<imu_record> imu;
+  /// Of the pose, as ft::tracking::covariance: rows of its upper triangle. Empty = unknown.
+  std::vector<double> covariance;
   double images_to_pose_ms =
       -1;              ///< from handing the images over to having the pose; < 0 = unknown
   std::string reason;  ///< why it is not tracked, or to be doubted; empty = neither

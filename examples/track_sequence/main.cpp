@@ -8,57 +8,67 @@
 #include "examples/sequence/report.hpp"
 #include "examples/sequence/warnings.hpp"
 #include "examples/track_sequence/interrupt.hpp"
-#include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
 #include "examples/track_sequence/outputs.hpp"
 #include "examples/track_sequence/setup.hpp"
+#include "examples/track_sequence/timed_odometry.hpp"
 #include "examples/track_sequence/tracking_run.hpp"
 
 namespace {
 
-void describe(app::arguments const& a, seq::sequence const& sequence,
-              app::odometry_options const& options, app::odometry const& odometry,
-              seq::run_report& report) {
+char const* rig_name(ft::rig_kind kind) {
+  switch (kind) {
+    case ft::rig_kind::monocular:
+      return "monocular";
+    case ft::rig_kind::rgbd:
+      return "rgbd";
+    case ft::rig_kind::fisheye_pair:
+      return "fisheye";
+    default:
+      return "rectified";
+  }
+}
+
+void describe(app::arguments const& a, seq::sequence const& sequence, app::odometry_setup const& o,
+              app::timed_odometry& odometry, seq::run_report& report) {
   report.title = "Tracking of " + sequence.name();
   report.sequence = sequence.name();
-  report.device = odometry.device();
-  report.image_width = options.width;
-  report.image_height = options.height;
-  report.one_camera = options.monocular;
-  report.depth_images = options.rgbd;
-  report.metric = !options.monocular;
+  report.image_width = o.params.orb.width;
+  report.image_height = o.params.orb.height;
+  report.one_camera = o.rig.kind == ft::rig_kind::monocular;
+  report.depth_images = o.rig.kind == ft::rig_kind::rgbd;
+  report.metric = !report.one_camera;
   report.stages = odometry.stage_names();
   if (!a.timing) { report.stages = {report.stages.back()}; }
-  report.prefetch = options.prefetch;
-  report.calibration = odometry.calibration_warnings();
-  report.options = {{"features", std::to_string(options.features)},
-                    {"levels", std::to_string(options.levels)},
+  report.prefetch = o.params.prefetch;
+  report.calibration = odometry.odometry().calibration_warnings();
+  report.options = {{"features", std::to_string(o.params.orb.features)},
+                    {"levels", std::to_string(o.params.orb.levels)},
                     {"layout", sequence.layout()},
-                    {"rig", options.monocular ? "monocular"
-                            : options.rgbd    ? "rgbd"
-                            : options.fisheye ? "fisheye"
-                                              : "rectified"},
+                    {"rig", rig_name(o.rig.kind)},
                     {"frame", a.frame},
                     {"read-ahead", std::to_string(*a.read_ahead)},
                     {"realtime", a.realtime ? "yes" : "no"},
-                    {"near points, baselines", std::to_string(options.near_depth)}};
+                    {"near points, baselines", std::to_string(o.near_depth)}};
 }
 
 /// What was found in the folder.
-void print_recording(seq::sequence const& sequence, app::odometry_options const& o) {
-  bool const pair = !o.monocular && !o.rgbd;
+void print_recording(seq::sequence const& sequence, app::odometry_setup const& o) {
+  bool const rgbd = o.rig.kind == ft::rig_kind::rgbd;
+  bool const monocular = o.rig.kind == ft::rig_kind::monocular;
+  bool const pair = !monocular && !rgbd;
   std::cout << "sequence  " << sequence.name() << ", " << sequence.size()
-            << (pair     ? " stereo pairs of "
-                : o.rgbd ? " images with depth images of "
-                         : " images of one camera, ")
-            << o.width << "x" << o.height;
-  if (pair) { std::cout << ", baseline " << o.baseline << " m"; }
+            << (pair   ? " stereo pairs of "
+                : rgbd ? " images with depth images of "
+                       : " images of one camera, ")
+            << o.params.orb.width << "x" << o.params.orb.height;
+  if (pair) { std::cout << ", baseline " << sequence.rig().baseline() << " m"; }
   std::cout << "\n";
-  if (o.rgbd) {
-    std::cout << "depth     " << o.depth_unit << " m a unit, " << sequence.depth_unit_from()
-              << "; taken from " << o.min_depth << " to " << o.max_depth << " m\n";
+  if (rgbd) {
+    std::cout << "depth     " << o.rig.depth_scale << " m a unit, " << sequence.depth_unit_from()
+              << "; taken from " << o.rig.min_depth << " to " << o.rig.max_depth << " m\n";
   }
-  if (o.monocular && !sequence.imu()) {
+  if (monocular && !sequence.imu()) {
     std::cout << "scale     unknown: one camera without an IMU; errors are those after alignment "
                  "with Sim(3)\n";
   }
@@ -70,25 +80,27 @@ void print_recording(seq::sequence const& sequence, app::odometry_options const&
 
 int run(app::arguments a) {
   seq::sequence const sequence = app::open_sequence(a);
-  app::odometry_options const options = app::options_of(a, sequence);
+  app::odometry_setup const setup = app::setup_of(a, sequence);
   app::make_output_folder(a);
   seq::run_report report;
-  auto const odometry = app::make_odometry(a, options, report.backend);
+  app::timed_odometry odometry(app::make_odometry(a, setup, report.backend, report.device),
+                               setup.rig.kind);
   if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
-  describe(a, sequence, options, *odometry, report);
-  print_recording(sequence, options);
+  describe(a, sequence, setup, odometry, report);
+  print_recording(sequence, setup);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
   for (std::string const& warning : report.calibration) {
     std::cout << "warning   calibration: " << warning << "\n";
   }
 
   app::watch_interrupts();
-  app::tracking_run(a, sequence, *odometry, report).track_all();
-  report.keyframes = odometry->keyframes();
-  report.map_points = odometry->map_points();
-  report.maps = odometry->maps();
+  app::tracking_run(a, sequence, setup, odometry, report).track_all();
+  ft::tracking const& last = odometry.odometry().last();
+  report.keyframes = last.keyframes;
+  report.map_points = last.map_points;
+  report.maps = last.maps;
   auto const map = [&](std::ostream& to, Eigen::Isometry3d const& T_file_world) {
-    odometry->write_map(to, app::plain_pose(T_file_world));
+    odometry.write_map(to, app::rigid_of(T_file_world).cast<float>());
   };
   app::finish(a, sequence, map, report);
   if (report.stopped_at) {
@@ -98,10 +110,10 @@ int run(app::arguments a) {
   }
   if (report.tracked == 0) {
     std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: "
-              << (options.monocular ? "the camera does not move enough, or too few corners are seen"
-                  : options.rgbd    ? "too few corners have a depth"
-                                    : "too few corners are seen by both cameras")
-              << " (--features " << options.features << ")";
+              << (report.one_camera ? "the camera does not move enough, or too few corners are seen"
+                  : report.depth_images ? "too few corners have a depth"
+                                        : "too few corners are seen by both cameras")
+              << " (--features " << setup.params.orb.features << ")";
     for (std::string const& reason : seq::reasons_of(report)) { std::cerr << "; " << reason; }
     std::cerr << "\n";
     return app::exit_failed;

@@ -19,11 +19,12 @@ namespace {
 using json = nlohmann::ordered_json;
 
 /// A 3 x 4 matrix, row-major.
-std::array<double, 12> twelve(rigid_pose const& T) {
+std::array<double, 12> twelve(ft::rigid<double> const& T) {
   std::array<double, 12> m{};
+  double const t[3] = {T.t.x, T.t.y, T.t.z};
   for (std::size_t r = 0; r < 3; ++r) {
-    for (std::size_t c = 0; c < 3; ++c) { m[4 * r + c] = T.R[3 * r + c]; }
-    m[4 * r + 3] = T.t[r];
+    for (std::size_t c = 0; c < 3; ++c) { m[4 * r + c] = T.R.m[3 * r + c]; }
+    m[4 * r + 3] = t[r];
   }
   return m;
 }
@@ -44,7 +45,7 @@ json truth_of(seq::sequence const& sequence) {
   json poses = json::array();
   for (auto const& pose : sequence.ground_truth()) {
     times.push_back(pose.time_ns);
-    poses.push_back(twelve(plain_pose(pose.T_world_camera)));
+    poses.push_back(twelve(rigid_of(pose.T_world_camera)));
   }
   return {{"time_ns", times},
           {"T_world_camera", poses},
@@ -80,8 +81,8 @@ recording::recording(std::string const& folder, seq::sequence const& sequence,
                  .dump());
 }
 
-void recording::add(seq::frame_record const& frame, rigid_pose const& T_wc, seq::image const& left,
-                    std::vector<seen_keypoint> const& keypoints) {
+void recording::add(seq::frame_record const& frame, ft::rigid<double> const& T_wc,
+                    seq::image const& left, std::vector<seen_keypoint> const& keypoints) {
   std::string const image = image_name(frame.index);
   seq::write_png(folder_ + "/" + image, left);
   json line = {{"frame", frame.index},

@@ -9,7 +9,7 @@
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
-#include "examples/track_sequence/odometry.hpp"
+#include "examples/track_sequence/timed_odometry.hpp"
 
 namespace app {
 
@@ -23,7 +23,7 @@ public:
             std::vector<std::string> const& stages);
 
   /// Adds a frame. @param T_wc left camera to world @param left the image @throws seq::error
-  void add(seq::frame_record const& frame, rigid_pose const& T_wc, seq::image const& left,
+  void add(seq::frame_record const& frame, ft::rigid<double> const& T_wc, seq::image const& left,
            std::vector<seen_keypoint> const& keypoints);
 
 private:

@@ -4,40 +4,58 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <stdexcept>
+#include <vector>
 
 #include "examples/sequence/read_ahead.hpp"
+#include "examples/track_sequence/processor_name.hpp"
 
 namespace app {
 namespace {
 
-std::array<double, 8> kannala_brandt_of(seq::camera_intrinsics const& c) {
-  std::array<double, 8> p{c.fx, c.fy, c.cx, c.cy};
-  for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) { p[4 + i] = c.distortion[i]; }
-  return p;
+ft::camera_description camera_of(seq::camera_intrinsics const& c, bool fisheye) {
+  auto camera = ft::camera_description::make(ft::camera_kind::pinhole, {c.fx, c.fy, c.cx, c.cy});
+  if (fisheye) {
+    camera.kind = ft::camera_kind::kannala_brandt;
+    for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) {
+      camera.parameters[4 + i] = c.distortion[i];
+    }
+  }
+  return camera;
 }
 
-void set_rig(seq::sequence const& sequence, odometry_options& o) {
+ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
   auto const& rig = sequence.rig();
-  o.width = rig.left.width;
-  o.height = rig.left.height;
-  o.fx = rig.left.fx;
-  o.fy = rig.left.fy;
-  o.cx = rig.left.cx;
-  o.cy = rig.left.cy;
-  o.baseline = rig.baseline();
-  o.fps = rig.fps;
-  o.fisheye = sequence.fisheye();
-  o.monocular = sequence.kind() == seq::camera_kind::mono;
-  o.rgbd = sequence.kind() == seq::camera_kind::rgbd;
-  o.depth_unit = sequence.depth_unit();
-  if (!o.fisheye) { return; }
-  o.left = kannala_brandt_of(rig.left);
-  o.right = kannala_brandt_of(rig.right);
-  o.T_right_left = plain_pose(rig.T_left_right.inverse());
+  bool const fisheye = sequence.fisheye();
+  auto const baseline = static_cast<double>(static_cast<float>(rig.baseline()));
+  auto const left = camera_of(rig.left, fisheye);
+  if (sequence.kind() == seq::camera_kind::mono) { return ft::rig_description::monocular(left); }
+  if (sequence.kind() == seq::camera_kind::rgbd) {
+    auto rgbd = ft::rig_description::rgbd(left, baseline, sequence.depth_unit());
+    rgbd.min_depth = a.min_depth;
+    rgbd.max_depth = a.max_depth;
+    return rgbd;
+  }
+  if (fisheye) {
+    return ft::rig_description::fisheye_pair(left, camera_of(rig.right, true),
+                                             rigid_of(rig.T_left_right.inverse()));
+  }
+  return ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy,
+                                             baseline);
+}
+
+ft::imu_params imu_params_of(seq::sequence const& sequence) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  auto const& imu = *sequence.imu();
+  auto const& noise = imu.calibration.noise;
+  ft::imu_params p;
+  p.present = true;
+  p.T_bc = rigid_of(imu.T_imu_left);
+  p.noise = {f(noise.gyro), f(noise.accel), f(noise.gyro_walk), f(noise.accel_walk),
+             f(imu.calibration.rate_hz)};
+  return p;
 }
 
 seq::camera_kind kind_of(std::string const& rig) {
@@ -92,46 +110,48 @@ seq::sequence open_sequence(arguments const& a) {
   }
 }
 
-odometry_options options_of(arguments const& a, seq::sequence const& sequence) {
+odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
+  auto const f = [](double v) { return static_cast<float>(v); };
   auto const& settings = sequence.settings();
-  odometry_options o;
-  o.min_depth = a.min_depth;
-  o.max_depth = a.max_depth;
-  set_rig(sequence, o);
-  o.features =
-      a.features > 0 ? a.features : settings.features.value_or(o.width > 1000 ? 2000 : 1200);
-  o.levels = settings.levels.value_or(o.levels);
+  odometry_setup o;
+  o.rig = rig_of(a, sequence);
+  ft::odometry_params& p = o.params;
+  p.orb.width = sequence.rig().left.width;
+  p.orb.height = sequence.rig().left.height;
+  p.orb.features =
+      a.features > 0 ? a.features : settings.features.value_or(p.orb.width > 1000 ? 2000 : 1200);
+  p.orb.levels = settings.levels.value_or(8);
   o.scale_factor = settings.scale_factor.value_or(o.scale_factor);
-  o.ini_threshold = settings.ini_threshold.value_or(o.ini_threshold);
-  o.min_threshold = settings.min_threshold.value_or(o.min_threshold);
+  p.orb.scale_factor = f(o.scale_factor);
+  p.orb.ini_threshold = settings.ini_threshold.value_or(20);
+  p.orb.min_threshold = settings.min_threshold.value_or(7);
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
+  p.rules.near_depth = f(o.near_depth);
+  p.map_slots = std::max(p.map_slots, 8 * p.orb.features);
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
-  o.measure_stages = a.timing;
+  p.measure_stages = a.timing;
   // Nothing is prefetched where stages are timed, frames arrive in real time, or one thread is
   // asked for.
-  bool const one_by_one =
-      o.monocular || a.timing || a.realtime || a.read_ahead == 0 || a.threads == 1;
-  o.prefetch = one_by_one ? 0 : 4;
-  if (sequence.imu()) {
-    auto const& imu = *sequence.imu();
-    auto const& noise = imu.calibration.noise;
-    o.imu = imu_options{
-        plain_pose(imu.T_imu_left), noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk,
-        imu.calibration.rate_hz};
-  }
+  bool const one_by_one = o.rig.kind == ft::rig_kind::monocular || a.timing || a.realtime ||
+                          a.read_ahead == 0 || a.threads == 1;
+  p.prefetch = one_by_one ? 0 : 4;
+  if (sequence.imu()) { p.imu = imu_params_of(sequence); }
   return o;
 }
 
-std::unique_ptr<odometry> make_odometry(arguments const& a, odometry_options const& options,
-                                        std::string& backend) {
-  std::string const gpu = a.backend == "host" ? std::string() : cuda_device_name();
-  if (a.backend == "cuda" && gpu.empty()) {
+ft::any_odometry make_odometry(arguments const& a, odometry_setup const& setup,
+                               std::string& backend, std::string& device) {
+  std::vector<std::string> const gpus =
+      a.backend == "host" ? std::vector<std::string>() : ft::gpu_names();
+  if (a.backend == "cuda" && gpus.empty()) {
     throw seq::error("--backend cuda: no CUDA device here, or the program was built without CUDA");
   }
-  backend = gpu.empty() ? "host" : "cuda";
+  backend = gpus.empty() ? "host" : "cuda";
+  device = gpus.empty() ? processor_name() : gpus[0];
+  ft::device const where{gpus.empty() ? ft::device::host : 0, setup.threads};
   try {
-    return gpu.empty() ? make_host_odometry(options) : make_cuda_odometry(options);
+    return ft::make_odometry(where, setup.rig, setup.params);
   } catch (std::exception const& e) {  // options that contradict each other
     throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
   }
@@ -142,24 +162,22 @@ int usual_read_ahead(std::string const& backend) {
   return backend == "cuda" ? 2 * threads : std::max(2, 3 * (threads + 1) / 8);
 }
 
-rigid_pose plain_pose(Eigen::Isometry3d const& T) {
-  rigid_pose p;
+ft::rigid<double> rigid_of(Eigen::Isometry3d const& T) {
+  ft::rigid<double> p;
   for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) { p.R[static_cast<std::size_t>(3 * r + c)] = T.linear()(r, c); }
-    p.t[static_cast<std::size_t>(r)] = T.translation()(r);
+    for (int c = 0; c < 3; ++c) { p.R.m[3 * r + c] = T.linear()(r, c); }
   }
+  p.t = {T.translation().x(), T.translation().y(), T.translation().z()};
   return p;
 }
 
-seq::stamped_pose stamped(std::int64_t time_ns, rigid_pose const& T) {
+seq::stamped_pose stamped(std::int64_t time_ns, ft::rigid<double> const& T) {
   seq::stamped_pose s;
   s.time_ns = time_ns;
   for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      s.T_world_camera.linear()(r, c) = T.R[static_cast<std::size_t>(3 * r + c)];
-    }
-    s.T_world_camera.translation()(r) = T.t[static_cast<std::size_t>(r)];
+    for (int c = 0; c < 3; ++c) { s.T_world_camera.linear()(r, c) = T.R.m[3 * r + c]; }
   }
+  s.T_world_camera.translation() = Eigen::Vector3d(T.t.x, T.t.y, T.t.z);
   return s;
 }
 

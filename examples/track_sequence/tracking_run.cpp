@@ -4,7 +4,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstddef>
@@ -18,7 +17,6 @@
 
 #include "examples/sequence/read_ahead.hpp"
 #include "examples/track_sequence/interrupt.hpp"
-#include "examples/track_sequence/setup.hpp"
 
 namespace app {
 namespace {
@@ -62,15 +60,23 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
   return s;
 }
 
-frame_pixels pixels_of(seq::stereo_frame const& frame) {
-  return {frame.left.pixels.data(), frame.right.pixels.data(), frame.depth.pixels.data()};
+/// Of whichever images the frame has.
+ft::any_images images_of(seq::stereo_frame const& frame) {
+  auto const gray = [](seq::image const& i) {
+    return ft::gray_view{i.pixels.data(), i.width, i.height, i.width};
+  };
+  ft::any_images images{{gray(frame.left), gray(frame.right)}, {}};
+  auto const& depth = frame.depth;
+  images.depth = ft::image_view<std::uint16_t const>{depth.pixels.data(), depth.width, depth.height,
+                                                     depth.width};
+  return images;
 }
 
 /// The frames to be tracked, in their order. The odometry gets the images of each one early.
 class upcoming_frames {
 public:
   /// @param prefetch frames that the odometry may have at a time; 0 = none
-  upcoming_frames(seq::read_ahead& reader, int frames, odometry& odometry, int prefetch)
+  upcoming_frames(seq::read_ahead& reader, int frames, timed_odometry& odometry, int prefetch)
       : reader_(reader),
         frames_(frames),
         odometry_(odometry),
@@ -98,14 +104,14 @@ private:
   void give(int i) {
     try {
       seq::stereo_frame frame = reader_.take(i);
-      odometry_.prefetch(pixels_of(frame));
+      odometry_.prefetch(images_of(frame));
       given_.push_back(std::move(frame));
     } catch (...) { failure_ = std::current_exception(); }
   }
 
   seq::read_ahead& reader_;
   int frames_;
-  odometry& odometry_;
+  timed_odometry& odometry_;
   std::size_t prefetch_;
   std::deque<seq::stereo_frame> given_;
   int next_ = 0;
@@ -114,14 +120,15 @@ private:
 
 }  // namespace
 
-tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
+tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence,
+                           odometry_setup const& setup, timed_odometry& odometry,
                            seq::run_report& report)
     : arguments_(a),
       sequence_(sequence),
       odometry_(odometry),
       report_(report),
-      scale_factor_(options_of(a, sequence).scale_factor),
-      prefetch_(options_of(a, sequence).prefetch),
+      scale_factor_(setup.scale_factor),
+      prefetch_(setup.params.prefetch),
       left_lens_(sequence.rig().left) {
   if (!a.record.empty()) { recording_.emplace(a.record, sequence, report.stages); }
 }
@@ -172,20 +179,22 @@ void tracking_run::track_all() {
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
   frame_outcome const outcome = prefetch_ > 0 ? odometry_.track_prefetched(frame.time_ns)
-                                              : odometry_.track(frame.time_ns, pixels_of(frame));
+                                              : odometry_.track(images_of(frame), frame.time_ns);
+  ft::tracking const& found = outcome.found;
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
   if (recording_) {
-    recording_->add(report_.records.back(), outcome.T_wc, frame.left, odometry_.keypoints());
+    recording_->add(report_.records.back(), found.T_world_camera, frame.left,
+                    odometry_.keypoints());
   }
-  if (outcome.tracked && outcome.metric && !report_.metric) {
+  if (outcome.tracked && found.metric && !report_.metric) {
     report_.metric = true;
     report_.estimate.clear();  // poses of an unknown scale
   }
-  if (outcome.tracked && outcome.metric == report_.metric) {
-    report_.estimate.push_back(stamped(frame.time_ns, outcome.T_wc));
+  if (outcome.tracked && found.metric == report_.metric) {
+    report_.estimate.push_back(stamped(frame.time_ns, found.T_world_camera));
   }
-  if (outcome.tracked && outcome.keyframe) { add_points(outcome.T_wc); }
+  if (outcome.tracked && found.keyframe) { add_points(found.T_world_camera); }
   add_sample(i, std::move(frame.left));
 }
 
@@ -194,18 +203,19 @@ void tracking_run::add_imu(std::int64_t to_ns) {
   report_.with_imu = sequence_.imu().has_value();
   if (!report_.with_imu) { return; }
   auto const& samples = sequence_.imu()->samples;
-  auto const plain = [](Eigen::Vector3d const& v) {
-    return std::array<double, 3>{v.x(), v.y(), v.z()};
+  auto const narrowed = [](Eigen::Vector3d const& v) {
+    return ft::vec3<double>{v.x(), v.y(), v.z()}.cast<float>();
   };
   bool more = true;
   while (more && next_sample_ < samples.size()) {
     auto const& s = samples[next_sample_++];
-    odometry_.add_imu(s.time_ns, plain(s.accel), plain(s.gyro));
+    odometry_.odometry().add_imu({s.time_ns, narrowed(s.accel), narrowed(s.gyro)});
     more = s.time_ns < to_ns;
   }
 }
 
 void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& outcome) {
+  ft::tracking const& found = outcome.found;
   ++report_.frames;
   report_.tracked += static_cast<int>(outcome.tracked);
   report_.lost += static_cast<int>(!outcome.tracked);
@@ -213,27 +223,34 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.index = i;
   record.time_ns = time_ns;
   record.tracked = outcome.tracked;
-  record.keyframe = outcome.keyframe;
-  record.keypoints = outcome.keypoints;
-  record.stereo_matches = outcome.stereo_matches;
-  record.inliers = outcome.inliers;
-  record.local_points = outcome.local_points;
+  record.keyframe = found.keyframe;
+  record.keypoints = found.keypoints;
+  record.stereo_matches = found.stereo_points;
+  record.inliers = found.inliers;
+  record.local_points = found.local_points;
   record.images_to_pose_ms = outcome.images_to_pose_ms;
   record.reason = outcome.reason;
   record.why = outcome.why;
-  record.imu_warnings = outcome.imu.warnings;
+  record.imu_warnings = outcome.imu_warnings;
+  if (outcome.tracked) {
+    for (int row = 0; row < 6; ++row) {  // the upper triangle
+      double const* const begin = found.covariance + 6 * row;
+      record.covariance.insert(record.covariance.end(), begin + row, begin + 6);
+    }
+  }
   if (arguments_.timing) {
     record.stage_ms = outcome.stage_ms;
   } else {
     record.stage_ms = {outcome.stage_ms.back()};
   }
-  if (outcome.imu.known) {
-    auto const vector = [](std::array<double, 3> const& v) {
-      return Eigen::Vector3d(v[0], v[1], v[2]);
+  if (found.imu.known) {
+    auto const vector = [](auto const& v) {
+      auto const wide = v.template cast<double>();
+      return Eigen::Vector3d(wide.x, wide.y, wide.z);
     };
-    record.imu = seq::imu_record{outcome.imu.optimized, vector(outcome.imu.velocity),
-                                 vector(outcome.imu.gyro_bias), vector(outcome.imu.accel_bias),
-                                 vector(outcome.imu.gravity)};
+    record.imu = seq::imu_record{found.imu.optimized, vector(found.imu.velocity),
+                                 vector(found.imu.bias.gyro), vector(found.imu.bias.accel),
+                                 vector(found.imu.gravity)};
   }
   report_.records.push_back(std::move(record));
 }
@@ -254,7 +271,7 @@ void tracking_run::add_sample(int i, seq::image picture) {
 
 /// Adds the points that a keyframe begins, where they are then, to the report's cloud. When that is
 /// full, every second one goes, and of those to come as many are left out.
-void tracking_run::add_points(rigid_pose const& T_wc) {
+void tracking_run::add_points(ft::rigid<double> const& T_wc) {
   for (seen_keypoint const& k : odometry_.keypoints()) {
     if (k.point < 0 || k.matched || !(k.depth > 0) || points_seen_++ % points_step_ != 0) {
       continue;
@@ -262,10 +279,9 @@ void tracking_run::add_points(rigid_pose const& T_wc) {
     auto const ray = left_lens_.unproject({static_cast<double>(k.x), static_cast<double>(k.y)});
     if (!ray.valid) { continue; }
     auto const depth = static_cast<double>(k.depth);
-    auto const p =
-        T_wc * std::array<double, 3>{depth * ray.pixel.x(), depth * ray.pixel.y(), depth};
-    report_.cloud.emplace_back(static_cast<float>(p[0]), static_cast<float>(p[1]),
-                               static_cast<float>(p[2]));
+    auto const p = T_wc * ft::vec3<double>{depth * ray.pixel.x(), depth * ray.pixel.y(), depth};
+    report_.cloud.emplace_back(static_cast<float>(p.x), static_cast<float>(p.y),
+                               static_cast<float>(p.z));
     if (report_.cloud.size() < most_cloud_points) { continue; }
     std::size_t kept = 0;
     for (std::size_t i = 0; i < report_.cloud.size(); i += 2) {

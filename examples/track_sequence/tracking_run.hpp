@@ -9,9 +9,10 @@
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/rectify.hpp"
 #include "examples/sequence/report.hpp"
-#include "examples/track_sequence/odometry.hpp"
 #include "examples/track_sequence/options.hpp"
 #include "examples/track_sequence/recording.hpp"
+#include "examples/track_sequence/setup.hpp"
+#include "examples/track_sequence/timed_odometry.hpp"
 
 namespace app {
 
@@ -21,8 +22,8 @@ public:
   /// @param a with a number of pairs to read ahead
   /// @param report gets records, poses, samples and counts; has the names of stages
   /// @throws seq::error for a recording that cannot be written
-  tracking_run(arguments const& a, seq::sequence const& sequence, odometry& odometry,
-               seq::run_report& report);
+  tracking_run(arguments const& a, seq::sequence const& sequence, odometry_setup const& setup,
+               timed_odometry& odometry, seq::run_report& report);
 
   /// Reads ahead on other threads and tracks. Ends after the last frame, at a signal, or at an
   /// image that cannot be read; report.stopped_at and stopped_by tell these apart.
@@ -34,12 +35,12 @@ private:
   void add_imu(std::int64_t to_ns);
   void add_record(int i, std::int64_t time_ns, frame_outcome const& outcome);
   void add_sample(int i, seq::image picture);
-  void add_points(rigid_pose const& T_wc);
+  void add_points(ft::rigid<double> const& T_wc);
   double arrival_ms(int i) const;
 
   arguments const& arguments_;
   seq::sequence const& sequence_;
-  odometry& odometry_;
+  timed_odometry& odometry_;
   seq::run_report& report_;
   double scale_factor_;
   int prefetch_;  ///< frames that the odometry gets early

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The shim between ORB-SLAM3's tracking and ft.
 ///
-/// A template over the system's own types, compiled inside it; see README.md in this folder.
+/// A template over the system's own types, compiled inside it; see docs/orbslam3.md.
 #pragma once
 
 #include <cstddef>
@@ -307,6 +307,7 @@ public:
   traffic bytes() const { return device_->bytes(); }
   void reset_bytes() { device_->reset_bytes(); }
   map_mirror<map_point> const& mirror() const { return mirror_; }
+  map_mirror<map_point>& mirror() { return mirror_; }
 
 private:
   using map_call_end = typename map_mirror<map_point>::call_end;

@@ -12,7 +12,6 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
@@ -20,6 +19,7 @@
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/poses.hpp"
 #include "integration/orbslam3/call_clock.hpp"
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/helper_threads.hpp"

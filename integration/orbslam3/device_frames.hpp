@@ -7,7 +7,6 @@
 #include <cstring>
 
 #include "ft/containers/feature_grid.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/stereo_matches.hpp"

@@ -9,7 +9,6 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"

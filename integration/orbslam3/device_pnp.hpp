@@ -9,10 +9,10 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pnp/problem.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
+#include "ft/types/poses.hpp"
 #include "integration/orbslam3/call_clock.hpp"
 #include "integration/orbslam3/own_stream.hpp"
 #include "integration/orbslam3/recovery_types.hpp"

@@ -17,7 +17,6 @@
 #include "ft/kernels/search/keyframe.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/local_map.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/local_memory.hpp"

@@ -10,6 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "integration/orbslam3/verify_report.hpp"
+
 namespace ft {
 namespace orbslam3 {
 
@@ -63,6 +65,31 @@ int other_bits(Matrix const& a, std::size_t i, Matrix const& b, std::size_t j) {
     bits += std::bitset<8>(static_cast<unsigned char>(p[byte] ^ q[byte])).count();
   }
   return static_cast<int>(bits);
+}
+
+/// Adds what differs: as sets first, then of each keypoint.
+template <typename Keypoint, typename Matrix>
+void compare_features(difference_log& log, char const* order, std::vector<Keypoint> const& cpu,
+                      std::vector<Keypoint> const& gpu, Matrix const& cpu_rows,
+                      Matrix const& gpu_rows) {
+  log.compare("number of keypoints", -1, cpu.size(), gpu.size());
+  keypoint_pairs const pairs = pair_keypoints(cpu, gpu);
+  for (std::size_t const i : pairs.first_alone) {
+    log.compare("keypoint of the CPU alone", static_cast<long>(i), 1, 0);
+  }
+  for (std::size_t const i : pairs.second_alone) {
+    log.compare("keypoint of the GPU alone", static_cast<long>(i), 0, 1);
+  }
+  long moved = 0;
+  for (auto const& [i, j] : pairs.common) {
+    auto const at = static_cast<long>(i);
+    moved += static_cast<long>(i != j);
+    log.compare("angle of keypoint", at, cpu[i].angle, gpu[j].angle);
+    log.compare("response of keypoint", at, cpu[i].response, gpu[j].response);
+    log.compare("descriptor bits of keypoint", at, 0, other_bits(cpu_rows, i, gpu_rows, j));
+  }
+  bool const same_set = pairs.first_alone.empty() && pairs.second_alone.empty();
+  if (same_set && moved > 0) { log.add_number(order, moved); }
 }
 
 }  // namespace orbslam3

@@ -13,7 +13,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

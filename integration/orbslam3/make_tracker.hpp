@@ -21,7 +21,7 @@ std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
 /// On the current GPU. On host threads if there is no GPU, if it fails, if the unit was compiled
 /// without CUDA, or with FT_ORBSLAM3_DEVICE=host. Prints the choice on stderr.
-/// @throws bad_argument for invalid settings; for units of another compiler, a std::runtime_error
+/// @throws bad_argument for invalid settings
 std::unique_ptr<device_tracker> make_tracker(settings const& s) {
   char const* const chosen = std::getenv("FT_ORBSLAM3_DEVICE");
   std::string reason = "FT_ORBSLAM3_DEVICE=host";

@@ -150,6 +150,20 @@ public:
   /// The point in a slot that the last call has visited.
   MapPoint* owner(int slot) const { return entries_[index(slot)].owner; }
 
+  /// With hooks, between calls: copies what the device has, or is about to get, of a point after
+  /// all that was pushed. Returns whether it has the point.
+  bool copy(MapPoint const* point, point_fields& fields, bool& bad) {
+    auto const lock = lock_first();
+    if (detection_ != change_detection::hooks) { return false; }
+    ++round_;
+    look_at_changes(std::numeric_limits<std::size_t>::max());
+    auto const known = slot_by_address_.find(point);
+    if (known == slot_by_address_.end()) { return false; }
+    fields = records_[index(known->second)].sent;
+    bad = entries_[index(known->second)].bad;
+    return true;
+  }
+
   /// Enqueues the upload of the changes, and ends the call.
   void flush() {
     if (on_device_ < capacity_) {

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <iterator>
 #include <limits>
+#include <mutex>
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
@@ -19,8 +20,8 @@ namespace orbslam3 {
 /// The float near scaled / factor whose product with `factor` is `scaled`; without one, that
 /// quotient.
 ///
-/// MapPoint returns its distance limits times 0.8 and 1.2. Range tests multiply again and get
-/// exactly these values. Two adjacent limits may have the same product (for 1.2, where it passes a
+/// MapPoint returns its distance limits times 0.8f and 1.2f. Range tests multiply again and get
+/// exactly these values. Two adjacent limits may have the same product (for 1.2f, where it passes a
 /// power of two; the lower limit is taken). So the result is the stored limit or its neighbour: at
 /// most 2^-23 off.
 inline float unscaled(float scaled, float factor) {
@@ -38,11 +39,37 @@ inline float unscaled(float scaled, float factor) {
   return quotient;
 }
 
+/// The limit that octaves are predicted from, which MapPoint returns only as a product: one float
+/// beside it gives another octave where limit / distance is a power of the scale factor, as it is
+/// for a camera that stands still. A derived class may name the protected members.
+template <typename MapPoint>
+class stored_limit : MapPoint {
+public:
+  /// @param shown GetMaxDistanceInvariance()
+  static float of(MapPoint& p, float shown) { return of<stored_limit>(p, shown, 0); }
+
+private:
+  template <typename Self>
+  static auto of(MapPoint& p, float shown, int)
+      -> decltype(static_cast<void>(&Self::mMutexPos), p.*(&Self::mfMaxDistance) * 1.0f) {
+    float stored = 0;
+    {
+      std::lock_guard<std::mutex> const lock(p.*(&Self::mMutexPos));
+      stored = p.*(&Self::mfMaxDistance);
+    }
+    return 1.2f * stored == shown ? stored : unscaled(shown, 1.2f);
+  }
+  /// A system whose map points have other members.
+  template <typename Self>
+  static float of(MapPoint& /*p*/, float shown, long) {
+    return unscaled(shown, 1.2f);
+  }
+};
+
 /// A map point's fields.
 struct point_fields {
   float position[3];
   float normal[3];
-  float shown[2];   ///< distance limits as the map point returns them
   float limits[2];  ///< lowest and highest distance, raw, metres
   std::uint32_t descriptor[8];
   bool observed;
@@ -64,13 +91,8 @@ bool read_fields(MapPoint& p, point_fields& f) {
     f.position[i] = position(i);
     f.normal[i] = normal(i);
   }
-  float const shown[2] = {p.GetMinDistanceInvariance(), p.GetMaxDistanceInvariance()};
-  // The limits are computed again only after a change.
-  if (differ(f.shown, shown)) {
-    std::memcpy(f.shown, shown, sizeof shown);
-    f.limits[0] = unscaled(shown[0], 0.8f);
-    f.limits[1] = unscaled(shown[1], 1.2f);
-  }
+  f.limits[0] = unscaled(p.GetMinDistanceInvariance(), 0.8f);
+  f.limits[1] = stored_limit<MapPoint>::of(p, p.GetMaxDistanceInvariance());
   auto const descriptor = p.GetDescriptor();
   if (descriptor.rows * descriptor.cols == 32) {
     std::memcpy(f.descriptor, descriptor.data, sizeof f.descriptor);

@@ -4,7 +4,7 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {

@@ -26,7 +26,10 @@ namespace orbslam3 {
 /// is kept. For finding errors, not for speed.
 ///
 /// Mapping changes points concurrently. Stages that read the map are therefore run by the CPU once
-/// more after the accelerator. Only values that differ from both of the CPU's results count.
+/// more after the accelerator. Only values that differ from both of the CPU's results count, if
+/// they do so again: see difference_log::make(). What the accelerator refuses is no difference, but
+/// the CPU's, and counted apart. With hooks, points of the local map that changed without one are
+/// told.
 template <typename Types>
 class verifier {
 public:
@@ -61,11 +64,11 @@ public:
     int const mono = frame.monoLeft;
     gpu_->extract(images..., frame);
     log_.compare("keypoints outside of the overlap", -1, mono, frame.monoLeft);
-    compare_features("left keypoints: same set, other order", left, frame.mvKeys, left_rows,
+    compare_features(log_, "left keypoints: same set, other order", left, frame.mvKeys, left_rows,
                      frame.mDescriptors);
     if (sizeof...(images) < 2) { return; }
-    compare_features("right keypoints: same set, other order", right, frame.mvKeysRight, right_rows,
-                     frame.mDescriptorsRight);
+    compare_features(log_, "right keypoints: same set, other order", right, frame.mvKeysRight,
+                     right_rows, frame.mDescriptorsRight);
   }
 
   /// Positions without distortion, compared to the bit. @param cpu Frame::UndistortKeyPoints
@@ -126,8 +129,6 @@ public:
                   [&] { return gpu_->search_by_projection(current, last, th, mono); });
   }
 
-  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept. Likewise
-  /// below.
   /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
   template <typename KeyFrame, typename Found, typename Cpu>
   int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
@@ -146,8 +147,13 @@ public:
     begin(frame, stage::solve_pnp);
     pnp_trial const by_cpu(cpu() ? 1 : 0, to);
     pnp_trial const by_gpu(gpu_->solve_pnp(frame, matches, progress, to), to);
-    compare_pnp(log_, tolerances_, by_cpu, by_gpu, matches);
-    pnp_trial const& kept = by_gpu.found == recovery_refused ? by_cpu : by_gpu;
+    bool const refused = by_gpu.found == recovery_refused;
+    if (refused) {
+      log_.add_refusal();
+    } else {
+      compare_pnp(log_, tolerances_, by_cpu, by_gpu, matches);
+    }
+    pnp_trial const& kept = refused ? by_cpu : by_gpu;
     kept.keep(to);
     return kept.found == 1;
   }
@@ -159,6 +165,7 @@ public:
     begin(frame, stage::search_local_map);
     std::vector<bool> tested;
     for (map_point* const p : points) {
+      hooks_.add(log_, gpu_->mirror(), *p, frame.mnId);
       tested.push_back(p->mnLastFrameSeen != frame.mnId && !p->isBad());
     }
     local_state const before(0, frame, points);
@@ -180,18 +187,21 @@ public:
       put(before);
       return state;
     };
-    local_state const cpu_first = run(cpu);
-    local_state const gpu = run(
-        [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); });
-    local_state const cpu_again = run(cpu);
-    put(gpu);
-    count_visible(gpu, 1);
-    compare_matches(cpu_first.held, cpu_again.held, gpu.held);
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      compare_tracked<map_point>(log_, tolerances_, static_cast<long>(i), frame.Nleft != -1,
-                                 {cpu_first.seen[i], cpu_again.seen[i], gpu.seen[i]});
-    }
-    return gpu.held.matches;
+    local_state kept = before;
+    log_.make([&] {
+      local_state const cpu_first = run(cpu);
+      kept = run(
+          [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); });
+      local_state const cpu_again = run(cpu);
+      compare_matches(cpu_first.held, cpu_again.held, kept.held);
+      for (std::size_t i = 0; i < points.size(); ++i) {
+        compare_tracked<map_point>(log_, tolerances_, static_cast<long>(i), frame.Nleft != -1,
+                                   {cpu_first.seen[i], cpu_again.seen[i], kept.seen[i]});
+      }
+    });
+    put(kept);
+    count_visible(kept, 1);
+    return kept.held.matches;
   }
 
   /// @param cpu Optimizer::PoseOptimization; returns its inliers
@@ -207,41 +217,34 @@ public:
       frame.SetPose(start);
       return result;
     };
-    auto const cpu_first = run(cpu);
-    auto const gpu = run([&] { return gpu_->pose_optimization(frame, which); });
-    auto const cpu_again = run(cpu);
-    frame.SetPose(gpu.pose);
-    frame.mvbOutlier = gpu.outliers;
-    log_.compare("inliers", -1, cpu_first.inliers, cpu_again.inliers, gpu.inliers);
-    for (std::size_t i = 0; i < outliers.size(); ++i) {
-      if (frame.mvpMapPoints[i] == nullptr) { continue; }
-      log_.compare("outlier", static_cast<long>(i), cpu_first.outliers[i], cpu_again.outliers[i],
-                   gpu.outliers[i]);
-    }
-    transform const a = transform_of(cpu_first.pose);
-    transform const b = transform_of(cpu_again.pose);
-    transform const g = transform_of(gpu.pose);
-    for (int i = 0; i < 9; ++i) {
-      log_.compare("rotation entry", i, a.R[i], b.R[i], g.R[i], tolerances_.pose);
-    }
-    for (int i = 0; i < 3; ++i) {
-      log_.compare("translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
-    }
-    return gpu.inliers;
+    posed<std::decay_t<decltype(start)>> kept{0, start, outliers};
+    log_.make([&] {
+      auto const cpu_first = run(cpu);
+      kept = run([&] { return gpu_->pose_optimization(frame, which); });
+      compare_poses(frame, cpu_first, run(cpu), kept);
+    });
+    frame.SetPose(kept.pose);
+    frame.mvbOutlier = kept.outliers;
+    return kept.inliers;
   }
 
-  /// If the accelerator refuses the frame, that is a difference, and the CPU's answer is kept.
   /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     begin(frame, which);
     inertial_trials<frame_type> trials(frame);
-    auto cpu_first = trials.run(cpu);
-    auto gpu = trials.run([&] { return gpu_->inertial_pose_optimization(frame, which); });
-    auto const cpu_again = trials.run(cpu);
-    inertial_comparison(log_, tolerances_, cpu_first, cpu_again, gpu)
-        .add(frame.mvpMapPoints, inertial_steps(frame, which == stage::pose_inertial_last_frame));
-    auto& kept = gpu.tracked == inertial_refused ? cpu_first : gpu;
+    typename inertial_trials<frame_type>::outcome kept;
+    log_.make([&] {
+      auto cpu_first = trials.run(cpu);
+      kept = trials.run([&] { return gpu_->inertial_pose_optimization(frame, which); });
+      if (kept.tracked == inertial_refused) {
+        kept = std::move(cpu_first);
+        return log_.add_refusal();
+      }
+      auto const cpu_again = trials.run(cpu);
+      inertial_comparison(log_, tolerances_, cpu_first, cpu_again, kept)
+          .add(frame.mvpMapPoints, inertial_steps(frame, which == stage::pose_inertial_last_frame));
+    });
     trials.keep(kept);
     return kept.tracked;
   }
@@ -261,7 +264,6 @@ public:
     });
   }
 
-  /// If the accelerator refuses, that is a difference, and the CPU's answer is kept.
   /// @param cpu ORBmatcher::SearchByBoW with the same arguments; returns its matches
   template <typename KeyFrame, typename Cpu>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
@@ -272,12 +274,9 @@ public:
       int const n = call();
       return matched{n, matches};
     };
-    matched const cpu_first = run(cpu);
-    matched const gpu = run(
-        [&] { return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check); });
-    matched const cpu_again = run(cpu);
-    compare_matches(cpu_first, cpu_again, gpu);
-    matched const& kept = gpu.matches == words_refused ? cpu_first : gpu;
+    matched const kept = compared_matches(run, cpu, [&] {
+      return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check);
+    });
     matches = kept.points;
     return kept.matches;
   }
@@ -302,13 +301,24 @@ private:
       int const matches = call();
       return matched{matches, std::exchange(frame.mvpMapPoints, before)};
     };
-    matched const cpu_first = run(cpu);
-    matched const gpu = run(on_gpu);
-    matched const cpu_again = run(cpu);
-    compare_matches(cpu_first, cpu_again, gpu);
-    matched const& kept = gpu.matches < 0 ? cpu_first : gpu;
+    matched const kept = compared_matches(run, cpu, on_gpu);
     frame.mvpMapPoints = kept.points;
     return kept.matches;
+  }
+  /// @param run makes a call, and starts from the same state each time
+  template <typename Run, typename Cpu, typename Gpu>
+  matched compared_matches(Run const& run, Cpu const& cpu, Gpu const& on_gpu) {
+    matched kept{};
+    log_.make([&] {
+      matched const cpu_first = run(cpu);
+      kept = run(on_gpu);
+      if (kept.matches == recovery_refused) {
+        kept = cpu_first;
+        return log_.add_refusal();
+      }
+      compare_matches(cpu_first, run(cpu), kept);
+    });
+    return kept;
   }
   struct local_state {
     matched held;
@@ -326,6 +336,25 @@ private:
     Pose pose;
     std::vector<bool> outliers;
   };
+  template <typename Pose>
+  void compare_poses(frame_type const& frame, posed<Pose> const& cpu, posed<Pose> const& again,
+                     posed<Pose> const& gpu) {
+    log_.compare("inliers", -1, cpu.inliers, again.inliers, gpu.inliers);
+    for (std::size_t i = 0; i < gpu.outliers.size(); ++i) {
+      if (frame.mvpMapPoints[i] == nullptr) { continue; }
+      log_.compare("outlier", static_cast<long>(i), cpu.outliers[i], again.outliers[i],
+                   gpu.outliers[i]);
+    }
+    transform const a = transform_of(cpu.pose);
+    transform const b = transform_of(again.pose);
+    transform const g = transform_of(gpu.pose);
+    for (int i = 0; i < 9; ++i) {
+      log_.compare("rotation entry", i, a.R[i], b.R[i], g.R[i], tolerances_.pose);
+    }
+    for (int i = 0; i < 3; ++i) {
+      log_.compare("translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
+    }
+  }
   void begin(frame_type const& frame, stage s) {
     log_.begin(frame.mnId, s);
     elsewhere_.add_to(log_);
@@ -341,29 +370,6 @@ private:
       double const limit = (cpu[i] < 0) != (gpu[i] < 0) ? 0 : allowed + relative * std::abs(size);
       log_.compare(what, static_cast<long>(i), cpu[i], cpu[i], gpu[i], limit);
     }
-  }
-  template <typename Keypoint, typename Matrix>
-  void compare_features(char const* order, std::vector<Keypoint> const& cpu,
-                        std::vector<Keypoint> const& gpu, Matrix const& cpu_rows,
-                        Matrix const& gpu_rows) {
-    log_.compare("number of keypoints", -1, cpu.size(), gpu.size());
-    keypoint_pairs const pairs = pair_keypoints(cpu, gpu);
-    for (std::size_t const i : pairs.first_alone) {
-      log_.compare("keypoint of the CPU alone", static_cast<long>(i), 1, 0);
-    }
-    for (std::size_t const i : pairs.second_alone) {
-      log_.compare("keypoint of the GPU alone", static_cast<long>(i), 0, 1);
-    }
-    long moved = 0;
-    for (auto const& [i, j] : pairs.common) {
-      auto const at = static_cast<long>(i);
-      moved += static_cast<long>(i != j);
-      log_.compare("angle of keypoint", at, cpu[i].angle, gpu[j].angle);
-      log_.compare("response of keypoint", at, cpu[i].response, gpu[j].response);
-      log_.compare("descriptor bits of keypoint", at, 0, other_bits(cpu_rows, i, gpu_rows, j));
-    }
-    bool const same_set = pairs.first_alone.empty() && pairs.second_alone.empty();
-    if (same_set && moved > 0) { log_.add_number(order, moved); }
   }
   void compare_matches(matched const& cpu, matched const& again, matched const& gpu) {
     auto const id = [](map_point const* p) {
@@ -383,6 +389,7 @@ private:
   accelerator<Types>* gpu_;
   difference_log log_;
   calls_elsewhere elsewhere_;
+  hook_watch<map_point> hooks_;
   tolerances tolerances_;
 };
 

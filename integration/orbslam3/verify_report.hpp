@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <functional>
+#include <optional>
 #include <ostream>
 #include <utility>
 #include <vector>
@@ -15,7 +16,8 @@
 namespace ft {
 namespace orbslam3 {
 
-/// One value that differs, or a number of keypoints at other places of the same set.
+/// One value that differs, a number of keypoints at other places of the same set, or a map point
+/// that changed without a hook.
 struct difference {
   stage where;
   unsigned long frame;  ///< Frame::mnId
@@ -24,11 +26,13 @@ struct difference {
   double cpu;           ///< map points by mnId, -1 = none
   double gpu;
   bool number = false;  ///< only `gpu` is set, to a number
+  bool stale = false;   ///< the device has an old `what` of map point `index`: a hook is missing
 };
 
 inline std::ostream& operator<<(std::ostream& out, difference const& d) {
   out << "frame " << d.frame << ", " << name_of(d.where) << ": " << d.what;
   if (d.number) { return out << ": " << d.gpu; }
+  if (d.stale) { return out << " of map point " << d.index << " changed without a hook"; }
   if (d.index >= 0) { out << " " << d.index; }
   return out << ": CPU " << d.cpu << ", GPU " << d.gpu;
 }
@@ -46,7 +50,7 @@ struct tolerances {
   double gyro_bias = 1e-8;    ///< rad/s
   double accel_bias = 3e-6;   ///< m/s^2
   double information = 2e-6;  ///< of the square root of both diagonal entries' product
-  // Between poses by RANSAC, which are drawn: see README.md.
+  // Between poses by RANSAC, which are drawn: see docs/orbslam3.md.
   double pnp_inliers = 0.45;  ///< of the larger number
   double pnp_degrees = 6;
   double pnp_shift = 0.1;  ///< of the median distance of the inliers
@@ -77,18 +81,49 @@ public:
     ++tallies_[static_cast<std::size_t>(s)].calls;
     before_call_ = differences_;
   }
+  /// Makes a call: `trial` runs the CPU, the accelerator, and the CPU again, and compares. Mapping
+  /// may change the map in between more than once. So what differs counts only if it does in two
+  /// trials in which both of the CPU's answers are the same; other calls are counted apart.
+  template <typename Trial>
+  void make(Trial const& trial) {
+    tally& t = tallies_[static_cast<std::size_t>(stage_)];
+    found_.emplace();
+    int quiet = 0;
+    for (int k = 0; k < most_trials && quiet < 2; ++k) {
+      found_->clear();
+      moved_ = false;
+      trial();
+      if (found_->empty()) { break; }
+      quiet += static_cast<int>(!moved_);
+    }
+    std::vector<difference> const found = std::move(*found_);
+    found_.reset();
+    if (quiet >= 2) {
+      for (difference const& d : found) { add(d); }
+    } else if (quiet == 1 || !found.empty()) {
+      ++t.unconfirmed;
+    }
+  }
+  /// The accelerator has refused this call, which is the CPU's then.
+  void add_refusal() { ++tallies_[static_cast<std::size_t>(stage_)].refused; }
   /// Adds a value that is farther from both of the CPU's than allowed; two NaNs are equal.
   template <typename A, typename B>
   void compare(char const* what, long index, A cpu, A cpu_again, B gpu, double allowed = 0) {
     auto const a = static_cast<double>(cpu);
+    auto const again = static_cast<double>(cpu_again);
     auto const b = static_cast<double>(gpu);
-    if (near(a, b, allowed) || near(static_cast<double>(cpu_again), b, allowed)) { return; }
+    moved_ = moved_ || !near(a, again, 0);
+    if (near(a, b, allowed) || near(again, b, allowed)) { return; }
     add({stage_, frame_, what, index, a, b});
   }
   /// The same for a stage that does not read the map and that the CPU runs once.
   template <typename A, typename B>
   void compare(char const* what, long index, A cpu, B gpu) {
     compare(what, index, cpu, cpu, gpu);
+  }
+  /// Adds a field of a map point that changed without a hook.
+  void add_stale(char const* what, long point) {
+    add({stage_, frame_, what, point, 0, 0, false, true});
   }
   /// Adds a number instead of a pair of values, such as the number of keypoints in another order.
   void add_number(char const* what, long number) {
@@ -113,7 +148,10 @@ public:
       tally const& t = tallies_[static_cast<std::size_t>(i)];
       if (t.calls == 0) { continue; }
       out << "verify: " << name_of(static_cast<stage>(i)) << ": " << t.calls << " calls, "
-          << t.calls_that_differ << " with differences, " << t.differences << " in all\n";
+          << t.calls_that_differ << " with differences, " << t.differences << " in all";
+      if (t.refused > 0) { out << ", " << t.refused << " refused"; }
+      if (t.unconfirmed > 0) { out << ", " << t.unconfirmed << " unconfirmed"; }
+      out << "\n";
     }
   }
 
@@ -122,7 +160,10 @@ private:
     long calls = 0;
     long calls_that_differ = 0;
     long differences = 0;
+    long refused = 0;
+    long unconfirmed = 0;
   };
+  static constexpr int most_trials = 10;
 
   void end_frame() {
     if (!in_frame_) { return; }
@@ -136,6 +177,7 @@ private:
     first_.clear();
   }
   void add(difference const& d) {
+    if (found_) { return found_->push_back(d); }
     tally& t = tallies_[static_cast<std::size_t>(stage_)];
     if (differences_ == before_call_) {
       ++t.calls_that_differ;
@@ -152,7 +194,9 @@ private:
   report report_;
   std::ostream* lines_ = nullptr;
   std::array<tally, stage_count> tallies_{};
-  std::vector<difference> first_;  ///< of this frame's calls
+  std::vector<difference> first_;                 ///< of this frame's calls
+  std::optional<std::vector<difference>> found_;  ///< in a trial
+  bool moved_ = false;                            ///< in a trial: the CPU's answers differ
   stage stage_ = stage::extract;
   unsigned long frame_ = 0;
   bool in_frame_ = false;

@@ -2,6 +2,9 @@
 /// @file The values that the frustum test writes into map points, and their comparison.
 #pragma once
 
+#include <unordered_map>
+
+#include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/verify_report.hpp"
 
 namespace ft {
@@ -41,6 +44,44 @@ struct tracked_values {
     p.mTrackDepthR = depth_right;
     p.mTrackViewCosR = cosine_right;
   }
+};
+
+/// Finds map points that changed without being pushed: a change hook that was forgotten, also where
+/// the old value gives the same answers.
+template <typename MapPoint>
+class hook_watch {
+public:
+  /// Adds what the device has of a point and the point has no longer. What changes just now is
+  /// pushed soon: only what is found in two frames counts, and once for each point.
+  void add(difference_log& log, map_mirror<MapPoint>& mirror, MapPoint& p, unsigned long frame) {
+    point_fields sent{};
+    bool bad = false;
+    if (!mirror.copy(&p, sent, bad)) { return; }
+    point_fields now = sent;
+    bool const is_bad = read_fields(p, now);
+    char const* what = nullptr;
+    if (bad != is_bad) { what = "bad flag"; }
+    if (sent.observed != now.observed) { what = "observations"; }
+    if (differ(sent.descriptor, now.descriptor)) { what = "descriptor"; }
+    if (differ(sent.normal, now.normal)) { what = "normal"; }
+    if (differ(sent.limits, now.limits)) { what = "limits of distance"; }
+    if (differ(sent.position, now.position)) { what = "position"; }
+    if (what == nullptr) {
+      stale_.erase(p.mnId);
+      return;
+    }
+    auto const [known, is_new] = stale_.try_emplace(p.mnId, found{frame, false});
+    if (is_new || known->second.told || known->second.frame == frame) { return; }
+    known->second.told = true;
+    log.add_stale(what, static_cast<long>(p.mnId));
+  }
+
+private:
+  struct found {
+    unsigned long frame;
+    bool told;
+  };
+  std::unordered_map<unsigned long, found> stale_;  ///< by MapPoint::mnId
 };
 
 /// Adds what differs between two answers of the CPU and one of the accelerator.

@@ -6,13 +6,18 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <map>
 #include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "ft/types/errors.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/rig_description.hpp"
 
 namespace ftpy {
 
@@ -31,6 +36,18 @@ inline void complete_radtan(std::vector<double>& values, std::string const& of) 
                          "p2, then k3, then k4, k5, k6");
   }
   values.resize(12);
+}
+
+/// The parameters of a camera whose model has `most`. Distortion may be left out, and is 0 then.
+/// @throws argument_error for another number of them
+inline void complete(std::vector<double>& values, std::size_t most, std::string const& which) {
+  if (most == 12) { complete_radtan(values, "the " + which + " camera"); }
+  if (values.size() != 4 && values.size() != most) {
+    throw argument_error("the " + which + " camera has " + std::to_string(values.size()) +
+                         " parameters, must have 4" +
+                         (most > 4 ? " or " + std::to_string(most) : ": fx, fy, cx, cy"));
+  }
+  values.resize(most);
 }
 
 /// Grey, 8 bits.
@@ -66,10 +83,15 @@ struct rig {
   int raw_width = 0, raw_height = 0;    ///< distorted
 };
 
-struct imu {
-  pose T_imu_camera{};
-  double gyro_noise = 0, accel_noise = 0, gyro_walk = 0, accel_walk = 0, rate_hz = 0;
-};
+/// How many cameras a rig of several has. @throws argument_error for none, or too many
+inline std::size_t cameras_of(rig const& r) {
+  std::size_t const n = r.cameras.size();
+  if (n < 1 || n > static_cast<std::size_t>(ft::most_cameras)) {
+    throw argument_error("the rig has " + std::to_string(n) + " cameras, must have 1 to " +
+                         std::to_string(ft::most_cameras));
+  }
+  return n;
+}
 
 struct feature_options {
   int width = 0, height = 0;
@@ -80,6 +102,56 @@ struct feature_options {
   bool std_sort = false;  ///< the order of ORB-SLAM3 with libstdc++
   int threads = 0;        ///< of the host; 0 = all
 };
+
+/// What f() returns; mistakes of the caller as argument_error.
+template <typename F>
+auto translated(F&& f) {
+  try {
+    return f();
+  } catch (ft::bad_argument const& e) {
+    std::string const text = e.what();
+    throw argument_error(text.rfind("ft: ", 0) == 0 ? text.substr(4) : text);
+  }
+}
+
+inline float narrow(double v) { return static_cast<float>(v); }
+
+inline ft::gray_view to_ft(image const& v) { return {v.data, v.width, v.height, v.stride}; }
+
+inline ft::rigid<double> to_ft(pose const& m) {
+  ft::rigid<double> T;
+  for (std::size_t r = 0; r < 3; ++r) {
+    for (std::size_t c = 0; c < 3; ++c) { T.R.m[3 * r + c] = m[4 * r + c]; }
+  }
+  T.t = {m[3], m[7], m[11]};
+  return T;
+}
+inline pose from_ft(ft::rigid<double> const& T) {
+  pose m{};
+  for (std::size_t r = 0; r < 3; ++r) {
+    for (std::size_t c = 0; c < 3; ++c) { m[4 * r + c] = T.R.m[3 * r + c]; }
+  }
+  m[3] = T.t.x;
+  m[7] = T.t.y;
+  m[11] = T.t.z;
+  m[15] = 1;
+  return m;
+}
+
+inline ft::orb_params orb_params_of(feature_options const& o) {
+  ft::orb_params p;
+  p.width = o.width;
+  p.height = o.height;
+  p.features = o.features;
+  p.levels = o.levels;
+  p.scale_factor = narrow(o.scale_factor);
+  p.ini_threshold = o.ini_threshold;
+  p.min_threshold = o.min_threshold;
+  p.mask_width = o.mask_width;
+  p.mask_height = o.mask_height;
+  p.ties = o.std_sort ? ft::tie_rule::std_sort : ft::tie_rule::stable;
+  return p;
+}
 
 /// Keypoints of an image.
 struct keypoint_arrays {
@@ -102,75 +174,6 @@ public:
   /// Images 2 b and 2 b + 1 are pair b. Needs a rig
   virtual std::vector<stereo_arrays> match(std::vector<image> const& images) = 0;
   virtual int capacity() const = 0;
-};
-
-struct odometry_options {
-  rig of;
-  feature_options orb;
-  std::optional<imu> inertial;
-  int batch = 1;
-  double near_depth = 50;
-  int map_slots = 1 << 14, keyframes = 128, local_points = 1 << 13;
-  int window_moving = 10, window_fixed = 5, window_points = 1 << 12;
-  bool measure_stages = false;
-};
-struct frame_images {
-  std::vector<image> grey;  ///< of each camera in turn; of a pair the left one, then the right one
-  depth_image depth;        ///< rgbd
-};
-struct tracking {
-  pose T_world_camera{};
-  std::string state;
-  std::string reason, explanation;  ///< a word and a sentence; empty without
-  bool metric = true;
-  bool keyframe = false;
-  int inliers = 0, keypoints = 0, stereo_points = 0, local_points = 0, left_out = 0;
-  int map_points = 0, maps = 0, keyframes = 0;
-  std::array<double, 36> covariance{};
-  bool imu_known = false, imu_optimized = false;
-  bool imu_predicted = false;
-  std::array<double, 3> velocity{}, gravity{}, gyro_bias{}, accel_bias{};
-  double imu_rate_hz = 0, imu_newest_s = 0;
-  std::map<std::string, long long> imu_left_out;  ///< why -> samples
-  std::vector<std::string> imu_warnings;
-};
-/// Keypoints of the last frame, those of the left images.
-struct tracked_keypoints {
-  std::vector<float> x, y, depth;
-  std::vector<int> camera, octave;
-  std::vector<int> point;  ///< slot of the map point held, -1 = none
-  std::vector<std::uint8_t> matched;
-};
-struct map_arrays {
-  std::vector<float> position, normal;  ///< [points][3]
-  std::vector<int> number, seen;
-  std::vector<std::int64_t> keyframe_time_ns;
-  std::vector<double> keyframe_pose;  ///< [keyframes][4][4]
-};
-
-class odometry {
-public:
-  virtual ~odometry() = default;
-  virtual void wait_for(std::uintptr_t stream) = 0;  ///< see features
-  virtual std::vector<tracking> track(std::vector<frame_images> const& images,
-                                      std::vector<std::int64_t> const& time_ns) = 0;
-  virtual void add_imu(int b, std::int64_t time_ns, std::array<double, 3> const& accel,
-                       std::array<double, 3> const& gyro) = 0;
-  virtual void predict(int b, pose const& T_world_camera) = 0;
-  virtual void reset(int b) = 0;
-  virtual void set_mask(int b, int camera, image const& mask) = 0;
-  virtual void recognize_places(std::string const& vocabulary, int candidates) = 0;
-  virtual tracked_keypoints keypoints(int b) const = 0;
-  virtual map_arrays map(int b) const = 0;
-  /// Milliseconds of the last frame by stage, in order. Needs measure_stages
-  virtual std::vector<std::pair<std::string, double>> stage_times() const = 0;
-  virtual std::string save_map(int b) const = 0;
-  virtual void load_map(int b, std::string const& bytes) = 0;
-  virtual std::size_t memory_bytes() const = 0;
-  /// track() of several frames in turn, [frames * batch]. @return what ft::odometry::track alone
-  /// took, nanoseconds, [frames]: for the bench
-  virtual std::vector<std::int64_t> track_timed(std::vector<frame_images> const& images,
-                                                std::vector<std::int64_t> const& time_ns) = 0;
 };
 
 /// A map of OpenCV's fixed-point form, and how the camera is turned.
@@ -220,19 +223,10 @@ public:
   virtual int size() const = 0;
 };
 
-/// Names of the GPUs that can be used; none without CUDA.
-std::vector<std::string> cuda_devices();
-
 // Factories of a device: `host`, and `cuda` where there is one.
 #define FTPY_FACTORIES(where)                                                                \
   namespace where {                                                                          \
   std::unique_ptr<features> make_features(feature_options const&, int, rig const&);          \
-  std::unique_ptr<odometry> make_rectified_odometry(odometry_options const&);                \
-  std::unique_ptr<odometry> make_distorted_odometry(odometry_options const&);                \
-  std::unique_ptr<odometry> make_fisheye_odometry(odometry_options const&);                  \
-  std::unique_ptr<odometry> make_rgbd_odometry(odometry_options const&);                     \
-  std::unique_ptr<odometry> make_monocular_odometry(odometry_options const&);                \
-  std::unique_ptr<odometry> make_multi_odometry(odometry_options const&);                    \
   std::unique_ptr<rectifier> make_rectifier(rig const&, int width, int height, int threads); \
   std::unique_ptr<places> make_places(place_options const&);                                 \
   }

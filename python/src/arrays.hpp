@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "ft/any_odometry.hpp"
 #include "python/src/api.hpp"
 #include "python/src/numbers.hpp"
 
@@ -246,8 +247,8 @@ nb::object to_numpy(std::vector<T> values) {
 inline nb::object to_numpy(pose const& m) {
   return to_numpy(std::vector<double>(m.begin(), m.end()), {4, 4});
 }
-inline nb::object to_numpy(std::array<double, 3> const& v) {
-  return to_numpy(std::vector<double>(v.begin(), v.end()));
+inline nb::object to_numpy(ft::vec3<double> const& v) {
+  return to_numpy(std::vector<double>{v.x, v.y, v.z});
 }
 
 void bind_features(nb::module_& m);
@@ -271,7 +272,7 @@ inline bool on_gpu(std::string const& device) {
   if (device != "auto" && device != "host" && device != "cuda") {
     throw argument_error("device is '" + device + "', must be auto, host or cuda");
   }
-  bool const there = device != "host" && !cuda_devices().empty();
+  bool const there = device != "host" && !ft::gpu_names().empty();
   if (device == "cuda" && !there) {
     throw argument_error("device 'cuda': there is no GPU, or the package was built without CUDA");
   }

@@ -26,7 +26,7 @@ found check(Rig const& rig, int width, int height) {
 found check_rig(rig const& r, int width, int height) {
   if (r.kind == "fisheye") { return check(fisheye_of(r), width, height); }
   if (r.kind == "distorted") { return check(distorted_of(r), width, height); }
-  if (r.kind == "multi") { return check(multi_of<most_cameras>(r), width, height); }
+  if (r.kind == "multi") { return check(multi_of<ft::most_cameras>(r), width, height); }
   if (r.kind == "monocular_fisheye") {
     ft::monocular_rig<ft::kannala_brandt<float>> rig;
     rig.camera = camera_of<ft::kannala_brandt<float>>(r.left, "fisheye");

@@ -5,7 +5,6 @@
 #include <type_traits>
 
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"

@@ -20,7 +20,7 @@ void translate(std::exception_ptr const& p, void*) {
 
 std::vector<std::string> devices() {
   std::vector<std::string> all{"host"};
-  for (std::string const& name : cuda_devices()) { all.push_back("cuda: " + name); }
+  for (std::string const& name : ft::gpu_names()) { all.push_back("cuda: " + name); }
   return all;
 }
 

@@ -2,60 +2,136 @@
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <sstream>
 
+#include "ft/any_odometry.hpp"
+#include "ft/pipelines/explain.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
 #include "python/src/arrays.hpp"
 
 namespace ftpy {
 
 namespace {
 
-std::unique_ptr<odometry> make(odometry_options const& o, bool gpu) {
-  std::string const& kind = o.of.kind;
-#define FTPY_MAKE(name) gpu ? cuda::name(o) : host::name(o)
-  if (kind == "rectified") { return FTPY_MAKE(make_rectified_odometry); }
-  if (kind == "distorted") { return FTPY_MAKE(make_distorted_odometry); }
-  if (kind == "fisheye") { return FTPY_MAKE(make_fisheye_odometry); }
-  if (kind == "multi") { return FTPY_MAKE(make_multi_odometry); }
-  if (kind.rfind("monocular", 0) == 0) { return FTPY_MAKE(make_monocular_odometry); }
-  return FTPY_MAKE(make_rgbd_odometry);
-#undef FTPY_MAKE
+ft::camera_description camera_of(std::vector<double> values, ft::camera_kind kind,
+                                 char const* which) {
+  complete(values,
+           kind == ft::camera_kind::pinhole          ? 4
+           : kind == ft::camera_kind::kannala_brandt ? 8
+                                                     : 12,
+           which);
+  ft::camera_description c;
+  c.kind = kind;
+  std::copy(values.begin(), values.end(), c.parameters);
+  return c;
 }
+
+ft::rig_description pair_of(rig const& r, ft::rig_kind of, ft::camera_kind kind) {
+  ft::rig_description rig;
+  rig.kind = of;
+  rig.cameras = 2;
+  rig.camera[0] = camera_of(r.left, kind, "left");
+  rig.camera[1] = camera_of(r.right, kind, "right");
+  rig.camera[1].T_camera_body = to_ft(r.T_right_left);
+  return rig;
+}
+
+ft::rig_description description_of(rig const& r) {
+  using ft::camera_kind;
+  if (r.kind == "rectified") {
+    ft::rig_description rig;
+    rig.camera[0] = camera_of(r.left, camera_kind::pinhole, "left");
+    rig.camera[0].baseline = r.baseline;
+    return rig;
+  }
+  if (r.kind == "distorted") {
+    auto rig = pair_of(r, ft::rig_kind::distorted_pair, camera_kind::radtan8);
+    auto const wanted = camera_of(r.wanted, camera_kind::pinhole, "wanted");
+    std::copy(wanted.parameters, wanted.parameters + 4, rig.rectified);
+    rig.raw_width = r.raw_width;
+    rig.raw_height = r.raw_height;
+    return rig;
+  }
+  if (r.kind == "fisheye") {
+    return pair_of(r, ft::rig_kind::fisheye_pair, camera_kind::kannala_brandt);
+  }
+  if (r.kind == "monocular") {
+    return ft::rig_description::monocular(camera_of(r.left, camera_kind::pinhole, "pinhole"));
+  }
+  if (r.kind == "monocular_fisheye") {
+    return ft::rig_description::monocular(
+        camera_of(r.left, camera_kind::kannala_brandt, "fisheye"));
+  }
+  if (r.kind == "multi") {
+    ft::rig_description rig;
+    rig.kind = ft::rig_kind::multi;
+    rig.cameras = static_cast<int>(cameras_of(r));
+    ft::camera_description* to = rig.camera;
+    for (rig_camera const& c : r.cameras) {
+      *to = camera_of(c.camera, camera_kind::pinhole, "rig's");
+      to->baseline = c.baseline;
+      to++->T_camera_body = to_ft(c.T_camera_body);
+    }
+    return rig;
+  }
+  auto const kind = r.left.size() == 4 ? camera_kind::pinhole : camera_kind::radtan8;
+  auto rig = ft::rig_description::rgbd(camera_of(r.left, kind, "depth"), r.baseline,
+                                       r.depth_scale.value_or(0));
+  rig.min_depth = r.min_depth;
+  rig.max_depth = r.max_depth;
+  return rig;
+}
+
+/// A frame's result, with what is said of it.
+struct tracking {
+  ft::tracking of;
+  ft::tracking_explanation why;
+  std::vector<std::string> imu_warnings;
+};
 
 class bound_odometry {
 public:
   bound_odometry(nb::handle of, nb::handle options, nb::handle inertial,
                  std::string const& device) {
     auto const get = [&](char const* name) { return whole(options[name], name); };
-    odometry_options o;
-    o.of = rig_of(of);
-    o.orb = feature_options_of(options);
-    width_ = o.orb.width;
-    height_ = o.orb.height;
-    o.batch = batch_ = get("batch");
-    o.near_depth = number(options["near_depth"], "near_depth");
-    o.map_slots = get("map_slots");
-    o.keyframes = get("keyframes");
-    o.local_points = get("local_points");
-    o.window_moving = get("window_moving");
-    o.window_fixed = get("window_fixed");
-    o.window_points = get("window_points");
-    o.measure_stages = nb::cast<bool>(options["measure_stages"]);
-    if (!inertial.is_none()) { o.inertial = imu_of(inertial); }
-    is_rgbd_ = o.of.kind == "rgbd";
-    has_depth_scale_ = o.of.depth_scale.has_value();
-    if (o.of.kind == "distorted" && o.of.raw_width > 0) {
-      width_ = o.of.raw_width;
-      height_ = o.of.raw_height;
+    rig const r = rig_of(of);
+    ft::odometry_params p;
+    feature_options const orb = feature_options_of(options);
+    p.orb = orb_params_of(orb);
+    width_ = p.orb.width;
+    height_ = p.orb.height;
+    batch_ = get("batch");
+    p.rules.near_depth = narrow(number(options["near_depth"], "near_depth"));
+    p.map_slots = get("map_slots");
+    p.keyframes = get("keyframes");
+    p.local_points = get("local_points");
+    int const moving = get("window_moving");
+    p.window = {moving, get("window_fixed")};
+    p.window_points = get("window_points");
+    p.measure_stages = nb::cast<bool>(options["measure_stages"]);
+    if (!inertial.is_none()) { p.imu = imu_of(inertial); }
+    is_rgbd_ = r.kind == "rgbd";
+    has_depth_scale_ = r.depth_scale.has_value();
+    if (r.kind == "distorted" && r.raw_width > 0) {
+      width_ = r.raw_width;
+      height_ = r.raw_height;
     }
     gpu_ = on_gpu(device);
+    ft::device where;
+    where.gpu = gpu_ ? ft::device::current_gpu : ft::device::host;
+    where.threads = orb.threads;
     {
       nb::gil_scoped_release const released;
-      inner_ = make(o, gpu_);
+      inner_ = std::make_unique<ft::any_odometry>(
+          translated([&] { return ft::make_odometry(where, description_of(r), p, batch_); }));
     }
     for (int i = 0; i < batch_; ++i) {
-      for (std::string const& name : image_names(o.of)) {
+      for (std::string const& name : image_names(r)) {
         names_.push_back(batch_ > 1 ? name + " of camera pair " + std::to_string(i) : name);
       }
     }
@@ -65,151 +141,220 @@ public:
   std::vector<tracking> track(nb::sequence const& given, nb::handle at, std::uintptr_t stream) {
     arrays kept(gpu_);
     std::vector<std::int64_t> const time_ns = times(at, "time_ns");
-    std::vector<frame_images> const images = images_of(kept, given);
+    std::vector<ft::any_images> const images = images_of(kept, given);
     require_number(images.size(), time_ns.size(), static_cast<std::size_t>(batch_));
     nb::gil_scoped_release const released;
-    if (kept.on_device()) { inner_->wait_for(stream); }
-    return inner_->track(images, time_ns);
+    return translated([&] {
+      wait_for(kept, stream);
+      ft::tracking const* const t = inner_->track(images.data(), time_ns.data());
+      std::vector<tracking> all;
+      for (int b = 0; b < batch_; ++b) {
+        all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
+                       ft::imu_warnings(t[b].imu, inner_->params().imu)});
+      }
+      return all;
+    });
   }
   std::vector<std::int64_t> track_timed(nb::sequence const& given, nb::handle at,
                                         std::uintptr_t stream) {
     arrays kept(gpu_);
     std::vector<std::int64_t> const time_ns = times(at, "time_ns");
-    std::vector<frame_images> const images = images_of(kept, given);
+    std::vector<ft::any_images> const images = images_of(kept, given);
     auto const batch = static_cast<std::size_t>(batch_);
     require_number(images.size(), time_ns.size(), images.size() / batch * batch);
     nb::gil_scoped_release const released;
-    if (kept.on_device()) { inner_->wait_for(stream); }
-    return inner_->track_timed(images, time_ns);
+    return translated([&] {
+      wait_for(kept, stream);
+      std::vector<std::int64_t> spent;
+      for (std::size_t i = 0; i < images.size(); i += batch) {
+        auto const begin = std::chrono::steady_clock::now();
+        inner_->track(images.data() + i, time_ns.data() + i);
+        auto const end = std::chrono::steady_clock::now();
+        spent.push_back(std::chrono::duration_cast<std::chrono::nanoseconds>(end - begin).count());
+      }
+      return spent;
+    });
   }
   void add_imu(nb::handle time_ns, nb::handle accel, nb::handle gyro, int b) {
-    inner_->add_imu(b, nanoseconds(time_ns, "time_ns"), measured(accel, "accel"),
-                    measured(gyro, "gyro"));
+    ft::imu_measurement const sample{nanoseconds(time_ns, "time_ns"), measured(accel, "accel"),
+                                     measured(gyro, "gyro")};
+    translated([&] { inner_->add_imu(sample, b); });
   }
   void predict(nb::handle T_world_camera, int b) {
     arrays kept;
-    inner_->predict(b, kept.matrix(T_world_camera, "T_world_camera"));
+    auto const T = to_ft(kept.matrix(T_world_camera, "T_world_camera"));
+    translated([&] { inner_->predict(T, b); });
   }
-  void reset(int b) { inner_->reset(b); }
+  void reset(int b) {
+    translated([&] { inner_->reset(b); });
+  }
   void set_mask(nb::handle mask, int camera, int b) {
     arrays kept;
     image const v = kept.mask(mask, "mask");
     nb::gil_scoped_release const released;
-    inner_->set_mask(b, camera, v);
+    translated([&] { inner_->set_mask(b, camera, to_ft(v)); });
   }
   void recognize_places(std::string const& vocabulary, nb::handle candidates) {
     int const n = whole(candidates, "candidates");
     nb::gil_scoped_release const released;
-    inner_->recognize_places(vocabulary, n);
+    translated([&] { inner_->recognize_places(vocabulary, n); });
   }
   nb::dict keypoints(int b) const {
     require_camera(b);
-    tracked_keypoints k = inner_->keypoints(b);
+    ft::tracked_frame_view const& r = inner_->keypoints();
+    std::vector<float> x, y, depth;
+    std::vector<int> camera, octave, point;
+    std::vector<std::uint8_t> matched;
+    auto const index = [](int i) { return static_cast<std::size_t>(i); };
+    auto const append = [](auto& to, auto const* from, std::size_t n) {
+      to.insert(to.end(), from, from + n);
+    };
+    for (int c = 0; c < r.depth_cameras; ++c) {
+      std::size_t const n = index(r.keypoints[b * r.cameras + c]);
+      std::size_t const first = index(b) * index(r.numbers()) + index(c) * index(r.capacity);
+      std::size_t const first_depth =
+          (index(b) * index(r.depth_cameras) + index(c)) * index(r.capacity);
+      append(x, r.x + first, n);
+      append(y, r.y + first, n);
+      append(octave, r.octave + first, n);
+      append(point, r.holder + first, n);
+      append(depth, r.depth + first_depth, n);
+      append(matched, inner_->matched() + first, n);
+      camera.insert(camera.end(), n, c);
+    }
     nb::dict d;
-    d["x"] = to_numpy(std::move(k.x));
-    d["y"] = to_numpy(std::move(k.y));
-    d["camera"] = to_numpy(std::move(k.camera));
-    d["octave"] = to_numpy(std::move(k.octave));
-    d["depth"] = to_numpy(std::move(k.depth));
-    d["point"] = to_numpy(std::move(k.point));
-    d["matched"] = to_numpy(std::move(k.matched)).attr("astype")("bool");
+    d["x"] = to_numpy(std::move(x));
+    d["y"] = to_numpy(std::move(y));
+    d["camera"] = to_numpy(std::move(camera));
+    d["octave"] = to_numpy(std::move(octave));
+    d["depth"] = to_numpy(std::move(depth));
+    d["point"] = to_numpy(std::move(point));
+    d["matched"] = to_numpy(std::move(matched)).attr("astype")("bool");
     return d;
   }
   nb::dict map(int b) const {
-    map_arrays m;
+    ft::odometry_map from;
     {
       nb::gil_scoped_release const released;
-      m = inner_->map(b);
+      from = translated([&] { return inner_->download_map(b); });
     }
-    std::size_t const points = m.number.size();
-    std::size_t const keyframes = m.keyframe_time_ns.size();
+    std::vector<float> position, normal;
+    std::vector<int> number, seen;
+    for (auto const& p : from.points) {
+      position.insert(position.end(), {p.position.x, p.position.y, p.position.z});
+      normal.insert(normal.end(), {p.normal.x, p.normal.y, p.normal.z});
+      number.push_back(p.number);
+      seen.push_back(p.keyframes);
+    }
+    std::vector<std::int64_t> time_ns;
+    std::vector<double> poses;
+    for (auto const& k : from.keyframes) {
+      time_ns.push_back(k.time_ns);
+      pose const T = from_ft(k.T_world_camera);
+      poses.insert(poses.end(), T.begin(), T.end());
+    }
+    std::size_t const points = number.size();
+    std::size_t const keyframes = time_ns.size();
     nb::dict d;
-    d["position"] = to_numpy(std::move(m.position), {points, 3});
-    d["normal"] = to_numpy(std::move(m.normal), {points, 3});
-    d["number"] = to_numpy(std::move(m.number));
-    d["keyframes_that_see_it"] = to_numpy(std::move(m.seen));
-    d["keyframe_time_ns"] = to_numpy(std::move(m.keyframe_time_ns));
-    d["keyframe_T_world_camera"] = to_numpy(std::move(m.keyframe_pose), {keyframes, 4, 4});
+    d["position"] = to_numpy(std::move(position), {points, 3});
+    d["normal"] = to_numpy(std::move(normal), {points, 3});
+    d["number"] = to_numpy(std::move(number));
+    d["keyframes_that_see_it"] = to_numpy(std::move(seen));
+    d["keyframe_time_ns"] = to_numpy(std::move(time_ns));
+    d["keyframe_T_world_camera"] = to_numpy(std::move(poses), {keyframes, 4, 4});
     return d;
   }
   nb::dict stage_times() const {
     nb::dict d;
-    for (auto const& [name, ms] : inner_->stage_times()) { d[name.c_str()] = ms; }
+    for (auto const& stage : translated([&] { return inner_->stage_times(); })) {
+      d[stage.name] = 1e-3 * stage.us;
+    }
     return d;
   }
   nb::bytes save_map(int b) const {
     std::string bytes;
     {
       nb::gil_scoped_release const released;
-      bytes = inner_->save_map(b);
+      std::ostringstream to;
+      translated([&] { inner_->save_map(to, b); });
+      bytes = to.str();
     }
     return nb::bytes(bytes.data(), bytes.size());
   }
   void load_map(nb::bytes const& bytes, int b) {
-    std::string const copy(bytes.c_str(), bytes.size());
+    std::istringstream from(std::string(bytes.c_str(), bytes.size()));
     nb::gil_scoped_release const released;
-    inner_->load_map(b, copy);
+    translated([&] { inner_->load_map(from, b); });
   }
-  std::size_t memory_bytes() const { return inner_->memory_bytes(); }
+  std::size_t memory_bytes() const { return inner_->memory_bytes().executor; }
   int batch() const { return batch_; }
 
 private:
-  static imu imu_of(nb::handle given) {
+  static ft::imu_params imu_of(nb::handle given) {
     arrays kept;
-    imu i;
-    i.T_imu_camera = kept.matrix(given.attr("T_imu_camera"), "T_imu_camera");
-    auto const get = [&](char const* name) { return number(given.attr(name), name); };
-    i.gyro_noise = get("gyro_noise");
-    i.accel_noise = get("accel_noise");
-    i.gyro_walk = get("gyro_walk");
-    i.accel_walk = get("accel_walk");
-    i.rate_hz = get("rate_hz");
-    return i;
+    ft::imu_params p;
+    p.present = true;
+    p.T_bc = to_ft(kept.matrix(given.attr("T_imu_camera"), "T_imu_camera"));
+    auto const get = [&](char const* name) { return narrow(number(given.attr(name), name)); };
+    float const gyro = get("gyro_noise");
+    float const accel = get("accel_noise");
+    float const gyro_walk = get("gyro_walk");
+    float const accel_walk = get("accel_walk");
+    p.noise = {gyro, accel, gyro_walk, accel_walk, get("rate_hz")};
+    return p;
   }
   /// What a sensor measured. Numbers that a float cannot hold are infinite: the odometry counts
   /// such samples, a recording is not to end there.
-  static std::array<double, 3> measured(nb::handle given, std::string const& name) {
+  static ft::vec3<float> measured(nb::handle given, std::string const& name) {
     std::vector<nb::object> const items = items_of(given, name);
     if (items.size() != 3) {
       throw argument_error(name + " has " + std::to_string(items.size()) + " numbers, must have 3");
     }
-    std::array<double, 3> v{};
+    double v[3];
     for (std::size_t i = 0; i < 3; ++i) {
       v[i] = any_number(items[i], name + "[" + std::to_string(i) + "]");
       if (!(std::abs(v[i]) <= static_cast<double>(std::numeric_limits<float>::max()))) {
         v[i] = std::numeric_limits<double>::infinity();
       }
     }
-    return v;
+    return {narrow(v[0]), narrow(v[1]), narrow(v[2])};
   }
-  std::vector<frame_images> images_of(arrays& kept, nb::sequence const& given) const {
+  std::vector<ft::any_images> images_of(arrays& kept, nb::sequence const& given) const {
     std::size_t const of_rig = names_.size() / static_cast<std::size_t>(batch_);
-    std::vector<frame_images> all;
+    std::vector<ft::any_images> all;
     for (nb::handle const h : given) {
       if (nb::len(h) != of_rig) {
         throw argument_error("a frame of " + std::to_string(nb::len(h)) + " images, must be " +
                              std::to_string(of_rig) + " of this rig");
       }
-      frame_images f;
+      ft::any_images f;
       std::size_t const first = all.size() * of_rig % names_.size();
       for (std::size_t i = 0; i < of_rig; ++i) {
         std::string const& name = names_[first + i];
         if (is_rgbd_ && i == 1) {
-          f.depth = kept.depth(h[i], name);
-          require_size(f.depth.width, f.depth.height, name);
-          if (!f.depth.is_float && !has_depth_scale_) {
+          depth_image const d = kept.depth(h[i], name);
+          require_size(d.width, d.height, name);
+          if (!d.is_float && !has_depth_scale_) {
             throw argument_error(name +
                                  " is uint16 and the rig has no depth_scale, metres per unit: "
                                  "0.001 for millimetres, 1 / 5000 for TUM's images");
           }
+          f.depth.data = d.data;
+          f.depth.width = d.width;
+          f.depth.height = d.height;
+          f.depth.pitch = d.pitch;
+          f.depth.is_float = d.is_float;
         } else {
-          f.grey.push_back(kept.framed(h[i], name));
-          require_size(f.grey.back().width, f.grey.back().height, name);
+          f.gray[i] = to_ft(kept.framed(h[i], name));
+          require_size(f.gray[i].width, f.gray[i].height, name);
         }
       }
-      all.push_back(std::move(f));
+      all.push_back(f);
     }
     return all;
+  }
+  void wait_for(arrays const& kept, std::uintptr_t stream) {
+    if (kept.on_device()) { inner_->wait_for(reinterpret_cast<void*>(stream)); }
   }
   static void require_number(std::size_t frames, std::size_t times, std::size_t wanted) {
     if (frames == wanted && times == wanted) { return; }
@@ -228,7 +373,7 @@ private:
                          std::to_string(batch_));
   }
 
-  owned<odometry> inner_;
+  owned<ft::any_odometry> inner_;
   std::vector<std::string> names_;  ///< [batch][images of the rig]
   int width_ = 0, height_ = 0, batch_ = 1;
   bool is_rgbd_ = false;
@@ -236,67 +381,132 @@ private:
   bool gpu_ = false;
 };
 
+char const* name_of(ft::tracking_state s) {
+  switch (s) {
+    case ft::tracking_state::initialising:
+      return "initialising";
+    case ft::tracking_state::tracking:
+      return "tracking";
+    case ft::tracking_state::recovering:
+      return "recovering";
+    case ft::tracking_state::lost:
+      break;
+  }
+  return "lost";
+}
+
+/// Empty without a reason.
+std::string reason_of(tracking const& t) {
+  bool const none = t.why.reason == ft::tracking_reason::none;
+  return none ? std::string() : ft::name_of(t.why.reason);
+}
+
 void bind_tracking(nb::module_& m) {
   nb::class_<tracking>(m, "Tracking", "What is known about a camera after a frame.")
       .def_prop_ro(
-          "T_world_camera", [](tracking const& t) { return to_numpy(t.T_world_camera); },
+          "T_world_camera",
+          [](tracking const& t) { return to_numpy(from_ft(t.of.T_world_camera)); },
           "(4, 4) float64: maps points of the left camera, or of the body of a MultiRig, to the "
           "world, which is that of the first frame with a map; metres if `metric`.")
-      .def_ro("state", &tracking::state, "initialising, tracking, recovering or lost")
-      .def_prop_ro("tracked", [](tracking const& t) { return t.state == "tracking"; })
-      .def_ro("reason", &tracking::reason,
-              "why the frame is not tracked, or its pose to be doubted, a word such as 'dark' or "
-              "'few_matches', see ft::tracking_reason; empty without a reason")
-      .def_ro("explanation", &tracking::explanation, "the same as a sentence that has the numbers")
-      .def_ro("metric", &tracking::metric,
-              "whether lengths are metres; False with one camera alone, whose unit is the median "
-              "depth of the first points")
-      .def_ro("keyframe", &tracking::keyframe, "whether the frame became a keyframe")
-      .def_ro("inliers", &tracking::inliers, "keypoints that agree with the pose")
-      .def_ro("keypoints", &tracking::keypoints, "of the left images")
-      .def_ro("stereo_points", &tracking::stereo_points, "of these, with a depth")
-      .def_ro("local_points", &tracking::local_points, "map points that were searched")
-      .def_ro("left_out", &tracking::left_out, "map points for which there was no room")
-      .def_ro("map_points", &tracking::map_points, "in the map")
-      .def_ro("maps", &tracking::maps, "begun so far")
-      .def_ro("keyframes", &tracking::keyframes, "made so far")
+      .def_prop_ro(
+          "state", [](tracking const& t) { return name_of(t.of.state); },
+          "initialising, tracking, recovering or lost")
+      .def_prop_ro("tracked",
+                   [](tracking const& t) { return t.of.state == ft::tracking_state::tracking; })
+      .def_prop_ro(
+          "reason", [](tracking const& t) { return reason_of(t); },
+          "why the frame is not tracked, or its pose to be doubted, a word such as 'dark' or "
+          "'few_matches', see ft::tracking_reason; empty without a reason")
+      .def_prop_ro(
+          "explanation",
+          [](tracking const& t) {
+            return t.why.reason == ft::tracking_reason::none ? std::string() : t.why.text;
+          },
+          "the same as a sentence that has the numbers")
+      .def_prop_ro(
+          "metric", [](tracking const& t) { return t.of.metric; },
+          "whether lengths are metres; False with one camera alone, whose unit is the median "
+          "depth of the first points")
+      .def_prop_ro(
+          "keyframe", [](tracking const& t) { return t.of.keyframe; },
+          "whether the frame became a keyframe")
+      .def_prop_ro(
+          "inliers", [](tracking const& t) { return t.of.inliers; },
+          "keypoints that agree with the pose")
+      .def_prop_ro(
+          "keypoints", [](tracking const& t) { return t.of.keypoints; }, "of the left images")
+      .def_prop_ro(
+          "stereo_points", [](tracking const& t) { return t.of.stereo_points; },
+          "of these, with a depth")
+      .def_prop_ro(
+          "local_points", [](tracking const& t) { return t.of.local_points; },
+          "map points that were searched")
+      .def_prop_ro(
+          "left_out", [](tracking const& t) { return t.of.left_out; },
+          "map points for which there was no room")
+      .def_prop_ro(
+          "map_points", [](tracking const& t) { return t.of.map_points; }, "in the map")
+      .def_prop_ro(
+          "maps", [](tracking const& t) { return t.of.maps; }, "begun so far")
+      .def_prop_ro(
+          "keyframes", [](tracking const& t) { return t.of.keyframes; }, "made so far")
       .def_prop_ro(
           "covariance",
           [](tracking const& t) {
-            return to_numpy(std::vector<double>(t.covariance.begin(), t.covariance.end()), {6, 6});
+            return to_numpy(std::vector<double>(t.of.covariance, t.of.covariance + 36), {6, 6});
           },
           "(6, 6) float64 of a small rotation, then translation, in the camera's frame: rad, m")
-      .def_ro("imu_known", &tracking::imu_known, "gravity, velocity and biases are known")
-      .def_ro("imu_optimized", &tracking::imu_optimized, "the pose was optimised with the IMU")
-      .def_ro("imu_predicted", &tracking::imu_predicted, "the pose was predicted with the IMU")
-      .def_ro("imu_rate_hz", &tracking::imu_rate_hz,
-              "at which the last samples came, by their times; 0 = unknown")
-      .def_ro("imu_newest_s", &tracking::imu_newest_s,
-              "time of the newest sample since the frame's, seconds; 0 = there is none")
-      .def_ro("imu_left_out", &tracking::imu_left_out,
-              "dict: samples that were left out so far, by 'disordered' (a time that is not after "
-              "that of the sample before), 'out_of_range' (not finite, or at the sensor's range), "
-              "'crowded_out' (too many waited for their frame)")
+      .def_prop_ro(
+          "imu_known", [](tracking const& t) { return t.of.imu.known; },
+          "gravity, velocity and biases are known")
+      .def_prop_ro(
+          "imu_optimized", [](tracking const& t) { return t.of.imu.optimized; },
+          "the pose was optimised with the IMU")
+      .def_prop_ro(
+          "imu_predicted", [](tracking const& t) { return t.of.imu.predicted; },
+          "the pose was predicted with the IMU")
+      .def_prop_ro(
+          "imu_rate_hz", [](tracking const& t) { return t.of.imu.rate_hz; },
+          "at which the last samples came, by their times; 0 = unknown")
+      .def_prop_ro(
+          "imu_newest_s", [](tracking const& t) { return t.of.imu.newest_s; },
+          "time of the newest sample since the frame's, seconds; 0 = there is none")
+      .def_prop_ro(
+          "imu_left_out",
+          [](tracking const& t) {
+            auto const& n = t.of.imu.left_out;
+            return std::map<std::string, long long>{{"disordered", n.disordered},
+                                                    {"out_of_range", n.out_of_range},
+                                                    {"crowded_out", n.crowded_out}};
+          },
+          "dict: samples that were left out so far, by 'disordered' (a time that is not after "
+          "that of the sample before), 'out_of_range' (not finite, or at the sensor's range), "
+          "'crowded_out' (too many waited for their frame)")
       .def_ro("imu_warnings", &tracking::imu_warnings,
               "list of str: what is likely wrong with the samples of the IMU, a sentence each: "
               "left out, at another rate than Imu.rate_hz, contradicted by the images, on another "
               "clock")
       .def_prop_ro(
-          "velocity", [](tracking const& t) { return to_numpy(t.velocity); },
+          "velocity", [](tracking const& t) { return to_numpy(t.of.imu.velocity); },
           "(3,) of the IMU in the world, m/s")
       .def_prop_ro(
-          "gravity", [](tracking const& t) { return to_numpy(t.gravity); },
+          "gravity", [](tracking const& t) { return to_numpy(t.of.imu.gravity); },
           "(3,) in the world, m/s^2")
       .def_prop_ro(
-          "gyro_bias", [](tracking const& t) { return to_numpy(t.gyro_bias); }, "(3,) rad/s")
+          "gyro_bias",
+          [](tracking const& t) { return to_numpy(t.of.imu.bias.gyro.cast<double>()); },
+          "(3,) rad/s")
       .def_prop_ro(
-          "accel_bias", [](tracking const& t) { return to_numpy(t.accel_bias); }, "(3,) m/s^2")
+          "accel_bias",
+          [](tracking const& t) { return to_numpy(t.of.imu.bias.accel.cast<double>()); },
+          "(3,) m/s^2")
       .def("__repr__", [](tracking const& t) {
-        pose const& T = t.T_world_camera;
-        std::string const why = t.reason.empty() ? "" : " (" + t.reason + ")";
-        return "<ft.Tracking " + t.state + why + ", " + std::to_string(t.inliers) +
-               " inliers, at " + std::to_string(T[3]) + " " + std::to_string(T[7]) + " " +
-               std::to_string(T[11]) + (t.metric ? " m>" : ">");
+        ft::vec3<double> const& at = t.of.T_world_camera.t;
+        std::string const reason = reason_of(t);
+        std::string const why = reason.empty() ? "" : " (" + reason + ")";
+        return std::string("<ft.Tracking ") + name_of(t.of.state) + why + ", " +
+               std::to_string(t.of.inliers) + " inliers, at " + std::to_string(at.x) + " " +
+               std::to_string(at.y) + " " + std::to_string(at.z) + (t.of.metric ? " m>" : ">");
       });
 }
 

@@ -16,8 +16,8 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/poses.hpp"
 #include "python/src/api.hpp"
 
 #if defined(__CUDACC__)
@@ -59,52 +59,11 @@ struct executor {
 };
 #endif
 
-/// What f() returns; mistakes of the caller as argument_error.
-template <typename F>
-auto translated(F&& f) {
-  try {
-    return f();
-  } catch (ft::bad_argument const& e) {
-    std::string const text = e.what();
-    throw argument_error(text.rfind("ft: ", 0) == 0 ? text.substr(4) : text);
-  }
-}
-
-inline float narrow(double v) { return static_cast<float>(v); }
-
-inline ft::gray_view to_ft(image const& v) { return {v.data, v.width, v.height, v.stride}; }
-
-inline ft::rigid<double> to_ft(pose const& m) {
-  ft::rigid<double> T;
-  for (std::size_t r = 0; r < 3; ++r) {
-    for (std::size_t c = 0; c < 3; ++c) { T.R.m[3 * r + c] = m[4 * r + c]; }
-  }
-  T.t = {m[3], m[7], m[11]};
-  return T;
-}
-inline pose from_ft(ft::rigid<double> const& T) {
-  pose m{};
-  for (std::size_t r = 0; r < 3; ++r) {
-    for (std::size_t c = 0; c < 3; ++c) { m[4 * r + c] = T.R.m[3 * r + c]; }
-  }
-  m[3] = T.t.x;
-  m[7] = T.t.y;
-  m[11] = T.t.z;
-  m[15] = 1;
-  return m;
-}
-
-/// The parameters of a model in its own order. Distortion may be left out, and is 0 then.
+/// The parameters of a model in its own order.
 template <typename Camera>
 Camera camera_of(std::vector<double> values, char const* which) {
   constexpr std::size_t most = sizeof(Camera) / sizeof(float);
-  if constexpr (most == 12) { complete_radtan(values, "the " + std::string(which) + " camera"); }
-  if (values.size() != 4 && values.size() != most) {
-    throw argument_error("the " + std::string(which) + " camera has " +
-                         std::to_string(values.size()) + " parameters, must have 4" +
-                         (most > 4 ? " or " + std::to_string(most) : ": fx, fy, cx, cy"));
-  }
-  values.resize(most);
+  complete(values, most, which);
   Camera c{};
   c.fx = narrow(values[0]);
   c.fy = narrow(values[1]);
@@ -121,36 +80,16 @@ Camera camera_of(std::vector<double> values, char const* which) {
   return c;
 }
 
-inline ft::orb_params orb_params_of(feature_options const& o) {
-  ft::orb_params p;
-  p.width = o.width;
-  p.height = o.height;
-  p.features = o.features;
-  p.levels = o.levels;
-  p.scale_factor = narrow(o.scale_factor);
-  p.ini_threshold = o.ini_threshold;
-  p.min_threshold = o.min_threshold;
-  p.mask_width = o.mask_width;
-  p.mask_height = o.mask_height;
-  p.ties = o.std_sort ? ft::tie_rule::std_sort : ft::tie_rule::stable;
-  return p;
-}
-
 using kannala_brandt_rig = ft::stereo_rig<ft::kannala_brandt<float>, ft::kannala_brandt<float>>;
 
 inline ft::rectified_rig rectified_of(rig const& r) {
   return ft::rectified_rig::make(camera_of<ft::pinhole<float>>(r.left, "left"), r.baseline);
 }
-constexpr int most_cameras = 16;  ///< of a multi_rig
 
 /// @tparam N at least as many as there are; the others are not used
 template <int N>
 ft::multi_rig<N> multi_of(rig const& r) {
-  std::size_t const n = r.cameras.size();
-  if (n < 1 || n > most_cameras) {
-    throw argument_error("the rig has " + std::to_string(n) + " cameras, must have 1 to " +
-                         std::to_string(most_cameras));
-  }
+  std::size_t const n = cameras_of(r);
   ft::multi_rig<N> all{};
   for (ft::rig_camera& c : all.of) { c = ft::rig_camera::none(); }
   for (std::size_t i = 0; i < n; ++i) {

@@ -3,9 +3,9 @@
 #include <limits>
 #include <map>
 
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/pipelines/place_recognition.hpp"
 #include "python/src/conversions.hpp"
-#include "python/src/vocabulary_of.hpp"
 
 namespace ftpy::FTPY_DEVICE {
 namespace {
@@ -19,7 +19,7 @@ public:
     p.features = o.features;
     p.levels_up = o.levels_up;
     inner_ = ft::place_recognition<exec_type>(
-        exec, ft::upload(exec, vocabulary_of(o.vocabulary).view()), p);
+        exec, ft::upload(exec, ft::read_vocabulary(o.vocabulary).view()), p);
   }
   void describe(std::uint8_t const* descriptors, int n) override {
     if (n > room_) {

@@ -7,7 +7,7 @@
 #include <limits>
 #include <random>
 
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace camera_contract {
 inline namespace FT_ABI {

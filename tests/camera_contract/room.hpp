@@ -13,8 +13,8 @@
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/map_updates.hpp"
+#include "ft/kernels/upload.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/camera_contract/questions.hpp"
 #include "tests/camera_contract/scenes.hpp"
 

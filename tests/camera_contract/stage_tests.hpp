@@ -10,14 +10,13 @@
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"
 #include "ft/pipelines/frame_tracker.hpp"

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The contract, kept by wide-angle models other than Kannala-Brandt.
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/unified.hpp"
 #include "tests/camera_contract.hpp"

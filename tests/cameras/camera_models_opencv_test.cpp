@@ -18,7 +18,6 @@
 #include <vector>
 
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"

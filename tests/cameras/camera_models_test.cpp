@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/kannala_brandt.hpp"

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Has clang++ compile each public header alone, twice, so that a missing include or guard shows:
+"""Has clang++ compile each header alone, twice, so that a missing include or guard shows:
 
-    tests/checks/headers.py [--jobs N]     those of include/ft
+    tests/checks/headers.py [--jobs N]     those of include/ft but interop and core/detail
     tests/checks/headers.py --self-test
 
 What a header includes is not read again for each: the largest of the headers that it includes unconditionally is
@@ -39,7 +39,7 @@ class checker:
     def __init__(self, include, work):
         self.include, self.work = include, work
         names = [str(p.relative_to(include)) for p in sorted(include.glob("ft/**/*.hpp"))]
-        self.headers = [n for n in names if "/detail/" not in n and "/interop/" not in n]
+        self.headers = [n for n in names if "/core/detail/" not in n and "/interop/" not in n]
         self.includes = {n: [i for i in plain_includes(include / n) if i in names] for n in names}
         self.closure = {}
         self.base = {}

@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks which part of ft includes which, and where kernels are launched.
 
-    core <- cameras, containers <- kernels <- pipelines <- everything outside include/ft
-    core, containers <- interop
+    types <- core <- math, cameras, containers <- kernels <- pipelines <- everything outside include/ft
+    types, core, containers <- interop
+    types <- any_odometry.hpp <- pipelines
 
-A folder detail/ belongs to its room; the one of core is open to all of include/ft. Violations are printed
+Headers of types/ include core/config.hpp besides: what they hold has one name in every compiler.
+
+A folder detail/ belongs to its room; the one of core is open to all of include/ft. The room math is internal as a
+whole. Outside include/ft only tests include what is internal. Violations are printed
 as file:line; the exit status is 1 if there are any. --self-test checks the checker.
 """
 
@@ -17,14 +21,21 @@ from pathlib import Path
 
 # What the headers of a room may include, besides the version.
 ALLOWED_ROOMS = {
-    "core": {"core"},
-    "cameras": {"core", "cameras"},
-    "containers": {"core", "containers"},
-    "kernels": {"core", "cameras", "containers", "kernels"},
-    "pipelines": {"core", "cameras", "containers", "kernels", "pipelines"},
-    "interop": {"core", "containers", "interop"},
+    "types": {"types"},
+    "core": {"types", "core"},
+    "math": {"types", "core", "math"},
+    "cameras": {"types", "core", "cameras"},
+    "containers": {"types", "core", "containers"},
+    "kernels": {"types", "core", "math", "cameras", "containers", "kernels"},
+    "seam": {"types"},
+    "pipelines": {"types", "core", "math", "cameras", "containers", "kernels", "seam", "pipelines"},
+    "interop": {"types", "core", "containers", "interop"},
 }
-UMBRELLA = "ft/ft.hpp"
+CONFIG = "ft/core/config.hpp"  # macros, open to all
+SEAM = "ft/any_odometry.hpp"
+UMBRELLA = "ft/stages.hpp"
+START = "ft/ft.hpp"  # what most programs need; the rest of the umbrella is the stages
+START_ROOMS = {"types", "seam", "cameras", "pipelines"}
 VERSION = "ft/version.hpp"
 
 # Third parties that one header alone may include.
@@ -63,7 +74,9 @@ def code_lines(path):
 
 
 def room_of(header):
-    """'ft/core/detail/x.hpp' -> 'core'; None for the umbrella and the version."""
+    """'ft/core/detail/x.hpp' -> 'core'; None for the umbrellas and the version."""
+    if header == SEAM:
+        return "seam"
     parts = header.split("/")
     return parts[1] if len(parts) > 2 else None
 
@@ -123,12 +136,17 @@ class Checker:
         if not (self.include_dir / target).is_file():
             self.report(path, number, f"there is no {target}")
         self.includes.setdefault(name, set()).add(target)
-        if name == UMBRELLA:
-            if "/detail/" in target or target.startswith("ft/interop/"):
+        if name == START:
+            if room_of(target) not in START_ROOMS and target not in (VERSION, "ft/core/execution.hpp"):
+                self.report(path, number, f"{target} belongs in {UMBRELLA}")
+            elif "/detail/" in target:
+                self.report(path, number, f"{target} is internal")
+        elif name == UMBRELLA:
+            if "/detail/" in target or target.startswith(("ft/interop/", "ft/math/")):
                 self.report(path, number, f"{target} does not belong in the umbrella")
-        elif target == UMBRELLA:
+        elif target in (UMBRELLA, START):
             self.report(path, number, "includes the umbrella")
-        elif target != VERSION:
+        elif target not in (VERSION, CONFIG):
             self.check_direction(path, number, room, target)
 
     def check_direction(self, path, number, room, target):
@@ -149,7 +167,7 @@ class Checker:
             if not match:
                 continue
             target = match.group(2)
-            if target.startswith("ft/") and "/detail/" in target:
+            if parts[0] != "tests" and re.match(r"ft/(math/|.*/detail/)", target):
                 self.report(path, number, f"{target} is not API")
             elif target.startswith("examples/sequence/detail/") and not (support or support_tests):
                 self.report(path, number, f"{target} is not API")
@@ -169,7 +187,7 @@ class Checker:
         for path in headers:
             name = path.relative_to(self.include_dir).as_posix()
             room = room_of(name)
-            public = name == VERSION or room in ALLOWED_ROOMS.keys() - {"interop"}
+            public = name == VERSION or room in ALLOWED_ROOMS.keys() - {"interop", "math"}
             if public and "/detail/" not in name and name not in reached:
                 self.report(umbrella, 1, f"does not reach {name}")
 
@@ -179,14 +197,17 @@ class Checker:
 CLEAN = {
     "include/ft/ft.hpp": "\n".join(
         f'#include "ft/{name}"'
-        for name in (
-            "version.hpp", "core/launch.hpp", "cameras/pinhole.hpp", "containers/soa.hpp",
-            "pipelines/tracker.hpp",
-        )
+        for name in ("version.hpp", "types/pose.hpp", "cameras/pinhole.hpp", "pipelines/tracker.hpp")
+    ),
+    "include/ft/stages.hpp": "\n".join(
+        f'#include "ft/{name}"' for name in ("ft.hpp", "core/launch.hpp", "containers/soa.hpp")
     ),
     "include/ft/version.hpp": "#pragma once",
-    "include/ft/core/math.hpp": "#include <cmath>\n// kernel<<<1, 1>>>(); in a comment is no launch",
+    "include/ft/core/config.hpp": "#pragma once",
+    "include/ft/types/pose.hpp": '#include "ft/core/config.hpp"',
+    "include/ft/core/math.hpp": "#include \"ft/types/pose.hpp\"\n#include <cmath>\n// kernel<<<1, 1>>>(); in a comment is no launch",
     "include/ft/core/detail/bits.hpp": '#include "ft/core/math.hpp"',
+    "include/ft/math/so3.hpp": '#include "ft/core/math.hpp"',
     "include/ft/core/launch.hpp": '#include "ft/core/detail/bits.hpp"\nvoid f() { k<<<1, 1>>>(); }',
     "include/ft/cameras/pinhole.hpp": '#include "ft/core/math.hpp"',
     "include/ft/containers/soa.hpp": '#include "ft/core/detail/bits.hpp"',
@@ -197,20 +218,28 @@ CLEAN = {
     "include/ft/interop/thrust.hpp": "#include <thrust/sort.h>",
     "include/ft/interop/eigen.hpp": "#include <Eigen/Geometry>",
     "examples/sequence/reader.cpp": '#include "examples/sequence/detail/text.hpp"\n#include <Eigen/Core>',
-    "tests/kernels/blur_test.cpp": '#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
+    "tests/kernels/blur_test.cpp": '#include "ft/math/so3.hpp"\n#include "ft/kernels/detail/row.hpp"\n#include "ft/ft.hpp"\n#include "ft/kernels/blur.hpp"',
     "tests/examples/text_test.cpp": '#include "examples/sequence/detail/text.hpp"',
 }
 
 # file, a line added to it, what the checker must say and where
 VIOLATIONS = [
+    ("include/ft/types/pose.hpp", '#include "ft/core/math.hpp"', "types may not include core"),
+    ("include/ft/types/pose.hpp", '#include "ft/core/detail/bits.hpp"', "types may not include core"),
     ("include/ft/core/math.hpp", '#include "ft/cameras/pinhole.hpp"', "core may not include cameras"),
     ("include/ft/core/math.hpp", '  #  include "ft/kernels/blur.hpp"', "core may not include kernels"),
     ("include/ft/core/math.hpp", "#include <ft/pipelines/tracker.hpp>", "core may not include pipe"),
     ("include/ft/core/math.hpp", '#include "ft/ft.hpp"', "includes the umbrella"),
+    ("include/ft/core/math.hpp", '#include "ft/stages.hpp"', "includes the umbrella"),
+    ("include/ft/ft.hpp", '#include "ft/kernels/blur.hpp"', "belongs in ft/stages.hpp"),
     ("include/ft/core/math.hpp", '#include "detail/bits.hpp"', "does not start with"),
     ("include/ft/core/math.hpp", '#include "ft/core/nowhere.hpp"', "there is no"),
     ("include/ft/core/math.hpp", "#include <Eigen/Core>", "includes Eigen"),
     ("include/ft/core/math.hpp", "void g() { k<<<2, 2>>>(); }", "launches a kernel"),
+    ("include/ft/math/so3.hpp", '#include "ft/kernels/blur.hpp"', "math may not include kernels"),
+    ("include/ft/math/so3.hpp", '#include "ft/cameras/pinhole.hpp"', "math may not include cameras"),
+    ("include/ft/core/math.hpp", '#include "ft/math/so3.hpp"', "core may not include math"),
+    ("include/ft/cameras/pinhole.hpp", '#include "ft/math/so3.hpp"', "cameras may not include math"),
     ("include/ft/version.hpp", '#include "ft/core/math.hpp"', "includes ft/core/math.hpp"),
     ("include/ft/cameras/pinhole.hpp", '#include "ft/containers/soa.hpp"', "cameras may not include"),
     ("include/ft/containers/soa.hpp", '#include "ft/cameras/pinhole.hpp"', "containers may not"),
@@ -226,8 +255,10 @@ VIOLATIONS = [
     ("include/ft/pipelines/tracker.hpp", '#include "ft/interop/opencv.hpp"', "may not include interop"),
     ("include/ft/interop/thrust.hpp", '#include "ft/kernels/blur.hpp"', "interop may not include"),
     ("include/ft/interop/thrust.hpp", "#include <opencv2/core.hpp>", "includes OpenCV"),
-    ("include/ft/ft.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
-    ("include/ft/ft.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/interop/opencv.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/core/detail/bits.hpp"', "does not belong in the umbrella"),
+    ("include/ft/stages.hpp", '#include "ft/math/so3.hpp"', "does not belong in the umbrella"),
+    ("bench/blur.cu", '#include "ft/math/so3.hpp"', "is not API"),
     ("include/ft/tools/extra.hpp", "", "is not a room"),
     ("include/ft/core/forgotten.hpp", "", "does not reach ft/core/forgotten.hpp"),
     ("examples/track/main.cpp", '#include "ft/core/detail/bits.hpp"', "is not API"),
@@ -256,7 +287,7 @@ def self_test():
         text = CLEAN.get(name, "// new")
         line = text.count("\n") + 2 if added else 1
         found = run_on({**CLEAN, name: f"{text}\n{added}" if added else text})
-        where = "include/ft/ft.hpp:1" if "forgotten" in name else f"{name}:{line}"
+        where = "include/ft/stages.hpp:1" if "forgotten" in name else f"{name}:{line}"
         if not any(v.startswith(where + ":") and expected in v for v in found):
             failures.append(f"missed in {where}: {added or '(the file)'}; found: {found}")
         if len(found) != 1:

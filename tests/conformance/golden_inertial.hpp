@@ -12,11 +12,10 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/kernels/inertial/calibration.hpp"
-#include "ft/kernels/inertial/change_bias.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/conformance/inertial_case.hpp"
 #include "tests/support/memory.hpp"

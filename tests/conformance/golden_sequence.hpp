@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/stereo/fisheye.hpp"

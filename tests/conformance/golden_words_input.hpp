@@ -16,7 +16,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/counter_draws.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/npy.hpp"
 

@@ -13,7 +13,6 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pnp/problem.hpp"
-#include "ft/kernels/pnp/refine_pnp.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "tests/conformance/golden_sequence.hpp"
 #include "tests/support/memory.hpp"

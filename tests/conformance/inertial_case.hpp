@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/npy.hpp"
 
 namespace test {

@@ -5,8 +5,8 @@
 #include <cmath>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/conformance/inertial_case.hpp"
 #include "tests/support/inertial_poses.hpp"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file What a stranger's first program looks like: a stage of one's own over a container of ft's.
 /// Every consumer project builds it, as C++ or as CUDA.
-#include <ft/ft.hpp>
+#include <ft/stages.hpp>
 
 #include <cstdio>
 

@@ -52,7 +52,7 @@ cat >"$work/in_front/bits/shared_ptr_base.h" <<'END'
 #pragma pop_macro("__noinline__")
 END
 cat >"$work/unit.cu" <<'END'
-#include "ft/ft.hpp"
+#include "ft/stages.hpp"
 using fisheye = ft::kannala_brandt<float>;
 using distorted = ft::radtan5<float>;
 template class ft::frame_tracker<ft::cuda_exec, ft::rectified_rig>;

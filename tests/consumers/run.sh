@@ -99,6 +99,20 @@ by_pkg_config() {
   run "$work/consumer_pc"
 }
 
+compiled_library() {
+  heading "library, find_package(ft COMPONENTS odometry)"
+  build_project "$consumers/library" "$work/library" -DCMAKE_PREFIX_PATH="$prefix"
+  tests_of "$work/library"
+  if command -v pkg-config >/dev/null; then
+    local flags folder
+    folder=$(dirname "$(find "$prefix" -name ft-odometry.pc)")
+    read -ra flags <<<"$(PKG_CONFIG_PATH=$folder${PKG_CONFIG_PATH:+:$PKG_CONFIG_PATH} \
+      pkg-config --cflags --libs ft-odometry)"
+    "${CXX:-g++}" -std=c++17 -O1 "$ft_root/examples/compiled_pose/main.cpp" "${flags[@]}" -o "$work/compiled_pose"
+    LD_LIBRARY_PATH=$prefix/lib "$work/compiled_pose"
+  fi
+}
+
 components() {
   heading "find_package with components that there are not"
   quietly cmake -DCMAKE_PREFIX_PATH="$prefix" -DOUT="$work/components" -P "$consumers/components.cmake"
@@ -160,6 +174,11 @@ consume cmake_consumer fetch_content "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"  # th
 consume plain_include
 if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
 if command -v pkg-config >/dev/null; then consume by_pkg_config; fi
+if [[ -n $(find "$prefix" -name ftOdometryConfig.cmake) ]]; then
+  consume compiled_library
+else
+  echo "the library ft::odometry is not installed: configure with -DFT_BUILD_LIBRARY=ON"
+fi
 consume components
 consume vcpkg_port
 if command -v conan >/dev/null; then

@@ -19,7 +19,6 @@
 #include "ft/core/recording.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
-#include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
 #include "ft/kernels/upload.hpp"
 #include "tests/support/backends.hpp"

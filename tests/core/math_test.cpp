@@ -3,7 +3,7 @@
 // solvers.
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/bits.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 #include <gtest/gtest.h>
 
@@ -20,8 +20,8 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
-#include "ft/kernels/pose/se3.hpp"
-#include "ft/kernels/pose/solve6.hpp"
+#include "ft/math/positive_definite.hpp"
+#include "ft/math/se3.hpp"
 #include "tests/support/backends.hpp"
 
 namespace math_test {

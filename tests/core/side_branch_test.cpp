@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Branches: what is queued on one sees what was there at the fork, and is there after the join,
 // queued or recorded. Concurrent launches likewise.
-#include "ft/core/side_branch.hpp"
+#include "ft/core/recording.hpp"
 
 #include <gtest/gtest.h>
 
@@ -10,7 +10,6 @@
 
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/core/recording.hpp"
 #include "tests/support/backends.hpp"
 
 namespace side_branch_test {

@@ -15,10 +15,10 @@
 #include "examples/sequence/generator.hpp"
 #include "examples/sequence/reader.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/inertial/calibration.hpp"
 #include "ft/kernels/inertial/initialize.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
 #include "tests/support/sequence.hpp"
 
 namespace {

@@ -501,6 +501,23 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   }
 }
 
+TEST_F(report, csv_has_the_covariances_that_are_known) {
+  seq::run_report r = filled(2, false);
+  for (int i = 0; i < 21; ++i) { r.records[0].covariance.push_back(0.5 + 1e-7 * i); }
+  seq::write_times_csv(file("times.csv"), r);
+  auto const lines = split(read_text(file("times.csv")), '\n');
+  ASSERT_EQ(lines.size(), 3U);
+  EXPECT_NE(lines[0].find(",covariance_00,covariance_01,"), std::string::npos);
+  EXPECT_NE(lines[0].find(",covariance_05,covariance_11,"), std::string::npos);
+  EXPECT_NE(lines[0].find(",covariance_45,covariance_55,images_to_pose_ms,"), std::string::npos);
+  EXPECT_NE(lines[1].find(",0.5,0.5000001,"), std::string::npos);
+  EXPECT_NE(lines[1].find(",0.5000019,0.500002,"), std::string::npos);
+  EXPECT_NE(lines[2].find(std::string(21, ',')), std::string::npos);
+  for (auto const& line : lines) {
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 12 + 21) << line;
+  }
+}
+
 TEST_F(report, csv_quotes_names_and_keeps_signs) {
   seq::run_report r;
   r.stages = {"a,\"b\""};

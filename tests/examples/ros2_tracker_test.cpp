@@ -14,7 +14,7 @@
 #include "examples/ros2/include/ft_ros2/base_frame.hpp"
 #include "examples/ros2/include/ft_ros2/images.hpp"
 #include "examples/ros2/include/ft_ros2/quaternions.hpp"
-#include "examples/ros2/include/ft_ros2/tracker_of.hpp"
+#include "examples/ros2/include/ft_ros2/tracker.hpp"
 #include "examples/sequence/generator.hpp"
 #include "examples/sequence/grey.hpp"
 
@@ -197,7 +197,8 @@ TEST(Tracker, FollowsAGeneratedRobot) {
                    camera.cy,    source.rig().baseline()};
   settings.T_base_camera = plain(mounted());
   settings.features = 400;
-  ft_ros2::tracker_of<ft::host_exec> tracker(ft::host_exec(1), settings);
+  settings.threads = 1;
+  ft_ros2::tracker tracker(settings);
   Eigen::Isometry3d const first = source.T_world_camera(0);
   for (int i = 0; i < source.size(); ++i) {
     seq::stereo_frame const frame = source.render(i);
@@ -223,10 +224,11 @@ TEST(Tracker, SaysWhatIsWrongWithTheImu) {
   ft_ros2::tracker_settings settings;
   settings.pair = {320, 208, 200, 200, 160, 104, 0.1};
   settings.imu.emplace();  // 200 Hz
+  settings.threads = 1;
   std::vector<std::uint8_t> const grey(320 * 208, 90);
   std::array<double, 3> const up = {0, -9.81, 0};
   auto const warning_after = [&](std::int64_t step_ns, double strange) {
-    ft_ros2::tracker_of<ft::host_exec> tracker(ft::host_exec(1), settings);
+    ft_ros2::tracker tracker(settings);
     std::int64_t const end = 1'000'000'000;
     for (std::int64_t t = step_ns; t <= end; t += step_ns) {
       tracker.add_imu(t, t == 40 * step_ns ? std::array<double, 3>{strange, 0, 0} : up, {0, 0, 0});

@@ -12,7 +12,6 @@
 #include "ft/containers/soa.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "tests/fuzz/input.hpp"
 

@@ -7,7 +7,7 @@
 
 #include <limits>
 
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace eigen_test {
 

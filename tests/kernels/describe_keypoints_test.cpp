@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Description of keypoints from elsewhere: the extractor's own keypoints get what the extractor
 // gave them; what cannot be described is marked.
-#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Keypoints of OpenCV described by ft, against cv::ORB's descriptors of the same keypoints.
-#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
 
 #include <gtest/gtest.h>
 

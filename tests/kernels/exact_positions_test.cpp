@@ -16,10 +16,9 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
-#include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
 #include "tests/support/backends.hpp"
 
 namespace exact_positions_test {

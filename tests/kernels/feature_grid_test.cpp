@@ -14,7 +14,7 @@
 #include "ft/containers/feature_grid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 
 namespace feature_grid_test {

@@ -16,7 +16,7 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 
 namespace frustum_test {
@@ -223,6 +223,68 @@ TYPED_TEST(frustum_unit, the_level_follows_the_distance) {
   point.max_distance = 1e6f;
   EXPECT_EQ(this->look_at(point).level, 7);
   EXPECT_EQ(this->look_at({point}, this->camera, ft::pose::identity(), 0, bounds(3))[0].level, 2);
+}
+
+/// Straight ahead, so that the distance is z.
+inline map_point ahead(float z, float min_distance, float max_distance) {
+  return {{0, 0, z}, {0, 0, 1}, min_distance, max_distance};
+}
+
+/// The reference multiplies floats: with 0.8 and 1.2 in double other points would be seen.
+TYPED_TEST(frustum_unit, limits_of_distance_are_products_of_floats) {
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> exponent(-3, 6);
+  constexpr float none = 0;
+  std::vector<map_point> points;
+  std::vector<bool> seen;
+  int otherwise = 0;
+  auto const add = [&](float z, float least, float most, bool is_seen) {
+    points.push_back(ahead(z, least, most));
+    seen.push_back(is_seen);
+    double const d = z;
+    bool const in_double = d >= 0.8 * least && d <= 1.2 * most;
+    otherwise += static_cast<int>(in_double != is_seen);
+  };
+  for (int i = 0; i < 500; ++i) {
+    float const limit = std::exp2(exponent(random));
+    float const low = 0.8f * limit;
+    float const high = 1.2f * limit;
+    add(high, none, limit, true);
+    add(std::nextafter(high, 1e30f), none, limit, false);
+    add(low, limit, 1e6f, true);
+    add(std::nextafter(low, none), limit, 1e6f, false);
+  }
+  EXPECT_GT(otherwise, 100);
+  auto const got = this->look_at(points, this->camera);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    ASSERT_EQ(got[i].level >= 0, seen[i]) << points[i].position.z;
+  }
+}
+
+/// Quotients, logarithms and the rounding up are the reference's in float. A camera that stands
+/// still sees its points where octaves change, and there double gives others.
+TYPED_TEST(frustum_unit, levels_on_the_edge_are_those_of_floats) {
+  std::mt19937 random(4);
+  std::uniform_real_distribution<float> exponent(-3, 6);
+  float const log_scale = std::log(1.2f);
+  std::vector<map_point> points;
+  std::vector<int> levels;
+  int otherwise = 0;
+  for (int i = 0; i < 4000; ++i) {
+    float const z = std::exp2(exponent(random));
+    float most = z * std::pow(1.2f, static_cast<float>(1 + i % 6));
+    for (int step = i % 17; step < 8; ++step) { most = std::nextafter(most, 0.0f); }
+    for (int step = 8; step < i % 17; ++step) { most = std::nextafter(most, 1e30f); }
+    points.push_back(ahead(z, 0, most));
+    levels.push_back(std::clamp(static_cast<int>(std::ceil(std::log(most / z) / log_scale)), 0, 7));
+    double const in_double = std::ceil(std::log(double{most} / z) / double{log_scale});
+    otherwise += static_cast<int>(static_cast<int>(in_double) != levels.back());
+  }
+  EXPECT_GT(otherwise, 10);
+  auto const got = this->look_at(points, this->camera);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    ASSERT_EQ(got[i].level, levels[i]) << points[i].position.z << " " << points[i].max_distance;
+  }
 }
 
 TYPED_TEST(frustum_unit, distance_and_angle_are_measured_from_the_centre_of_the_camera) {

@@ -24,7 +24,6 @@
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/last_frame.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"

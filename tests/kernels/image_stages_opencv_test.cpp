@@ -21,7 +21,7 @@
 #include "ft/kernels/corners/detect_corners.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
-#include "ft/kernels/pyramid/resize_taps.hpp"
+#include "ft/kernels/pyramid/tile_layout.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/corners.hpp"
 #include "tests/support/random.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a pose with an IMU leaves to the next frame, by a stage of its own.
-#include "ft/kernels/inertial/marginalize_inertial_pose.hpp"
+#include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 
 #include <gtest/gtest.h>
 

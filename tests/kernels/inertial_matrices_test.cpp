@@ -11,7 +11,7 @@
 
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/inertial/information.hpp"
+#include "ft/kernels/inertial/detail/information.hpp"
 #include "tests/support/backends.hpp"
 
 namespace inertial_matrices_test {

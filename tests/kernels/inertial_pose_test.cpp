@@ -335,7 +335,7 @@ TYPED_TEST(inertial_pose, all_executors_give_the_same_bits) {
 
 // ---- derivatives --------------------------------------------------------------------------------
 
-inline ft::detail::wide_vec3 widened(vector v) { return v.cast<wide>(); }
+inline ft::detail::strict_vec3d widened(vector v) { return v.cast<wide>(); }
 inline ft::detail::wide_state widened(state const& s) { return ft::detail::cast_state<wide>(s); }
 
 /// A state after a small change: in the body's frame, of 15 unknowns.

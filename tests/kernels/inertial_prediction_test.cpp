@@ -14,8 +14,8 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "ft/kernels/inertial/calibration.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/plain_inertial.hpp"

@@ -260,13 +260,13 @@ TEST(InitializeInertial, RefusesBadInput) {
 
   ft::initialization_params bad;
   bad.position_sigma = 0;
-  EXPECT_THROW(bad.check(), ft::bad_argument);
+  EXPECT_THROW(ft::check(bad), ft::bad_argument);
   bad = {};
   bad.least_keyframes = 2;
-  EXPECT_THROW(bad.check(), ft::bad_argument);
+  EXPECT_THROW(ft::check(bad), ft::bad_argument);
   bad = {};
   bad.gravity = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_THROW(bad.check(), ft::bad_argument);
+  EXPECT_THROW(ft::check(bad), ft::bad_argument);
 }
 
 std::vector<double> numbers_of(ft::inertial_initialization const& r) {

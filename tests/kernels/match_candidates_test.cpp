@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which of several matches makes a new point: a wide wrong one loses against narrow ones that
 // agree, and against a plain reading of the rule.
-#include "ft/kernels/map/match_candidates.hpp"
+#include "ft/kernels/map/detail/bin_rays.hpp"
 
 #include <gtest/gtest.h>
 

@@ -11,7 +11,7 @@
 #include <cstring>
 #include <vector>
 
-#include "ft/kernels/motion/three_points.hpp"
+#include "ft/kernels/motion/constant_velocity.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/example_rigs.hpp"

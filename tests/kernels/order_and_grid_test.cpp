@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ordering keypoints and filling their grids in one launch against the two stages one by one.
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 
 #include <gtest/gtest.h>
 

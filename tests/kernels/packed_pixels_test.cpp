@@ -14,8 +14,8 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/blur.hpp"
+#include "ft/kernels/corners/detail/fast_score.hpp"
 #include "ft/kernels/corners/detect_corners.hpp"
-#include "ft/kernels/corners/fast_score.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "ft/core/execution.hpp"
-#include "ft/kernels/pnp/refine_pnp.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "tests/support/pnp_scene.hpp"
 

@@ -13,18 +13,18 @@
 
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/matrices/paired_eigen.hpp"
-#include "ft/kernels/matrices/small_matrices.hpp"
-#include "ft/kernels/pnp/linear_pose.hpp"
-#include "ft/kernels/pnp/refine_pose.hpp"
+#include "ft/kernels/pnp/detail/linear_pose.hpp"
+#include "ft/kernels/pnp/detail/refine_pose.hpp"
+#include "ft/math/group_eigen.hpp"
+#include "ft/math/small_matrices.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/pnp_scene.hpp"
 
 namespace pnp_solver_test {
 
-using ft::detail::wide;
-using ft::detail::wide_mat3;
-using ft::detail::wide_vec3;
+using ft::detail::real64;
+using ft::detail::strict_mat3d;
+using ft::detail::strict_vec3d;
 using test::at;
 
 constexpr int most = 12;
@@ -136,28 +136,28 @@ TYPED_TEST(PairedEigen, leaves_diagonal_matrices_and_ends_without_numbers) {
   EXPECT_TRUE(std::isnan(got.values[at(2 * most)]));
 }
 
-wide_mat3 random_matrix(std::mt19937& random) {
+strict_mat3d random_matrix(std::mt19937& random) {
   std::normal_distribution<double> normal(0, 1);
-  wide_mat3 M;
-  for (wide& k : M.m) { k = normal(random); }
+  strict_mat3d M;
+  for (real64& k : M.m) { k = normal(random); }
   return M;
 }
 
 TEST(SmallMatrices, orthogonal_factor_is_the_nearest_rotation) {
   std::mt19937 random(2);
   for (int round = 0; round < 300; ++round) {
-    wide_mat3 M = random_matrix(random);
+    strict_mat3d M = random_matrix(random);
     if (round % 3 == 1) {  // rank 2
       for (int c = 0; c < 3; ++c) { M.m[6 + c] = M.m[c] - M.m[3 + c]; }
     }
     if (round % 50 == 2) { M = {{2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0}}; }
-    wide_mat3 const R = ft::detail::orthogonal_factor(M);
-    wide_mat3 const one = R.transposed() * R;
+    strict_mat3d const R = ft::detail::orthogonal_factor(M);
+    strict_mat3d const one = R.transposed() * R;
     for (int k = 0; k < 9; ++k) { EXPECT_NEAR(one.m[k].value, k % 4 == 0 ? 1 : 0, 1e-13); }
     EXPECT_NEAR(ft::detail::determinant(R).value, 1, 1e-13);
     // Of M or -M: what is left of the rotation is symmetric. Of rank 2 that may be either sign of
     // the direction that M lacks.
-    wide_mat3 const S = R.transposed() * M;
+    strict_mat3d const S = R.transposed() * M;
     if (round % 3 != 1) {
       EXPECT_NEAR(S.m[1].value, S.m[3].value, 1e-13);
       EXPECT_NEAR(S.m[2].value, S.m[6].value, 1e-13);
@@ -169,24 +169,24 @@ TEST(SmallMatrices, orthogonal_factor_is_the_nearest_rotation) {
       }
     }
   }
-  wide_mat3 const none = ft::detail::orthogonal_factor({});
+  strict_mat3d const none = ft::detail::orthogonal_factor({});
   EXPECT_FALSE(none.m[0].value == none.m[0].value);
 }
 
 TEST(SmallMatrices, rank_counts_pivots) {
   std::mt19937 random(3);
-  EXPECT_EQ(ft::detail::rank_of(wide_mat3::identity()), 3);
-  EXPECT_EQ(ft::detail::rank_of(wide_mat3{}), 0);
+  EXPECT_EQ(ft::detail::rank_of(strict_mat3d::identity()), 3);
+  EXPECT_EQ(ft::detail::rank_of(strict_mat3d{}), 0);
   std::normal_distribution<double> normal(0, 1);
   for (int zero = 0; zero < 3; ++zero) {
     for (int round = 0; round < 50; ++round) {
-      wide_mat3 plane{};
-      wide_mat3 line{};
+      strict_mat3d plane{};
+      strict_mat3d line{};
       for (int p = 0; p < 6; ++p) {
         double x[3] = {normal(random), normal(random), normal(random)};
         x[zero] = 0;
         for (int e = 0; e < 9; ++e) {
-          plane.m[e] += wide(x[e / 3]) * wide(x[e % 3]);
+          plane.m[e] += real64(x[e / 3]) * real64(x[e % 3]);
           if (p == 0) { line.m[e] = plane.m[e]; }
         }
       }
@@ -221,8 +221,8 @@ TEST(SmallMatrices, solves_normal_equations) {
     }
     double want[6];
     for (double& k : want) { k = normal(random); }
-    wide m[42];
-    std::fill(m, m + 42, wide(std::nan("")));  // the lower triangle is not read
+    real64 m[42];
+    std::fill(m, m + 42, real64(std::nan("")));  // the lower triangle is not read
     for (int i = 0; i < 6; ++i) {
       double right = 0;
       for (int k = 0; k < 6; ++k) {
@@ -233,7 +233,7 @@ TEST(SmallMatrices, solves_normal_equations) {
       }
       m[7 * i + 6] = right;
     }
-    wide got[6];
+    real64 got[6];
     ft::detail::solve_symmetric_6(m, got);
     for (int k = 0; k < 6; ++k) { EXPECT_NEAR(got[k].value, want[k], 1e-9); }
   }
@@ -248,19 +248,19 @@ TEST(PoseFromPoints, vectors_of_rotations) {
     ft::vec3<double> axis{real(random), real(random), real(random)};
     auto const R = test::rotation_about(axis, angle);
     axis = scaled(axis, angle / std::sqrt(dot(axis, axis)));
-    auto const w = ft::detail::rotation_vector(R.cast<wide>()).cast<double>();
+    auto const w = ft::detail::rotation_vector(R.cast<real64>()).cast<double>();
     // Near half a turn the vector is the difference of R and its transpose, which vanishes.
     double const tolerance = 1e-13 + (angle > 2 ? 3e-16 / std::pow(std::sin(angle), 3) : 0.0);
     EXPECT_NEAR(w.x, axis.x, tolerance);
     EXPECT_NEAR(w.y, axis.y, tolerance);
     EXPECT_NEAR(w.z, axis.z, tolerance);
-    auto const T = ft::detail::turned_by({axis.cast<wide>(), {1.0, 2.0, 3.0}}).T;
+    auto const T = ft::detail::turned_by({axis.cast<real64>(), {1.0, 2.0, 3.0}}).T;
     for (int k = 0; k < 9; ++k) { EXPECT_NEAR(T.R.m[k].value, R.m[k], 1e-14); }
   }
   // As in the reference.
-  EXPECT_TRUE(std::isnan(ft::detail::rotation_vector(wide_mat3::identity()).x.value));
+  EXPECT_TRUE(std::isnan(ft::detail::rotation_vector(strict_mat3d::identity()).x.value));
   EXPECT_TRUE(std::isnan(
-      ft::detail::rotation_vector(scaled(wide_mat3::identity(), wide(1.0 + 1e-12))).x.value));
+      ft::detail::rotation_vector(scaled(strict_mat3d::identity(), real64(1.0 + 1e-12))).x.value));
 }
 
 TEST(PoseFromPoints, derivatives_are_those_of_finite_differences) {
@@ -270,13 +270,13 @@ TEST(PoseFromPoints, derivatives_are_those_of_finite_differences) {
     for (int round = 0; round < 40; ++round) {
       double x[6];
       for (int k = 0; k < 6; ++k) { x[k] = (k < 3 ? turn : 2.0) * real(random); }
-      wide_vec3 const point{3 * real(random), 3 * real(random), 5 + 2 * real(random)};
-      wide_vec3 const ray{real(random), real(random), 1.0};
-      auto const rows = [&](double const(&at_x)[6], wide(&row)[14]) {
+      strict_vec3d const point{3 * real(random), 3 * real(random), 5 + 2 * real(random)};
+      strict_vec3d const ray{real(random), real(random), 1.0};
+      auto const rows = [&](double const(&at_x)[6], real64(&row)[14]) {
         ft::detail::pose_vector const v{{at_x[0], at_x[1], at_x[2]}, {at_x[3], at_x[4], at_x[5]}};
         ft::detail::direction_rows(ft::detail::turned_by(v), ray, point, row);
       };
-      wide row[14];
+      real64 row[14];
       rows(x, row);
       for (int k = 0; k < 6; ++k) {
         constexpr double h = 1e-5;
@@ -286,8 +286,8 @@ TEST(PoseFromPoints, derivatives_are_those_of_finite_differences) {
         std::copy(x, x + 6, down);
         up[k] += h;
         down[k] -= h;
-        wide above[14];
-        wide below[14];
+        real64 above[14];
+        real64 below[14];
         rows(up, above);
         rows(down, below);
         for (int r = 0; r < 14; r += 7) {
@@ -303,14 +303,14 @@ TEST(PoseFromPoints, rows_are_what_the_direction_does_not_share_with_the_ray) {
   std::mt19937 random(8);
   std::uniform_real_distribution<double> real(-1, 1);
   for (int round = 0; round < 200; ++round) {
-    wide_vec3 ray{real(random), real(random), real(random)};
+    strict_vec3d ray{real(random), real(random), real(random)};
     if (round < 3) {
       ray = {round == 0 ? 1.0 : 0.0, round == 1 ? 1.0 : 0.0, round == 2 ? 1.0 : 0.0};
     }
-    wide_vec3 const point{real(random), real(random), real(random)};
+    strict_vec3d const point{real(random), real(random), real(random)};
     ft::detail::pose_vector const v{{0.1, 0.2, -0.3}, {1.0, -0.5, 3.0}};
     auto const pose = ft::detail::turned_by(v);
-    wide row[14];
+    real64 row[14];
     ft::detail::direction_rows(pose, ray, point, row);
     auto const u = ft::detail::unit(pose.T * point);
     auto const apart = cross(ft::detail::unit(ray), u);
@@ -337,20 +337,20 @@ TEST(PoseFromPoints, is_exact_and_least_squares) {
     auto const cost = [&](ft::detail::pose_vector const& x) {
       double sum = 0;
       for (int i = 0; i < from.count; ++i) {
-        wide row[14];
+        real64 row[14];
         ft::detail::direction_rows(ft::detail::turned_by(x), from.ray_of(i), from.point_of(i), row);
         sum += (row[6] * row[6] + row[13] * row[13]).value;
       }
       return sum;
     };
-    auto const w = ft::detail::rotation_vector(found.T_cw.R.cast<wide>());
-    ft::detail::pose_vector const x{w, found.T_cw.t.cast<wide>()};
+    auto const w = ft::detail::rotation_vector(found.T_cw.R.cast<real64>());
+    ft::detail::pose_vector const x{w, found.T_cw.t.cast<real64>()};
     double const least = cost(x);
     for (int k = 0; k < 12; ++k) {
       ft::detail::pose_vector other = x;
-      wide* const part[6] = {&other.w.x, &other.w.y, &other.w.z,
-                             &other.t.x, &other.t.y, &other.t.z};
-      *part[k / 2] += wide(k % 2 == 0 ? 3e-5 : -3e-5);
+      real64* const part[6] = {&other.w.x, &other.w.y, &other.w.z,
+                               &other.t.x, &other.t.y, &other.t.z};
+      *part[k / 2] += real64(k % 2 == 0 ? 3e-5 : -3e-5);
       EXPECT_LT(least, cost(other));
     }
     return found.T_cw;

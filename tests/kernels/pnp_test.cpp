@@ -15,7 +15,6 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/kernels/pnp/refine_pnp.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/pnp_scene.hpp"

@@ -13,8 +13,8 @@
 #include <random>
 #include <vector>
 
-#include "ft/kernels/inertial/calibration.hpp"
-#include "ft/kernels/inertial/change_bias.hpp"
+#include "ft/kernels/inertial/predict.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/plain_inertial.hpp"

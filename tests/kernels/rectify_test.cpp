@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Remap tables and the rectification stage against a plain reading of the rule, on every executor.
 #include "ft/kernels/images/rectify.hpp"
-#include "ft/containers/image_batch.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/kernels/images/build_remap.hpp"
 
@@ -17,7 +17,6 @@
 #include <vector>
 
 #include "ft/cameras/double_sphere.hpp"
-#include "ft/cameras/extended_unified.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"

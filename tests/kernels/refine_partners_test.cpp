@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "ft/cameras/pinhole.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/error.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/memory.hpp"

@@ -7,7 +7,6 @@
 #include <string>
 #include <vector>
 
-#include "ft/kernels/relocalization/correspondences.hpp"
 #include "ft/kernels/relocalization/frame_points.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"

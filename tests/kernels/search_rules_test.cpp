@@ -18,7 +18,6 @@
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/local_map.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 

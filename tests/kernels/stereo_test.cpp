@@ -3,9 +3,9 @@
 // keypoints, keypoints at the rim, and the cut of outliers against a sort. Two cameras: the two
 // ways to triangulate, the nearest two of many descriptors.
 #include "ft/containers/stereo_matches.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
 
 #include <gtest/gtest.h>
 

@@ -9,7 +9,7 @@
 #include <random>
 #include <vector>
 
-#include "ft/containers/image_batch.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/kernels/images/rectify.hpp"
 #include "ft/pipelines/orb_extractor.hpp"

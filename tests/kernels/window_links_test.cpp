@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adjustments of windows whose views are linked by measured motions: derivatives, costs, minima,
 // views that a link alone holds, equal bits on both executors.
-#include "ft/kernels/window/links.hpp"
+#include "ft/kernels/window/detail/residual.hpp"
 
 #include <gtest/gtest.h>
 

@@ -347,16 +347,30 @@ TYPED_TEST(odometry_pipeline, refuses_parameters_out_of_range) {
       [](auto& p) { p.window_points = 0; },
       [](auto& p) { p.adjustment_delay = 0; },
       [](auto& p) { p.rules.keep_share = std::numeric_limits<float>::quiet_NaN(); },
+      [](auto& p) { p.rules.far_depth = std::numeric_limits<float>::quiet_NaN(); },
       [](auto& p) { p.rules.patience = 0; },
       [](auto& p) { p.rules.min_support = 3; },
       [](auto& p) { p.rules.doubtful_share = std::numeric_limits<float>::quiet_NaN(); },
       [](auto& p) { p.rules.matched_search = 0; },
       [](auto& p) { p.rules.min_inliers = 0; },
       [](auto& p) { p.orb.width = 0; },
+      [](auto& p) { p.orb.start_features = 5 * p.orb.features; },  // of one camera alone
   };
   for (std::size_t i = 0; i < changes.size(); ++i) {
     EXPECT_THROW(make(changes[i]), ft::bad_argument) << i;
   }
+}
+
+TYPED_TEST(odometry_pipeline, says_the_settings_that_it_was_given) {
+  TypeParam backend;
+  auto p = params();
+  p.imu.present = true;
+  p.imu.keyframe_period_s = 0.1;
+  ft::odometry const odo(backend.exec, test::room::rig(), p);
+  EXPECT_EQ(odo.params().rules.keyframe_period_s, 0);
+  EXPECT_FALSE(odo.params().orb.exact_positions);
+  EXPECT_FALSE(odo.params().orb.refine_positions);
+  EXPECT_EQ(odo.params().orb.start_features, 0);
 }
 
 TYPED_TEST(odometry_pipeline, moves) {

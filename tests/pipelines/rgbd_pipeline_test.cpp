@@ -11,7 +11,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "ft/ft.hpp"
+#include "ft/stages.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 

@@ -8,7 +8,7 @@
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace test {
 

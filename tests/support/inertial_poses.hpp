@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/kernels/inertial/marginalize_inertial_pose.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "tests/support/memory.hpp"
 

@@ -9,7 +9,7 @@
 #include <cstring>
 #include <vector>
 
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace test {
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace test {
 

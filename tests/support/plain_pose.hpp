@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/observations.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/example_rigs.hpp"
 
 namespace test {

@@ -11,9 +11,9 @@
 
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pnp/problem.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/random.hpp"
 

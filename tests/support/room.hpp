@@ -12,7 +12,7 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/tracking.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "ft/containers/keypoints.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 #include "tests/support/plain_vocabulary.hpp"
 #include "tests/support/random.hpp"
 

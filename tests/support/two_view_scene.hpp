@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "ft/cameras/pinhole.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
+#include "ft/types/poses.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/plain_inertial.hpp"
 

@@ -11,8 +11,8 @@
 #include "ft/containers/keyframe_database.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
 #include "ft/kernels/words/query_database.hpp"
+#include "ft/kernels/words/score.hpp"
 #include "tests/support/memory.hpp"
 
 namespace test {

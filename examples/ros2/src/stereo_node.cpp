@@ -93,7 +93,7 @@ private:
   void read_settings() {
     settings_.features = static_cast<int>(declare_parameter("features", std::int64_t{1200}));
     settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
-    on_gpu_ = declare_parameter<std::string>("device", "host") == "cuda";
+    settings_.gpu = declare_parameter<std::string>("device", "host") == "cuda";
     use_imu_ = declare_parameter("use_imu", false);
     imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
     imu_.accel_noise = declare_parameter("accel_noise", imu_.accel_noise);
@@ -144,7 +144,7 @@ private:
       imu_.T_imu_camera = lookup(imu_id_, camera);
       settings_.imu = imu_;
     }
-    tracker_ = on_gpu_ ? make_cuda_tracker(settings_) : make_host_tracker(settings_);
+    tracker_ = std::make_unique<tracker>(settings_);
     RCLCPP_INFO(get_logger(), "tracking %dx%d images, baseline %.4f m", settings_.pair.width,
                 settings_.pair.height, settings_.pair.baseline);
     return true;
@@ -235,7 +235,7 @@ private:
   }
 
   std::string odom_frame_, base_frame_, imu_id_;
-  bool publish_tf_ = true, use_imu_ = false, on_gpu_ = false;
+  bool publish_tf_ = true, use_imu_ = false;
   std::size_t path_length_ = 0;
   imu_settings imu_;
   tracker_settings settings_;

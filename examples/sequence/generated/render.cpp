@@ -65,13 +65,10 @@ float shade(facing const& f, hit const& h, footprint const& width) {
   return f.skin->sample(h.s * k, h.t * k, width);
 }
 
-std::vector<facing> face(std::vector<surface> const& surfaces,
-                         Eigen::Isometry3d const& T_world_camera) {
-  Eigen::Isometry3d const T_camera_world = T_world_camera.inverse();
-  Eigen::Matrix3d const R = T_camera_world.linear();
-  std::vector<facing> out;
-  for (surface const& s : surfaces) {
-    Eigen::Vector3d const origin = T_camera_world * s.origin;
+void face(placed_surfaces const& placed, std::vector<facing>& out) {
+  Eigen::Matrix3d const R = placed.T_camera_surfaces.linear();
+  for (surface const& s : *placed.surfaces) {
+    Eigen::Vector3d const origin = placed.T_camera_surfaces * s.origin;
     Eigen::Vector3d const normal = R * s.normal;
     double const offset = normal.dot(origin);
     if (offset > -1e-6) { continue; }  // seen from behind
@@ -91,6 +88,11 @@ std::vector<facing> face(std::vector<surface> const& surfaces,
     f.skin = &s.skin;
     out.push_back(f);
   }
+}
+
+std::vector<facing> face(std::vector<placed_surfaces> const& all) {
+  std::vector<facing> out;
+  for (placed_surfaces const& placed : all) { face(placed, out); }
   return out;
 }
 
@@ -110,10 +112,9 @@ void find_candidates(std::vector<facing> const& surfaces, tile const& t, std::ve
 // Pixels of one image.
 class tracer {
 public:
-  tracer(view const& v, std::vector<surface> const& surfaces,
-         Eigen::Isometry3d const& T_world_camera)
+  tracer(view const& v, std::vector<placed_surfaces> const& all)
       : v_(v),
-        visible_(face(surfaces, T_world_camera)),
+        visible_(face(all)),
         w_(v.camera.width),
         h_(v.camera.height),
         out_(v.rays.size(), 0.0f),
@@ -230,9 +231,8 @@ std::vector<float> normal_table() {
   return out;
 }
 
-std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
-                         Eigen::Isometry3d const& T_world_camera) {
-  return tracer(v, surfaces, T_world_camera).run();
+std::vector<float> trace(view const& v, std::vector<placed_surfaces> const& all) {
+  return tracer(v, all).run();
 }
 
 image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,

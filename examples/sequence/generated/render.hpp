@@ -16,9 +16,14 @@ namespace seq::generated {
 /// Quantiles of the normal distribution; a uniform index gives a normal variate.
 std::vector<float> normal_table();
 
+/// Surfaces, and where they are.
+struct placed_surfaces {
+  std::vector<surface> const* surfaces;
+  Eigen::Isometry3d T_camera_surfaces;
+};
+
 /// Grey level of the surface that each pixel sees, 0 outside the lens' range.
-std::vector<float> trace(view const& v, std::vector<surface> const& surfaces,
-                         Eigen::Isometry3d const& T_world_camera);
+std::vector<float> trace(view const& v, std::vector<placed_surfaces> const& all);
 
 /// An image of what was traced. @param sigma of the noise, grey levels @param normal normal_table()
 image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,

@@ -34,6 +34,19 @@ void check_span(char const* name, time_span const& s) {
   }
 }
 
+void check_hiding(generator_options const& o) {
+  hiding_things const& h = o.hiding;
+  double const most = 80;
+  check("hiding.bonnet", h.bonnet, 0.0, most);
+  check("hiding.dirt", h.dirt, 0.0, most);
+  check("hiding.companion", h.companion, 0.0, most);
+  check("hiding.crossing", h.crossing, 0.0, most);
+  check("hiding.crossing_speed", h.crossing_speed, 0.0, 10.0);
+  if (o.rig != rig_kind::pinhole && h.bonnet + h.dirt + h.companion + h.crossing > 0) {
+    throw error("generator: things that hide parts of the image need the pinhole rig");
+  }
+}
+
 Eigen::Matrix3d small_rotation(double x, double y, double z) {
   Eigen::Vector3d const r(radians(x), radians(y), radians(z));
   return Eigen::AngleAxisd(r.norm(), r.normalized()).toRotationMatrix();
@@ -65,6 +78,10 @@ generator_options complete(generator_options o) {
     // the spline's knots must resolve it
     check("fast_turns: length in seconds", f.when.to_s - f.when.from_s, 0.2, 1e6);
   }
+  check("speed", o.speed, 0.0, 40.0);
+  check("look_aside", o.look_aside, -180.0, 180.0);
+  check("repeat", o.repeat, 0.2, 100.0, true);
+  check_hiding(o);
   check("threads", o.threads, 1, 256, true);
   if (o.rig != rig_kind::pinhole && o.rig != rig_kind::fisheye) {
     throw error("generator: unknown rig " + std::to_string(static_cast<int>(o.rig)));

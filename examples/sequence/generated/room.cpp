@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -99,6 +100,36 @@ std::vector<surface> furnish(std::uint64_t seed) {
   out.back().normal = z;
   add_surface(out, vec(-half_x, half_y, room_height), x, 2 * half_x, -y, 2 * half_y, 256, 1.05);
   out.back().normal = -z;
+  return out;
+}
+
+std::vector<surface> build_corridor(std::uint64_t seed, double length_m, double repeat_m) {
+  using vec = Eigen::Vector3d;
+  constexpr double begin = -5;
+  constexpr double half_width = 2.5;
+  constexpr double height = 3;
+  vec const x = vec::UnitX();
+  vec const y = vec::UnitY();
+  vec const z = vec::UnitZ();
+  random_stream random(seed);
+  std::vector<surface> out;
+  double const piece = repeat_m > 0 ? repeat_m : length_m - begin;
+  std::array<double, 4> const bright = {random.uniform(0.85, 1.05), random.uniform(0.85, 1.05),
+                                        random.uniform(0.75, 0.9), random.uniform(0.95, 1.05)};
+  auto const add = [&](int paint, vec const& origin, vec const& along, double width, vec const& up,
+                       double tall) {
+    add_surface(out, origin, along, width, up, tall, 200, bright[static_cast<std::size_t>(paint)]);
+    out.back().paint = paint;
+  };
+  for (double from = begin; from < length_m - 1e-9; from += piece) {
+    double const to = from + piece;
+    add(0, vec(from, half_width, 0), x, piece, z, height);
+    add(1, vec(to, -half_width, 0), -x, piece, z, height);
+    add(2, vec(from, -half_width, 0), x, piece, y, 2 * half_width);
+    add(3, vec(from, half_width, height), x, piece, -y, 2 * half_width);
+  }
+  add_surface(out, vec(length_m, half_width, 0), -y, 2 * half_width, z, height, 200, 1.0);
+  add_surface(out, vec(begin, -half_width, 0), y, 2 * half_width, z, height, 200, 1.0);
   return out;
 }
 

@@ -21,11 +21,16 @@ struct surface {
   double height = 0;
   double texels_per_m = 0;
   double brightness = 1;
+  int paint = -1;  ///< surfaces with the same number look the same; -1 = unlike any other
   texture skin;
 };
 
 /// Walls, floor, ceiling, boxes and panels, without their textures; the nearer ones come first.
 std::vector<surface> furnish(std::uint64_t seed);
+
+/// The same of a corridor along x, 5 m wide and 3 m high, from -5 m to length_m.
+/// @param repeat_m after which it looks the same, 0 = never; not its end
+std::vector<surface> build_corridor(std::uint64_t seed, double length_m, double repeat_m);
 
 /// Metres.
 double distance(surface const& s, Eigen::Vector3d const& point);

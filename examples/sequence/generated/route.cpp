@@ -123,15 +123,20 @@ struct turn {
 constexpr std::array<turn, 5> turns = {
     {{0.8, 4.5, 15}, {5.7, 7.8, 90}, {8.1, 9.7, -40}, {12.4, 15.8, 160}, {15.9, 19.0, 135}}};
 
+double fast_yaw(double t, std::vector<fast_turn> const& fast) {
+  double yaw = 0;
+  for (auto const& f : fast) {
+    yaw += f.degrees * there_and_back((t - f.when.from_s) / (f.when.to_s - f.when.from_s));
+  }
+  return yaw;
+}
+
 // Degrees, in the u-th second of a lap.
 double yaw_at(double t, double u, double lap, std::vector<fast_turn> const& fast) {
   constexpr double first_yaw = 20;
   double yaw = first_yaw + 360 * lap;
   for (auto const& r : turns) { yaw += r.degrees * ease5((u - r.begin_s) / (r.end_s - r.begin_s)); }
-  for (auto const& f : fast) {
-    yaw += f.degrees * there_and_back((t - f.when.from_s) / (f.when.to_s - f.when.from_s));
-  }
-  return yaw;
+  return yaw + fast_yaw(t, fast);
 }
 
 // Axes of a frame that looks along x, y left, z up, to those of a camera.
@@ -199,6 +204,37 @@ spline plan_route(std::uint64_t seed, double duration_s, std::vector<fast_turn> 
     c << p.x(), p.y(), p.z() + 0.035 * wave(0, 1.1) + 0.02 * wave(1, 1.9),
         radians(yaw + 1.5 * wave(2, 0.8)), radians(-6 + 5.0 * wave(3, 0.55) + 1.0 * wave(4, 1.7)),
         radians(5.0 * wave(5, 0.45) + 0.8 * wave(6, 2.1));
+    controls.push_back(c);
+  }
+  return spline(std::move(controls));
+}
+
+double driven(double t, double speed) {
+  constexpr double begin = 0.5;
+  constexpr double ramp = 1.5;
+  double const s = std::clamp((t - begin) / ramp, 0.0, 1.0);
+  return speed * (ramp * (s * s * s - 0.5 * s * s * s * s) + std::max(t - begin - ramp, 0.0));
+}
+
+spline plan_drive(std::uint64_t seed, double duration_s, double speed, double look_aside,
+                  std::vector<fast_turn> const& fast) {
+  random_stream random(seed);
+  std::array<double, 5> phase{};
+  for (auto& p : phase) { p = random.uniform(0, 2 * pi); }
+  int const count = static_cast<int>(std::ceil(duration_s / knot_s)) + 6;
+  std::vector<vec6> controls;
+  for (int i = 0; i < count; ++i) {
+    double const t = std::max(0, i - 1) * knot_s;
+    double const x = driven(t, speed);
+    // it sways by what it has gone, not at rest
+    double const sway = std::min(x, 1.0);
+    auto const wave = [&](std::size_t n, double hertz) {
+      return sway * std::sin(2 * pi * hertz * t + phase[n]);
+    };
+    vec6 c;
+    c << x, 0.1 * wave(0, 0.4), 1.5 + 0.015 * wave(1, 1.3),
+        radians(look_aside + fast_yaw(t, fast) + 1.5 * wave(2, 0.4)), radians(0.8 * wave(3, 1.1)),
+        radians(0.6 * wave(4, 0.7));
     controls.push_back(c);
   }
   return spline(std::move(controls));

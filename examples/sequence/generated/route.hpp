@@ -31,6 +31,13 @@ private:
 /// Laps through the room from 0 on. @param duration_s that are needed
 spline plan_route(std::uint64_t seed, double duration_s, std::vector<fast_turn> const& fast);
 
+/// Straight along x from the origin, 1.5 m high: at rest for half a second, then faster.
+/// @param speed m/s, after 2 s @param look_aside degrees to the left of x
+spline plan_drive(std::uint64_t seed, double duration_s, double speed, double look_aside,
+                  std::vector<fast_turn> const& fast);
+/// How far plan_drive() gets, metres.
+double driven(double t, double speed);
+
 struct motion {
   Eigen::Isometry3d T_world_camera = Eigen::Isometry3d::Identity();
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();      ///< world, of the camera

@@ -33,7 +33,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -203,6 +203,64 @@ struct assert_camera_model {
   /// Always true: if the contract is not met, the assertions above are the error.
   static constexpr bool value = true;
 };
+
+namespace detail {
+
+/// The ray of a pixel of `from`, rotated by `R_to_from` and projected by `to`. Valid where both
+/// models are defined and the result is finite. With cameras of strict_double all executors give
+/// the same bits, except for the last bit of an arc tangent or tangent in a camera model.
+template <typename From, typename To>
+FT_HOST_DEVICE projection<strict_double> transfer_pixel(From const& from,
+                                                        mat3<strict_double> const& R_to_from,
+                                                        To const& to, vec2<strict_double> pixel) {
+  auto const seen = from.unproject(pixel);
+  auto const projected = to.project(R_to_from * seen.direction);
+  bool const finite = scalar::is_finite(projected.pixel.x) && scalar::is_finite(projected.pixel.y);
+  return {projected.pixel, seen.valid && projected.valid && finite};
+}
+
+inline mat3<strict_double> strict_rotation(mat3<double> const& R) {
+  mat3<strict_double> strict;
+  for (int i = 0; i < 9; ++i) { strict.m[i] = R.m[i]; }
+  return strict;
+}
+
+// Shared by the camera models: the intrinsics fx, fy, cx and cy, and results outside the
+// domain.
+
+/// A pixel in the image plane z = 1 of an ideal pinhole.
+template <typename Camera, typename Scalar>
+FT_HOST_DEVICE vec2<Scalar> normalized(Camera const& c, vec2<Scalar> pixel) {
+  return {(pixel.x - c.cx) / c.fx, (pixel.y - c.cy) / c.fy};
+}
+
+/// The principal point, invalid.
+template <typename Camera>
+FT_HOST_DEVICE projection<typename Camera::scalar_type> no_pixel(Camera const& c) {
+  return {{c.cx, c.cy}, false};
+}
+
+/// The pixel (u, v); the principal point, invalid, if it is not finite.
+template <typename Camera, typename Scalar>
+FT_HOST_DEVICE projection<Scalar> finite_pixel(Camera const& c, Scalar u, Scalar v) {
+  if (!scalar::is_finite(u) || !scalar::is_finite(v)) { return no_pixel(c); }
+  return {{u, v}, true};
+}
+
+/// The optical axis, invalid.
+template <typename Scalar>
+FT_HOST_DEVICE ray<Scalar> no_ray() {
+  return {{Scalar(0), Scalar(0), Scalar(1)}, false};
+}
+
+/// The ray of length 1 along d; the axis, invalid, if d has no direction.
+template <typename Scalar>
+FT_HOST_DEVICE ray<Scalar> unit_ray(vec3<Scalar> d, Scalar norm) {
+  if (!(norm > Scalar(0)) || !scalar::is_finite(norm)) { return no_ray<Scalar>(); }
+  return {{d.x / norm, d.y / norm, d.z / norm}, true};
+}
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -3,10 +3,9 @@
 #pragma once
 
 #include "ft/cameras/camera_model.hpp"
-#include "ft/cameras/detail/intrinsics.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

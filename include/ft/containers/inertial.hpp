@@ -9,36 +9,15 @@
 #include <type_traits>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 /// Gravity where the world's z axis points up, m/s^2.
 FT_HOST_DEVICE constexpr vec3<float> standard_gravity() { return {0.0f, 0.0f, -9.81f}; }
-
-/// Specific force and angular rate at one moment, in the body's frame.
-struct imu_sample {
-  double time_s;
-  vec3<float> accel;  ///< m/s^2; at rest it points up, 9.81 long
-  vec3<float> gyro;   ///< rad/s
-};
-
-/// What an IMU shows in excess of specific force and angular rate.
-struct imu_bias {
-  vec3<float> gyro;   ///< rad/s
-  vec3<float> accel;  ///< m/s^2
-};
-
-/// Noise of an IMU as densities, as its settings give them.
-struct imu_noise {
-  float gyro = 1.7e-4f;          ///< rad/s / sqrt(Hz)
-  float accel = 2e-3f;           ///< m/s^2 / sqrt(Hz)
-  float gyro_walk = 1.9393e-5f;  ///< rad/s^2 / sqrt(Hz)
-  float accel_walk = 3e-3f;      ///< m/s^3 / sqrt(Hz)
-  float rate_hz = 200;
-};
 
 /// The same as variances of one sample.
 struct imu_variances {
@@ -51,26 +30,6 @@ struct imu_mount {
   rigid<float> T_bc;  ///< left camera to body, metres
   rigid<float> T_cb;  ///< its inverse
 };
-
-/// What came of an integration.
-enum class integration_status : int {
-  integrated = 0,
-  no_samples,    ///< the queue was empty, or there was no interval
-  one_sample,    ///< no step can be made from one sample
-  no_steps,      ///< all samples were older than the interval: an integral over no time
-  unordered,     ///< times of samples that do not ascend
-  not_finite,    ///< a sample or a time is NaN or infinite
-  gap,           ///< the samples leave out a longer time than the limit
-  repeated,      ///< integrated, but two samples have one time: a step of no duration among others
-  wrong_rate,    ///< the samples come much more or much less often than the noise was stated for
-  too_many,      ///< more steps than there is memory for
-  contradicted,  ///< integrated, but many matches of images say otherwise
-};
-
-/// Whether an integral of that status says how the body moved.
-FT_HOST_DEVICE constexpr bool usable(integration_status status) {
-  return status == integration_status::integrated || status == integration_status::repeated;
-}
 
 /// The time between two images, and the samples among which the ones between them are.
 struct imu_interval {

@@ -6,8 +6,10 @@
 #include <cstring>
 
 #include "ft/containers/soa.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -48,6 +50,60 @@ using keypoints_view =
 template <memory_space Space>
 using keypoints =
     soa<Space, field::x, field::y, field::angle, field::response, field::octave, field::orb>;
+
+// The two nearest of many descriptors.
+
+namespace detail {
+
+/// The nearest candidate so far, the lowest of equals, and the distance of the second nearest.
+struct two_nearest {
+  static constexpr int none = 1 << 16;  ///< above any distance
+  int first = none;
+  int index = 0x7fffffff;
+  int second = none;
+
+  /// @param at must exceed those of earlier calls
+  FT_HOST_DEVICE void add(int distance, int at) {
+    second = min_of(second, max_of(first, distance));
+    index = distance < first ? at : index;
+    first = min_of(first, distance);
+  }
+  /// Merges all threads' candidates; the result is in every thread.
+  template <typename Group>
+  FT_HOST_DEVICE two_nearest merged(Group g) const {
+    two_nearest all;
+    all.first = g.reduce(first, min_op{});
+    all.index = g.reduce(first == all.first ? index : 0x7fffffff, min_op{});
+    all.second = g.reduce(index == all.index ? second : first, min_op{});
+    return all;
+  }
+};
+
+/// hamming() for loops that do little else. On a device a population count costs four logic
+/// operations: full adders combine the words first, which leaves four counts instead of eight.
+FT_HOST_DEVICE inline int hamming_by_adders(descriptor const& a, descriptor const& b) {
+#if defined(__CUDA_ARCH__)
+  std::uint32_t d[8];
+  FT_UNROLL
+  for (int i = 0; i < 8; ++i) { d[i] = a.words[i] ^ b.words[i]; }
+  auto const carry = [](std::uint32_t x, std::uint32_t y, std::uint32_t z) {
+    return (x & y) | (x & z) | (y & z);
+  };
+  std::uint32_t const ones_a = d[0] ^ d[1] ^ d[2];
+  std::uint32_t const ones_b = d[3] ^ d[4] ^ d[5];
+  std::uint32_t const ones = ones_a ^ ones_b ^ d[6];
+  std::uint32_t const twos_a = carry(d[0], d[1], d[2]);
+  std::uint32_t const twos_b = carry(d[3], d[4], d[5]);
+  std::uint32_t const twos_c = carry(ones_a, ones_b, d[6]);
+  std::uint32_t const twos = twos_a ^ twos_b ^ twos_c;
+  std::uint32_t const fours = carry(twos_a, twos_b, twos_c);
+  return popcount(ones) + popcount(d[7]) + 2 * popcount(twos) + 4 * popcount(fours);
+#else
+  return hamming(a, b);
+#endif
+}
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

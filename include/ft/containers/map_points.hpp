@@ -2,13 +2,18 @@
 /// @file Map points, one array per field, addressed by slot.
 #pragma once
 
+#include <cstddef>
+
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
 namespace field {
 FT_FIELD(position, vec3<float>);  ///< world frame, metres
 FT_FIELD(normal,
@@ -24,6 +29,39 @@ using map_points_view = soa_view<field::position, field::normal, field::min_dist
 template <memory_space Space>
 using map_points = soa<Space, field::position, field::normal, field::min_distance,
                        field::max_distance, field::orb, field::observations>;
+
+// Map points seen at keypoints: the input of pose optimisation.
+
+/// A map point seen at a keypoint. Aligned, so that a GPU loads it in two pieces.
+struct alignas(16) observation {
+  vec3<float> point;  ///< world frame, metres
+  float u, v;         ///< pixels
+  float right_u;      ///< column in the right image of a rectified pair; negative = none
+  float inv_sigma2;   ///< weight, 1 / pixels^2
+  int camera;         ///< number in the rig; 1 = the right one of a fisheye pair
+};
+
+/// The observations of a batch of frames: every keypoint that holds a map point, in the order of
+/// keypoint numbers.
+struct observations_view {
+  observation* items = nullptr;      ///< [batch][capacity]
+  int* number = nullptr;             ///< [batch][capacity] keypoint number of an observation
+  unsigned char* outlier = nullptr;  ///< [batch][capacity] 1 = outlier
+  int* count = nullptr;              ///< [batch]
+  int* inliers = nullptr;            ///< [batch]
+  int capacity = 0;
+};
+
+inline void carve(carver& c, observations_view& v, int capacity, int batch) {
+  std::size_t const b = static_cast<std::size_t>(batch);
+  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
+  v.capacity = capacity;
+  v.items = c.take<observation>(n);
+  v.number = c.take<int>(n);
+  v.outlier = c.take<unsigned char>(n);
+  v.count = c.take<int>(b);
+  v.inliers = c.take<int>(b);
+}
 
 }  // namespace FT_ABI
 }  // namespace ft

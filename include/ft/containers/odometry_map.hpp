@@ -3,18 +3,104 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <type_traits>
 
 #include "ft/containers/keyframes.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/point_records.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+// What an odometry keeps of its map points besides what searches read: numbers, sightings,
+// descriptors, and the keyframes that see a point.
+
+/// Descriptors that are kept of a point.
+inline constexpr int point_descriptors = 8;
+
+/// Records of map points by slot, in executor memory. Slot s of batch entry b is at
+/// `b * slots + s`. A free slot has number 0, an empty mask, a NaN position and no observations.
+///
+/// A mask has a bit for each position of the keyframe ring: bit p % 64 of word p / 64. It is set
+/// while a keypoint of the keyframe at position p holds the point.
+struct point_records_view {
+  int slots = 0;
+  int words = 0;  ///< of a mask
+  int batch = 0;
+  int* number = nullptr;             ///< [batch][slots] unique in this batch entry; 0 = free slot
+  int* visible = nullptr;            ///< [batch][slots] frames that had the point in view
+  int* found = nullptr;              ///< [batch][slots] frames that matched it
+  int* found_frame = nullptr;        ///< [batch][slots] number of the last one of these
+  int* described = nullptr;          ///< [batch][slots] descriptors that were ever given to it
+  descriptor* recent = nullptr;      ///< [batch][slots][point_descriptors] the newest ones;
+                                     ///< descriptor i is at i % point_descriptors
+  std::uint64_t* seen_by = nullptr;  ///< [batch][slots][words]
+  int* made = nullptr;               ///< [batch] number of the newest point
+  int* alive = nullptr;              ///< [batch] slots that are not free
+  int* used = nullptr;               ///< [batch] all slots from here on are free
+
+  FT_HOST_DEVICE std::ptrdiff_t at(int b, int slot) const {
+    return static_cast<std::ptrdiff_t>(b) * slots + slot;
+  }
+  FT_HOST_DEVICE std::uint64_t* mask(int b, int slot) const {
+    return seen_by + at(b, slot) * words;
+  }
+  /// Whether a slot of batch entry b is one of the map's and holds a point.
+  FT_HOST_DEVICE bool holds_point(int b, int slot) const {
+    return slot >= 0 && slot < slots && number[at(b, slot)] != 0;
+  }
+  /// Number of keyframes that see a point.
+  FT_HOST_DEVICE int observers(int b, int slot) const {
+    int n = 0;
+    for (int w = 0; w < words; ++w) { n += popcount(mask(b, slot)[w]); }
+    return n;
+  }
+};
+static_assert(std::is_trivially_copyable<point_records_view>::value, "passed to kernels");
+
+/// Places the arrays into an arena.
+/// @param positions of the keyframe ring
+inline void carve(carver& c, point_records_view& v, int slots, int positions, int batch) {
+  auto const b = static_cast<std::size_t>(batch);
+  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(slots));
+  v.slots = slots;
+  v.words = (positions + 63) / 64;
+  v.batch = batch;
+  v.number = c.take<int>(n);
+  v.visible = c.take<int>(n);
+  v.found = c.take<int>(n);
+  v.found_frame = c.take<int>(n);
+  v.described = c.take<int>(n);
+  v.recent = c.take<descriptor>(detail::checked_mul(n, std::size_t{point_descriptors}));
+  v.seen_by = c.take<std::uint64_t>(detail::checked_mul(n, static_cast<std::size_t>(v.words)));
+  v.made = c.take<int>(b);
+  v.alive = c.take<int>(b);
+  v.used = c.take<int>(b);
+}
+
+/// Makes all slots free. Asynchronous if the executor is; allocates nothing.
+template <typename Exec>
+void clear(Exec const& exec, point_records_view const& v) {
+  auto const b = static_cast<std::size_t>(v.batch);
+  std::size_t const n = b * static_cast<std::size_t>(v.slots);
+  fill_bytes(exec, v.number, 0, n * sizeof(int));
+  fill_bytes(exec, v.visible, 0, n * sizeof(int));
+  fill_bytes(exec, v.found, 0, n * sizeof(int));
+  fill_bytes(exec, v.found_frame, 0, n * sizeof(int));
+  fill_bytes(exec, v.described, 0, n * sizeof(int));
+  fill_bytes(exec, v.recent, 0, n * point_descriptors * sizeof(descriptor));
+  fill_bytes(exec, v.seen_by, 0, n * static_cast<std::size_t>(v.words) * sizeof(std::uint64_t));
+  fill_bytes(exec, v.made, 0, b * sizeof(int));
+  fill_bytes(exec, v.alive, 0, b * sizeof(int));
+  fill_bytes(exec, v.used, 0, b * sizeof(int));
+}
 
 /// The map of each batch entry. `points.count` is not used: see point_records_view::alive.
 struct odometry_map_view {

@@ -2,11 +2,16 @@
 /// @file Stereo matches: per left keypoint the right column and the depth.
 #pragma once
 
+#include <cstddef>
+
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
 namespace field {
 FT_FIELD(right_x, float);  ///< column in the right image, pixels; -1 = no match
 FT_FIELD(depth, float);    ///< metres along the left camera's axis; -1 = no match
@@ -16,6 +21,29 @@ FT_FIELD(score, int);      ///< sum of absolute differences of the refinement; -
 using stereo_matches_view = soa_view<field::right_x, field::depth, field::score>;
 template <memory_space Space>
 using stereo_matches = soa<Space, field::right_x, field::depth, field::score>;
+
+// Stereo partners and points of two cameras without rectification.
+
+/// Stereo partners and points of a batch of pairs. Left keypoint k has the number k, right keypoint
+/// k the number capacity + k.
+struct fisheye_matches_view {
+  int* partner = nullptr;        ///< [batch][2 * capacity] number of the partner, -1 = none
+  float* depth = nullptr;        ///< [batch][capacity] of left keypoints, metres, -1 = none
+  vec3<float>* point = nullptr;  ///< [batch][capacity] in the left camera's frame, 0 = none
+  int capacity = 0;
+  int batch = 0;
+};
+
+/// Places the arrays into an arena.
+inline void carve(carver& c, fisheye_matches_view& v, int capacity, int batch) {
+  std::size_t const n =
+      detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(capacity));
+  v.capacity = capacity;
+  v.batch = batch;
+  v.partner = c.take<int>(2 * n);
+  v.depth = c.take<float>(n);
+  v.point = c.take<vec3<float>>(n);
+}
 
 }  // namespace FT_ABI
 }  // namespace ft

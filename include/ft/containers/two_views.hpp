@@ -7,8 +7,8 @@
 #include <type_traits>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <fstream>
 #include <istream>
 #include <limits>
 #include <locale>
@@ -19,6 +20,7 @@
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/vocabulary.hpp"
+#include "ft/containers/vocabulary_files.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/detail/read_stream.hpp"
@@ -189,6 +191,20 @@ inline vocabulary<memory_space::host> read_vocabulary_text(std::istream& from) {
     while (in.next()) { lines.read_node(in); }
   }
   return make_vocabulary(lines.arrays());
+}
+
+/// Reads a file of either form: DBoW2's text begins with a number, ft's binary one does not. For
+/// set-up: allocates.
+/// @throws bad_argument if the file cannot be opened; error, naming the file, as
+///   read_vocabulary_text() and load_vocabulary(); std::bad_alloc
+inline vocabulary<memory_space::host> read_vocabulary(std::string const& file) {
+  std::ifstream from(file, std::ios::binary);
+  if (!from) { throw bad_argument("ft: vocabulary '" + file + "': cannot be opened"); }
+  int const first = from.peek();
+  try {
+    bool const text = first >= '0' && first <= '9';
+    return text ? read_vocabulary_text(from) : load_vocabulary(from);
+  } catch (error const& e) { throw error("vocabulary '" + file + "': " + e.what()); }
 }
 
 }  // namespace FT_ABI

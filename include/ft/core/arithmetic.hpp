@@ -15,139 +15,17 @@
 #endif
 
 #include "ft/core/config.hpp"
+#include "ft/types/scalars.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
-
-/// Hides a product from the compiler, so that it is not fused with the sum that follows. Needed on
-/// hosts with fused multiply-add only.
-template <typename T>
-FT_HOST_DEVICE inline T keep_apart(T value) {
-#if !defined(__CUDA_ARCH__)
-#if defined(__FMA__) && defined(__x86_64__)
-  asm("" : "+x"(value));
-#elif defined(__aarch64__)
-  asm("" : "+w"(value));
-#endif
-#endif
-  return value;
-}
-
-FT_HOST_DEVICE inline float mul(float a, float b) {
-#if defined(__CUDA_ARCH__)
-  return __fmul_rn(a, b);
-#else
-  return keep_apart(a * b);
-#endif
-}
-FT_HOST_DEVICE inline double mul(double a, double b) {
-#if defined(__CUDA_ARCH__)
-  return __dmul_rn(a, b);
-#else
-  return keep_apart(a * b);
-#endif
-}
-FT_HOST_DEVICE inline float div(float a, float b) {
-#if defined(__CUDA_ARCH__)
-  return __fdiv_rn(a, b);
-#else
-  return a / b;
-#endif
-}
-FT_HOST_DEVICE inline double div(double a, double b) {
-#if defined(__CUDA_ARCH__)
-  return __ddiv_rn(a, b);
-#else
-  return a / b;
-#endif
-}
-/// 1 / a, correctly rounded.
-FT_HOST_DEVICE inline float reciprocal(float a) {
-#if defined(__CUDA_ARCH__)
-  return __frcp_rn(a);
-#else
-  return 1.0f / a;
-#endif
-}
-FT_HOST_DEVICE inline double reciprocal(double a) {
-#if defined(__CUDA_ARCH__)
-  return __drcp_rn(a);
-#else
-  return 1.0 / a;
-#endif
-}
-FT_HOST_DEVICE inline float square_root(float a) {
-#if defined(__CUDA_ARCH__)
-  return __fsqrt_rn(a);
-#else
-  return std::sqrt(a);
-#endif
-}
-FT_HOST_DEVICE inline double square_root(double a) {
-#if defined(__CUDA_ARCH__)
-  return __dsqrt_rn(a);
-#else
-  return std::sqrt(a);
-#endif
-}
-
+using rounded::div;
+using rounded::mul;
+using rounded::reciprocal;
+using rounded::square_root;
 }  // namespace detail
-
-/// A number whose products are never fused with a following sum.
-/// Converts implicitly from T and explicitly (`.value`) to T.
-template <typename T>
-struct strict {
-  T value;
-
-  strict() = default;
-  FT_HOST_DEVICE constexpr strict(T v) : value(v) {}  // NOLINT(google-explicit-constructor)
-  FT_HOST_DEVICE explicit constexpr operator T() const { return value; }
-
-  friend FT_HOST_DEVICE strict operator+(strict a, strict b) { return {a.value + b.value}; }
-  friend FT_HOST_DEVICE strict operator-(strict a, strict b) { return {a.value - b.value}; }
-  friend FT_HOST_DEVICE strict operator*(strict a, strict b) {
-    return {detail::mul(a.value, b.value)};
-  }
-  friend FT_HOST_DEVICE strict operator/(strict a, strict b) {
-    return {detail::div(a.value, b.value)};
-  }
-  friend FT_HOST_DEVICE strict operator-(strict a) { return {-a.value}; }
-  FT_HOST_DEVICE strict& operator+=(strict b) { return *this = *this + b; }
-  FT_HOST_DEVICE strict& operator-=(strict b) { return *this = *this - b; }
-  FT_HOST_DEVICE strict& operator*=(strict b) { return *this = *this * b; }
-  friend FT_HOST_DEVICE bool operator<(strict a, strict b) { return a.value < b.value; }
-  friend FT_HOST_DEVICE bool operator>(strict a, strict b) { return a.value > b.value; }
-  friend FT_HOST_DEVICE bool operator<=(strict a, strict b) { return a.value <= b.value; }
-  friend FT_HOST_DEVICE bool operator>=(strict a, strict b) { return a.value >= b.value; }
-  friend FT_HOST_DEVICE bool operator==(strict a, strict b) { return a.value == b.value; }
-  friend FT_HOST_DEVICE bool operator!=(strict a, strict b) { return a.value != b.value; }
-};
-
-using strict_float = strict<float>;
-using strict_double = strict<double>;
-
-/// The built-in type of a scalar: T for T and for strict<T>.
-template <typename T>
-struct plain_scalar {
-  using type = T;
-};
-template <typename T>
-struct plain_scalar<strict<T>> {
-  using type = T;
-};
-template <typename T>
-using plain_scalar_t = typename plain_scalar<T>::type;
-
-template <typename T>
-FT_HOST_DEVICE T to_plain(T v) {
-  return v;
-}
-template <typename T>
-FT_HOST_DEVICE T to_plain(strict<T> v) {
-  return v.value;
-}
 
 namespace detail {
 

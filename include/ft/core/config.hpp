@@ -22,8 +22,10 @@
 
 /// Marks a function that runs on both executors. Empty unless the compiler is a CUDA compiler.
 /// FT_ABI names the inline namespace: a host unit and a CUDA unit of one program keep separate
-/// instantiations, so neither breaks the other's one-definition rule. FT_HIDDEN keeps kernels and
-/// the functions that launch them private to each shared library.
+/// instantiations, so neither breaks the other's one-definition rule. The types of ft/types are
+/// passive: they have one name, v0, in all units, and call nothing that has another. FT_HIDDEN
+/// keeps kernels and the functions that launch them private to each shared library. FT_VISIBLE is
+/// for exceptions, which are caught in any.
 #if defined(__CUDACC__)
 #define FT_HOST_DEVICE __host__ __device__
 #define FT_ABI v0_cuda
@@ -34,8 +36,10 @@
 
 #if defined(__GNUC__)
 #define FT_HIDDEN __attribute__((visibility("hidden")))
+#define FT_VISIBLE __attribute__((visibility("default")))
 #else
 #define FT_HIDDEN
+#define FT_VISIBLE
 #endif
 
 /// FT_WIDE marks a host function that is compiled, with everything it calls, for AVX2 and POPCNT in

@@ -12,7 +12,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/detail/cuda_launch.hpp"
-#include "ft/core/launch_order.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
 #include "ft/core/views.hpp"

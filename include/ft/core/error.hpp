@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Exceptions thrown at the host edge of the library, and the checks that throw them.
+/// @file Checks at the host edge of the library.
 #pragma once
 
 #include <cmath>
@@ -7,32 +7,15 @@
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
-#include <stdexcept>
 #include <string>
 #include <type_traits>
 
 #include "ft/core/config.hpp"
+#include "ft/types/errors.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// Base of everything ft throws.
-class error : public std::runtime_error {
-public:
-  using std::runtime_error::runtime_error;
-};
-
-/// An argument out of range; the message names it, its value and the limit.
-class bad_argument : public error {
-public:
-  using error::error;
-};
-
-/// A CUDA call failed; the message contains the call and CUDA's description.
-class cuda_error : public error {
-public:
-  using error::error;
-};
 
 namespace detail {
 
@@ -89,5 +72,26 @@ inline void require_items(char const* name, std::size_t batch, std::size_t each)
 }
 
 }  // namespace detail
+
+namespace detail {
+
+/// @throws bad_argument unless all products of rows are those of a rotation to 1e-3, and for
+///   reflections
+inline void require_rotation(mat3<double> const& R) {
+  for (double v : R.m) { require_finite("rotation", v); }
+  mat3<double> const RRt = R * R.transposed();
+  for (int i = 0; i < 9; ++i) {
+    require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
+            "the matrix is not a rotation: its rows are not orthonormal");
+  }
+  auto const& m = R.m;
+  require(m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
+                  m[2] * (m[3] * m[7] - m[4] * m[6]) >
+              0,
+          "the matrix is not a rotation but a reflection");
+}
+
+}  // namespace detail
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -14,7 +14,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/group.hpp"
-#include "ft/core/launch_order.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
 #include "ft/core/views.hpp"

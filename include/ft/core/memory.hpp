@@ -13,6 +13,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -199,16 +200,6 @@ public:
 
 private:
   buffer<std::byte, Space> block_;
-};
-
-/// Memory that a pipeline took, for its whole batch.
-struct allocated_bytes {
-  std::size_t executor = 0;  ///< memory that its stages work on: on a device, the device's
-  std::size_t staging = 0;   ///< memory of images, inputs and results: next to a device, pinned
-
-  friend allocated_bytes operator+(allocated_bytes const& a, allocated_bytes const& b) {
-    return {a.executor + b.executor, a.staging + b.staging};
-  }
 };
 
 /// A view, and the arena that its arrays lie in; move-only. One that was moved from has neither.

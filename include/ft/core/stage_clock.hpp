@@ -17,18 +17,10 @@
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// The time of one stage.
-struct stage_time {
-  char const* name;
-  /// From the end of all preceding stages to its own end, microseconds, summed over the launches of
-  /// this name; 0 if it ended while a preceding stage still ran. For a stage on a side branch of a
-  /// device: from the branch's fork.
-  double us;
-};
 
 namespace detail {
 

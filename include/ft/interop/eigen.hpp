@@ -9,7 +9,7 @@
 #include <type_traits>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

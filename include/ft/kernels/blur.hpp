@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

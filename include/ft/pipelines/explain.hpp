@@ -6,9 +6,9 @@
 #include <string>
 
 #include "ft/core/config.hpp"
-#include "ft/kernels/monocular/start_rules.hpp"
-#include "ft/kernels/odometry/state.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -17,16 +17,20 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/kernels/map_updates.hpp"
+#include "ft/kernels/upload.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -68,7 +72,9 @@ public:
   /// @param batch camera pairs
   /// @throws bad_argument, std::bad_alloc, cuda_error
   frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1) {
-    check(rig, params, batch);
+    rig.check();
+    detail::require_range("batch of camera pairs", batch, 1, 2048);
+    check(params);
     stages_.prepare(exec, rig, params, batch);
     images_ = detail::frame_images<Exec>(geometry(), detail::absent_images_of(rig), batch);
     stages_.take_memory(images_.sources());
@@ -307,15 +313,6 @@ private:
   }
 
   // ---- set-up
-
-  static void check(Rig const& rig, tracker_params const& params, int batch) {
-    rig.check();
-    detail::require_range("batch of camera pairs", batch, 1, 2048);
-    detail::require_range("map_slots", params.map_slots, 1, 1 << 26);
-    detail::require_range("local_points", params.local_points, 1, 1 << 24);
-    detail::require_range("updates", params.updates, 1, 1 << 24);
-    detail::require_range("window_radius", params.window_radius, 0.1f, 1000.0f);
-  }
 
   // ---- inputs
 

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "ft/core/config.hpp"
-#include "ft/pipelines/imu_params.hpp"
+#include "ft/types/imu.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -16,8 +16,9 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/math/quaternion.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -48,26 +49,6 @@ inline void append_little_endian(std::string& bytes, float value) {
   for (int shift = 0; shift < 32; shift += 8) {
     bytes += static_cast<char>(static_cast<unsigned char>(bits >> shift));
   }
-}
-
-/// Unit quaternion of a rotation, w >= 0. Source: S. W. Shepperd, "Quaternion from rotation
-/// matrix", Journal of Guidance and Control, 1978: divides by the largest component.
-inline quaternion<double> quaternion_of(mat3<double> const& R) {
-  auto const& m = R.m;
-  double const trace = m[0] + m[4] + m[8];
-  quaternion<double> q;
-  if (trace >= m[0] && trace >= m[4] && trace >= m[8]) {
-    q = {m[7] - m[5], m[2] - m[6], m[3] - m[1], 1 + trace};
-  } else if (m[0] >= m[4] && m[0] >= m[8]) {
-    q = {1 + m[0] - m[4] - m[8], m[1] + m[3], m[2] + m[6], m[7] - m[5]};
-  } else if (m[4] >= m[8]) {
-    q = {m[1] + m[3], 1 - m[0] + m[4] - m[8], m[5] + m[7], m[2] - m[6]};
-  } else {
-    q = {m[2] + m[6], m[5] + m[7], 1 - m[0] - m[4] + m[8], m[3] - m[1]};
-  }
-  double const length = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-  double const scale = (q.w < 0 ? -1 : 1) / length;
-  return {q.x * scale, q.y * scale, q.z * scale, q.w * scale};
 }
 
 }  // namespace detail

@@ -21,15 +21,10 @@
 #include "ft/kernels/monocular/initial_matches.hpp"
 #include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct monocular_start_params {
-  start_rules rules;
-  initial_match_params matching;
-  two_view_params two_views;
-};
 
 /// Looks for two frames of each camera that a map can start from. A frame with enough keypoints is
 /// the first one; later ones are matched with it, until a pair has a reconstruction, or a frame has
@@ -56,9 +51,9 @@ public:
                   std::vector<pinhole<float>> const& cameras, grid_geometry const& grid,
                   int capacity)
       : params_(params) {
-    params.rules.check();
-    params.two_views.check();
-    detail::require_range("initial_match_params::max_hamming", params.matching.max_hamming, 0, 255);
+    check(params.rules);
+    check(params.two_views);
+    check(params.matching);
     detail::require_range("cameras", cameras.size(), std::size_t{1}, std::size_t{4096});
     detail::require_range("capacity", capacity, 1, (1 << 23) - 1);
     detail::require_range("columns of the grid", grid.cols, 1, 1 << 14);

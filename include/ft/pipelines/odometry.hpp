@@ -16,7 +16,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/stage_clock.hpp"
 #include "ft/pipelines/detail/map_origin.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
@@ -26,7 +25,12 @@
 #include "ft/pipelines/detail/rectifying_parts.hpp"
 #include "ft/pipelines/detail/rgbd_parts.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -274,8 +278,10 @@ public:
   }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
-  odometry_params const& params() const { return made().stages.settings; }
+  /// As they were given to the constructor.
+  odometry_params const& params() const { return made().given; }
   Rig const& rig() const { return made().rig; }
+  Exec const& executor() const { return made().exec; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }
   /// Executor memory, for user-defined stages.
   odometry_map_view map() const { return made().stages.own.map; }

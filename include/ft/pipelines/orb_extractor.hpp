@@ -16,37 +16,15 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/kernels/keypoints/describe_keypoints.hpp"
+#include "ft/kernels/keypoints/describe_corners.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct orb_params {
-  int width = 0;  ///< of every image, pixels
-  int height = 0;
-  int features = 1200;  ///< wanted per image; the result may have a few more
-  /// Wanted of images in which a map of one camera may begin; at least `features`, or 0 = as many.
-  /// An odometry of one camera makes 0 five times `features`, as ORB-SLAM3 does; others need none.
-  int start_features = 0;
-  int levels = 8;
-  float scale_factor = 1.2f;
-  int ini_threshold = 20;  ///< corner threshold, grey levels
-  int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
-  /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
-  int mask_width = 0;
-  int mask_height = 0;
-  /// Poses and map points take keypoints where they are in the image, and not where ORB-SLAM3 takes
-  /// them to be; see pyramid_geometry::exact. The keypoints themselves are the same. An odometry
-  /// always does so.
-  bool exact_positions = false;
-  /// Keypoints lie between pixels, as refine_positions() places them: not those of ORB-SLAM3. An
-  /// odometry of camera pairs does so.
-  bool refine_positions = false;
-  tie_rule ties =
-      tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
-};
 
 /// Extracts ORB features of `batch` images at once. The constructor allocates all memory. extract()
 /// is asynchronous on the executor, allocates nothing and never waits. Not thread-safe; instances
@@ -224,13 +202,8 @@ private:
 
   static orb_params const& checked(orb_params const& p, int batch,
                                    std::vector<stereo_overlap> const& overlaps) {
-    detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
-    detail::require_range("min_threshold", p.min_threshold, 0, 255);
+    check(p);
     detail::require_range("batch", batch, 1, 4096);
-    detail::require_range("mask_width", p.mask_width, 0, max_image_side);
-    detail::require_range("mask_height", p.mask_height, 0, max_image_side);
-    detail::require((p.mask_width == 0) == (p.mask_height == 0),
-                    "mask_width and mask_height are both 0 or both above it");
     detail::require(overlaps.empty() || overlaps.size() == static_cast<std::size_t>(batch),
                     "give one stereo overlap per image, or none");
     for (std::size_t i = 0; i < overlaps.size(); ++i) {

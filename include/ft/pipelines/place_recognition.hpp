@@ -14,8 +14,8 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
 #include "ft/kernels/words/query_database.hpp"
+#include "ft/kernels/words/score.hpp"
 #include "ft/kernels/words/transform.hpp"
 
 namespace ft {
@@ -27,6 +27,13 @@ struct place_params {
   int frames = 1;        ///< of a batch
   int levels_up = 4;     ///< see transform_params
 };
+
+/// @throws bad_argument naming the value and the limit
+inline void check(place_params const& p) {
+  detail::require_range("features of a frame", p.features, 1, 1 << 20);
+  detail::require_range("frames of a batch", p.frames, 1, 4096);
+  detail::require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
+}
 
 /// A vocabulary, and a database of keyframes in which the places of a batch of frames are looked
 /// up. Without knowledge of a map: neighbours of keyframes may be given, or not.
@@ -174,9 +181,7 @@ private:
 
   static place_params const& checked(vocabulary_view const& words, place_params const& p) {
     detail::require(words.nodes > 0, "the vocabulary was never made, or was moved from");
-    detail::require_range("features of a frame", p.features, 1, 1 << 20);
-    detail::require_range("frames of a batch", p.frames, 1, 4096);
-    detail::require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
+    check(p);
     return p;
   }
   void require_made() const { memory_.require_made("place recognition"); }

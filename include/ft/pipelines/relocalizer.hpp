@@ -13,23 +13,34 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pnp/solve_pnp.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
-#include "ft/kernels/relocalization/correspondences.hpp"
 #include "ft/kernels/relocalization/frame_points.hpp"
 #include "ft/kernels/search/keyframe.hpp"
 #include "ft/kernels/words/search_by_words.hpp"
-#include "ft/pipelines/relocalization_types.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// Frame and keyframes, in executor memory. Rows of keypoints are laid out as in frame_view:
+/// keypoint k of camera c is number c * capacity + k.
+struct relocalization_input {
+  frame_view frame;  ///< of one batch entry
+  map_points_view map;
+  pyramid_geometry geometry;
+  word_keypoints_view words;  ///< the frame's, one row
+  word_keypoints_view keyframes;
+  /// Of the keyframes; image `cameras * row + c` is that of camera c. Octaves are not read.
+  soa_view<field::angle, field::octave> keyframe_keypoints;
+  int const* holder = nullptr;  ///< [keyframes][numbers] live map point, -1 = none
+};
 
 namespace detail {
 
@@ -70,7 +81,7 @@ public:
               relocalizer_capacity const& capacity)
       : rig_(rig), params_(params), capacity_(capacity) {
     rig.check();
-    params.pnp.check();
+    check(params.pnp);
     detail::require_range("keypoints of an image", capacity.keypoints, 1, 1 << 22);
     detail::require_range("keypoints of a keyframe's image", capacity.keyframe_keypoints, 1,
                           1 << 22);

@@ -8,7 +8,6 @@
 
 #include "ft/cameras/image_domain.hpp"
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"

@@ -6,28 +6,12 @@
 #include <iterator>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct tracker_params {
-  orb_params orb;
-  int map_slots = 1 << 16;      ///< map points on the device at a time, per rig
-  int local_points = 1 << 13;   ///< points of one local-map search
-  int updates = 1 << 13;        ///< map points that one update_map() can send
-  float window_radius = 7;      ///< half side at scale 1 of windows from the last frame, pixels
-  int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
-  bool optimize_last = true;    ///< pose optimisation after the search from the last frame
-  bool optimize_local = true;   ///< and after the search in the local map
-  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;  ///< record stage_times()
-  /// Columns of the left and the right image that see the same part of the scene, as in
-  /// orb_extractor; for pairs that are not rectified. The default is the whole image. If one of the
-  /// two lies outside its image, no keypoint has a stereo partner.
-  stereo_overlap overlap[2] = {{0, 1e9f}, {0, 1e9f}};
-};
 
 /// Slots of map points in host memory. Converts from anything with data() and size(), which must
 /// live until the call that takes the slots returns.
@@ -63,33 +47,6 @@ struct tracked_keypoint {
       point;    ///< left camera's frame, or the body's of a multi_rig, metres; 0 without depth
   int partner;  ///< number of its stereo partner in the other image, of unrectified pairs;
                 ///< -1 = none
-};
-
-/// Results in host memory. Keypoints are left ones; for two unrectified cameras the right ones
-/// follow, for a multi_rig those of its other cameras. Keypoint k of camera c has number c *
-/// capacity + k.
-struct tracked_frame_view {
-  int* keypoints = nullptr;  ///< [batch][cameras]
-  pose* T_cw = nullptr;      ///< [batch]
-  int* matches = nullptr;    ///< [batch] keypoints that the last search matched to a map point
-  int* inliers = nullptr;    ///< [batch] of the last pose optimisation; matches if there was none
-  float* x = nullptr;        ///< [batch][cameras * capacity] pixels
-  float* y = nullptr;        ///< likewise
-  int* octave = nullptr;     ///< likewise
-  int* holder = nullptr;     ///< likewise: slot of the map point held, -1 = none
-  /// [batch][depth_cameras * capacity] of left keypoints, metres, -1 = no stereo match
-  float* depth = nullptr;
-  /// likewise: in the left camera's frame, or the body's of a multi_rig; 0 = no stereo match
-  vec3<float>* point = nullptr;
-  int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
-  unsigned char* in_view =
-      nullptr;  ///< [batch][local_points] 1 = passed the frustum test of the local-map search
-  int capacity = 0;
-  int cameras = 1;
-  int depth_cameras = 1;  ///< the first of them, whose keypoints may have a depth
-  int local_points = 0;
-
-  int numbers() const { return cameras * capacity; }
 };
 
 /// The keypoints of one camera of a tracked frame, as a range of tracked_keypoint.

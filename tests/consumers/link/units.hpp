@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "ft/ft.hpp"
+#include "ft/stages.hpp"
 
 /// Writes 3 * item + 1.
 struct affine_of_item {

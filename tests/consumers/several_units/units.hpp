@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What the units do. Their interface is plain: types of ft differ between compilers.
+/// @file What the units do. Their interface is plain: executors and pipelines differ between
+/// compilers.
 #pragma once
 
 #include <ft/pipelines/orb_extractor.hpp>

@@ -338,7 +338,77 @@ TEST_P(shim_map, is_forgotten_by_a_reset) {
   EXPECT_EQ(ids(other.current), ids(want));
 }
 
+/// Limits at powers of the scale factor times the distance, where the float beside the stored one
+/// is shown as the same product and gives another octave.
+TEST_P(shim_map, predicts_octaves_from_the_stored_limit) {
+  scene s(sensor::stereo, 5);
+  s.settings.most_keypoints = 2000;
+  auto const local = s.local_map();
+  Eigen::Vector3f const centre = s.current.GetPose().inverse().translation();
+  float const log_scale = std::log(s.settings.scale_factor);
+  int edges = 0;
+  for (std::size_t i = 0; i < local.size(); ++i) {
+    stand_in::map_point& p = *local[i];
+    float const distance = (p.GetWorldPos() - centre).norm();
+    auto const octave = [&](float limit) {
+      return std::ceil(std::log(limit / distance) / log_scale);
+    };
+    float limit = distance * std::pow(s.settings.scale_factor, static_cast<float>(1 + i % 6));
+    for (int step = 0; step < 8; ++step) { limit = std::nextafter(limit, 0.0f); }
+    for (int step = 0; step < 16; ++step) {
+      float const next = std::nextafter(limit, 1e30f);
+      if (octave(limit) != octave(ft::orbslam3::unscaled(1.2f * limit, 1.2f))) { break; }
+      limit = next;
+    }
+    p.set_view(p.GetNormal(), 0.01f, limit);
+    edges += static_cast<int>(octave(limit) != octave(ft::orbslam3::unscaled(1.2f * limit, 1.2f)));
+  }
+  ASSERT_GT(edges, 10);
+  stand_in::frame want = s.current;
+  int const n = plain_search(s.settings).search_local(want, local, 1);
+  std::vector<int> octaves;
+  for (auto const* p : local) { octaves.push_back(p->mbTrackInView ? p->mnTrackScaleLevel : -1); }
+  accelerator gpu(make(s.settings), s.settings);
+  EXPECT_EQ(gpu.search_local_points(s.current, local, 1), n);
+  EXPECT_EQ(ids(s.current), ids(want));
+  std::vector<int> got;
+  for (auto const* p : local) { got.push_back(p->mbTrackInView ? p->mnTrackScaleLevel : -1); }
+  EXPECT_EQ(got, octaves);
+}
+
 INSTANTIATE_TEST_SUITE_P(executors, shim_map, ::testing::ValuesIn(executors()), executor_name);
+
+/// A map point of another system, that shows no stored limit.
+struct closed_point {
+  float GetMaxDistanceInvariance() { return 1.2f * 1.7f; }
+};
+
+/// Octaves change at powers of the scale factor, where a camera that stands still sees its points.
+TEST(limits_of_distance, are_the_stored_ones_also_where_two_of_them_are_shown_as_one) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> exponent(-6, 9);
+  auto const limit = [](stand_in::map_point& p) {
+    return ft::orbslam3::stored_limit<stand_in::map_point>::of(p, p.GetMaxDistanceInvariance());
+  };
+  stand_in::map_point p;
+  int shared = 0;
+  for (int i = 0; i < 200000; ++i) {
+    float const stored = std::exp2(exponent(random));
+    p.set_view(Eigen::Vector3f::UnitZ(), 0.8f * stored, stored);
+    ASSERT_EQ(limit(p), stored);
+    shared += static_cast<int>(ft::orbslam3::unscaled(1.2f * stored, 1.2f) != stored);
+  }
+  EXPECT_GT(shared, 0);
+  for (float const special : {0.0f, -1.0f, INFINITY}) {
+    p.set_view(Eigen::Vector3f::UnitZ(), 0, special);
+    EXPECT_EQ(limit(p), special);
+  }
+  p.set_view(Eigen::Vector3f::UnitZ(), 0, NAN);
+  EXPECT_TRUE(std::isnan(limit(p)));
+  closed_point closed;
+  float const shown = closed.GetMaxDistanceInvariance();
+  EXPECT_EQ(1.2f * ft::orbslam3::stored_limit<closed_point>::of(closed, shown), shown);
+}
 
 TEST(limits_of_distance,
      give_what_the_map_point_shows_and_are_the_stored_ones_or_their_neighbours) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Types of the shape that the shim finds in ORB-SLAM3, written from the list of members in
-/// integration/orbslam3/README.md: enough to compile and test the shim without that system. With
+/// docs/orbslam3.md: enough to compile and test the shim without that system. With
 /// FT_TEST_OPENCV images, matrices and keypoints are OpenCV's, otherwise stand-ins as well.
 #pragma once
 
@@ -107,25 +107,25 @@ public:
   hooks* observer = nullptr;
 
   Eigen::Vector3f GetWorldPos() {
-    std::lock_guard<std::mutex> const lock(position_mutex_);
+    std::lock_guard<std::mutex> const lock(mMutexPos);
     return position_;
   }
   Eigen::Vector3f GetNormal() {
-    std::lock_guard<std::mutex> const lock(position_mutex_);
+    std::lock_guard<std::mutex> const lock(mMutexPos);
     return normal_;
   }
   float GetMinDistanceInvariance() {
-    std::lock_guard<std::mutex> const lock(position_mutex_);
+    std::lock_guard<std::mutex> const lock(mMutexPos);
     return 0.8f * min_distance_;
   }
   float GetMaxDistanceInvariance() {
-    std::lock_guard<std::mutex> const lock(position_mutex_);
-    return 1.2f * max_distance_;
+    std::lock_guard<std::mutex> const lock(mMutexPos);
+    return 1.2f * mfMaxDistance;
   }
   /// Not public in the original.
   float raw_max_distance() {
-    std::lock_guard<std::mutex> const lock(position_mutex_);
-    return max_distance_;
+    std::lock_guard<std::mutex> const lock(mMutexPos);
+    return mfMaxDistance;
   }
   matrix GetDescriptor() {
     std::lock_guard<std::mutex> const lock(features_mutex_);
@@ -137,7 +137,7 @@ public:
   }
   bool isBad() {
     std::lock_guard<std::mutex> const features(features_mutex_);
-    std::lock_guard<std::mutex> const position(position_mutex_);
+    std::lock_guard<std::mutex> const position(mMutexPos);
     return bad_;
   }
   void IncreaseVisible(int n = 1) {
@@ -153,17 +153,17 @@ public:
   void SetWorldPos(Eigen::Vector3f const& p) {
     {
       std::lock_guard<std::mutex> const global(mGlobalMutex);
-      std::lock_guard<std::mutex> const lock(position_mutex_);
+      std::lock_guard<std::mutex> const lock(mMutexPos);
       position_ = p;
     }
     changed();
   }
   void set_view(Eigen::Vector3f const& normal, float min_distance, float max_distance) {
     {
-      std::lock_guard<std::mutex> const lock(position_mutex_);
+      std::lock_guard<std::mutex> const lock(mMutexPos);
       normal_ = normal;
       min_distance_ = min_distance;
-      max_distance_ = max_distance;
+      mfMaxDistance = max_distance;
     }
     changed();
   }
@@ -187,7 +187,7 @@ public:
   void SetBadFlag() {
     {
       std::lock_guard<std::mutex> const features(features_mutex_);
-      std::lock_guard<std::mutex> const position(position_mutex_);
+      std::lock_guard<std::mutex> const position(mMutexPos);
       bad_ = true;
     }
     changed();
@@ -195,7 +195,7 @@ public:
   void Replace(map_point* by) {
     {
       std::lock_guard<std::mutex> const features(features_mutex_);
-      std::lock_guard<std::mutex> const position(position_mutex_);
+      std::lock_guard<std::mutex> const position(mMutexPos);
       bad_ = true;
       replaced_ = by;
     }
@@ -206,17 +206,19 @@ public:
     return replaced_;
   }
 
+protected:
+  float mfMaxDistance = 0;
+  std::mutex mMutexPos;
+
 private:
   void changed() {
     if (observer != nullptr) { observer->changed(this); }
   }
 
-  std::mutex position_mutex_;
   std::mutex features_mutex_;
   Eigen::Vector3f position_ = Eigen::Vector3f::Zero();
   Eigen::Vector3f normal_ = Eigen::Vector3f::Zero();
   float min_distance_ = 0;
-  float max_distance_ = 0;
   matrix descriptor_;
   int observations_ = 1;
   int visible_ = 1;

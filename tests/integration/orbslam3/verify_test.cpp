@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <memory>
 #include <random>
@@ -118,6 +119,112 @@ TEST_P(verify_mode, counts_nothing_that_one_of_the_cpus_two_answers_has) {
     EXPECT_EQ(b.plain.search_last(again, b.world.last, 15, false), n);
     EXPECT_EQ(f.mvpMapPoints, again.mvpMapPoints);  // the accelerator's answer stays
   }
+}
+
+/// Mapping changes the map before and after the accelerator's call, so that its answer is neither
+/// of the CPU's; then it rests.
+TEST_P(verify_mode, counts_nothing_that_changes_of_the_map_explain) {
+  bench b(sensor::stereo);
+  auto& f = b.world.current;
+  int calls = 0;
+  int const n = b.both.search_by_projection(f, b.world.last, 15, false, [&] {
+    int const found = b.plain.search_last(f, b.world.last, 15, false);
+    ++calls;
+    return calls <= 6 ? found + calls : found;
+  });
+  EXPECT_EQ(calls, 8);
+  EXPECT_EQ(b.both.differences(), 0);
+  EXPECT_GT(n, 0);
+  // It never rests: no difference is shown.
+  f.mvpMapPoints.assign(f.mvpMapPoints.size(), nullptr);
+  b.both.search_by_projection(f, b.world.last, 15, false, [&] {
+    return b.plain.search_last(f, b.world.last, 15, false) + ++calls;
+  });
+  EXPECT_EQ(b.both.differences(), 0);
+  // One that is gone when the call is made again: no difference, and not hidden.
+  f.mvpMapPoints.assign(f.mvpMapPoints.size(), nullptr);
+  calls = 0;
+  b.both.search_by_projection(f, b.world.last, 15, false, [&] {
+    return b.plain.search_last(f, b.world.last, 15, false) + (++calls <= 2 ? 1 : 0);
+  });
+  EXPECT_EQ(calls, 4);
+  EXPECT_EQ(b.both.differences(), 0);
+  std::ostringstream summary;
+  b.both.summary(summary);
+  EXPECT_NE(summary.str().find("search_last_frame: 3 calls, 0 with differences, 0 in all, "
+                               "2 unconfirmed\n"),
+            std::string::npos)
+      << summary.str();
+}
+
+/// Pushes changes, but not of those points that are left out.
+struct some_hooks final : stand_in::hooks {
+  explicit some_hooks(accelerator& to) : gpu(&to) {}
+  void changed(stand_in::map_point* p) override {
+    if (on) { gpu->changes().push(p); }
+  }
+  accelerator* gpu;
+  bool on = true;
+};
+
+TEST_P(verify_mode, finds_a_forgotten_hook_also_where_answers_are_the_same) {
+  scene s(sensor::stereo, 3);
+  s.settings.most_keypoints = 2000;
+  ft::orbslam3::options o;
+  o.detection = ft::orbslam3::change_detection::hooks;
+  accelerator gpu(make(s.settings), s.settings, o);
+  plain_search const plain(s.settings);
+  std::vector<std::string> told;
+  verifier both(gpu, [&](difference const& d) {
+    std::ostringstream text;
+    text << d;
+    told.push_back(text.str());
+  });
+  some_hooks hooks(gpu);
+  for (auto& p : s.map) { p->observer = &hooks; }
+  auto const local = s.local_map();
+  auto const track = [&] {
+    told.clear();
+    ++s.current.mnId;
+    s.current.mvpMapPoints.assign(s.current.mvpMapPoints.size(), nullptr);
+    for (auto& p : s.map) { p->mnLastFrameSeen = 0; }
+    both.search_local_points(s.current, local, 1, false, 50,
+                             [&] { return plain.search_local(s.current, local, 1); });
+  };
+  using list = std::vector<std::string>;
+  track();
+  track();
+  EXPECT_EQ(told, list{});
+  // The smallest change there is.
+  stand_in::map_point& p = *local[7];
+  Eigen::Vector3f const old = p.GetWorldPos();
+  auto const moved = [&](bool pushed) {
+    hooks.on = pushed;
+    Eigen::Vector3f at = p.GetWorldPos();
+    at.x() = std::nextafter(at.x(), 1e30f);
+    p.SetWorldPos(at);
+    hooks.on = true;
+  };
+  moved(true);
+  track();
+  track();
+  EXPECT_EQ(told, list{}) << "a change that was pushed";
+  moved(false);
+  track();
+  EXPECT_EQ(told, list{}) << "it may be pushed soon";
+  track();
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_EQ(told[0], "frame " + std::to_string(s.current.mnId) +
+                         ", search_local_map: position of map point " + std::to_string(p.mnId) +
+                         " changed without a hook");
+  track();
+  EXPECT_EQ(told, list{}) << "once is enough";
+  moved(true);
+  moved(false);
+  track();
+  p.SetWorldPos(old);
+  track();
+  EXPECT_EQ(told, list{}) << "pushed late";
 }
 
 TEST_P(verify_mode, has_a_line_for_each_frame_and_a_summary) {

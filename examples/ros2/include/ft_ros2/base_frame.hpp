@@ -8,8 +8,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "ft/core/geometry.hpp"
-#include "ft_ros2/tracker.hpp"
+#include "ft/types/poses.hpp"
+#include "ft_ros2/estimate.hpp"
 
 namespace ft_ros2 {
 

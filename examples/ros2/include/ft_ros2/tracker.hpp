@@ -1,75 +1,86 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The half of the node that knows nothing of ROS: images and time stamps in, poses of the
-/// robot out, in plain types. Frames are those of REP 103 and 105: odom is where the base was in
-/// the first frame. Metres, radians, seconds.
+/// robot out.
 #pragma once
 
 #include <array>
 #include <cstdint>
-#include <memory>
-#include <optional>
 #include <string>
+
+#include "ft/any_odometry.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
+#include "ft_ros2/base_frame.hpp"
+#include "ft_ros2/estimate.hpp"
 
 namespace ft_ros2 {
 
-/// x -> R x + t, row-major R.
-struct transform {
-  std::array<double, 9> R{1, 0, 0, 0, 1, 0, 0, 0, 1};
-  std::array<double, 3> t{};
-};
+inline ft::odometry_params params_of(tracker_settings const& s) {
+  auto const f = [](double v) { return static_cast<float>(v); };
+  ft::odometry_params p;
+  p.orb.width = s.pair.width;
+  p.orb.height = s.pair.height;
+  p.orb.features = s.features;
+  if (s.imu) {
+    p.imu.present = true;
+    p.imu.T_bc = rigid_of(s.imu->T_imu_camera);
+    p.imu.noise = {f(s.imu->gyro_noise), f(s.imu->accel_noise), f(s.imu->gyro_walk),
+                   f(s.imu->accel_walk), f(s.imu->rate_hz)};
+  }
+  return p;
+}
 
-/// A rectified pair, pixels and metres.
-struct rectified_pair {
-  int width = 0, height = 0;
-  double fx = 0, fy = 0, cx = 0, cy = 0;
-  double baseline = 0;
-};
-
-/// Densities: rad/s/sqrt(Hz), m/s^2/sqrt(Hz), and of the biases' walks.
-struct imu_settings {
-  transform T_imu_camera;  ///< points of the left camera to the IMU
-  double gyro_noise = 1.7e-4, accel_noise = 2e-3, gyro_walk = 2e-5, accel_walk = 3e-3;
-  double rate_hz = 200;
-};
-
-struct tracker_settings {
-  rectified_pair pair;
-  transform T_base_camera;  ///< points of the left camera (optical frame) to the base
-  int features = 1200;      ///< keypoints an image
-  int threads = 0;          ///< of the host; 0 = all
-  std::optional<imu_settings> imu;
-};
-
-/// What is known after a frame. Only a tracked one has a pose.
-struct estimate {
-  bool tracked = false;
-  bool keyframe = false;
-  int inliers = 0;  ///< keypoints that agree with the pose
-  int map_points = 0;
-  transform T_odom_base;
-  /// Row-major, as nav_msgs/Odometry has it: translation, then rotation about the fixed axes of
-  /// odom.
-  std::array<double, 36> covariance{};
-  bool moving_known = false;  ///< the frame before was tracked, too, so there are velocities:
-  std::array<double, 3> linear{}, angular{};  ///< mean since then, in the base's frame
-  std::string imu_warning;  ///< what is likely wrong with samples of the IMU; empty if nothing
-};
+inline ft::any_odometry odometry_of(tracker_settings const& s) {
+  auto const& p = s.pair;
+  auto const baseline = static_cast<double>(static_cast<float>(p.baseline));
+  ft::device where;
+  where.gpu = s.gpu ? ft::device::current_gpu : ft::device::host;
+  where.threads = s.threads;
+  return ft::make_odometry(
+      where, ft::rig_description::rectified_pair(p.fx, p.fy, p.cx, p.cy, baseline), params_of(s));
+}
 
 class tracker {
 public:
-  virtual ~tracker() = default;
+  /// @throws std::runtime_error for settings that cannot be, and for a GPU without CUDA
+  explicit tracker(tracker_settings const& s)
+      : pair_(s.pair), base_(s.T_base_camera), odometry_(odometry_of(s)) {}
+
   /// Waits for the pose. @param left,right grey, width x height bytes without padding
   /// @param time_ns later than that of the frame before @throws std::runtime_error if it is not
-  virtual estimate track(std::uint8_t const* left, std::uint8_t const* right,
-                         std::int64_t time_ns) = 0;
+  estimate track(std::uint8_t const* left, std::uint8_t const* right, std::int64_t time_ns) {
+    int const w = pair_.width;
+    int const h = pair_.height;
+    ft::tracking const t = odometry_.track({{{left, w, h, w}, {right, w, h, w}}}, time_ns);
+    // The first frame of a later map is at a guessed place.
+    bool const guessed = t.keyframe && t.inliers == 0 && t.maps > 1;
+    estimate e;
+    e.tracked = t.state == ft::tracking_state::tracking && !guessed;
+    e.keyframe = t.keyframe;
+    e.inliers = t.inliers;
+    e.map_points = t.map_points;
+    for (std::string const& said : ft::imu_warnings(t.imu, odometry_.params().imu)) {
+      e.imu_warning += (e.imu_warning.empty() ? "" : "; ") + said;
+    }
+    if (e.tracked) {
+      base_.take(t.T_world_camera, t.covariance, time_ns, e);
+    } else {
+      base_.skip();
+    }
+    return e;
+  }
   /// Specific force and angular rate, before the first frame that is later.
-  virtual void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
-                       std::array<double, 3> const& gyro) = 0;
-};
+  void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
+               std::array<double, 3> const& gyro) {
+    auto const narrowed = [](std::array<double, 3> const& v) {
+      return ft::vec3<double>{v[0], v[1], v[2]}.cast<float>();
+    };
+    odometry_.add_imu({time_ns, narrowed(accel), narrowed(gyro)});
+  }
 
-/// On the processor. @throws std::runtime_error for settings that cannot be
-std::unique_ptr<tracker> make_host_tracker(tracker_settings const& settings);
-/// On the current GPU. @throws std::runtime_error, also without CUDA
-std::unique_ptr<tracker> make_cuda_tracker(tracker_settings const& settings);
+private:
+  rectified_pair pair_;
+  base_frame base_;
+  ft::any_odometry odometry_;
+};
 
 }  // namespace ft_ros2

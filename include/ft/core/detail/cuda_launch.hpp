@@ -11,7 +11,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/detail/cuda_groups.hpp"
-#include "ft/core/launch_order.hpp"
 #include "ft/core/stage.hpp"
 
 namespace ft {

@@ -12,8 +12,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/corners/cell.hpp"
-#include "ft/kernels/corners/cell_device.hpp"
-#include "ft/kernels/corners/strip_host.hpp"
+#include "ft/kernels/corners/detail/cell_device.hpp"
+#include "ft/kernels/corners/detail/strip_host.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

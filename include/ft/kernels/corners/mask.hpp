@@ -9,6 +9,7 @@
 #include "ft/containers/corners.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

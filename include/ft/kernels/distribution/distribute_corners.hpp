@@ -10,7 +10,7 @@
 ///
 /// It is computed in parallel, because
 /// - nodes are halved at fixed places, so that the path of a point does not depend on other points.
-///   The path is a code of two bits per depth (node_codes.hpp). Once the points are sorted by code
+///   The path is a code of two bits per depth (level_tree.hpp). Once the points are sorted by code
 ///   (sort_by_code.hpp), every node of every depth is a range of them;
 /// - every round but the last splits every node with more than one point. So the length of the list
 ///   after round k is the number of nodes at depth k, and all lengths are known before any node is
@@ -18,7 +18,7 @@
 ///   (node_ranks.hpp);
 /// - pushing to the front reverses the order. With the bits of every other depth inverted, the
 ///   nodes of a round are in ascending or descending order of their codes. So the list after the
-///   rounds that split every node is written at once (whole_rounds.hpp).
+///   rounds that split every node is written at once (node_ranks.hpp).
 ///
 /// Only the rounds that split node by node run one after the other (last_rounds.hpp), and each of
 /// them decides all nodes at once by ranks. docs/architecture.md explains why the result is that of
@@ -35,18 +35,69 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/distribution/last_rounds.hpp"
 #include "ft/kernels/distribution/last_rounds_packed.hpp"
 #include "ft/kernels/distribution/layout.hpp"
 #include "ft/kernels/distribution/level_tree.hpp"
-#include "ft/kernels/distribution/node_codes.hpp"
 #include "ft/kernels/distribution/node_ranks.hpp"
 #include "ft/kernels/distribution/sort_by_code.hpp"
-#include "ft/kernels/distribution/strongest.hpp"
-#include "ft/kernels/distribution/whole_rounds.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+// Keeps the strongest corner of every node.
+
+namespace detail::quadtree {
+
+/// Highest for the strongest corner; among equals, for the first one in the level's order.
+FT_HOST_DEVICE inline unsigned long long strength_of(corner const& c, corner_order const& order) {
+  return static_cast<unsigned long long>(static_cast<std::uint32_t>(c.response)) << 32 |
+         (0xffffffffu - order(c.x, c.y));
+}
+
+/// Writes the strongest point of each of the first `size` nodes of the list; among equals the first
+/// one in the level's order. Up to four threads take a node.
+template <typename Group, typename Index>
+FT_HOST_DEVICE void keep_strongest(Group g, level_tree<Index> const& t, int size,
+                                   corner_order const& order, corner* kept) {
+  constexpr int most = 4;
+  constexpr int batch = Group::max_threads == 1 ? 1 : 4;  // loads in flight together
+  int const lanes = g.lanes(most);
+  int const lane = g.rank() % lanes;
+  for (int base = 0; base < size; base += g.size() / lanes) {
+    int const i = base + g.rank() / lanes;
+    unsigned long long mine = 0;
+    int strongest = 0;
+    if (i < size) {
+      node_range<Index> const node = t.list[i];
+      // Reads past the end repeat the last point, so that no load depends on a branch.
+      for (int first = node.begin + lane; first < node.end; first += batch * lanes) {
+        int index[batch];
+        unsigned long long strength[batch];
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) {
+          index[k] = t.index_at(min_of(first + k * lanes, node.end - 1));
+        }
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) { strength[k] = strength_of(t.points[index[k]], order); }
+        FT_UNROLL
+        for (int k = 0; k < batch; ++k) {
+          if (strength[k] > mine) {
+            mine = strength[k];
+            strongest = index[k];
+          }
+        }
+      }
+    }
+    unsigned long long const best = g.template reduce_lanes<most>(mine, max_op{});
+    if (i < size && mine == best) { kept[i] = t.points[strongest]; }
+  }
+}
+
+}  // namespace detail::quadtree
+
 namespace detail {
 
 /// Layout of the dynamic shared memory of a block: 8 bytes a point for keys, later reused for the

@@ -10,7 +10,7 @@
 #include "ft/core/config.hpp"
 #include "ft/kernels/detail/introsort.hpp"
 #include "ft/kernels/distribution/level_tree.hpp"
-#include "ft/kernels/distribution/quadrants.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

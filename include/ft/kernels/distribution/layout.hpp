@@ -16,13 +16,6 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// The node that is split first of two with the same number of points and the same left edge, in
-/// the rounds that split node by node. Source: specification section 3.
-enum class tie_rule {
-  stable,   ///< the one that was created last
-  std_sort  ///< as libstdc++'s std::sort orders them, whatever library the program uses
-};
-
 /// The number of corners that each level should keep, and its share of the memory.
 struct distribution_layout {
   int levels = 0;

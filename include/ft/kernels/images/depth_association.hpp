@@ -42,30 +42,6 @@ struct depth_images_view {
 };
 static_assert(std::is_trivially_copyable<depth_images_view<float>>::value, "passed to kernels");
 
-/// A depth image of 16-bit integers or floats, registered to a grey one.
-struct depth_view {
-  void const* data = nullptr;
-  int width = 0;
-  int height = 0;
-  std::ptrdiff_t pitch = 0;  ///< bytes from row to row
-  bool is_float = false;
-
-  depth_view() = default;
-  depth_view(image_view<std::uint16_t const> const& of)  // NOLINT(google-explicit-constructor)
-      : depth_view(of, false) {}
-  depth_view(image_view<float const> const& of)  // NOLINT(google-explicit-constructor)
-      : depth_view(of, true) {}
-
-private:
-  template <typename T>
-  depth_view(image_view<T const> const& of, bool floats)
-      : data(of.data),
-        width(of.width),
-        height(of.height),
-        pitch(static_cast<std::ptrdiff_t>(of.stride) * static_cast<std::ptrdiff_t>(sizeof(T))),
-        is_float(floats) {}
-};
-
 /// Where the pixels of a depth image are.
 struct depth_source {
   void const* data = nullptr;  ///< memory that the executor's threads can read
@@ -97,16 +73,16 @@ struct depth_params {
   float min_depth = 0;  ///< metres; smaller depths give no match
   float max_depth =
       std::numeric_limits<float>::infinity();  ///< metres; larger depths give no match
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    detail::require_range("baseline x fx", bf, 1e-9f, 1e12f);
-    detail::require_range("depth scale", scale, 1e-9f, 1e9f);
-    detail::require_range("min_depth", min_depth, 0.0f, std::numeric_limits<float>::max());
-    detail::require_range("max_depth", max_depth, min_depth,
-                          std::numeric_limits<float>::infinity());
-  }
 };
+
+/// @throws bad_argument naming the value and the limit
+inline void check(depth_params const& p) {
+  detail::require_range("baseline x fx", p.bf, 1e-9f, 1e12f);
+  detail::require_range("depth scale", p.scale, 1e-9f, 1e9f);
+  detail::require_range("min_depth", p.min_depth, 0.0f, std::numeric_limits<float>::max());
+  detail::require_range("max_depth", p.max_depth, p.min_depth,
+                        std::numeric_limits<float>::infinity());
+}
 
 namespace detail {
 
@@ -156,7 +132,7 @@ template <typename Images>
 void require_association(pixels_view const& raw, pixels_view const& undistorted,
                          Images const& images, depth_params const& params,
                          stereo_matches_view const& out) {
-  params.check();
+  check(params);
   require_pixels("raw keypoints", raw);
   require_pixels("undistorted keypoints", undistorted);
   require_same_shape("raw and undistorted keypoints", raw, undistorted);

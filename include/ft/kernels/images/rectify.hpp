@@ -9,7 +9,7 @@
 #include <limits>
 #include <string>
 
-#include "ft/containers/image_batch.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"

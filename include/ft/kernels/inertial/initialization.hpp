@@ -5,12 +5,27 @@
 #include <limits>
 
 #include "ft/containers/inertial.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/math/so3.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// @throws bad_argument naming the value and the limit
+inline void check(initialization_params const& p) {
+  constexpr float most = std::numeric_limits<float>::max();
+  detail::require_range("gravity", p.gravity, 0.1f, 100.0f);
+  detail::require_range("least_keyframes", p.least_keyframes, 3, 1 << 20);
+  detail::require_range("position_sigma", p.position_sigma, 1e-9f, most);
+  detail::require_range("rotation_sigma", p.rotation_sigma, 1e-9f, most);
+  detail::require_range("accel_bias_sigma", p.accel_bias_sigma, 1e-9f, 1e6f);
+  detail::require_range("rest_distance", p.rest_distance, 0.0f, most);
+  detail::require_range("rest_angle", p.rest_angle, 0.0f, most);
+}
 
 /// What came of an initialisation.
 enum class initialization_status : int {
@@ -23,37 +38,6 @@ enum class initialization_status : int {
   not_finite,     ///< a pose or an integral has NaN or infinity
   little_motion,  ///< a result is less certain than its limit: more keyframes, or more motion
   inconsistent,   ///< poses and integrals contradict each other
-};
-
-/// Parameters of initialize_inertial(). Positions are in the unit of the poses: metres, if their
-/// scale is known.
-struct initialization_params {
-  float gravity = 9.81f;            ///< m/s^2
-  bool known_scale = true;          ///< false: the poses of one camera
-  int least_keyframes = 4;          ///< 3 or more
-  float position_sigma = 0.005f;    ///< of a pose; it weighs poses against the bias' prior
-  float rotation_sigma = 0.001f;    ///< of a pose, rad
-  float accel_bias_sigma = 0.3f;    ///< the prior: biases of that size are usual, m/s^2
-  float rest_distance = 0.01f;      ///< from the first pose, while the body rests
-  float rest_angle = 0.005f;        ///< likewise, rad
-  float max_gyro_sigma = 0.005f;    ///< limits of little_motion: gyro bias, rad/s;
-  float max_tilt_sigma = 0.05f;     ///< direction of gravity, rad;
-  float max_velocity_sigma = 0.1f;  ///< last velocity, m/s;
-  float max_scale_sigma = 0.03f;    ///< share of the scale
-  float max_position_rms = 0.05f;   ///< limits of inconsistent: m,
-  float max_rotation_rms = 0.02f;   ///< and rad for an interval
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    constexpr float most = std::numeric_limits<float>::max();
-    detail::require_range("gravity", gravity, 0.1f, 100.0f);
-    detail::require_range("least_keyframes", least_keyframes, 3, 1 << 20);
-    detail::require_range("position_sigma", position_sigma, 1e-9f, most);
-    detail::require_range("rotation_sigma", rotation_sigma, 1e-9f, most);
-    detail::require_range("accel_bias_sigma", accel_bias_sigma, 1e-9f, 1e6f);
-    detail::require_range("rest_distance", rest_distance, 0.0f, most);
-    detail::require_range("rest_angle", rest_angle, 0.0f, most);
-  }
 };
 
 /// Gravity, velocity and biases. Standard deviations come from the poses' given ones, or from
@@ -95,6 +79,148 @@ struct initialization_windows {
   int batch;
   imu_mount mount;
 };
+
+// The linear systems of the initialisation of a body with an IMU. Not API.
+
+namespace detail {
+
+FT_HOST_DEVICE inline strict_mat3d sum_of(strict_mat3d a, strict_mat3d const& b) {
+  for (int i = 0; i < 9; ++i) { a.m[i] += b.m[i]; }
+  return a;
+}
+FT_HOST_DEVICE inline real64 component(strict_vec3d v, int i) {
+  return i == 0 ? v.x : i == 1 ? v.y : v.z;
+}
+FT_HOST_DEVICE inline real64 norm_of(strict_vec3d v) { return scalar::sqrt(dot(v, v)); }
+
+/// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T. All threads
+/// of a group make the same calls; an entry belongs to one of them, so that it is a sum in the
+/// order of the calls.
+template <int N>
+struct least_squares {
+  int unknowns;
+  int solvable;
+  real64 A[N * N];  ///< lower triangle; after factor() L below D
+  real64 b[N];
+
+  /// Ends with a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void begin(Group g, int n) {
+    if (g.rank() == 0) { unknowns = n; }
+    for (int i = g.rank(); i < N * N; i += g.size()) { A[i] = 0.0; }
+    for (int i = g.rank(); i < N; i += g.size()) { b[i] = 0.0; }
+    g.sync();
+  }
+  /// row . x = right, with a weight. What follows reads it after a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void add(Group g, real64 const (&row)[N], real64 right, real64 weight) {
+    // Where there are more threads than columns, several share a column.
+    static_assert(Group::max_threads == 1 || Group::max_threads % 16 == 0, "shared evenly");
+    int const columns = min_of(g.size(), 16);
+    int const sharers = g.size() / columns;
+    int const first = g.rank() / columns;
+    for (int j = g.rank() % columns; j <= unknowns; j += columns) {
+      if (j == unknowns) {
+        for (int i = first; i < unknowns; i += sharers) { b[i] += weight * row[i] * right; }
+        continue;
+      }
+      real64 const own = row[j];
+      for (int i = j + first; i < unknowns; i += sharers) { A[N * i + j] += weight * row[i] * own; }
+    }
+  }
+  /// x_i = 0, with a weight. What follows reads it after a sync.
+  template <typename Group>
+  FT_HOST_DEVICE void pull_to_zero(Group g, int i, real64 weight) {
+    if (g.rank() == i % min_of(g.size(), 16)) { A[N * i + i] += weight; }
+  }
+
+  /// After a sync. @return false if the unknowns do not follow from the equations, or one of those
+  /// is NaN
+  template <typename Group>
+  FT_HOST_DEVICE bool factor(Group g) {
+    return factor_columns(g, unknowns);
+  }
+  /// The first `columns` of L and D, which eliminate as many unknowns. The rest stays as it was.
+  /// After a sync.
+  template <typename Group>
+  FT_HOST_DEVICE bool factor_columns(Group g, int columns) {
+    for (int j = 0; j < columns; ++j) {
+      for (int i = j + g.rank(); i < unknowns; i += g.size()) {
+        real64 const before = A[N * i + j];
+        real64 rest = before;
+        for (int k = 0; k < j; ++k) { rest -= A[N * i + k] * (A[N * j + k] * A[N * k + k]); }
+        A[N * i + j] = rest;
+        // the rest of a difference of equal numbers is rounding
+        if (i == j) { solvable = rest > before * real64(1e-13) ? 1 : 0; }
+      }
+      g.sync();
+      if (solvable == 0) { return false; }
+      for (int i = j + 1 + g.rank(); i < unknowns; i += g.size()) {
+        A[N * i + j] = A[N * i + j] / A[N * j + j];
+      }
+      g.sync();
+    }
+    return true;
+  }
+  /// Each thread for itself. @pre factor() was true
+  FT_HOST_DEVICE void solve(real64 (&x)[N]) const {
+    for (int i = 0; i < unknowns; ++i) {
+      for (int k = 0; k < i; ++k) { x[i] -= A[N * i + k] * x[k]; }
+    }
+    for (int i = unknowns - 1; i >= 0; --i) {
+      x[i] = x[i] / A[N * i + i];
+      for (int k = i + 1; k < unknowns; ++k) { x[i] -= A[N * k + i] * x[k]; }
+    }
+  }
+  /// row . A^-1 . row, the variance of row . x.
+  FT_HOST_DEVICE real64 variance(real64 const (&row)[N]) const {
+    real64 x[N];
+    for (int i = 0; i < N; ++i) { x[i] = row[i]; }
+    solve(x);
+    real64 sum = 0.0;
+    for (int i = 0; i < unknowns; ++i) { sum += row[i] * x[i]; }
+    return sum;
+  }
+};
+
+/// Rotation of an integral at another bias of the gyro.
+FT_HOST_DEVICE inline strict_mat3d rotation_at(preintegrated const& in, strict_vec3d gyro_bias) {
+  strict_vec3d const w = in.JRg.cast<real64>() * (gyro_bias - in.bias.gyro.cast<real64>());
+  return in.dR.cast<real64>() * rotation_exp(w);
+}
+
+/// Integrals joined in the world of the poses: position and velocity since the first keyframe are
+/// p0 + v0 T + g T^2 / 2 + D + E ba and v0 + g T + U + W ba, with the accelerometer's bias ba.
+struct joined_integrals {
+  real64 T;
+  strict_vec3d D, U;
+  strict_mat3d E, W;
+
+  FT_HOST_DEVICE static joined_integrals none() {
+    strict_vec3d const zero{0.0, 0.0, 0.0};
+    strict_mat3d nothing;
+    for (int i = 0; i < 9; ++i) { nothing.m[i] = 0.0; }
+    return {0.0, zero, zero, nothing, nothing};
+  }
+  /// @param R body to world at the integral's begin
+  FT_HOST_DEVICE void append(preintegrated const& in, strict_mat3d const& R,
+                             strict_vec3d gyro_bias) {
+    real64 const t = static_cast<double>(in.dT);
+    strict_vec3d const dg = gyro_bias - in.bias.gyro.cast<real64>();
+    strict_vec3d const ba = in.bias.accel.cast<real64>();
+    strict_mat3d const JVa = in.JVa.cast<real64>();
+    strict_mat3d const JPa = in.JPa.cast<real64>();
+    strict_vec3d const dV = in.dV.cast<real64>() + in.JVg.cast<real64>() * dg - JVa * ba;
+    strict_vec3d const dP = in.dP.cast<real64>() + in.JPg.cast<real64>() * dg - JPa * ba;
+    D = D + scaled(U, t) + R * dP;
+    E = sum_of(sum_of(E, scaled(W, t)), R * JPa);
+    U = U + R * dV;
+    W = sum_of(W, R * JVa);
+    T += t;
+  }
+};
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

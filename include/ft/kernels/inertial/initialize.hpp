@@ -26,11 +26,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/inertial/detail/initialization_description.hpp"
+#include "ft/kernels/inertial/detail/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_description.hpp"
-#include "ft/kernels/inertial/initialization_solver.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -115,7 +116,7 @@ template <typename Exec>
 void initialize_inertial(Exec const& exec, initialization_windows const& windows,
                          initialization_params const& params, inertial_initialization* results,
                          vec3<double>* velocities = nullptr) {
-  params.check();
+  check(params);
   for_each_item<per_block<32>>(exec, windows.batch, detail::initialize_each{}, windows, params,
                                results, velocities);
 }

@@ -12,12 +12,12 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/inertial/detail/initialization_description.hpp"
+#include "ft/kernels/inertial/detail/initialization_solver.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
-#include "ft/kernels/inertial/initialization_description.hpp"
-#include "ft/kernels/inertial/initialization_solver.hpp"
-#include "ft/kernels/inertial/initialization_system.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -50,7 +50,7 @@ public:
                                   inertial_initialization const& found)
       : params_(p), without_prior_(p), work_(g, s, in, without_prior_), equations_(s.equations) {
     without_prior_.accel_bias_sigma = 1e6f;
-    work_.gyro_bias = found.newest.bg.template cast<wide>();
+    work_.gyro_bias = found.newest.bg.template cast<real64>();
     work_.find_rest();
     work_.join_integrals();
     work_.build();
@@ -60,30 +60,30 @@ public:
       for (int k = 0; k < i; ++k) { z_[i] -= equations_.A[n * i + k] * z_[k]; }
     }
     // The poses' given deviation may be too small, as for the window's own certainty.
-    wide const sigma = static_cast<double>(p.position_sigma);
-    wide const rms = static_cast<double>(found.position_rms);
-    wide const count = static_cast<double>(3 * in.count);
-    wide const freedom = max_of(count - wide(9.0), wide(1.0));
-    wide const excess = rms * rms * count / (freedom * sigma * sigma);
-    weight_ = wide(1.0) / max_of(wide(1.0), excess);
+    real64 const sigma = static_cast<double>(p.position_sigma);
+    real64 const rms = static_cast<double>(found.position_rms);
+    real64 const count = static_cast<double>(3 * in.count);
+    real64 const freedom = max_of(count - real64(9.0), real64(1.0));
+    real64 const excess = rms * rms * count / (freedom * sigma * sigma);
+    weight_ = real64(1.0) / max_of(real64(1.0), excess);
   }
   FT_HOST_DEVICE bool known() const { return known_; }
 
   /// Adds them; a thread has a row. Ends with a sync.
   /// @param keep share of the weights of all earlier windows that remains
   FT_HOST_DEVICE void add_to(joined_windows& sum, float keep) const {
-    wide const k = static_cast<double>(keep);
+    real64 const k = static_cast<double>(keep);
     Group const g = work_.g;
     for (int i = g.rank(); i < kept; i += g.size()) {
       for (int j = 0; j <= i; ++j) {
-        wide value = equations_.A[n * (eliminated + i) + eliminated + j];
+        real64 value = equations_.A[n * (eliminated + i) + eliminated + j];
         for (int m = 0; m < eliminated; ++m) { value -= factor(i, m) * factor(j, m) * pivot(m); }
-        value = k * wide(sum.A[kept * i + j]) + weight_ * value;
+        value = k * real64(sum.A[kept * i + j]) + weight_ * value;
         sum.A[kept * i + j] = sum.A[kept * j + i] = value.value;
       }
-      wide right = equations_.b[eliminated + i];
+      real64 right = equations_.b[eliminated + i];
       for (int m = 0; m < eliminated; ++m) { right -= factor(i, m) * z_[m]; }
-      sum.b[i] = (k * wide(sum.b[i]) + weight_ * right).value;
+      sum.b[i] = (k * real64(sum.b[i]) + weight_ * right).value;
     }
     if (g.rank() == 0) { ++sum.count; }
     g.sync();
@@ -91,26 +91,26 @@ public:
   /// Solves the sum, beginning at the window's own gravity, and writes gravity, bias and the
   /// velocity that follows.
   FT_HOST_DEVICE bool solve(joined_windows const& sum, inertial_initialization& found) {
-    if (!work_.set_gravity(found.gravity.template cast<wide>())) { return false; }
-    wide const prior = static_cast<double>(params_.accel_bias_sigma);
-    wide bias[3];
+    if (!work_.set_gravity(found.gravity.template cast<real64>())) { return false; }
+    real64 const prior = static_cast<double>(params_.accel_bias_sigma);
+    real64 bias[3];
     FT_NO_UNROLL
     for (int step = 0; step <= I::refinements; ++step) {
       least_squares<5> e;  // each thread's own
       single_group const alone;
       e.begin(alone, 5);
       add_sum(sum, e);
-      for (int i = 0; i < 3; ++i) { e.pull_to_zero(alone, i, wide(1.0) / (prior * prior)); }
-      wide x[5] = {e.b[0], e.b[1], e.b[2], e.b[3], e.b[4]};
+      for (int i = 0; i < 3; ++i) { e.pull_to_zero(alone, i, real64(1.0) / (prior * prior)); }
+      real64 x[5] = {e.b[0], e.b[1], e.b[2], e.b[3], e.b[4]};
       if (!e.factor(alone)) { return false; }
       e.solve(x);
       for (int i = 0; i < 3; ++i) { bias[i] = x[i]; }
-      wide_vec3 const pull =
+      strict_vec3d const pull =
           work_.gravity + scaled(work_.basis[0], x[3]) + scaled(work_.basis[1], x[4]);
-      wide_vec3 const before = work_.gravity;
+      strict_vec3d const before = work_.gravity;
       if (!work_.set_gravity(pull)) { return false; }
-      wide_vec3 const change = work_.gravity - before;
-      if (dot(change, change) < wide(I::step_tolerance * I::step_tolerance)) { break; }
+      strict_vec3d const change = work_.gravity - before;
+      if (dot(change, change) < real64(I::step_tolerance * I::step_tolerance)) { break; }
     }
     set_velocity(bias);
     describe_state(work_, found, nullptr);
@@ -120,23 +120,23 @@ public:
 private:
   /// The sum in terms of the bias and of two turns of gravity from where it is.
   FT_HOST_DEVICE void add_sum(joined_windows const& sum, least_squares<5>& e) const {
-    wide turned[kept][5];  // A times the derivative
-    wide off[kept];
+    real64 turned[kept][5];  // A times the derivative
+    real64 off[kept];
     for (int r = 0; r < kept; ++r) {
       off[r] = sum.b[r];
       for (int axis = 0; axis < 3; ++axis) {
         turned[r][axis] = sum.A[kept * r + axis];
-        off[r] -= wide(sum.A[kept * r + 3 + axis]) * component(work_.gravity, axis);
+        off[r] -= real64(sum.A[kept * r + 3 + axis]) * component(work_.gravity, axis);
       }
       for (int i = 3; i < 5; ++i) {
-        turned[r][i] = wide(sum.A[kept * r + 3]) * work_.basis[i - 3].x +
-                       wide(sum.A[kept * r + 4]) * work_.basis[i - 3].y +
-                       wide(sum.A[kept * r + 5]) * work_.basis[i - 3].z;
+        turned[r][i] = real64(sum.A[kept * r + 3]) * work_.basis[i - 3].x +
+                       real64(sum.A[kept * r + 4]) * work_.basis[i - 3].y +
+                       real64(sum.A[kept * r + 5]) * work_.basis[i - 3].z;
       }
     }
-    auto const project = [&](int i, wide const* column, int stride) {
+    auto const project = [&](int i, real64 const* column, int stride) {
       if (i < 3) { return column[i * stride]; }
-      wide_vec3 const d = work_.basis[i - 3];
+      strict_vec3d const d = work_.basis[i - 3];
       return d.x * column[3 * stride] + d.y * column[4 * stride] + d.z * column[5 * stride];
     };
     for (int i = 0; i < 5; ++i) {
@@ -144,11 +144,13 @@ private:
       e.b[i] = project(i, off, 1);
     }
   }
-  FT_HOST_DEVICE wide factor(int i, int m) const { return equations_.A[n * (eliminated + i) + m]; }
-  FT_HOST_DEVICE wide pivot(int m) const { return equations_.A[n * m + m]; }
+  FT_HOST_DEVICE real64 factor(int i, int m) const {
+    return equations_.A[n * (eliminated + i) + m];
+  }
+  FT_HOST_DEVICE real64 pivot(int m) const { return equations_.A[n * m + m]; }
   /// Velocity and position of the window, by substitution into its own equations.
-  FT_HOST_DEVICE void set_velocity(wide const (&bias)[3]) {
-    wide x[eliminated + kept];
+  FT_HOST_DEVICE void set_velocity(real64 const (&bias)[3]) {
+    real64 x[eliminated + kept];
     for (int i = 0; i < 3; ++i) {
       x[eliminated + i] = bias[i];
       x[eliminated + 3 + i] = component(work_.gravity, i);
@@ -164,8 +166,8 @@ private:
   initialization_params without_prior_;
   I work_;
   typename I::system& equations_;
-  wide z_[eliminated];
-  wide weight_;
+  real64 z_[eliminated];
+  real64 weight_;
   bool known_;
 };
 

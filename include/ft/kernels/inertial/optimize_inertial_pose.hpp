@@ -5,24 +5,125 @@
 #include <cstddef>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/inertial/inertial_pose_item.hpp"
+#include "ft/kernels/inertial/detail/inertial_solver.hpp"
+#include "ft/kernels/inertial/detail/information.hpp"
+#include "ft/kernels/inertial/detail/visual_residual.hpp"
 #include "ft/kernels/inertial/inertial_problem.hpp"
-#include "ft/kernels/inertial/inertial_residual.hpp"
-#include "ft/kernels/inertial/inertial_solver.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
-#include "ft/kernels/inertial/visual_residual.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+// What the optimisation of a state and its marginalisation have in common.
+
 namespace detail {
+
+/// Numbers that a structure of nothing else begins with, for checks that threads share.
+template <typename T>
+struct leading_numbers {
+  T const* first;
+  int count;
+
+  template <typename Group>
+  FT_HOST_DEVICE bool finite(Group g) const {
+    bool good = true;
+    for (int k = g.rank(); k < count; k += g.size()) { good = good && scalar::is_finite(first[k]); }
+    return good;
+  }
+};
+
+/// A problem and its working memory.
+template <typename Rig>
+struct inertial_pose_item {
+  using scratch = inertial_scratch;
+  Rig rig;
+  imu_mount mount;
+  inertial_pose_params params;
+
+protected:
+  FT_HOST_DEVICE static inertial_observations observations_of(int b, inertial_poses const& in) {
+    auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
+    return {in.observations + at, in.distance == nullptr ? nullptr : in.distance + at,
+            in.outlier + at, clamp(in.count[b], 0, in.capacity)};
+  }
+  /// The integral whose walk counts.
+  FT_HOST_DEVICE preintegrated const& walk_of(int b, inertial_poses const& in, bool both) const {
+    bool const slip = params.reference_quirks && both && in.since_keyframe != nullptr;
+    return slip ? in.since_keyframe[b] : in.integral[b];
+  }
+  FT_HOST_DEVICE static leading_numbers<float> numbers(preintegrated const& v) {
+    static_assert(offsetof(preintegrated, steps) == 160 * sizeof(float), "160 floats");
+    return {&v.dT, 160};
+  }
+  FT_HOST_DEVICE static leading_numbers<float> numbers(stored_inertial_state const& v) {
+    static_assert(sizeof(stored_inertial_state) == 16 * sizeof(float), "16 floats");
+    return {&v.q_cw.x, 16};
+  }
+  FT_HOST_DEVICE static leading_numbers<double> numbers(inertial_prior const& v) {
+    static_assert(offsetof(inertial_prior, known) == 246 * sizeof(double), "246 doubles");
+    return {&v.state.R.m[0], 246};
+  }
+
+  /// Fills scratch, but for the states, which are written before. Ends with a sync.
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE void load_terms(Group g, scratch& s, int b, inertial_poses const& in,
+                                 Solver const& solver) const {
+    preintegrated const& integral = in.integral[b];
+    if (solver.is_thread(0)) { s.mount = pose_mount::of(mount); }
+    if (solver.is_thread(1)) {
+      s.link =
+          inertial_link::of(integral, in.gravity == nullptr ? standard_gravity() : in.gravity[b]);
+    }
+    if (solver.is_thread(2)) {
+      s.prior_weight = 1.0;
+      if (solver.both) { s.prior = cast_state<real64>(in.prior[b].state); }
+    }
+    for (int k = g.rank(); solver.both && k < 225; k += g.size()) {
+      s.prior_H[k] = in.prior[b].information[k];
+    }
+    preintegrated const& walked = walk_of(b, in, solver.both);
+    for (int k = g.rank(); k < 6; k += g.size()) {
+      s.walk[k] = scalar::reciprocal(real64(static_cast<double>(walked.walk[k])));
+    }
+    s.rows.clear(g);
+    information_of(g, s.matrices, integral, params.reference_quirks, s.omega);
+  }
+
+  /// Writes what the states in scratch leave to the next frame. Ends with a sync.
+  /// @return whether all of it is finite
+  template <typename Group, typename Solver>
+  FT_HOST_DEVICE bool write_prior(Group g, scratch const& s, inertial_prior& next,
+                                  Solver const& solver) const {
+    solver.marginalize(next.information);
+    if (g.rank() == 0) {
+      next.state = cast_state<double>(s.frame);
+      next.known = 1;
+    }
+    g.sync();
+    return !g.any(!numbers(next).finite(g));
+  }
+};
+
+inline void require_finite_pose(rigid<float> const& T) {
+  for (float const v : T.R.m) { require_finite("imu mount rotation", v); }
+  require_finite("imu mount x", T.t.x);
+  require_finite("imu mount y", T.t.y);
+  require_finite("imu mount z", T.t.z);
+}
+/// @throws bad_argument
+inline void require_inertial_poses(inertial_poses const& in, imu_mount const& mount) {
+  require(in.problems >= 0 && in.capacity >= 0, "a number of problems or a capacity < 0");
+  require_finite_pose(mount.T_bc);
+  require_finite_pose(mount.T_cb);
+}
 
 /// Item: a problem.
 template <typename Rig>
@@ -91,10 +192,10 @@ private:
   FT_HOST_DEVICE void load_states(scratch& s, int b, inertial_poses const& in,
                                   Solver const& solver) const {
     if (solver.is_thread(0)) {
-      s.frame = cast_state<wide>(body_state(in.start[b], this->mount));
+      s.frame = cast_state<real64>(body_state(in.start[b], this->mount));
       s.T_cw = pose_mount::of(this->mount).pose_of(s.frame);
     }
-    if (solver.is_thread(1)) { s.first = cast_state<wide>(body_state(in.first[b], this->mount)); }
+    if (solver.is_thread(1)) { s.first = cast_state<real64>(body_state(in.first[b], this->mount)); }
   }
 
   /// The states after the last round. Ends with a sync.
@@ -164,17 +265,17 @@ private:
       strict_float limit = is_mono ? mono_limit : stereo[round];
       if (is_mono && is_close(seen, i, r.in_pose)) { limit *= strict_float(1.5f); }
       // Written so that a NaN is an outlier.
-      bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > wide(0.0));
+      bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > real64(0.0));
       seen.outlier[i] = inlier ? 0 : 1;
       good += static_cast<int>(inlier);
     }
     return g.reduce(good, sum_op{});
   }
 
-  FT_HOST_DEVICE static bool is_close(inertial_observations const& seen, int i, wide_vec3 p) {
+  FT_HOST_DEVICE static bool is_close(inertial_observations const& seen, int i, strict_vec3d p) {
     constexpr float limit = 10;  // metres
     if (seen.distance != nullptr) { return seen.distance[i] < limit; }
-    return dot(p, p) < wide(static_cast<double>(limit * limit));
+    return dot(p, p) < real64(static_cast<double>(limit * limit));
   }
 
   /// Takes outliers that are not far off in again. Returns the number of observations that are not.
@@ -219,6 +320,52 @@ void optimize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& 
   detail::require_range("first_round", params.first_round, 0, inertial_rounds - 1);
   for_each_item<per_block<sum_lanes>>(
       exec, in.problems, detail::optimize_inertial_pose<Rig>{{rig, mount, params}}, in);
+}
+
+// Stage: what the optimised states of frames leave to the next frames.
+
+namespace detail {
+
+/// Item: a problem.
+template <typename Rig>
+struct marginalize_inertial_pose : inertial_pose_item<Rig> {
+  using item = inertial_pose_item<Rig>;
+  using typename item::scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, inertial_poses const& in) const {
+    inertial_pose_result const& result = in.result[b];
+    inertial_prior& next = in.next_prior[b];
+    if (result.rounds == 0) {  // refused
+      if (g.rank() == 0) { next.known = 0; }
+      return;
+    }
+    inertial_solver<Group, Rig> const solver{
+        g, s, this->rig, item::observations_of(b, in), in.from_last_frame[b] != 0, 0.0};
+    if (solver.is_thread(0)) {
+      s.frame = cast_state<real64>(result.round_state[result.rounds - 1]);
+      s.T_cw = pose_mount::of(this->mount).pose_of(s.frame);
+    }
+    if (solver.is_thread(1)) { s.first = cast_state<real64>(result.first); }
+    this->load_terms(g, s, b, in, solver);
+    bool const finite = this->write_prior(g, s, next, solver);
+    if (!finite && g.rank() == 0) { next.known = 0; }
+  }
+};
+
+}  // namespace detail
+
+/// Writes `in.next_prior` of problems that optimize_inertial_poses() has solved without it
+/// (inertial_pose_params::marginalizes = false), with the same bits; of refused ones, and of those
+/// whose prior is not finite, it is not known. Inputs and results are those of that call.
+/// Asynchronous on `exec`; allocates nothing; one launch with a block for each problem.
+/// @throws bad_argument for a negative number of problems, or a mount that is not finite
+template <typename Exec, typename Rig>
+void marginalize_inertial_poses(Exec const& exec, Rig const& rig, imu_mount const& mount,
+                                inertial_poses const& in, inertial_pose_params const& params = {}) {
+  detail::require_inertial_poses(in, mount);
+  for_each_item<per_block<sum_lanes>>(
+      exec, in.problems, detail::marginalize_inertial_pose<Rig>{{rig, mount, params}}, in);
 }
 
 }  // namespace FT_ABI

@@ -7,8 +7,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/inertial/rotation.hpp"
+#include "ft/math/so3.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -25,8 +26,8 @@ namespace detail {
 /// The part of an integral that each step changes as a whole.
 struct integrated_motion {
   strict_float dT;
-  strict_mat3 dR;
-  strict_vec3 dV, dP, bg, ba, mean_accel, mean_gyro;
+  strict_mat3f dR;
+  strict_vec3f dV, dP, bg, ba, mean_accel, mean_gyro;
 };
 
 /// The rest of an integral, and how a step changes it: with E = [covariance | derivatives by the
@@ -83,9 +84,9 @@ struct preintegrate_steps {
 
 private:
   FT_HOST_DEVICE static integrated_motion begin(imu_bias const& bias) {
-    strict_vec3 const zero{0.0f, 0.0f, 0.0f};
+    strict_vec3f const zero{0.0f, 0.0f, 0.0f};
     return {0.0f,
-            strict_mat3::identity(),
+            strict_mat3f::identity(),
             zero,
             zero,
             bias.gyro.cast<strict_float>(),
@@ -144,9 +145,9 @@ private:
                                      imu_step const& step) {
     strict_float const dt = step.dt;
     strict_float const half_dt2 = strict_float(0.5f) * dt * dt;
-    strict_vec3 const x = step.accel.cast<strict_float>() - m.ba;
-    strict_vec3 const y = step.gyro.cast<strict_float>() - m.bg;
-    strict_vec3 const force = m.dR * x;
+    strict_vec3f const x = step.accel.cast<strict_float>() - m.ba;
+    strict_vec3f const y = step.gyro.cast<strict_float>() - m.bg;
+    strict_vec3f const force = m.dR * x;
     strict_float const whole = m.dT + dt;
     auto const mean = [&](strict_float old, strict_float now) {
       return (m.dT * old + now * dt) / whole;
@@ -156,11 +157,11 @@ private:
     m.mean_gyro = {mean(m.mean_gyro.x, y.x), mean(m.mean_gyro.y, y.y), mean(m.mean_gyro.z, y.z)};
     m.dP = m.dP + scaled(m.dV, dt) + scaled(force, half_dt2);
     m.dV = m.dV + scaled(force, dt);
-    rotation_and_jacobian const turn = rotation_exp_and_jacobian(scaled(y, dt));
-    strict_mat3 const effect = times_cross(m.dR, x);
+    auto const turn = rotation_exp_and_jacobian(scaled(y, dt));
+    strict_mat3f const effect = times_cross(m.dR, x);
     g.sync();  // the step before has been read
     if (g.rank() == 0) {
-      strict_mat3 const back = turn.E.transposed();
+      strict_mat3f const back = turn.E.transposed();
       FT_UNROLL
       for (int i = 0; i < 9; ++i) {
         s.A[i] = back.m[i];

@@ -7,23 +7,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct selection_params {
-  /// A sample that is this much older than an image counts as taken with it.
-  double early_s = 0.001;
-  /// The longest time without a sample, also at the ends of the interval, where samples are
-  /// extrapolated. Infinity: any, as in the reference.
-  double longest_gap_s = 0.1;
-  /// For which the noise is stated. Intervals of other rates are refused: the time between samples
-  /// may be a third of this rate's, or three times as long. 0: any rate.
-  float rate_hz = 0;
-  static constexpr double rate_tolerance = 3;
-};
 
 namespace detail {
 

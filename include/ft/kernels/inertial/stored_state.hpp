@@ -5,34 +5,13 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/motion/constant_velocity.hpp"
+#include "ft/core/error.hpp"
+#include "ft/math/quaternion.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-namespace detail {
-
-/// The matrix of a rotation.
-template <typename S>
-FT_HOST_DEVICE mat3<S> rotation_of(quaternion<S> const& q) {
-  S const x2 = q.x + q.x;
-  S const y2 = q.y + q.y;
-  S const z2 = q.z + q.z;
-  S const xx = x2 * q.x;
-  S const yy = y2 * q.y;
-  S const zz = z2 * q.z;
-  S const xy = x2 * q.y;
-  S const xz = x2 * q.z;
-  S const yz = y2 * q.z;
-  S const wx = x2 * q.w;
-  S const wy = y2 * q.w;
-  S const wz = z2 * q.w;
-  S const one = S(1);
-  return {{one - (yy + zz), xy - wz, xz + wy, xy + wz, one - (xx + zz), yz - wx, xz - wy, yz + wx,
-           one - (xx + yy)}};
-}
-
-}  // namespace detail
 
 /// The body's state in a frame that stores the camera's pose. The same bits on every executor.
 FT_HOST_DEVICE inline inertial_state<float> body_state(stored_inertial_state const& frame,
@@ -60,6 +39,44 @@ FT_HOST_DEVICE inline stored_inertial_state stored_state(inertial_state<float> c
           T_cw.t.template cast<float>(),
           body.v,
           {body.bg, body.ba}};
+}
+
+// What a calibration of an IMU says, in the form that the inertial stages read.
+
+/// Densities of noise as variances of one sample: the white noise of a sample grows with the rate,
+/// the step of a walk falls with it.
+/// @throws bad_argument for a rate outside [1, 1e5] Hz, or a density that is not positive and
+/// finite
+inline imu_variances variances_of(imu_noise const& noise) {
+  detail::require_range("imu rate_hz", noise.rate_hz, 1.0f, 1e5f);
+  using real = strict_float;
+  real const root = scalar::sqrt(real(noise.rate_hz));
+  float const densities[] = {noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk};
+  char const* const names[] = {"imu gyro noise", "imu accelerometer noise", "imu gyro walk",
+                               "imu accelerometer walk"};
+  imu_variances out{};
+  for (int k = 0; k < 4; ++k) {
+    detail::require_range(names[k], densities[k], 1e-12f, 1e6f);
+    real const s = k < 2 ? real(densities[k]) * root : real(densities[k]) / root;
+    float* const to = (k < 2 ? out.measured : out.walk) + k % 2 * 3;
+    for (int i = 0; i < 3; ++i) { to[i] = (s * s).value; }
+  }
+  return out;
+}
+
+/// An IMU's mount from the pose of the left camera in the body's frame, as calibration files state
+/// it. The rotation is made orthonormal again where its digits were cut.
+/// @param T_bc left camera to body, metres
+/// @throws bad_argument if its rotation is none, or a number is not finite
+inline imu_mount mount_of(rigid<double> const& T_bc) {
+  detail::require_rotation(T_bc.R);
+  detail::require_finite("imu T_bc x", T_bc.t.x);
+  detail::require_finite("imu T_bc y", T_bc.t.y);
+  detail::require_finite("imu T_bc z", T_bc.t.z);
+  using real = strict_double;
+  rigid<real> const T{detail::rotation_of(detail::quaternion_of(T_bc.R.cast<real>())),
+                      T_bc.t.cast<real>()};
+  return {T.cast<float>(), T.inverse().cast<float>()};
 }
 
 }  // namespace FT_ABI

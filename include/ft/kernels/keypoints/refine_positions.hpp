@@ -8,8 +8,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/kernels/corners/fast_score.hpp"
-#include "ft/kernels/corners/strip_host.hpp"
+#include "ft/kernels/corners/detail/fast_score.hpp"
+#include "ft/kernels/corners/detail/strip_host.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

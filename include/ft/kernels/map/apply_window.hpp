@@ -11,10 +11,11 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/map/describe_point.hpp"
+#include "ft/kernels/map/detail/describe_point.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/point_masks.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

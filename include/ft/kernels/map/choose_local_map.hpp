@@ -14,16 +14,19 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/detail/slot_rows.hpp"
 #include "ft/kernels/map/point_masks.hpp"
-#include "ft/kernels/map/slot_rows.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-struct local_map_params {
-  int keyframes = 30;   ///< with most votes, 1 to 64
-  int neighbours = 10;  ///< of these the best ones whose neighbours are added, 0 to 32
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(local_map_params const& p) {
+  detail::require_range("keyframes of a local map", p.keyframes, 1, 64);
+  detail::require_range("neighbours of a local map", p.neighbours, 0, 32);
+}
 
 /// Which keyframes a local map is made of.
 enum class local_map_mode : int {
@@ -370,8 +373,7 @@ private:
 template <typename Exec>
 void choose_local_map(Exec const& exec, local_map_input const& in, odometry_map_view const& map,
                       local_map_view const& out, local_map_workspace const& work) {
-  detail::require_range("keyframes of a local map", in.params.keyframes, 1, 64);
-  detail::require_range("neighbours of a local map", in.params.neighbours, 0, 32);
+  check(in.params);
   int const items = in.frame.batch * work.chunks;
   for_each_item<per_block<1024>>(exec, items, detail::rank_local_points{}, in, map, work);
   for_each_item<per_block<1024>>(exec, items, detail::list_local_points{}, map.records, out, work);

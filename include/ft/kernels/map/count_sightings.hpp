@@ -9,6 +9,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/search/frustum.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

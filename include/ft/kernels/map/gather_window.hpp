@@ -13,17 +13,14 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/detail/slot_rows.hpp"
 #include "ft/kernels/map/point_masks.hpp"
-#include "ft/kernels/map/slot_rows.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct window_selection {
-  int moving = 8;  ///< newest keyframes, which are adjusted, 1 or more
-  int fixed = 5;   ///< keyframes before these, which stay, 0 or more. The views of a
-                   ///< window_problem_view are at least moving + fixed
-};
 
 /// Inputs of gather_window, apart from the map.
 struct window_input {

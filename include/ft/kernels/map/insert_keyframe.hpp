@@ -6,12 +6,21 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/map/detail/place_keyframe.hpp"
+#include "ft/kernels/map/detail/record_keyframe.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
-#include "ft/kernels/map/place_keyframe.hpp"
-#include "ft/kernels/map/record_keyframe.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// @throws bad_argument naming the value and the limit
+inline void check(keyframe_params const& p) {
+  detail::require_range("near depth", p.near_depth, 1e-3f, 1e6f);
+  detail::require_range("wanted near points", p.wanted_near_points, 0, 1 << 24);
+  detail::require_range("frames before culling", p.cull_after, 1, 1 << 24);
+  detail::require_range("share of culling", p.cull_share, 1, 1 << 24);
+}
 
 /// Makes a keyframe of each frame whose `order` says so. Other batch entries are not touched.
 ///
@@ -41,10 +50,7 @@ template <typename Exec, typename Rig>
 void insert_keyframe(Exec const& exec, keyframe_input<Rig> const& in, keyframe_params const& params,
                      odometry_map_view const& map, keyframe_result const& out,
                      keyframe_workspace const& work) {
-  detail::require_range("near depth", params.near_depth, 1e-3f, 1e6f);
-  detail::require_range("wanted near points", params.wanted_near_points, 0, 1 << 24);
-  detail::require_range("frames before culling", params.cull_after, 1, 1 << 24);
-  detail::require_range("share of culling", params.cull_share, 1, 1 << 24);
+  check(params);
   detail::require(map.keyframes.capacity == in.frame.capacity() &&
                       map.keyframes.cameras == in.frame.cameras &&
                       map.keyframes.batch == in.frame.batch,

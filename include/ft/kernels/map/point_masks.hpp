@@ -10,7 +10,8 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -15,13 +15,13 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/map/bin_rays.hpp"
+#include "ft/kernels/map/detail/bin_rays.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
-#include "ft/kernels/map/match_candidates.hpp"
 #include "ft/kernels/map/point_masks.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

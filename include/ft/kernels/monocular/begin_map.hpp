@@ -12,13 +12,15 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/map/detail/select_new_points.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
-#include "ft/kernels/map/select_new_points.hpp"
 #include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

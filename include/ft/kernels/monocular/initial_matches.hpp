@@ -15,14 +15,13 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/search/candidate_list.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/workspace.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -34,12 +33,10 @@ struct frame_pair_view {
   feature_grid_view grids;  ///< of `second`
 };
 
-struct initial_match_params {
-  float window_radius = 100;      ///< half side of a window, pixels
-  int max_hamming = 50;           ///< largest Hamming distance of a match, bits, 0 to 255
-  float ratio = 0.9f;             ///< the best distance is below this times the second best one
-  bool orientation_check = true;  ///< drops matches whose rotation differs from that of most others
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(initial_match_params const& p) {
+  detail::require_range("initial_match_params::max_hamming", p.max_hamming, 0, 255);
+}
 
 /// Matches of a batch of frame pairs.
 struct initial_matches_view {
@@ -338,7 +335,7 @@ void search_initial_matches(Exec const& exec, frame_pair_view const& frames,
                             initial_match_workspace const& work) {
   int const first = frames.first.capacity;
   int const second = frames.second.capacity;
-  detail::require_range("max_hamming", params.max_hamming, 0, 255);
+  check(params);
   detail::require_range("keypoints of the first frame", first, 1, (1 << 23) - 1);
   detail::require_range("keypoints of the second frame", second, 1, (1 << 23) - 1);
   detail::require_range("capacity of the matches", out.capacity, first, first);

@@ -12,23 +12,22 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/monocular/initial_matches.hpp"
 #include "ft/kernels/two_view/problem.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// What a frame did for the start of a map.
-enum class start_outcome : int {
-  waiting = 0,   ///< too few keypoints for a first frame
-  took_first,    ///< it is the first frame now
-  forgot_first,  ///< too few keypoints, or too late: the next frame may become the first one
-  few_matches,   ///< likewise
-  no_motion,     ///< two views made no reconstruction; the first frame stays
-  started,       ///< there is a reconstruction; the next frame may become a first one
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(start_rules const& p) {
+  detail::require_range("start_rules::min_keypoints", p.min_keypoints, 0, 1 << 23);
+  detail::require_range("start_rules::min_matches", p.min_matches, 0, 1 << 23);
+  detail::require_range("start_rules::longest_gap_s", p.longest_gap_s, 0.0, 1e9);
+}
 
 /// What came of a frame.
 struct start_report {
@@ -36,22 +35,6 @@ struct start_report {
   int keypoints;  ///< of the frame
   int matches;    ///< with the first frame; after a start, those with a triangulated point
   two_view_status two_views;  ///< of few_matches and the outcomes above it: too_few_matches
-};
-
-/// Rules of a start with one camera.
-struct start_rules {
-  int min_keypoints = 100;   ///< both frames have more
-  int min_matches = 100;     ///< of both frames
-  bool inertial = false;     ///< integrals between the frames must not be long
-  double longest_gap_s = 1;  ///< between both frames, if inertial
-  std::uint64_t seed = 0;    ///< of samples; a camera's n-th attempt adds n
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    detail::require_range("start_rules::min_keypoints", min_keypoints, 0, 1 << 23);
-    detail::require_range("start_rules::min_matches", min_matches, 0, 1 << 23);
-    detail::require_range("start_rules::longest_gap_s", longest_gap_s, 0.0, 1e9);
-  }
 };
 
 /// Frames of a batch of cameras, one each.

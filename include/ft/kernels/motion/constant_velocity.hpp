@@ -7,87 +7,14 @@
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/pose/se3.hpp"
+#include "ft/math/se3.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
 namespace detail {
-
-/// A twist: axis times angle in rad, and the velocity whose integral is the translation.
-struct twist {
-  vec3<strict_double> w, u;
-};
-
-/// Quaternion of a rotation, scalar part not negative. Source: Shepperd, "Quaternion from rotation
-/// matrix", 1978.
-FT_HOST_DEVICE inline quaternion<strict_double> quaternion_of(mat3<strict_double> const& R) {
-  using real = strict_double;
-  auto const& m = R.m;
-  real const trace = m[0] + m[4] + m[8];
-  quaternion<real> q;
-  if (trace >= m[0] && trace >= m[4] && trace >= m[8]) {
-    q = {m[7] - m[5], m[2] - m[6], m[3] - m[1], real(1) + trace};
-  } else if (m[0] >= m[4] && m[0] >= m[8]) {
-    q = {real(1) + m[0] - m[4] - m[8], m[1] + m[3], m[2] + m[6], m[7] - m[5]};
-  } else if (m[4] >= m[8]) {
-    q = {m[1] + m[3], real(1) - m[0] + m[4] - m[8], m[5] + m[7], m[2] - m[6]};
-  } else {
-    q = {m[2] + m[6], m[5] + m[7], real(1) - m[0] - m[4] + m[8], m[3] - m[1]};
-  }
-  real const n = scalar::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-  real const s = (q.w < real(0) ? real(-1) : real(1)) / n;
-  return {q.x * s, q.y * s, q.z * s, q.w * s};
-}
-
-/// Axis times angle of a rotation. The angle is halved until the series of the arc sine converges
-/// fast, so the bits do not depend on a library's functions.
-FT_HOST_DEVICE inline vec3<strict_double> log_so3(quaternion<strict_double> q) {
-  using real = strict_double;
-  real factor = 2;
-  real squared = q.x * q.x + q.y * q.y + q.z * q.z;
-  FT_NO_UNROLL
-  for (int i = 0; i < 4 && squared > real(1.0 / 64); ++i) {
-    real const w = scalar::sqrt((real(1) + q.w) * real(0.5));
-    real const s = real(0.5) / w;
-    q = {q.x * s, q.y * s, q.z * s, w};
-    squared = q.x * q.x + q.y * q.y + q.z * q.z;
-    factor = factor + factor;
-  }
-  // asin(x) / x, from the innermost bracket.
-  real sum = 1;
-  FT_UNROLL
-  for (int k = 10; k > 0; --k) {
-    double const odd = 2.0 * k - 1.0;
-    sum = real(1) + squared * real(odd * odd / (2.0 * k * (2.0 * k + 1.0))) * sum;
-  }
-  real const f = factor * sum;
-  return {q.x * f, q.y * f, q.z * f};
-}
-
-/// Logarithm of a rigid motion that turns by less than half a turn. Error below 1e-13 of its
-/// length, up to 3 rad. Source: Barfoot, "State estimation for robotics", 2017, section 7.1.
-FT_HOST_DEVICE inline twist log_se3(rigid<strict_double> const& T) {
-  using real = strict_double;
-  quaternion<real> const q = quaternion_of(T.R);
-  vec3<real> const w = log_so3(q);
-  real const theta2 = dot(w, w);
-  // V^-1 = I - W / 2 + c W^2 with c = (1 - a cot a) / theta^2, a = theta / 2.
-  real c = 0;
-  if (theta2 < real(0.25)) {
-    real const terms[] = {1.0 / 12,           1.0 / 720,      1.0 / 30240,
-                          1.0 / 1209600,      1.0 / 47900160, 691.0 / 1307674368000.0,
-                          1.0 / 74724249600.0};
-    FT_UNROLL
-    for (int k = 6; k >= 0; --k) { c = terms[k] + theta2 * c; }
-  } else {
-    real const s = scalar::sqrt(q.x * q.x + q.y * q.y + q.z * q.z);
-    real const theta = scalar::sqrt(theta2);
-    c = (real(1) - real(0.5) * theta * (q.w / s)) / theta2;
-  }
-  return {w, one_plus(real(-0.5), c, w, theta2) * T.t};
-}
 
 /// The motion T scaled in length: exp(share * log(T)), along the same screw.
 FT_HOST_DEVICE inline rigid<strict_double> part_of_motion(rigid<strict_double> const& T,
@@ -99,16 +26,6 @@ FT_HOST_DEVICE inline rigid<strict_double> part_of_motion(rigid<strict_double> c
 }
 
 }  // namespace detail
-
-struct motion_params {
-  /// Time stamps whose distances differ by less than this share count as evenly spaced, and the
-  /// motion is repeated bit for bit. Recorded cameras jitter by less.
-  double even = 0.05;
-  /// A prediction covers at most this many motions; a longer gap needs a wide search.
-  double longest = 5;
-  /// Seconds after which a camera that is not found is thought to stand still.
-  double memory = 1;
-};
 
 /// The last motion of a camera, for a prediction with constant velocity. All functions give the
 /// same bits on every executor.
@@ -154,6 +71,172 @@ struct constant_velocity {
     motion = detail::part_of_motion(motion.cast<real>(), share).cast<double>();
   }
 };
+
+// Poses of a camera from three points and the directions in which it sees them. Source:
+// Persson and Nordberg, "Lambda Twist: an accurate fast robust perspective three point (P3P)
+// solver", ECCV 2018.
+
+namespace detail {
+
+/// Poses that three points allow, at most four.
+struct three_point_poses {
+  rigid<strict_double> T_cw[4];
+  int count = 0;
+};
+
+/// The solver. Its arithmetic is that of +, -, *, / and square roots, so that its bits are the same
+/// on every executor.
+class three_point_solver {
+  using real = strict_double;
+  using vec = vec3<real>;
+
+public:
+  /// @param ray unit directions in the camera's frame @param point world, metres
+  FT_HOST_DEVICE three_point_solver(vec const (&ray)[3], vec const (&point)[3])
+      : ray_(ray), point_(point) {
+    vec const d12 = point[0] - point[1], d13 = point[0] - point[2], d23 = point[1] - point[2];
+    a12_ = dot(d12, d12);
+    a13_ = dot(d13, d13);
+    a23_ = dot(d23, d23);
+    b12_ = real(-2) * dot(ray[0], ray[1]);
+    b13_ = real(-2) * dot(ray[0], ray[2]);
+    b23_ = real(-2) * dot(ray[1], ray[2]);
+  }
+
+  /// All poses that see the points in the directions, in front of the camera along them. None for
+  /// points or directions that are degenerate, or not finite.
+  FT_HOST_DEVICE three_point_poses solve() const {
+    three_point_poses out;
+    pencil const p = degenerate_form();
+    if (!(p.ratio >= real(0))) { return out; }  // also NaN
+    real const root = scalar::sqrt(p.ratio);
+    add_poses(p, root, out);
+    add_poses(p, -root, out);
+    return out;
+  }
+
+private:
+  /// The quadratic form of the distances that is a product of two planes.
+  struct pencil {
+    vec first, second;  ///< eigenvectors of its eigenvalues that are not 0, larger one first
+    real ratio;         ///< minus the second eigenvalue by the first
+  };
+
+  /// A real root of x^3 + b x^2 + c x + d, by Newton's method from beside the outer extremum.
+  FT_HOST_DEVICE static real cubic_root(real b, real c, real d) {
+    auto const value = [&](real x) { return ((x + b) * x + c) * x + d; };
+    real x = -b / real(3);
+    real const apart = b * b - real(3) * c;
+    if (apart >= real(0)) {
+      real const v = scalar::sqrt(apart);
+      real const low = (-b - v) / real(3), high = (-b + v) / real(3);
+      // Beyond an extremum the parabola that touches it there is a good start.
+      if (value(low) > real(0)) {
+        x = low - scalar::sqrt(-value(low) / (real(3) * low + b));
+      } else {
+        x = high + scalar::sqrt(-value(high) / (real(3) * high + b));
+      }
+    } else if (scalar::abs((real(3) * x + real(2) * b) * x + c) < real(1e-4)) {
+      x += real(1);
+    }
+    FT_NO_UNROLL
+    for (int i = 0; i < 50; ++i) {
+      real const f = value(x);
+      if (!(scalar::abs(f) > real(1e-13)) && i >= 7) { break; }
+      x -= f / ((real(3) * x + real(2) * b) * x + c);
+    }
+    return x;
+  }
+
+  FT_HOST_DEVICE pencil degenerate_form() const {
+    real const half = 0.5;
+    real const c12 = -half * b12_, c13 = -half * b13_, c23 = -half * b23_;
+    real const s12 = real(1) - c12 * c12, s13 = real(1) - c13 * c13, s23 = real(1) - c23 * c23;
+    real const blob = c12 * c23 * c13 - real(1);
+    real const p3 = a13_ * (a23_ * s13 - a13_ * s23);
+    real const p2 = real(2) * blob * a23_ * a13_ + a13_ * (real(2) * a12_ + a13_) * s23 +
+                    a23_ * (a23_ - a12_) * s13;
+    real const p1 = a23_ * (a13_ - a23_) * s12 - a12_ * a12_ * s23 -
+                    real(2) * a12_ * (blob * a23_ + a13_ * s23);
+    real const p0 = a12_ * (a12_ * s23 - a23_ * s12);
+    real const g = cubic_root(p2 / p3, p1 / p3, p0 / p3);
+    real const m00 = a23_ * (real(1) - g), m01 = a23_ * b12_ * half,
+               m02 = -(a23_ * b13_ * g * half);
+    real const m11 = a23_ - a12_ + a13_ * g, m12 = b23_ * (a13_ * g - a12_) * half;
+    real const m22 = g * (a13_ - a23_) - a12_;
+    // Eigenvalues of a symmetric matrix with determinant 0.
+    real const b = -(m00 + m11 + m22);
+    real const c = m00 * (m11 + m22) + m11 * m22 - m01 * m01 - m02 * m02 - m12 * m12;
+    real const root = scalar::sqrt(b * b - real(4) * c);
+    real e1 = (-b + root) * half, e2 = (-b - root) * half;
+    if (scalar::abs(e1) < scalar::abs(e2)) {
+      real const other = e1;
+      e1 = e2;
+      e2 = other;
+    }
+    auto const vector_of = [&](real e) {
+      real const by = real(1) / (e * (m00 + m11) - m00 * m11 - e * e + m01 * m01);
+      real const x = -((e * m02 + (m01 * m12 - m02 * m11)) * by);
+      real const y = -((e * m12 + (m01 * m02 - m00 * m12)) * by);
+      real const unit = real(1) / scalar::sqrt(x * x + y * y + real(1));
+      return vec{x * unit, y * unit, unit};
+    };
+    real const ratio = -e2 / e1;
+    return {vector_of(e1), vector_of(e2), ratio < real(0) ? real(0) : ratio};
+  }
+
+  /// Adds the poses of one of the two planes.
+  FT_HOST_DEVICE void add_poses(pencil const& p, real s, three_point_poses& out) const {
+    real const w2 = real(1) / (s * p.second.x - p.first.x);
+    real const w0 = (p.first.y - s * p.second.y) * w2;
+    real const w1 = (p.first.z - s * p.second.z) * w2;
+    real const a = real(1) / ((a13_ - a12_) * w1 * w1 - a12_ * b13_ * w1 - a12_);
+    real const b = (a13_ * b12_ * w1 - a12_ * b13_ * w0 - real(2) * w0 * w1 * (a12_ - a13_)) * a;
+    real const c = ((a13_ - a12_) * w0 * w0 + a13_ * b12_ * w0 + a13_) * a;
+    real const under = b * b - real(4) * c;
+    if (!(under >= real(0))) { return; }
+    real const root = scalar::sqrt(under);
+    real const taus[2] = {(-b + root) * real(0.5), (-b - root) * real(0.5)};
+    for (real const tau : taus) {
+      if (!(tau > real(0))) { continue; }
+      real const d = a23_ / (tau * (b23_ + tau) + real(1));
+      if (!(d > real(0))) { continue; }
+      real const l2 = scalar::sqrt(d), l3 = tau * l2;
+      real const l1 = w0 * l2 + w1 * l3;
+      if (!(l1 >= real(0)) || out.count == 4) { continue; }
+      out.T_cw[out.count++] = pose_of(l1, l2, l3);
+    }
+  }
+
+  /// The motion that takes the points to these distances along their directions.
+  FT_HOST_DEVICE rigid<real> pose_of(real l1, real l2, real l3) const {
+    vec const seen = scaled(ray_[0], l1);
+    vec const y1 = seen - scaled(ray_[1], l2), y2 = seen - scaled(ray_[2], l3);
+    vec const y3 = cross(y1, y2);
+    vec const x1 = point_[0] - point_[1], x2 = point_[0] - point_[2];
+    vec const x3 = cross(x1, x2);
+    // Rows of the inverse of the matrix with columns x1, x2, x3.
+    real const by = real(1) / dot(x3, x3);
+    vec const r1 = scaled(cross(x2, x3), by), r2 = scaled(cross(x3, x1), by), r3 = scaled(x3, by);
+    rigid<real> T{
+        {{y1.x * r1.x + (y2.x * r2.x + y3.x * r3.x), y1.x * r1.y + (y2.x * r2.y + y3.x * r3.y),
+          y1.x * r1.z + (y2.x * r2.z + y3.x * r3.z), y1.y * r1.x + (y2.y * r2.x + y3.y * r3.x),
+          y1.y * r1.y + (y2.y * r2.y + y3.y * r3.y), y1.y * r1.z + (y2.y * r2.z + y3.y * r3.z),
+          y1.z * r1.x + (y2.z * r2.x + y3.z * r3.x), y1.z * r1.y + (y2.z * r2.y + y3.z * r3.y),
+          y1.z * r1.z + (y2.z * r2.z + y3.z * r3.z)}},
+        {real(0), real(0), real(0)}};
+    T = T.orthonormalized();
+    T.t = seen - T.R * point_[0];
+    return T;
+  }
+
+  vec const (&ray_)[3];
+  vec const (&point_)[3];
+  real a12_, a13_, a23_;  ///< squared distances of the points
+  real b12_, b13_, b23_;  ///< -2 cosines of the angles between the directions
+};
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

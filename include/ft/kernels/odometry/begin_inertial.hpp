@@ -10,14 +10,15 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/core/group_copy.hpp"
+#include "ft/core/group.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/odometry/begin_frame.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,13 +6,14 @@
 
 #include "ft/containers/inertial.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/inertial_problem.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/odometry/scale_map.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

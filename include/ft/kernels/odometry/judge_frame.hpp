@@ -11,13 +11,15 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/search/frustum.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

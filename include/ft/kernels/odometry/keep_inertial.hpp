@@ -11,8 +11,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/core/group_copy.hpp"
+#include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
 #include "ft/kernels/inertial/initialize.hpp"
@@ -23,6 +22,8 @@
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,12 +10,12 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

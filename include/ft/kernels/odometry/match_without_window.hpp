@@ -6,15 +6,17 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/odometry/state.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -7,9 +7,10 @@
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

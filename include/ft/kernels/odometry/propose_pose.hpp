@@ -5,15 +5,16 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/counter_draws.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/motion/three_points.hpp"
+#include "ft/kernels/motion/constant_velocity.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -16,7 +16,8 @@
 #include "ft/core/group.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
+#include "ft/kernels/search/workspace.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

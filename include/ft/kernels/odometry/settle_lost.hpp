@@ -8,11 +8,12 @@
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

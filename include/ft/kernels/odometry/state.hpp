@@ -6,60 +6,16 @@
 #include <cstdint>
 
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/count_sightings.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/motion/constant_velocity.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// The state of a camera after a frame; see tracking_rules.
-enum class tracking_state : int {
-  initialising,  ///< no map yet: the frame had too few stereo points
-  tracking,    ///< the frame's pose comes from the map, or the frame begins a map, or goes on with
-               ///< it where an IMU tells
-  recovering,  ///< the last frames were not found; each frame tries another place
-  lost,        ///< all places were tried without success; the attempts go on
-};
-
-/// When a frame counts as tracked, when a keyframe is made, and when a map is given up. Numbers are
-/// keypoints of one frame, unless said otherwise.
-struct tracking_rules {
-  int min_stereo_points = 60;   ///< with depth, to begin a map
-  int min_motion_inliers = 20;  ///< to trust the pose from the last frame
-  int min_inliers = 20;         ///< to call a frame tracked
-  int min_recovered = 20;       ///< inliers to call a lost camera found
-  int min_evidence = 64;        ///< and what they must say, bits: that a wrong pose matches as many
-                                ///< of the points that it should see has a chance of at most
-                                ///< 2^-min_evidence
-  float first_wide_search = 6;  ///< factor on the search radius in the first round of attempts
-  float later_wide_search = 20;  ///< and in the second; the first where no motion is known
-  int patience = 5;              ///< frames in a row that have enough points and are not found,
-                                 ///< before a new map; before a keyframe where an IMU tells where
-                                 ///< the camera is
-  int wanted_near_points = 100;  ///< near points that a keyframe should have at least
-  int new_near_points = 70;      ///< a keyframe is made if more than this many could be added
-  float keep_share = 0.75f;      ///< and if fewer than this share of the last one's are tracked
-  float unrectified_keep_share = 0.85f;  ///< the same for two cameras that are not rectified, which
-                                         ///< are wide and see a point for longer
-  double keyframe_period_s = 0;  ///< a keyframe is made if the last one is older; 0: no such rule
-  float near_depth = 50;         ///< near is what is at most this many baselines away, of its own
-                                 ///< pair in a rig of several
-  float far_depth = 400;         ///< keypoints up to this many baselines away become map points, or
-                                 ///< up to near_depth if that is more: far ones hold the rotation
-  /// Whether a camera that is lost, whose motion is not known yet or that is in doubt is also
-  /// searched for by matches anywhere in the image; see match_without_window(). Not where an IMU
-  /// tells the motion.
-  bool matches_without_window = true;
-  float doubtful_share = 0.5f;  ///< in doubt is a camera that finds a smaller share of the
-                                ///< keypoints that held a point in the last frame
-  int min_support = 15;         ///< matches that must agree with a pose that is found so, from 4 on
-  float matched_search = 3;     ///< factor on the search radius around it
-  motion_params motion;
-};
 
 /// Attempts to find a lost camera, one in each frame with enough stereo points, in turn: at the
 /// predicted pose, at the last one and at the newest keyframe's, each with the first radius and

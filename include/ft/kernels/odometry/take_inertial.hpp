@@ -6,15 +6,16 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,8 +10,9 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -78,23 +79,14 @@ inline void carve(carver& c, pnp_problems_view& v, int problems, int capacity) {
 /// Correspondences of a sample.
 inline constexpr int pnp_sample = 6;
 
-/// What is asked of a pose, and how long it is sought.
-struct pnp_params {
-  int min_inliers = 10;        ///< a pose needs more inliers than this, at least 6
-  float min_share = 0.5f;      ///< and than this share of the correspondences
-  double confidence = 0.99;    ///< probability that a good sample is drawn
-  int max_iterations = 300;    ///< limit of the iterations that the confidence asks for
-  int iterations_of_call = 5;  ///< a call without success makes at least as many
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    detail::require_range("min_inliers", min_inliers, pnp_sample, 1 << 30);
-    detail::require_range("min_share", min_share, 0.0f, 1.0f);
-    detail::require_range("confidence", confidence, 0.0, 1.0 - 1e-12);
-    detail::require_range("max_iterations", max_iterations, 1, 1 << 20);
-    detail::require_range("iterations_of_call", iterations_of_call, 1, 1 << 20);
-  }
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(pnp_params const& p) {
+  detail::require_range("min_inliers", p.min_inliers, pnp_sample, 1 << 30);
+  detail::require_range("min_share", p.min_share, 0.0f, 1.0f);
+  detail::require_range("confidence", p.confidence, 0.0, 1.0 - 1e-12);
+  detail::require_range("max_iterations", p.max_iterations, 1, 1 << 20);
+  detail::require_range("iterations_of_call", p.iterations_of_call, 1, 1 << 20);
+}
 
 /// Numbers of the rule for a number of correspondences.
 struct pnp_limits {
@@ -201,7 +193,7 @@ inline int pnp_hypotheses(pnp_params const& params) {
 /// @throws bad_argument for parameters out of range
 inline void carve(carver& c, pnp_workspace& w, pnp_problems_view const& problems,
                   pnp_params const& params = {}) {
-  params.check();
+  check(params);
   w.problems = problems.problems;
   w.capacity = problems.capacity;
   w.hypotheses = pnp_hypotheses(params);

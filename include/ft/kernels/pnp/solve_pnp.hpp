@@ -21,13 +21,15 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/pnp/hypotheses.hpp"
+#include "ft/kernels/pnp/detail/refine_pose.hpp"
 #include "ft/kernels/pnp/problem.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
 namespace detail {
 
 /// Writes which correspondences agree with a pose; without one, none. Returns their number.
@@ -35,7 +37,8 @@ template <typename Group, typename Camera>
 FT_HOST_DEVICE int mark_inliers(Group g, Camera const& camera, rigid<double> const* T_cw,
                                 pnp_problem const& from, span<std::uint8_t> const& out) {
   int count = 0;
-  rigid<wide> const T = T_cw == nullptr ? rigid<wide>::identity() : T_cw->template cast<wide>();
+  rigid<real64> const T =
+      T_cw == nullptr ? rigid<real64>::identity() : T_cw->template cast<real64>();
   FT_NO_UNROLL
   for (int i = g.rank(); i < out.size; i += g.size()) {
     bool const in = T_cw != nullptr && i < from.count && is_inlier(camera, T, from, i);
@@ -196,7 +199,7 @@ template <typename Exec, typename Camera>
 void continue_pnp(Exec const& exec, Camera const& camera, pnp_problems_view const& problems,
                   pnp_params const& params, pnp_results_view const& out,
                   pnp_workspace const& work) {
-  params.check();
+  check(params);
   detail::require_pnp(problems, out);
   detail::require_pnp(problems, work);
   detail::require_range("hypotheses that a call may need", pnp_hypotheses(params), 1,
@@ -217,6 +220,78 @@ void solve_pnp(Exec const& exec, Camera const& camera, pnp_problems_view const& 
                pnp_params const& params, pnp_results_view const& out, pnp_workspace const& work) {
   start_pnp(exec, work);
   continue_pnp(exec, camera, problems, params, out, work);
+}
+
+// Stage: poses from all inliers of a RANSAC's poses. Source: Urban, Leitloff and Hinz,
+// "MLPnP: a real-time maximum likelihood solution to the perspective-n-point problem", ISPRS
+// Annals 2016, without covariances.
+
+namespace detail {
+
+/// Item: a problem.
+template <typename Camera>
+struct refine_from_inliers {
+  using scratch = mlpnp_scratch;
+  Camera camera;  ///< of strict_float
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, pnp_problems_view const& problems,
+                                 pnp_results_view const& coarse, pnp_results_view const& out,
+                                 pnp_workspace const& work) const {
+    if (!problems.is_active(b)) { return; }
+    pnp_problem const from = problems.of(b);
+    std::ptrdiff_t const first = problems.at(b);
+    int* const listed = work.listed + first;
+    std::uint8_t const* const inlier = coarse.inlier + first;
+    int n = 0;
+    FT_NO_UNROLL
+    for (int base = 0; base < from.count; base += g.size()) {
+      int const i = base + g.rank();
+      bool const in = i < from.count && inlier[i] != 0;
+      int more = 0;
+      int const place = n + g.exclusive_count(in, more);
+      if (in) { listed[place] = i; }
+      n += more;
+    }
+    g.sync();
+    pnp_result result = coarse.result[b];
+    pnp_pose found{};
+    found.valid = false;
+    if (n >= pnp_sample) { found = mlpnp(g, s, {from.ray, from.point, listed, n}); }
+    std::uint8_t* const marked = out.inlier + first;
+    if (found.valid) {
+      result.T_cw = found.T_cw.template cast<float>();
+      result.inliers = mark_inliers(g, camera, &found.T_cw, from, {marked, out.capacity});
+    } else {
+      for (int i = g.rank(); i < out.capacity; i += g.size()) { marked[i] = inlier[i]; }
+    }
+    g.sync();  // all have read the coarse result
+    if (g.rank() == 0) { out.result[b] = result; }
+  }
+};
+
+}  // namespace detail
+
+/// The pose of each active problem from all its inliers by MLPnP, and the inliers of that pose.
+/// Status and number of iterations stay; with fewer than six inliers, or if they give no pose, the
+/// pose stays, too. The reference does not use such a pose. Asynchronous on `exec`; allocates
+/// nothing; one launch, a warp per problem. Equal bits on every executor.
+/// @param camera model of the pixels; its scalar does not matter
+/// @param coarse results of solve_pnp() or continue_pnp()
+/// @param out may be `coarse`
+/// @throws bad_argument for views of other shapes
+template <typename Exec, typename Camera>
+void refine_pnp(Exec const& exec, Camera const& camera, pnp_problems_view const& problems,
+                pnp_results_view const& coarse, pnp_results_view const& out,
+                pnp_workspace const& work) {
+  detail::require_pnp(problems, coarse);
+  detail::require_pnp(problems, out);
+  detail::require_pnp(problems, work);
+  auto const strict_camera = camera.template cast<strict_float>();
+  for_each_item<per_warp>(
+      exec, problems.problems,
+      detail::refine_from_inliers<std::decay_t<decltype(strict_camera)>>{strict_camera}, problems,
+      coarse, out, work);
 }
 
 }  // namespace FT_ABI

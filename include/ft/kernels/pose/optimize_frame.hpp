@@ -8,15 +8,15 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/observations.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -9,40 +9,49 @@
 #include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/pose/damped_descent.hpp"
-#include "ft/kernels/pose/normal_equations.hpp"
+#include "ft/kernels/pose/detail/damped_descent.hpp"
+#include "ft/kernels/pose/detail/reprojection.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
-#include "ft/kernels/pose/prepared_observations.hpp"
-#include "ft/kernels/pose/reprojection.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// Of a descent in `Number`.
+template <typename Number>
+struct descent_scratch {
+  ordered_sum_scratch<pose_terms, plain_scalar_t<Number>> sums;
+  damped_descent<Number> descent;
+  rigid<Number> best;           ///< the best pose of a round so far
+  pose_sums<Number> best_sums;  ///< there
+  rigid<Number> T;              ///< where sums are needed
+  bool better;                  ///< whether the last sums are those of the best pose
+};
+
 struct pose_scratch {
-  ordered_sum_scratch<pose_terms, double> sums;
-  ordered_sum_scratch<pose_terms, float, double> short_sums;
-  damped_descent descent;
+  descent_scratch<strict_double> precise;
+  descent_scratch<strict_float> brief;
   rigid<strict_double> start;
-  rigid<strict_double> best;  ///< the best pose of a round so far
-  pose_sums best_sums;
-  rigid<strict_double> T;  ///< where sums are needed; at the end of a round its result
+  rigid<strict_double> T;  ///< result of a round
+  bool moved;              ///< whether that is not the start
   prepared_observations observations;
 };
 
 /// Optimises one pose by one group, of one thread or of sum_lanes: prepare() for every observation,
 /// then solve().
 ///
-/// Poses, points in the camera's frame and steps are in double: where few inliers are left, float
-/// noise of the curvature is larger than the damping that determines the step. Errors and sums are
-/// in double where precise() says so.
+/// A round is computed in double where the reference's result is wanted, or where few observations
+/// are left: there the curvature has a lower rank, and the damping, 1e-9 of its largest entry,
+/// which determines the rest of a step, is smaller than the noise of floats. Other rounds are
+/// computed in float, in half the time.
 template <typename Group, typename Rig>
 struct pose_solver {
   Group g;
@@ -68,6 +77,8 @@ struct pose_solver {
     int const n = problem.count;
     bool const enough = n >= 3 && params.rounds > 0;
     int const rounds = n < params.enough_observations ? 1 : params.rounds;
+    int included = n;
+    bool precise = true;
     bool changed = true;
     bool weighed = true;  // whether the last robust round weighed an error less
     FT_NO_UNROLL
@@ -75,16 +86,27 @@ struct pose_solver {
       bool const robust = round + 1 < params.rounds;
       // The same observations and weights give the same pose again.
       if (!changed && (robust || !weighed)) { continue; }
-      bool const weighs = run_round(robust);
+      precise = params.small_step == 0 || included < enough_for_float;
+      bool const weighs = precise ? run_round(s.precise, robust) : run_round(s.brief, robust);
       bool changes = false;
+      int inliers = 0;
       FT_NO_UNROLL
-      for (int i = g.rank(); i < n; i += g.size()) { changes = classify(i) || changes; }
+      for (int i = g.rank(); i < n; i += g.size()) {
+        changes = classify(i) || changes;
+        inliers += is_outlier(i) ? 0 : 1;
+      }
       if (robust) {
-        changed = g.any(changes);
+        // Both in one sum. Threads need not say more than that there are enough.
+        constexpr int one_change = 1 << 20;
+        static_assert(sum_lanes * enough_for_float < one_change);
+        int const few = min_of(inliers, enough_for_float);
+        int const both = g.reduce(few + (changes ? one_change : 0), sum_op{});
+        changed = both >= one_change;
+        included = both % one_change;
         weighed = changed || g.any(weighs);
       }
     }
-    write_result(enough);
+    write_result(enough, precise);
   }
 
   /// The entry of the problem's `outlier`, for the thread of observation i.
@@ -95,49 +117,56 @@ struct pose_solver {
 private:
   using real = strict_double;
   static constexpr double largest_chi2 = 1e30;
+  static constexpr int enough_for_float = 64;  ///< observations
   /// Whether cameras are elsewhere than the frame of the pose, with all entries of a derivative.
   static constexpr bool displaced = Rig::rectified && !std::is_same_v<Rig, rectified_rig>;
 
   /// Finds the best pose for the observations that are included. Returns whether an error of this
   /// thread had less than its full weight, at any pose that was tried.
-  FT_HOST_DEVICE bool run_round(bool robust) const {
-    rigid<real> T = s.start;
+  template <typename Number>
+  FT_HOST_DEVICE bool run_round(descent_scratch<Number>& d, bool robust) const {
+    rigid<Number> T = s.start.template cast<Number>();
     bool weighs = false;
     FT_NO_UNROLL
     for (bool first = true, running = true; running; first = false) {
-      sum_terms_at(T, robust, first, weighs, [&](auto const& sums) { advance(sums, first); });
-      running = s.descent.running;
-      T = s.T;
+      ordered_sum<pose_terms>(
+          g, d.sums, problem.count,
+          [&](int i, auto& acc) { add_terms(i, T, robust, first, weighs, acc); },
+          [&] { advance(d, T, first); });
+      if (d.better) {  // copied by threads that seldom have an observation
+        for (int k = g.size() - 1 - g.rank(); k < pose_terms; k += g.size()) {
+          d.best_sums.of[k] = d.sums.total.of[k];
+        }
+      }
+      running = d.descent.running;
+      T = d.T;
     }
     return weighs;
   }
 
   /// Takes the sums of a trial and proposes the next one. Run by one thread.
-  /// @param first whether the trial is the start
-  FT_HOST_DEVICE void advance(pose_sums const& there, bool first) const {
-    // Works on copies, so that scratch is loaded at once and not word by word between stores. Not
-    // of the poses: registers are short.
-    damped_descent next = s.descent;
-    bool better = true;
+  /// @param T the trial @param first whether it is the start
+  template <typename Number>
+  FT_HOST_DEVICE void advance(descent_scratch<Number>& d, rigid<Number> const& T,
+                              bool first) const {
+    // Works on a copy, so that scratch is loaded at once and not word by word between stores.
+    damped_descent<Number> next = d.descent;
+    d.better = true;
     if (first) {
-      next.begin(there, params);
+      next.begin(d.sums.total, params);
     } else {
-      better = next.judge(there.of[pose_terms - 1], params);
+      d.better = next.judge(d.sums.total.of[pose_terms - 1], params);
     }
-    pose_sums const sums = better ? there : s.best_sums;
-    if (better) {
-      s.best_sums = sums;
-      s.best = first ? s.start : s.T;
-    }
+    if (d.better) { d.best = T; }
     // The first round is the last one of few observations: it ends as the reference's does.
     bool const few = problem.count < params.enough_observations;
-    s.T = next.propose(sums, s.best, params, few ? 0.0 : static_cast<double>(params.small_step));
-    s.descent = next;
+    d.T = next.propose(d.better ? d.sums.total : d.best_sums, d.best, params,
+                       few ? 0.0f : params.small_step);
+    d.descent = next;
+    if (next.running) { return; }
+    s.T = d.T.template cast<real>();
+    s.moved = !same(d.T, s.start.template cast<Number>());
   }
-
-  /// Whether sums are in double, as the reference's are: they decide where few observations are
-  /// left, and without a small step, which ends a round earlier than the reference does.
-  FT_HOST_DEVICE bool precise() const { return params.small_step == 0 || problem.count < 64; }
 
   /// Whether the third row is that of a disparity. Of rigs without a right column it is not used.
   FT_HOST_DEVICE bool by_disparity() const {
@@ -145,35 +174,16 @@ private:
     return false;
   }
 
-  /// Sums gradient, curvature and cost at pose T over the observations that are included; then
-  /// one thread runs then(sums).
+  /// Adds the terms of observation i.
   /// @param first whether T is the start, where unusable observations are found
   /// @param weighs set if an error of this thread has less than its full weight
-  template <typename Then>
-  FT_HOST_DEVICE void sum_terms_at(rigid<real> const& T, bool robust, bool first, bool& weighs,
-                                   Then const& then) const {
-    if (precise()) {
-      ordered_sum<pose_terms>(
-          g, s.sums, problem.count,
-          [&](int i, auto& acc) { add_terms<real>(i, T, robust, first, weighs, acc); },
-          [&] { then(s.sums.total); });
-    } else {
-      ordered_sum<pose_terms>(
-          g, s.short_sums, problem.count,
-          [&](int i, auto& acc) { add_terms<strict_float>(i, T, robust, first, weighs, acc); },
-          [&] { then(s.short_sums.total); });
-    }
-  }
-
-  /// Adds the terms of observation i. Its point is moved in double.
   template <typename Number, typename Sums>
-  FT_HOST_DEVICE void add_terms(int i, rigid<real> const& T, bool robust, bool first, bool& weighs,
-                                Sums& acc) const {
+  FT_HOST_DEVICE void add_terms(int i, rigid<Number> const& T, bool robust, bool first,
+                                bool& weighs, Sums& acc) const {
     using plain = plain_scalar_t<Number>;
     observation const o = s.observations.template get<Rig>(i, problem);
     if (!(o.inv_sigma2 > 0)) { return; }
-    vec3<real> const in_body = T * o.point.template cast<real>();
-    reprojection<Rig, Number, true> r(rig, in_body.template cast<Number>(), o);
+    reprojection<Rig, Number, true> r(rig, T, o);
     Number const root = static_cast<plain>(limits.disparity_root);
     if (by_disparity()) { r.take_disparity(root); }
     Number const chi2 = r.chi2(o);
@@ -221,14 +231,16 @@ private:
     return before != after;
   }
 
-  FT_HOST_DEVICE bool is_start(rigid<real> const& T) const {
-    bool same = T.t.x == s.start.t.x && T.t.y == s.start.t.y && T.t.z == s.start.t.z;
-    for (int i = 0; i < 9; ++i) { same = same && T.R.m[i] == s.start.R.m[i]; }
-    return same;
+  template <typename Number>
+  FT_HOST_DEVICE static bool same(rigid<Number> const& A, rigid<Number> const& B) {
+    bool equal = A.t.x == B.t.x && A.t.y == B.t.y && A.t.z == B.t.z;
+    for (int i = 0; i < 9; ++i) { equal = equal && A.R.m[i] == B.R.m[i]; }
+    return equal;
   }
 
   /// @param enough whether there were enough observations for a pose
-  FT_HOST_DEVICE void write_result(bool enough) const {
+  /// @param precise whether the last round was
+  FT_HOST_DEVICE void write_result(bool enough, bool precise) const {
     int good = 0;
     FT_NO_UNROLL
     for (int i = g.rank(); i < problem.count; i += g.size()) {
@@ -241,12 +253,14 @@ private:
     good = g.reduce(good, sum_op{});
     if (g.rank() == 0) {
       // Where nothing moves it, the pose is the start to the bit, and not made orthonormal.
-      *problem.result = enough && !is_start(s.T) ? s.T.template cast<float>() : *problem.start;
+      *problem.result = enough && s.moved ? s.T.template cast<float>() : *problem.start;
       *problem.inliers = enough ? good : 0;
     }
     if (problem.information == nullptr) { return; }
     for (int i = g.rank(); i < information_terms; i += g.size()) {
-      problem.information[i] = enough ? static_cast<float>(s.best_sums.of[6 + i]) : 0.0f;
+      float const entry =
+          precise ? static_cast<float>(s.precise.best_sums.of[6 + i]) : s.brief.best_sums.of[6 + i];
+      problem.information[i] = enough ? entry : 0.0f;
     }
   }
 };

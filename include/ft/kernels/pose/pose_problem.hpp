@@ -2,30 +2,16 @@
 /// @file Parameters of pose optimisation, and the problem of a single pose.
 #pragma once
 
-#include "ft/containers/observations.hpp"
+#include <cmath>
+
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/geometry.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct pose_params {
-  int rounds = 4;
-  /// With fewer observations, outliers included, only the first round is run.
-  int enough_observations = 10;
-  int steps = 10;   ///< per round
-  int trials = 10;  ///< values of the damping tried per step
-  /// A round ends with a step whose components are all shorter than this, rad and m. That step is
-  /// taken without evaluating its cost. With 0, and where there are too few observations for more
-  /// than the first round, every step is evaluated and rounds end as the reference's do.
-  float small_step = 1e-4f;
-  double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
-  double chi2_stereo = 7.815;  ///< 95 % of 3
-  /// Weight of a disparity, in those of a pixel, which then takes the place of the right column's
-  /// error. 0: the right column is an observation as exact as the left one, as in the reference.
-  double disparity_weight = 0;
-};
 
 namespace detail {
 
@@ -69,6 +55,84 @@ struct pose_problem {
   /// null.
   float* information = nullptr;
 };
+
+// The observations of a pose in the form that its sums need.
+
+namespace detail {
+
+/// Observations and their flags. The first 1024 are kept in block scratch; the flags of those
+/// beyond are in the problem's `outlier`. Only the thread of observation i, which is i modulo the
+/// group's size, accesses it.
+struct prepared_observations {
+  static constexpr int size = 1024;
+
+  /// Flag: the observation is an outlier at the pose that the last round found.
+  static constexpr unsigned outlier = 1;
+  /// Flag: its chi-square at the start is NaN or beyond all reason. Excluded from all sums.
+  static constexpr unsigned unusable = 2;
+  /// The bits above the flags are the number of the camera, of rigs whose pixels have no room.
+  static constexpr unsigned flag_bits = 2;
+
+  struct alignas(16) {
+    vec3<float> point;  ///< world frame
+    float weight;       ///< negated = excluded in this round
+  } place[size];
+  struct alignas(16) {
+    float u, v, third;  ///< column in the right image, or 1 = seen by the right camera
+    unsigned flags;
+  } pixel[size];
+
+  FT_HOST_DEVICE unsigned flags(int i, pose_problem const& problem) const {
+    return i < size ? pixel[i].flags : problem.outlier[i];
+  }
+  FT_HOST_DEVICE void set_flags(int i, pose_problem const& problem, unsigned flags) {
+    if (i < size) {
+      pixel[i].flags = flags;
+    } else {
+      problem.outlier[i] = static_cast<unsigned char>(flags);
+    }
+  }
+
+  template <typename Rig>
+  FT_HOST_DEVICE void keep(int i, observation const& o, pose_problem const& problem) {
+    unsigned flags = 0;
+    if (i < size) {
+      place[i] = {o.point, o.inv_sigma2};
+      if constexpr (Rig::searches > 1) { flags |= static_cast<unsigned>(o.camera) << flag_bits; }
+      pixel[i] = {o.u, o.v, Rig::rectified ? o.right_u : static_cast<float>(o.camera), flags};
+    } else {
+      set_flags(i, problem, flags);
+    }
+  }
+  /// Sets the flags of observation i, and whether it is in the sums.
+  FT_HOST_DEVICE void mark(int i, pose_problem const& problem, unsigned flags) {
+    set_flags(i, problem, flags);
+    if (i >= size) { return; }
+    float const weight = ::fabsf(place[i].weight);
+    place[i].weight = (flags & (outlier | unusable)) != 0 ? -weight : weight;
+  }
+
+  /// Observation i; its weight is negated if it is excluded.
+  template <typename Rig>
+  FT_HOST_DEVICE observation get(int i, pose_problem const& problem) const {
+    if (i < size) {
+      auto const at = place[i];
+      auto const seen = pixel[i];
+      int camera = 0;
+      if constexpr (Rig::searches > 1) {
+        camera = static_cast<int>(seen.flags >> flag_bits);
+      } else if constexpr (!Rig::rectified) {
+        camera = static_cast<int>(seen.third);
+      }
+      return {at.point, seen.u, seen.v, seen.third, at.weight, camera};
+    }
+    observation o = problem.observations[i];
+    if (problem.outlier[i] != 0) { o.inv_sigma2 = -o.inv_sigma2; }
+    return o;
+  }
+};
+
+}  // namespace detail
 
 }  // namespace FT_ABI
 }  // namespace ft

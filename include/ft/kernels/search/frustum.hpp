@@ -12,9 +12,9 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -28,14 +28,9 @@ struct visibility {
   int level;       ///< predicted octave; -1 = not visible
 };
 
-struct frustum_params {
-  float min_x = 0, min_y = 0, max_x = 0, max_y = 0;  ///< image bounds, pixels, inclusive
-  float min_cosine = 0.5f;
-  float log_scale_factor = 0;  ///< natural logarithm of the pyramid's scale factor
-  int levels = 0;
-};
-
-/// Natural logarithm. Computed in double and rounded once, so that host and device agree.
+/// Natural logarithm. Computed in double and rounded once, so that host and device agree. The
+/// reference takes logf() of the C library, which may be a float beside; octaves are the same for
+/// every ratio of [0.5, 32].
 FT_HOST_DEVICE inline float log_rounded(float v) {
   return static_cast<float>(::log(static_cast<double>(v)));
 }
@@ -53,12 +48,15 @@ struct viewpoint {
 
 namespace detail {
 
-/// Whether a distance, metres, is one from which a map point is expected to be seen. In float.
+/// Whether a distance, metres, is one from which a map point is expected to be seen. In float, as
+/// in the reference: 0.8f and 1.2f, not doubles.
 FT_HOST_DEVICE inline bool sees_from(strict_float distance, map_points_view const& map, int slot) {
   return distance >= strict_float(0.8f) * map.min_distance(slot) &&
          distance <= strict_float(1.2f) * map.max_distance(slot);
 }
-/// The octave in which a map point is expected from that distance.
+/// The octave in which a map point is expected from that distance. The quotients, the logarithm and
+/// the rounding up are in float, as in the reference: near a power of the scale factor double gives
+/// another octave.
 FT_HOST_DEVICE inline int expected_level(strict_float distance, float max_distance,
                                          frustum_params const& params) {
   strict_float const ratio = strict_float(max_distance) / distance;

@@ -13,24 +13,18 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/candidates.hpp"
-#include "ft/kernels/search/frame_search.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/candidates.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-struct keyframe_search_params {
-  float window_radius = 10;       ///< half side of a window at scale 1, pixels
-  int max_hamming = 100;          ///< largest Hamming distance of a match, bits
-  bool orientation_check = true;  ///< drops matches whose rotation differs from that of most others
-};
 
 /// Inputs of a search for a keyframe's points, apart from the frame and the map.
 /// @tparam Camera the frame's left camera, the only one that is searched

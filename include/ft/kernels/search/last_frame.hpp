@@ -13,11 +13,10 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/candidates.hpp"
-#include "ft/kernels/search/frame_search.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/candidates.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
 #include "ft/kernels/search/last_frame_windows.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

@@ -10,8 +10,8 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -10,10 +10,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/candidates.hpp"
-#include "ft/kernels/search/frame_search.hpp"
+#include "ft/kernels/search/detail/candidate_list.hpp"
+#include "ft/kernels/search/detail/candidates.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 
 namespace ft {

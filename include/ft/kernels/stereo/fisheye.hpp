@@ -7,16 +7,15 @@
 #include <type_traits>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -28,7 +27,7 @@ struct fisheye_stereo_params {
   // Doubles, as in the reference: they are compared with floats, and 0.9998f is above 0.9998.
   double max_cosine = 0.9998;  ///< of the angle between the rays; above, the parallax is too small
   double chi2 = 5.991;         ///< reprojection error, in units of the octave's variance
-  float min_depth = 1e-4f;     ///< metres
+  float min_depth = 1e-4f;     ///< metres; no float lies between it and the double 1e-4
 };
 
 /// Inputs of stereo matching without rectification, apart from the keypoints.

@@ -14,9 +14,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/views.hpp"
 #include "ft/kernels/grid.hpp"
-#include "ft/kernels/stereo/least_squares.hpp"
+#include "ft/kernels/stereo/detail/least_squares.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
-#include "ft/kernels/stereo/window_differences.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,17 +6,17 @@
 #include <cstdint>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/views.hpp"
-#include "ft/kernels/stereo/triangulation.hpp"
-#include "ft/kernels/stereo/window_differences.hpp"
+#include "ft/kernels/stereo/detail/least_squares.hpp"
+#include "ft/kernels/stereo/detail/triangulation.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

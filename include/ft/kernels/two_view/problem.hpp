@@ -11,15 +11,28 @@
 #include "ft/cameras/pinhole.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/two_views.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/inertial/wide_rotation.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// @throws bad_argument naming the value and the limit
+inline void check(two_view_params const& p) {
+  detail::require_range("two_view_params::samples", p.samples, 1, two_view_params::most_samples);
+  detail::require_range("two_view_params::sigma_px", p.sigma_px, 1e-6f, 1e6f);
+  // Outside [0, 1]: always the one or the other.
+  detail::require_range("two_view_params::homography_ratio", p.homography_ratio, -1.0f, 2.0f);
+  detail::require_range("two_view_params::min_points", p.min_points, 1, 1 << 24);
+  detail::require_range("two_view_params::min_parallax_deg", p.min_parallax_deg, 0.0f, 180.0f);
+}
 
 /// Pairs of images with matched keypoints. Positions are undistorted; those of very wide lenses are
 /// projected into a pinhole camera.
@@ -32,27 +45,6 @@ struct two_view_input {
 };
 static_assert(std::is_trivially_copyable<two_view_input>::value, "passed to kernels");
 
-/// Parameters of reconstruct_two_views().
-struct two_view_params {
-  static constexpr int most_samples = 1 << 16;
-
-  int samples = 200;   ///< sets of 8 matches; each makes a homography and a fundamental matrix
-  float sigma_px = 1;  ///< standard deviation of a keypoint's position
-  float homography_ratio = 0.5f;  ///< of scores, above which the homography is taken
-  int min_points = 50;
-  float min_parallax_deg = 1;
-
-  /// @throws bad_argument naming the value and the limit
-  void check() const {
-    detail::require_range("two_view_params::samples", samples, 1, most_samples);
-    detail::require_range("two_view_params::sigma_px", sigma_px, 1e-6f, 1e6f);
-    // Outside [0, 1]: always the one or the other.
-    detail::require_range("two_view_params::homography_ratio", homography_ratio, -1.0f, 2.0f);
-    detail::require_range("two_view_params::min_points", min_points, 1, 1 << 24);
-    detail::require_range("two_view_params::min_parallax_deg", min_parallax_deg, 0.0f, 180.0f);
-  }
-};
-
 namespace detail {
 
 /// A match. Pixels of the first and of the second image.
@@ -62,7 +54,7 @@ struct matched_pixels {
 
 /// x -> (x - mean) * scale.
 struct pixel_normalization {
-  wide mean_x, mean_y, scale_x, scale_y;
+  real64 mean_x, mean_y, scale_x, scale_y;
 };
 
 /// What is known of a pair before samples are drawn.
@@ -146,7 +138,7 @@ namespace detail {
 inline void require_two_views(two_view_input const& in, two_view_params const& params,
                               two_view_reconstructions const& out,
                               two_view_workspace const& workspace) {
-  params.check();
+  check(params);
   require_pixels("keypoints of the first images", in.first);
   require_pixels("keypoints of the second images", in.second);
   require_range("batch of the second images", in.second.batch, in.first.batch, in.first.batch);
@@ -168,6 +160,142 @@ inline void require_two_views(two_view_input const& in, two_view_params const& p
                 static_cast<std::size_t>(two_view_workspace::most_motions));
 }
 
+// First step of a reconstruction from two views: the matches of each pair as a list, and how
+// pixels are normalised. Source: Hartley, "In defense of the eight-point algorithm", PAMI 1997;
+// here with mean absolute deviations, by axis.
+
+/// Item: a pair of images. Sums are over all keypoints, matched or not.
+struct prepare_pair {
+  struct scratch {
+    ordered_sum_scratch<4, double> sums;
+    ordered_sum_scratch<10, double> moments;
+  };
+  /// Points are on a line if the product of their variances along and across it is below this share
+  /// of the square of their sum. Rounding of positions to floats makes 1000 times less.
+  static constexpr double flat = 1e-10;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int pair, two_view_input const& in,
+                                 two_view_workspace const& w) const {
+    prepared_pair p{};
+    bool const all_there = list_matches(g, pair, in, w, p.matches);
+    int const n1 = count_of(in.first, pair);
+    int const n2 = count_of(in.second, pair);
+    int const from1 = pair * in.first.capacity;
+    int const from2 = pair * in.second.capacity;
+    auto const over_keypoints = [&](auto const& term) {
+      ordered_sum(g, s.sums, max_of(n1, n2), [&](int i, sum_terms<4, double>& acc) {
+        if (i < n1) {
+          acc.of[0] += term(in.first.x(from1 + i), 0);
+          acc.of[1] += term(in.first.y(from1 + i), 1);
+        }
+        if (i < n2) {
+          acc.of[2] += term(in.second.x(from2 + i), 2);
+          acc.of[3] += term(in.second.y(from2 + i), 3);
+        }
+      });
+    };
+    real64 const n[4] = {double(n1), double(n1), double(n2), double(n2)};
+    over_keypoints([](float v, int) { return static_cast<double>(v); });
+    real64 mean[4];
+    for (int k = 0; k < 4; ++k) { mean[k] = real64(s.sums.total.of[k]) / n[k]; }
+    over_keypoints([&](float v, int k) {
+      return scalar::abs(real64(static_cast<double>(v)) - mean[k]).value;
+    });
+    real64 scale[4];
+    for (int k = 0; k < 4; ++k) { scale[k] = n[k] / real64(s.sums.total.of[k]); }
+    p.first = {mean[0], mean[1], scale[0], scale[1]};
+    p.second = {mean[2], mean[3], scale[2], scale[3]};
+    bool const spread = spreads(g, s, w.matched + std::ptrdiff_t{pair} * w.capacity, p);
+    p.status = all_there ? judge(p, in.camera[pair], spread) : two_view_status::bad_match;
+    if (g.rank() == 0) { w.prepared[pair] = p; }
+  }
+
+private:
+  FT_HOST_DEVICE static int count_of(pixels_view const& v, int pair) {
+    return clamp(v.count[pair], 0, v.capacity);
+  }
+
+  /// Writes the matches in the order of the first image's keypoints. Returns whether all are
+  /// keypoints of the second image.
+  template <typename Group>
+  FT_HOST_DEVICE static bool list_matches(Group g, int pair, two_view_input const& in,
+                                          two_view_workspace const& w, int& count) {
+    int const n1 = count_of(in.first, pair);
+    int const n2 = count_of(in.second, pair);
+    int const from1 = pair * in.first.capacity;
+    int const from2 = pair * in.second.capacity;
+    std::ptrdiff_t const to = std::ptrdiff_t{pair} * w.capacity;
+    bool beyond = false;
+    count = 0;
+    for (int base = 0; base < n1; base += g.size()) {
+      int const i = base + g.rank();
+      int const m = i < n1 ? in.match[from1 + i] : -1;
+      bool const taken = m >= 0 && m < n2;
+      beyond = beyond || m >= n2;
+      int more = 0;
+      int const at = count + g.exclusive_count(taken, more);
+      if (taken) {
+        w.matched[to + at] = {in.first.x(from1 + i), in.first.y(from1 + i), in.second.x(from2 + m),
+                              in.second.y(from2 + m)};
+        w.keypoint[to + at] = i;
+      }
+      count += more;
+    }
+    return !g.any(beyond);  // and what was written is visible to the group
+  }
+
+  /// Whether the matched keypoints of both images have two dimensions.
+  template <typename Group>
+  FT_HOST_DEVICE static bool spreads(Group g, scratch& s, matched_pixels const* matched,
+                                     prepared_pair const& p) {
+    real64 const mean[4] = {p.first.mean_x, p.first.mean_y, p.second.mean_x, p.second.mean_y};
+    ordered_sum(g, s.moments, p.matches, [&](int i, sum_terms<10, double>& acc) {
+      matched_pixels const m = matched[i];
+      float const xy[4] = {m.x1, m.y1, m.x2, m.y2};
+      FT_UNROLL
+      for (int image = 0; image < 2; ++image) {
+        real64 const x = real64(static_cast<double>(xy[2 * image])) - mean[2 * image];
+        real64 const y = real64(static_cast<double>(xy[2 * image + 1])) - mean[2 * image + 1];
+        double* const sum = acc.of + 5 * image;
+        sum[0] += x.value;
+        sum[1] += y.value;
+        sum[2] += (x * x).value;
+        sum[3] += (x * y).value;
+        sum[4] += (y * y).value;
+      }
+    });
+    bool spread = true;
+    for (int image = 0; image < 2; ++image) {
+      double const* const sum = s.moments.total.of + 5 * image;
+      real64 const count = double(p.matches);
+      real64 const x = real64(sum[0]) / count;
+      real64 const y = real64(sum[1]) / count;
+      real64 const xx = real64(sum[2]) / count - x * x;
+      real64 const xy = real64(sum[3]) / count - x * y;
+      real64 const yy = real64(sum[4]) / count - y * y;
+      real64 const trace = xx + yy;
+      spread = spread && xx * yy - xy * xy > real64(flat) * (trace * trace);
+    }
+    return spread;
+  }
+
+  FT_HOST_DEVICE static two_view_status judge(prepared_pair const& p, pinhole<float> const& camera,
+                                              bool spread) {
+    if (p.matches < 8) { return two_view_status::too_few_matches; }
+    if (!(camera.fx > 0 && camera.fy > 0) || !scalar::is_finite(camera.fx + camera.fy) ||
+        !scalar::is_finite(camera.cx + camera.cy)) {
+      return two_view_status::bad_camera;
+    }
+    auto const finite = [](pixel_normalization const& n) {
+      return scalar::is_finite(n.mean_x + n.mean_y);
+    };
+    if (!finite(p.first) || !finite(p.second)) { return two_view_status::not_finite; }
+    return spread ? two_view_status::reconstructed : two_view_status::degenerate;
+  }
+};
+
 }  // namespace detail
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -10,22 +10,17 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// How windows are adjusted.
-struct window_params {
-  int steps = 3;            ///< most steps to try, 0 to 1000; each is three launches
-  double huber2 = 5.991;    ///< squared weighted error from which its cost grows linearly
-  double outlier2 = 9.21;   ///< squared weighted error of an outlier: 99 % of 2 degrees of freedom
-  double no_image = 100.0;  ///< cost of an observation whose point the camera cannot see
-  double disparity_weight = 16.0;  ///< weight of a disparity, in those of a pixel
-  double first_damping = 1e-4;     ///< of the first step, relative to the diagonal
-  double enough = 1e-4;            ///< ends with a step that lowers the cost by a smaller share
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(window_params const& p) {
+  detail::require_range("steps of an adjustment", p.steps, 0, 1000);
+}
 
 namespace detail {
 

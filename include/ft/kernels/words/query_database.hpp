@@ -17,8 +17,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/map/slot_rows.hpp"
-#include "ft/kernels/words/keyframe_rows.hpp"
+#include "ft/kernels/map/detail/slot_rows.hpp"
 #include "ft/kernels/words/score.hpp"
 
 namespace ft {

@@ -19,8 +19,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/search/orientation_check.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
+#include "ft/kernels/search/detail/orientation_check.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -48,12 +48,10 @@ struct words_search {
   int const* frame = nullptr;
 };
 
-struct words_search_params {
-  int max_hamming = 50;  ///< largest Hamming distance of a match, bits, 0 to 255
-  /// The best distance is below this times the second best one. Left camera only.
-  float ratio = 0.75f;
-  bool orientation_check = true;  ///< drops matches whose rotation differs from that of most others
-};
+/// @throws bad_argument naming the value and the limit
+inline void check(words_search_params const& p) {
+  detail::require_range("max_hamming", p.max_hamming, 0, 255);
+}
 
 /// Matches of a batch of pairs.
 struct word_matches_view {
@@ -284,7 +282,7 @@ void search_by_words(Exec const& exec, words_search const& search,
                      words_search_params const& params, word_matches_view const& out,
                      words_search_workspace const& work) {
   int const capacity = search.frames.groups.capacity;
-  detail::require_range("max_hamming", params.max_hamming, 0, 255);
+  check(params);
   detail::require_range("capacity of the matches", out.capacity, capacity, capacity);
   detail::require_items("pairs times keypoints", static_cast<std::size_t>(out.pairs),
                         static_cast<std::size_t>(capacity));

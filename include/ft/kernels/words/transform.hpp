@@ -17,7 +17,6 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/stereo/hamming.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -31,6 +30,11 @@ struct transform_params {
   /// 0 to 10. As many as there are, or more: one group.
   int levels_up = 4;
 };
+
+/// @throws bad_argument naming the value and the limit
+inline void check(transform_params const& p) {
+  detail::require_range("levels up of a transform", p.levels_up, 0, max_vocabulary_levels);
+}
 
 /// What transform_to_words() writes about a batch of frames.
 struct frame_words_view {
@@ -320,7 +324,7 @@ template <typename Exec>
 void transform_to_words(Exec const& exec, vocabulary_view const& vocabulary,
                         descriptors_view const& in, transform_params const& params,
                         frame_words_view const& out, transform_workspace const& work) {
-  detail::require_range("levels up of a transform", params.levels_up, 0, max_vocabulary_levels);
+  check(params);
   auto const fits = [&](int frames, int capacity) {
     return frames == in.batch && capacity >= in.capacity;
   };

@@ -17,12 +17,11 @@
 #include "ft/kernels/distribution/distribute_corners.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/order.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
 #include "ft/kernels/keypoints/refine_positions.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
-#include "ft/kernels/pyramid/resize_taps.hpp"
 #include "ft/kernels/pyramid/tile_layout.hpp"
 #include "ft/kernels/upload.hpp"
+#include "ft/types/orb_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

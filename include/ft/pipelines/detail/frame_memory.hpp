@@ -13,14 +13,14 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/frustum.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -5,18 +5,18 @@
 #include <cstddef>
 #include <cstring>
 
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

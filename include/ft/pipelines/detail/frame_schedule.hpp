@@ -17,8 +17,9 @@
 
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/side_branch.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -11,16 +11,13 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/core/side_branch.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
-#include "ft/kernels/search/clear_holders.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/kernels/search/last_frame.hpp"
 #include "ft/kernels/search/local_map.hpp"
-#include "ft/kernels/search/windows.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
@@ -31,6 +28,10 @@
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -17,8 +17,10 @@
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -6,9 +6,7 @@
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
-#include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keyframe_rays.hpp"
 #include "ft/containers/stereo_matches.hpp"
@@ -16,13 +14,15 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/map/triangulate_points.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/monocular_start.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

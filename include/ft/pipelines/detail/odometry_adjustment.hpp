@@ -14,6 +14,7 @@
 #include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/work_beside.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,50 +14,12 @@
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
-
-/// @throws bad_argument for a parameter out of range that no other part checks
-inline void require_odometry_params(odometry_params const& p) {
-  require_range("map_slots", p.map_slots, 1, 1 << 24);
-  require_range("keyframes", p.keyframes, 2, max_keyframes);
-  require_range("local_points", p.local_points, 1, 1 << 24);
-  require_range("window_radius", p.window_radius, 0.1f, 1000.0f);
-  require_range("window.moving", p.window.moving, 1, max_window_views);
-  require_range("window.fixed", p.window.fixed, 0, max_window_views - p.window.moving);
-  require(p.window.moving + p.window.fixed <= p.keyframes,
-          "an adjustment has more keyframes than the map");
-  require_range("window_points", p.window_points, 1, 1 << 20);
-  require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
-  require_range("prefetch", p.prefetch, 0, 64);
-  require_range("adjustment.steps", p.adjustment.steps, 0, 1000);
-  require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);
-  require_range("local_map.neighbours", p.local_map.neighbours, 0, 32);
-  tracking_rules const& r = p.rules;
-  require_range("rules.min_stereo_points", r.min_stereo_points, 1, 1 << 24);
-  require_range("rules.min_inliers", r.min_inliers, 3, 1 << 24);
-  require_range("rules.min_motion_inliers", r.min_motion_inliers, 3, 1 << 24);
-  require_range("rules.min_recovered", r.min_recovered, 3, 1 << 24);
-  require_range("rules.min_evidence", r.min_evidence, 0, 1 << 20);
-  require_range("rules.min_support", r.min_support, 4, 1 << 24);  // a pose is drawn from four
-  require_range("rules.doubtful_share", r.doubtful_share, 0.0f, 1.0f);
-  require_range("rules.matched_search", r.matched_search, 0.1f, 1000.0f);
-  require_range("rules.patience", r.patience, 1, 1 << 30);
-  require_range("rules.first_wide_search", r.first_wide_search, 0.1f, 1000.0f);
-  require_range("rules.later_wide_search", r.later_wide_search, 0.1f, 1000.0f);
-  require_range("rules.wanted_near_points", r.wanted_near_points, 0, 1 << 24);
-  require_range("rules.new_near_points", r.new_near_points, 0, 1 << 24);
-  require_range("rules.keep_share", r.keep_share, 0.0f, 1.0f);
-  require_range("rules.unrectified_keep_share", r.unrectified_keep_share, 0.0f, 1.0f);
-  require_range("rules.near_depth", r.near_depth, 1e-3f, 1e6f);
-  require_range("rules.far_depth", r.far_depth, 0.0f, 1e6f);
-  require_range("rules.motion.even", r.motion.even, 0.0, 1.0);
-  require_range("rules.motion.longest", r.motion.longest, 1.0, 1e6);
-  require_range("rules.motion.memory", r.motion.memory, 1e-3, 1e6);
-}
 
 inline image_light light_of(light_sums const& l) {
   if (l.image < 0) { return {}; }

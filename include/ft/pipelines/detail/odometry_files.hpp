@@ -27,6 +27,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/pipelines/detail/map_checks.hpp"
 #include "ft/pipelines/detail/map_origin.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

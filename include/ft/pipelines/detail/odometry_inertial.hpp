@@ -9,17 +9,16 @@
 #include <vector>
 
 #include "ft/containers/inertial.hpp"
-#include "ft/containers/observations.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/inertial/calibration.hpp"
-#include "ft/kernels/inertial/marginalize_inertial_pose.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/keep_inertial.hpp"
@@ -28,7 +27,9 @@
 #include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
-#include "ft/pipelines/imu_params.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -48,7 +49,8 @@ public:
   void take(odometry_params const& p, bool seeks_scale, int observations, int batch) {
     imu_params const& params = params_ = p.imu;
     if (!present()) { return; }
-    check(params, p, seeks_scale);
+    require(params.initialization.known_scale || seeks_scale,
+            "the scale of this odometry's map is known");
     view_.seeks_scale = seeks_scale;
     if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
     mount_ = mount_of(params.T_bc);
@@ -173,24 +175,6 @@ private:
     poses.count = seen.count;
     poses.outlier = seen.outlier;
     return poses;
-  }
-
-  static void check(imu_params const& imu, odometry_params const& p, bool seeks_scale) {
-    require_range("imu.samples", imu.samples, 2, 1 << 20);
-    require_range("imu.waiting", imu.waiting, 2, 1 << 24);
-    require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
-    require_range("imu.max_gyro", imu.max_gyro, 1e-3f, 1e9f);
-    require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
-    require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
-    require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
-    imu.initialization.check();
-    require_range("imu.scale_position_sigma", imu.scale_position_sigma, 1e-9f, 1.0f);
-    require_range("imu.scale_keyframes", imu.scale_keyframes, 1, max_keyframes);
-    require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);
-    require_range("imu.initialization.least_keyframes", imu.initialization.least_keyframes, 3,
-                  p.window.moving + p.window.fixed);
-    require(imu.initialization.known_scale || seeks_scale,
-            "the scale of this odometry's map is known");
   }
 
   imu_params params_;

@@ -9,7 +9,6 @@
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/gather_window.hpp"
@@ -20,7 +19,9 @@
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -14,6 +14,8 @@
 #include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

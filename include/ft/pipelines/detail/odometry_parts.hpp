@@ -18,9 +18,9 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/geometry.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/core/stage_clock.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
@@ -28,8 +28,11 @@
 #include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
-#include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -93,6 +96,7 @@ struct odometry_parts {
 
   Exec exec;
   Rig rig;
+  odometry_params given;  ///< the caller's; those of the stages follow from them
   stages_type stages;
   std::vector<std::array<frame_launches, 2>> launches;  ///< [set of features][extent]
   stage_clock<Exec> const* last_clock = nullptr;        ///< of the last frame
@@ -109,6 +113,7 @@ struct odometry_parts {
   odometry_parts(Exec const& e, Rig const& of, odometry_params const& params, int batch)
       : exec(e),
         rig(checked(of, params, batch)),
+        given(params),
         launches(static_cast<std::size_t>(params.prefetch) + 1),
         results(static_cast<std::size_t>(batch)),
         times(results.size()),
@@ -241,9 +246,14 @@ private:
     rig.check();
     require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     require_range("batch of camera pairs", batch, 1, 2048);
-    require_odometry_params(p);
+    ft::check(p);
     require(!(p.prefetch > 0 && stages_type::starts_from_motion),
             "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
+    if (!stages_type::starts_from_motion) {
+      require_range("orb.start_features of a rig that sees depths", p.orb.start_features, 0, 0);
+    }
+    require(parts_of_rig::refines_positions || !p.orb.refine_positions,
+            "orb.refine_positions is true, only an odometry of camera pairs refines positions");
     return rig;
   }
 };

@@ -13,6 +13,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/pipelines/detail/frame_features.hpp"
 #include "ft/pipelines/detail/work_beside.hpp"
+#include "ft/types/odometry_params.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

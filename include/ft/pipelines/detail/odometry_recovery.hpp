@@ -7,7 +7,6 @@
 #include <cstdint>
 
 #include "ft/cameras/stereo_rig.hpp"
-#include "ft/containers/keyframe_words.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -20,8 +19,10 @@
 #include "ft/kernels/words/keyframe_words.hpp"
 #include "ft/kernels/words/query_database.hpp"
 #include "ft/kernels/words/transform.hpp"
-#include "ft/pipelines/odometry_types.hpp"
 #include "ft/pipelines/relocalizer.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -147,8 +148,7 @@ private:
 
   static place_recovery const& checked(vocabulary_view const& words, place_recovery const& p) {
     require(words.words > 0, "the vocabulary has no words, was never made, or was moved from");
-    require_range("levels_up", p.levels_up, 0, max_vocabulary_levels);
-    require_range("candidates", p.candidates, 1, max_keyframes);
+    ft::check(p);
     return p;
   }
 

@@ -8,6 +8,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

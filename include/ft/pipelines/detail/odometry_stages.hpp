@@ -8,7 +8,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
-#include "ft/core/side_branch.hpp"
 #include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/count_sightings.hpp"
@@ -27,7 +26,9 @@
 #include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
-#include "ft/pipelines/odometry_types.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -4,7 +4,6 @@
 
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/image_domain.hpp"
-#include "ft/containers/image_batch.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/core/config.hpp"
@@ -17,6 +16,7 @@
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -8,7 +8,6 @@
 #include <type_traits>
 
 #include "ft/cameras/rgbd_rig.hpp"
-#include "ft/containers/fisheye_matches.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/stereo_matches.hpp"
@@ -19,9 +18,10 @@
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/images/depth_association.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -11,12 +11,12 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/keypoints/order_and_grid.hpp"
+#include "ft/kernels/keypoints/order.hpp"
 #include "ft/pipelines/detail/extraction.hpp"
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
-#include "ft/pipelines/rig_images.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/types/images.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

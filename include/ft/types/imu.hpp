@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Samples of an IMU, what is known about it, and what it tells of a frame.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace v0 {
+
+/// Specific force and angular rate at one moment, in the body's frame.
+struct imu_sample {
+  double time_s;
+  vec3<float> accel;  ///< m/s^2; at rest it points up, 9.81 long
+  vec3<float> gyro;   ///< rad/s
+};
+
+/// A sample of an IMU.
+struct imu_measurement {
+  std::int64_t time_ns;  ///< on the images' clock
+  vec3<float> accel;     ///< specific force, m/s^2; at rest it points up, 9.81 long
+  vec3<float> gyro;      ///< rad/s
+};
+
+/// What an IMU shows in excess of specific force and angular rate.
+struct imu_bias {
+  vec3<float> gyro;   ///< rad/s
+  vec3<float> accel;  ///< m/s^2
+};
+
+/// Noise of an IMU as densities, as its settings give them.
+struct imu_noise {
+  float gyro = 1.7e-4f;          ///< rad/s / sqrt(Hz)
+  float accel = 2e-3f;           ///< m/s^2 / sqrt(Hz)
+  float gyro_walk = 1.9393e-5f;  ///< rad/s^2 / sqrt(Hz)
+  float accel_walk = 3e-3f;      ///< m/s^3 / sqrt(Hz)
+  float rate_hz = 200;
+};
+
+/// What came of an integration.
+enum class integration_status : int {
+  integrated = 0,
+  no_samples,    ///< the queue was empty, or there was no interval
+  one_sample,    ///< no step can be made from one sample
+  no_steps,      ///< all samples were older than the interval: an integral over no time
+  unordered,     ///< times of samples that do not ascend
+  not_finite,    ///< a sample or a time is NaN or infinite
+  gap,           ///< the samples leave out a longer time than the limit
+  repeated,      ///< integrated, but two samples have one time: a step of no duration among others
+  wrong_rate,    ///< the samples come much more or much less often than the noise was stated for
+  too_many,      ///< more steps than there is memory for
+  contradicted,  ///< integrated, but many matches of images say otherwise
+};
+
+/// Whether an integral of that status says how the body moved.
+FT_HOST_DEVICE FT_INLINE constexpr bool usable(integration_status status) {
+  return status == integration_status::integrated || status == integration_status::repeated;
+}
+
+struct selection_params {
+  /// A sample that is this much older than an image counts as taken with it.
+  double early_s = 0.001;
+  /// The longest time without a sample, also at the ends of the interval, where samples are
+  /// extrapolated. Infinity: any, as in the reference.
+  double longest_gap_s = 0.1;
+  /// For which the noise is stated. Intervals of other rates are refused: the time between samples
+  /// may be a third of this rate's, or three times as long. 0: any rate.
+  float rate_hz = 0;
+  static constexpr double rate_tolerance = 3;
+};
+
+/// Parameters of initialize_inertial(). Positions are in the unit of the poses: metres, if their
+/// scale is known.
+struct initialization_params {
+  float gravity = 9.81f;            ///< m/s^2
+  bool known_scale = true;          ///< false: the poses of one camera
+  int least_keyframes = 4;          ///< 3 or more
+  float position_sigma = 0.005f;    ///< of a pose; it weighs poses against the bias' prior
+  float rotation_sigma = 0.001f;    ///< of a pose, rad
+  float accel_bias_sigma = 0.3f;    ///< the prior: biases of that size are usual, m/s^2
+  float rest_distance = 0.01f;      ///< from the first pose, while the body rests
+  float rest_angle = 0.005f;        ///< likewise, rad
+  float max_gyro_sigma = 0.005f;    ///< limits of little_motion: gyro bias, rad/s;
+  float max_tilt_sigma = 0.05f;     ///< direction of gravity, rad;
+  float max_velocity_sigma = 0.1f;  ///< last velocity, m/s;
+  float max_scale_sigma = 0.03f;    ///< share of the scale
+  float max_position_rms = 0.05f;   ///< limits of inconsistent: m,
+  float max_rotation_rms = 0.02f;   ///< and rad for an interval
+};
+
+/// The IMU of a rig. All numbers down to the noise come from its calibration.
+struct imu_params {
+  bool present = false;
+  /// From the frame of poses to the IMU's: the left camera, of a distorted_pair the rectified one,
+  /// or a multi_rig's body.
+  rigid<double> T_bc = rigid<double>::identity();
+  imu_noise noise;
+  int samples = 4096;     ///< between two frames, at most: with more, there is a gap
+  int waiting = 1 << 16;  ///< that wait for their frame, at most: with more, the oldest leave
+  /// Range of the sensor, of an axis. A sample that reaches it is left out, as one that is not
+  /// finite.
+  float max_accel = 156.9064f;  ///< m/s^2; 16 g
+  float max_gyro = 34.90659f;   ///< rad/s; 2000 degrees/s
+  selection_params selection;   ///< a rate_hz of 0 becomes the noise's
+  /// `known_scale` is the rig's: an odometry of one camera sets it.
+  initialization_params initialization = {9.81f, true, 8};
+  /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
+  /// map's unit, which is the median depth of its first points;
+  float scale_position_sigma = 5e-4f;
+  float scale_sigma = 0.005f;       ///< largest standard deviation of the scale, a share;
+  int scale_keyframes = 40;         ///< and keyframes that it is estimated from, at most
+  double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
+};
+
+/// Samples of an IMU that were left out since its odometry was made or its camera was reset.
+struct imu_left_out {
+  long long disordered = 0;    ///< with a time that is not after that of the sample before: doubled
+                               ///< or swapped ones
+  long long out_of_range = 0;  ///< not finite, or at imu_params::max_accel or max_gyro
+  long long crowded_out = 0;   ///< by newer ones, as imu_params::waiting were waiting
+};
+
+/// What the IMU says about a frame. imu_warnings() says in words what is wrong with its samples.
+struct imu_tracking {
+  bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
+                       ///< what is said of the samples
+  bool optimized = false;             ///< the frame's pose was optimised with the IMU
+  bool predicted = false;             ///< the frame's pose was predicted with the IMU
+  vec3<double> velocity = {0, 0, 0};  ///< of the IMU in the world, m/s
+  vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
+  imu_bias bias{};
+  integration_status samples = integration_status::no_samples;  ///< those since the last frame
+  double rate_hz = 0;     ///< at which the last samples came, by their times; 0 = unknown
+  double newest_s = 0;    ///< time of the newest sample since the frame's; 0 = there is none
+  imu_left_out left_out;  ///< all of them so far
+};
+
+}  // namespace v0
+}  // namespace ft

@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry tells of a frame, and its map in host memory.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace v0 {
+
+/// The state of a camera after a frame; see tracking_rules.
+enum class tracking_state : int {
+  initialising,  ///< no map yet: the frame had too few stereo points
+  tracking,    ///< the frame's pose comes from the map, or the frame begins a map, or goes on with
+               ///< it where an IMU tells
+  recovering,  ///< the last frames were not found; each frame tries another place
+  lost,        ///< all places were tried without success; the attempts go on
+};
+
+/// Where a rig's keypoints get their depths from.
+enum class depth_origin : int {
+  stereo,       ///< a pair
+  depth_image,  ///< an rgbd_rig
+  some_pairs,   ///< a multi_rig, whose cameras need not all be pairs
+  motion,       ///< a monocular_rig
+};
+
+/// A depth of more than so many baselines is distant: its disparity is a small part of a pixel.
+inline constexpr float distant_baselines = 1000;
+
+/// What a frame did for the start of a map.
+enum class start_outcome : int {
+  waiting = 0,   ///< too few keypoints for a first frame
+  took_first,    ///< it is the first frame now
+  forgot_first,  ///< too few keypoints, or too late: the next frame may become the first one
+  few_matches,   ///< likewise
+  no_motion,     ///< two views made no reconstruction; the first frame stays
+  started,       ///< there is a reconstruction; the next frame may become a first one
+};
+
+/// How light an image is, by 1024 pixels that are spread over it.
+struct image_light {
+  int image = -1;        ///< which one of the rig: 0 = left; -1 = none was looked at
+  double mean = 0;       ///< grey value, 0 to 255
+  double deviation = 0;  ///< standard deviation of grey values
+};
+
+/// What is known about a camera after a frame. See explain() in pipelines/explain.hpp.
+struct tracking {
+  /// Left camera, or a multi_rig's body, to world, metres. The world is the left camera, or the
+  /// body, of the first frame with a map. For a frame that was not tracked: where it is thought to
+  /// be.
+  rigid<double> T_world_camera = rigid<double>::identity();
+  tracking_state state = tracking_state::initialising;
+  /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
+  /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known
+  /// is scaled about the map's first camera. False again in a new or a loaded map.
+  bool metric = true;
+  bool keyframe = false;  ///< the frame became a keyframe
+  int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked
+  int keypoints = 0;      ///< of the left image, or of those of all cameras of a multi_rig
+  int stereo_points = 0;  ///< of these, with a depth
+  int local_points = 0;   ///< map points that were searched
+  int left_out = 0;       ///< map points for which a limit of odometry_params left no room: in the
+                          ///< local map, among new points, in an adjustment that began
+  int map_points = 0;     ///< in the map
+  int maps = 0;           ///< begun so far; the world is that of the first one, as far as known
+  int keyframes = 0;      ///< made so far
+  /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
+  /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
+  /// optimisation without the IMU, with its robust weights: errors of keypoints, not of map points.
+  /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
+  /// frame that was not tracked.
+  double covariance[36] = {};
+  imu_tracking imu;        ///< what the IMU says, if there is one
+  bool map_begun = false;  ///< the frame begins a map; if `maps` is above 1, at a guessed place
+  int agreed = 0;          ///< keypoints that agree with the pose that was tried last; of a tracked
+                           ///< frame as `inliers`, else too few
+  int distant_points = 0;  ///< of stereo_points, those beyond distant_baselines of the rig
+  depth_origin depths = depth_origin::stereo;
+  image_light light;  ///< of a frame that was not tracked: of the image with the least contrast
+  start_outcome start = start_outcome::waiting;  ///< of one camera that has no map
+  int start_matches = 0;                         ///< with the first frame of that start
+};
+
+/// A map point in host memory.
+struct downloaded_point {
+  vec3<float> position;  ///< world, metres
+  vec3<float> normal;    ///< mean viewing direction, unit length
+  float min_distance;    ///< metres, as in map_points_view
+  float max_distance;
+  int slot;
+  int number;     ///< unique
+  int keyframes;  ///< that see it
+};
+
+/// A keyframe in host memory.
+struct downloaded_keyframe {
+  int number;  ///< unique, ascending with time
+  std::int64_t time_ns;
+  rigid<double> T_world_camera;
+};
+
+/// The map of one camera pair in host memory.
+struct odometry_map {
+  std::vector<downloaded_point> points;        ///< in the order of their slots
+  std::vector<downloaded_keyframe> keyframes;  ///< oldest first: the trajectory of the map
+};
+
+/// The time of one stage.
+struct stage_time {
+  char const* name;
+  /// From the end of all preceding stages to its own end, microseconds, summed over the launches of
+  /// this name; 0 if it ended while a preceding stage still ran. For a stage on a side branch of a
+  /// device: from the branch's fork.
+  double us;
+};
+
+/// Results in host memory. Keypoints are left ones; for two unrectified cameras the right ones
+/// follow, for a multi_rig those of its other cameras. Keypoint k of camera c has number c *
+/// capacity + k.
+struct tracked_frame_view {
+  int* keypoints = nullptr;  ///< [batch][cameras]
+  pose* T_cw = nullptr;      ///< [batch]
+  int* matches = nullptr;    ///< [batch] keypoints that the last search matched to a map point
+  int* inliers = nullptr;    ///< [batch] of the last pose optimisation; matches if there was none
+  float* x = nullptr;        ///< [batch][cameras * capacity] pixels
+  float* y = nullptr;        ///< likewise
+  int* octave = nullptr;     ///< likewise
+  int* holder = nullptr;     ///< likewise: slot of the map point held, -1 = none
+  /// [batch][depth_cameras * capacity] of left keypoints, metres, -1 = no stereo match
+  float* depth = nullptr;
+  /// likewise: in the left camera's frame, or the body's of a multi_rig; 0 = no stereo match
+  vec3<float>* point = nullptr;
+  int* partner = nullptr;  ///< [batch][cameras * capacity] number of the stereo partner, -1 = none
+  unsigned char* in_view =
+      nullptr;  ///< [batch][local_points] 1 = passed the frustum test of the local-map search
+  int capacity = 0;
+  int cameras = 1;
+  int depth_cameras = 1;  ///< the first of them, whose keypoints may have a depth
+  int local_points = 0;
+
+  FT_INLINE int numbers() const { return cameras * capacity; }
+};
+
+/// Memory that a pipeline took, for its whole batch.
+struct allocated_bytes {
+  std::size_t executor = 0;  ///< memory that its stages work on: on a device, the device's
+  std::size_t staging = 0;   ///< memory of images, inputs and results: next to a device, pinned
+
+  friend FT_INLINE allocated_bytes operator+(allocated_bytes const& a, allocated_bytes const& b) {
+    return {a.executor + b.executor, a.staging + b.staging};
+  }
+};
+
+}  // namespace v0
+}  // namespace ft

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file An odometry with an executor of its own: host threads under a C++ compiler, a stream under
+/// nvcc.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "ft/any_odometry.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/pipelines/erase.hpp"
+#include "library/factories.hpp"
+
+namespace ft::library::FT_LIBRARY_DEVICE {
+
+#if defined(__CUDACC__)
+/// A GPU, made current during each call, and the stream there.
+class place {
+  /// Makes a GPU current, and the one before it at its end.
+  class current {
+  public:
+    explicit current(int gpu) {
+      throw_on_error(cudaGetDevice(&before_), "cudaGetDevice");
+      changed_ = gpu != before_ && gpu != device::current_gpu;
+      if (changed_) { throw_on_error(cudaSetDevice(gpu), "cudaSetDevice"); }
+    }
+    current(current const&) = delete;
+    current& operator=(current const&) = delete;
+    ~current() {
+      if (changed_) { static_cast<void>(cudaSetDevice(before_)); }
+    }
+
+  private:
+    int before_ = 0;
+    bool changed_ = false;
+  };
+
+public:
+  using exec_type = cuda_exec;
+  explicit place(device const& where) : gpu_(where.gpu) {
+    int gpus = 0;
+    throw_on_error(cudaGetDeviceCount(&gpus), "cudaGetDeviceCount");
+    if (gpu_ == device::current_gpu) { throw_on_error(cudaGetDevice(&gpu_), "cudaGetDevice"); }
+    detail::require_range("gpu", gpu_, 0, gpus - 1);
+    current const here(gpu_);
+    stream_ = static_cast<cudaStream_t>(where.stream);
+    if (stream_ == nullptr) { stream_ = own_.emplace().get(); }
+  }
+  current enter() const { return current(gpu_); }
+  cuda_exec exec() const { return cuda_exec(stream_); }
+
+private:
+  int gpu_;
+  std::optional<stream> own_;
+  cudaStream_t stream_ = nullptr;
+};
+#else
+class place : public detail::calling_thread {
+public:
+  using exec_type = host_exec;
+  explicit place(device const& where) : exec_(where.threads) {}
+  host_exec const& exec() const { return exec_; }
+
+private:
+  host_exec exec_;
+};
+#endif
+
+template <typename Rig>
+any_odometry made(device const& where, Rig const& rig, odometry_params const& params, int batch) {
+  using exec_type = place::exec_type;
+  place here(where);
+  [[maybe_unused]] auto const entered = here.enter();
+  return any_odometry(std::make_unique<detail::erased_odometry<exec_type, Rig, place>>(
+      std::move(here),
+      [&](place& p) { return odometry<exec_type, Rig>(p.exec(), rig, params, batch); }));
+}
+
+}  // namespace ft::library::FT_LIBRARY_DEVICE

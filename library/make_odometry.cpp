@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <string>
+
+#include "ft/any_odometry.hpp"
+#include "library/factories.hpp"
+
+namespace ft {
+inline namespace v0 {
+namespace {
+
+void require_cameras(rig_description const& rig) {
+  bool const pair = rig.kind == rig_kind::distorted_pair || rig.kind == rig_kind::fisheye_pair;
+  int const least = pair ? 2 : 1;
+  int const most = rig.kind == rig_kind::multi ? most_cameras : least;
+  if (rig.cameras < least || rig.cameras > most) {
+    throw bad_argument(std::string("ft: a ") + name_of(rig.kind) + " rig has " +
+                       std::to_string(rig.cameras) + " cameras, must have " +
+                       std::to_string(least) +
+                       (most > least ? " to " + std::to_string(most) : std::string()));
+  }
+}
+
+using factory = any_odometry(device const&, rig_description const&, odometry_params const&, int);
+
+factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
+#if FT_LIBRARY_HAS_CUDA
+#define FT_LIBRARY_CHOOSE(name) (gpu ? library::cuda::name : library::host::name)
+#else
+#define FT_LIBRARY_CHOOSE(name) (library::host::name)
+#endif
+  switch (kind) {
+    case rig_kind::rectified_pair:
+    case rig_kind::distorted_pair:
+    case rig_kind::rgbd:
+      return *FT_LIBRARY_CHOOSE(make_rectified);
+    case rig_kind::fisheye_pair:
+      return *FT_LIBRARY_CHOOSE(make_fisheye);
+    case rig_kind::monocular:
+      return *FT_LIBRARY_CHOOSE(make_monocular);
+    case rig_kind::multi:
+      return *FT_LIBRARY_CHOOSE(make_multi);
+  }
+#undef FT_LIBRARY_CHOOSE
+  throw bad_argument("ft: rig_description::kind is " + std::to_string(static_cast<int>(kind)) +
+                     ", must be in [0, " + std::to_string(static_cast<int>(rig_kind::multi)) + "]");
+}
+
+}  // namespace
+
+any_odometry make_odometry(device const& where, rig_description const& rig,
+                           odometry_params const& params, int batch) {
+  if (where.gpu < device::current_gpu) {
+    throw bad_argument("ft: gpu is " + std::to_string(where.gpu) +
+                       ", must be the number of a GPU, -1 for the host, or -2 for the current GPU");
+  }
+  bool const gpu = where.gpu != device::host;
+#if !FT_LIBRARY_HAS_CUDA
+  if (gpu) {
+    throw bad_argument("ft: gpu is " + std::to_string(where.gpu) +
+                       ", but ft::odometry was built without CUDA: it has the host, gpu -1");
+  }
+#endif
+  factory& make = factory_of(rig.kind, gpu);
+  require_cameras(rig);
+  return make(where, rig, params, batch);
+}
+
+#if !FT_LIBRARY_HAS_CUDA
+std::vector<std::string> gpu_names() { return {}; }
+#endif
+
+}  // namespace v0
+}  // namespace ft

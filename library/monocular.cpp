@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "library/made.hpp"
+#include "library/rigs.hpp"
+
+namespace ft::library::FT_LIBRARY_DEVICE {
+
+any_odometry make_monocular(device const& where, rig_description const& rig,
+                            odometry_params const& params, int batch) {
+  auto const with = [&](auto const& camera) {
+    return made(where, monocular_rig<std::decay_t<decltype(camera)>>::make(camera), params, batch);
+  };
+  if (rig.camera[0].kind == camera_kind::pinhole) { return with(pinhole_of(rig, 0)); }
+  return with(camera_of<kannala_brandt<float>>(rig, 0, camera_kind::kannala_brandt,
+                                               "monocular of pinhole or kannala_brandt"));
+}
+
+}  // namespace ft::library::FT_LIBRARY_DEVICE

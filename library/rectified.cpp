@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rigs whose keypoints are searched as those of a rectified pair: one unit, for they share most of
+// what the compiler makes of an odometry.
+#include "library/made.hpp"
+#include "library/rigs.hpp"
+
+namespace ft::library::FT_LIBRARY_DEVICE {
+
+any_odometry make_rectified(device const& where, rig_description const& rig,
+                            odometry_params const& params, int batch) {
+  switch (rig.kind) {
+    case rig_kind::rectified_pair:
+      return made(where, rectified_pair_of(rig), params, batch);
+    case rig_kind::distorted_pair:
+      return made(where, distorted_pair_of(rig), params, batch);
+    default:
+      break;
+  }
+  if (rig.camera[0].kind == camera_kind::pinhole) {
+    return made(where, rgbd_of(rig, pinhole_of(rig, 0)), params, batch);
+  }
+  return made(where,
+              rgbd_of(rig, camera_of<radtan8<float>>(rig, 0, camera_kind::radtan8,
+                                                     "rgbd of pinhole or radtan8")),
+              params, batch);
+}
+
+}  // namespace ft::library::FT_LIBRARY_DEVICE

@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of the faults and of the figures, without ft: a recording of a few lines, trajectories made up."""
+import math
+import pathlib
+import random
+import tempfile
+import unittest
+
+from . import faults, motions, scenario_runs, scenarios
+
+SENSOR = """sensor_type: {kind}
+T_BS:
+  cols: 4
+  rows: 4
+  data: [{data}]
+rate_hz: {rate}
+"""
+IDENTITY = "1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1"
+ASIDE = "0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1"  # a quarter of a turn about z
+BEGIN = 1_600_000_000_000_000_000
+
+
+def stamp(i, rate):
+    return BEGIN + round(1e9 * i / rate)
+
+
+def make_sequence(folder, frames=40):
+    """20 images and 200 samples a second; sample i is (i, 0, 0), (0, 0, 100 + i); frame i is at x = 0.1 i, turned by i degrees."""
+    mav = folder / "mav0"
+    for name, data, rate in (("cam0", ASIDE, 20), ("cam1", IDENTITY, 20), ("imu0", IDENTITY, 200), ("state_groundtruth_estimate0", IDENTITY, 200)):
+        (mav / name).mkdir(parents=True)
+        (mav / name / "sensor.yaml").write_text(SENSOR.format(kind=name, data=data, rate=rate))
+    for camera in ("cam0", "cam1"):
+        (mav / camera / "data").mkdir()
+        rows = [f"{stamp(i, 20)},{stamp(i, 20)}.png" for i in range(frames)]
+        (mav / camera / "data.csv").write_text("#stamp,file\n" + "\n".join(rows) + "\n")
+    samples = range(10 * frames)
+    (mav / "imu0/data.csv").write_text("#\n" + "".join(f"{stamp(i, 200)},{i},0,0,0,0,{100 + i}\n" for i in samples))
+    half = math.radians(0.5)
+    states = [f"{stamp(i, 20)},{0.1 * i},0,0,{math.cos(i * half)},0,0,{math.sin(i * half)},0,0,0" for i in range(frames)]
+    (mav / "state_groundtruth_estimate0/data.csv").write_text("#\n" + "\n".join(states) + "\n")
+    return folder
+
+
+class Faults(unittest.TestCase):
+    def setUp(self):
+        temporary = tempfile.TemporaryDirectory()
+        self.addCleanup(temporary.cleanup)
+        self.root = pathlib.Path(temporary.name)
+        self.source = make_sequence(self.root / "source")
+
+    def changed(self, *made):
+        """Written and read again."""
+        r = faults.Recording(self.source)
+        for fault in made:
+            fault(r)
+        folder = self.root / f"out_{len(list(self.root.iterdir()))}"
+        r.write(folder)
+        self.assertTrue((folder / "mav0/cam0/data").samefile(self.source / "mav0/cam0/data"))
+        return faults.Recording(folder) if r.imu else r
+
+    def stamps(self, recording):
+        return [round(20 * recording.seconds(f[0])) for f in recording.frames]
+
+    def shown(self, recording, camera):
+        """Numbers of the images of a camera."""
+        return [round(20e-9 * (int(f[1 + camera][:-4]) - BEGIN)) for f in recording.frames]
+
+    def test_without_a_fault_nothing_changes(self):
+        a, b = faults.Recording(self.source), self.changed()
+        self.assertEqual((a.frames, a.imu, a.truth, a.sensors), (b.frames, b.imu, b.truth, b.sensors))
+
+    def test_every_second_image(self):
+        r = self.changed(faults.every(2))
+        self.assertEqual(self.stamps(r), list(range(0, 40, 2)))
+        self.assertEqual(self.shown(r, 1), self.stamps(r))
+        self.assertEqual(len(r.imu), 400)
+
+    def test_no_images_for_a_time(self):
+        self.assertEqual(self.stamps(self.changed(faults.without_images(0.5, 1))), [*range(10), *range(20, 40)])
+
+    def test_the_right_image_is_late(self):
+        r = self.changed(faults.late_right())
+        self.assertEqual(self.shown(r, 0), list(range(40)))
+        self.assertEqual(self.shown(r, 1), [0, *range(39)])
+        self.assertEqual(self.stamps(r), list(range(40)))
+
+    def test_images_are_repeated(self):
+        both, left = self.changed(faults.repeated_images(0.5, 0.7)), self.changed(faults.repeated_images(0.5, 0.7, (0,)))
+        held = [*range(10), 10, 10, 10, 10, *range(14, 40)]
+        self.assertEqual((self.shown(both, 0), self.shown(both, 1)), (held, held))
+        self.assertEqual((self.shown(left, 0), self.shown(left, 1)), (held, list(range(40))))
+        self.assertEqual(self.stamps(both), list(range(40)))
+
+    def test_jumps_are_of_the_sizes_wanted_and_truth_goes_along(self):
+        r = faults.Recording(self.source)
+        faults.jumps(4, between=3, metres=1.2, degrees=12)(r)
+        self.assertEqual(r.jumps, [3, 6, 9, 12])
+        shown = self.shown(r, 0)
+        for at, wanted in zip(r.jumps, (3, 6, 9, 12)):  # a frame is 0.1 m and 1 degree
+            self.assertEqual(abs(shown[at] - shown[at - 1]), wanted)
+        self.assertEqual(self.stamps(r), list(range(15)))
+        self.assertEqual(r.imu, [])
+        truth = dict(r.truth)
+        for f, number in zip(r.frames, shown):
+            self.assertAlmostEqual(float(truth[f[0]][0]), 0.1 * number)
+
+    def test_there_may_be_more_frames_in_another_order_than_there_were(self):
+        r = faults.Recording(self.source)
+        faults.jumps(31, between=8)(r)
+        self.assertEqual(self.stamps(r), list(range(8 * 32)))
+        self.assertEqual(r.jumps, list(range(8, 8 * 32, 8)))
+        short = faults.Recording(self.source)
+        short.frames = short.frames[:8]
+        faults.jumps(31, between=8)(short)
+        self.assertEqual((len(short.frames), short.jumps), (8, []))
+
+    def test_a_bias_has_its_length_and_the_seeds_direction(self):
+        r, other = self.changed(faults.sensor_bias("accel", 0.7, 1)), self.changed(faults.sensor_bias("accel", 0.7, 2))
+        by = [a - b for a, b in zip(r.imu[5][2], [0, 0, 105])]
+        self.assertAlmostEqual(math.hypot(*by), 0.7)
+        self.assertGreater(math.dist(r.imu[5][2], other.imu[5][2]), 0.01)
+        self.assertEqual(r.imu[5][1], [5, 0, 0])
+
+    def test_one_sample_is_a_spike(self):
+        r = self.changed(faults.spike("accel", 1e7, 1))
+        self.assertEqual([k for k, s in enumerate(r.imu) if s[2][0] != 0], [200])
+        self.assertEqual(r.imu[200][2], [1e7, 0, 300])
+        self.assertEqual(self.changed(faults.spike("gyro", -5, 1)).imu[200][1], [-5, 0, 0])
+
+    def test_samples_are_saturated_for_a_time(self):
+        r = self.changed(faults.saturated("accel", 157, 1, 1.1))
+        self.assertEqual([k for k, s in enumerate(r.imu) if s[2][0] == 157], list(range(200, 220)))
+
+    def test_samples_are_held_or_zero_for_a_time(self):
+        held, zero = self.changed(faults.held_samples(1, 1.5)), self.changed(faults.held_samples(1, 1.5, zeros=True))
+        self.assertEqual([s[1][0] for s in held.imu[198:302]], [198, 199, *[200] * 100, 300, 301])
+        self.assertEqual([s[2][2] for s in zero.imu[198:302]], [298, 299, *[0] * 100, 400, 401])
+        self.assertEqual([s[0] for s in held.imu], [stamp(i, 200) for i in range(400)])
+
+    def test_the_clock_is_late_or_early(self):
+        for ms in (20, -100):
+            r = self.changed(faults.late_clock(ms))
+            self.assertEqual(r.imu[7], [stamp(7, 200) + ms * 1_000_000, [7, 0, 0], [0, 0, 107]])
+            self.assertEqual(self.stamps(r), list(range(40)))
+
+    def test_units_and_axes(self):
+        r = self.changed(faults.scaled("gyro", 2))
+        self.assertEqual(r.imu[7][1:], [[14, 0, 0], [0, 0, 107]])
+        self.assertEqual(self.changed(faults.swapped_axes).imu[7][1:], [[0, 7, 0], [0, 0, 107]])
+
+    def test_the_imu_stops_or_starts_late(self):
+        self.assertEqual([len(self.changed(faults.only_samples(**k)).imu) for k in ({"end_s": 0.5}, {"begin_s": 0.5})], [100, 300])
+
+    def test_the_rate_is_wrong(self):
+        r = self.changed(faults.wrong_rate(2))
+        self.assertIn("rate_hz: 400.0\n", r.sensors["imu0"])
+        self.assertIn("rate_hz: 20\n", r.sensors["cam0"])
+
+    def test_extrinsics_are_inverted(self):
+        r = self.changed(faults.inverted_extrinsics)
+        T_body_camera = faults.as_rows(faults.numbers_of(r.sensors["cam0"]))
+        T_body_imu = faults.as_rows(faults.numbers_of(r.sensors["imu0"]))
+        # the camera in the IMU's frame, had it been given in the right direction; the body was the IMU
+        wanted = faults.multiplied(T_body_camera, T_body_camera)
+        for a, b in zip(sum(T_body_imu, []), sum(wanted, [])):
+            self.assertAlmostEqual(a, b)
+        self.assertEqual(r.sensors["cam0"], faults.Recording(self.source).sensors["cam0"])
+
+
+def turned(degrees):
+    half = math.radians(degrees) / 2
+    return motions.rotation_of(0, 0, math.sin(half), math.cos(half))
+
+
+def frames_of(positions, truth=None, reasons=None, lost=(), deviation=None, turns=None):
+    """A run at 20 frames a second; truth is at the same places by default."""
+    out = []
+    for i, p in enumerate(positions):
+        row = {"time_s": f"{i / 20:.9f}", "keyframe": "0", "reason": (reasons or {}).get(i, "")}
+        if deviation:
+            for r in range(6):
+                for c in range(r, 6):
+                    row[f"covariance_{r}{c}"] = str(deviation**2 if r == c else 0)
+        R = turned(turns[i] if turns else 0)
+        out.append(motions.Frame(row, None if i in lost else (R, list(p)), (R, list((truth or positions)[i])), set()))
+    return out
+
+
+def line(count, step=0.02):
+    return [(step * i, 0.0, 0.0) for i in range(count)]
+
+
+class Silence(unittest.TestCase):
+    def silent(self, *args, **kwargs):
+        frames = frames_of(*args, **kwargs)
+        motions.figures(frames)
+        return [i for i, f in enumerate(frames) if f.silent]
+
+    def jumped(self, by, at=30, count=40):
+        return [(x + (by if i >= at else 0), y, z) for i, (x, y, z) in enumerate(line(count))]
+
+    def test_a_right_path_is_not_silent(self):
+        self.assertEqual(self.silent(line(40)), [])
+
+    def test_a_jump_is_silent_for_the_second_that_has_it(self):
+        self.assertEqual(self.silent(self.jumped(0.06), line(40)), list(range(30, 40)))
+        self.assertEqual(self.silent(self.jumped(0.06, at=10), line(40)), list(range(10, 11)) + list(range(20, 30)))
+
+    def test_less_than_five_centimetres_are_not(self):
+        self.assertEqual(self.silent(self.jumped(0.049), line(40)), [])
+
+    def test_drift_shows_over_a_second_not_over_a_frame(self):
+        slow = [(x * 0.8, y, z) for x, y, z in line(40)]  # 8 cm of 40 cm a second
+        self.assertEqual(self.silent(slow, line(40)), list(range(20, 40)))
+        self.assertEqual(self.silent([(x * 0.9, y, z) for x, y, z in line(40)], line(40)), [])
+
+    def test_two_percent_of_a_long_path_are_allowed(self):
+        truth = line(40, 0.5)  # 10 m a second
+        self.assertEqual(self.silent([(x * 0.985, y, z) for x, y, z in truth], truth), [])
+        self.assertEqual(self.silent([(x * 0.975, y, z) for x, y, z in truth], truth), list(range(20, 40)))
+
+    def test_a_frame_with_a_warning_is_not_silent_the_next_one_is(self):
+        self.assertEqual(self.silent(self.jumped(0.06), line(40), {30: "imu_only"}), list(range(31, 40)))
+
+    def test_a_lost_frame_is_not_silent(self):
+        self.assertEqual(self.silent(self.jumped(0.06), line(40), lost=range(30, 40)), [])
+
+    def test_what_comes_back_at_a_wrong_place_is_silent(self):
+        self.assertEqual(self.silent(self.jumped(0.06), line(40), lost=range(25, 32)), list(range(32, 40)))
+
+    def test_three_standard_deviations_of_the_motion_are_allowed(self):
+        # of both frames: sqrt(2) times that of one
+        self.assertEqual(self.silent(self.jumped(0.06), line(40), deviation=0.02), [])
+        self.assertEqual(self.silent(self.jumped(0.06), line(40), deviation=0.005), list(range(30, 40)))
+
+    def test_gaps_make_no_motion_of_a_frame_of_other_frames(self):
+        frames = frames_of(self.jumped(0.06), line(40), lost=[29])
+        steps = dict(motions.motions_of(frames, motions.path_lengths(frames)))
+        self.assertNotIn(30, steps)
+        self.assertEqual(len(steps), 37)
+
+
+class Figures(unittest.TestCase):
+    def test_a_moved_and_turned_path_has_no_error(self):
+        rng = random.Random(1)
+        truth = [(rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)) for _ in range(30)]
+        R = motions.rotation_of(0.1, -0.5, 0.3, 0.8)
+        estimate = [[a + b for a, b in zip(motions.rotated(R, p), (5, 6, 7))] for p in truth]
+        for p, t in zip(motions.aligned_positions(estimate, truth), truth):
+            self.assertLess(math.dist(p, t), 1e-9)
+
+    def test_errors_of_a_known_path(self):
+        up = [(x, 0.01 * (-1) ** i, z) for i, (x, y, z) in enumerate(line(40))]
+        row = motions.figures(frames_of(up, line(40)))
+        self.assertAlmostEqual(row["ate_m"], 0.01, places=4)
+        self.assertAlmostEqual(row["rpe_frame_m"], 0.02, places=9)
+        self.assertAlmostEqual(row["rpe_second_m"], 0, places=9)
+        self.assertAlmostEqual(row["path_m"], 0.78)
+        self.assertEqual((row["frames"], row["lost"], row["silent"]), (40, 0, 0))
+
+    def test_nothing_tracked_has_no_errors(self):
+        row = motions.figures(frames_of(line(5), lost=range(5)))
+        self.assertEqual([row[k] for k in ("ate_m", "max_error_m", "rpe_frame_m", "rpe_second_m")], [None] * 4)
+        self.assertEqual((row["lost"], row["silent"]), (5, 0))
+        self.assertIsNone(motions.figures([])["ate_m"])
+
+    def test_the_covariance_of_a_motion_is_that_of_drawn_poses(self):
+        rng = random.Random(2)
+        a, b = (turned(20), [0.3, 0.1, -0.2]), (turned(75), [1.0, -0.4, 0.5])
+        sigma = [0.002, 0.004, 0.003, 0.01, 0.02, 0.03]
+        of_one = [[sigma[i] ** 2 if i == j else 0 for j in range(6)] for i in range(6)]
+        motion = motions.relative(a, b)
+        expected = motions.motion_covariance(of_one, of_one, motion)
+
+        def drawn(pose):
+            x = [rng.gauss(0, s) for s in sigma]
+            half = math.hypot(*x[:3]) / 2
+            axis = [v / (2 * half) * math.sin(half) for v in x[:3]]
+            return motions.product(pose[0], motions.rotation_of(*axis, math.cos(half))), [
+                p + d for p, d in zip(pose[1], motions.rotated(pose[0], x[3:]))
+            ]
+
+        errors = []
+        for _ in range(4000):
+            off = motions.relative(motion, motions.relative(drawn(a), drawn(b)))
+            errors.append(motions.small_turn(off[0]) + off[1])
+        for i in range(6):
+            for j in range(6):
+                mean = sum(e[i] * e[j] for e in errors) / len(errors)
+                scale = math.sqrt(expected[i][i] * expected[j][j])
+                self.assertAlmostEqual(mean / scale, expected[i][j] / scale, delta=0.08)
+        inside = sum(motions.squared_mahalanobis(expected, e) <= motions.CHI_SQUARE_95 for e in errors) / len(errors)
+        self.assertAlmostEqual(inside, 0.95, delta=0.015)
+
+    def test_a_singular_covariance_contains_nothing_that_can_be_said(self):
+        self.assertIsNone(motions.squared_mahalanobis([[0.0] * 6 for _ in range(6)], [1.0] * 6))
+
+    def test_infinite_and_missing_covariances_are_none(self):
+        row = {f"covariance_{i}{j}": "inf" if i == j else "0" for i in range(6) for j in range(i, 6)}
+        self.assertIsNone(motions.covariance_of(row))
+        self.assertIsNone(motions.covariance_of({"covariance_00": ""}))
+        self.assertIsNone(motions.covariance_of({}))
+
+    def test_warnings_are_names_of_both_columns(self):
+        self.assertEqual(motions.warnings_of({"warnings": "two_motions;imu_clock", "reason": "imu_only"}), {"two_motions", "imu_clock", "imu_only"})
+        self.assertEqual(motions.warnings_of({"reason": ""}), set())
+
+
+class Table(unittest.TestCase):
+    def test_names_are_unique_and_limits_are_of_figures(self):
+        names = [s.name for s in scenarios.ALL]
+        self.assertEqual(len(names), len(set(names)))
+        known = {
+            "ate_m", "max_error_m", "rpe_frame_m", "rpe_second_m", "lost", "maps", "silent", "warned", "keyframe_share", "ate_share",
+            "contained", "gain", "gap_share", "imu_used", "jumps_right", "ate_over_allowed", "max_over_allowed",
+        }
+        for s in scenarios.ALL:
+            self.assertLessEqual({n for n, _ in (*s.limits, *s.least)}, known)
+            self.assertIn(("silent", 0), s.limits, s.name)
+
+    def test_a_figure_that_is_missing_or_beyond_its_limit_is_named(self):
+        s = scenarios.Scenario("x", "", limits=(("ate_m", 0.01), ("lost", 0)), least=(("warned", 1),))
+        fine = {"error": None, "ate_m": 0.01, "lost": 0, "warned": 1}
+        self.assertEqual(scenario_runs.misses_of(fine, s), [])
+        self.assertEqual(scenario_runs.misses_of({**fine, "ate_m": 0.011, "warned": 0}, s), ["ate_m", "warned"])
+        self.assertEqual(scenario_runs.misses_of({**fine, "ate_m": None}, s), ["ate_m"])
+        self.assertEqual(scenario_runs.misses_of({**fine, "ate_m": math.nan}, s), ["ate_m"])
+        self.assertEqual(scenario_runs.misses_of({**fine, "error": "crashed"}, s), ["error"])
+
+    def test_with_an_imu_a_fifth_or_three_millimetres_more_are_allowed(self):
+        without = {"ate_m": 0.05, "max_error_m": 0.001, "silent": 0}
+        beside = scenario_runs.beside({"ate_m": 0.06, "max_error_m": 0.004}, without)
+        self.assertAlmostEqual(beside["ate_over_allowed"], 1)
+        self.assertAlmostEqual(beside["max_over_allowed"], 1)
+        self.assertAlmostEqual(beside["gain"], 1.2)
+
+    def test_sentences_about_the_imu_warn_in_their_frames(self):
+        frames = frames_of(line(10))
+        scenario_runs.add_imu_warnings(frames, ["2 samples left out; first in frame 7", "late; in 2 of 10 frames, first in frame 3", "3 maps"])
+        self.assertEqual([i for i, f in enumerate(frames) if f.warnings], [3, 4, 7, 8, 9])
+
+
+if __name__ == "__main__":
+    unittest.main()

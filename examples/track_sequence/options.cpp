@@ -63,7 +63,7 @@ void add_tracking(CLI::App& app, arguments& a) {
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
   app.add_option("--near", a.near_depth,
-                 "depth of map points, in baselines; default: the settings file's, or 50");
+                 "depth of near map points, in baselines; default: the settings file's, or 50");
 }
 
 void add_output(CLI::App& app, arguments& a) {

@@ -56,6 +56,7 @@ inline void check(tracking_rules const& r) {
   detail::require_range("rules.unrectified_keep_share", r.unrectified_keep_share, 0.0f, 1.0f);
   detail::require_range("rules.keyframe_period_s", r.keyframe_period_s, 0.0, 1e6);
   detail::require_range("rules.near_depth", r.near_depth, 1e-3f, 1e6f);
+  detail::require_range("rules.far_depth", r.far_depth, 0.0f, 1e6f);
   detail::require_range("rules.motion.even", r.motion.even, 0.0, 1.0);
   detail::require_range("rules.motion.longest", r.motion.longest, 1.0, 1e6);
   detail::require_range("rules.motion.memory", r.motion.memory, 1e-3, 1e6);

@@ -61,6 +61,7 @@ public:
   image_source const* sources = nullptr;  ///< [batch][images]
   float const* radius_factor = nullptr;   ///< of local_search; may be null
   float* information = nullptr;           ///< of frame_poses; may be null
+  pose_params pose_settings;              ///< of both poses of a frame
 
   // ---- images and keypoints
 
@@ -287,7 +288,7 @@ private:
   }
   void optimize(Exec const& exec, pose const* start) const {
     optimize_frame_poses(exec, rig, in_map(),
-                         {start, memory.poses, memory.observations, information});
+                         {start, memory.poses, memory.observations, information}, pose_settings);
   }
 
   side_branch<Exec> stereo_branch_;

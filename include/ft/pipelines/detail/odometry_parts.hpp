@@ -194,6 +194,7 @@ private:
     stages.settings.orb.start_features = start_features(params.orb);
     stages.settings.orb.exact_positions = true;
     stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
+    stages.pose_settings.disparity_weight = parts_of_rig::disparity_weight;
     stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
                             batch, parts_of_rig::absent(rig));
     stages.input = typename parts_of_rig::template input<Exec>(exec, rig, stages.geometry(), batch);

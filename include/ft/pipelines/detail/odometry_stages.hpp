@@ -199,7 +199,7 @@ public:
     in.point = this->matcher.fisheye_matches().point;
     in.geometry = this->geometry();
     keyframe_params p;
-    p.near_depth = settings.rules.near_depth;
+    p.near_depth = max_of(settings.rules.near_depth, settings.rules.far_depth);
     p.wanted_near_points = settings.rules.wanted_near_points;
     if constexpr (starts_from_motion) {
       in.depth = beginning.points().depth;

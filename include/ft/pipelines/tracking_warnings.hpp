@@ -53,12 +53,12 @@ inline bool has_two_motions(tracking const& t, warning_limits const& limits, boo
   tracking_evidence const& e = t.evidence;
   frame_facts const& f = e.facts;
   if (fixed_before && has_fixed(t, limits)) { return true; }
-  // Keypoints that do not agree with the pose, and agree with each other.
+  // Keypoints that do not agree with the pose, and most of whose motion is common.
   int const together = (f.rejected_x < 0 ? -f.rejected_x : f.rejected_x) +
                        (f.rejected_y < 0 ? -f.rejected_y : f.rejected_y);
   int const rejected = f.matches - t.inliers;
   if (rejected >= limits.moving_points && rejected >= limits.rejected_share * f.matches &&
-      10.0 * together > 3.0 * f.rejected_length) {
+      2 * together > f.rejected_length) {
     return true;
   }
   // The pose stands still while much of the image does not.

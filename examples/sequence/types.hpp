@@ -105,6 +105,7 @@ struct imu_noise {
 struct imu_calibration {
   imu_noise noise;
   double rate_hz = 0;
+  double time_offset_s = 0;  ///< its clock less that of the images: Kalibr's timeshift_cam_imu
   Eigen::Isometry3d T_body_imu =
       Eigen::Isometry3d::Identity();  ///< maps points of the IMU's frame to the body's
 };

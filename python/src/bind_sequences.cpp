@@ -89,6 +89,7 @@ nb::object imu_dict(seq::sequence const& s) {
   d["gyro_walk"] = i.calibration.noise.gyro_walk;
   d["accel_walk"] = i.calibration.noise.accel_walk;
   d["rate_hz"] = i.calibration.rate_hz;
+  d["time_offset_s"] = i.calibration.time_offset_s;
   d["time_ns"] = to_numpy(std::move(time));
   d["accel"] = to_numpy(std::move(accel), {n, 3});
   d["gyro"] = to_numpy(std::move(gyro), {n, 3});

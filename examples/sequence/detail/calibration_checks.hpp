@@ -27,6 +27,7 @@ constexpr limits coefficient_limits{-max_coefficient, max_coefficient};
 constexpr limits side_limits{1, 16384};
 constexpr limits fps_limits{0, 1e5};
 constexpr limits imu_rate_limits{1, 2e4};
+constexpr limits time_offset_limits{-10, 10};  // s
 constexpr limits density_limits{0, 1e3, true};
 constexpr limits depth_unit_limits{1e-9, 1e3};  // metres
 

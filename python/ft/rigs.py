@@ -180,6 +180,7 @@ class Imu:
     gyro_walk: float = 2e-5
     accel_walk: float = 3e-3
     rate_hz: float = 200.0
+    time_offset_s: float = 0.0
 
     def __post_init__(self):
         self.T_imu_camera = _matrix(self.T_imu_camera, "T_imu_camera")

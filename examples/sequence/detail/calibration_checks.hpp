@@ -27,6 +27,7 @@ constexpr limits coefficient_limits{-max_coefficient, max_coefficient};
 constexpr limits side_limits{1, 16384};
 constexpr limits fps_limits{0, 1e5};
 constexpr limits imu_rate_limits{1, 2e4};
+constexpr limits time_offset_limits{-10, 10};  // s
 constexpr limits density_limits{0, 1e3, true};
 constexpr limits depth_unit_limits{1e-9, 1e3};  // metres
 
@@ -47,6 +48,20 @@ Eigen::Isometry3d checked_transform(std::vector<double> const& m, std::string co
 /// A radial-tangential camera whose coefficients are all zero becomes a pinhole. (A Kannala-Brandt
 /// one stays: it has r = f theta then.)
 void drop_zero_distortion(camera_intrinsics& camera);
+
+/// fx, fy, cx, cy of a 3x3 matrix, row-major. @throws seq::error also for a skew
+void set_camera_matrix(camera_intrinsics& camera, std::vector<double> const& m,
+                       std::string const& path, std::string const& key);
+
+/// Model and coefficients by a maker's name of the distortion: radtan, radtan8, radial-tangential,
+/// plumb_bob, rational_polynomial; equidistant, fisheye, kb4; none. More than 8 coefficients of
+/// OpenCV's are taken if the rest is zero. @throws seq::error
+void set_distortion(camera_intrinsics& camera, std::string const& model,
+                    std::vector<double> coefficients, std::string const& path,
+                    std::string const& key);
+
+/// @throws seq::error that asks for the unit where the cameras are more than max_baseline apart
+void check_baseline(stereo_rig const& rig, std::string const& path, std::string const& key);
 
 /// Makes the rig that of its left camera alone: a virtual right one for depth images, else none.
 void set_one_camera(stereo_rig& rig, camera_kind kind);

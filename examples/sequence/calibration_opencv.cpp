@@ -42,15 +42,18 @@ names with_side(names const& stems, int side) {
 }
 
 std::string matrix_key(yaml_file const& file, int side) {
-  return first_of(file, with_side({"M", "K", "camera_matrix", "cameraMatrix", "CameraMatrix",
-                                   "Camera_Matrix", "k", "intrinsics", "intrinsic"},
-                                  side));
+  names stems = {
+      "M",          "K",        "camera_matrix", "cameraMatrix", "CameraMatrix", "Camera_Matrix",
+      "intrinsics", "intrinsic"};
+  if (side < 0) { stems.push_back("k"); }  // of a ROS 2 message
+  return first_of(file, with_side(stems, side));
 }
 
 std::string coefficients_key(yaml_file const& file, int side) {
-  return first_of(file, with_side({"D", "distortion_coefficients", "distCoeffs", "dist_coeffs",
-                                   "DistCoeffs", "Distortion_Coefficients", "d", "distortion"},
-                                  side));
+  names stems = {"D",          "distortion_coefficients", "distCoeffs", "dist_coeffs",
+                 "DistCoeffs", "Distortion_Coefficients", "distortion"};
+  if (side < 0) { stems.push_back("d"); }
+  return first_of(file, with_side(stems, side));
 }
 
 names const rotation_names = {"R", "rotation", "Rotation", "rotation_matrix", "R_stereo"};

@@ -79,7 +79,8 @@ std::string images_line(sequence const& s) {
 std::string imu_line(sequence const& s, bool asked) {
   if (!asked) { return "not asked for"; }
   auto const& imu = s.imu();
-  if (!imu) { return "none: " + s.source().imu_left_out; }
+  std::string const& reason = s.source().imu_left_out;
+  if (!imu) { return reason.empty() ? "none" : "none: " + reason; }
   std::string line = std::to_string(imu->samples.size()) + " samples, " +
                      to_text(imu->calibration.rate_hz) + " Hz";
   double const offset = imu->calibration.time_offset_s;

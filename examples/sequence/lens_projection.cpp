@@ -61,10 +61,10 @@ lens_projection::lens_projection(camera_intrinsics const& camera)
     case lens::radial_tangential: {
       // What is on a sphere is at any distance from the axis; only a distortion can fold.
       bool const straight = std::all_of(k_, k_ + 8, [](double k) { return k == 0; });
-      limit_ = model_ == lens::unified && straight
-                   ? std::numeric_limits<double>::infinity()
-                   : growth_limit([&](double r) { return r * radial_factor(k_, r * r); },
-                                  max_radius);
+      limit_ =
+          model_ == lens::unified && straight
+              ? std::numeric_limits<double>::infinity()
+              : growth_limit([&](double r) { return r * radial_factor(k_, r * r); }, max_radius);
       break;
     }
     case lens::kannala_brandt:

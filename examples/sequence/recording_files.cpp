@@ -40,7 +40,10 @@ calibration own_calibration(layout_of_files const& l, int width, int height, std
     return read_euroc_calibration(l.mav0.string(), l.kind);
   }
   bool const folders = l.name == "folders";
-  if ((l.name == "kitti" || folders) && there(l.root / "calib.txt")) {
+  if (l.name == "kitti" && there(l.root / "calib.txt")) {
+    return read_kitti_calibration(path, width, height, l.left_camera, l.kind);
+  }
+  if (folders && there(l.root / "calib.txt")) {
     return read_calibration(path, width, height, l.left_camera, l.kind);
   }
   bool const one = l.kind != camera_kind::stereo;

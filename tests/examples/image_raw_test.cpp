@@ -98,7 +98,7 @@ TEST(image_raw, rejects_damaged_files) {
            {bmp_head(3, 2, 8, 0), "truncated"},
            {bmp_head(3, 2, 4, 0), "4 bits"},
            {bmp_head(-3, 2, 24, 0), "image of 0 x 2"},
-           {bmp_head(2, 1, 8, 300), "more than 256 colours"},
+           {bmp_head(2, 1, 8, 300) + std::string(1204, 0), "more than 256 colours"},
        }) {
     std::string const path = folder.write("a.bin", c.text);
     std::string const message = message_of([&] { seq::read_image(path); });

@@ -94,22 +94,34 @@ def run_all(options, work):
     return rows
 
 
-def write(options, rows):
+def record_of(options, rows):
+    """As a file of bench/results has it."""
+    machine = {"processor": processor()}
     devices = sorted({r["device"] for r in rows if r.get("device")})
-    rows = [{k: v for k, v in r.items() if k != "device"} for r in rows]
-    result = {
-        "what": "scenarios of tools/evaluation/scenarios.py; lengths in metres",
+    if options.backend == "cuda":
+        machine["gpu"] = ", ".join(devices)
+    return {
         "date": datetime.date.today().isoformat(),
-        "processor": processor(),
-        "device": ", ".join(devices),
         "commit": commit(),
-        "command": options.command,
-        "silent_is_more_than": {"m": motions.LEAST_M, "share_of_path": motions.SHARE_OF_PATH, "deviations": motions.DEVIATIONS},
-        "rows": rows,
+        "command": [options.command],
+        "machine": machine,
+        "settings": {"silent_m": motions.LEAST_M, "silent_share_of_path": motions.SHARE_OF_PATH, "silent_deviations": motions.DEVIATIONS},
     }
-    lines = json.dumps({k: v for k, v in result.items() if k != "rows"}, indent=1)[:-2]
-    lines += ',\n "rows": [\n' + ",\n".join("  " + json.dumps(r) for r in rows) + "\n ]\n}\n"
-    options.out.write_text(lines, encoding="utf-8")
+
+
+def plain(row):
+    """A row of a file: without what is not known; warnings with their numbers of frames."""
+    out = {k: v for k, v in row.items() if v is not None and k != "device"}
+    out["warnings"] = [f"{name} {count}" for name, count in (row["warnings"] or {}).items()]
+    return out
+
+
+def write(options, rows):
+    lines = [json.dumps(plain(r)) for r in rows]
+    record = json.dumps(record_of(options, rows), indent=1)[:-2].replace("\n", "\n  ")
+    what = json.dumps("scenarios of tools/evaluation/scenarios.py; lengths in metres")
+    table = '   "tables": {\n    "rows": [\n     ' + ",\n     ".join(lines) + "\n    ]\n   }"
+    options.out.write_text(f'{{\n "what": {what},\n "records": [\n  {record},\n{table}\n  }}\n ]\n}}\n', encoding="utf-8")
 
 
 def main(arguments):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the faults and of the figures, without ft: a recording of a few lines, trajectories made up."""
+import importlib.util
+import json
 import math
 import pathlib
 import random
@@ -334,6 +336,24 @@ class Table(unittest.TestCase):
         self.assertAlmostEqual(beside["ate_over_allowed"], 1)
         self.assertAlmostEqual(beside["max_over_allowed"], 1)
         self.assertAlmostEqual(beside["gain"], 1.2)
+
+    def test_what_is_written_has_the_shape_of_results(self):
+        script = pathlib.Path(__file__).resolve().parent.parent / "scenarios.py"
+        spec = importlib.util.spec_from_file_location("scenarios_script", script)
+        program = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(program)
+        row = scenario_runs.finished({"scenario": "x", "seed": 1, "error": None, "ate_m": 0.1, "warnings": {"dark": 2}}, scenarios.ALL[0])
+        with tempfile.TemporaryDirectory() as folder:
+            out = pathlib.Path(folder) / "rows.json"
+            program.write(program.parse(["--out", str(out)]), [{**row, "device": "a processor"}] * 2)
+            written = json.loads(out.read_text())
+        self.assertEqual(written["records"][0]["command"], [f"tools/evaluation/scenarios.py --out {out}"])
+        rows = written["records"][0]["tables"]["rows"]
+        self.assertEqual(rows[0], rows[1])
+        self.assertEqual(rows[0]["warnings"], ["dark 2"])
+        self.assertNotIn("error", rows[0])
+        self.assertNotIn("device", rows[0])
+        self.assertIn("silent", rows[0]["misses"])
 
     def test_sentences_about_the_imu_warn_in_their_frames(self):
         frames = frames_of(line(10))

@@ -14,7 +14,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm", ".bmp"};
+constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp"};
 
 std::vector<std::int64_t> times_of(std::vector<listed_image> const& list) {
   std::vector<std::int64_t> times;

@@ -106,6 +106,7 @@ imu_calibration read_euroc_imu_calibration(std::string const& path) {
   imu_calibration imu;
   imu.T_body_imu = file.transform("T_BS");
   imu.rate_hz = file.number("rate_hz", imu_rate_limits);
+  imu.time_offset_s = file.number_or("timeshift_cam_imu", time_offset_limits, 0);
   imu.noise.gyro = file.number("gyroscope_noise_density", density_limits);
   imu.noise.gyro_walk = file.number("gyroscope_random_walk", density_limits);
   imu.noise.accel = file.number("accelerometer_noise_density", density_limits);

@@ -218,6 +218,14 @@ json stages_of(detail::run_figures const& f) {
   return stages;
 }
 
+json warning_counts_of(run_report const& report) {
+  json counts = json::object();
+  for (frame_record const& r : report.records) {
+    for (auto const& [name, said] : r.warnings) { counts[name] = counts.value(name, 0) + 1; }
+  }
+  return counts;
+}
+
 json reason_counts_of(run_report const& report) {
   json reasons = json::object();
   for (frame_record const& r : report.records) {
@@ -290,6 +298,7 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["mean_inliers"] = number(f.mean_inliers);
   root["mean_local_points"] = number(f.mean_local_points);
   root["reasons"] = reason_counts_of(report);
+  root["frame_warnings"] = warning_counts_of(report);
   root["images_to_pose"] = f.images_to_pose.count > 0 ? times_of(f.images_to_pose) : json(nullptr);
   root["prefetch"] = report.prefetch;
   root["processing_s"] = number(f.processing_s);
@@ -371,7 +380,7 @@ void write_times_csv(std::string const& path, run_report const& report) {
   bool const covariances = std::any_of(report.records.begin(), report.records.end(),
                                        [](frame_record const& r) { return !r.covariance.empty(); });
   if (covariances) { text += covariance_heads(); }
-  text += ",images_to_pose_ms,reason\n";
+  text += ",images_to_pose_ms,reason,map_id,warnings\n";
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);
     text += r.tracked ? ",1" : ",0";
@@ -387,7 +396,10 @@ void write_times_csv(std::string const& path, run_report const& report) {
     if (covariances) { text += covariance_of(r); }
     text += ',';
     if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
-    text += ',' + csv_field(r.reason) + '\n';
+    text += ',' + csv_field(r.reason) + ',' + std::to_string(r.map_id) + ',';
+    std::string names;
+    for (auto const& [name, said] : r.warnings) { names += (names.empty() ? "" : " ") + name; }
+    text += csv_field(names) + '\n';
   }
   detail::write_text(path, text);
 }

@@ -6,6 +6,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "examples/sequence/evaluation.hpp"
@@ -47,6 +48,8 @@ struct frame_record {
   std::string reason;  ///< why it is not tracked, or to be doubted; empty = neither
   std::string why;     ///< the same as a sentence
   std::vector<std::string> imu_warnings;  ///< sentences about the samples of the IMU until then
+  std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
+  int map_id = 0;  ///< of the map that the pose is in, from 1 on; 0 = none
 };
 
 /// A frame drawn in the report.

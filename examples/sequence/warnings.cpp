@@ -63,6 +63,39 @@ fastest_step fastest_of(trajectory const& poses) {
   return fastest;
 }
 
+/// Names that frames have, in the order of their first frames.
+class named_frames {
+public:
+  void add(std::string const& name, std::string const& said, int index) {
+    auto at = std::find_if(all_.begin(), all_.end(),
+                           [&](entry const& known) { return known.name == name; });
+    if (at == all_.end()) { at = all_.insert(all_.end(), {name, said, index, 0}); }
+    ++at->frames;
+  }
+  template <typename Condition>
+  void forget_if(Condition const& condition) {
+    all_.erase(std::remove_if(all_.begin(), all_.end(),
+                              [&](entry const& known) { return condition(known.name); }),
+               all_.end());
+  }
+  std::vector<std::string> sentences(std::size_t frames) const {
+    std::vector<std::string> out;
+    for (entry const& e : all_) {
+      out.push_back(e.name + " in " + std::to_string(e.frames) + " of " + std::to_string(frames) +
+                    " frames, first in frame " + std::to_string(e.first) + ": " + e.said);
+    }
+    return out;
+  }
+
+private:
+  struct entry {
+    std::string name, said;
+    int first = 0;
+    int frames = 0;
+  };
+  std::vector<entry> all_;
+};
+
 /// What sentences that differ in numbers alone have in common.
 std::string without_numbers(std::string text) {
   auto const in_number = [](char c) { return std::strchr("0123456789.e+-", c) != nullptr; };
@@ -73,26 +106,24 @@ std::string without_numbers(std::string text) {
 }  // namespace
 
 std::vector<std::string> reasons_of(run_report const& report) {
-  struct reason {
-    std::string name;
-    int frames = 0;
-    frame_record const* first = nullptr;
-  };
-  std::vector<reason> all;  // in the order of their first frames
+  named_frames all;
   for (frame_record const& r : report.records) {
-    if (r.reason.empty()) { continue; }
-    auto at = std::find_if(all.begin(), all.end(),
-                           [&](reason const& known) { return known.name == r.reason; });
-    if (at == all.end()) { at = all.insert(all.end(), {r.reason, 0, &r}); }
-    ++at->frames;
+    if (!r.reason.empty()) { all.add(r.reason, r.why, r.index); }
   }
-  std::vector<std::string> out;
-  for (reason const& r : all) {
-    out.push_back(r.name + " in " + std::to_string(r.frames) + " of " +
-                  std::to_string(report.records.size()) + " frames, first in frame " +
-                  std::to_string(r.first->index) + ": " + r.first->why);
+  return all.sentences(report.records.size());
+}
+
+std::vector<std::string> frame_warnings_of(run_report const& report) {
+  named_frames all;
+  auto const is_reason = [&](std::string const& name) {
+    return std::any_of(report.records.begin(), report.records.end(),
+                       [&](frame_record const& r) { return r.reason == name; });
+  };
+  for (frame_record const& r : report.records) {
+    for (auto const& [name, said] : r.warnings) { all.add(name, said, r.index); }
   }
-  return out;
+  all.forget_if(is_reason);
+  return all.sentences(report.records.size());
 }
 
 std::vector<std::string> imu_warnings_of(run_report const& report) {
@@ -173,6 +204,7 @@ std::vector<std::string> warnings_of(run_report const& report) {
     bool const usual = report.tracked > 0 && reason.rfind("awaits_motion ", 0) == 0;
     if (!usual) { out.push_back(reason); }
   }
+  for (std::string& said : frame_warnings_of(report)) { out.push_back(std::move(said)); }
   fastest_step const fastest = fastest_of(report.estimate);
   if ((report.metric || report.scale) && fastest.speed > largest_speed) {
     out.push_back("the camera moves at " + fixed(fastest.speed, 1) + " m/s before pose " +

@@ -21,6 +21,10 @@ constexpr double largest_speed = 50;
 /// number and the first one's words.
 std::vector<std::string> reasons_of(run_report const& report);
 
+/// A sentence for each warning that frames have, with their number and the first one's words. Not
+/// for those that reasons_of() names.
+std::vector<std::string> frame_warnings_of(run_report const& report);
+
 /// What frames say of the IMU's samples, each sentence once, with the first frame that says it. Of
 /// those that differ in numbers alone, the first one, but the last count of samples left out.
 /// Without the IMU's rate where the report's warnings have it already.
@@ -28,8 +32,8 @@ std::vector<std::string> imu_warnings_of(run_report const& report);
 
 /// A sentence for each of: a run that was stopped, few stereo matches, images without a partner,
 /// more than one map begun, tracking lost for long, a calibration that looks wrong, the reasons for
-/// frames without a pose, what is wrong with samples of the IMU, an impossible speed. Reads the
-/// report's figures, and its warnings only to say nothing twice.
+/// frames without a pose, warnings of frames, what is wrong with samples of the IMU, an impossible
+/// speed. Reads the report's figures, and its warnings only to say nothing twice.
 std::vector<std::string> warnings_of(run_report const& report);
 
 }  // namespace seq

@@ -68,7 +68,7 @@ void add_tracking(CLI::App& app, arguments& a) {
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
   app.add_option("--near", a.near_depth,
-                 "depth of map points, in baselines; default: the settings file's, or 50");
+                 "depth of near map points, in baselines; default: the settings file's, or 50");
 }
 
 void add_output(CLI::App& app, arguments& a) {
@@ -87,6 +87,10 @@ void add_output(CLI::App& app, arguments& a) {
       ->capture_default_str();
   app.add_option("--imu", a.imu, "auto (the default: used if the sequence has one), or off")
       ->check(CLI::IsMember({"auto", "off"}));
+  app.add_option("--imu-time-offset", a.imu_time_offset_s,
+                 "seconds that the IMU's clock is ahead of that of the images, as Kalibr's "
+                 "timeshift_cam_imu; the default: what imu0/sensor.yaml has by that name, or 0. "
+                 "Another one is found where the camera turns enough");
   app.add_option(
       "--record", a.record,
       "folder for a recording that `python -m ft view FOLDER` shows in the viewer rerun, "
@@ -104,6 +108,8 @@ void check_ranges(CLI::App const& app, arguments const& a) {
     }
   };
   double const apart = a.max_time_difference_ms.value_or(0);
+  double const offset = a.imu_time_offset_s.value_or(0);
+  require("--imu-time-offset", offset >= -10 && offset <= 10, "must be -10 to 10 s");
   require("--near", a.near_depth > 0 && a.near_depth <= 1e6, "must be above 0 and at most 1e6");
   require("--max-time-difference", apart >= 0 && apart <= 1e4, "must be 0 to 10000 ms");
   require("--fps", a.fps >= 1e-3 && a.fps <= 1e5, "must be 0.001 to 100000 images a second");

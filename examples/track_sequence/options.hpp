@@ -25,6 +25,7 @@ struct arguments {
   std::string frame = "camera";
   std::string poses = "tum";
   std::string imu = "auto";
+  std::optional<double> imu_time_offset_s;  ///< else as the calibration has it
   std::string out = "track_sequence_out";
   std::string record;  ///< folder, or empty
   int features = 0;

@@ -46,7 +46,7 @@ ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
                                              baseline);
 }
 
-ft::imu_params imu_params_of(seq::sequence const& sequence) {
+ft::imu_params imu_params_of(arguments const& a, seq::sequence const& sequence) {
   auto const f = [](double v) { return static_cast<float>(v); };
   auto const& imu = *sequence.imu();
   auto const& noise = imu.calibration.noise;
@@ -55,6 +55,7 @@ ft::imu_params imu_params_of(seq::sequence const& sequence) {
   p.T_bc = rigid_of(imu.T_imu_left);
   p.noise = {f(noise.gyro), f(noise.accel), f(noise.gyro_walk), f(noise.accel_walk),
              f(imu.calibration.rate_hz)};
+  p.time_offset_s = a.imu_time_offset_s.value_or(imu.calibration.time_offset_s);
   return p;
 }
 
@@ -138,7 +139,7 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   bool const one_by_one = o.rig.kind == ft::rig_kind::monocular || a.timing || a.realtime ||
                           a.read_ahead == 0 || a.threads == 1;
   p.prefetch = one_by_one ? 0 : 4;
-  if (sequence.imu()) { p.imu = imu_params_of(sequence); }
+  if (sequence.imu()) { p.imu = imu_params_of(a, sequence); }
   return o;
 }
 

@@ -7,6 +7,7 @@
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/map_files.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 
 namespace app {
 namespace {
@@ -96,6 +97,11 @@ frame_outcome timed_odometry::timed(Track const& track) {
   out.tracked =
       out.found.state == ft::tracking_state::tracking && why.reason != ft::tracking_reason::new_map;
   out.imu_warnings = ft::imu_warnings(out.found.imu, params.imu);
+  for (ft::tracking_notice const& said : ft::warnings_of(out.found, params)) {
+    // These have sentences of their own.
+    if (said.warning == ft::tracking_warning::imu) { continue; }
+    out.warnings.emplace_back(ft::name_of(said.warning), said.text);
+  }
   return out;
 }
 

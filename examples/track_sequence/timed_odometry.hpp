@@ -6,6 +6,7 @@
 #include <deque>
 #include <ostream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "examples/track_sequence/stage_sums.hpp"
@@ -30,6 +31,7 @@ struct frame_outcome {
   double images_to_pose_ms = 0;  ///< from handing the images over to having the pose
   std::string reason;            ///< why it is not tracked, or to be doubted; empty = neither
   std::string why;               ///< the same as a sentence
+  std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
 };
 
 /// Frames of one camera, or of one pair.

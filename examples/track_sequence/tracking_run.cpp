@@ -198,7 +198,8 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   add_sample(i, std::move(frame.left));
 }
 
-/// Hands the IMU's samples on, up to the first one that is not before the frame.
+/// Hands the IMU's samples on, up to the first one that is not before the frame, by its clock. A
+/// recording has what comes soon after, too: its clock may be ahead by more.
 void tracking_run::add_imu(std::int64_t to_ns) {
   report_.with_imu = sequence_.imu().has_value();
   if (!report_.with_imu) { return; }
@@ -206,11 +207,14 @@ void tracking_run::add_imu(std::int64_t to_ns) {
   auto const narrowed = [](Eigen::Vector3d const& v) {
     return ft::vec3<double>{v.x(), v.y(), v.z()}.cast<float>();
   };
+  double const offset_s =
+      arguments_.imu_time_offset_s.value_or(sequence_.imu()->calibration.time_offset_s);
+  std::int64_t const until_ns = to_ns + std::llround(1e9 * (offset_s + 0.08));
   bool more = true;
   while (more && next_sample_ < samples.size()) {
     auto const& s = samples[next_sample_++];
     odometry_.odometry().add_imu({s.time_ns, narrowed(s.accel), narrowed(s.gyro)});
-    more = s.time_ns < to_ns;
+    more = s.time_ns < until_ns;
   }
 }
 
@@ -232,6 +236,8 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.reason = outcome.reason;
   record.why = outcome.why;
   record.imu_warnings = outcome.imu_warnings;
+  record.warnings = outcome.warnings;
+  record.map_id = found.map_id;
   if (outcome.tracked) {
     for (int row = 0; row < 6; ++row) {  // the upper triangle
       double const* const begin = found.covariance + 6 * row;

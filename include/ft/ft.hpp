@@ -29,6 +29,7 @@
 #include "ft/pipelines/place_recognition.hpp"
 #include "ft/pipelines/relocalizer.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/types/errors.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"

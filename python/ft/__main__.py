@@ -75,6 +75,9 @@ def parser():
                          help="depth of map points, in baselines; default: the settings file's, or 50")
     command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
                          help="auto (the default): used if the sequence has one")
+    command.add_argument("--imu-time-offset", type=number(-10, 10),
+                         help="seconds that the IMU's clock is ahead of that of the images; default: what imu0/sensor.yaml has "
+                              "as timeshift_cam_imu, or 0")
     command.add_argument("--out", default="track_sequence_out",
                          help="folder for trajectory.txt, groundtruth.txt, map.ply, times.csv, summary.json, report.html")
     command.add_argument("--frame", default="camera", choices=["camera", "body"], help="whose poses are written and compared")

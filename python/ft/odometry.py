@@ -17,10 +17,11 @@ class Odometry:
 
     rig: RectifiedPair, DistortedPair, FisheyePair, RgbdCamera, MonocularCamera or MultiRig. width, height: of all
     images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None.
-    near_depth: map points are made up to this many baselines away. map_slots, keyframes, local_points, window_points:
-    limits of the map, of the local map and of adjustments. window: keyframes of an adjustment, moving and fixed.
-    measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor. device: auto (a GPU if there
-    is one), host or cuda. Raises ValueError for values out of range; warns of what check_calibration() finds.
+    near_depth: points up to this many baselines away are near; keyframes are made where they are few. map_slots,
+    keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
+    an adjustment, moving and fixed. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
+    device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
+    check_calibration() finds.
 
     Not to be used by two threads at a time; other threads run while a frame is tracked.
     """

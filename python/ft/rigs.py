@@ -172,7 +172,8 @@ def check_calibration(rig, width, height):
 @dataclass
 class Imu:
     """An IMU. `T_imu_camera` (4, 4) maps points of the left camera to the IMU. Densities: rad/s/sqrt(Hz),
-    m/s^2/sqrt(Hz), and of the biases' walks rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)."""
+    m/s^2/sqrt(Hz), and of the biases' walks rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz). time_offset_s: its clock less that of the
+    images, -10 to 10 s, as Kalibr's timeshift_cam_imu; Odometry corrects it where the camera turns enough."""
 
     T_imu_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
     gyro_noise: float = 1.7e-4

@@ -27,6 +27,8 @@ def open_sequence(a):
         sequence = ft.read_sequence(a.folder, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
                                     imu=a.imu == "auto", rig=RIGS[a.rig], depth_unit=a.depth_unit, min_depth=a.min_depth,
                                     max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times)
+    if a.imu_time_offset is not None and sequence.imu is not None:
+        sequence.imu.time_offset_s = a.imu_time_offset
     for text in sequence.warnings:
         print(f"ft: warning: {text}", file=sys.stderr)
     if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):
@@ -102,6 +104,7 @@ class Run:
         if len(sequence) <= SAMPLES:
             self._samples_due = set(range(len(sequence)))
         self._imu = iter(sequence.imu_samples)
+        self._imu_time_offset_s = sequence.imu.time_offset_s if sequence.imu is not None else 0.0
         self._before = (-1, {})
         self._cloud, self._cloud_step = np.zeros((0, 3), np.float32), 1
         self._stage_names = []
@@ -127,9 +130,11 @@ class Run:
         self.wall_s = time.monotonic() - begin
 
     def _track(self, i, frame):
+        # A recording has what comes soon after a frame, too: the IMU's clock may be ahead.
+        until_ns = frame.time_ns + round(1e9 * (0.08 + self._imu_time_offset_s))
         for sample in self._imu:
             self._odometry.add_imu(*sample)
-            if sample[0] >= frame.time_ns:
+            if sample[0] >= until_ns:
                 break
         begin = time.perf_counter()
         pose = self._odometry.track(*frame.images, frame.time_ns)

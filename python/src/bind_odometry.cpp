@@ -12,6 +12,7 @@
 #include "ft/any_odometry.hpp"
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "python/src/arrays.hpp"
 
 namespace ftpy {
@@ -92,6 +93,7 @@ struct tracking {
   ft::tracking of;
   ft::tracking_explanation why;
   std::vector<std::string> imu_warnings;
+  std::vector<ft::tracking_notice> warnings;
 };
 
 class bound_odometry {
@@ -150,7 +152,8 @@ public:
       std::vector<tracking> all;
       for (int b = 0; b < batch_; ++b) {
         all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
-                       ft::imu_warnings(t[b].imu, inner_->params().imu)});
+                       ft::imu_warnings(t[b].imu, inner_->params().imu),
+                       ft::warnings_of(t[b], inner_->params())});
       }
       return all;
     });
@@ -301,6 +304,7 @@ private:
     float const gyro_walk = get("gyro_walk");
     float const accel_walk = get("accel_walk");
     p.noise = {gyro, accel, gyro_walk, accel_walk, get("rate_hz")};
+    p.time_offset_s = number(given.attr("time_offset_s"), "time_offset_s");
     return p;
   }
   /// What a sensor measured. Numbers that a float cannot hold are infinite: the odometry counts
@@ -424,6 +428,20 @@ void bind_tracking(nb::module_& m) {
           },
           "the same as a sentence that has the numbers")
       .def_prop_ro(
+          "map_id", [](tracking const& t) { return t.of.map_id; },
+          "number of the map that the pose is in, from 1 on; 0 without a map")
+      .def_prop_ro(
+          "warnings",
+          [](tracking const& t) {
+            nb::dict all;
+            for (auto const& said : t.warnings) {
+              all[ft::name_of(said.warning)] = nb::str(said.text.c_str());
+            }
+            return all;
+          },
+          "dict: what is to be told of the frame although it may be tracked, a sentence by name "
+          "such as 'two_motions' or 'doubtful_pose', see ft::tracking_warning; empty without")
+      .def_prop_ro(
           "metric", [](tracking const& t) { return t.of.metric; },
           "whether lengths are metres; False with one camera alone, whose unit is the median "
           "depth of the first points")
@@ -471,6 +489,19 @@ void bind_tracking(nb::module_& m) {
       .def_prop_ro(
           "imu_newest_s", [](tracking const& t) { return t.of.imu.newest_s; },
           "time of the newest sample since the frame's, seconds; 0 = there is none")
+      .def_prop_ro(
+          "imu_time_offset_s", [](tracking const& t) { return t.of.imu.time_offset_s; },
+          "by which the IMU's clock is taken to be ahead of that of the images, seconds: "
+          "Imu.time_offset_s, or what was found")
+      .def_prop_ro(
+          "imu_clock",
+          [](tracking const& t) -> nb::object {
+            ft::imu_clock_offset const& clock = t.of.imu.clock;
+            if (!clock.known) { return nb::none(); }
+            return nb::make_tuple(clock.offset_s, clock.sigma_s);
+          },
+          "(offset, standard deviation) of the IMU's clock as found by how camera and IMU turn, "
+          "seconds; None while that tells it not within a millisecond")
       .def_prop_ro(
           "imu_left_out",
           [](tracking const& t) {

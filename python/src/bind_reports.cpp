@@ -79,7 +79,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.title = "Tracking of " + sequence.name();
   r.sequence = sequence.name();
   r.backend = text("backend");
-  r.device = r.backend == "host" ? app::processor_name() : cuda_devices().at(0);
+  r.device = r.backend == "host" ? app::processor_name() : ft::gpu_names().at(0);
   r.options = nb::cast<std::map<std::string, std::string>>(run["options"]);
   r.image_width = count("width");
   r.image_height = count("height");

@@ -486,18 +486,21 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   r.records[1].stage_ms = {1.5, nan_value};  // one unusable, one missing
   r.records[0].images_to_pose_ms = 5;
   r.records[1].reason = "dark";
+  r.records[1].map_id = 2;
+  r.records[1].warnings = {{"dark", "nearly black"}, {"two_motions", "things move"}};
   seq::write_times_csv(file("times.csv"), r);
   auto const lines = split(read_text(file("times.csv")), '\n');
   ASSERT_EQ(lines.size(), 4U);
   EXPECT_EQ(lines[0],
             "index,time_s,tracked,keyframe,keypoints,stereo_matches,inliers,local_points,fast_ms,"
             "match_ms,"
-            "total_ms,images_to_pose_ms,reason");
+            "total_ms,images_to_pose_ms,reason,map_id,warnings");
   EXPECT_EQ(lines[1],
-            "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,");
-  EXPECT_EQ(lines[2], "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark");
+            "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,,0,");
+  EXPECT_EQ(lines[2],
+            "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions");
   for (auto const& line : lines) {
-    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 12) << line;
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14) << line;
   }
 }
 

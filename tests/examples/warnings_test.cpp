@@ -47,6 +47,15 @@ TEST(WarningsOf, AGoodRunAndNoRunAtAll) {
   EXPECT_TRUE(seq::warnings_of({}).empty());
 }
 
+TEST(WarningsOf, WarningsOfFramesOnceEachWithTheirNumber) {
+  seq::run_report r = good_run(10);
+  for (std::size_t i = 3; i < 7; ++i) { r.records[i].warnings = {{"two_motions", "things move"}}; }
+  EXPECT_EQ(only_warning(r), "two_motions in 4 of 10 frames, first in frame 3: things move");
+  r.records[3].reason = "two_motions";  // told as a reason
+  r.records[3].why = "why";
+  EXPECT_EQ(only_warning(r), "two_motions in 1 of 10 frames, first in frame 3: why");
+}
+
 TEST(WarningsOf, FewStereoMatches) {
   seq::run_report r = good_run(10);
   for (auto& f : r.records) { f.stereo_matches = 99; }

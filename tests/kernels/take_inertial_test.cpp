@@ -6,7 +6,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <limits>
 
 #include "tests/support/backends.hpp"
 #include "tests/support/plain_map.hpp"
@@ -21,6 +23,7 @@ struct arrays {
   int* holder = nullptr;
   ft::pose* T_cw = nullptr;
   ft::observations_view observations;
+  float* information = nullptr;
   ft::odometry_state_view state;
   ft::inertial_view imu;
 };
@@ -37,6 +40,7 @@ template <typename Exec>
 struct room {
   Exec const& exec;
   test::mirrored<Exec, arrays> data;
+  bool tells_errors = false;  ///< of the images' poses
 
   explicit room(Exec const& on)
       : exec(on), data([](ft::carver& c, arrays& v) {
@@ -44,6 +48,7 @@ struct room {
           v.holder = c.take<int>(keypoints);
           v.T_cw = c.take<ft::pose>(1);
           carve(c, v.observations, keypoints, 1);
+          v.information = c.take<float>(ft::information_terms);
           carve(c, v.state, 1);
           carve(c, v.imu, {4, 1, keypoints}, 1);
         }) {
@@ -53,6 +58,11 @@ struct room {
     v.state.tracks[0].plan = ft::search_plan::follow;
     v.imu.tracks[0] = ft::inertial_track::initial();
     v.imu.tracks[0].keyframe_moves = 1;
+    data.host.imu.mount =
+        data.device.imu.mount = {ft::rigid<float>::identity(), ft::rigid<float>::identity()};
+    v.imu.from_last(0) = {};
+    v.imu.from_last(0).status = ft::integration_status::no_samples;
+    v.imu.from_last(0).dR = ft::mat3<float>::identity();
     v.imu.poses.result[0] = {};
     v.imu.poses.result[0].status = ft::inertial_pose_status::optimised;
     v.imu.poses.result[0].stored.q_cw = {0, 0, 0, 1};
@@ -79,7 +89,9 @@ struct room {
     f.keypoints = there.keypoints;
     f.keypoint_step = 1;
     f.holder = there.holder;
-    ft::take_inertial_poses(exec, there.observations, there.state, f, there.T_cw, there.imu);
+    float const* const information = tells_errors ? there.information : nullptr;
+    ft::take_inertial_poses(exec, {there.observations, there.state, f, information, there.T_cw},
+                            there.imu);
     data.pull(exec);
     auto const held = std::count_if(v.holder, v.holder + keypoints, [](int h) { return h >= 0; });
     return {*v.observations.inliers, static_cast<int>(held), v.T_cw->t.x, v.imu.tracks[0]};
@@ -145,6 +157,49 @@ TYPED_TEST(TakeInertialPoses, ManyMatchesOutvoteTheImuAtOnce) {
   EXPECT_FALSE(ft::usable(link()));
   EXPECT_EQ(r.frame(0, many - 1, many - 1).inliers, 0) << "fewer may be wrong ones that agree";
   EXPECT_EQ(link(), ft::integration_status::integrated);
+}
+
+TYPED_TEST(TakeInertialPoses, APoseFartherThanTheErrorsOfManyMatchesExplainIsNotTaken) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  r.tells_errors = true;
+  int const many = ft::detail::outvoting_matches;
+  // Both poses are a metre apart along x: so many standard deviations.
+  auto const at = [&](float deviations) {
+    std::fill_n(r.data.host.information, ft::information_terms, 0.0f);
+    r.data.host.information[15] = deviations * deviations;  // of x
+    return r.frame(many, many, many);
+  };
+  EXPECT_EQ(at(5).x, 2);
+  auto const far = at(6);
+  EXPECT_EQ(far.x, 1);
+  EXPECT_EQ(far.inliers, many) << "the frame is tracked";
+  EXPECT_EQ(far.track.status, ft::integration_status::contradicted);
+  EXPECT_EQ(at(std::numeric_limits<float>::quiet_NaN()).x, 1);
+  std::fill_n(r.data.host.information, ft::information_terms, 1e6f);
+  EXPECT_EQ(r.frame(many - 1, many - 1, many - 1).x, 2) << "few matches may be wrong ones";
+}
+
+TYPED_TEST(TakeInertialPoses, AGyroscopeThatTurnsOtherwiseThanTheImagesIsNotUsed) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  int const many = ft::detail::outvoting_matches;
+  EXPECT_EQ(r.frame(many, many, many).track.gyro_agrees, 0) << "of one frame nothing is known";
+  auto const turned = [&](float angle) {  // the images say: not at all
+    auto& turn = r.data.host.imu.from_last(0);
+    turn.status = ft::integration_status::integrated;
+    float const c = std::cos(angle), s = std::sin(angle);
+    turn.dR = {{c, -s, 0, s, c, 0, 0, 0, 1}};
+    return r.frame(many, many, many);
+  };
+  EXPECT_EQ(turned(0.019f).x, 2);
+  EXPECT_EQ(r.data.host.imu.tracks[0].gyro_agrees, 1);
+  auto const off = turned(0.021f);
+  EXPECT_EQ(off.x, 1);
+  EXPECT_EQ(off.inliers, many) << "the frame is tracked";
+  EXPECT_EQ(off.track.gyro_agrees, 0);
+  EXPECT_EQ(r.data.host.imu.from_keyframe(0).status, ft::integration_status::contradicted);
+  EXPECT_EQ(turned(0).track.gyro_agrees, 1);
 }
 
 TYPED_TEST(TakeInertialPoses, AgreementForgetsContradictions) {

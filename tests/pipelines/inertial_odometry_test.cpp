@@ -122,6 +122,27 @@ std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = 
   return run_frames(exec, frames);
 }
 
+/// @param ahead_ns of the IMU's clock, in its samples' times and as it is said to be
+template <typename Exec>
+std::vector<ft::tracking> run_ahead(Exec const& exec, std::int64_t ahead_ns, double offset_s) {
+  auto p = params();
+  p.imu.time_offset_s = offset_s;
+  ft::odometry<Exec> odo(exec, test::room::rig(), p);
+  std::vector<ft::tracking> all;
+  int samples = 0;
+  for (int i = 0; i < frame_count; ++i) {
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    for (; samples <= 4 * i; ++samples) {
+      auto s = sample_at(0.25 * samples);
+      s.time_ns += ahead_ns;
+      odo.add_imu(s);
+    }
+    all.push_back(
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+  }
+  return all;
+}
+
 double length(vector const& v) { return std::sqrt(ft::dot(v, v)); }
 double error_of(ft::tracking const& t, int frame) {
   auto const& f = walk()[static_cast<std::size_t>(frame)];
@@ -131,6 +152,24 @@ double error_of(ft::tracking const& t, int frame) {
 template <typename Backend>
 class inertial_odometry : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(inertial_odometry, test::backends);
+
+// The walk turns at a constant rate, which tells nothing of the clocks.
+TYPED_TEST(inertial_odometry, an_offset_that_is_given_gives_the_answers_of_equal_clocks) {
+  TypeParam backend;
+  auto const equal = run_ahead(backend.exec, 0, 0);
+  for (std::int64_t const ms : {-100, -5, 2, 10, 30, 100}) {
+    auto const ahead = run_ahead(backend.exec, ms * 1'000'000, static_cast<double>(ms) * 1e-3);
+    for (std::size_t i = 0; i < equal.size(); ++i) {
+      auto const &a = equal[i], &b = ahead[i];
+      EXPECT_EQ(std::memcmp(&a.T_world_camera, &b.T_world_camera, sizeof a.T_world_camera), 0) << i;
+      EXPECT_EQ(a.imu.samples, b.imu.samples);
+      EXPECT_EQ(a.imu.known, b.imu.known);
+      EXPECT_EQ(a.imu.newest_s, b.imu.newest_s);
+      EXPECT_NEAR(b.imu.time_offset_s, static_cast<double>(ms) * 1e-3, 1e-12);
+      EXPECT_FALSE(b.imu.clock.known);
+    }
+  }
+}
 
 TYPED_TEST(inertial_odometry, finds_gravity_velocity_and_biases) {
   TypeParam backend;

@@ -191,6 +191,18 @@ TEST(ImuWarnings, NameWhatWasFoundAndWhatWasExpected) {
   EXPECT_TRUE(says(ft::imu_warnings(t, p), "12.5 s after its image"));
   t.newest_s = -3;
   EXPECT_TRUE(says(ft::imu_warnings(t, p), "3 s before its image"));
+  t = {};
+  t.samples = ft::integration_status::integrated;
+  t.clock = {true, 0.0201, 2e-4};
+  EXPECT_TRUE(
+      says(ft::imu_warnings(t, p), "20 ms ahead of that of the images, time_offset_s says 0"));
+  t.clock.offset_s = -0.03;
+  EXPECT_TRUE(says(ft::imu_warnings(t, p), "30 ms behind that of the images"));
+  p.time_offset_s = -0.0285;
+  EXPECT_TRUE(ft::imu_warnings(t, p).empty());  // as near as it is known
+  p.time_offset_s = 0;
+  t.clock.known = false;
+  EXPECT_TRUE(ft::imu_warnings(t, p).empty());
 }
 
 }  // namespace sample_queue_test

@@ -119,6 +119,9 @@ private:
       take(*right, right_grey_);
       estimate const e =
           tracker_->track(left_grey_.data(), right_grey_.data(), nanoseconds(left->header.stamp));
+      if (!e.warning.empty()) {
+        RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.warning.c_str());
+      }
       if (!e.imu_warning.empty()) {
         RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.imu_warning.c_str());
       }

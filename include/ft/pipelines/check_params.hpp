@@ -56,6 +56,7 @@ inline void check(tracking_rules const& r) {
   detail::require_range("rules.unrectified_keep_share", r.unrectified_keep_share, 0.0f, 1.0f);
   detail::require_range("rules.keyframe_period_s", r.keyframe_period_s, 0.0, 1e6);
   detail::require_range("rules.near_depth", r.near_depth, 1e-3f, 1e6f);
+  detail::require_range("rules.far_depth", r.far_depth, 0.0f, 1e6f);
   detail::require_range("rules.motion.even", r.motion.even, 0.0, 1.0);
   detail::require_range("rules.motion.longest", r.motion.longest, 1.0, 1e6);
   detail::require_range("rules.motion.memory", r.motion.memory, 1e-3, 1e6);
@@ -66,6 +67,9 @@ inline void check(imu_params const& imu) {
   detail::require_range("imu.waiting", imu.waiting, 2, 1 << 24);
   detail::require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
   detail::require_range("imu.max_gyro", imu.max_gyro, 1e-3f, 1e9f);
+  detail::require_range("imu.accel_sigma", imu.accel_sigma, 0.0f, 100.0f);
+  detail::require_range("imu.time_offset_s", imu.time_offset_s, -imu_params::max_time_offset_s,
+                        imu_params::max_time_offset_s);
   detail::require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
   detail::require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
   detail::require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);

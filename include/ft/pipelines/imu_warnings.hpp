@@ -41,9 +41,23 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
                                     text(static_cast<double>(params.max_gyro)) + " rad/s");
   tell(t.left_out.crowded_out,
        " of more than " + std::to_string(params.waiting) + " that waited for their frame");
+  imu_clock_offset const& clock = t.clock;
+  double const off = clock.offset_s - params.time_offset_s;
+  if (clock.known && std::abs(off) > std::fmax(4 * clock.sigma_s, 2e-3)) {
+    // In whole milliseconds, so that the sentence does not change with every frame.
+    double const ms = std::round(1e3 * clock.offset_s);
+    out.push_back("the IMU's clock is " + text(std::abs(ms)) + " ms " +
+                  (ms < 0 ? "behind" : "ahead of") + " that of the images, time_offset_s says " +
+                  text(1e3 * params.time_offset_s) + " ms");
+  }
   if (t.samples == integration_status::contradicted) {
     out.push_back(
         "the images contradict the IMU: its samples since the last keyframe are not used");
+  } else if (t.newest_s < 0 && (t.samples == integration_status::one_sample ||
+                                t.samples == integration_status::no_steps)) {
+    out.push_back("samples of the IMU come too late: the newest one is " + text(-t.newest_s) +
+                  " s before its image, time_offset_s says " + text(1e3 * params.time_offset_s) +
+                  " ms");
   } else if (!usable(t.samples) && std::abs(t.newest_s) > params.selection.longest_gap_s) {
     out.push_back("the newest sample of the IMU is " + text(std::abs(t.newest_s)) + " s " +
                   (t.newest_s > 0 ? "after" : "before") +

@@ -192,6 +192,7 @@ public:
     p.begun[i] = 0;
     p.results[i] = {};
     p.stages.expect_start(p.exec, b, true);
+    p.stages.forget_images(p.exec, b);
     if (p.stages.has_imu()) { p.stages.inertial.queue(b).clear(); }
   }
   /// Copies the mask of a camera, which holds until the next one. Keypoints come from where it is

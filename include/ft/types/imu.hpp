@@ -74,16 +74,17 @@ struct selection_params {
 /// Parameters of initialize_inertial(). Positions are in the unit of the poses: metres, if their
 /// scale is known.
 struct initialization_params {
-  float gravity = 9.81f;            ///< m/s^2
-  bool known_scale = true;          ///< false: the poses of one camera
-  int least_keyframes = 4;          ///< 3 or more
-  float position_sigma = 0.005f;    ///< of a pose; it weighs poses against the bias' prior
-  float rotation_sigma = 0.001f;    ///< of a pose, rad
-  float accel_bias_sigma = 0.3f;    ///< the prior: biases of that size are usual, m/s^2
-  float rest_distance = 0.01f;      ///< from the first pose, while the body rests
-  float rest_angle = 0.005f;        ///< likewise, rad
-  float max_gyro_sigma = 0.005f;    ///< limits of little_motion: gyro bias, rad/s;
-  float max_tilt_sigma = 0.05f;     ///< direction of gravity, rad;
+  float gravity = 9.81f;          ///< m/s^2
+  bool known_scale = true;        ///< false: the poses of one camera
+  int least_keyframes = 4;        ///< 3 or more
+  float position_sigma = 0.005f;  ///< of a pose; it weighs poses against the bias' prior
+  float rotation_sigma = 0.001f;  ///< of a pose, rad
+  float accel_bias_sigma = 0.5f;  ///< the prior: biases of that size are usual, m/s^2
+  float rest_distance = 0.01f;    ///< from the first pose, while the body rests
+  float rest_angle = 0.005f;      ///< likewise, rad
+  float max_gyro_sigma = 0.005f;  ///< limits of little_motion: gyro bias, rad/s;
+  /// direction of gravity, rad; at rest the prior alone makes it 0.072;
+  float max_tilt_sigma = 0.08f;
   float max_velocity_sigma = 0.1f;  ///< last velocity, m/s;
   float max_scale_sigma = 0.03f;    ///< share of the scale
   float max_position_rms = 0.05f;   ///< limits of inconsistent: m,
@@ -103,14 +104,24 @@ struct imu_params {
   /// finite.
   float max_accel = 156.9064f;  ///< m/s^2; 16 g
   float max_gyro = 34.90659f;   ///< rad/s; 2000 degrees/s
-  selection_params selection;   ///< a rate_hz of 0 becomes the noise's
+  /// Time of the IMU's clock less that of the images' at the same moment, s: Kalibr's timeshift
+  /// cam to imu, t_imu = t_camera + offset. At most max_time_offset_s either way.
+  double time_offset_s = 0;
+  /// The offset is estimated, where the camera turns at a changing rate. One that differs clearly
+  /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew.
+  bool estimate_time_offset = true;
+  static constexpr double max_time_offset_s = 10;
+  selection_params selection;  ///< a rate_hz of 0 becomes the noise's
   /// `known_scale` is the rig's: an odometry of one camera sets it.
   initialization_params initialization = {9.81f, true, 8};
   /// Of one camera until its map is metric, as `initialization` has others: of a keyframe, in the
   /// map's unit, which is the median depth of its first points;
   float scale_position_sigma = 5e-4f;
-  float scale_sigma = 0.005f;       ///< largest standard deviation of the scale, a share;
-  int scale_keyframes = 40;         ///< and keyframes that it is estimated from, at most
+  float scale_sigma = 0.005f;  ///< largest standard deviation of the scale, a share;
+  int scale_keyframes = 40;    ///< and keyframes that it is estimated from, at most
+  /// What gravity and the accelerometer's bias are off by together, between two images, m/s^2. A
+  /// bias looks like a tilt until the body has turned, and the scale of the axes is not exact.
+  float accel_sigma = 0.3f;
   double keyframe_period_s = 0.25;  ///< a keyframe is made at least this often while tracking
 };
 
@@ -120,6 +131,14 @@ struct imu_left_out {
                                ///< or swapped ones
   long long out_of_range = 0;  ///< not finite, or at imu_params::max_accel or max_gyro
   long long crowded_out = 0;   ///< by newer ones, as imu_params::waiting were waiting
+};
+
+/// How far the IMU's clock is ahead of that of the images, by how both turn.
+struct imu_clock_offset {
+  bool known = false;  ///< within a millisecond. Until the rate of turning has changed enough it is
+                       ///< not observable
+  double offset_s = 0;  ///< as imu_params::time_offset_s
+  double sigma_s = 0;   ///< its standard deviation; 0 = there is no estimate
 };
 
 /// What the IMU says about a frame. imu_warnings() says in words what is wrong with its samples.
@@ -132,9 +151,11 @@ struct imu_tracking {
   vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
   imu_bias bias{};
   integration_status samples = integration_status::no_samples;  ///< those since the last frame
-  double rate_hz = 0;     ///< at which the last samples came, by their times; 0 = unknown
-  double newest_s = 0;    ///< time of the newest sample since the frame's; 0 = there is none
-  imu_left_out left_out;  ///< all of them so far
+  double rate_hz = 0;        ///< at which the last samples came, by their times; 0 = unknown
+  double newest_s = 0;       ///< time of the newest sample since the frame's; 0 = there is none
+  imu_left_out left_out;     ///< all of them so far
+  double time_offset_s = 0;  ///< in use: imu_params::time_offset_s, or one that was found
+  imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
 };
 
 }  // namespace v0

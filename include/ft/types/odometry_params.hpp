@@ -44,8 +44,10 @@ struct tracking_rules {
   /// A keyframe is made if the last one is older; 0: no such rule. With an IMU it is 0 or
   /// imu_params::keyframe_period_s, which holds.
   double keyframe_period_s = 0;
-  float near_depth = 50;  ///< near is what is at most this many baselines away, of its own
-                          ///< pair in a rig of several; near keypoints become map points
+  float near_depth = 50;  ///< near is what is at most this many baselines away, of its own pair in
+                          ///< a rig of several
+  float far_depth = 400;  ///< keypoints up to this many baselines away become map points, or up to
+                          ///< near_depth if that is more: far ones hold the rotation
   /// Whether a camera that is lost, whose motion is not known yet or that is in doubt is also
   /// searched for by matches anywhere in the image; see match_without_window(). Not where an IMU
   /// tells the motion.

@@ -43,6 +43,9 @@ struct pose_params {
   float small_step = 1e-4f;
   double chi2_mono = 5.991;    ///< 95 % of 2 degrees of freedom
   double chi2_stereo = 7.815;  ///< 95 % of 3
+  /// Weight of a disparity, in those of a pixel, which then takes the place of the right column's
+  /// error. 0: the right column is an observation as exact as the left one, as in the reference.
+  double disparity_weight = 0;
 };
 
 struct frustum_params {

@@ -48,6 +48,57 @@ struct image_light {
   double deviation = 0;  ///< standard deviation of grey values
 };
 
+/// What is to be told of a frame, whether it is tracked or not.
+enum class tracking_warning : int {
+  new_map,              ///< a later map begins, at a guessed place
+  doubtful_pose,        ///< few keypoints agree with the pose: it may be another one
+  two_motions,          ///< things move, or are fixed to a camera, in a large part of the images
+  images_repeat,        ///< images are those of the frame before while the camera moves
+  stereo_inconsistent,  ///< depths do not agree with the map, or hardly any keypoint has one
+  depth_scale,          ///< most depths are beyond distant_baselines
+  dark,                 ///< an image is nearly black
+  bright,               ///< an image is nearly white
+  low_texture,          ///< an image has hardly any contrast
+  blurred,              ///< too few corners in images that have contrast
+  imu,                  ///< see imu_warnings()
+};
+constexpr int tracking_warnings = 11;  ///< kinds
+
+/// A set of them.
+struct warning_set {
+  unsigned bits = 0;
+  bool has(tracking_warning w) const { return (bits >> static_cast<int>(w) & 1u) != 0; }
+  void add(tracking_warning w) { bits |= 1u << static_cast<int>(w); }
+  bool empty() const { return bits == 0; }
+};
+
+/// What the matches and images of a frame say about its pose. Of a frame whose local map was not
+/// searched all is 0.
+struct frame_facts {
+  int matches = 0;          ///< keypoints that were matched, before the pose was optimised
+  int rejected_x = 0;       ///< of those that do not agree with it, the sums of their errors
+  int rejected_y = 0;       ///< likewise, down; 1 / 8 pixels
+  int rejected_length = 0;  ///< and the sum of what these amount to without signs
+  int flowing = 0;          ///< inliers that the motion since the last frame moved 2 pixels
+  int with_disparity = 0;   ///< matches that agree in the left image and have a disparity
+  int off_disparity = 0;    ///< of these, those whose disparity does not agree
+  int fixed = 0;            ///< near keypoints of what is fixed to a camera
+  int held_before = 0;      ///< camera_track::held of the last frame
+  int evidence = 0;         ///< of the inliers, bits
+  int moving = 0;           ///< 1 = the last frame moved against the one before
+};
+
+/// What warnings are decided by, of one frame.
+struct tracking_evidence {
+  frame_facts facts;              ///< of matches and pose
+  int images = 0;                 ///< of the rig
+  int same = 0;                   ///< of these, those with the pixels of the frame before
+  int textured = 0;               ///< parts of the images with contrast
+  int moved = 0;                  ///< of these, those with another content than before
+  double stereo_share = 0;        ///< of keypoints with a depth
+  double usual_stereo_share = 0;  ///< the same in the frames before; 0 = not known yet
+};
+
 /// What is known about a camera after a frame. See explain() in pipelines/explain.hpp.
 struct tracking {
   /// Left camera, or a multi_rig's body, to world, metres. The world is the left camera, or the
@@ -81,7 +132,10 @@ struct tracking {
                            ///< frame as `inliers`, else too few
   int distant_points = 0;  ///< of stereo_points, those beyond distant_baselines of the rig
   depth_origin depths = depth_origin::stereo;
-  image_light light;  ///< of a frame that was not tracked: of the image with the least contrast
+  int map_id = 0;  ///< number of the map that the pose is in, from 1 on; 0 = there is none yet
+  warning_set warnings;  ///< see warnings_of() in pipelines/tracking_warnings.hpp
+  tracking_evidence evidence;
+  image_light light;                             ///< of the image with the least contrast
   start_outcome start = start_outcome::waiting;  ///< of one camera that has no map
   int start_matches = 0;                         ///< with the first frame of that start
 };

@@ -50,6 +50,8 @@ struct estimate {
   std::array<double, 36> covariance{};
   bool moving_known = false;  ///< the frame before was tracked, too, so there are velocities:
   std::array<double, 3> linear{}, angular{};  ///< mean since then, in the base's frame
+  int map_id = 0;           ///< of the map that the pose is in, from 1 on; 0 = none
+  std::string warning;      ///< why the pose may be wrong, names and sentences; empty if it is not
   std::string imu_warning;  ///< what is likely wrong with samples of the IMU; empty if nothing
 };
 

@@ -9,6 +9,7 @@
 
 #include "ft/any_odometry.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "ft_ros2/base_frame.hpp"
 #include "ft_ros2/estimate.hpp"
 
@@ -58,6 +59,12 @@ public:
     e.keyframe = t.keyframe;
     e.inliers = t.inliers;
     e.map_points = t.map_points;
+    e.map_id = t.map_id;
+    for (ft::tracking_notice const& said : ft::warnings_of(t, odometry_.params())) {
+      if (said.warning == ft::tracking_warning::imu) { continue; }
+      e.warning += (e.warning.empty() ? "" : "; ") + std::string(ft::name_of(said.warning)) + ": " +
+                   said.text;
+    }
     for (std::string const& said : ft::imu_warnings(t.imu, odometry_.params().imu)) {
       e.imu_warning += (e.imu_warning.empty() ? "" : "; ") + said;
     }

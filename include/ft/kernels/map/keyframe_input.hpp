@@ -55,7 +55,7 @@ struct keyframe_input {
 };
 
 struct keyframe_params {
-  float near_depth = 0;          ///< as in near_limit()
+  float near_depth = 0;          ///< as in near_limit(): keypoints up to there become points
   int wanted_near_points = 100;  ///< stereo points that a camera gives a keyframe at least, near or
                                  ///< not
   int cull_after = 10;           ///< frames in view after which a point has to have proved itself

@@ -70,13 +70,22 @@ struct begin_inertial_frame {
     for (int i = g.rank(); i < in.samples; i += g.size()) {
       v.samples[first + i] = samples[first + i];
     }
+    for (int i = g.rank(); in.anew != 0 && i < v.positions; i += g.size()) {
+      v.between[v.at(b, i)].status = integration_status::no_samples;
+    }
     if (g.rank() != 0) { return; }
     inertial_track& t = v.tracks[b];
+    if (in.anew != 0) {
+      t.begin_anew();
+      v.prior[b].known = 0;
+    }
     if (inputs[b].reset != 0) {
       t = inertial_track::initial();
       v.prior[b].known = 0;
     }
     v.intervals[b] = {in.from_s, in.to_s, first, in.samples};
+    double const newest_s = in.samples > 0 ? samples[first + in.samples - 1].time_s : in.to_s;
+    t.unseen_s = static_cast<float>(max_of(in.to_s - newest_s, 0.0));
     v.starts[2 * b] = {b, 1, t.last.bias};
     v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
     t.restarts = 0;
@@ -112,6 +121,62 @@ private:
     if (t.source == inertial_source::none) {
       to.integral[b].status = integration_status::no_samples;
     }
+    loosen(to.integral[b], v.accel_sigma, t.unseen_s);
+  }
+  /// More than 6 g all the time between two images is no motion of a camera, m/s^2.
+  static constexpr float most_accel = 60;
+
+  FT_HOST_DEVICE static bool is_no_motion(preintegrated const& p) {
+    using real = strict_float;
+    vec3<real> const dV = p.dV.template cast<real>();
+    real const most = real(most_accel) * real(p.dT);
+    return usable(p.status) && !(dot(dV, dV) <= most * most);
+  }
+  /// How fast motion may change where samples are still to come: usual for a hand, m/s^3, rad/s^2.
+  static constexpr float usual_jerk = 30, usual_turn = 10;
+
+  /// Adds what gravity and the accelerometer's bias may be off by together: an unknown
+  /// acceleration; and what the motion may have done since the last sample.
+  /// @param unseen time since then, s
+  FT_HOST_DEVICE static void loosen(preintegrated& p, float sigma, float unseen) {
+    using real = strict_float;
+    real const dv = real(sigma) * real(p.dT);
+    real const dp = real(0.5f) * dv * real(p.dT);
+    real const late = unseen;
+    real const half = real(0.5f) * late * late;
+    real const late_dr = real(usual_turn) * half;
+    real const late_dv = real(usual_jerk) * half;
+    real const late_dp = late_dv * late * real(1.0f / 3);
+    auto const add = [&](int row, int column, real value) {
+      float& c = p.C[9 * row + column];
+      c = (real(c) + value).value;
+    };
+    for (int i = 0; i < 3; ++i) {
+      add(i, i, late_dr * late_dr);
+      add(3 + i, 3 + i, dv * dv + late_dv * late_dv);
+      add(6 + i, 6 + i, dp * dp + late_dp * late_dp);
+      add(3 + i, 6 + i, dv * dp + late_dv * late_dp);
+      add(6 + i, 3 + i, dv * dp + late_dv * late_dp);
+    }
+  }
+  /// Until all is known, the gyroscope says how the camera has turned. Where it is, its motion
+  /// says.
+  FT_HOST_DEVICE static void predict_turn(int b, inertial_prediction const& in,
+                                          predicted_frames const& out, inertial_view const& v,
+                                          camera_track& track, rigid<double> const& last) {
+    inertial_track const& t = v.tracks[b];
+    if (t.gyro_agrees == 0 || in.inputs[b].predicted != 0 || !usable(v.from_last(b).status)) {
+      return;
+    }
+    using real = strict_double;
+    mat3<real> const R_cb = in.mount.T_cb.R.template cast<real>();
+    mat3<real> const dR =
+        change_bias(v.from_last(b), t.last.bias).dR.template cast<real>().transposed();
+    mat3<real> const R = R_cb * dR * R_cb.transposed() * last.R.template cast<real>();
+    vec3<real> const centre = track.predicted.template cast<real>().centre();
+    rigid<real> const T = rigid<real>{R, R * vec3<real>{-centre.x, -centre.y, -centre.z}};
+    track.predicted = T.orthonormalized().template cast<double>();
+    out.T_cw[b] = track.predicted.template cast<float>();
   }
   FT_HOST_DEVICE static void predict(int b, inertial_prediction const& in,
                                      odometry_state_view const& state, predicted_frames const& out,
@@ -122,7 +187,16 @@ private:
     camera_track& track = state.tracks[b];
     track.guided = 0;
     bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;
-    if (!t.known() || !track.has_map() || blind) { return; }
+    if (is_no_motion(v.from_last(b))) {
+      t.status = v.from_last(b).status = integration_status::contradicted;
+      v.from_keyframe(b).status = integration_status::contradicted;
+      t.keyframe_moves = t.follows = 0;
+    }
+    if (!track.has_map() || blind) { return; }
+    if (!t.known()) {
+      predict_turn(b, in, out, v, track, state.T_cw[b]);
+      return;
+    }
     if (state.apply[b] != 0) { follow_map(t, b, in.keyframes); }
     bool const follows = t.follows != 0 && state.apply[b] == 0;
     if (follows && usable(v.from_last(b).status)) {

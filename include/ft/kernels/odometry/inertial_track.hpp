@@ -47,6 +47,11 @@ struct inertial_track {
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
   int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
+  float unseen_s;             ///< from the newest of them to the current frame; 0 = none
+  rigid<double> seen;         ///< T_cw of the last frame by its images alone
+  int sees;                   ///< 1 = it comes from many matches
+  int gyro_agrees;            ///< 1 = the gyroscope turned as the images until the last frame
+  int stale;                  ///< 1 = the next estimate comes from before the IMU began anew
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
   FT_HOST_DEVICE static inertial_track initial() {
@@ -54,7 +59,21 @@ struct inertial_track {
     t.last.q_cw = t.keyframe.q_cw = t.predicted.q_cw = {0, 0, 0, 1};
     t.restarts = 1;
     t.status = integration_status::no_samples;
+    t.seen = rigid<double>::identity();
     return t;
+  }
+  /// Nothing is known any longer, but the unit of the map.
+  FT_HOST_DEVICE void begin_anew() {
+    inertial_track const old = *this;
+    *this = initial();
+    metric = old.metric;
+    map = old.map;
+    origin = old.origin;
+    seen = old.seen;
+    sees = old.sees;
+    gyro_agrees = old.gyro_agrees;
+    status = old.status;
+    stale = 1;
   }
 };
 
@@ -69,6 +88,7 @@ struct keyframe_motion {
 struct inertial_input {
   double from_s, to_s;  ///< stamps of the last image and of this one; equal = there was none
   int samples;          ///< among which the ones between them are
+  int anew;             ///< 1 = what was integrated so far is wrong: the IMU begins anew
 };
 
 /// What the poses of the current frames are optimised from, as in inertial_poses. Executor memory.
@@ -83,8 +103,10 @@ struct inertial_inputs {
 /// The IMUs of all cameras. Executor memory.
 struct inertial_view {
   int batch = 0;
-  int positions = 0;                  ///< of the keyframe ring
-  bool seeks_scale = false;           ///< maps begin without one: those of one camera
+  int positions = 0;         ///< of the keyframe ring
+  bool seeks_scale = false;  ///< maps begin without one: those of one camera
+  imu_mount mount{};
+  float accel_sigma = 0;              ///< of imu_params
   inertial_track* tracks = nullptr;   ///< [batch]
   imu_sample* samples = nullptr;      ///< [batch][steps.capacity] since the last frame
   imu_interval* intervals = nullptr;  ///< [batch] from the last frame to the current one

@@ -14,6 +14,7 @@
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"
+#include "ft/kernels/odometry/frame_facts.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/search/frustum.hpp"
@@ -37,12 +38,12 @@ struct searched_frames {
   pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
   unsigned char* matched;   ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                             ///< a map point from before the frame
-  local_search<Rig> local;  ///< in which a lost camera's points were searched; its pose, stamps
-                            ///< and `seen` are not used
+  local_search<Rig> local;  ///< in which points were searched; its pose is not used
   int local_capacity = 0;   ///< of its slots
   map_points_view map;
-  map_beginnings begins;    ///< of a monocular_rig
-  bool begins_maps = true;  ///< false: a lost camera begins no new map
+  map_beginnings begins;             ///< of a monocular_rig
+  bool begins_maps = true;           ///< false: a lost camera begins no new map
+  observations_view observations{};  ///< of the last pose; empty: nothing is said of them
 };
 
 namespace detail {
@@ -98,6 +99,13 @@ struct judge_camera_frame {
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
+    frame_facts facts{};
+    if (before.plan != search_plan::nothing && in.observations.items != nullptr) {
+      facts = weigh(g, b, in, state.T_cw[b]);
+    }
+    facts.fixed = before.facts.fixed;
+    facts.held_before = before.held;
+    facts.moving = before.moved;
     bool const found = before.plan == search_plan::follow   ? inliers >= rules.min_inliers
                        : before.plan == search_plan::rejoin ? inliers >= rules.min_recovered
                        : before.plan == search_plan::recover
@@ -108,12 +116,14 @@ struct judge_camera_frame {
     if (g.rank() != 0) { return; }
     camera_track t = before;
     t.begins = 0;
+    t.facts = facts;
     t.agreed = before.plan == search_plan::nothing ? 0 : inliers;
     bool const follows = before.plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
     state.counts[b] = !found ? sightings::none : follows ? sightings::all : sightings::found_only;
     state.order[b] = keyframe_order::none;
+    t.moved = found && 2 * facts.flowing > inliers ? 1 : 0;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
       t.held = counts.held;
@@ -142,6 +152,15 @@ struct judge_camera_frame {
   }
 
 private:
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static frame_facts weigh(Group g, int b, searched_frames<Rig> const& in,
+                                          rigid<double> const& last) {
+    frame_facts facts = weigh_observations(g, b, in.rig, in.observations, in.T_cw[b], last);
+    chance_counts const by =
+        count_chances(g, b, in.frame, in.local, in.local_capacity, in.map.capacity);
+    facts.evidence = static_cast<int>(by.bits(in.inliers[b]) / evidence_one);
+    return facts;
+  }
   /// Whether a lost camera's matches are more than a wrong pose would find.
   template <typename Group, typename Rig>
   FT_HOST_DEVICE static bool is_evident(Group g, int b, tracking_rules const& rules,

@@ -132,6 +132,10 @@ private:
     t.last.bias = t.keyframe.bias = old.last.bias;
     t.restarts = old.restarts;
     t.status = old.status;
+    t.seen = old.seen;
+    t.sees = old.sees;
+    t.gyro_agrees = old.gyro_agrees;
+    t.stale = old.stale;
     t.map = map;
     if (keyframes.count[b] == 0) { return; }
     int const first = keyframes.position(keyframes.oldest(b));
@@ -254,7 +258,9 @@ struct apply_inertial_estimate {
     inertial_initialization const& found = windows.results[b];
     inertial_track& t = v.tracks[b];
     v.scaling[b] = {1, t.origin};
-    if (flags[b] == 0 || windows.usable[b] == 0) { return; }
+    bool const stale = flags[b] != 0 && t.stale != 0;
+    if (stale) { t.stale = 0; }
+    if (stale || flags[b] == 0 || windows.usable[b] == 0) { return; }
     if (windows.seeks_scale[b] != 0) {
       v.scaling[b].factor = found.scale;
       t.metric = 1;

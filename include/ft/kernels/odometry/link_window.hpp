@@ -23,7 +23,9 @@ inline namespace FT_ABI {
 /// How exact the biases and velocities are from which the motion between two keyframes follows:
 /// standard deviations.
 struct inertial_link_sigmas {
-  float gyro_bias = 1e-3f;   ///< rad/s
+  /// rad/s. All links have one bias, and what it is off by adds up over them: more than the
+  /// deviation of its estimate.
+  float gyro_bias = 5e-3f;
   float accel_bias = 0.05f;  ///< m/s^2; of gravity, too
   float velocity = 0.05f;    ///< m/s
 };

@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/odometry/state.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
@@ -39,8 +40,9 @@ struct windowless_search {
   int const*
       last_holder;  ///< [batch][cameras * capacity] slots that the last frame held, -1 = none
   pyramid_geometry geometry;
-  int const* inliers;  ///< [batch] of the first pose
-  pose const* T_cw;    ///< [batch] the first pose: after the search from the last frame
+  int const* inliers;     ///< [batch] of the first pose
+  pose const* T_cw;       ///< [batch] the first pose: after the search from the last frame
+  frames_in_map fixed{};  ///< whose `changes` tell which keypoints are fixed to a camera
 };
 
 /// Working memory and outputs, in executor memory. Nothing has to be initialised.
@@ -127,7 +129,7 @@ struct match_anywhere {
         found =
             nearest(g, points.orb(slot), *keypoints.count, [&](int k) { return keypoints.orb(k); });
       }
-    } else if (i - first < *keypoints.count) {
+    } else if (i - first < *keypoints.count && !is_fixed(in, b, i)) {
       descriptor const mine = keypoints.orb(i - first);
       two_nearest best;
       for (int a = g.rank(); a < in.frame.capacity(); a += g.size()) {
@@ -144,6 +146,9 @@ struct match_anywhere {
   }
 
 private:
+  FT_HOST_DEVICE static bool is_fixed(windowless_search<Rig> const& in, int b, int i) {
+    return in.fixed.changes.of != nullptr && is_fixed_keypoint(in.fixed, b, i);
+  }
   /// The nearest of n descriptors if it is near, and nearer than the second by the ratio.
   template <typename Group, typename At>
   FT_HOST_DEVICE static int nearest(Group g, descriptor const& mine, int n, At const& at) {

@@ -22,6 +22,9 @@ struct search_start {
   int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
                        ///< point counts as matched
   pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
+  frames_in_map fixed{};   ///< whose `changes` tell which keypoints are fixed to a camera
+  float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
+  int depth_cameras = 1;
 };
 
 namespace detail {
@@ -44,7 +47,10 @@ struct plan_camera_search {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
+    int fixed = 0;
+    if (start.fixed.changes.of != nullptr) { fixed = forget_fixed(g, b, start); }
     if (g.rank() != 0) { return; }
+    state.tracks[b].facts.fixed = fixed;
     // A frame without points was no attempt.
     int const attempt = t.lost_with_features % recovery_attempts;
     bool const recovers = plan == search_plan::recover || plan == search_plan::rejoin;
@@ -70,6 +76,24 @@ struct plan_camera_search {
   }
 
 private:
+  /// Keypoints of what is fixed to a camera become no points of the map. @return the near ones
+  template <typename Group>
+  FT_HOST_DEVICE static int forget_fixed(Group g, int b, search_start const& start) {
+    frame_view const& frame = start.fixed.frame;
+    int const with_depth = start.depth_cameras * frame.capacity();
+    int fixed = 0;
+    for (int i = g.rank(); i < with_depth; i += g.size()) {
+      float& depth = start.depth[static_cast<std::ptrdiff_t>(b) * with_depth + i];
+      if (i - i / frame.capacity() * frame.capacity() >=
+              *frame.camera(b, i / frame.capacity()).count ||
+          !(depth > 0) || !is_fixed_keypoint(start.fixed, b, i)) {
+        continue;
+      }
+      depth = -1.0f;
+      ++fixed;
+    }
+    return g.reduce(fixed, sum_op{});
+  }
   FT_HOST_DEVICE static search_plan plan_of(camera_track const& t, tracking_rules const& rules,
                                             int inliers) {
     if (!t.has_map()) { return search_plan::nothing; }

@@ -69,6 +69,9 @@ struct settle_lost_camera {
       keep_pose(t, state.T_cw[b], in.found_T_cw[b]);
       in.T_cw[b] = state.T_cw[b].template cast<float>();
       in.inliers[b] = t.agreed = in.found_inliers[b];
+      t.facts = {};
+      t.facts.matches = in.found_inliers[b];
+      t.facts.evidence = static_cast<int>(in.found_evidence[b] / evidence_one);
       in.matches[b] = held;
     } else if (t.lost_with_features >= rules.patience) {
       // The adjustment of the old map that this frame gathered is not begun.

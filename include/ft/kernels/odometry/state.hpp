@@ -64,6 +64,8 @@ struct camera_track {
   int agreed;                ///< keypoints of the current frame that agree with the pose tried last
   int map_keyframes;         ///< made in this map
   int keyframes;             ///< made in all maps
+  frame_facts facts;         ///< of the current frame
+  int moved;                 ///< 1 = most inliers moved 2 pixels since the frame before
   int new_keyframe;          ///< 1 = since the last adjustment was begun
   int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
 

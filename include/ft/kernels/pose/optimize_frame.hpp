@@ -13,6 +13,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/types/poses.hpp"
@@ -25,7 +26,10 @@ inline namespace FT_ABI {
 struct frames_in_map {
   frame_view frame;
   map_points_view map;
-  pyramid_geometry geometry;  ///< position and weight of a keypoint depend on its octave
+  pyramid_geometry geometry;     ///< position and weight of a keypoint depend on its octave
+  image_changes_view changes{};  ///< of the images; keypoints of what is fixed to a camera release
+                                 ///< their points. Empty: there are none
+  float fixed_disparity = 0;     ///< pixels; of these keypoints, those with at least this one
 };
 
 /// Inputs and outputs of optimize_frame_poses(), in the executor's memory.
@@ -38,6 +42,27 @@ struct frame_poses {
 };
 
 namespace detail {
+
+/// Whether keypoint i is of what is fixed to its camera. What is far may stay where it is, too; of
+/// a keypoint without disparity that takes many frames to tell.
+FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int i) {
+  frame_view const& frame = in.frame;
+  int const c = i / frame.capacity();
+  int const k = i - c * frame.capacity();
+  keypoints_view const kp = frame.camera(b, c);
+  if (k >= *kp.count) { return false; }
+  std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.numbers() + i;
+  float const right = frame.right_x != nullptr ? frame.right_x[at] : -1.0f;
+  int const octave = kp.octave(k);
+  float const x = in.geometry.column(kp.x(k), octave);
+  bool const has_disparity = right >= 0;
+  if (has_disparity &&
+      strict_float(kp.x(k)) - strict_float(right) < strict_float(in.fixed_disparity)) {
+    return false;
+  }
+  return in.changes.is_fixed(frame.image(b, c), x, in.geometry.row(kp.y(k), octave),
+                             in.geometry.width[0], in.geometry.height[0], !has_disparity);
+}
 
 /// One item: a frame. Gathers the observations, optimises the pose and releases outliers.
 template <typename Rig>
@@ -59,6 +84,7 @@ struct optimize_frame {
     observations_view const& out = poses.observations;
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
+    if (in.changes.of != nullptr) { release_fixed(g, b, in); }
     int const n = list_observations(g, s, b, frame, out.number + at);
     float* const information =
         poses.information == nullptr
@@ -98,6 +124,16 @@ struct optimize_frame {
   }
 
 private:
+  /// Keypoints of what is fixed to a camera, and near, release their points.
+  template <typename Group>
+  FT_HOST_DEVICE static void release_fixed(Group g, int b, frames_in_map const& in) {
+    frame_view const& frame = in.frame;
+    for (int i = g.rank(); i < frame.numbers(); i += g.size()) {
+      int& holder = frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + i];
+      if (holder >= 0 && is_fixed_keypoint(in, b, i)) { holder = -1; }
+    }
+    g.sync();
+  }
   /// Camera of a keypoint.
   FT_HOST_DEVICE static int camera_of(frame_view const& frame, int number) {
     int c = 0;

@@ -168,6 +168,12 @@ private:
     s.moved = !same(d.T, s.start.template cast<Number>());
   }
 
+  /// Whether the third row is that of a disparity. Of rigs without a right column it is not used.
+  FT_HOST_DEVICE bool by_disparity() const {
+    if constexpr (Rig::rectified && !is_monocular_v<Rig>) { return limits.disparity_root > 0; }
+    return false;
+  }
+
   /// Adds the terms of observation i.
   /// @param first whether T is the start, where unusable observations are found
   /// @param weighs set if an error of this thread has less than its full weight
@@ -177,7 +183,9 @@ private:
     using plain = plain_scalar_t<Number>;
     observation const o = s.observations.template get<Rig>(i, problem);
     if (!(o.inv_sigma2 > 0)) { return; }
-    reprojection<Rig, Number, true> const r(rig, T, o);
+    reprojection<Rig, Number, true> r(rig, T, o);
+    Number const root = static_cast<plain>(limits.disparity_root);
+    if (by_disparity()) { r.take_disparity(root); }
     Number const chi2 = r.chi2(o);
     if (first && !(chi2 < Number(static_cast<plain>(largest_chi2)))) {
       s.observations.mark(i, problem,
@@ -194,7 +202,8 @@ private:
       weight = weight * (limit / product);
     }
     acc.of[pose_terms - 1] += cost.value;
-    mat3<Number> const P = r.derivative(rig, o);
+    mat3<Number> P = r.derivative(rig, o);
+    if (by_disparity()) { P = r.with_disparity(P, root); }
     vec3<Number> const W{weight, weight, r.rows == 3 ? weight : Number(0)};
     vec3<Number> const e{r.error[0], r.error[1], r.error[2]};
     if constexpr (is_monocular_v<Rig> || !Rig::rectified) {
@@ -210,7 +219,8 @@ private:
   FT_HOST_DEVICE bool classify(int i) const {
     observation o = s.observations.template get<Rig>(i, problem);
     o.inv_sigma2 = ::fabsf(o.inv_sigma2);
-    reprojection<Rig> const r(rig, s.T, o);
+    reprojection<Rig> r(rig, s.T, o);
+    if (by_disparity()) { r.take_disparity(real(static_cast<double>(limits.disparity_root))); }
     // Written so that a NaN is too far.
     bool const far = !(static_cast<float>(r.chi2(o).value) <=
                        (r.rows == 3 ? limits.stereo : limits.mono).inlier);

@@ -27,9 +27,11 @@ struct pose_limit {
 };
 struct pose_limits {
   pose_limit mono, stereo;
+  float disparity_root;  ///< of the weight of a disparity; 0 = as in pose_params
 
   FT_HOST_DEVICE static pose_limits of(pose_params const& params) {
-    return {pose_limit::of(params.chi2_mono), pose_limit::of(params.chi2_stereo)};
+    return {pose_limit::of(params.chi2_mono), pose_limit::of(params.chi2_stereo),
+            static_cast<float>(square_root(params.disparity_weight))};
   }
 };
 

@@ -61,6 +61,7 @@ public:
   image_source const* sources = nullptr;  ///< [batch][images]
   float const* radius_factor = nullptr;   ///< of local_search; may be null
   float* information = nullptr;           ///< of frame_poses; may be null
+  pose_params pose_settings;              ///< of both poses of a frame
 
   // ---- images and keypoints
 
@@ -172,6 +173,13 @@ public:
             params.optimize_local ? memory.observations.inliers : nullptr, Rig::searches};
   }
 
+  /// The frame and the points that its keypoints hold.
+  frames_in_map in_map() const {
+    return {memory.frame, memory.map, geometry(), changes, fixed_disparity};
+  }
+  image_changes_view changes{};  ///< of what is fixed to a camera; empty: not looked for
+  float fixed_disparity = 0;
+
   /// The search in the local map.
   local_search<searched_rig> local_input() const {
     local_search<searched_rig> search;
@@ -279,8 +287,8 @@ private:
     return search;
   }
   void optimize(Exec const& exec, pose const* start) const {
-    optimize_frame_poses(exec, rig, {memory.frame, memory.map, geometry()},
-                         {start, memory.poses, memory.observations, information});
+    optimize_frame_poses(exec, rig, in_map(),
+                         {start, memory.poses, memory.observations, information}, pose_settings);
   }
 
   side_branch<Exec> stereo_branch_;

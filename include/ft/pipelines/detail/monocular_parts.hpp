@@ -99,6 +99,7 @@ struct rig_parts<monocular_rig<Camera>> {
   using matcher = no_matcher<Exec>;
   static constexpr bool undistorts = false;
   static constexpr bool refines_positions = false;
+  static constexpr double disparity_weight = 0;
   static constexpr bool starts_from_motion = true;
 
   static rig_type const& searched(rig_type const& rig) { return rig; }

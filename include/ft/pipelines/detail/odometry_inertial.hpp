@@ -2,6 +2,7 @@
 /// @file The IMUs of an odometry: memory and stages.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -35,6 +36,24 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// What a caller is told of an IMU.
+inline imu_tracking imu_tracking_of(inertial_track const& t) {
+  imu_tracking out;
+  out.samples = t.status;
+  out.known = t.known();
+  if (!out.known) { return out; }
+  auto const widen = [](vec3<float> v) {
+    return vec3<double>{static_cast<double>(v.x), static_cast<double>(v.y),
+                        static_cast<double>(v.z)};
+  };
+  out.predicted = t.source != inertial_source::none;
+  out.optimized = t.follows != 0;
+  out.velocity = widen(t.last.v);
+  out.gravity = widen(t.gravity);
+  out.bias = t.last.bias;
+  return out;
+}
+
 /// Memory and stages. All stages are asynchronous on their executor and allocate nothing.
 template <typename Exec>
 class odometry_inertial {
@@ -52,8 +71,9 @@ public:
     require(params.initialization.known_scale || seeks_scale,
             "the scale of this odometry's map is known");
     view_.seeks_scale = seeks_scale;
+    view_.accel_sigma = params.accel_sigma;
     if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
-    mount_ = mount_of(params.T_bc);
+    view_.mount = mount_ = mount_of(params.T_bc);
     variances_ = variances_of(params.noise);
     batch_ = batch;
     views_ = p.window.moving + p.window.fixed;
@@ -72,6 +92,8 @@ public:
     queues_ = std::make_unique<sample_queue[]>(b);
     for (int i = 0; i < batch; ++i) { queue(i).set_limits(params); }
     base_ns_.assign(b, 0);
+    offset_ns_.assign(b, nanoseconds(params.time_offset_s));
+    seen_map_.assign(b, 0);
   }
   void initialize(Exec const& exec) {
     if (!present()) { return; }
@@ -100,15 +122,32 @@ public:
   /// Before a frame: its samples and times. @param begun whether there was a frame before it
   void set_input(int b, bool begun, std::int64_t from_ns, std::int64_t to_ns) {
     auto const i = static_cast<std::size_t>(b);
-    if (!begun) { base_ns_[i] = from_ns = to_ns; }
+    if (!begun) {
+      base_ns_[i] = from_ns = to_ns;
+      offset_ns_[i] = nanoseconds(params_.time_offset_s);
+      seen_map_[i] = 0;
+    }
     auto const seconds = [&](std::int64_t t) {
       return static_cast<double>(saturated_difference(t, base_ns_[i])) * 1e-9;
     };
     imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
     auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
+    bool const anew = params_.estimate_time_offset && correct_clock(b);
+    auto const on_its_clock = [&](std::int64_t t) {
+      return saturated_difference(t, -offset_ns_[i]);
+    };
     int const n =
-        queue(b).take(base_ns_[i], saturated_difference(to_ns, early_ns), params_.samples, to);
-    inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples)};
+        queue(b).take(on_its_clock(base_ns_[i]),
+                      on_its_clock(saturated_difference(to_ns, early_ns)), params_.samples, to);
+    inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0};
+  }
+  /// After a frame. @param map number of the map that it was tracked in; 0 = none
+  void describe(int b, int map, std::int64_t time_ns, imu_tracking& out) {
+    auto const i = static_cast<std::size_t>(b);
+    out = imu_tracking_of(outputs[b]);
+    if (params_.estimate_time_offset) { add_attitude(b, map, time_ns); }
+    queue(b).describe(saturated_difference(time_ns, -offset_ns_[i]), out);
+    out.time_offset_s = static_cast<double>(offset_ns_[i]) * 1e-9;
   }
 
   // ---- stages, in order
@@ -132,7 +171,8 @@ public:
   }
   template <typename Rig>
   void optimize(Exec const& exec, Rig const& rig, odometry_state_view const& state,
-                frame_view const& frame, observations_view const& seen, pose* T_cw) const {
+                frame_view const& frame, observations_view const& seen, float const* information,
+                pose* T_cw) const {
     inertial_poses const poses = problems(seen);
     inertial_pose_params how;
     how.step_tolerance = 1e-4;              // the next step would be a hundredth of it or less
@@ -140,7 +180,7 @@ public:
     how.outliers_given = true;
     how.marginalizes = false;
     optimize_inertial_poses(exec, rig, mount_, poses, how);
-    take_inertial_poses(exec, seen, state, frame, T_cw, view_);
+    take_inertial_poses(exec, {seen, state, frame, information, T_cw}, view_);
   }
   /// Needed by the next frame alone.
   template <typename Rig>
@@ -167,6 +207,29 @@ public:
   }
 
 private:
+  /// Smaller changes of the offset are not made: standard deviations, and seconds.
+  static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
+  static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
+
+  /// What the images alone tell of the IMU's attitude.
+  void add_attitude(int b, int maps, std::int64_t time_ns) {
+    int& last = seen_map_[static_cast<std::size_t>(b)];
+    mat3<strict_double> const R_wc = outputs[b].seen.R.template cast<strict_double>().transposed();
+    mat3<strict_double> const R_cb = params_.T_bc.R.template cast<strict_double>().transposed();
+    if (maps > 0) { queue(b).add_attitude(time_ns, (R_wc * R_cb).cast<double>(), last == maps); }
+    last = maps;
+  }
+  /// @return whether the offset in use has changed
+  bool correct_clock(int b) {
+    imu_clock_offset const found = queue(b).clock();
+    std::int64_t& used = offset_ns_[static_cast<std::size_t>(b)];
+    double const change = std::abs(found.offset_s - static_cast<double>(used) * 1e-9);
+    if (!(found.sigma_s > 0) || !(change > max_of(clear_sigmas * found.sigma_s, clear_change_s))) {
+      return false;
+    }
+    used = nanoseconds(found.offset_s);
+    return true;
+  }
   static constexpr memory_space staging = staging_space<Exec>;
 
   inertial_poses problems(observations_view const& seen) const {
@@ -190,25 +253,9 @@ private:
   arena<staging> staging_memory_;
   std::unique_ptr<sample_queue[]> queues_;
   std::vector<std::int64_t> base_ns_;
+  std::vector<std::int64_t> offset_ns_;  ///< of the clocks, in use
+  std::vector<int> seen_map_;  ///< number of the map that the last frame was tracked in; 0 = none
 };
-
-/// What a caller is told of an IMU.
-inline imu_tracking imu_tracking_of(inertial_track const& t) {
-  imu_tracking out;
-  out.samples = t.status;
-  out.known = t.known();
-  if (!out.known) { return out; }
-  auto const widen = [](vec3<float> v) {
-    return vec3<double>{static_cast<double>(v.x), static_cast<double>(v.y),
-                        static_cast<double>(v.z)};
-  };
-  out.predicted = t.source != inertial_source::none;
-  out.optimized = t.follows != 0;
-  out.velocity = widen(t.last.v);
-  out.gravity = widen(t.gravity);
-  out.bias = t.last.bias;
-  return out;
-}
 
 }  // namespace detail
 }  // namespace FT_ABI

@@ -14,6 +14,7 @@
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/monocular/start_rules.hpp"
+#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
@@ -27,13 +28,20 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Sums over grey values of an image, on a grid of side x side pixels spread over it.
+/// Sums over grey values of the samples of an image.
 struct light_sums {
-  static constexpr int side = 32;
-  static constexpr int samples = side * side;
+  static constexpr int samples = image_changes_view::sampled;
   int image = -1;  ///< of the rig; -1 = none was looked at
   int sum = 0;
   int squares = 0;
+};
+
+/// How the images of a rig changed.
+struct change_counts {
+  int images = 0;    ///< that were compared
+  int same = 0;      ///< of these, those with the pixels of the frame before
+  int textured = 0;  ///< cells of all
+  int moved = 0;     ///< of these, cells with another content
 };
 
 /// What the host reads of a camera after a frame.
@@ -50,6 +58,8 @@ struct odometry_output {
   int distant;  ///< of with_depth, those beyond distant_baselines
   int agreed;   ///< with the pose that was tried last
   light_sums light;
+  change_counts changes;
+  frame_facts facts;
   start_report start;  ///< of one camera
   int local_points;
   int left_out;
@@ -75,6 +85,7 @@ struct odometry_memory {
   window_sources_view sources;
   window_workspace window_work;
   windowless_workspace windowless;
+  image_changes_view changes;
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
   odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
@@ -86,6 +97,7 @@ struct odometry_memory {
   /// @param runs adjustments in flight, at most @throws bad_argument, std::bad_alloc, cuda_error
   void take(frame_shape const& shape, odometry_params const& p, int runs) {
     int const batch = shape.batch;
+    images_ = shape.images;
     auto const b = static_cast<std::size_t>(batch);
     auto const numbers = b * static_cast<std::size_t>(shape.numbers());
     odometry_map_capacity const size{p.map_slots, {p.keyframes, shape.cameras, shape.capacity}};
@@ -105,6 +117,7 @@ struct odometry_memory {
       selected = c.take<int>(b);
       information = c.take<float>(b * information_terms);
       carve(c, windowless, shape.numbers(), batch);
+      carve(c, changes, shape.images * batch);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);
@@ -135,10 +148,12 @@ struct odometry_memory {
                          keyframe_out.held, keyframe_out.left_out, selected,
                          sources.left_out,  window.view_count,     window.fixed_count,
                          window.point_count};
+    fill_bytes(exec, changes.begun, 0, b * static_cast<std::size_t>(images_) * sizeof(int));
     for (void* const flags : all) { fill_bytes(exec, flags, 0, b * sizeof(int)); }
   }
 
 private:
+  int images_ = 0;  ///< of a rig
   rigid<double>* staged_T_cw_ = nullptr;
   camera_track* staged_tracks_ = nullptr;
   arena<space> memory_;

@@ -32,40 +32,44 @@ struct tracking_facts {
   int const* keyframe_left_out;  ///< likewise
   int const* window_left_out;
   int const* map_points;
-  int depth_cameras = 1;                ///< the first cameras, whose keypoints may have a depth
-  float distant = 0;                    ///< depth of distant points, metres
-  image_pyramid_view images{};          ///< [batch][images of a rig]
+  int depth_cameras = 1;         ///< the first cameras, whose keypoints may have a depth
+  float distant = 0;             ///< depth of distant points, metres
+  image_changes_view changes{};  ///< [batch][images]
+  int images = 0;                ///< of a rig
+  absent_images absent{};
   start_report const* start = nullptr;  ///< of one camera, or null
 };
 
 /// Of the images of camera b, grey values of the one with the least contrast. Ties go to the first.
-template <typename Group>
-FT_HOST_DEVICE light_sums least_contrast(Group g, image_pyramid_view const& images, int batch,
-                                         int b) {
-  int const of_rig = images.batch / batch;
+FT_HOST_DEVICE inline light_sums least_contrast(image_changes_view const& changes, int images,
+                                                absent_images const& absent, int b) {
   light_sums least;
   std::int64_t smallest = 0;
-  for (int i = 0; i < of_rig; ++i) {
-    if (images.absent.has(b * of_rig + i)) { continue; }
-    auto const image = images.level(b * of_rig + i, 0);
-    int sum = 0;
-    int squares = 0;
-    for (int k = g.rank(); k < light_sums::samples; k += g.size()) {
-      int const x = (2 * (k % light_sums::side) + 1) * image.width / (2 * light_sums::side);
-      int const y = (2 * (k / light_sums::side) + 1) * image.height / (2 * light_sums::side);
-      int const grey = image.row(y)[x];
-      sum += grey;
-      squares += grey * grey;
-    }
-    sum = g.reduce(sum, sum_op{});
-    squares = g.reduce(squares, sum_op{});
-    auto const spread = std::int64_t{light_sums::samples} * squares - std::int64_t{sum} * sum;
+  for (int i = 0; i < images; ++i) {
+    if (absent.has(b * images + i)) { continue; }
+    image_changes const& of = changes.of[b * images + i];
+    auto const spread =
+        std::int64_t{light_sums::samples} * of.squares - std::int64_t{of.sum} * of.sum;
     if (least.image < 0 || spread < smallest) {
-      least = {i, sum, squares};
+      least = {i, of.sum, of.squares};
       smallest = spread;
     }
   }
   return least;
+}
+
+FT_HOST_DEVICE inline change_counts count_changes(image_changes_view const& changes, int images,
+                                                  absent_images const& absent, int b) {
+  change_counts n;
+  for (int i = 0; i < images; ++i) {
+    if (absent.has(b * images + i)) { continue; }
+    image_changes const& of = changes.of[b * images + i];
+    ++n.images;
+    n.same += of.same;
+    n.textured += of.textured;
+    n.moved += of.moved;
+  }
+  return n;
 }
 
 /// Item: a camera. Keeps the number of a new keyframe's points for later frames.
@@ -96,10 +100,6 @@ struct pack_tracking {
     }
     with_depth = g.reduce(with_depth, sum_op{});
     distant = g.reduce(distant, sum_op{});
-    light_sums light;
-    if (state.tracks[b].state != tracking_state::tracking) {
-      light = least_contrast(g, facts.images, state.batch, b);
-    }
     if (g.rank() != 0) { return; }
     camera_track& t = state.tracks[b];
     bool const inserted = state.order[b] != keyframe_order::none;
@@ -115,7 +115,9 @@ struct pack_tracking {
     out.with_depth = with_depth;
     out.distant = distant;
     out.agreed = t.agreed;
-    out.light = light;
+    out.light = least_contrast(facts.changes, facts.images, facts.absent, b);
+    out.changes = count_changes(facts.changes, facts.images, facts.absent, b);
+    out.facts = t.facts;
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];
     // Before its first map a camera that was reset searches its old one, for nothing.
     bool const searched = t.plan != search_plan::nothing;

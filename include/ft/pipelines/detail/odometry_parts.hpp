@@ -29,6 +29,7 @@
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/tracker_types.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
@@ -103,6 +104,7 @@ struct odometry_parts {
   std::vector<tracking> results;
   std::vector<std::int64_t> times;   ///< of the last frames
   std::vector<unsigned char> begun;  ///< whether there was one
+  std::vector<frame_warnings> warnings;
   long long frame = 0;
   int stamp = 0;
   std::unique_ptr<recovery_type> recovery;  ///< or none
@@ -118,6 +120,7 @@ struct odometry_parts {
         results(static_cast<std::size_t>(batch)),
         times(results.size()),
         begun(results.size()),
+        warnings(results.size()),
         adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
     if (params.measure_stages) {
       for (auto& of_set : launches) {
@@ -191,6 +194,7 @@ private:
     stages.settings.orb.start_features = start_features(params.orb);
     stages.settings.orb.exact_positions = true;
     stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
+    stages.pose_settings.disparity_weight = parts_of_rig::disparity_weight;
     stages.prepare_features(exec, parts_of_rig::searched(rig), tracker_params_of(stages.settings),
                             batch, parts_of_rig::absent(rig));
     stages.input = typename parts_of_rig::template input<Exec>(exec, rig, stages.geometry(), batch);
@@ -223,6 +227,7 @@ private:
     for (int b = 0; b < stages.batch; ++b) {
       auto const i = static_cast<std::size_t>(b);
       times[i] = time_ns[b];
+      bool const first = begun[i] == 0;
       begun[i] = 1;
       stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
       results[i] = tracking_of(stages.own.outputs[b]);
@@ -230,9 +235,10 @@ private:
       results[i].metric = !stages_type::starts_from_motion;
       if (stages.has_imu()) {
         results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
-        results[i].imu = imu_tracking_of(stages.inertial.outputs[b]);
-        stages.inertial.queue(b).describe(time_ns[b], results[i].imu);
+        bool const tracked = results[i].state == tracking_state::tracking;
+        stages.inertial.describe(b, tracked ? results[i].maps : 0, time_ns[b], results[i].imu);
       }
+      warnings[i].judge(results[i], time_ns[b], first, stages.settings);
     }
   }
 

@@ -183,7 +183,8 @@ private:
     frame_poses poses{m.T_cw + b, m.T_cw + b, m.observations,
                       stages.own.information + static_cast<std::ptrdiff_t>(b) * information_terms};
     poses.observations.inliers = m.inliers + b;
-    optimize_frame_poses(exec, stages.rig, {in.frame, in.map, in.geometry}, poses);
+    optimize_frame_poses(exec, stages.rig, {in.frame, in.map, in.geometry}, poses,
+                         stages.pose_settings);
     weigh(exec, stages, b, in, candidates.data[found.candidate]);
     exec.wait();
     return true;

@@ -43,12 +43,14 @@ void queue_odometry_motion(Line& line, Stages& s) {
       s.beginning_branch(), "motion", [&](auto const& exec) { queue_prediction(exec, s); },
       [&](Line& l) { queue_images(l, s, false); });
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
+  s.watch_images(line.fork(s.result_branch()));
   if constexpr (Stages::rectified) {
     // One camera has no depths.
     char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
     line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
               [&](Line& l) { s.match_stereo(l.with(stereo)); });
     s.assign_last_frame(line.then("search last frame"));
+    line.join(s.result_branch());
     s.optimize_last(line.then("pose last frame"));
   } else {
     s.list_last_frame(line.then("search last frame"));
@@ -56,6 +58,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
         s.stereo_branch(), "stereo", [&](auto const& exec) { s.match_stereo(exec); },
         [&](Line& l) {
           s.assign_last_frame(l.then("search last frame"));
+          l.join(s.result_branch());
           s.optimize_last(l.then("pose last frame"));
         });
     s.refine_partners(line.then("stereo"));
@@ -65,9 +68,11 @@ void queue_odometry_motion(Line& line, Stages& s) {
 /// The same of a frame whose features were prefetched.
 template <typename Line, typename Stages>
 void queue_prefetched_motion(Line& line, Stages& s) {
+  s.watch_images(line.fork(s.result_branch()));
   queue_prediction(line.then("motion"), s);
   s.list_last_frame(line.then("search last frame"));
   s.assign_last_frame(line.then("search last frame"));
+  line.join(s.result_branch());
   s.optimize_last(line.then("pose last frame"));
   if constexpr (!Stages::rectified) { s.refine_partners(line.then("stereo")); }
 }

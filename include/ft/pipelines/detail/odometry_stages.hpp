@@ -101,9 +101,13 @@ public:
   // ---- the local map
 
   void plan_search(Exec const& exec) const {
-    plan_searches(exec, settings.rules, memory.frame, own.state,
-                  search_start{memory.observations.inliers, memory.poses,
-                               memory.motion.device.stamp, own.windowless.proposals});
+    search_start start{memory.observations.inliers, memory.poses, memory.motion.device.stamp,
+                       own.windowless.proposals};
+    start.fixed = this->in_map();
+    // The matcher's own memory: nothing else reads it at that time.
+    start.depth = const_cast<float*>(this->matcher.depth());
+    start.depth_cameras = memory.result.depth_cameras;
+    plan_searches(exec, settings.rules, memory.frame, own.state, start);
   }
   /// Matches anywhere in the image, and the pose that most of them agree with: two launches.
   void search_without_window(Exec const& exec) const {
@@ -115,6 +119,7 @@ public:
     in.geometry = this->geometry();
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
+    in.fixed = this->in_map();
     match_without_window(exec, in, settings.rules, own.state, own.windowless);
     propose_poses(exec, in, settings.rules, own.state, own.windowless);
   }
@@ -126,7 +131,8 @@ public:
   // ---- the end
 
   void optimize_inertial(Exec const& exec) const {
-    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations, memory.poses);
+    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
+                      own.information, memory.poses);
   }
   void marginalize(Exec const& exec) const {
     inertial.marginalize(exec, this->rig, memory.observations);
@@ -149,6 +155,7 @@ public:
       in.begins.wants_more = this->extractor.stages().kept.wants_more;
     }
     in.begins_maps = !recognizes_places;
+    in.observations = memory.observations;
     judge_frames(exec, settings.rules, in, own.state);
   }
   void count_points(Exec const& exec) const {
@@ -192,7 +199,7 @@ public:
     in.point = this->matcher.fisheye_matches().point;
     in.geometry = this->geometry();
     keyframe_params p;
-    p.near_depth = settings.rules.near_depth;
+    p.near_depth = max_of(settings.rules.near_depth, settings.rules.far_depth);
     p.wanted_near_points = settings.rules.wanted_near_points;
     if constexpr (starts_from_motion) {
       in.depth = beginning.points().depth;
@@ -207,13 +214,19 @@ public:
                   own.sources);
   }
   void gather_inertial(Exec const& exec) const { inertial.gather(exec, own); }
+  /// Beside the search from the last frame.
+  void watch_images(Exec const& exec) const {
+    ft::watch_images(exec, this->extractor.pyramid(), this->changes);
+  }
   void pack_outputs(Exec const& exec) const {
     tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,
                          memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
                          own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
                          memory.result.depth_cameras};
     facts.distant = (this->rig.baseline_length() * distant_baselines).value;
-    facts.images = this->extractor.pyramid();
+    facts.changes = own.changes;
+    facts.images = images_of_rig();
+    facts.absent = this->extractor.pyramid().absent;
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }
     for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
                                   facts, own.outputs);
@@ -234,6 +247,10 @@ public:
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
+    this->changes = own.changes;
+    if constexpr (base::searched_rig::rectified && !starts_from_motion) {
+      this->fixed_disparity = this->rig.pair(0).camera.fx / settings.rules.near_depth;
+    }
     beginning_branch_.make();
     inertial_branch_.make();
     static_cast<void>(exec);
@@ -260,6 +277,12 @@ public:
     }
   }
 
+  /// Forgets how the images of camera b changed. Asynchronous.
+  void forget_images(Exec const& exec, int b) const {
+    fill_bytes(exec, own.changes.begun + b * images_of_rig(), 0,
+               static_cast<std::size_t>(images_of_rig()) * sizeof(int));
+  }
+
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
   /// @return its state
   tracking_state enter_loaded_map(Exec const& exec, int b) const {
@@ -284,6 +307,7 @@ public:
     copy(exec, own.state.tracks + b, static_cast<camera_track const*>(t.data()), std::size_t{1});
     copy(exec, own.state.T_cw + b, static_cast<rigid<double> const*>(T_cw.data()), std::size_t{1});
     expect_start(exec, b, state == tracking_state::initialising);
+    forget_images(exec, b);
     exec.wait();
     return state;
   }
@@ -300,6 +324,8 @@ private:
     v.left_out = own.local_left_out;
     return v;
   }
+
+  int images_of_rig() const { return this->extractor.pyramid().batch / this->batch; }
 
   arena<Exec::space> grid_memory_;  ///< empty while the frame's grids are the first ones
   recording<Exec> features_graph_;

@@ -188,7 +188,9 @@ struct rig_parts<rgbd_rig<Camera>> {
   template <typename Exec>
   using matcher = depth_matcher<Exec, Camera>;
   static constexpr bool undistorts = matcher<host_exec>::undistorts;
-  static constexpr bool refines_positions = false;
+  static constexpr bool refines_positions = true;
+  /// A depth is as exact as a quarter of a pixel of disparity where a keypoint moves by a pixel.
+  static constexpr double disparity_weight = 16;
   static constexpr bool starts_from_motion = false;
 
   static rectified_rig searched(rgbd_rig<Camera> const& rig) { return rig.pair(); }

@@ -63,6 +63,8 @@ struct rig_parts {
   static constexpr bool undistorts = false;
   /// Whether keypoints lie between pixels.
   static constexpr bool refines_positions = true;
+  /// Of pose_params.
+  static constexpr double disparity_weight = 0;
   /// Whether maps begin from the motion of the camera.
   static constexpr bool starts_from_motion = false;
 

@@ -13,6 +13,7 @@
 #include "ft/containers/inertial.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
+#include "ft/pipelines/detail/imu_clock.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 
@@ -54,6 +55,9 @@ public:
     capacity_ = static_cast<std::size_t>(p.waiting);
     max_accel_ = p.max_accel;
     max_gyro_ = p.max_gyro;
+    if (p.estimate_time_offset) {
+      clock_.reserve(static_cast<double>(p.noise.rate_hz), std::llround(p.time_offset_s * 1e9));
+    }
   }
   /// Takes a sample, or leaves it out and counts it. @throws std::bad_alloc
   void add(imu_measurement const& m) {
@@ -70,13 +74,15 @@ public:
     any_ = true;
     behind_ = 0;
     last_ns_ = m.time_ns;
+    clock_.add(m.time_ns, m.gyro);
     waiting_.push_back(m);
     if (waiting_.size() - first_ <= capacity_) { return; }
     ++left_out_.crowded_out;
     if (++first_ >= capacity_) { drop_until(waiting_.begin() + at(first_)); }
   }
   /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
-  /// @param base_ns time 0 of the copies @return their number; above `capacity`, no more are copied
+  /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @return their number; above
+  /// `capacity`, no more are copied
   int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
     std::lock_guard<std::mutex> const lock(mutex_);
     auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),
@@ -92,9 +98,19 @@ public:
     drop_until(late);
     return n;
   }
-  /// What is told of the samples. @param time_ns of the frame
+  /// See imu_clock.
+  void add_attitude(std::int64_t time_ns, mat3<double> const& R, bool follows) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    clock_.add_attitude(time_ns, R, follows);
+  }
+  imu_clock_offset clock() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return clock_.estimate();
+  }
+  /// What is told of the samples. @param time_ns of the frame, on the IMU's clock
   void describe(std::int64_t time_ns, imu_tracking& out) {
     std::lock_guard<std::mutex> const lock(mutex_);
+    out.clock = clock_.estimate();
     out.left_out = left_out_;
     out.rate_hz = rate_.hz();
     out.newest_s = any_ ? static_cast<double>(saturated_difference(last_ns_, time_ns)) * 1e-9 : 0.0;
@@ -107,6 +123,7 @@ public:
     behind_ = 0;
     rate_ = {};
     left_out_ = {};
+    clock_.clear();
   }
   std::size_t size() {
     std::lock_guard<std::mutex> const lock(mutex_);
@@ -143,6 +160,7 @@ private:
   bool any_ = false;
   measured_rate rate_;
   imu_left_out left_out_;
+  imu_clock clock_;
 };
 
 }  // namespace detail

@@ -74,6 +74,17 @@ struct reprojection {
     }
   }
 
+  /// Makes the third error that of the disparity, if there is a right column.
+  /// @param root of the weight of a disparity, in those of a pixel
+  FT_HOST_DEVICE void take_disparity(Real root) {
+    if (rows == 3) { error[2] = root * (error[2] - error[0]); }
+  }
+  /// The same of what derivative() returns.
+  FT_HOST_DEVICE mat3<Real> with_disparity(mat3<Real> P, Real root) const {
+    for (int k = 0; k < 3; ++k) { P.m[6 + k] = root * (P.m[6 + k] - P.m[k]); }
+    return P;
+  }
+
   /// Infinite without a valid projection: such an observation is an outlier, and a trial pose with
   /// one is refused.
   FT_HOST_DEVICE Real chi2(observation const& o) const {

@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stage: which parts of an image change from frame to frame, and which stay as they are
+/// while the rest moves: the camera's own bonnet, or dirt on its lens.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/group.hpp"
+#include "ft/core/memory.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// What is seen of an image, in cells of 32 x 24 that cover it.
+struct image_changes {
+  static constexpr int columns = 32, rows = 24;
+  static constexpr int cells = columns * rows;
+  static constexpr int words = cells / 32;
+  static constexpr int side = 4;  ///< samples of a cell are side x side pixels
+  static constexpr int samples = side * side;
+
+  int textured;         ///< cells with contrast, now and before
+  int moved;            ///< of these, cells with another content
+  int still;            ///< and those whose content is where it was
+  int same;             ///< 1 = all samples are those of the frame before
+  int sum, squares;     ///< of all samples
+  unsigned now[words];  ///< cells that stay while the rest moves, in this frame or for a few frames
+  unsigned long_since[words];  ///< and those that did for many frames
+};
+
+/// Memory of the stage. Executor memory.
+struct image_changes_view {
+  image_changes* of = nullptr;        ///< [images]
+  std::uint8_t* reference = nullptr;  ///< [images][samples][cells] since when a cell is still
+  std::uint8_t* last = nullptr;       ///< [images][samples][cells] of the last frame
+  std::uint8_t* frames = nullptr;     ///< [images][cells] in which a cell was still and others not
+  int* begun = nullptr;               ///< [images] 1 = there was a frame
+  static constexpr int sampled = image_changes::samples * image_changes::cells;
+
+  /// Whether a pixel of an image belongs to what is fixed to the camera.
+  /// @param sure only if it has been so for long
+  FT_HOST_DEVICE bool is_fixed(int image, float x, float y, int width, int height,
+                               bool sure) const {
+    int const column =
+        clamp(static_cast<int>(x) * image_changes::columns / width, 0, image_changes::columns - 1);
+    int const row =
+        clamp(static_cast<int>(y) * image_changes::rows / height, 0, image_changes::rows - 1);
+    int const cell = row * image_changes::columns + column;
+    unsigned const* const bits = sure ? of[image].long_since : of[image].now;
+    return (bits[cell / 32] >> cell % 32 & 1u) != 0;
+  }
+};
+
+inline void carve(carver& c, image_changes_view& v, int images) {
+  auto const n = static_cast<std::size_t>(images);
+  auto const sampled = detail::checked_mul(n, static_cast<std::size_t>(v.sampled));
+  v.of = c.take<image_changes>(n);
+  v.reference = c.take<std::uint8_t>(sampled);
+  v.last = c.take<std::uint8_t>(sampled);
+  v.frames = c.take<std::uint8_t>(n * image_changes::cells);
+  v.begun = c.take<int>(n);
+}
+
+namespace detail {
+
+/// Item: an image. Threads have cells.
+struct watch_image {
+  static constexpr bool wide_on_host = true;
+  using scratch = no_scratch;
+  static constexpr int samples = image_changes::samples;
+  static constexpr int few_frames = 4, many_frames = 8;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int i, image_pyramid_view const& images,
+                                 image_changes_view const& v) const {
+    if (images.absent.has(i)) {
+      if (g.rank() == 0) { v.of[i] = {}; }
+      return;
+    }
+    auto const image = images.level(i, 0);
+    bool const first = v.begun[i] == 0;
+    int textured = 0, moved = 0, still = 0, known = 0, differ = 0, sum = 0, squares = 0;
+    for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
+      compared const to = compare(image, v, i, c, first);
+      textured += static_cast<int>(to.is_textured());
+      moved += static_cast<int>(to.has_moved());
+      still += static_cast<int>(to.is_still());
+      known += static_cast<int>(!first && to.is_still() && v.frames[frames_at(i, c)] > 0);
+      differ += static_cast<int>(to.differs);
+      sum += to.sum;
+      squares += to.squares;
+    }
+    textured = g.reduce(textured, sum_op{});
+    moved = g.reduce(moved, sum_op{});
+    still = g.reduce(still, sum_op{});
+    known = g.reduce(known, sum_op{});
+    differ = g.reduce(differ, sum_op{});
+    sum = g.reduce(sum, sum_op{});
+    squares = g.reduce(squares, sum_op{});
+    // Most of the image moves: what does not is not of the scene. Less is enough where that was so
+    // before. With a camera that hardly moves there is much between both.
+    bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
+    bool const rest_moves = !first && most && 5 * (moved + still) > 4 * textured;
+    g.sync();
+    if (g.rank() == 0) {
+      image_changes& out = v.of[i];
+      out = {};
+      out.textured = textured;
+      out.moved = moved;
+      out.still = still;
+      out.same = !first && differ == 0 ? 1 : 0;
+      out.sum = sum;
+      out.squares = squares;
+      v.begun[i] = 1;
+    }
+    for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
+      count_frames(image, v, i, c, first, rest_moves);
+    }
+    g.sync();
+    for (int w = g.rank(); w < image_changes::words; w += g.size()) {
+      unsigned now = 0, long_since = 0;
+      for (int bit = 0; bit < 32; ++bit) {
+        int const frames = v.frames[frames_at(i, 32 * w + bit)];
+        bool const is_now = frames >= few_frames || (rest_moves && frames > 0);
+        now |= static_cast<unsigned>(is_now) << bit;
+        long_since |= static_cast<unsigned>(frames >= many_frames) << bit;
+      }
+      v.of[i].now[w] = now;
+      v.of[i].long_since[w] = long_since;
+    }
+  }
+
+private:
+  /// A cell now, and as it was. Differences are without that of the means, so that light may
+  /// change.
+  struct compared {
+    int contrast = 0;      ///< now, sum of absolute deviations from the mean
+    int was = 0;           ///< likewise of the reference
+    int difference = 0;    ///< from the reference
+    bool differs = false;  ///< from the last frame
+    int sum = 0, squares = 0;
+
+    static constexpr int least_contrast = 6 * samples;  // grey levels
+    static constexpr int noise = 4 * samples;
+
+    FT_HOST_DEVICE bool is_textured() const {
+      return contrast >= least_contrast && was >= least_contrast;
+    }
+    FT_HOST_DEVICE bool has_moved() const {
+      return is_textured() && difference > 6 * samples && 5 * difference > min_of(contrast, was);
+    }
+    FT_HOST_DEVICE bool is_still() const {
+      return is_textured() && (difference <= noise || 12 * difference <= min_of(contrast, was));
+    }
+  };
+
+  FT_HOST_DEVICE static int pixel(image_view<std::uint8_t> const& image, int cell, int s) {
+    constexpr int across = image_changes::columns * image_changes::side;
+    constexpr int down = image_changes::rows * image_changes::side;
+    int const x = cell % image_changes::columns * image_changes::side + s % image_changes::side;
+    int const y = cell / image_changes::columns * image_changes::side + s / image_changes::side;
+    return image.row((2 * y + 1) * image.height /
+                     (2 * down))[(2 * x + 1) * image.width / (2 * across)];
+  }
+  FT_HOST_DEVICE static std::ptrdiff_t place(int i, int cell, int s) {
+    return (static_cast<std::ptrdiff_t>(i) * samples + s) * image_changes::cells + cell;
+  }
+  FT_HOST_DEVICE static compared compare(image_view<std::uint8_t> const& image,
+                                         image_changes_view const& v, int i, int cell, bool first) {
+    compared out;
+    int reference = 0;
+    for (int s = 0; s < samples; ++s) {
+      int const grey = pixel(image, cell, s);
+      std::ptrdiff_t const at = place(i, cell, s);
+      out.sum += grey;
+      out.squares += grey * grey;
+      reference += first ? 0 : v.reference[at];
+      out.differs = out.differs || first || v.last[at] != grey;
+      v.last[at] = static_cast<std::uint8_t>(grey);
+    }
+    for (int s = 0; s < samples; ++s) {
+      std::ptrdiff_t const at = place(i, cell, s);
+      int const now = samples * v.last[at] - out.sum;
+      int const was = first ? 0 : samples * v.reference[at] - reference;
+      out.contrast += now < 0 ? -now : now;
+      out.was += was < 0 ? -was : was;
+      out.difference += now < was ? was - now : now - was;
+    }
+    out.contrast /= samples;
+    out.was /= samples;
+    out.difference /= samples;
+    return out;
+  }
+  FT_HOST_DEVICE static std::ptrdiff_t frames_at(int i, int cell) {
+    return static_cast<std::ptrdiff_t>(i) * image_changes::cells + cell;
+  }
+  /// Counts the frames in which a cell was still and others were not. A cell that is not still
+  /// begins anew.
+  FT_HOST_DEVICE static void count_frames(image_view<std::uint8_t> const& image,
+                                          image_changes_view const& v, int i, int cell, bool first,
+                                          bool rest_moves) {
+    compared const to = compare(image, v, i, cell, first);
+    std::uint8_t& frames = v.frames[frames_at(i, cell)];
+    if (first || !to.is_still()) {
+      for (int s = 0; s < samples; ++s) {
+        v.reference[place(i, cell, s)] = v.last[place(i, cell, s)];
+      }
+      frames = 0;
+    } else if (rest_moves) {
+      frames = static_cast<std::uint8_t>(min_of(frames + 1, many_frames));
+    }
+  }
+};
+
+}  // namespace detail
+
+/// Compares every image with those before it. Asynchronous on `exec`; allocates nothing; one
+/// launch.
+/// @param images level 0 is read
+template <typename Exec>
+void watch_images(Exec const& exec, image_pyramid_view const& images, image_changes_view const& v) {
+  for_each_item<per_block<256>>(exec, images.batch, detail::watch_image{}, images, v);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

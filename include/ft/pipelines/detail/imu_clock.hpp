@@ -1,0 +1,250 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file How far the clock of an IMU is from that of the images.
+///
+/// Between two images the camera turns by what the gyroscope measured between the same two moments
+/// of its own clock. For offsets on a grid the squared differences of both turns are summed, with
+/// the gyroscope's bias eliminated; the least sum tells the offset, and its curvature how certain
+/// that is. Turning at a constant rate tells nothing. Neither gravity nor the accelerometer is
+/// needed. (The idea of Kelly and Sukhatme, "A general framework for temporal calibration of
+/// multiple proprioceptive and exteroceptive sensors", ISER 2010, with a bias.)
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/math/small_matrices.hpp"
+#include "ft/math/so3.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// The last samples of a gyroscope as the rotation since the first one, or since the last gap or
+/// spike. add() allocates nothing.
+class turn_history {
+public:
+  void reserve(std::size_t samples) { ring_.resize(samples); }
+  void clear() { count_ = 0; }
+  /// @param time_ns after that of the sample before
+  void add(std::int64_t time_ns, vec3<float> gyro) {
+    if (ring_.empty()) { return; }
+    entry next{
+        time_ns,
+        strict_mat3d::identity(),
+        {static_cast<double>(gyro.x), static_cast<double>(gyro.y), static_cast<double>(gyro.z)}};
+    if (count_ > 0) {
+      entry const& last = at(count_ - 1);
+      std::int64_t const step = saturated_difference(time_ns, last.time_ns);
+      strict_vec3d const jump = next.rate - last.rate;
+      if (step <= 0 || step > longest_gap_ns || dot(jump, jump) > real64(jerk * jerk)) {
+        count_ = 0;
+      } else {
+        next.R = nearest_rotation(last.R *
+                                  rotation_exp(scaled(last.rate + next.rate, half_seconds(step))));
+      }
+    }
+    ring_[index(count_++)] = next;
+  }
+  bool covers(std::int64_t from_ns, std::int64_t to_ns) const {
+    return count_ > 1 && at(oldest()).time_ns <= from_ns && at(count_ - 1).time_ns >= to_ns;
+  }
+  bool reaches(std::int64_t time_ns) const {
+    return count_ > 0 && at(count_ - 1).time_ns >= time_ns;
+  }
+  /// @param time_ns within what it covers
+  strict_mat3d at_time(std::int64_t time_ns) const {
+    std::size_t low = oldest(), high = count_ - 1;
+    while (high - low > 1) {
+      std::size_t const middle = low + (high - low) / 2;
+      (at(middle).time_ns <= time_ns ? low : high) = middle;
+    }
+    entry const& a = at(low);
+    entry const& b = at(high);
+    real64 const into = seconds(time_ns - a.time_ns);
+    real64 const share = into / seconds(b.time_ns - a.time_ns);
+    strict_vec3d const mean = a.rate + scaled(b.rate - a.rate, real64(0.5) * share);
+    return a.R * rotation_exp(scaled(mean, into));
+  }
+
+private:
+  static constexpr std::int64_t longest_gap_ns = 100'000'000;
+  static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
+  struct entry {
+    std::int64_t time_ns;
+    strict_mat3d R;
+    strict_vec3d rate;
+  };
+  static real64 seconds(std::int64_t ns) { return real64(static_cast<double>(ns) * 1e-9); }
+  static real64 half_seconds(std::int64_t ns) { return real64(static_cast<double>(ns) * 0.5e-9); }
+  std::size_t index(std::size_t i) const { return i % ring_.size(); }
+  entry const& at(std::size_t i) const { return ring_[index(i)]; }
+  std::size_t oldest() const { return count_ > ring_.size() ? count_ - ring_.size() : 0; }
+
+  std::vector<entry> ring_;
+  std::size_t count_ = 0;  ///< since the last gap
+};
+
+/// The estimator of one camera. Allocates nothing after reserve().
+class imu_clock {
+public:
+  static constexpr std::int64_t step_ns = 5'000'000;  ///< of the grid
+  static constexpr int reach = 30;                    ///< steps of the grid on either side
+  static constexpr std::int64_t reach_ns = step_ns * reach;
+
+  /// @param rate_hz of the samples @param middle_ns of the grid
+  void reserve(double rate_hz, std::int64_t middle_ns) {
+    middle_ns_ = middle_ns;
+    turns_.reserve(static_cast<std::size_t>(min_of(max_of(1.5 * rate_hz, 256.0), 16384.0)));
+  }
+  void clear() {
+    turns_.clear();
+    forget();
+  }
+  /// A sample of the gyroscope, on its own clock.
+  void add(std::int64_t time_ns, vec3<float> gyro) { turns_.add(time_ns, gyro); }
+  /// The attitude of the IMU at an image, as the images tell it. A turn from an earlier one enters
+  /// as soon as the samples reach beyond it.
+  /// @param R body to world @param follows whether the world is that of the image before
+  void add_attitude(std::int64_t time_ns, mat3<double> const& R, bool follows) {
+    if (!follows) { seen_ = 0; }
+    // The longest turn: its rate changes most, and its errors are no larger.
+    attitude const now{time_ns, R.cast<real64>()};
+    auto const age = [&](int i) {
+      return saturated_difference(time_ns, attitudes_[static_cast<std::size_t>(i)].time_ns);
+    };
+    int drop = 0;
+    while (drop < seen_ && (seen_ - drop == images || age(drop) > longest_turn_ns)) { ++drop; }
+    seen_ -= drop;
+    for (int i = 0; i < seen_; ++i) {
+      attitudes_[static_cast<std::size_t>(i)] = attitudes_[static_cast<std::size_t>(i + drop)];
+    }
+    if (seen_ > 0) {
+      if (waiting_ == pending) { take_front(false); }
+      attitude const& first = attitudes_[0];
+      pairs_[static_cast<std::size_t>(waiting_++)] = {first.time_ns, time_ns,
+                                                      rotation_log(first.R.transposed() * now.R)};
+    }
+    attitudes_[static_cast<std::size_t>(seen_++)] = now;
+    while (waiting_ > 0 && turns_.reaches(on_its_clock(pairs_[0].to_ns, reach_ns))) {
+      take_front(true);
+    }
+  }
+  imu_clock_offset estimate() const;
+
+private:
+  static constexpr int pending = 64;
+  static constexpr int points = 2 * reach + 1;
+  static constexpr int images = 16;  ///< a turn spans fewer
+  static constexpr std::int64_t longest_turn_ns = 260'000'000;
+  /// Share of the weights of earlier turns that remains with a new one.
+  static constexpr double memory = 0.995;
+  /// Fewer turns tell nothing; nor do turns that differ by more than this, rad.
+  static constexpr double fewest = 30, strange = 0.1;
+  struct attitude {
+    std::int64_t time_ns;
+    strict_mat3d R;
+  };
+  struct turn {
+    std::int64_t from_ns, to_ns;
+    strict_vec3d seen;
+  };
+  struct sums {
+    real64 squares = 0.0;                 ///< of differences
+    strict_vec3d by_time{0.0, 0.0, 0.0};  ///< of differences times their duration
+  };
+
+  std::int64_t on_its_clock(std::int64_t time_ns, std::int64_t later_ns) const {
+    return saturated_difference(time_ns, -(middle_ns_ + later_ns));
+  }
+  void forget() {
+    waiting_ = seen_ = 0;
+    sums_.fill({});
+    weight_ = times_ = 0.0;
+  }
+  void take_front(bool use) {
+    if (use) { take(pairs_[0]); }
+    --waiting_;
+    for (int i = 0; i < waiting_; ++i) {
+      pairs_[static_cast<std::size_t>(i)] = pairs_[static_cast<std::size_t>(i) + 1];
+    }
+  }
+  void take(turn const& t) {
+    std::int64_t const from = on_its_clock(t.from_ns, 0), to = on_its_clock(t.to_ns, 0);
+    if (!turns_.covers(from - reach_ns, to + reach_ns)) { return; }
+    real64 const duration = static_cast<double>(to - from) * 1e-9;
+    std::array<strict_vec3d, points> off;
+    real64 least = 1e30;
+    for (int j = 0; j < points; ++j) {
+      std::int64_t const d = (j - reach) * step_ns;
+      strict_vec3d const r =
+          t.seen - rotation_log(turns_.at_time(from + d).transposed() * turns_.at_time(to + d));
+      off[static_cast<std::size_t>(j)] = r;
+      least = min_of(least, dot(r, r));
+    }
+    if (!(least < real64(strange * strange))) { return; }
+    real64 const keep = memory;
+    weight_ = keep * weight_ + real64(1.0);
+    times_ = keep * times_ + duration * duration;
+    for (std::size_t j = 0; j < points; ++j) {
+      sums& s = sums_[j];
+      s.squares = keep * s.squares + dot(off[j], off[j]);
+      s.by_time = scaled(s.by_time, keep) + scaled(off[j], duration);
+    }
+  }
+  /// What remains of the squares with the bias that suits them best.
+  real64 cost(int j) const {
+    sums const& s = sums_[static_cast<std::size_t>(j)];
+    return s.squares - dot(s.by_time, s.by_time) / times_;
+  }
+
+  turn_history turns_;
+  std::int64_t middle_ns_ = 0;
+  std::array<attitude, images> attitudes_{};  ///< the last ones, oldest first
+  int seen_ = 0;                              ///< of them
+  std::array<turn, pending> pairs_{};
+  int waiting_ = 0;
+  std::array<sums, points> sums_{};
+  real64 weight_ = 0.0, times_ = 0.0;
+};
+
+inline imu_clock_offset imu_clock::estimate() const {
+  imu_clock_offset out;
+  if (!(weight_ > real64(fewest))) { return out; }
+  int best = 0;
+  for (int j = 1; j < points; ++j) {
+    if (cost(j) < cost(best)) { best = j; }
+  }
+  if (best == 0 || best == points - 1) { return out; }  // too far, or nothing is told
+  real64 const before = cost(best - 1), at = cost(best), after = cost(best + 1);
+  real64 const bend = before + after - (at + at);
+  if (!(bend > real64(0.0))) { return out; }
+  real64 const aside = real64(0.5) * (before - after) / bend;
+  real64 const least = at - real64(0.25) * (before - after) * aside;
+  real64 const step = static_cast<double>(step_ns) * 1e-9;
+  // The sum grows by bend / 2 over a step: in units of a turn's variance, by one over a deviation.
+  real64 const variance = max_of(least, real64(1e-12)) / (real64(3.0) * weight_ - real64(4.0));
+  real64 const sigma = step * scalar::sqrt(real64(2.0) * variance / bend);
+  out.offset_s = ((real64(static_cast<double>(best - reach)) + aside) * step).value +
+                 static_cast<double>(middle_ns_) * 1e-9;
+  out.sigma_s = sigma.value;
+  // A motion that repeats itself has several minima.
+  bool alone = true;
+  for (int j = 1; j + 1 < points; ++j) {
+    bool const minimum = cost(j) <= cost(j - 1) && cost(j) <= cost(j + 1);
+    alone = alone && (!minimum || std::abs(j - best) <= 1 || cost(j) > real64(2.0) * least);
+  }
+  if (!alone) { return {}; }
+  out.known = out.sigma_s < 1e-3;
+  return out;
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What is to be told of a frame although it is tracked: names, sentences, and when.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "ft/core/config.hpp"
+#include "ft/pipelines/imu_warnings.hpp"
+#include "ft/types/odometry_params.hpp"
+#include "ft/types/tracking.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// The warning as a word, such as "two_motions".
+inline char const* name_of(tracking_warning warning) {
+  constexpr char const* names[] = {
+      "new_map",     "doubtful_pose", "two_motions", "images_repeat", "stereo_inconsistent",
+      "depth_scale", "dark",          "bright",      "low_texture",   "blurred",
+      "imu"};
+  static_assert(sizeof names / sizeof *names == tracking_warnings, "one a warning");
+  int const i = static_cast<int>(warning);
+  return i >= 0 && i < tracking_warnings ? names[i] : "unknown";
+}
+
+/// Limits of warnings. Grey values are from 0 to 255.
+struct warning_limits {
+  double dark_mean = 16;
+  double bright_mean = 239;
+  double least_deviation = 5;          ///< of grey values
+  int few_keypoints = 120;             ///< of all cameras, with less than which an image is blurred
+  double least_stereo_share = 0.3;     ///< of keypoints with a stereo match
+  double stereo_drop = 0.65;           ///< or of that share, as a share of the usual one
+  int moving_points = 20;              ///< that move otherwise than the rest, at least
+  double moving_share = 1.0 / 16;      ///< and as a share of all that are fixed to a camera
+  double rejected_share = 0.125;       ///< or of all matches that do not agree with the pose
+  std::int64_t stays_ns = 1000000000;  ///< a doubt about a pose is one about the second after it
+};
+
+namespace detail {
+
+/// Whether many keypoints of a frame are fixed to a camera.
+inline bool has_fixed(tracking const& t, warning_limits const& limits) {
+  int const n = t.evidence.facts.fixed;
+  return n >= limits.moving_points && n >= limits.moving_share * (t.stereo_points + n);
+}
+
+/// Whether keypoints of a frame move otherwise than its pose says.
+/// @param fixed_before has_fixed() of the frame before: a camera that stops looks so for a frame
+inline bool has_two_motions(tracking const& t, warning_limits const& limits, bool fixed_before) {
+  tracking_evidence const& e = t.evidence;
+  frame_facts const& f = e.facts;
+  if (fixed_before && has_fixed(t, limits)) { return true; }
+  // Keypoints that do not agree with the pose, and most of whose motion is common.
+  int const together = (f.rejected_x < 0 ? -f.rejected_x : f.rejected_x) +
+                       (f.rejected_y < 0 ? -f.rejected_y : f.rejected_y);
+  int const rejected = f.matches - t.inliers;
+  if (rejected >= limits.moving_points && rejected >= limits.rejected_share * f.matches &&
+      2 * together > f.rejected_length) {
+    return true;
+  }
+  // The pose stands still while much of the image does not.
+  return t.inliers > 0 && !t.map_begun && 8 * f.flowing < t.inliers && 3 * e.moved > e.textured &&
+         e.textured >= 16;
+}
+
+inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
+  frame_facts const& f = t.evidence.facts;
+  if (f.with_disparity >= limits.moving_points && 4 * f.off_disparity > f.with_disparity) {
+    return true;
+  }
+  if (t.depths != depth_origin::stereo || t.keypoints < limits.few_keypoints) { return false; }
+  double const share = t.evidence.stereo_share;
+  return share < limits.least_stereo_share ||
+         share < limits.stereo_drop * t.evidence.usual_stereo_share;
+}
+
+/// What the light of a frame's images and the number of its keypoints say.
+inline void add_light_warnings(tracking const& t, warning_limits const& limits, warning_set& all) {
+  if (t.light.image < 0) { return; }
+  if (t.light.mean < limits.dark_mean) {
+    all.add(tracking_warning::dark);
+  } else if (t.light.mean > limits.bright_mean) {
+    all.add(tracking_warning::bright);
+  } else if (t.light.deviation < limits.least_deviation) {
+    all.add(tracking_warning::low_texture);
+  } else if (t.keypoints < limits.few_keypoints) {
+    all.add(tracking_warning::blurred);
+  }
+}
+
+/// What is kept of a camera to judge its next frame by.
+class frame_warnings {
+public:
+  /// Writes `warnings` and the shares of stereo matches of a frame.
+  /// @param t the rest is known @param first 1st frame of a camera
+  void judge(tracking& t, std::int64_t time_ns, bool first, odometry_params const& params) {
+    if (first) { *this = {}; }
+    warning_limits const limits{};
+    tracking_evidence& e = t.evidence;
+    if (t.keypoints > 0) {
+      e.stereo_share = static_cast<double>(t.stereo_points + e.facts.fixed) / t.keypoints;
+    }
+    e.usual_stereo_share = usual_share_;
+    warning_set& all = t.warnings;
+    all = {};
+    add_light_warnings(t, limits, all);
+    bool const unlit = !all.empty();
+    if (t.map_begun && t.maps > 1) { all.add(tracking_warning::new_map); }
+    if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
+    if (repeats(t)) { all.add(tracking_warning::images_repeat); }
+    if (t.state == tracking_state::tracking) {
+      if (t.inliers > 0 && e.facts.evidence < params.rules.min_evidence) {
+        all.add(tracking_warning::doubtful_pose);
+      }
+      if (has_two_motions(t, limits, fixed_before_)) { all.add(tracking_warning::two_motions); }
+      if (!unlit && has_odd_stereo(t, limits)) { all.add(tracking_warning::stereo_inconsistent); }
+    }
+    fixed_before_ = has_fixed(t, limits);
+    if (params.imu.present && !imu_warnings(t.imu, params.imu).empty()) {
+      all.add(tracking_warning::imu);
+    }
+    if (!all.has(tracking_warning::stereo_inconsistent) && !unlit) {
+      double const gain = usual_share_ > 0 ? 0.125 : 1;
+      usual_share_ += gain * (e.stereo_share - usual_share_);
+    }
+    for (tracking_warning const w : {tracking_warning::doubtful_pose, tracking_warning::two_motions,
+                                     tracking_warning::stereo_inconsistent}) {
+      auto& said = said_ns_[static_cast<int>(w)];
+      if (all.has(w)) { said = time_ns; }
+      if (said >= 0 && time_ns - said < limits.stays_ns) { all.add(w); }
+    }
+  }
+
+private:
+  /// Whether images are those of the frame before though the camera moves.
+  bool repeats(tracking const& t) {
+    tracking_evidence const& e = t.evidence;
+    bool const all_same = e.images > 0 && e.same == e.images && e.textured > 0;
+    vec3<double> const v = t.imu.velocity;
+    bool const moves = e.facts.moving != 0 || (t.imu.known && dot(v, v) > 0.01);
+    repeats_ = all_same && (repeats_ || moves);
+    return repeats_ || (e.same > 0 && e.same < e.images && e.textured > 0);
+  }
+
+  double usual_share_ = 0;
+  bool repeats_ = false;
+  bool fixed_before_ = false;
+  std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
+};
+
+inline std::string share_of(double part, double of) {
+  return std::to_string(of > 0 ? static_cast<int>(100 * part / of) : 0) + " %";
+}
+
+}  // namespace detail
+
+/// A warning, and a sentence that has the numbers; no full stop at its end.
+struct tracking_notice {
+  tracking_warning warning = tracking_warning::new_map;
+  std::string text;
+};
+
+/// The sentence of a warning that a frame has. Host; allocates it.
+inline std::string text_of(tracking_warning w, tracking const& t, odometry_params const& params) {
+  tracking_evidence const& e = t.evidence;
+  frame_facts const& f = e.facts;
+  auto const number = [](double v) { return std::to_string(static_cast<int>(v)); };
+  std::string const light = "image " + std::to_string(t.light.image) + ": its grey values are " +
+                            number(t.light.mean) + " of 255 and deviate by " +
+                            number(t.light.deviation);
+  switch (w) {
+    case tracking_warning::new_map:
+      return "map " + std::to_string(t.map_id) + " begins at a guessed place";
+    case tracking_warning::doubtful_pose:
+      return std::to_string(t.inliers) + " of " + std::to_string(t.local_points) +
+             " map points agree with the pose, " + std::to_string(f.evidence) +
+             " bits of evidence, in this frame or one of the second before; " +
+             std::to_string(params.rules.min_evidence) + " are asked for";
+    case tracking_warning::two_motions:
+      return std::to_string(f.fixed) + " keypoints are fixed to the camera, " +
+             std::to_string(f.matches - t.inliers) + " of " + std::to_string(f.matches) +
+             " matches do not agree with the pose, and " + detail::share_of(e.moved, e.textured) +
+             " of the images changed, in this frame or one of the second before";
+    case tracking_warning::images_repeat:
+      return std::to_string(e.same) + " of " + std::to_string(e.images) +
+             " images are those of the frame before while the camera moves";
+    case tracking_warning::stereo_inconsistent:
+      return detail::share_of(e.stereo_share, 1) +
+             " of the keypoints have a stereo match, usually " +
+             detail::share_of(e.usual_stereo_share, 1) + ", and " +
+             std::to_string(f.off_disparity) + " of " + std::to_string(f.with_disparity) +
+             " do not agree with the map: are both images taken at the same time?";
+    case tracking_warning::depth_scale:
+      return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
+             " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";
+    case tracking_warning::dark:
+      return "nearly black is " + light;
+    case tracking_warning::bright:
+      return "nearly white is " + light;
+    case tracking_warning::low_texture:
+      return "almost uniform is " + light;
+    case tracking_warning::blurred:
+      return "only " + std::to_string(t.keypoints) + " keypoints: blurred, or without texture";
+    case tracking_warning::imu:
+      break;
+  }
+  std::string all;
+  for (std::string const& said : imu_warnings(t.imu, params.imu)) {
+    all += (all.empty() ? "" : "; ") + said;
+  }
+  return all;
+}
+
+/// The warnings of a frame, each with its sentence. A doubt about a pose is told for a second: it
+/// is one about the motion since then. Host; allocates.
+/// @param t what track() returned @param params of the odometry
+inline std::vector<tracking_notice> warnings_of(tracking const& t, odometry_params const& params) {
+  std::vector<tracking_notice> out;
+  for (int i = 0; i < tracking_warnings; ++i) {
+    auto const w = static_cast<tracking_warning>(i);
+    if (t.warnings.has(w)) { out.push_back({w, text_of(w, t, params)}); }
+  }
+  return out;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which cells of an image stay as they are while the rest moves.
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "ft/kernels/odometry/image_changes.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/memory.hpp"
+#include "tests/support/plain_map.hpp"
+#include "tests/support/random.hpp"
+
+namespace watch_images_test {
+
+using test::at;
+using changes = ft::image_changes;
+
+struct arrays {
+  ft::image_pyramid_view images;
+  ft::image_changes_view changes;
+};
+
+/// Two images of a rig.
+template <typename Exec>
+struct camera {
+  Exec const& exec;
+  int width, height;
+  test::mirrored<Exec, arrays> data;
+
+  camera(Exec const& on, int w, int h)
+      : exec(on), width(w), height(h), data([&](ft::carver& c, arrays& v) {
+          carve(c, v.images, ft::pyramid_geometry::make(w, h, 1, 1.2f), 2);
+          carve(c, v.changes, 2);
+        }) {
+    for (int i = 0; i < 2; ++i) { data.host.changes.begun[i] = 0; }
+  }
+  /// @param grey of image i at a pixel
+  template <typename Grey>
+  void see(Grey const& grey) {
+    for (int i = 0; i < 2; ++i) {
+      auto const to = data.host.images.level(i, 0);
+      for (int y = 0; y < height; ++y) {
+        for (int x = 0; x < width; ++x) { to.row(y)[x] = static_cast<std::uint8_t>(grey(i, x, y)); }
+      }
+    }
+    data.push(exec);
+    ft::watch_images(exec, data.device.images, data.device.changes);
+    data.pull(exec);
+  }
+  changes const& of(int i) const { return data.host.changes.of[i]; }
+  bool fixed(int i, float x, float y, bool sure = false) const {
+    return data.host.changes.is_fixed(i, x, y, width, height, sure);
+  }
+};
+
+int texture(int x, int y) {
+  unsigned h = static_cast<unsigned>(x) * 73856093U ^ static_cast<unsigned>(y) * 19349663U;
+  h ^= h >> 13;
+  h *= 0x5bd1e995U;
+  return static_cast<int>((h >> 15) % 200U) + 20;
+}
+
+template <typename Backend>
+class WatchImages : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(WatchImages, test::backends);
+
+TYPED_TEST(WatchImages, FindWhatIsFixedWhileTheRestMoves) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
+  // The lower half of the first image stays, with another light in each frame. So does a quarter.
+  for (int frame = 0; frame < 10; ++frame) {
+    c.see([&](int i, int x, int y) {
+      bool const stays = i == 0 && y >= 160;
+      return texture(stays ? x : x + 31 * frame, y) + (stays ? frame : 0);
+    });
+    SCOPED_TRACE(frame);
+    EXPECT_EQ(c.of(0).same, 0);
+    EXPECT_EQ(c.of(0).still, frame == 0 ? 0 : changes::cells / 3);
+    EXPECT_EQ(c.of(0).moved, frame == 0 ? 0 : changes::cells * 2 / 3);
+    EXPECT_EQ(c.fixed(0, 100, 200), frame > 0);
+    EXPECT_EQ(c.fixed(0, 100, 200, true), frame >= 8);
+    EXPECT_FALSE(c.fixed(0, 100, 120));
+    EXPECT_FALSE(c.fixed(1, 100, 200));
+  }
+  // A camera at rest forgets nothing.
+  auto const last = [&](int i, int x, int y) {
+    return texture(i == 0 && y >= 160 ? x : x + 279, y) + (i == 0 && y >= 160 ? 9 : 0);
+  };
+  c.see(last);
+  EXPECT_EQ(c.of(0).same, 1);
+  EXPECT_TRUE(c.fixed(0, 100, 200, true));
+  // What moves is no longer fixed.
+  c.see([&](int i, int x, int y) { return last(i, x + 17, y); });
+  EXPECT_FALSE(c.fixed(0, 100, 200));
+}
+
+TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 64, 48);
+  for (int frame = 0; frame < 10; ++frame) {
+    c.see([&](int i, int x, int y) { return i == 0 ? 50 + frame : texture(x, y); });
+    for (int i = 0; i < 2; ++i) {
+      for (unsigned const bits : c.of(i).now) { EXPECT_EQ(bits, 0U); }
+    }
+    EXPECT_EQ(c.of(0).textured, 0);
+    EXPECT_EQ(c.of(1).same, frame > 0 ? 1 : 0);
+  }
+  // Pixels at, and outside of, the border belong to the outermost cells.
+  EXPECT_FALSE(c.fixed(1, -5, -5));
+  EXPECT_FALSE(c.fixed(1, 1e6f, 1e6f));
+}
+
+}  // namespace watch_images_test

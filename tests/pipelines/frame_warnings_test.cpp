@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+// What is told of frames that are tracked though their pose may be wrong, and what is left out of
+// it: things that are fixed to the camera.
+#include "ft/pipelines/tracking_warnings.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "ft/kernels/odometry/frame_facts.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
+#include "tests/support/room.hpp"
+
+namespace frame_warnings_test {
+
+using test::at;
+using test::room::height;
+using test::room::image;
+using test::room::stereo_frame;
+using test::room::width;
+using warning = ft::tracking_warning;
+constexpr std::int64_t period = 50'000'000;
+
+std::vector<stereo_frame> const& walk(unsigned seed) {
+  static std::vector<stereo_frame> const walks[] = {
+      test::room::make_walk(test::room::rig(), 4, 24),
+      test::room::make_walk(test::room::rig(), 17, 24)};
+  return walks[seed];
+}
+
+/// A bonnet: the same pixels in every frame on the lower share of the images, 0.9 m away.
+void cover(stereo_frame& f, double share, unsigned noise_seed) {
+  static image const paint = test::random_image(width + 200, height, 501);
+  constexpr int disparity = 83;
+  test::generator noise(noise_seed);
+  for (int y = static_cast<int>(height * (1 - share)); y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      auto const grey = [&](int column) {
+        int const v = paint[at(y) * at(width + 200) + at(column)] + noise.below(5) - 2;
+        return static_cast<std::uint8_t>(std::clamp(v, 0, 255));
+      };
+      f.left[at(y) * at(width) + at(x)] = grey(x);
+      f.right[at(y) * at(width) + at(x)] = grey(x + disparity);
+    }
+  }
+}
+
+struct run {
+  std::vector<ft::tracking> all;
+  double path = 0;
+  double ate = 0;  ///< metres
+  int with(warning w) const {
+    return static_cast<int>(std::count_if(
+        all.begin(), all.end(), [&](ft::tracking const& t) { return t.warnings.has(w); }));
+  }
+  int warned() const {
+    return static_cast<int>(std::count_if(
+        all.begin(), all.end(), [](ft::tracking const& t) { return !t.warnings.empty(); }));
+  }
+};
+
+template <typename Exec>
+run track(Exec const& exec, std::vector<stereo_frame> const& frames) {
+  ft::odometry<Exec> odo(exec, test::room::rig(), test::room::odometry_params(8192));
+  run r;
+  std::int64_t time = 0;
+  for (stereo_frame const& f : frames) {
+    r.all.push_back(
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, time += period));
+  }
+  double squares = 0;
+  ft::vec3<float> last{};
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    ft::vec3<float> const p = frames[0].T_cw * frames[i].T_cw.inverse().t;
+    ft::vec3<float> const step = p - last;
+    r.path += static_cast<double>(std::sqrt(ft::dot(step, step)));
+    last = p;
+    ft::vec3<double> const off = r.all[i].T_world_camera.t - ft::vec3<double>{p.x, p.y, p.z};
+    squares += ft::dot(off, off);
+  }
+  r.ate = std::sqrt(squares / static_cast<double>(frames.size()));
+  return r;
+}
+
+template <typename Backend>
+class FrameWarnings : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(FrameWarnings, test::backends);
+
+TYPED_TEST(FrameWarnings, ACleanWalkHasNone) {
+  TypeParam backend;
+  for (unsigned seed : {0U, 1U}) {
+    run const r = track(backend.exec, walk(seed));
+    EXPECT_EQ(r.warned(), 0);
+    EXPECT_LT(r.ate, 0.02 * r.path);
+    EXPECT_EQ(r.all.back().map_id, 1);
+  }
+}
+
+TYPED_TEST(FrameWarnings, WhatIsFixedToTheCameraLeavesThePose) {
+  TypeParam backend;
+  for (double const share : {0.25, 0.4}) {
+    SCOPED_TRACE(share);
+    for (unsigned seed : {0U, 1U}) {
+      auto frames = walk(seed);
+      for (std::size_t i = 0; i < frames.size(); ++i) {
+        cover(frames[i], share, static_cast<unsigned>(i));
+      }
+      run const r = track(backend.exec, frames);
+      EXPECT_GT(r.with(warning::two_motions), 12);
+      EXPECT_LT(r.ate, (share < 0.3 ? 0.02 : 0.05) * r.path);
+    }
+  }
+}
+
+TYPED_TEST(FrameWarnings, ImagesThatRepeatWhileTheCameraMoves) {
+  TypeParam backend;
+  auto frames = walk(0);
+  for (std::size_t i = 12; i < 15; ++i) {
+    frames[i].left = frames[11].left;
+    frames[i].right = frames[11].right;
+  }
+  run const both = track(backend.exec, frames);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    EXPECT_EQ(both.all[i].warnings.has(warning::images_repeat), i >= 12 && i < 15) << i;
+  }
+  frames = walk(0);
+  for (std::size_t i = 12; i < 15; ++i) { frames[i].left = frames[11].left; }
+  run const one = track(backend.exec, frames);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    EXPECT_EQ(one.all[i].warnings.has(warning::images_repeat), i >= 12 && i < 15) << i;
+  }
+}
+
+TYPED_TEST(FrameWarnings, ACameraAtRestRepeatsItsImages) {
+  TypeParam backend;
+  std::vector<stereo_frame> const frames(6, walk(0)[0]);
+  EXPECT_EQ(track(backend.exec, frames).warned(), 0);
+}
+
+// ---- what they are decided by
+
+TEST(ChanceCounts, AskForMoreOfManyPoints) {
+  auto const bits = [](int inliers, int points, int keypoints) {
+    ft::detail::chance_counts n;
+    n.points = points;
+    n.keypoints = keypoints;
+    n.area = std::int64_t{16} * 38 * keypoints;
+    n.image = 752 * 480;
+    return n.bits(inliers) / ft::detail::evidence_one;
+  };
+  EXPECT_GE(bits(20, 25, 1000), 64);
+  EXPECT_GE(bits(20, 1000, 25), 64);
+  EXPECT_LT(bits(20, 900, 1000), 64);
+  EXPECT_EQ(bits(0, 900, 1000), 0);
+  EXPECT_EQ(bits(5, 0, 1000), 0);
+  EXPECT_EQ(bits(5, 900, 0), 0);
+  EXPECT_GT(bits(1 << 20, 1 << 20, 1 << 20), -1) << "no overflow";
+}
+
+/// A frame with nothing to tell.
+ft::tracking good() {
+  ft::tracking t;
+  t.state = ft::tracking_state::tracking;
+  t.inliers = t.agreed = 300;
+  t.keypoints = 800;
+  t.stereo_points = 500;
+  t.maps = t.map_id = 1;
+  t.light = {0, 110, 40};
+  t.evidence.facts.matches = 310;
+  t.evidence.facts.flowing = 280;
+  t.evidence.facts.evidence = 500;
+  t.evidence.images = 2;
+  t.evidence.textured = 380;
+  t.evidence.moved = 350;
+  return t;
+}
+
+struct judged {
+  ft::detail::frame_warnings camera;
+  ft::odometry_params params;
+  std::int64_t time = 0;
+  bool first = true;
+  ft::warning_set operator()(ft::tracking t, std::int64_t after = period) {
+    camera.judge(t, time += after, first, params);
+    first = false;
+    for (auto const& said : ft::warnings_of(t, params)) {
+      EXPECT_FALSE(said.text.empty()) << ft::name_of(said.warning);
+      EXPECT_NE(said.text.back(), '.');
+    }
+    return t.warnings;
+  }
+};
+
+TEST(WarningsOfFrames, EachHasItsCause) {
+  struct row {
+    warning wanted;
+    void (*change)(ft::tracking&);
+  };
+  row const rows[] = {
+      {warning::new_map,
+       [](ft::tracking& t) {
+         t.map_begun = true;
+         t.maps = t.map_id = 2;
+       }},
+      {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.evidence = 63; }},
+      {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.fixed = 40; }},
+      {warning::two_motions,
+       [](ft::tracking& t) {
+         t.evidence.facts.matches = 360;
+         t.evidence.facts.rejected_length = 60 * 80;
+         t.evidence.facts.rejected_x = -60 * 50;
+       }},
+      {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.flowing = 3; }},
+      {warning::images_repeat, [](ft::tracking& t) { t.evidence.same = 1; }},
+      {warning::stereo_inconsistent, [](ft::tracking& t) { t.stereo_points = 230; }},
+      {warning::stereo_inconsistent,
+       [](ft::tracking& t) {
+         t.evidence.facts.with_disparity = 200;
+         t.evidence.facts.off_disparity = 60;
+       }},
+      {warning::depth_scale, [](ft::tracking& t) { t.distant_points = 300; }},
+      {warning::dark, [](ft::tracking& t) { t.light.mean = 15; }},
+      {warning::bright, [](ft::tracking& t) { t.light.mean = 240; }},
+      {warning::low_texture, [](ft::tracking& t) { t.light.deviation = 4; }},
+      {warning::blurred,
+       [](ft::tracking& t) {
+         t.keypoints = 119;
+         t.stereo_points = 70;
+       }},
+  };
+  for (row const& r : rows) {
+    SCOPED_TRACE(ft::name_of(r.wanted));
+    judged camera;
+    EXPECT_TRUE(camera(good()).empty());
+    ft::tracking t = good();
+    r.change(t);
+    camera(t);  // a camera that stops looks for a frame as if much were fixed to it
+    EXPECT_EQ(camera(t).bits, 1U << static_cast<int>(r.wanted));
+  }
+}
+
+TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
+  judged camera;
+  ft::tracking t = good();
+  t.evidence.facts.evidence = 0;
+  EXPECT_TRUE(camera(t).has(warning::doubtful_pose));
+  EXPECT_TRUE(camera(good(), 999'999'999).has(warning::doubtful_pose));
+  EXPECT_FALSE(camera(good(), 1).has(warning::doubtful_pose));
+  // and ends with a camera that begins anew
+  EXPECT_TRUE(camera(t).has(warning::doubtful_pose));
+  camera.first = true;
+  EXPECT_TRUE(camera(good()).empty());
+}
+
+}  // namespace frame_warnings_test

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+// The offset of an IMU's clock, from how a camera and the IMU turn: it is found within a
+// millisecond where the rate of turning changes, and not claimed to be known where it does not.
+#include "ft/pipelines/detail/imu_clock.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdint>
+#include <random>
+
+namespace imu_clock_test {
+
+using ft::detail::imu_clock;
+using ft::detail::real64;
+using strict_vec3d = ft::vec3<real64>;
+
+/// A motion, as rates about three axes at a time, rad/s.
+using motion = ft::vec3<double> (*)(double);
+
+ft::vec3<double> hand(double t) {
+  return {0.6 * std::sin(2.1 * t) + 0.2 * std::sin(5.3 * t + 1), 0.5 * std::sin(1.3 * t + 2),
+          0.3 * std::sin(3.7 * t)};
+}
+ft::vec3<double> steady(double) { return {0.3, -0.2, 0.1}; }
+ft::vec3<double> rest(double) { return {0, 0, 0}; }
+/// The same again every 0.1 s: any multiple of that may be the offset.
+ft::vec3<double> shaking(double t) { return {0.5 * std::sin(20 * 3.14159265358979 * t), 0, 0}; }
+
+struct setting {
+  motion turn = hand;
+  double offset_s = 0;
+  double lead_s = 0;    ///< samples come so long before their frame
+  double middle_s = 0;  ///< what is said of the offset
+  double attitude_noise = 3e-4;
+  int frames = 240;
+  double spike_s = -1;  ///< a sample of 34 rad/s
+  int new_map = -1;     ///< frame from which the world is another one
+};
+
+ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
+  constexpr std::int64_t fine_ns = 500'000;
+  std::mt19937 random(seed);
+  std::normal_distribution<double> noise;
+  auto const noisy = [&](double sigma) {
+    return strict_vec3d{sigma * noise(random), sigma * noise(random), sigma * noise(random)};
+  };
+  imu_clock clock;
+  clock.reserve(200, std::llround(1e9 * s.middle_s));
+  auto R = ft::mat3<real64>::identity();
+  std::int64_t sample_ns = 0;
+  auto const offset_ns = static_cast<std::int64_t>(std::llround(1e9 * s.offset_s));
+  auto const lead_ns = static_cast<std::int64_t>(std::llround(1e9 * s.lead_s));
+  for (std::int64_t t = 0; t <= s.frames * 50'000'000LL; t += fine_ns) {
+    auto const rate = s.turn(static_cast<double>(t) * 1e-9 + 0.25e-3);
+    strict_vec3d const step{rate.x * 5e-4, rate.y * 5e-4, rate.z * 5e-4};
+    if (t % 50'000'000 == 0) {
+      for (; sample_ns <= t + lead_ns - offset_ns; sample_ns += 5'000'000) {  // images' clock
+        auto w = s.turn(static_cast<double>(sample_ns) * 1e-9);
+        if (std::abs(static_cast<double>(sample_ns) * 1e-9 - s.spike_s) < 1e-6) { w.y = 34; }
+        auto const n = noisy(2.4e-3);
+        clock.add(sample_ns + offset_ns, {static_cast<float>(w.x + 0.02 + n.x.value),
+                                          static_cast<float>(w.y - 0.01 + n.y.value),
+                                          static_cast<float>(w.z + 0.03 + n.z.value)});
+      }
+      auto const seen = R * ft::detail::rotation_exp(noisy(s.attitude_noise));
+      clock.add_attitude(t, seen.template cast<double>(), t / 50'000'000 != s.new_map);
+      if (t / 50'000'000 + 1 == s.new_map) {
+        R = R * ft::detail::rotation_exp(strict_vec3d{1.0, -0.5, 0.3});
+      }
+    }
+    R = R * ft::detail::rotation_exp(step);
+  }
+  return clock.estimate();
+}
+
+TEST(ImuClock, IsFoundWithinAMillisecond) {
+  for (double const offset : {-0.1, -0.05, -0.02, -0.005, 0.0, 0.002, 0.01, 0.03, 0.05, 0.1}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      setting s;
+      s.offset_s = offset;
+      auto const c = found(s, seed);
+      EXPECT_TRUE(c.known) << offset;
+      EXPECT_NEAR(c.offset_s, offset, 1e-3) << seed;
+      EXPECT_LT(std::abs(c.offset_s - offset), 4 * c.sigma_s + 1e-4) << seed;
+    }
+  }
+}
+
+TEST(ImuClock, IsThatOfSamplesThatComeEarlyAndOfAnOffsetFarAway) {
+  setting s;
+  s.offset_s = 2.02;
+  s.middle_s = 2;
+  s.lead_s = 0.08;
+  auto const c = found(s);
+  EXPECT_TRUE(c.known);
+  EXPECT_NEAR(c.offset_s, 2.02, 1e-3);
+}
+
+TEST(ImuClock, IsNotKnownWithoutAChangingTurn) {
+  for (motion const turn : {steady, rest, shaking}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      setting s;
+      s.turn = turn;
+      s.offset_s = 0.01;
+      EXPECT_FALSE(found(s, seed).known);
+    }
+  }
+  setting s;
+  s.frames = 20;
+  EXPECT_FALSE(found(s).known) << "too few turns";
+  s.frames = 0;
+  EXPECT_EQ(found(s).sigma_s, 0);
+}
+
+// Images with more noise tell it less well, and the estimate says so.
+TEST(ImuClock, SaysHowCertainItIs) {
+  setting s;
+  double before = 0;
+  for (double const noise : {1e-4, 1e-3, 1e-2}) {
+    s.attitude_noise = noise;
+    auto const c = found(s);
+    EXPECT_GT(c.sigma_s, 2 * before) << noise;
+    before = c.sigma_s;
+  }
+  EXPECT_FALSE(found(s).known);
+}
+
+TEST(ImuClock, ASpikeOrANewMapDoNotMoveIt) {
+  setting s;
+  s.offset_s = 0.02;
+  s.spike_s = 8;
+  EXPECT_NEAR(found(s).offset_s, 0.02, 1e-3);
+  s.spike_s = -1;
+  s.new_map = 100;
+  EXPECT_NEAR(found(s).offset_s, 0.02, 1e-3);
+}
+
+}  // namespace imu_clock_test

@@ -13,11 +13,14 @@
 #include <utility>
 #include <vector>
 
+#include "ft/pipelines/explain.hpp"
+#include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/types/errors.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/rig_description.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ftpy {
 
@@ -151,6 +154,19 @@ inline ft::orb_params orb_params_of(feature_options const& o) {
   p.mask_height = o.mask_height;
   p.ties = o.std_sort ? ft::tie_rule::std_sort : ft::tie_rule::stable;
   return p;
+}
+
+/// A frame's result, with what is said of it.
+struct tracking {
+  ft::tracking of;
+  ft::tracking_explanation why;
+  std::vector<std::string> imu_warnings;
+  std::vector<ft::tracking_notice> warnings;
+};
+/// Empty without a reason.
+inline std::string reason_of(tracking const& t) {
+  bool const none = t.why.reason == ft::tracking_reason::none;
+  return none ? std::string() : ft::name_of(t.why.reason);
 }
 
 /// Keypoints of an image.

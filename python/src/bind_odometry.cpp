@@ -88,14 +88,6 @@ ft::rig_description description_of(rig const& r) {
   return rig;
 }
 
-/// A frame's result, with what is said of it.
-struct tracking {
-  ft::tracking of;
-  ft::tracking_explanation why;
-  std::vector<std::string> imu_warnings;
-  std::vector<ft::tracking_notice> warnings;
-};
-
 class bound_odometry {
 public:
   bound_odometry(nb::handle of, nb::handle options, nb::handle inertial,
@@ -397,12 +389,6 @@ char const* name_of(ft::tracking_state s) {
       break;
   }
   return "lost";
-}
-
-/// Empty without a reason.
-std::string reason_of(tracking const& t) {
-  bool const none = t.why.reason == ft::tracking_reason::none;
-  return none ? std::string() : ft::name_of(t.why.reason);
 }
 
 void bind_tracking(nb::module_& m) {

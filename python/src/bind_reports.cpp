@@ -26,7 +26,8 @@ app::arguments arguments_of(nb::handle out, std::string const& frame, std::strin
 
 /// @param given number of the frame, time stamp, whether it has a pose, times of stages, tracking
 seq::frame_record record_of(nb::handle given) {
-  auto const& t = nb::cast<tracking const&>(given[4]);
+  auto const& said = nb::cast<tracking const&>(given[4]);
+  ft::tracking const& t = said.of;
   seq::frame_record r;
   r.index = nb::cast<int>(given[0]);
   r.time_ns = nb::cast<std::int64_t>(given[1]);
@@ -38,15 +39,16 @@ seq::frame_record record_of(nb::handle given) {
   r.inliers = t.inliers;
   r.local_points = t.local_points;
   r.images_to_pose_ms = r.stage_ms.back();  // nothing is given ahead
-  r.reason = t.reason;
-  r.why = t.explanation;
-  r.imu_warnings = t.imu_warnings;
-  auto const vector = [](std::array<double, 3> const& v) {
-    return Eigen::Vector3d(v[0], v[1], v[2]);
+  r.reason = reason_of(said);
+  r.why = said.why.text;
+  r.imu_warnings = said.imu_warnings;
+  auto const vector = [](auto const& v) {
+    auto const wide = v.template cast<double>();
+    return Eigen::Vector3d(wide.x, wide.y, wide.z);
   };
-  if (t.imu_known) {
-    r.imu = seq::imu_record{t.imu_optimized, vector(t.velocity), vector(t.gyro_bias),
-                            vector(t.accel_bias), vector(t.gravity)};
+  if (t.imu.known) {
+    r.imu = seq::imu_record{t.imu.optimized, vector(t.imu.velocity), vector(t.imu.bias.gyro),
+                            vector(t.imu.bias.accel), vector(t.imu.gravity)};
   }
   return r;
 }

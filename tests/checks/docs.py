@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Checks the Markdown pages: what they link to inside the repository exists, headings included, and every C++ snippet of
-README.md, CONTRIBUTING.md and docs/ stands, line by line, in a source file that is compiled."""
+"""Checks the Markdown pages: what they link to inside the repository exists, headings included, every C++ snippet of
+README.md, CONTRIBUTING.md and docs/ stands, line by line, in a source file that is compiled, and docs/when_it_fails.md has
+every warning of include/ft by its name, and no other."""
 
 import re
 import subprocess
@@ -53,6 +54,46 @@ def unknown_snippets(page, compiled):
             yield lines[0]
 
 
+def texts(code):
+    """The string literals of code, those in a row as one."""
+    return ["".join(re.findall(r'"((?:[^"\\]|\\.)*)"', run)) for run in re.findall(r'(?:"(?:[^"\\]|\\.)*"\s*)+', code)]
+
+
+def warnings_of(headers):
+    """By type, the names that name_of() gives; and the sentences of imu_warnings(), each as its texts."""
+    names = {}
+    for header in headers:
+        for kind, body in re.findall(r"name_of\((\w+_(?:reason|warning)) \w+\) \{(.*?)\n\}", header, re.DOTALL):
+            listed = re.search(r"names\[\] = \{(.*?)\};", body, re.DOTALL)
+            names[kind] = [text for text in re.findall(r'"(\w+)"', listed.group(1)) if text != "none"]
+    sentences = []
+    for header in headers:
+        function = re.search(r"imu_warnings\(imu_tracking.*?\n\}", header, re.DOTALL)
+        for said in re.findall(r"(?:out\.push_back|tell)\(.*?;", function.group(0), re.DOTALL) if function else []:
+            if "count" not in said:  # not that of `tell` itself
+                sentences.append(texts(said))
+    return names, sentences
+
+
+def problems_of_warnings(page, headers):
+    """What the page lacks, and what it has that is in no header: in the first column of its tables."""
+    names, sentences = warnings_of(headers)
+    quoted = [name for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for name in re.findall(r"`([^`]+)`", row)]
+    known = {name for kind in names.values() for name in kind}
+    for name in sorted(known):
+        kinds = [kind for kind, listed in names.items() if name in listed]
+        if quoted.count(name) < len(kinds):
+            yield f"'{name}' of {', '.join(kinds)} is in {quoted.count(name)} rows"
+    for parts in sentences:
+        if not any(len(q.split()) > 3 and q in part for q in quoted for part in parts):
+            yield f"the sentence '{' ... '.join(parts)}' of imu_warnings() is missing"
+    for name in quoted:
+        if re.fullmatch(r"\w+", name) and name not in known and not any(name in part for parts in sentences for part in parts):
+            yield f"'{name}' is no warning"
+        if len(name.split()) > 3 and not any(name in part for parts in sentences for part in parts):
+            yield f"'{name}' is in no sentence of imu_warnings()"
+
+
 def main():
     problems = []
     compiled = sources()
@@ -61,6 +102,10 @@ def main():
         for page in quoting:
             for first in unknown_snippets(page, compiled):
                 problems.append(f"{page.relative_to(ROOT)}: the snippet that begins with '{first}' is in no source file")
+    failing = ROOT / "docs" / "when_it_fails.md"
+    headers = [header.read_text(encoding="utf-8") for header in sorted((ROOT / "include" / "ft").rglob("*.hpp"))]
+    for problem in problems_of_warnings(failing.read_text(encoding="utf-8"), headers):
+        problems.append(f"{failing.relative_to(ROOT)}: {problem}")
     checked = 0
     for page in pages():
         if not page.is_file():

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 
+#include "examples/sequence/detail/calibration_files.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq {
@@ -28,38 +29,57 @@ std::string find_mav0(std::string const& path) {
 
 }  // namespace
 
+namespace {
+
+/// @param path of a file
+calibration read_file(std::string const& path, int width, int height, int left_camera,
+                      camera_kind kind) {
+  using detail::calibration_format;
+  switch (detail::format_of(path)) {
+    case calibration_format::kitti:
+      return read_kitti_calibration(path, width, height, left_camera, kind);
+    case calibration_format::camera_txt:
+      if (kind == camera_kind::stereo) {
+        throw error(path + ": numbers of one camera, which do not say where the right one is");
+      }
+      return read_camera_txt(path, width, height, kind);
+    case calibration_format::kalibr:
+      return read_kalibr_calibration(path, kind);
+    case calibration_format::basalt:
+      return read_basalt_calibration(path, kind);
+    case calibration_format::opencv:
+    case calibration_format::extrinsics:
+      return read_opencv_calibration(path, width, height, kind);
+    case calibration_format::orb_slam3:
+      return read_orb_slam3_settings(path, width, height, kind);
+    case calibration_format::euroc:
+      throw error(path + ": one camera's sensor.yaml: name the folder that holds cam0 and cam1");
+    case calibration_format::unknown:
+      break;
+  }
+  throw error(path + ": not a calibration that is known; " + accepted_calibrations);
+}
+
+}  // namespace
+
 calibration read_calibration(std::string const& path, int width, int height, int left_camera,
                              camera_kind kind) {
   std::string const mav0 = find_mav0(path);
-  if (!mav0.empty()) { return read_euroc_calibration(mav0, kind); }
-  if (detail::is_directory(path)) {
-    std::filesystem::path const folder(path);
-    std::string const kitti = (folder / "calib.txt").string();
-    std::string const tum = (folder / "camera.txt").string();
-    if (detail::is_file(kitti)) {
-      return read_kitti_calibration(kitti, width, height, left_camera, kind);
-    }
-    if (kind != camera_kind::stereo && detail::is_file(tum)) {
-      return read_camera_txt(tum, width, height, kind);
-    }
-    throw error(path + ": holds no calibration: neither cam0/sensor.yaml, mav0 nor calib.txt" +
-                (kind == camera_kind::stereo ? "" : ", nor camera.txt"));
+  bool const own =
+      !mav0.empty() && (!detail::is_directory(path) || detail::is_file(mav0 + "/cam0/sensor.yaml"));
+  if (own) { return read_euroc_calibration(mav0, kind); }
+  if (!detail::is_directory(path)) { return read_file(path, width, height, left_camera, kind); }
+  std::filesystem::path const folder(path);
+  std::string const kitti = (folder / "calib.txt").string();
+  std::string const tum = (folder / "camera.txt").string();
+  if (detail::is_file(kitti)) { return read_file(kitti, width, height, left_camera, kind); }
+  if (kind != camera_kind::stereo && detail::is_file(tum)) {
+    return read_camera_txt(tum, width, height, kind);
   }
-  bool numbers = true;  // all lines are numbers or comments
-  bool any = false;
-  for (detail::text_line const& line : detail::read_lines(path)) {
-    std::string const text = detail::trim(line.text);
-    if (text.size() > 2 && text[0] == 'P' && text[1] >= '0' && text[1] <= '3' && text[2] == ':') {
-      return read_kitti_calibration(path, width, height, left_camera, kind);
-    }
-    if (detail::is_blank_or_comment(text)) { continue; }
-    any = true;
-    numbers = numbers && text.find_first_not_of("0123456789.+-eE \t,") == std::string::npos;
-  }
-  if (any && numbers && kind != camera_kind::stereo) {
-    return read_camera_txt(path, width, height, kind);
-  }
-  return read_orb_slam3_settings(path, width, height, kind);
+  std::string const other = find_calibration_file(path);
+  if (!other.empty()) { return read_file(other, width, height, left_camera, kind); }
+  if (!mav0.empty()) { return read_euroc_calibration(mav0, kind); }  // says what is missing
+  throw missing_calibration(path + ": holds no calibration; " + accepted_calibrations);
 }
 
 }  // namespace seq

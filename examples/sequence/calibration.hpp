@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Reads the calibration of a stereo pair, of one camera or of one with depth images: EuRoC
-/// sensor.yaml, KITTI calib.txt, ORB-SLAM3 settings, camera.txt of a TUM RGB-D folder.
+/// sensor.yaml, KITTI calib.txt, ORB-SLAM3 settings, camera.txt of a TUM RGB-D folder, Kalibr's
+/// chain, OpenCV's and ROS's files, basalt's JSON.
 ///
 /// Every value read is checked (finite, focal lengths above 0, sizes 1 to 16384, baseline above 0,
 /// rotations orthonormal). An error names file, key, value and limit. A radial-tangential camera
@@ -21,8 +22,11 @@ struct calibration {
   stereo_rig rig;
   orb_settings settings;        ///< ORB-SLAM3 settings files only
   bool has_body_frame = false;  ///< the file gives T_body_left; otherwise it is the identity
-  /// ORB-SLAM3 settings files with an IMU's noise, whose body is the IMU.
+  /// ORB-SLAM3 settings, Kalibr and basalt, with an IMU's noise: the body is the IMU.
   std::optional<imu_calibration> imu;
+  /// What is added to a time of the cameras' clock to have that of the IMU's, where the file says
+  /// it: Kalibr's timeshift_cam_imu, basalt's cam_time_offset_ns.
+  std::optional<double> imu_time_offset_s;
   /// KITTI: maps points of the left camera to the reference frame, which poses.txt is about.
   Eigen::Isometry3d T_reference_left = Eigen::Isometry3d::Identity();
   /// Metres per unit of 16-bit depth images, where the file says it.
@@ -82,8 +86,44 @@ calibration read_orb_slam3_settings(std::string const& path, int width = 0, int 
 calibration read_camera_txt(std::string const& path, int width, int height,
                             camera_kind kind = camera_kind::rgbd);
 
+/// Kalibr's chain: `cam0`, `cam1` with camera_model (pinhole, omni, ds, eucm), intrinsics,
+/// distortion_model (radtan, equidistant, none), distortion_coeffs, resolution, T_cn_cnm1 (maps
+/// cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and
+/// timeshift_cam_imu. The IMU's noise is read from the imu.yaml that lies beside it (imu0.yaml,
+/// kalibr_imu_chain.yaml, or `imu` in place of `camchain-imucam` in its name). Key names are
+/// Kalibr's.
+/// @throws seq::error
+calibration read_kalibr_calibration(std::string const& path,
+                                    camera_kind kind = camera_kind::stereo);
+
+/// basalt's JSON: `value0` with intrinsics (pinhole, pinhole-radtan8, kb4, ds, eucm, ucm),
+/// T_imu_cam, resolution, and the IMU's noise. @throws seq::error
+calibration read_basalt_calibration(std::string const& path,
+                                    camera_kind kind = camera_kind::stereo);
+
+/// OpenCV's FileStorage (YAML, XML, JSON) of a pair: M1, D1, M2, D2 (or K1, cameraMatrix1,
+/// camera_matrix_left ...), and R, T, which map points of camera 1 into camera 2, in metres; in
+/// this file, or in the extrinsics.yml beside an intrinsics.yml. Or a file a camera, as ROS has its
+/// camera_info: camera_matrix (or K), distortion_coefficients (D), distortion_model,
+/// rectification_matrix (R), projection_matrix (P); the right one's file has right in place of left
+/// (or cam1 in place of cam0) in its name. Images are those that were calibrated, not rectified
+/// ones.
+/// @param width,height size to assume if the file gives none; 0 = the file must give it
+/// @throws seq::error
+calibration read_opencv_calibration(std::string const& path, int width = 0, int height = 0,
+                                    camera_kind kind = camera_kind::stereo);
+
+/// The calibration in a folder, recognised by content: of several files, left and right of a pair
+/// and intrinsics and extrinsics are one. @return its path; empty without any
+/// @throws seq::error for several
+std::string find_calibration_file(std::string const& folder);
+
+/// The formats that read_calibration knows, for messages.
+extern char const* const accepted_calibrations;
+
 /// Any of these: a folder (`mav0`, or one that contains `mav0` or calib.txt), a cam0/sensor.yaml, a
-/// KITTI calib.txt, an ORB-SLAM3 settings file or a camera.txt; recognised by content.
+/// KITTI calib.txt, an ORB-SLAM3 settings file, Kalibr's chain, OpenCV's or ROS's files, basalt's
+/// JSON or a camera.txt; recognised by content.
 /// @param width,height the images' size, for files that do not give it; 0 = unknown
 /// @param left_camera see read_kitti_calibration
 /// @param kind stereo, mono or rgbd: of one camera the right one's calibration is not needed

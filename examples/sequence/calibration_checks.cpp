@@ -99,15 +99,30 @@ void check_camera(camera_intrinsics const& camera, std::string const& name,
     check("distortion coefficient", k, coefficient_limits);
   }
   std::size_t const n = camera.distortion.size();
-  bool const count_ok = camera.model == lens::pinhole          ? n == 0
-                        : camera.model == lens::kannala_brandt ? n == 4
-                                                               : n == 4 || n == 5 || n == 8;
-  if (!count_ok) {
-    char const* allowed = camera.model == lens::pinhole          ? "none"
-                          : camera.model == lens::kannala_brandt ? "4"
-                                                                 : "4, 5 or 8";
+  bool const radial = camera.model == lens::radial_tangential;
+  std::size_t const wanted = camera.model == lens::pinhole          ? 0
+                             : camera.model == lens::kannala_brandt ? 4
+                             : camera.model == lens::unified        ? 5
+                                                                    : 2;
+  if (radial ? n != 4 && n != 5 && n != 8 : n != wanted) {
+    std::string const allowed = radial        ? "4, 5 or 8"
+                                : wanted == 0 ? "none"
+                                              : std::to_string(wanted);
     throw error(source + ": " + name + ": " + std::to_string(n) +
                 " distortion coefficients, must have " + allowed);
+  }
+  for (int i = 0; i < shape_parameters(camera.model); ++i) {
+    bool const two = camera.model == lens::double_sphere;
+    double const value = camera.distortion[static_cast<std::size_t>(i)];
+    if (camera.model == lens::unified) {
+      check("xi", value, {0, 1000});
+    } else if (two && i == 0) {
+      check("xi", value, {-1, 1, true});
+    } else if (two || i == 0) {
+      check("alpha", value, {0, 1});
+    } else {
+      check("beta", value, {1e-6, 1e6});
+    }
   }
 }
 

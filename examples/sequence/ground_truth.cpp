@@ -94,6 +94,10 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
   std::string const mocap = (layout.mav0 / "mocap0" / "data.csv").string();
   std::string const tum = (layout.root / "groundtruth.txt").string();
   std::string const kitti = (layout.root / "poses.txt").string();
+  // KITTI's own tree: sequences/07 and poses/07.txt.
+  std::string const beside = (layout.root.parent_path().parent_path() / "poses" /
+                              (layout.root.filename().string() + ".txt"))
+                                 .string();
   if (!layout.mav0.empty() && (is_file(euroc) || is_file(mocap))) {
     truth.poses = read_euroc_truth(is_file(euroc) ? euroc : mocap, warnings);
     truth.of = raw_ground_truth::body;
@@ -101,8 +105,8 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
   } else if (is_file(tum)) {
     truth.poses = read_tum(tum, &warnings);
     truth.orientation = any_rotation(truth.poses);
-  } else if (is_file(kitti)) {
-    truth.poses = read_kitti_poses(kitti, layout.times);
+  } else if (is_file(kitti) || is_file(beside)) {
+    truth.poses = read_kitti_poses(is_file(kitti) ? kitti : beside, layout.times);
     truth.of = raw_ground_truth::kitti_reference;
     truth.orientation = any_rotation(truth.poses);
   }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file PNG and JPEG in memory. Not API: image_io.cpp reads and writes files with it.
+/// @file PNG, JPEG, PGM, PPM and BMP in memory. Not API: image_io.cpp reads and writes files with
+/// it.
 #pragma once
 
 #include <cstdint>
@@ -15,10 +16,14 @@ constexpr int max_side = 16384;
 /// Whether the content begins with the format's signature.
 bool is_png(std::vector<std::uint8_t> const& bytes);
 bool is_jpeg(std::vector<std::uint8_t> const& bytes);
+bool is_pnm(std::vector<std::uint8_t> const& bytes);  ///< binary PGM or PPM
+bool is_bmp(std::vector<std::uint8_t> const& bytes);
 
 /// The picture as 8-bit grey. @param path named by errors @throws seq::error
 image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_jpeg(std::string const& path, std::vector<std::uint8_t> const& bytes);
+image read_pnm(std::string const& path, std::vector<std::uint8_t> const& bytes);
+image read_bmp(std::string const& path, std::vector<std::uint8_t> const& bytes);
 
 /// A picture of one channel with 16 bits. @throws seq::error also for any other
 depth_image read_png_depth(std::string const& path, std::vector<std::uint8_t> const& bytes);
@@ -29,6 +34,10 @@ void read_png_size(std::string const& path, std::vector<std::uint8_t> const& byt
                    int& height);
 void read_jpeg_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
                     int& height);
+void read_pnm_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                   int& height);
+void read_bmp_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                   int& height);
 
 /// @param name named by errors @throws seq::error
 std::vector<std::uint8_t> write_png(std::string const& name, image const& picture, int compression);

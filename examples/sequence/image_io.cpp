@@ -84,7 +84,7 @@ void write_file(std::string const& path, std::vector<std::uint8_t> const& bytes)
 }
 
 [[noreturn]] void fail_unknown(std::string const& path, std::vector<std::uint8_t> const& bytes) {
-  fail(path, bytes.empty() ? "empty file" : "neither PNG nor JPEG");
+  fail(path, bytes.empty() ? "empty file" : "neither PNG, JPEG, binary PGM or PPM, nor BMP");
 }
 
 }  // namespace
@@ -93,6 +93,8 @@ image read_image(std::string const& path) {
   std::vector<std::uint8_t> const bytes = read_file(path);
   if (detail::is_png(bytes)) { return detail::read_png(path, bytes); }
   if (detail::is_jpeg(bytes)) { return detail::read_jpeg(path, bytes); }
+  if (detail::is_pnm(bytes)) { return detail::read_pnm(path, bytes); }
+  if (detail::is_bmp(bytes)) { return detail::read_bmp(path, bytes); }
   fail_unknown(path, bytes);
 }
 
@@ -110,6 +112,8 @@ void read_image_size(std::string const& path, int& width, int& height) {
   std::vector<std::uint8_t> const bytes = read_file(path);
   if (detail::is_png(bytes)) { return detail::read_png_size(path, bytes, width, height); }
   if (detail::is_jpeg(bytes)) { return detail::read_jpeg_size(path, bytes, width, height); }
+  if (detail::is_pnm(bytes)) { return detail::read_pnm_size(path, bytes, width, height); }
+  if (detail::is_bmp(bytes)) { return detail::read_bmp_size(path, bytes, width, height); }
   fail_unknown(path, bytes);
 }
 

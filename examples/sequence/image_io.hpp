@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Reads and writes image files with libpng and libjpeg.
+/// @file Reads and writes image files: PNG and JPEG with libpng and libjpeg; reads PGM, PPM, BMP.
 #pragma once
 
 #include <cstdint>
@@ -10,10 +10,10 @@
 
 namespace seq {
 
-/// Reads a PNG or JPEG (recognised by content) as 8-bit grey. Colour is decoded to RGB and
-/// converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples keep their high byte,
-/// alpha is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are
-/// skipped.
+/// Reads a PNG, JPEG, binary PGM or PPM, or BMP (recognised by content) as 8-bit grey. Colour is
+/// decoded to RGB and converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples keep
+/// their high byte, those of a PGM with another largest value (1023, 4095) are scaled by it, alpha
+/// is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are skipped.
 /// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than
 ///   16384 a side
 image read_image(std::string const& path);

@@ -14,7 +14,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg"};
+constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp"};
 
 std::vector<std::int64_t> times_of(std::vector<listed_image> const& list) {
   std::vector<std::int64_t> times;
@@ -112,26 +112,39 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
   if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
   auto const has = [&](char const* name) { return is_directory((l.root / name).string()); };
   auto const has_file = [&](char const* name) { return is_file((l.root / name).string()); };
+  bool const given = options.fps > 0 || !options.times.empty();
+  bool const asl = has("mav0") || has_file("cam0/data.csv");
+  bool const plain = !asl && has_image_folders(l.root);
+  bool const kitti = has("image_0") || has("image_2");
   if (has("mav0")) {
     l.mav0 = l.root / "mav0";
-  } else if (has("cam0")) {
+  } else if (has("cam0") && !plain) {
     l.mav0 = l.root;
     l.root = l.root.parent_path();
   }
   if (!l.mav0.empty()) {
     l.name = "euroc";
     find_euroc_frames(l, options);
-  } else if (has("image_0") || has("image_2")) {
+  } else if (kitti && (has_file("times.txt") || !given)) {
     l.name = "kitti";
     l.left_camera = has("image_0") ? 0 : 2;
     find_kitti_frames(l, options);
   } else if (has_file("rgb.txt") || has_file("associations.txt")) {
     l.name = "tum";
     find_tum_frames(l, options);
+  } else if (plain) {
+    l.name = "folders";
+    l.left_camera = has("image_2") && !has("image_0") ? 2 : 0;
+    find_folder_frames(l, options);
   } else {
     throw error(directory +
-                ": no sequence found: neither mav0/cam0 (EuRoC), image_0 or image_2 (KITTI), nor "
-                "rgb.txt or associations.txt (TUM RGB-D)");
+                ": no sequence found: neither mav0/cam0 (EuRoC), image_0 or image_2 (KITTI), "
+                "rgb.txt or associations.txt (TUM RGB-D), nor folders of images (left and right, "
+                "cam0 and cam1, or images in the folder itself)");
+  }
+  if (given && l.name != "folders") {
+    throw error(directory + ": " + (options.fps > 0 ? "fps" : "times") +
+                ": the images of the layout " + l.name + " have times of their own");
   }
   if (l.times.empty()) {
     for (frame_files const& frame : l.frames) { l.times.push_back(frame.time_ns); }

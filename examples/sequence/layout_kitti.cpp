@@ -65,8 +65,13 @@ void find_kitti_frames(layout_of_files& layout, open_options const& options) {
   bool const pair = options.rig == camera_kind::stereo ||
                     (options.rig == camera_kind::any &&
                      is_directory((layout.root / image_folder(layout, 1)).string()));
+  layout.stamps_from = "times.txt";
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   std::string const times_file = (layout.root / "times.txt").string();
+  if (!is_file(times_file)) {
+    throw error(times_file +
+                ": no such file; without times of the images, a rate (--fps) says them");
+  }
   layout.times = read_times(times_file);
   std::map<int, std::string> const lefts = images_of(layout, 0);
   std::map<int, std::string> const rights = pair ? images_of(layout, 1) : lefts;

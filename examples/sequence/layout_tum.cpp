@@ -107,6 +107,7 @@ void find_tum_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd && !depth) {
     throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
   }
+  layout.stamps_from = is_file(path("rgb.txt")) ? "rgb.txt" : "associations.txt";
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
   std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);
   if (is_file(path("associations.txt")) &&

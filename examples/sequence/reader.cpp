@@ -22,6 +22,7 @@ namespace seq {
 struct sequence::impl {
   std::string name;
   std::string layout;
+  recording_source from;
   camera_kind kind = camera_kind::stereo;
   orb_settings settings;
   stereo_rig raw;
@@ -54,29 +55,17 @@ namespace fs = std::filesystem;
 /// What the TUM RGB-D recordings have.
 constexpr double usual_depth_unit = 1.0 / 5000;
 
-std::string size_text(int width, int height) {
-  return std::to_string(width) + " x " + std::to_string(height);
-}
-
-void check_image_size(std::string const& path, int width, int height,
-                      camera_intrinsics const& camera) {
-  if (width != camera.width || height != camera.height) {
-    throw error(path + ": image is " + size_text(width, height) + " pixels, the calibration has " +
-                size_text(camera.width, camera.height));
-  }
-}
-
 image read_checked(std::string const& path, camera_intrinsics const& camera) {
   image picture = read_image(path);
-  check_image_size(path, picture.width, picture.height, camera);
+  detail::check_image_size(path, picture.width, picture.height, camera);
   return picture;
 }
 
 depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera) {
   depth_image depth = read_depth_image(path);
   if (depth.width != camera.width || depth.height != camera.height) {
-    throw error(path + ": depth image is " + size_text(depth.width, depth.height) +
-                " pixels, the camera's images " + size_text(camera.width, camera.height) +
+    throw error(path + ": depth image is " + detail::size_text(depth.width, depth.height) +
+                " pixels, the camera's images " + detail::size_text(camera.width, camera.height) +
                 ": it must be registered to them");
   }
   return depth;
@@ -104,72 +93,15 @@ void check_options(std::string const& directory, open_options const& options) {
     throw error(directory + ": max_time_difference_ns = " +
                 std::to_string(*options.max_time_difference_ns) + ": must be at least 0");
   }
+  if (options.fps != 0) {
+    detail::check_number(options.fps, {1e-3, 1e5}, directory, "fps");
+    if (!options.times.empty()) {
+      throw error(directory + ": fps and times are given, must be one of them");
+    }
+  }
   if (options.depth_unit != 0) {
     detail::check_number(options.depth_unit, detail::depth_unit_limits, directory, "depth_unit");
   }
-}
-
-/// The sequence's own calibration. @param width,height of its images
-calibration own_calibration(layout_of_files const& l, int width, int height) {
-  auto const own = [](fs::path const& file) {
-    if (!detail::is_file(file.string())) {
-      throw missing_calibration(file.string() + ": no such file");
-    }
-    return file.string();
-  };
-  if (!l.mav0.empty()) {
-    own(l.mav0 / "cam0" / "sensor.yaml");
-    if (l.kind == camera_kind::stereo) { own(l.mav0 / "cam1" / "sensor.yaml"); }
-    return read_euroc_calibration(l.mav0.string(), l.kind);
-  }
-  if (l.name == "tum") {
-    return read_camera_txt(own(l.root / "camera.txt"), width, height, l.kind);
-  }
-  return read_kitti_calibration(own(l.root / "calib.txt"), width, height, l.left_camera, l.kind);
-}
-
-/// The calibration that was named, or else the sequence's own, compared with the first images.
-calibration find_calibration(layout_of_files const& l, std::string const& named) {
-  detail::frame_files const& first = l.frames.front();
-  int width = 0;
-  int height = 0;
-  read_image_size(first.left, width, height);
-  calibration calib;
-  if (named.empty()) {
-    calib = own_calibration(l, width, height);
-  } else {
-    calib = read_calibration(named, width, height, l.left_camera, l.kind);
-    if (!calib.has_body_frame && !l.mav0.empty() &&
-        detail::is_file((l.mav0 / "cam0" / "sensor.yaml").string())) {
-      // The replacement does not contain the body frame, which the ground truth needs.
-      calib.rig.T_body_left = read_euroc_body_frame(l.mav0.string());
-      calib.has_body_frame = true;
-    }
-  }
-  check_image_size(first.left, width, height, calib.rig.left);
-  if (l.kind == camera_kind::stereo) {
-    read_image_size(first.second, width, height);
-    check_image_size(first.second, width, height, calib.rig.right);
-  }
-  return calib;
-}
-
-/// @param T_body_left of loaded frames
-std::optional<imu_recording> find_imu(layout_of_files const& l, calibration const& calib,
-                                      Eigen::Isometry3d const& T_body_left,
-                                      std::vector<std::string>& warnings) {
-  if (l.mav0.empty() || !calib.has_body_frame) { return std::nullopt; }
-  std::string const samples = (l.mav0 / "imu0" / "data.csv").string();
-  std::string const sensor = (l.mav0 / "imu0" / "sensor.yaml").string();
-  if (!detail::is_file(samples) || (!calib.imu && !detail::is_file(sensor))) {
-    return std::nullopt;
-  }
-  imu_recording imu;
-  imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
-  imu.T_imu_left = imu.calibration.T_body_imu.inverse() * T_body_left;
-  imu.samples = read_imu_samples(samples, &warnings);
-  detail::check_imu(imu, samples, warnings);
-  return imu;
 }
 
 /// What turns poses of a ground truth's frame into those of the left camera of loaded frames.
@@ -289,7 +221,8 @@ sequence::~sequence() = default;
 sequence sequence::open(std::string const& directory, open_options const& options) {
   check_options(directory, options);
   layout_of_files files = detail::find_layout(directory, options);
-  calibration const calib = find_calibration(files, options.calibration);
+  recording_source source;
+  calibration const calib = detail::find_calibration(files, options, source);
   auto p = std::make_unique<impl>();
   p->name = files.root.filename().string();
   p->layout = files.name;
@@ -314,13 +247,15 @@ sequence sequence::open(std::string const& directory, open_options const& option
                   p->warnings);
   }
   if (options.read_imu) {
-    p->imu = find_imu(files, calib, p->rig.T_body_left, p->warnings);
+    p->imu = detail::find_imu(files, calib, p->rig.T_body_left, source, p->warnings);
     if (p->imu) {
       auto const& samples = p->imu->samples;
       check_overlap(files.frames, samples.front().time_ns, samples.back().time_ns, "IMU",
                     p->warnings);
     }
   }
+  source.stamps = std::move(files.stamps_from);
+  p->from = std::move(source);
   p->frames = std::move(files.frames);
   p->check_times();
   p->unpaired = files.unpaired;
@@ -332,6 +267,8 @@ sequence sequence::open(std::string const& directory, open_options const& option
 
 std::string const& sequence::name() const { return impl_->name; }
 std::string const& sequence::layout() const { return impl_->layout; }
+recording_source const& sequence::source() const { return impl_->from; }
+stereo_rig const& sequence::raw_rig() const { return impl_->raw; }
 stereo_rig const& sequence::rig() const { return impl_->rig; }
 camera_kind sequence::kind() const { return impl_->kind; }
 double sequence::depth_unit() const { return impl_->depth_unit; }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Opens a sequence on disk: a pair of cameras or one, in EuRoC's (ASL) or KITTI odometry's
 /// layout (image_0 and image_1, or without them the colour images image_2 and image_3), or a camera
-/// with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt).
+/// with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt), or plain
+/// folders of images (left and right, or one).
 #pragma once
 
 #include <cstdint>
@@ -40,17 +41,16 @@ std::vector<imu_sample> read_imu_samples(std::string const& path,
                                          std::vector<std::string>* warnings = nullptr);
 
 struct open_options {
-  /// Calibration file to use instead of the folder's own: sensor.yaml's parent `mav0`, a KITTI
-  /// calib.txt, an ORB-SLAM3 settings file (PinHole, Rectified, KannalaBrandt8), or a camera.txt
-  /// (read_camera_txt). Empty = the folder's.
+  /// Calibration file or folder to use instead of the folder's own: whatever read_calibration
+  /// knows. Empty = the folder's.
   std::string calibration;
   /// Keeps fisheye (Kannala-Brandt) pairs and single cameras as they are; others are rectified on
   /// load: a single camera to a pinhole.
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
-  /// Reads the IMU's samples, EuRoC layout, from mav0/imu0. Without it no file of the IMU is
-  /// opened.
+  /// Reads the IMU's samples from mav0/imu0, or of plain folders from imu0/data.csv or imu.csv.
+  /// Without it no file of the IMU is opened.
   bool read_imu = false;
   /// What to open: with `any` a pair where there is one, else the camera with its depth images
   /// where there are some, else the one camera.
@@ -61,6 +61,20 @@ struct open_options {
   /// Metres per unit of the depth images, 1e-9 to 1e3; 0 = as the calibration says (camera.txt, or
   /// a settings file's RGBD.DepthMapFactor), else 1/5000, as TUM RGB-D has it.
   double depth_unit = 0;
+  /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times; 0 = the names,
+  /// or the file that has the times, say it.
+  double fps = 0;
+  /// Of plain folders: file with a time for each image, a line each, in seconds with a decimal
+  /// point or in whole nano-, micro- or milliseconds. Empty = times.txt or timestamps.txt, if it is
+  /// there.
+  std::string times;
+};
+
+/// Where things were found, for people.
+struct recording_source {
+  std::string calibration;   ///< file or folder
+  std::string stamps;        ///< a file's name, the file names, or the rate
+  std::string imu_left_out;  ///< why no IMU was read although it was asked for; else empty
 };
 
 /// The sequence has no calibration of its own and none was named.
@@ -90,11 +104,14 @@ public:
   ~sequence();
 
   std::string const& name() const;    ///< the folder's name
-  std::string const& layout() const;  ///< "euroc", "kitti" or "tum"
-  camera_kind kind() const;           ///< stereo, mono or rgbd
+  std::string const& layout() const;  ///< "euroc", "kitti", "tum" or "folders"
+  recording_source const& source() const;
+  camera_kind kind() const;  ///< stereo, mono or rgbd
   /// The rig of the frames that load() returns: pinholes, rectified for a pair, or with fisheye()
   /// Kannala-Brandt cameras. See stereo_rig for one camera.
   stereo_rig const& rig() const;
+  /// The cameras as calibrated.
+  stereo_rig const& raw_rig() const;
   bool fisheye() const;
   double depth_unit() const;                   ///< metres per unit of depth images; 0 without
   std::string const& depth_unit_from() const;  ///< who says so, for people
@@ -113,8 +130,8 @@ public:
   /// Ground truth of the left camera (the body's moved by T_body_left and by the rectifying
   /// rotation), sorted by time; empty if the sequence has none.
   trajectory const& ground_truth() const;
-  /// Nothing unless open_options::read_imu was set, and mav0/imu0/data.csv is there with noise and
-  /// place of the IMU: those of the calibration that was named, or else of mav0/imu0/sensor.yaml.
+  /// Nothing unless open_options::read_imu was set, and samples are there with noise and place of
+  /// the IMU: those of the calibration, or else of the sensor.yaml beside the samples.
   std::optional<imu_recording> const& imu() const;
   /// False if ground truth gives positions only (all orientations identity).
   bool ground_truth_has_orientation() const;
@@ -124,5 +141,15 @@ private:
   explicit sequence(std::unique_ptr<impl> p);
   std::unique_ptr<impl> impl_;
 };
+
+/// What was found in a recording, for people.
+struct description_line {
+  std::string name;  ///< sequence, cameras, images, imu, truth; left out
+  std::string text;
+};
+
+/// Five lines: layout and calibration; cameras and their size; rate and length; IMU; ground truth.
+/// A sixth where images were left out; other things that were are warnings().
+std::vector<description_line> describe(sequence const& s, bool imu_asked_for = true);
 
 }  // namespace seq

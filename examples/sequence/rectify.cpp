@@ -11,35 +11,9 @@ namespace seq {
 namespace {
 
 constexpr double pi = 3.14159265358979323846;
-constexpr double max_tangent = 9.5;        // 84 degrees off the axis
-constexpr double max_radius = 10.0;        // of radial-tangential lenses, as x/z
 constexpr double min_focal_factor = 0.75;  // of the raw focal lengths
 
-/// theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
-double fisheye_radius(double const* k, double theta) {
-  double const t2 = theta * theta;
-  return theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
-}
-
-/// Radial factor of OpenCV's model at the squared radius `r2`; k[2] and k[3] are p1 and p2.
-double radial_factor(double const* k, double r2) {
-  double const numerator = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
-  double const denominator = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]));
-  return numerator / denominator;
-}
-
-/// The first argument at which `f` stops growing, on (0, end].
-template <typename F>
-double growth_limit(F const& f, double end) {
-  constexpr int steps = 2000;
-  double previous = 0;
-  for (int i = 1; i <= steps; ++i) {
-    double const value = f(end * i / steps);
-    if (!(value > previous)) { return end * (i - 1) / steps; }
-    previous = value;
-  }
-  return end;
-}
+using detail::max_tangent;
 
 /// Rectangle of directions (x/z, y/z).
 struct field {
@@ -128,108 +102,6 @@ pixel_map make_map(camera_intrinsics const& raw, Eigen::Matrix3d const& rotation
 }
 
 }  // namespace
-
-lens_projection::lens_projection(camera_intrinsics const& camera)
-    : model_(camera.model), fx_(camera.fx), fy_(camera.fy), cx_(camera.cx), cy_(camera.cy) {
-  std::size_t const n = std::min<std::size_t>(camera.distortion.size(), 8);
-  std::copy_n(camera.distortion.begin(), n, k_);
-  switch (model_) {
-    case lens::pinhole:
-      break;
-    case lens::radial_tangential:
-      limit_ = growth_limit([&](double r) { return r * radial_factor(k_, r * r); }, max_radius);
-      break;
-    case lens::kannala_brandt:
-      limit_ = growth_limit([&](double t) { return fisheye_radius(k_, t); }, pi);
-      break;
-  }
-}
-
-Eigen::Vector2d lens_projection::radial_tangential(Eigen::Vector2d const& p) const {
-  double const x = p.x();
-  double const y = p.y();
-  double const r2 = x * x + y * y;
-  double const radial = radial_factor(k_, r2);
-  double const p1 = k_[2];
-  double const p2 = k_[3];
-  return {x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-          y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y};
-}
-
-projected_pixel lens_projection::operator()(Eigen::Vector3d const& point) const {
-  projected_pixel result;
-  Eigen::Vector2d distorted = Eigen::Vector2d::Zero();
-  switch (model_) {
-    case lens::pinhole:
-    case lens::radial_tangential: {
-      if (!(point.z() > 0)) {  // also NaN
-        return result;
-      }
-      distorted = point.head<2>() / point.z();
-      if (model_ == lens::radial_tangential) {
-        if (!(distorted.norm() <= limit_)) { return result; }
-        distorted = radial_tangential(distorted);
-      }
-      break;
-    }
-    case lens::kannala_brandt: {
-      double const rho = point.head<2>().norm();
-      double const theta = std::atan2(rho, point.z());
-      if (!(theta <= limit_)) { return result; }
-      if (rho > 0) { distorted = point.head<2>() * (fisheye_radius(k_, theta) / rho); }
-      break;
-    }
-  }
-  result.pixel = {fx_ * distorted.x() + cx_, fy_ * distorted.y() + cy_};
-  result.valid = result.pixel.allFinite();
-  return result;
-}
-
-projected_pixel lens_projection::unproject(Eigen::Vector2d const& pixel) const {
-  Eigen::Vector2d const target((pixel.x() - cx_) / fx_, (pixel.y() - cy_) / fy_);
-  projected_pixel result;
-  switch (model_) {
-    case lens::pinhole:
-      result.pixel = target;
-      break;
-    case lens::radial_tangential: {
-      Eigen::Vector2d p = target;
-      double residual = 1;
-      for (int i = 0; i < 30 && residual > 1e-12; ++i) {
-        Eigen::Vector2d const miss = radial_tangential(p) - target;
-        residual = miss.norm();
-        constexpr double h = 1e-6;
-        Eigen::Matrix2d jacobian;
-        for (int axis = 0; axis < 2; ++axis) {
-          Eigen::Vector2d const step = h * Eigen::Vector2d::Unit(axis);
-          jacobian.col(axis) =
-              (radial_tangential(p + step) - radial_tangential(p - step)) / (2 * h);
-        }
-        double const determinant = jacobian.determinant();
-        if (!(std::fabs(determinant) > 1e-9)) { return result; }
-        p -= jacobian.inverse() * miss;
-      }
-      if (!(residual <= 1e-9) || !(p.norm() <= limit_)) { return result; }
-      result.pixel = p;
-      break;
-    }
-    case lens::kannala_brandt: {
-      double const radius = target.norm();
-      double low = 0;
-      double high = limit_;
-      if (!(radius <= fisheye_radius(k_, limit_))) { return result; }
-      for (int i = 0; i < 60; ++i) {  // monotonic up to the limit
-        double const middle = 0.5 * (low + high);
-        (fisheye_radius(k_, middle) < radius ? low : high) = middle;
-      }
-      if (!(low < 0.5 * pi) || !(std::tan(low) < max_tangent)) { return result; }
-      result.pixel = radius > 0 ? Eigen::Vector2d(target * (std::tan(low) / radius)) : target;
-      break;
-    }
-  }
-  result.valid = result.pixel.allFinite() && result.pixel.norm() < max_tangent;
-  return result;
-}
 
 remap_table::remap_table(pixel_map const& map, int source_width, int source_height)
     : width_(map.width),
@@ -327,7 +199,10 @@ rectifier::rectifier(stereo_rig const& raw) {
   shrink_to_view(raw.right, right_rotation_, inner);
   double const w = raw.left.width - 1;
   double const h = raw.left.height - 1;
-  double const raw_focal = 0.25 * (raw.left.fx + raw.left.fy + raw.right.fx + raw.right.fy);
+  double const left_scale = scale_on_axis(raw.left);
+  double const right_scale = scale_on_axis(raw.right);
+  double const raw_focal = 0.25 * (left_scale * raw.left.fx + left_scale * raw.left.fy +
+                                   right_scale * raw.right.fx + right_scale * raw.right.fy);
   double focal = min_focal_factor * raw_focal;
   bool const overlap = inner.right > inner.left && inner.bottom > inner.top;
   if (overlap) {

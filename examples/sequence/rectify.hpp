@@ -22,6 +22,7 @@ struct projected_pixel {
 /// - radial-tangential: OpenCV's model, z > 0, up to the radius where it folds back
 /// - Kannala-Brandt: r = theta (1 + k1 theta^2 + .. + k4 theta^8), up to the angle where it folds
 /// back
+/// - double sphere, unified, extended unified: as ft's models of these names, z <= 0 too
 class lens_projection {
 public:
   explicit lens_projection(camera_intrinsics const& camera);
@@ -32,12 +33,25 @@ public:
 
 private:
   Eigen::Vector2d radial_tangential(Eigen::Vector2d const& p) const;
+  /// The inverse. @return false if the iteration does not converge, or beyond the limit
+  bool undistorted(Eigen::Vector2d const& target, Eigen::Vector2d& out) const;
+  // Of the models with a sphere. @return false outside their domains
+  bool on_sphere(Eigen::Vector3d const& point, Eigen::Vector2d& out) const;
+  bool from_sphere(Eigen::Vector2d const& m, Eigen::Vector3d& ray) const;
 
   lens model_;
   double fx_, fy_, cx_, cy_;
-  double k_[8] = {};  ///< as camera_intrinsics::distortion, zero where absent
-  double limit_ = 0;  ///< largest radius (radial-tangential) or angle (Kannala-Brandt)
+  double shape_[2] = {};  ///< the parameters of a sphere
+  double k_[8] = {};      ///< the rest of camera_intrinsics::distortion, zero where absent
+  double limit_ = 0;      ///< largest radius (radial-tangential) or angle (Kannala-Brandt)
 };
+
+/// Pixels per radian on the axis, as a share of fx and fy.
+double scale_on_axis(camera_intrinsics const& camera);
+
+namespace detail {
+constexpr double max_tangent = 9.5;  ///< 84 degrees off the axis
+}  // namespace detail
 
 /// Source pixel of every pixel; -1, -1 for none.
 struct pixel_map {

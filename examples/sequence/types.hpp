@@ -35,7 +35,17 @@ enum class lens {
   pinhole,            ///< no distortion
   radial_tangential,  ///< OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6]]
   kannala_brandt,     ///< k1 k2 k3 k4 (OpenCV fisheye, "equidistant")
+  double_sphere,      ///< xi alpha
+  unified,            ///< xi k1 k2 p1 p2 (OpenCV omnidir, Kalibr's omni)
+  extended_unified,   ///< alpha beta
 };
+
+/// How many of the distortion's numbers are the shape of a sphere.
+constexpr int shape_parameters(lens model) {
+  return model == lens::unified                                            ? 1
+         : model == lens::double_sphere || model == lens::extended_unified ? 2
+                                                                           : 0;
+}
 
 struct camera_intrinsics {
   lens model = lens::pinhole;

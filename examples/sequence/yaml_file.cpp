@@ -70,19 +70,43 @@ std::string dump(YAML::Node const& node) {
 }  // namespace
 
 yaml_file::yaml_file(std::string const& path) : path_(path) {
-  std::map<std::string, YAML::Node> seen;
   try {
-    root_ = YAML::Load(plain_yaml(path));
-    if (!root_.IsMap()) { throw error(path + ": no 'key: value' pairs at the top level"); }
-    for (auto const& entry : root_) {
-      if (!entry.first.IsScalar()) { continue; }
-      auto const [place, added] = seen.emplace(entry.first.Scalar(), entry.second);
-      if (!added && dump(place->second) != dump(entry.second)) {
-        throw error(path + ": " + entry.first.Scalar() + " is given twice: " + dump(place->second) +
-                    " and " + dump(entry.second));
-      }
-    }
+    std::string const text = plain_yaml(path);
+    std::size_t const first = text.find_first_not_of(" \t\n");
+    bool const xml = first != std::string::npos && text[first] == '<';
+    root_ = xml ? read_opencv_xml(text, path) : YAML::Load(text);
+    check_map();
   } catch (YAML::Exception const& e) { fail_at(path, e.mark.line + 1, "not valid YAML: " + e.msg); }
+}
+
+void yaml_file::check_map() const {
+  if (!root_.IsMap()) { throw error(path_ + ": no 'key: value' pairs at the top level"); }
+  std::map<std::string, YAML::Node> seen;
+  for (auto const& entry : root_) {
+    if (!entry.first.IsScalar()) { continue; }
+    auto const [place, added] = seen.emplace(entry.first.Scalar(), entry.second);
+    if (!added && dump(place->second) != dump(entry.second)) {
+      throw error(path_ + ": " + entry.first.Scalar() + " is given twice: " + dump(place->second) +
+                  " and " + dump(entry.second));
+    }
+  }
+}
+
+yaml_file yaml_file::part(std::string const& key) const {
+  yaml_file inner(path_ + ": " + key, required(key));
+  inner.check_map();
+  return inner;
+}
+
+yaml_file yaml_file::part(std::string const& key, std::size_t index) const {
+  YAML::Node const list = required(key);
+  std::string const name = key + "[" + std::to_string(index) + "]";
+  if (!list.IsSequence() || index >= list.size()) {
+    throw error(path_ + ": " + name + " is missing");
+  }
+  yaml_file inner(path_ + ": " + name, list[index]);
+  inner.check_map();
+  return inner;
 }
 
 std::vector<std::string> yaml_file::unread() const {
@@ -124,6 +148,22 @@ std::vector<double> yaml_file::list(std::string const& key, limits const& range)
 
 std::vector<double> yaml_file::matrix(std::string const& key, int& rows, int& cols) const {
   YAML::Node const node = required(key);
+  rows = cols = 0;
+  if (node.IsSequence() && node.size() > 0 && node[0].IsSequence()) {
+    std::vector<double> all;
+    for (YAML::Node const& item : node) {
+      std::vector<double> const row =
+          to_list(item, key + "[" + std::to_string(rows) + "]", {-1e9, 1e9});
+      cols = rows == 0 ? static_cast<int>(row.size()) : cols;
+      if (row.size() != static_cast<std::size_t>(cols)) {
+        throw error(path_ + ": " + key + ": its rows have " + std::to_string(cols) + " and " +
+                    std::to_string(row.size()) + " numbers, must have as many");
+      }
+      all.insert(all.end(), row.begin(), row.end());
+      ++rows;
+    }
+    return all;
+  }
   if (node.IsSequence()) {
     std::vector<double> const row = to_list(node, key, {-1e9, 1e9});
     rows = 1;

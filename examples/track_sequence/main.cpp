@@ -53,28 +53,17 @@ void describe(app::arguments const& a, seq::sequence const& sequence, app::odome
 }
 
 /// What was found in the folder.
-void print_recording(seq::sequence const& sequence, app::odometry_setup const& o) {
-  bool const rgbd = o.rig.kind == ft::rig_kind::rgbd;
-  bool const monocular = o.rig.kind == ft::rig_kind::monocular;
-  bool const pair = !monocular && !rgbd;
-  std::cout << "sequence  " << sequence.name() << ", " << sequence.size()
-            << (pair   ? " stereo pairs of "
-                : rgbd ? " images with depth images of "
-                       : " images of one camera, ")
-            << o.params.orb.width << "x" << o.params.orb.height;
-  if (pair) { std::cout << ", baseline " << sequence.rig().baseline() << " m"; }
-  std::cout << "\n";
-  if (rgbd) {
-    std::cout << "depth     " << o.rig.depth_scale << " m a unit, " << sequence.depth_unit_from()
-              << "; taken from " << o.rig.min_depth << " to " << o.rig.max_depth << " m\n";
+void print_recording(seq::sequence const& sequence, app::arguments const& a,
+                     app::odometry_setup const& o) {
+  for (auto const& [name, text] : seq::describe(sequence, a.imu != "off")) {
+    std::cout << name << std::string(10 - name.size(), ' ') << text << "\n";
   }
-  if (monocular && !sequence.imu()) {
+  if (o.rig.kind == ft::rig_kind::rgbd) {
+    std::cout << "depth     taken from " << o.rig.min_depth << " to " << o.rig.max_depth << " m\n";
+  }
+  if (o.rig.kind == ft::rig_kind::monocular && !sequence.imu()) {
     std::cout << "scale     unknown: one camera without an IMU; errors are those after alignment "
                  "with Sim(3)\n";
-  }
-  if (auto const& imu = sequence.imu()) {
-    std::cout << "imu       " << imu->samples.size() << " samples, " << imu->calibration.rate_hz
-              << " Hz\n";
   }
 }
 
@@ -87,7 +76,7 @@ int run(app::arguments a) {
                                setup.rig.kind);
   if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
   describe(a, sequence, setup, odometry, report);
-  print_recording(sequence, setup);
+  print_recording(sequence, a, setup);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
   for (std::string const& warning : report.calibration) {
     std::cout << "warning   calibration: " << warning << "\n";

@@ -19,8 +19,13 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
   app.add_option("--sequence", a.sequence, "the same as an option");
   app.add_option(
       "--calibration", a.calibration,
-      "calibration file: an ORB-SLAM3 settings file, a KITTI calib.txt, a camera.txt (fx "
-      "fy cx cy) or a folder with cam0, cam1; default: the sequence's own");
+      "calibration: Kalibr's chain, OpenCV's YAML or XML of a pair (M1, D1, M2, D2, R, T), ROS "
+      "camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's "
+      "calib.txt, a camera.txt (fx fy cx cy), or a folder with one; default: the sequence's own");
+  app.add_option("--fps", a.fps,
+                 "images a second, of folders whose file names are no times; times otherwise: the "
+                 "file names, or times.txt");
+  app.add_option("--times", a.times, "file with the time of each image, of folders of images");
   app.add_option("--max-time-difference", a.max_time_difference_ms,
                  "how far the time stamps of the two images of a frame may be apart, in ms; "
                  "default: 1 for a pair, 20 for colour and depth");
@@ -107,6 +112,7 @@ void check_ranges(CLI::App const& app, arguments const& a) {
   require("--imu-time-offset", offset >= -10 && offset <= 10, "must be -10 to 10 s");
   require("--near", a.near_depth > 0 && a.near_depth <= 1e6, "must be above 0 and at most 1e6");
   require("--max-time-difference", apart >= 0 && apart <= 1e4, "must be 0 to 10000 ms");
+  require("--fps", a.fps >= 1e-3 && a.fps <= 1e5, "must be 0.001 to 100000 images a second");
   require("--depth-unit", a.depth_unit >= 1e-9 && a.depth_unit <= 1e3,
           "must be 1e-9 to 1000 metres a unit");
   require("--min-depth", a.min_depth >= 0 && a.min_depth <= 1e6, "must be 0 to 1e6 m");
@@ -118,8 +124,8 @@ void check_ranges(CLI::App const& app, arguments const& a) {
 
 int parse(int argc, char** argv, arguments& a) {
   CLI::App app(
-      "Tracks a sequence with ft: a pair of cameras or one (EuRoC or KITTI odometry layout), or a "
-      "camera with depth images (TUM RGB-D layout).");
+      "Tracks a sequence with ft: a pair of cameras or one (EuRoC or KITTI odometry layout, or "
+      "folders of images), or a camera with depth images (TUM RGB-D layout).");
   std::string folder;
   add_input(app, a, folder);
   add_tracking(app, a);

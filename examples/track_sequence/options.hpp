@@ -19,6 +19,7 @@ enum exit_status {
 struct arguments {
   std::string sequence;
   std::string calibration;
+  std::string times;  ///< file, or empty
   std::string backend = "auto";
   std::string rig = "auto";
   std::string frame = "camera";
@@ -32,6 +33,7 @@ struct arguments {
   int frames = 0;
   std::optional<int> read_ahead;  ///< else as usual_read_ahead() says
   double near_depth = 0;
+  double fps = 0;                                ///< images a second; 0 = the recording has times
   std::optional<double> max_time_difference_ms;  ///< else as the reader has it
   double depth_unit = 0;                         ///< metres; 0 = as the recording says
   double min_depth = 0;                          ///< metres

@@ -99,6 +99,8 @@ seq::sequence open_sequence(arguments const& a) {
     open.max_time_difference_ns = std::llround(1e6 * *a.max_time_difference_ms);
   }
   open.calibration = a.calibration;
+  open.fps = a.fps;
+  open.times = a.times;
   open.keep_fisheye = a.rig != "rectified";
   open.max_frames = a.frames;
   open.read_imu = a.imu != "off";

@@ -45,12 +45,14 @@ def parser():
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser(
-        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout",
+        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout, or folders of images",
         epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 "
                "where Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
     command.add_argument("folder", nargs="?", metavar="FOLDER")
     command.add_argument("--sequence", help="the same as an option")
     command.add_argument("--calibration", default="", help="in place of the sequence's own")
+    command.add_argument("--fps", type=number(1e-3, 1e5), help="images a second, of folders whose file names are no times")
+    command.add_argument("--times", default="", help="file with the time of each image, of folders of images")
     command.add_argument("--frames", type=count(0, 2**31 - 1), default=0, help="stop after so many; 0 = all")
     command.add_argument("--backend", "--device", default="auto", choices=["auto", "host", "cuda"],
                          help="auto is a GPU if there is one")

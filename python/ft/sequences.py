@@ -122,6 +122,11 @@ class Sequence:
             self.imu_samples = list(zip(samples.pop("time_ns").tolist(), samples.pop("accel"), samples.pop("gyro")))
             self.imu = Imu(**samples)
 
+    def describe(self, imu=True):
+        """What was found, lines as (name, text): layout and calibration, cameras, rate and length, IMU, ground truth, and
+        images left out. imu: whether it was asked for."""
+        return self.files.describe(bool(imu))
+
     def __len__(self):
         return len(self.files)
 
@@ -133,10 +138,13 @@ class Sequence:
 
 
 def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False, rig="auto", depth_unit=None,
-                  min_depth=0.0, max_depth=None, max_time_difference_ns=None):
-    """Opens a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM RGB-D.
+                  min_depth=0.0, max_depth=None, max_time_difference_ns=None, fps=None, times=""):
+    """Opens a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM RGB-D, or plain
+    folders of images: left and right (cam0 and cam1, image_0 and image_1), or one.
 
-    calibration: a file or folder in place of the sequence's own. max_frames: 0 = all. imu: also reads mav0/imu0. rig: auto
+    calibration: a file or folder in place of the sequence's own: Kalibr's chain, OpenCV's YAML or XML of a pair, ROS
+    camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt. fps, times:
+    of plain folders, images a second, or a file with a time a line; None and "" = the file names or times.txt say them. max_frames: 0 = all. imu: also reads mav0/imu0, imu0 or imu.csv. rig: auto
     (what the folder holds), stereo, mono (the left camera alone) or rgbd. depth_unit: metres per unit of depth images; None
     = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
@@ -144,6 +152,7 @@ def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, im
     sequence = Sequence(_ft.SequenceFiles.open(str(folder), {
         "calibration": str(calibration), "keep_fisheye": bool(keep_fisheye), "max_frames": max_frames, "imu": bool(imu),
         "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
+        "fps": fps, "times": str(times),
     }), min_depth, max_depth)
     for text in sequence.warnings:
         warnings.warn(text, stacklevel=2)

@@ -26,7 +26,7 @@ def open_sequence(a):
         warnings.simplefilter("ignore")  # they are printed
         sequence = ft.read_sequence(a.folder, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
                                     imu=a.imu == "auto", rig=RIGS[a.rig], depth_unit=a.depth_unit, min_depth=a.min_depth,
-                                    max_depth=a.max_depth, max_time_difference_ns=apart)
+                                    max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times)
     if a.imu_time_offset is not None and sequence.imu is not None:
         sequence.imu.time_offset_s = a.imu_time_offset
     for text in sequence.warnings:
@@ -242,15 +242,11 @@ def track(arguments):
     viewer = viewer_of(arguments, sequence)
     _ft.make_output_folder(arguments.out)
     odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)
-    what, more = {"mono": ("images of one camera,", ""), "rgbd": ("images with depth images of", "")}.get(
-        sequence.kind, ("stereo pairs of", f", baseline {sequence.baseline:g} m"))
-    print(f"sequence  {sequence.name}, {len(sequence)} {what} {sequence.width}x{sequence.height}{more}")
+    for name, text in sequence.describe(arguments.imu == "auto"):
+        print(f"{name:<10}{text}")
     if sequence.kind == "rgbd":
         most = float("inf") if arguments.max_depth is None else arguments.max_depth
-        print(f"depth     {sequence.rig.depth_scale:g} m a unit, {sequence.files.depth_unit_from}; taken from "
-              f"{arguments.min_depth:g} to {most:g} m")
-    if sequence.imu is not None:
-        print(f"imu       {len(sequence.imu_samples)} samples, {sequence.imu.rate_hz:g} Hz")
+        print(f"depth     taken from {arguments.min_depth:g} to {most:g} m")
     print(f"backend   {backend_of(arguments.backend)}")
     calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
     for text in calibration:

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include "examples/sequence/evaluation.hpp"
@@ -104,6 +106,14 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
   o.max_frames = whole(options["max_frames"], "max_frames", 0);
   o.read_imu = nb::cast<bool>(options["imu"]);
   o.rig = kind_named(nb::cast<std::string>(options["rig"]));
+  o.times = nb::cast<std::string>(options["times"]);
+  nb::object const rate = options["fps"];
+  if (!rate.is_none()) {
+    o.fps = number(rate, "fps");
+    if (!(o.fps >= 1e-3 && o.fps <= 1e5)) {
+      throw argument_error("fps is " + text_of(rate) + ", must be in [0.001, 1e+05]");
+    }
+  }
   nb::object const apart = options["max_time_difference_ns"];
   if (!apart.is_none()) {
     o.max_time_difference_ns = nanoseconds(apart, "max_time_difference_ns");
@@ -161,6 +171,16 @@ void bind_sequences(nb::module_& m) {
       .def("__len__", &seq::sequence::size)
       .def_prop_ro("name", &seq::sequence::name)
       .def_prop_ro("layout", &seq::sequence::layout)
+      .def(
+          "describe",
+          [](seq::sequence const& s, bool imu) {
+            std::vector<std::pair<std::string, std::string>> lines;
+            for (auto const& [name, text] : seq::describe(s, imu)) {
+              lines.emplace_back(name, text);
+            }
+            return lines;
+          },
+          nb::arg("imu"))
       .def_prop_ro("rig", rig_dict)
       .def_prop_ro("warnings", &seq::sequence::warnings)
       .def_prop_ro("depth_unit_from", &seq::sequence::depth_unit_from)

@@ -47,6 +47,26 @@ def folder(tmp_path_factory):
     return root
 
 
+def test_folders_of_images_have_a_rate(folder, tmp_path):
+    shutil.copytree(folder / "image_0", tmp_path / "left")
+    shutil.copytree(folder / "image_1", tmp_path / "right")
+    shutil.copy(folder / "calib.txt", tmp_path)
+    with pytest.raises(RuntimeError, match="--fps"):
+        ft.read_sequence(tmp_path)
+    sequence = ft.read_sequence(tmp_path, fps=20)
+    assert sequence.layout == "folders" and len(sequence) == 12
+    assert [frame.time_ns for frame in sequence] == [50_000_000 * i for i in range(12)]
+    lines = dict(sequence.describe())
+    assert list(lines) == ["sequence", "cameras", "images", "imu", "truth"]
+    assert "calibration calib.txt" in lines["sequence"] and "12 frames, 20 Hz" in lines["images"]
+    (tmp_path / "times.txt").write_text("".join(f"{10 + i}.5\n" for i in range(12)))
+    assert ft.read_sequence(tmp_path)[1].time_ns == 11_500_000_000
+    assert ft.read_sequence(tmp_path, times=tmp_path / "times.txt")[0].time_ns == 10_500_000_000
+    for rate in (-1, 0, float("nan"), 1e6):
+        with pytest.raises(ValueError, match="fps"):
+            ft.read_sequence(tmp_path, fps=rate)
+
+
 def test_a_sequence_is_tracked(folder):
     sequence = ft.read_sequence(folder)
     assert len(sequence) == 12 and (sequence.width, sequence.height) == (WIDTH, HEIGHT)

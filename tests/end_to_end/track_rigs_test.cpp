@@ -36,7 +36,7 @@ TEST(OneCamera, WithoutTheOtherIsTrackedAsWithIt) {
   temp_folder const one;
   outcome const o = track(s.path(), one.path("out"));
   ASSERT_TRUE(succeeded(o));
-  EXPECT_TRUE(contains(o.out, "images of one camera"));
+  EXPECT_TRUE(contains(o.out, "cameras   one camera, "));
   EXPECT_EQ(read_file(one.path("out/trajectory.txt")), read_file(both.path("out/trajectory.txt")));
   EXPECT_GE(summary_of(one).at("tracked").get<int>(), many / 3);
 }
@@ -95,7 +95,8 @@ TEST(DepthCamera, PathIsInMetres) {
   write_wall(folder, "# depth in units of 1 mm\n");
   outcome const o = track(folder.path(), folder.path("out"));
   ASSERT_TRUE(succeeded(o));
-  EXPECT_TRUE(contains(o.out, "8 images with depth images of 640x480"));
+  EXPECT_TRUE(contains(o.out, "cameras   one camera with depth images, 640x480") &&
+              contains(o.out, "images    8 frames, "));
   EXPECT_TRUE(contains(o.out, "0.001 m a unit, as the calibration says"));
   json const summary = summary_of(folder);
   EXPECT_EQ(summary.at("tracked"), plane_frames);
@@ -156,7 +157,8 @@ TEST(Stamps, CamerasThatDifferByMicroseconds) {
   later.close();
   outcome const o = track(s.path(), s.out());
   ASSERT_TRUE(succeeded(o));
-  EXPECT_TRUE(contains(o.out, "6 stereo pairs"));
+  EXPECT_TRUE(contains(o.out, "cameras   stereo pair, ") &&
+              contains(o.out, "images    6 frames, "));
   EXPECT_TRUE(contains(o.out, "warning: the cameras' time stamps differ"));
   EXPECT_TRUE(complained_of(track(s.path(), s.out(), {"--max-time-difference", "0.01"}),
                             "0.012 ms apart, at most 0.01 ms"));

@@ -1210,7 +1210,7 @@ TEST(reader_tum, the_depth_unit_is_given_or_assumed_or_doubted) {
   }
   options = {};
   options.calibration = folder.write(
-      "s.yaml",
+      "elsewhere/s.yaml",
       "%YAML:1.0\nCamera.type: PinHole\nCamera1.fx: 40\nCamera1.fy: 40\nCamera1.cx: 31.5\n"
       "Camera1.cy: 23.5\nStereo.b: 0.1\nRGBD.DepthMapFactor: 2000\n");
   EXPECT_EQ(seq::sequence::open(folder.path(), options).depth_unit(), 1.0 / 2000);

@@ -14,6 +14,8 @@
 
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/reader.hpp"
+#include "ft/cameras/double_sphere.hpp"
+#include "ft/cameras/unified.hpp"
 #include "tests/support/sequence.hpp"
 
 namespace {
@@ -109,6 +111,78 @@ void expect_rows_and_maps_match(seq::stereo_rig const& raw, seq::rectifier const
   EXPECT_GT(tested, 10000);
   EXPECT_LT(largest, 1e-3);
   if (worst != nullptr) { *worst = largest; }
+}
+
+/// Compared with ft's model in all directions that the reader's 84 degrees hold, and behind.
+template <typename Camera>
+void expect_same_lens(seq::camera_intrinsics const& camera, Camera const& expected,
+                      int least_unseen = 20) {
+  seq::lens_projection const lens(camera);
+  std::mt19937 random(5);
+  std::uniform_real_distribution<double> side(-1, 1);
+  int seen = 0;
+  int unseen = 0;
+  for (int i = 0; i < 4000; ++i) {
+    Eigen::Vector3d const p(side(random), side(random), side(random));
+    auto const want = expected.project({p.x(), p.y(), p.z()});
+    auto const got = lens(p);
+    ASSERT_EQ(got.valid, want.valid != 0) << p.transpose();
+    unseen += static_cast<int>(!got.valid);
+    if (!got.valid) { continue; }
+    ++seen;
+    ASSERT_NEAR(got.pixel.x(), want.pixel.x, 1e-6 * (1 + std::fabs(want.pixel.x)));
+    ASSERT_NEAR(got.pixel.y(), want.pixel.y, 1e-6 * (1 + std::fabs(want.pixel.y)));
+    if (p.z() > 0.2 * p.norm()) {
+      auto const back = lens.unproject(got.pixel);
+      ASSERT_TRUE(back.valid) << p.transpose();
+      ASSERT_LT((back.pixel - p.hnormalized()).norm(), 1e-6);
+    } else if (p.z() < 0) {
+      ASSERT_FALSE(lens.unproject(got.pixel).valid);
+    }
+  }
+  EXPECT_GT(seen, 2000);
+  EXPECT_GE(unseen, least_unseen);
+}
+
+seq::camera_intrinsics wide_camera(seq::lens model, std::vector<double> numbers) {
+  seq::camera_intrinsics c = raw_rig().left;
+  c.model = model;
+  c.distortion = std::move(numbers);
+  return c;
+}
+
+TEST(lens_projection, spheres_agree_with_ft) {
+  using seq::lens;
+  auto const f = raw_rig().left;
+  for (auto const& [xi, alpha] :
+       {std::pair(-0.2, 0.59), std::pair(0.3, 0.4), std::pair(0.0, 0.7)}) {
+    expect_same_lens(wide_camera(lens::double_sphere, {xi, alpha}),
+                     ft::double_sphere<double>{f.fx, f.fy, f.cx, f.cy, xi, alpha});
+  }
+  for (double const xi : {0.4, 1.0, 1.9}) {
+    expect_same_lens(wide_camera(lens::unified, {xi, 0, 0, 0, 0}),
+                     ft::unified<double>{f.fx, f.fy, f.cx, f.cy, xi, 0, 0, 0, 0},
+                     xi == 1.0 ? 0 : 20);  // with 1 all but the direction straight back is seen
+  }
+  for (auto const& [alpha, beta] : {std::pair(0.6, 1.1), std::pair(0.4, 0.8)}) {
+    expect_same_lens(wide_camera(lens::extended_unified, {alpha, beta}),
+                     ft::extended_unified<double>{f.fx, f.fy, f.cx, f.cy, alpha, beta});
+  }
+}
+
+TEST(lens_projection, unified_with_distortion_agrees_with_ft_in_front) {
+  seq::camera_intrinsics const c = wide_camera(seq::lens::unified, {1.6, -0.2, 0.1, 0.001, -0.002});
+  ft::unified<double> const want{c.fx, c.fy, c.cx, c.cy, 1.6, -0.2, 0.1, 0.001, -0.002};
+  seq::lens_projection const lens(c);
+  for (double x = -1; x <= 1; x += 0.125) {
+    for (double y = -1; y <= 1; y += 0.125) {
+      auto const got = lens({x, y, 1});
+      auto const pixel = want.project({x, y, 1.0}).pixel;
+      ASSERT_TRUE(got.valid);
+      ASSERT_LT((got.pixel - Eigen::Vector2d(pixel.x, pixel.y)).norm(), 1e-9);
+      ASSERT_LT((lens.unproject(got.pixel).pixel - Eigen::Vector2d(x, y)).norm(), 1e-8);
+    }
+  }
 }
 
 TEST(lens_projection, agrees_with_the_formulas_and_inverts) {

@@ -517,7 +517,7 @@ TEST_F(report, csv_has_the_covariances_that_are_known) {
   EXPECT_NE(lines[1].find(",0.5000019,0.500002,"), std::string::npos);
   EXPECT_NE(lines[2].find(std::string(21, ',')), std::string::npos);
   for (auto const& line : lines) {
-    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 12 + 21) << line;
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14 + 21) << line;
   }
 }
 

@@ -121,6 +121,14 @@ public:
       seq::write_depth_png(files_.path(std::string("tum/depth/") + name),
                            {16, 12, std::vector<std::uint16_t>(16 * 12, 2000)});
     }
+    files_.write("folders/times.txt", "0.0\n0.1\n");
+    files_.write(
+        "folders/stereo.yaml",
+        "K1: [[10, 0, 8], [0, 10, 6], [0, 0, 1]]\nK2: [[10, 0, 8], [0, 10, 6], [0, 0, 1]]\n"
+        "D1: [0, 0, 0, 0]\nD2: [0, 0, 0, 0]\nR: [0, 0, 0]\nT: [-0.1, 0, 0]\n");
+    for (char const* name : {"left/0.png", "left/1.png", "right/0.png", "right/1.png"}) {
+      picture(std::string("folders/") + name);
+    }
   }
   /// Opens the sequence with `bytes` as one of its files and loads what it lists.
   void open_with(std::string const& sequence, std::string const& file,
@@ -297,6 +305,15 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 14:
       load_vocabulary(bytes, true);
+      break;
+    case 15:
+      s.open_with("folders", "times.txt", bytes);
+      break;
+    case 16:
+      s.open_with("folders", "stereo.yaml", bytes);
+      break;
+    case 17:
+      s.open_with("folders", "left/1.png", bytes);
       break;
     case 20:
       s.open_with("tum", "rgb.txt", bytes);

@@ -133,7 +133,9 @@ void follows_a_walk(Exec const& exec, Rig const& rig) {
     EXPECT_EQ(all[i].state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(all[i], frames[i], frames[0]), 0.02) << i;
     EXPECT_EQ(all[i].inliers >= 50, i > 0) << i;
-    EXPECT_EQ(all[i].stereo_points, all[i].keypoints) << "walls everywhere, frame " << i;
+    // Walls everywhere; what looks fixed to the camera has lost its depth.
+    EXPECT_EQ(all[i].stereo_points + all[i].evidence.facts.fixed, all[i].keypoints) << i;
+    EXPECT_LE(10 * all[i].evidence.facts.fixed, all[i].keypoints) << i;
   }
   EXPECT_GE(all.back().keyframes, 2);
   EXPECT_EQ(all.back().maps, 1);

@@ -49,6 +49,20 @@ Eigen::Isometry3d checked_transform(std::vector<double> const& m, std::string co
 /// one stays: it has r = f theta then.)
 void drop_zero_distortion(camera_intrinsics& camera);
 
+/// fx, fy, cx, cy of a 3x3 matrix, row-major. @throws seq::error also for a skew
+void set_camera_matrix(camera_intrinsics& camera, std::vector<double> const& m,
+                       std::string const& path, std::string const& key);
+
+/// Model and coefficients by a maker's name of the distortion: radtan, radtan8, radial-tangential,
+/// plumb_bob, rational_polynomial; equidistant, fisheye, kb4; none. More than 8 coefficients of
+/// OpenCV's are taken if the rest is zero. @throws seq::error
+void set_distortion(camera_intrinsics& camera, std::string const& model,
+                    std::vector<double> coefficients, std::string const& path,
+                    std::string const& key);
+
+/// @throws seq::error that asks for the unit where the cameras are more than max_baseline apart
+void check_baseline(stereo_rig const& rig, std::string const& path, std::string const& key);
+
 /// Makes the rig that of its left camera alone: a virtual right one for depth images, else none.
 void set_one_camera(stereo_rig& rig, camera_kind kind);
 

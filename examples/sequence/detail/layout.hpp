@@ -4,9 +4,11 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "examples/sequence/calibration.hpp"
 #include "examples/sequence/reader.hpp"
 
 namespace seq::detail {
@@ -19,14 +21,15 @@ struct frame_files {
 };
 
 struct layout_of_files {
-  std::string name;  ///< "euroc", "kitti" or "tum"
+  std::string name;  ///< "euroc", "kitti", "tum" or "folders"
   std::filesystem::path root;
   std::filesystem::path mav0;  ///< EuRoC only
-  int left_camera = 0;         ///< KITTI only: number of the left camera
+  int left_camera = 0;         ///< number of KITTI's left camera
   camera_kind kind = camera_kind::stereo;
   std::vector<std::int64_t> times;  ///< of all frames, for poses.txt
   std::vector<frame_files> frames;  ///< sorted by time
   unpaired_images unpaired;
+  std::string stamps_from;  ///< for people: which file, or the names
   std::vector<std::string> warnings;
 };
 
@@ -42,6 +45,10 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
 void find_euroc_frames(layout_of_files& layout, open_options const& options);
 void find_kitti_frames(layout_of_files& layout, open_options const& options);
 void find_tum_frames(layout_of_files& layout, open_options const& options);
+/// Of plain folders: left and right (or cam0 and cam1, image_0 and image_1 ...), or one of images.
+/// @pre has_image_folders(layout.root)
+void find_folder_frames(layout_of_files& layout, open_options const& options);
+bool has_image_folders(std::filesystem::path const& root);
 
 /// `folder`/`name`, or the same stem with another image extension; empty if neither exists.
 std::string find_image(std::filesystem::path const& folder, std::string const& name);
@@ -79,6 +86,22 @@ struct raw_ground_truth {
 /// The ground truth that lies in the folder, sorted by time. @throws seq::error
 raw_ground_truth find_ground_truth(layout_of_files const& layout,
                                    std::vector<std::string>& warnings);
+
+/// The calibration that was named, or else the sequence's own, compared with the first images.
+/// @throws seq::error; missing_calibration
+calibration find_calibration(layout_of_files const& layout, open_options const& options,
+                             recording_source& source);
+
+/// Nothing, with the reason in `source`, unless there are samples, noise and place of an IMU.
+/// @param T_body_left of loaded frames @throws seq::error
+std::optional<imu_recording> find_imu(layout_of_files const& layout, calibration const& calib,
+                                      Eigen::Isometry3d const& T_body_left,
+                                      recording_source& source, std::vector<std::string>& warnings);
+
+std::string size_text(int width, int height);
+/// @throws seq::error with both sizes
+void check_image_size(std::string const& path, int width, int height,
+                      camera_intrinsics const& camera);
 
 /// Says in `warnings` where the rate is not the calibration's, or the units are unlikely: a median
 /// specific force that is not near gravity, a median angular rate above 3 rad/s.

@@ -4,8 +4,10 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <cstddef>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "examples/sequence/detail/calibration_checks.hpp"
@@ -13,13 +15,17 @@
 
 namespace seq::detail {
 
-/// A YAML file whose top level is a map. OpenCV's dialect is read as OpenCV reads it: a first line
+/// A YAML, JSON or OpenCV XML file whose top level is a map. OpenCV's dialect is read as OpenCV
+/// reads it: a first line
 /// `%YAML:1.0` or `YAML:1.0`, `key:value` without a blank, and a comment right after a value
 /// (`30#fps`). All functions throw seq::error that names file, key, value and limit.
 class yaml_file {
 public:
   /// @throws seq::error also for a key that is given twice with two values
   explicit yaml_file(std::string const& path);
+  /// The map at `key`, or its item of that index; messages name it after the path.
+  yaml_file part(std::string const& key) const;
+  yaml_file part(std::string const& key, std::size_t index) const;
 
   std::string const& path() const { return path_; }
   bool has(std::string const& key) const;
@@ -32,9 +38,15 @@ public:
   /// A whole number, in any format ("20", "20.0", "2e1").
   int integer(std::string const& key, limits const& range) const;
   std::string text(std::string const& key) const;
+  std::string text_or(std::string const& key, char const* otherwise) const {
+    return has(key) ? text(key) : otherwise;
+  }
+  bool is_map(std::string const& key) const { return has(key) && find(key).IsMap(); }
+  bool is_list(std::string const& key) const { return has(key) && find(key).IsSequence(); }
   /// A sequence of numbers, each within `range`.
   std::vector<double> list(std::string const& key, limits const& range) const;
-  /// The numbers of an OpenCV matrix (rows, cols, data), or of a plain list, which is a row.
+  /// The numbers of an OpenCV matrix (rows, cols, data), of a list of rows, or of a plain list,
+  /// which is a row.
   std::vector<double> matrix(std::string const& key, int& rows, int& cols) const;
   /// As above with a fixed shape.
   std::vector<double> matrix_of(std::string const& key, int rows, int cols) const;
@@ -47,6 +59,9 @@ public:
   std::vector<std::string> unread() const;
 
 private:
+  yaml_file(std::string path, YAML::Node root) : path_(std::move(path)), root_(std::move(root)) {}
+  /// @throws seq::error for a key that is given twice with two values
+  void check_map() const;
   YAML::Node find(std::string const& key) const;
   YAML::Node required(std::string const& key) const;
   double to_checked(YAML::Node const& node, std::string const& key, limits const& range) const;
@@ -58,5 +73,9 @@ private:
   YAML::Node root_;
   mutable std::set<std::string> asked_;
 };
+
+/// The content of an XML file of OpenCV's FileStorage as the YAML that it stands for.
+/// @param text of the file @throws seq::error naming path and line
+YAML::Node read_opencv_xml(std::string const& text, std::string const& path);
 
 }  // namespace seq::detail

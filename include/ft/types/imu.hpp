@@ -108,7 +108,8 @@ struct imu_params {
   /// cam to imu, t_imu = t_camera + offset. At most max_time_offset_s either way.
   double time_offset_s = 0;
   /// The offset is estimated, where the camera turns at a changing rate. One that differs clearly
-  /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew.
+  /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew. That
+  /// of a monocular_rig is only told.
   bool estimate_time_offset = true;
   static constexpr double max_time_offset_s = 10;
   selection_params selection;  ///< a rate_hz of 0 becomes the noise's

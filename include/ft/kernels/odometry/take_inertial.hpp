@@ -104,7 +104,7 @@ struct take_inertial_pose {
     observations_view const& seen = in.seen;
     inertial_track& t = v.tracks[b];
     inertial_pose_result const& result = v.poses.result[b];
-    // A camera that was lost has been searched for with a real64 radius: too many wrong matches.
+    // A camera that was lost has been searched for with a wide radius: too many wrong matches.
     bool const optimizes =
         t.source != inertial_source::none && in.state.tracks[b].plan == search_plan::follow;
     bool const optimized = optimizes && result.status == inertial_pose_status::optimised;

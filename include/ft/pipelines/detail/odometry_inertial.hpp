@@ -219,8 +219,10 @@ private:
     if (maps > 0) { queue(b).add_attitude(time_ns, (R_wc * R_cb).cast<double>(), last == maps); }
     last = maps;
   }
-  /// @return whether the offset in use has changed
+  /// @return whether the offset in use has changed. That of one camera is only told: how its map
+  /// has turned is too uncertain, and an IMU that begins anew knows no scale for long.
   bool correct_clock(int b) {
+    if (view_.seeks_scale) { return false; }
     imu_clock_offset const found = queue(b).clock();
     std::int64_t& used = offset_ns_[static_cast<std::size_t>(b)];
     double const change = std::abs(found.offset_s - static_cast<double>(used) * 1e-9);

@@ -1,0 +1,324 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <set>
+#include <system_error>
+#include <utility>
+
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::int64_t finest_frame_step_ns = 1'000'000;
+
+/// An image and the number in its name: "left_000012" has 000012, "1305031102.1753" the whole.
+struct named_image {
+  std::string file;
+  std::string number;
+};
+
+bool is_digit(char c) { return c >= '0' && c <= '9'; }
+
+/// The longest number in a text, of equal ones the last; with its decimal part.
+std::string number_in(std::string const& text) {
+  std::string longest;
+  for (std::size_t i = 0; i < text.size();) {
+    if (!is_digit(text[i])) {
+      ++i;
+      continue;
+    }
+    std::size_t end = i;
+    bool point = false;
+    while (end < text.size() &&
+           (is_digit(text[end]) ||
+            (!point && text[end] == '.' && end + 1 < text.size() && is_digit(text[end + 1])))) {
+      point = point || text[end] == '.';
+      ++end;
+    }
+    if (end - i >= longest.size()) { longest = text.substr(i, end - i); }
+    i = end;
+  }
+  return longest;
+}
+
+/// A frame's number of at most nine digits; nothing for anything else.
+std::optional<std::int64_t> counter_of(named_image const& image) {
+  bool const whole = !image.number.empty() && image.number.size() <= 9 &&
+                     image.number.find('.') == std::string::npos;
+  if (!whole) { return std::nullopt; }
+  return std::stoll(image.number);
+}
+
+/// The images of a folder, by their numbers where each has one of its own, else by name.
+std::vector<named_image> list_images(fs::path const& folder) {
+  std::vector<named_image> images;
+  std::error_code failure;
+  for (fs::directory_iterator it(folder, failure), end; !failure && it != end;
+       it.increment(failure)) {
+    if (!has_image_extension(it->path()) || !is_file(it->path().string())) { continue; }
+    images.push_back({it->path().string(), number_in(it->path().stem().string())});
+  }
+  std::set<std::int64_t> numbers;
+  for (named_image const& image : images) {
+    if (auto const n = counter_of(image)) { numbers.insert(*n); }
+  }
+  bool const numbered = numbers.size() == images.size();
+  std::sort(images.begin(), images.end(), [&](named_image const& a, named_image const& b) {
+    return numbered ? *counter_of(a) < *counter_of(b) : a.file < b.file;
+  });
+  return images;
+}
+
+/// `folder`, or its `data`, whichever has images; empty if neither has.
+fs::path with_images(fs::path const& folder) {
+  for (fs::path const& candidate : {folder, folder / "data"}) {
+    std::error_code failure;
+    for (fs::directory_iterator it(candidate, failure), end; !failure && it != end;
+         it.increment(failure)) {
+      if (has_image_extension(it->path())) { return candidate; }
+    }
+  }
+  return {};
+}
+
+struct camera_folders {
+  fs::path left, right;  ///< right is empty for one camera
+};
+
+camera_folders find_folders(fs::path const& root) {
+  constexpr char const* pairs[][2] = {{"left", "right"},      {"Left", "Right"},
+                                      {"cam0", "cam1"},       {"image_0", "image_1"},
+                                      {"image_2", "image_3"}, {"image_left", "image_right"},
+                                      {"camera0", "camera1"}, {"image_00", "image_01"},
+                                      {"infra1", "infra2"},   {"left_images", "right_images"}};
+  for (auto const& [left, right] : pairs) {
+    fs::path const first = with_images(root / left);
+    if (!first.empty()) { return {first, with_images(root / right)}; }
+  }
+  for (char const* name : {"images", "image", "rgb", "color", "frames", ""}) {
+    fs::path const first = with_images(name[0] == 0 ? root : root / name);
+    if (!first.empty()) { return {first, {}}; }
+  }
+  return {};
+}
+
+/// Whole numbers, as nanoseconds: seconds to nanoseconds since 1970 by their size, others by their
+/// step.
+std::vector<std::int64_t> whole_times(std::vector<std::int64_t> const& values,
+                                      std::string const& path, std::string& unit,
+                                      std::vector<std::string>& warnings) {
+  auto const [low, high] = std::minmax_element(values.begin(), values.end());
+  std::int64_t const step = median_step(values);
+  struct unit_of {
+    char const* name;
+    std::int64_t ns;
+  };
+  for (unit_of const& u : {unit_of{"seconds", 1'000'000'000}, unit_of{"milliseconds", 1'000'000},
+                           unit_of{"microseconds", 1'000}, unit_of{"nanoseconds", 1}}) {
+    std::int64_t const second = 1'000'000'000 / u.ns;
+    bool const since_1970 = *low >= 1'000'000'000 * second && *high / 4 < 1'000'000'000 * second;
+    if (!since_1970 || step > 10 * second) { continue; }
+    unit = u.name;
+    std::vector<std::int64_t> times;
+    for (std::int64_t const value : values) { times.push_back(value * u.ns); }
+    return times;
+  }
+  stamp_column column(path, finest_frame_step_ns);
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    column.add(std::to_string(values[i]), static_cast<int>(i) + 1);
+  }
+  unit = "whole numbers";
+  return column.times_ns(warnings);
+}
+
+/// Times of texts that all have a decimal point, or none. @param lines of a file, or 0
+std::vector<std::int64_t> times_of(std::vector<std::pair<int, std::string>> const& texts,
+                                   std::string const& path, std::string& unit,
+                                   std::vector<std::string>& warnings) {
+  bool const seconds = texts.front().second.find('.') != std::string::npos;
+  std::vector<std::int64_t> values;
+  for (auto const& [line, text] : texts) {
+    if ((text.find('.') != std::string::npos) != seconds) {
+      fail_at(path, line,
+              "time stamp " + text + (seconds ? " has no" : " has a") +
+                  " decimal point, unlike those before: in seconds or in whole numbers?");
+    }
+    values.push_back(seconds ? seconds_to_ns(text, path, line) : nanoseconds(text, path, line));
+  }
+  unit = "seconds";
+  return seconds ? values : whole_times(values, path, unit, warnings);
+}
+
+/// The file with the times of the images; empty without any.
+std::string find_times(fs::path const& root, fs::path const& left) {
+  for (fs::path const& folder : {root, left, left.parent_path()}) {
+    for (char const* name : {"times.txt", "timestamps.txt"}) {
+      std::string const path = (folder / name).string();
+      if (is_file(path)) { return path; }
+    }
+  }
+  return {};
+}
+
+/// Images whose names are times. @throws seq::error for numbers of frames
+std::vector<listed_image> by_name(std::vector<named_image> const& images, fs::path const& folder,
+                                  layout_of_files& layout) {
+  std::vector<std::pair<int, std::string>> texts;
+  std::vector<std::int64_t> counters;
+  for (named_image const& image : images) {
+    if (auto const n = counter_of(image)) { counters.push_back(*n); }
+    texts.emplace_back(static_cast<int>(texts.size()) + 1, image.number);
+  }
+  bool const any_without = std::any_of(images.begin(), images.end(),
+                                       [](named_image const& i) { return i.number.empty(); });
+  constexpr std::int64_t least_step = 5;  // of times; frames are counted one by one, or nearly so
+  bool const counted = counters.size() == images.size() && median_step(counters) < least_step;
+  if (any_without || counted) {
+    throw error(folder.string() + ": the file names are no times (" +
+                fs::path(images.front().file).filename().string() +
+                "): a rate (--fps) or a file with times (--times, times.txt) says them");
+  }
+  std::string unit;
+  std::vector<std::int64_t> const times = times_of(texts, folder.string(), unit, layout.warnings);
+  layout.stamps_from = "file names, " + unit;
+  std::vector<listed_image> listed;
+  for (std::size_t const i :
+       ordered_lines(times, disordered::sorted, folder.string(), "images", layout.warnings)) {
+    listed.push_back({times[i], images[i].file});
+  }
+  return listed;
+}
+
+/// The numbers of images in a sequence of frames.
+std::vector<std::int64_t> counters_of(std::vector<named_image> const& images) {
+  std::vector<std::int64_t> numbers;
+  for (named_image const& image : images) {
+    auto const n = counter_of(image);
+    if (!n || (!numbers.empty() && *n <= numbers.back())) { return {}; }
+    numbers.push_back(*n);
+  }
+  return numbers;
+}
+
+/// Frame times by the rate, or of the lines of a file. @param numbers of the images, ascending
+std::vector<std::int64_t> frame_times(std::vector<std::int64_t> const& numbers,
+                                      std::string const& path, open_options const& options,
+                                      layout_of_files& layout) {
+  std::vector<std::int64_t> times;
+  if (path.empty()) {
+    std::int64_t step = std::numeric_limits<std::int64_t>::max();
+    for (std::size_t i = 1; i < numbers.size(); ++i) {
+      step = std::min(step, numbers[i] - numbers[i - 1]);
+    }
+    for (std::int64_t const n : numbers) {
+      double const frames = static_cast<double>(n - numbers.front()) / static_cast<double>(step);
+      times.push_back(std::llround(frames * 1e9 / options.fps));
+    }
+    layout.stamps_from = to_text(options.fps) + " images a second, as asked for";
+    return times;
+  }
+  std::vector<std::pair<int, std::string>> lines;
+  for (text_line const& line : read_lines(path)) {
+    if (!is_blank_or_comment(line.text)) { lines.emplace_back(line.number, trim(line.text)); }
+  }
+  bool const by_order = lines.size() == numbers.size();
+  if (lines.empty() || (!by_order && numbers.back() >= static_cast<std::int64_t>(lines.size()))) {
+    throw error(path + ": " + std::to_string(lines.size()) + " times, must have one for each of " +
+                std::to_string(numbers.size()) + " images");
+  }
+  std::string unit;
+  std::vector<std::int64_t> const all = times_of(lines, path, unit, layout.warnings);
+  for (std::size_t i = 0; i < numbers.size(); ++i) {
+    times.push_back(all[by_order ? i : static_cast<std::size_t>(numbers[i])]);
+  }
+  layout.stamps_from = fs::path(path).filename().string() + ", " + unit;
+  return times;
+}
+
+/// Images that are counted, with times from elsewhere: those with equal numbers are a frame.
+void by_number(std::vector<named_image> const& left, std::vector<named_image> const& right,
+               std::string const& times_file, open_options const& options,
+               layout_of_files& layout) {
+  bool const pair = layout.kind == camera_kind::stereo;
+  std::vector<std::int64_t> numbers = counters_of(left);
+  std::vector<std::int64_t> others = counters_of(right);
+  if (numbers.empty() || (pair && others.empty())) {  // no numbers: the order says it
+    if (pair && left.size() != right.size()) {
+      throw error(layout.root.string() + ": " + std::to_string(left.size()) + " left and " +
+                  std::to_string(right.size()) +
+                  " right images, and their names do not say which belong together");
+    }
+    numbers.clear();
+    for (std::size_t i = 0; i < left.size(); ++i) {
+      numbers.push_back(static_cast<std::int64_t>(i));
+    }
+    others = numbers;
+  }
+  layout.times = frame_times(numbers, times_file, options, layout);
+  std::string const source = times_file.empty() ? layout.root.string() : times_file;
+  std::size_t common = 0;
+  std::vector<bool> kept(numbers.size());
+  for (std::size_t const i :
+       ordered_lines(layout.times, disordered::left_out, source, "frames", layout.warnings)) {
+    kept[i] = true;
+  }
+  for (std::size_t i = 0; i < numbers.size(); ++i) {
+    auto const at = std::lower_bound(others.begin(), others.end(), numbers[i]);
+    if (pair && (at == others.end() || *at != numbers[i])) { continue; }
+    ++common;
+    if (!kept[i]) { continue; }
+    auto const k = static_cast<std::size_t>(at - others.begin());
+    layout.frames.push_back({layout.times[i], left[i].file, pair ? right[k].file : std::string()});
+  }
+  if (layout.frames.empty()) {
+    throw error(layout.root.string() + ": no stereo pair: " + std::to_string(left.size()) +
+                " left and " + std::to_string(right.size()) +
+                " right images, none with equal numbers");
+  }
+  layout.unpaired.left = static_cast<int>(numbers.size() - common);
+  layout.unpaired.right = pair ? static_cast<int>(others.size() - common) : 0;
+}
+
+}  // namespace
+
+bool has_image_folders(fs::path const& root) { return !find_folders(root).left.empty(); }
+
+void find_folder_frames(layout_of_files& layout, open_options const& options) {
+  if (options.rig == camera_kind::rgbd) {
+    throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
+  }
+  camera_folders const folders = find_folders(layout.root);
+  if (options.rig == camera_kind::stereo && folders.right.empty()) {
+    throw error(layout.root.string() + ": images of one camera alone, in " + folders.left.string() +
+                ": not a stereo sequence");
+  }
+  bool const pair = options.rig != camera_kind::mono && !folders.right.empty();
+  layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
+  std::vector<named_image> const left = list_images(folders.left);
+  std::vector<named_image> const right = pair ? list_images(folders.right) : left;
+  std::string times = options.times;
+  if (times.empty() && options.fps == 0) { times = find_times(layout.root, folders.left); }
+  if (options.fps > 0 || !times.empty()) {
+    by_number(left, right, times, options, layout);
+    return;
+  }
+  two_lists lists;
+  lists.left = by_name(left, folders.left, layout);
+  if (!pair) {
+    take_images(lists.left, folders.left.string(), layout);
+    return;
+  }
+  lists.second = by_name(right, folders.right, layout);
+  lists.left_name = folders.left.filename().string();
+  lists.second_name = folders.right.filename().string();
+  pair_frames(lists, options.max_time_difference_ns.value_or(most_between_cameras_ns), layout);
+}
+
+}  // namespace seq::detail

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/calibration.hpp"
+#include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/text.hpp"
+#include "examples/sequence/image_io.hpp"
+
+namespace seq::detail {
+
+std::string size_text(int width, int height) {
+  return std::to_string(width) + " x " + std::to_string(height);
+}
+
+void check_image_size(std::string const& path, int width, int height,
+                      camera_intrinsics const& camera) {
+  if (width != camera.width || height != camera.height) {
+    throw error(path + ": image is " + size_text(width, height) + " pixels, the calibration has " +
+                size_text(camera.width, camera.height));
+  }
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The calibration in the sequence's folder. @param width,height of its images
+calibration own_calibration(layout_of_files const& l, int width, int height, std::string& path) {
+  auto const there = [&](fs::path const& file) {
+    path = file.string();
+    return is_file(path);
+  };
+  if (!l.mav0.empty() && there(l.mav0 / "cam0" / "sensor.yaml")) {
+    if (l.kind == camera_kind::stereo && !is_file((l.mav0 / "cam1" / "sensor.yaml").string())) {
+      throw missing_calibration((l.mav0 / "cam1" / "sensor.yaml").string() + ": no such file");
+    }
+    return read_euroc_calibration(l.mav0.string(), l.kind);
+  }
+  bool const folders = l.name == "folders";
+  if (l.name == "kitti" && there(l.root / "calib.txt")) {
+    return read_kitti_calibration(path, width, height, l.left_camera, l.kind);
+  }
+  if (folders && there(l.root / "calib.txt")) {
+    return read_calibration(path, width, height, l.left_camera, l.kind);
+  }
+  bool const one = l.kind != camera_kind::stereo;
+  if ((l.name == "tum" || (folders && one)) && there(l.root / "camera.txt")) {
+    return read_camera_txt(path, width, height, l.kind);
+  }
+  std::string const missing = path;
+  bool const whole = l.mav0.empty() || l.mav0.filename() == "mav0";  // root is the recording's own
+  for (fs::path const& folder : {l.mav0, whole ? l.root : fs::path()}) {
+    path = folder.empty() ? std::string() : find_calibration_file(folder.string());
+    if (!path.empty()) { return read_calibration(path, width, height, l.left_camera, l.kind); }
+  }
+  throw missing_calibration(
+      (folders ? l.root.string() + ": holds no calibration" : missing + ": no such file") + "; " +
+      accepted_calibrations);
+}
+
+}  // namespace
+
+calibration find_calibration(layout_of_files const& l, open_options const& options,
+                             recording_source& source) {
+  frame_files const& first = l.frames.front();
+  int width = 0;
+  int height = 0;
+  read_image_size(first.left, width, height);
+  calibration calib;
+  if (options.calibration.empty()) {
+    calib = own_calibration(l, width, height, source.calibration);
+  } else {
+    source.calibration = options.calibration;
+    calib = read_calibration(options.calibration, width, height, l.left_camera, l.kind);
+  }
+  if (!calib.has_body_frame && !l.mav0.empty() &&
+      is_file((l.mav0 / "cam0" / "sensor.yaml").string())) {
+    // The replacement does not contain the body frame, which the ground truth needs.
+    calib.rig.T_body_left = read_euroc_body_frame(l.mav0.string());
+    calib.has_body_frame = true;
+  }
+  check_image_size(first.left, width, height, calib.rig.left);
+  if (l.kind == camera_kind::stereo) {
+    read_image_size(first.second, width, height);
+    check_image_size(first.second, width, height, calib.rig.right);
+  }
+  return calib;
+}
+
+std::optional<imu_recording> find_imu(layout_of_files const& l, calibration const& calib,
+                                      Eigen::Isometry3d const& T_body_left,
+                                      recording_source& source,
+                                      std::vector<std::string>& warnings) {
+  std::string samples;
+  for (fs::path const& file : {l.mav0.empty() ? fs::path() : l.mav0 / "imu0" / "data.csv",
+                               l.root / "imu0" / "data.csv", l.root / "imu.csv"}) {
+    if (samples.empty() && is_file(file.string())) { samples = file.string(); }
+  }
+  std::string const sensor =
+      samples.empty() ? samples : (fs::path(samples).parent_path() / "sensor.yaml").string();
+  if (samples.empty()) {
+    source.imu_left_out = "no samples (imu0/data.csv, imu.csv)";
+  } else if (!calib.has_body_frame) {
+    source.imu_left_out = "the calibration does not say where the IMU is";
+  } else if (!calib.imu && !is_file(sensor)) {
+    source.imu_left_out =
+        "nothing says its noise (sensor.yaml beside the samples; Kalibr's "
+        "imu.yaml beside the chain)";
+  }
+  if (!source.imu_left_out.empty()) { return std::nullopt; }
+  imu_recording imu;
+  imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
+  if (calib.imu_time_offset_s) { imu.calibration.time_offset_s = *calib.imu_time_offset_s; }
+  imu.T_imu_left = imu.calibration.T_body_imu.inverse() * T_body_left;
+  imu.samples = read_imu_samples(samples, &warnings);
+  check_imu(imu, samples, warnings);
+  return imu;
+}
+
+}  // namespace seq::detail

@@ -126,7 +126,7 @@ TYPED_TEST(LinkWindows, MeasureTheMotionBetweenKeyframes) {
     EXPECT_NEAR(links[i].motion.t.x, want.t.x, 3e-6) << i;
     EXPECT_NEAR(links[i].motion.t.y, want.t.y, 3e-6) << i;
     EXPECT_NEAR(links[i].motion.t.z, want.t.z, 3e-6) << i;
-    double const turn = 3e-8 + std::pow(1e-3 * time, 2);
+    double const turn = 3e-8 + std::pow(5e-3 * time, 2);
     double const shift = 12e-6 + std::pow(0.05 * time, 2) + std::pow(0.025 * time * time, 2);
     EXPECT_NEAR(links[i].rotation_weight * turn, 1, 1e-5) << i;
     EXPECT_NEAR(links[i].translation_weight * shift, 1, 1e-5) << i;

@@ -21,6 +21,13 @@ struct sum_op {
     return a + b;
   }
 };
+/// Four sums in one reduction.
+struct four_sums {
+  int of[4];
+  friend FT_HOST_DEVICE four_sums operator+(four_sums a, four_sums b) {
+    return {{a.of[0] + b.of[0], a.of[1] + b.of[1], a.of[2] + b.of[2], a.of[3] + b.of[3]}};
+  }
+};
 struct min_op {
   template <typename T>
   FT_HOST_DEVICE T operator()(T a, T b) const {

@@ -68,8 +68,9 @@ FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& fra
     }
     n.keypoints += *kp.count;
   }
-  n.points = g.reduce(n.points, sum_op{});
-  n.area = g.reduce(area, sum_op{});
+  four_sums const sums = g.reduce(four_sums{{n.points, area, 0, 0}}, sum_op{});
+  n.points = sums.of[0];
+  n.area = sums.of[1];
   n.image = static_cast<std::int64_t>(frame.cameras) * geometry.width[0] * geometry.height[0];
   return n;
 }
@@ -80,18 +81,19 @@ template <typename Group, typename Rig>
 FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
                                               rigid<double> const& last) {
-  auto const now = T_cw.template cast<strict_double>();
-  auto const before = last.template cast<strict_double>();
-  constexpr int longest = 256;               // pixels
-  auto const whole = [&](strict_double v) {  // in eighths; a NaN is the longest
-    double const e = 8.0 * v.value;
-    return e > -8.0 * longest && e < 8.0 * longest ? static_cast<int>(e) : 8 * longest;
+  using real = strict_float;  // an eighth of a pixel is wanted
+  auto const now = T_cw.template cast<real>();
+  auto const before = last.template cast<real>();
+  constexpr int longest = 256;      // pixels
+  auto const whole = [&](real v) {  // in eighths; a NaN is the longest
+    float const e = 8.0f * v.value;
+    return e > -8.0f * longest && e < 8.0f * longest ? static_cast<int>(e) : 8 * longest;
   };
   frame_facts n;
   for (int i = g.rank(); i < in.count[b]; i += g.size()) {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * in.capacity + i;
     observation const o = in.items[at];
-    reprojection<Rig> const r(rig, now, o);
+    reprojection<Rig, real> const r(rig, now, o);
     int const x = whole(r.error[0]), y = whole(r.error[1]);
     int const length = (x < 0 ? -x : x) + (y < 0 ? -y : y);
     ++n.matches;
@@ -100,27 +102,55 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
       n.rejected_y += y;
       n.rejected_length += length;
     } else {
-      reprojection<Rig> const since(rig, before, o);
+      reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
       n.flowing += static_cast<int>((dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy) >= 16);
     }
     if (r.rows == 3 && r.valid) {
-      strict_double const weight = static_cast<double>(o.inv_sigma2);
-      bool const agrees = (r.error[0] * r.error[0] + r.error[1] * r.error[1]) * weight < 5.991;
+      real const weight = o.inv_sigma2;
+      bool const agrees = (r.error[0] * r.error[0] + r.error[1] * r.error[1]) * weight < 5.991f;
       n.with_disparity += static_cast<int>(agrees);
-      n.off_disparity += static_cast<int>(agrees && !(r.error[2] * r.error[2] * weight < 7.815));
+      n.off_disparity += static_cast<int>(agrees && !(r.error[2] * r.error[2] * weight < 7.815f));
     }
   }
-  n.matches = g.reduce(n.matches, sum_op{});
-  n.rejected_x = g.reduce(n.rejected_x, sum_op{});
-  n.rejected_y = g.reduce(n.rejected_y, sum_op{});
-  n.rejected_length = g.reduce(n.rejected_length, sum_op{});
-  n.flowing = g.reduce(n.flowing, sum_op{});
-  n.with_disparity = g.reduce(n.with_disparity, sum_op{});
-  n.off_disparity = g.reduce(n.off_disparity, sum_op{});
+  four_sums const a =
+      g.reduce(four_sums{{n.matches, n.rejected_x, n.rejected_y, n.rejected_length}}, sum_op{});
+  four_sums const c =
+      g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, 0}}, sum_op{});
+  n.matches = a.of[0];
+  n.rejected_x = a.of[1];
+  n.rejected_y = a.of[2];
+  n.rejected_length = a.of[3];
+  n.flowing = c.of[0];
+  n.with_disparity = c.of[1];
+  n.off_disparity = c.of[2];
   return n;
 }
 
+/// Item: a camera.
+struct count_frame_chances {
+  using scratch = no_scratch;
+
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+                                 local_search<Rig> const& in, int capacity, int slots,
+                                 chance_counts* out) const {
+    chance_counts const n = count_chances(g, b, frame, in, capacity, slots);
+    if (g.rank() == 0) { out[b] = n; }
+  }
+};
+
 }  // namespace detail
+
+/// What of a frame may be matched by chance, once its local map is listed. Asynchronous on `exec`;
+/// allocates nothing; one launch.
+/// @param capacity of the lists @param slots of the map @param out [batch]
+template <typename Exec, typename Rig>
+void count_chances_of_frames(Exec const& exec, frame_view const& frame, local_search<Rig> const& in,
+                             int capacity, int slots, detail::chance_counts* out) {
+  for_each_item<per_block<256>>(exec, frame.batch, detail::count_frame_chances{}, frame, in,
+                                capacity, slots, out);
+}
+
 }  // namespace FT_ABI
 }  // namespace ft

@@ -8,6 +8,7 @@
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
@@ -29,6 +30,7 @@ struct image_changes {
   int still;            ///< and those whose content is where it was
   int same;             ///< 1 = all samples are those of the frame before
   int sum, squares;     ///< of all samples
+  int fixed;            ///< number of cells in `now`
   unsigned now[words];  ///< cells that stay while the rest moves, in this frame or for a few frames
   unsigned long_since[words];  ///< and those that did for many frames
 };
@@ -71,12 +73,14 @@ namespace detail {
 /// Item: an image. Threads have cells.
 struct watch_image {
   static constexpr bool wide_on_host = true;
-  using scratch = no_scratch;
+  struct scratch {
+    std::uint8_t still[image_changes::cells];
+  };
   static constexpr int samples = image_changes::samples;
   static constexpr int few_frames = 4, many_frames = 8;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int i, image_pyramid_view const& images,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int i, image_pyramid_view const& images,
                                  image_changes_view const& v) const {
     if (images.absent.has(i)) {
       if (g.rank() == 0) { v.of[i] = {}; }
@@ -92,16 +96,16 @@ struct watch_image {
       still += static_cast<int>(to.is_still());
       known += static_cast<int>(!first && to.is_still() && v.frames[frames_at(i, c)] > 0);
       differ += static_cast<int>(to.differs);
+      s.still[c] = to.is_still() ? 1 : 0;
       sum += to.sum;
       squares += to.squares;
     }
-    textured = g.reduce(textured, sum_op{});
-    moved = g.reduce(moved, sum_op{});
-    still = g.reduce(still, sum_op{});
-    known = g.reduce(known, sum_op{});
-    differ = g.reduce(differ, sum_op{});
-    sum = g.reduce(sum, sum_op{});
-    squares = g.reduce(squares, sum_op{});
+    four_sums const counts = g.reduce(four_sums{{textured, moved, still, known}}, sum_op{});
+    four_sums const grey = g.reduce(four_sums{{differ, sum, squares, 0}}, sum_op{});
+    textured = counts.of[0];
+    moved = counts.of[1];
+    still = counts.of[2];
+    known = counts.of[3];
     // Most of the image moves: what does not is not of the scene. Less is enough where that was so
     // before. With a camera that hardly moves there is much between both.
     bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
@@ -113,15 +117,16 @@ struct watch_image {
       out.textured = textured;
       out.moved = moved;
       out.still = still;
-      out.same = !first && differ == 0 ? 1 : 0;
-      out.sum = sum;
-      out.squares = squares;
+      out.same = !first && grey.of[0] == 0 ? 1 : 0;
+      out.sum = grey.of[1];
+      out.squares = grey.of[2];
       v.begun[i] = 1;
     }
     for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
-      count_frames(image, v, i, c, first, rest_moves);
+      count_frames(v, i, c, !first && s.still[c] != 0, rest_moves);
     }
     g.sync();
+    int fixed = 0;
     for (int w = g.rank(); w < image_changes::words; w += g.size()) {
       unsigned now = 0, long_since = 0;
       for (int bit = 0; bit < 32; ++bit) {
@@ -130,9 +135,12 @@ struct watch_image {
         now |= static_cast<unsigned>(is_now) << bit;
         long_since |= static_cast<unsigned>(frames >= many_frames) << bit;
       }
+      fixed += popcount(now);
       v.of[i].now[w] = now;
       v.of[i].long_since[w] = long_since;
     }
+    fixed = g.reduce(fixed, sum_op{});
+    if (g.rank() == 0) { v.of[i].fixed = fixed; }
   }
 
 private:
@@ -173,20 +181,23 @@ private:
   FT_HOST_DEVICE static compared compare(image_view<std::uint8_t> const& image,
                                          image_changes_view const& v, int i, int cell, bool first) {
     compared out;
+    int grey[samples];
+    int then[samples];
     int reference = 0;
-    for (int s = 0; s < samples; ++s) {
-      int const grey = pixel(image, cell, s);
-      std::ptrdiff_t const at = place(i, cell, s);
-      out.sum += grey;
-      out.squares += grey * grey;
-      reference += first ? 0 : v.reference[at];
-      out.differs = out.differs || first || v.last[at] != grey;
-      v.last[at] = static_cast<std::uint8_t>(grey);
+    FT_UNROLL
+    for (int k = 0; k < samples; ++k) {
+      grey[k] = pixel(image, cell, k);
+      then[k] = first ? 0 : v.reference[place(i, cell, k)];
+      out.differs = out.differs || first || v.last[place(i, cell, k)] != grey[k];
+      out.sum += grey[k];
+      out.squares += grey[k] * grey[k];
+      reference += then[k];
     }
-    for (int s = 0; s < samples; ++s) {
-      std::ptrdiff_t const at = place(i, cell, s);
-      int const now = samples * v.last[at] - out.sum;
-      int const was = first ? 0 : samples * v.reference[at] - reference;
+    FT_UNROLL
+    for (int k = 0; k < samples; ++k) {
+      v.last[place(i, cell, k)] = static_cast<std::uint8_t>(grey[k]);
+      int const now = samples * grey[k] - out.sum;
+      int const was = first ? 0 : samples * then[k] - reference;
       out.contrast += now < 0 ? -now : now;
       out.was += was < 0 ? -was : was;
       out.difference += now < was ? was - now : now - was;
@@ -201,14 +212,12 @@ private:
   }
   /// Counts the frames in which a cell was still and others were not. A cell that is not still
   /// begins anew.
-  FT_HOST_DEVICE static void count_frames(image_view<std::uint8_t> const& image,
-                                          image_changes_view const& v, int i, int cell, bool first,
+  FT_HOST_DEVICE static void count_frames(image_changes_view const& v, int i, int cell, bool still,
                                           bool rest_moves) {
-    compared const to = compare(image, v, i, cell, first);
     std::uint8_t& frames = v.frames[frames_at(i, cell)];
-    if (first || !to.is_still()) {
-      for (int s = 0; s < samples; ++s) {
-        v.reference[place(i, cell, s)] = v.last[place(i, cell, s)];
+    if (!still) {
+      for (int k = 0; k < samples; ++k) {
+        v.reference[place(i, cell, k)] = v.last[place(i, cell, k)];
       }
       frames = 0;
     } else if (rest_moves) {
@@ -224,7 +233,7 @@ private:
 /// @param images level 0 is read
 template <typename Exec>
 void watch_images(Exec const& exec, image_pyramid_view const& images, image_changes_view const& v) {
-  for_each_item<per_block<256>>(exec, images.batch, detail::watch_image{}, images, v);
+  for_each_item<per_block<1024>>(exec, images.batch, detail::watch_image{}, images, v);
 }
 
 }  // namespace FT_ABI

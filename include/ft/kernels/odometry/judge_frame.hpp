@@ -101,7 +101,8 @@ struct judge_camera_frame {
     int const inliers = in.inliers[b];
     frame_facts facts{};
     if (before.plan != search_plan::nothing && in.observations.items != nullptr) {
-      facts = weigh(g, b, in, state.T_cw[b]);
+      facts = weigh_observations(g, b, in.rig, in.observations, in.T_cw[b], state.T_cw[b]);
+      facts.evidence = frame_facts::by_chances;
     }
     facts.fixed = before.facts.fixed;
     facts.held_before = before.held;
@@ -152,15 +153,6 @@ struct judge_camera_frame {
   }
 
 private:
-  template <typename Group, typename Rig>
-  FT_HOST_DEVICE static frame_facts weigh(Group g, int b, searched_frames<Rig> const& in,
-                                          rigid<double> const& last) {
-    frame_facts facts = weigh_observations(g, b, in.rig, in.observations, in.T_cw[b], last);
-    chance_counts const by =
-        count_chances(g, b, in.frame, in.local, in.local_capacity, in.map.capacity);
-    facts.evidence = static_cast<int>(by.bits(in.inliers[b]) / evidence_one);
-    return facts;
-  }
   /// Whether a lost camera's matches are more than a wrong pose would find.
   template <typename Group, typename Rig>
   FT_HOST_DEVICE static bool is_evident(Group g, int b, tracking_rules const& rules,
@@ -194,8 +186,9 @@ private:
       n.near_held += static_cast<int>(is_near && held);
       n.near_free += static_cast<int>(is_near && !held);
     }
-    return {g.reduce(n.with_depth, sum_op{}), g.reduce(n.held, sum_op{}),
-            g.reduce(n.near_held, sum_op{}), g.reduce(n.near_free, sum_op{})};
+    four_sums const all =
+        g.reduce(four_sums{{n.with_depth, n.held, n.near_held, n.near_free}}, sum_op{});
+    return {all.of[0], all.of[1], all.of[2], all.of[3]};
   }
 
   /// The frame is not tracked. The motion goes on, slower and slower, until the camera is found or

@@ -48,7 +48,9 @@ struct plan_camera_search {
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
     int fixed = 0;
-    if (start.fixed.changes.of != nullptr) { fixed = forget_fixed(g, b, start); }
+    if (start.fixed.changes.of != nullptr && has_fixed_parts(start.fixed, b)) {
+      fixed = forget_fixed(g, b, start);
+    }
     if (g.rank() != 0) { return; }
     state.tracks[b].facts.fixed = fixed;
     // A frame without points was no attempt.

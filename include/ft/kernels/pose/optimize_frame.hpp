@@ -43,6 +43,14 @@ struct frame_poses {
 
 namespace detail {
 
+/// Whether a part of any image of a frame is fixed to its camera.
+FT_HOST_DEVICE inline bool has_fixed_parts(frames_in_map const& in, int b) {
+  bool any = false;
+  for (int c = 0; c < in.frame.cameras; ++c) {
+    any = any || in.changes.of[in.frame.image(b, c)].fixed != 0;
+  }
+  return any;
+}
 /// Whether keypoint i is of what is fixed to its camera. What is far may stay where it is, too; of
 /// a keypoint without disparity that takes many frames to tell.
 FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int i) {
@@ -84,7 +92,7 @@ struct optimize_frame {
     observations_view const& out = poses.observations;
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
-    if (in.changes.of != nullptr) { release_fixed(g, b, in); }
+    if (in.changes.of != nullptr && has_fixed_parts(in, b)) { release_fixed(g, b, in); }
     int const n = list_observations(g, s, b, frame, out.number + at);
     float* const information =
         poses.information == nullptr

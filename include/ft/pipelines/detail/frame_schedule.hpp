@@ -116,15 +116,21 @@ void queue_features(Line& line, Features const& f) {
 }
 
 /// Images and inputs of a frame, and its keypoints. @param with_local also uploads the local map
-template <typename Line, typename Stages>
-void queue_images(Line& line, Stages const& s, bool with_local) {
+/// @param then called once the images are enqueued
+template <typename Line, typename Stages, typename Then>
+void queue_images(Line& line, Stages const& s, bool with_local, Then const& then) {
   s.upload(line.then("upload"), with_local);
   if (s.pyramid_overlaps_upload()) {
     s.pyramid_of_upload(line.with("pyramid"));
   } else {
     s.build_levels(line.then("pyramid"));
   }
+  then();
   queue_features(line, s);
+}
+template <typename Line, typename Stages>
+void queue_images(Line& line, Stages const& s, bool with_local) {
+  queue_images(line, s, with_local, [] {});
 }
 
 /// A frame without a search.

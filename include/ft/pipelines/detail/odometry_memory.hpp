@@ -14,6 +14,7 @@
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/monocular/start_rules.hpp"
+#include "ft/kernels/odometry/frame_facts.hpp"
 #include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
@@ -86,6 +87,7 @@ struct odometry_memory {
   window_workspace window_work;
   windowless_workspace windowless;
   image_changes_view changes;
+  chance_counts* chances = nullptr;    ///< [batch]
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
   odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
@@ -118,6 +120,7 @@ struct odometry_memory {
       information = c.take<float>(b * information_terms);
       carve(c, windowless, shape.numbers(), batch);
       carve(c, changes, shape.images * batch);
+      chances = c.take<chance_counts>(b);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);

@@ -32,10 +32,11 @@ struct tracking_facts {
   int const* keyframe_left_out;  ///< likewise
   int const* window_left_out;
   int const* map_points;
-  int depth_cameras = 1;         ///< the first cameras, whose keypoints may have a depth
-  float distant = 0;             ///< depth of distant points, metres
-  image_changes_view changes{};  ///< [batch][images]
-  int images = 0;                ///< of a rig
+  int depth_cameras = 1;                   ///< the first cameras, whose keypoints may have a depth
+  float distant = 0;                       ///< depth of distant points, metres
+  image_changes_view changes{};            ///< [batch][images]
+  chance_counts const* chances = nullptr;  ///< [batch]
+  int images = 0;                          ///< of a rig
   absent_images absent{};
   start_report const* start = nullptr;  ///< of one camera, or null
 };
@@ -118,6 +119,9 @@ struct pack_tracking {
     out.light = least_contrast(facts.changes, facts.images, facts.absent, b);
     out.changes = count_changes(facts.changes, facts.images, facts.absent, b);
     out.facts = t.facts;
+    if (t.facts.evidence == frame_facts::by_chances) {
+      out.facts.evidence = static_cast<int>(facts.chances[b].bits(out.inliers) / evidence_one);
+    }
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];
     // Before its first map a camera that was reset searches its old one, for nothing.
     bool const searched = t.plan != search_plan::nothing;

@@ -4,6 +4,7 @@
 /// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
 /// one the integration of the IMU's samples. After the last pose each stage needs what the one
 /// before it has decided; what only the next pose with the IMU needs is on a branch again.
+/// How the images changed is found beside their keypoints.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -41,9 +42,10 @@ template <typename Line, typename Stages>
 void queue_odometry_motion(Line& line, Stages& s) {
   line.beside(
       s.beginning_branch(), "motion", [&](auto const& exec) { queue_prediction(exec, s); },
-      [&](Line& l) { queue_images(l, s, false); });
+      [&](Line& l) {
+        queue_images(l, s, false, [&] { s.watch_images(l.fork(s.result_branch())); });
+      });
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
-  s.watch_images(line.fork(s.result_branch()));
   if constexpr (Stages::rectified) {
     // One camera has no depths.
     char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
@@ -91,6 +93,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.list_local_map(line.then("search local map"));
   auto const branch = line.fork(s.result_branch());
   s.pack_keypoints(branch);
+  s.count_chances(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
   if (s.has_imu()) {

@@ -158,6 +158,11 @@ public:
     in.observations = memory.observations;
     judge_frames(exec, settings.rules, in, own.state);
   }
+  /// Beside the search in the local map.
+  void count_chances(Exec const& exec) const {
+    count_chances_of_frames(exec, memory.frame, this->local_input(), this->params.local_points,
+                            memory.map.capacity, own.chances);
+  }
   void count_points(Exec const& exec) const {
     sightings_input in;
     in.kind = own.state.counts;
@@ -225,6 +230,7 @@ public:
                          memory.result.depth_cameras};
     facts.distant = (this->rig.baseline_length() * distant_baselines).value;
     facts.changes = own.changes;
+    facts.chances = own.chances;
     facts.images = images_of_rig();
     facts.absent = this->extractor.pyramid().absent;
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }

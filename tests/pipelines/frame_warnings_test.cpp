@@ -209,7 +209,7 @@ TEST(WarningsOfFrames, EachHasItsCause) {
          t.map_begun = true;
          t.maps = t.map_id = 2;
        }},
-      {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.evidence = 63; }},
+      {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.evidence = 31; }},
       {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.fixed = 40; }},
       {warning::two_motions,
        [](ft::tracking& t) {

@@ -27,6 +27,9 @@ inline char const* name_of(tracking_warning warning) {
 
 /// Limits of warnings. Grey values are from 0 to 255.
 struct warning_limits {
+  /// Bits, of a pose that follows the one before: a wrong one has them once in 2^32 frames. One of
+  /// a lost camera, which tries many, needs tracking_rules::min_evidence.
+  int least_evidence = 32;
   double dark_mean = 16;
   double bright_mean = 239;
   double least_deviation = 5;          ///< of grey values
@@ -112,7 +115,7 @@ public:
     if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }
     if (t.state == tracking_state::tracking) {
-      if (t.inliers > 0 && e.facts.evidence < params.rules.min_evidence) {
+      if (t.inliers > 0 && e.facts.evidence < limits.least_evidence) {
         all.add(tracking_warning::doubtful_pose);
       }
       if (has_two_motions(t, limits, fixed_before_)) { all.add(tracking_warning::two_motions); }
@@ -178,7 +181,7 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
       return std::to_string(t.inliers) + " of " + std::to_string(t.local_points) +
              " map points agree with the pose, " + std::to_string(f.evidence) +
              " bits of evidence, in this frame or one of the second before; " +
-             std::to_string(params.rules.min_evidence) + " are asked for";
+             std::to_string(warning_limits{}.least_evidence) + " are asked for";
     case tracking_warning::two_motions:
       return std::to_string(f.fixed) + " keypoints are fixed to the camera, " +
              std::to_string(f.matches - t.inliers) + " of " + std::to_string(f.matches) +

@@ -19,6 +19,7 @@
 #include "ft/kernels/words/keyframe_words.hpp"
 #include "ft/kernels/words/query_database.hpp"
 #include "ft/kernels/words/transform.hpp"
+#include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/relocalizer.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"

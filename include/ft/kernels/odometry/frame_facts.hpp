@@ -52,7 +52,7 @@ FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& fra
   constexpr float circle = 3.14159265f * 5.991f * 16;
   pyramid_geometry const& geometry = in.geometry;
   chance_counts n;
-  int area = 0;
+  std::int64_t area = 0;  // in large octaves above an int
   for (int c = 0; c < frame.cameras; ++c) {
     std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
     visibility const* const seen =
@@ -64,13 +64,12 @@ FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& fra
     }
     keypoints_view const kp = frame.camera(b, c);
     for (int i = g.rank(); i < *kp.count; i += g.size()) {
-      area += static_cast<int>(mul(circle, geometry.sigma2[kp.octave(i)]));
+      area += static_cast<std::int64_t>(mul(circle, geometry.sigma2[kp.octave(i)]));
     }
     n.keypoints += *kp.count;
   }
-  four_sums const sums = g.reduce(four_sums{{n.points, area, 0, 0}}, sum_op{});
-  n.points = sums.of[0];
-  n.area = sums.of[1];
+  n.points = g.reduce(n.points, sum_op{});
+  n.area = g.reduce(area, sum_op{});
   n.image = static_cast<std::int64_t>(frame.cameras) * geometry.width[0] * geometry.height[0];
   return n;
 }

@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+// Optimises a pose graph in g2o's text format.
+//   optimize_pose_graph IN.g2o [--out OUT.g2o] [--backend host|cuda] [--start
+//   file|odometry|chordal]
+//                       [--steps N] [--repeat N]
+// Without IN.g2o: a loop of a hundred poses, made here. Compiled as CUDA it runs on a GPU where
+// there is one; as C++ on the host.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "ft/containers/pose_graph.hpp"
+#include "ft/containers/pose_graph_files.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/pipelines/pose_graph.hpp"
+
+struct options {
+  std::string in, out, backend;
+  ft::pose_graph_params params;
+  int repeat = 1;
+};
+
+options parse(int argc, char** argv) {
+  options o;
+  for (int i = 1; i < argc; ++i) {
+    std::string const word = argv[i];
+    if (word.rfind("--", 0) != 0) {
+      o.in = word;
+      continue;
+    }
+    if (i + 1 == argc) { throw std::invalid_argument(word + " needs a value"); }
+    std::string const value = argv[++i];
+    if (word == "--out") {
+      o.out = value;
+    } else if (word == "--backend" && (value == "host" || value == "cuda")) {
+      o.backend = value;
+    } else if (word == "--start" && value == "file") {
+      o.params.start = ft::pose_graph_start::given;
+    } else if (word == "--start" && value == "odometry") {
+      o.params.start = ft::pose_graph_start::odometry;
+    } else if (word == "--start" && value == "chordal") {
+      o.params.start = ft::pose_graph_start::chordal;
+    } else if (word == "--steps") {
+      o.params.steps = std::atoi(value.c_str());
+    } else if (word == "--repeat") {
+      o.repeat = std::max(1, std::atoi(value.c_str()));
+    } else {
+      throw std::invalid_argument(word + " " + value + " is not known");
+    }
+  }
+  return o;
+}
+
+/// A circle whose measured turns are a little too small, and the loop that tells.
+ft::pose_graph circle() {
+  ft::pose_graph graph;
+  double const turn = 0.98 * 2 * 3.14159265358979 / 100;
+  ft::rigid<double> const step{
+      {{std::cos(turn), -std::sin(turn), 0, std::sin(turn), std::cos(turn), 0, 0, 0, 1}},
+      {1, 0, 0}};
+  graph.T_world_pose.push_back(ft::rigid<double>::identity());
+  for (int i = 1; i < 100; ++i) {
+    graph.T_world_pose.push_back((graph.T_world_pose.back() * step).orthonormalized());
+    ft::pose_graph_edge edge;
+    edge.from = i - 1;
+    edge.to = i;
+    edge.T_from_to = step;
+    graph.edges.push_back(edge);
+  }
+  ft::pose_graph_edge loop;
+  loop.from = 99;
+  loop.to = 0;
+  loop.T_from_to = step;
+  graph.edges.push_back(loop);
+  return graph;
+}
+
+template <typename Exec>
+bool optimize(Exec const& exec, options const& o) {
+  ft::pose_graph const given = o.in.empty() ? circle() : ft::read_g2o(o.in);
+  ft::pose_graph graph;
+  ft::pose_graph_report report;
+  std::vector<double> times;
+  for (int k = 0; k < o.repeat; ++k) {
+    graph = given;
+    auto const begin = std::chrono::steady_clock::now();
+    report = ft::optimize_pose_graph(exec, graph, o.params);
+    auto const end = std::chrono::steady_clock::now();
+    times.push_back(std::chrono::duration<double, std::milli>(end - begin).count());
+  }
+  std::printf("%zu poses, %zu edges, %lld blocks, %d poses dense, %.1f MB\n",
+              graph.T_world_pose.size(), graph.edges.size(), report.blocks, report.dense_poses,
+              static_cast<double>(report.bytes) * 1e-6);
+  std::printf("chi2 %.7g, at the start %.7g, after %d steps %.10g%s\n", report.given_chi2,
+              report.first_chi2, report.steps, report.last_chi2,
+              report.converged ? "" : " (not converged)");
+  if (!report.started) { std::puts("the start has no solution: the file's poses were taken"); }
+  double const first = times.front();
+  std::sort(times.begin(), times.end());
+  std::printf("first call %.2f ms; of %d: least %.2f ms, median %.2f ms\n", first, o.repeat,
+              times.front(), times[times.size() / 2]);
+  if (!o.out.empty()) { ft::write_g2o(o.out, graph); }
+  return report.converged;
+}
+
+bool run(options const& o) {
+#if defined(__CUDACC__)
+  if (o.backend != "host") {
+    int devices = 0;
+    bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
+    if (!found && o.backend == "cuda") { throw std::runtime_error("no CUDA device was found"); }
+    if (found) {
+      ft::stream const mine;
+      return optimize(ft::cuda_exec(mine.get()), o);
+    }
+  }
+#else
+  if (o.backend == "cuda") {
+    throw std::runtime_error(
+        "this program was compiled for the host: use optimize_pose_graph_cuda");
+  }
+#endif
+  return optimize(ft::host_exec(), o);
+}
+
+int main(int argc, char** argv) {
+  try {
+    return run(parse(argc, argv)) ? EXIT_SUCCESS : EXIT_FAILURE;
+  } catch (std::exception const& e) {
+    std::fprintf(stderr, "%s\n", e.what());
+    return EXIT_FAILURE;
+  }
+}

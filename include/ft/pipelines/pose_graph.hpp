@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Optimisation of pose graphs.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "ft/containers/pose_graph.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/graph/elimination_order.hpp"
+#include "ft/kernels/graph/system.hpp"
+#include "ft/pipelines/detail/pose_graph_solver.hpp"
+#include "ft/pipelines/detail/pose_graph_start.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Where an optimisation of a pose graph begins.
+enum class pose_graph_start {
+  given,     ///< at the graph's poses
+  odometry,  ///< measured motions chained: each pose from the one before where an edge joins them
+  chordal,   ///< rotations by linear least squares and projection, then translations
+};
+
+struct pose_graph_params {
+  pose_graph_start start = pose_graph_start::given;
+  int steps = 100;              ///< most steps to try, 0 to 10000
+  double enough = 1e-9;         ///< ends with a step that lowers the cost by a smaller share
+  double first_damping = 1e-9;  ///< of the first step, relative to the diagonal, 0 to 1e9
+};
+
+/// What became of a pose graph. Costs are sums of robust_kernel over the edges.
+struct pose_graph_report {
+  double given_cost = 0;  ///< of the poses that were given
+  double first_cost = 0;  ///< of the start
+  double last_cost = 0;   ///< of the result, at most first_cost
+  double given_chi2 = 0;  ///< the same without robust kernels: sums of e^T W e
+  double first_chi2 = 0;
+  double last_chi2 = 0;
+  int steps = 0;           ///< that were tried, refused ones included
+  bool converged = false;  ///< false: there were not enough steps, or no step lowers the cost
+  /// Whether the start was made as asked; false: its equations have no solution, and the poses that
+  /// were given were taken.
+  bool started = true;
+  int dense_poses = 0;    ///< poses that were solved as a dense matrix
+  long long blocks = 0;   ///< 6 x 6 blocks of the factor
+  std::size_t bytes = 0;  ///< of executor memory
+};
+
+/// @throws bad_argument for a number out of range
+inline void check(pose_graph_params const& params) {
+  detail::require(params.start == pose_graph_start::given ||
+                      params.start == pose_graph_start::odometry ||
+                      params.start == pose_graph_start::chordal,
+                  "the pose graph's start is unknown");
+  detail::require_range("steps of a pose graph", params.steps, 0, 10000);
+  detail::require_range("enough of a pose graph", params.enough, 0.0, 1.0);
+  detail::require_range("first_damping of a pose graph", params.first_damping, 0.0, 1e9);
+}
+
+/// Moves the poses of a graph so that the sum of its edges' costs is as low as near the start: by
+/// Levenberg's and Marquardt's method, with each linear system solved exactly. Equal bits on every
+/// executor. Allocates, and returns when all is done. Memory: linear in the edges and in the blocks
+/// of the factor.
+/// @param graph its poses that are not fixed get the result
+/// @throws bad_argument for an invalid graph, or one whose factor does not fit into 32-bit indices
+template <typename Exec>
+pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
+                                      pose_graph_params const& params = {}) {
+  check(params);
+  check(graph);
+  pose_graph_report report;
+  if (graph.edges.empty()) {
+    report.converged = true;
+    return report;
+  }
+  detail::elimination_order const order(graph);
+  detail::pose_graph_solver<Exec> solver(exec, graph, order);
+  report.dense_poses = order.dense;
+  report.blocks = order.blocks();
+  report.bytes = solver.bytes();
+  auto const given = solver.measure();
+  auto best = given;
+  if (params.start == pose_graph_start::odometry) {
+    solver.set_poses(detail::chained_poses(graph, order.position));
+    best = solver.measure();
+  } else if (params.start == pose_graph_start::chordal) {
+    solver.start_chordal();
+    best = solver.measure();
+  }
+  report.started = std::isfinite(best.cost);
+  if (!report.started) {
+    solver.set_poses(graph.T_world_pose);
+    best = solver.measure();
+  }
+  report.given_cost = given.cost;
+  report.given_chi2 = given.chi2;
+  report.first_cost = best.cost;
+  report.first_chi2 = best.chi2;
+
+  double damping = params.first_damping;
+  double factor = 8;  // by which damping grows: larger after each refused step in a row
+  bool linear = false;
+  while (!report.converged && report.steps < params.steps && damping < 1e12) {
+    if (!linear) { solver.linearize(); }
+    linear = true;
+    ++report.steps;
+    auto const trial = solver.try_step(damping);
+    double const gain = best.cost - trial.cost;
+    if (gain >= 0) {
+      report.converged = gain <= params.enough * best.cost;
+      // A step that gained what the linear system promised needs less damping.
+      if (gain >= 0.75 * trial.promised) { damping = damping > 1e-14 ? damping / 8 : damping; }
+      if (gain < 0.25 * trial.promised) { damping = damping * 4; }
+      factor = 8;
+      solver.accept();
+      linear = false;
+      best = trial;
+    } else {
+      report.converged = trial.promised >= 0 && trial.promised <= params.enough * best.cost;
+      damping = (damping > 1e-12 ? damping : 1e-12) * factor;
+      factor *= 4;
+    }
+  }
+  report.last_cost = best.cost;
+  report.last_chi2 = best.chi2;
+  solver.download(graph.T_world_pose);
+  return report;
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

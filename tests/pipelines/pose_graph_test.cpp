@@ -1,0 +1,334 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pose graphs: derivatives, graphs with a known answer, recorded graphs with a known optimum, equal
+// bits on both executors, starts, robust kernels, graphs that cannot be optimised.
+#include "ft/pipelines/pose_graph.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "ft/containers/pose_graph_files.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/pose_graphs.hpp"
+
+namespace pose_graph_test {
+
+using ft::pose_graph_start;
+using test::make_graph;
+
+template <typename Backend>
+class pose_graphs : public test::on_backend<Backend> {
+protected:
+  Backend backend;
+
+  ft::pose_graph_report optimize(ft::pose_graph& graph, pose_graph_start start) {
+    ft::pose_graph_params params;
+    params.start = start;
+    return ft::optimize_pose_graph(backend.exec, graph, params);
+  }
+};
+TYPED_TEST_SUITE(pose_graphs, test::backends);
+
+/// Sum of e^T W e in plain numbers, with the quaternion by its half angle.
+inline double plain_chi2(ft::pose_graph const& graph) {
+  double sum = 0;
+  for (auto const& edge : graph.edges) {
+    auto const D = edge.T_from_to.inverse() *
+                   (graph.T_world_pose[static_cast<std::size_t>(edge.from)].inverse() *
+                    graph.T_world_pose[static_cast<std::size_t>(edge.to)]);
+    auto const& m = D.R.m;
+    double const w = std::sqrt(std::max(0.0, 1 + m[0] + m[4] + m[8])) / 2;
+    double e[6] = {D.t.x, D.t.y, D.t.z, 0, 0, 0};
+    if (w > 1e-3) {
+      e[3] = (m[7] - m[5]) / (4 * w);
+      e[4] = (m[2] - m[6]) / (4 * w);
+      e[5] = (m[3] - m[1]) / (4 * w);
+    }
+    int at = 0;
+    for (int i = 0; i < 6; ++i) {
+      for (int j = i; j < 6; ++j) {
+        sum += (i == j ? 1 : 2) * edge.information[at++] * e[i] * e[j];
+      }
+    }
+  }
+  return sum;
+}
+
+inline double distance(ft::rigid<double> const& a, ft::rigid<double> const& b) {
+  double worst = 0;
+  for (int k = 0; k < 9; ++k) { worst = std::max(worst, std::abs(a.R.m[k] - b.R.m[k])); }
+  auto const d = a.t - b.t;
+  return std::max(worst, std::sqrt(ft::dot(d, d)));
+}
+
+inline bool same_bits(std::vector<ft::rigid<double>> const& a,
+                      std::vector<ft::rigid<double>> const& b) {
+  return a.size() == b.size() &&
+         std::memcmp(a.data(), b.data(), a.size() * sizeof(ft::rigid<double>)) == 0;
+}
+
+TEST(PoseGraphEdge, DerivativesAreThoseOfDifferences) {
+  test::random_motion any(7);
+  double const h = 1e-6;
+  for (int round = 0; round < 50; ++round) {
+    ft::pose_graph_edge edge;
+    edge.T_from_to = any(0.8, 2);
+    ft::rigid<double> const T[2] = {any(1, 3), any(1, 3)};
+    ft::detail::edge_error const here(edge, T[0], T[1]);
+    if (here.q.w < ft::strict_double(0.1)) { continue; }  // the sign of the quaternion may change
+    ft::strict_double J[2][36];
+    ft::detail::edge_jacobians(here, J);
+    for (int which = 0; which < 2; ++which) {
+      for (int k = 0; k < 6; ++k) {
+        auto const error_after = [&](double size) {
+          ft::vec3<double> const d{k % 3 == 0 ? size : 0, k % 3 == 1 ? size : 0,
+                                   k % 3 == 2 ? size : 0};
+          ft::vec3<double> const zero{0, 0, 0};
+          ft::rigid<double> moved[2] = {T[0], T[1]};
+          moved[which] =
+              moved[which] * ft::rigid<double>{test::turned_by(k < 3 ? zero : d), k < 3 ? d : zero};
+          return ft::detail::edge_error(edge, moved[0], moved[1]);
+        };
+        auto const after = error_after(h);
+        auto const before = error_after(-h);
+        for (int row = 0; row < 6; ++row) {
+          EXPECT_NEAR(J[which][6 * row + k].value,
+                      (after.e[row].value - before.e[row].value) / (2 * h), 1e-8)
+              << which << ' ' << row << ' ' << k;
+        }
+      }
+    }
+  }
+}
+
+TYPED_TEST(pose_graphs, exact_measurements_give_the_truth) {
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    auto made = make_graph({60, 20}, seed);
+    for (auto& e : made.graph.edges) {
+      e.T_from_to = (made.truth[static_cast<std::size_t>(e.from)].inverse() *
+                     made.truth[static_cast<std::size_t>(e.to)])
+                        .orthonormalized();
+    }
+    test::random_motion any(seed);
+    for (std::size_t i = 1; i < made.truth.size(); ++i) {
+      made.graph.T_world_pose[i] = made.truth[i] * any(0.05, 0.1);
+    }
+    for (auto const start : {pose_graph_start::given, pose_graph_start::chordal}) {
+      auto graph = made.graph;
+      auto const report = this->optimize(graph, start);
+      EXPECT_TRUE(report.started);
+      for (std::size_t i = 0; i < made.truth.size(); ++i) {
+        ASSERT_LT(distance(graph.T_world_pose[i], made.truth[i]), 1e-5) << seed << ' ' << i;
+      }
+    }
+  }
+}
+
+TYPED_TEST(pose_graphs, result_is_a_minimum) {
+  for (unsigned seed = 11; seed <= 13; ++seed) {
+    auto made = make_graph({120, 60}, seed);
+    auto& graph = made.graph;
+    auto const report = this->optimize(graph, pose_graph_start::given);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LT(report.last_chi2, report.first_chi2);
+    double const least = plain_chi2(graph);
+    EXPECT_NEAR(report.last_chi2, least, 1e-9 * least);
+    test::random_motion any(seed);
+    for (int round = 0; round < 30; ++round) {
+      auto moved = graph;
+      for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {
+        moved.T_world_pose[i] = moved.T_world_pose[i] * any(1e-4, 1e-4);
+      }
+      EXPECT_GT(plain_chi2(moved), least);
+    }
+  }
+}
+
+TYPED_TEST(pose_graphs, executors_agree_to_the_bit) {
+  test::graph_shape const shapes[] = {{2, 0},
+                                      {3, 1},
+                                      {9, 2},
+                                      {33, 5},
+                                      {40, 200},
+                                      {300, 15},
+                                      {400, 500, 0.01, 0.02, 20},
+                                      {700, 60},
+                                      {1000, 50},
+                                      {600, 900, 0.02, 0.05, 25}};
+  unsigned seed = 20;
+  for (auto const& shape : shapes) {
+    for (auto const start :
+         {pose_graph_start::given, pose_graph_start::odometry, pose_graph_start::chordal}) {
+      auto graph = make_graph(shape, ++seed).graph;
+      if (seed % 2 == 0) {
+        for (auto& e : graph.edges) {
+          e.kernel = seed % 4 == 0 ? ft::robust_kernel::huber : ft::robust_kernel::cauchy;
+        }
+      }
+      auto other = graph;
+      ft::pose_graph_params params;
+      params.start = start;
+      params.steps = 6;
+      auto const a = ft::optimize_pose_graph(this->backend.exec, graph, params);
+      auto const b = ft::optimize_pose_graph(ft::host_exec(1), other, params);
+      EXPECT_TRUE(same_bits(graph.T_world_pose, other.T_world_pose)) << shape.poses;
+      EXPECT_EQ(a.given_cost, b.given_cost);
+      EXPECT_EQ(a.first_cost, b.first_cost);
+      EXPECT_EQ(a.last_cost, b.last_cost);
+      EXPECT_EQ(a.last_chi2, b.last_chi2);
+      EXPECT_EQ(a.steps, b.steps);
+      EXPECT_LE(a.last_cost, a.first_cost);
+    }
+  }
+}
+
+TYPED_TEST(pose_graphs, fixed_poses_and_parts_stay) {
+  auto made = make_graph({50, 10}, 3);
+  auto& graph = made.graph;
+  graph.fixed.assign(50, 0);
+  graph.fixed[7] = graph.fixed[31] = 1;
+  // A second part of three poses, which no edge joins with the first.
+  test::random_motion any(9);
+  for (int k = 0; k < 3; ++k) {
+    graph.T_world_pose.push_back(any(1, 1));
+    graph.fixed.push_back(0);
+  }
+  for (int k = 50; k < 52; ++k) {
+    ft::pose_graph_edge e;
+    e.from = k + 1;
+    e.to = k;
+    e.T_from_to = any(0.5, 1);
+    graph.edges.push_back(e);
+  }
+  graph.T_world_pose.push_back(any(1, 1));  // without edges
+  graph.fixed.push_back(0);
+  for (auto const start :
+       {pose_graph_start::given, pose_graph_start::odometry, pose_graph_start::chordal}) {
+    auto moved = graph;
+    auto const report = this->optimize(moved, start);
+    EXPECT_TRUE(report.converged);
+    EXPECT_TRUE(report.started);
+    for (std::size_t const i : {7, 31, 50, 53}) {
+      EXPECT_EQ(distance(moved.T_world_pose[i], graph.T_world_pose[i]), 0) << i;
+    }
+    auto const left = moved.T_world_pose[51] * graph.edges[graph.edges.size() - 2].T_from_to;
+    EXPECT_LT(distance(left, moved.T_world_pose[50]), 1e-6);
+    EXPECT_GT(distance(moved.T_world_pose[20], graph.T_world_pose[20]), 1e-6);
+  }
+}
+
+TYPED_TEST(pose_graphs, robust_kernels_ignore_a_false_loop) {
+  for (auto const kernel : {ft::robust_kernel::huber, ft::robust_kernel::cauchy}) {
+    auto made = make_graph({80, 40, 0.002, 0.005, 0, false}, 5);
+    auto clean = made.graph;
+    this->optimize(clean, pose_graph_start::given);
+    auto graph = made.graph;
+    ft::pose_graph_edge wrong = graph.edges.back();
+    wrong.from = 3;
+    wrong.to = 60;
+    wrong.T_from_to = ft::rigid<double>::identity();
+    graph.edges.push_back(wrong);
+    auto plain = graph;
+    this->optimize(plain, pose_graph_start::given);
+    for (auto& e : graph.edges) {
+      e.kernel = kernel;
+      e.width = 4;
+    }
+    this->optimize(graph, pose_graph_start::given);
+    double worst = 0;
+    double worst_plain = 0;
+    for (std::size_t i = 0; i < 80; ++i) {
+      worst = std::max(worst, distance(graph.T_world_pose[i], clean.T_world_pose[i]));
+      worst_plain = std::max(worst_plain, distance(plain.T_world_pose[i], clean.T_world_pose[i]));
+    }
+    EXPECT_LT(worst, 0.1 * worst_plain);
+  }
+}
+
+TYPED_TEST(pose_graphs, recorded_graphs_reach_their_optimum) {
+  char const* const data = std::getenv("FT_DATA");
+  std::string const folder =
+      std::string(data != nullptr ? data : "../shared") + "/data/pose_graphs/";
+  if (!std::ifstream(folder + "smallGrid3D.g2o")) {
+    GTEST_SKIP() << "no recorded pose graphs: set FT_DATA to the folder of data/pose_graphs";
+  }
+  struct known {
+    char const* name;
+    double chi2;
+  };
+  for (known const& k : {known{"smallGrid3D", 458.1538}, known{"parking-garage", 1.238691},
+                         known{"sphere2500", 727.1497}}) {
+    for (auto const start : {pose_graph_start::given, pose_graph_start::chordal}) {
+      auto graph = ft::read_g2o(folder + k.name + ".g2o");
+      auto const report = this->optimize(graph, start);
+      EXPECT_TRUE(report.converged) << k.name;
+      EXPECT_NEAR(report.last_chi2, k.chi2, 1e-6 * k.chi2) << k.name;
+      EXPECT_NEAR(report.last_chi2, plain_chi2(graph), 1e-8 * k.chi2) << k.name;
+    }
+  }
+}
+
+TYPED_TEST(pose_graphs, graphs_with_nothing_to_do) {
+  ft::pose_graph empty;
+  EXPECT_TRUE(this->optimize(empty, pose_graph_start::chordal).converged);
+  auto made = make_graph({5, 2}, 1);
+  auto graph = made.graph;
+  graph.fixed.assign(5, 1);
+  auto const report = this->optimize(graph, pose_graph_start::chordal);
+  EXPECT_TRUE(same_bits(graph.T_world_pose, made.graph.T_world_pose));
+  EXPECT_EQ(report.last_cost, report.given_cost);
+  ft::pose_graph_params params;
+  params.steps = 0;
+  graph = made.graph;
+  EXPECT_FALSE(ft::optimize_pose_graph(this->backend.exec, graph, params).converged);
+  EXPECT_TRUE(same_bits(graph.T_world_pose, made.graph.T_world_pose));
+  // Edges that say nothing leave the poses, and the start cannot be made.
+  for (auto& e : graph.edges) {
+    for (double& v : e.information) { v = 0; }
+  }
+  EXPECT_FALSE(this->optimize(graph, pose_graph_start::chordal).started);
+  EXPECT_TRUE(same_bits(graph.T_world_pose, made.graph.T_world_pose));
+}
+
+TYPED_TEST(pose_graphs, bad_graphs_are_refused) {
+  auto const made = make_graph({5, 2}, 1);
+  auto const refused = [&](auto const& damage, std::string const& part) {
+    auto graph = made.graph;
+    damage(graph);
+    try {
+      ft::optimize_pose_graph(this->backend.exec, graph);
+      ADD_FAILURE() << "not refused: " << part;
+    } catch (ft::bad_argument const& e) {
+      EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
+    }
+  };
+  double const nan = std::numeric_limits<double>::quiet_NaN();
+  refused([](ft::pose_graph& g) { g.edges[2].to = 5; }, "(edge 2)");
+  refused([](ft::pose_graph& g) { g.edges[1].from = -1; }, "(edge 1)");
+  refused([](ft::pose_graph& g) { g.edges[1].to = g.edges[1].from; }, "with itself");
+  refused([&](ft::pose_graph& g) { g.edges[0].information[4] = nan; }, "information is nan");
+  refused([&](ft::pose_graph& g) { g.edges[0].information[0] = -1; }, "negative eigenvalue");
+  refused([&](ft::pose_graph& g) { g.edges[0].T_from_to.t.y = nan; }, "translation is nan");
+  refused([&](ft::pose_graph& g) { g.T_world_pose[3].R.m[0] = 2; }, "(pose 3)");
+  refused([&](ft::pose_graph& g) { g.fixed.assign(4, 0); }, "`fixed`");
+  refused(
+      [&](ft::pose_graph& g) {
+        g.edges[0].kernel = ft::robust_kernel::huber;
+        g.edges[0].width = 0;
+      },
+      "width");
+  ft::pose_graph_params params;
+  params.enough = nan;
+  auto graph = made.graph;
+  EXPECT_THROW(ft::optimize_pose_graph(this->backend.exec, graph, params), ft::bad_argument);
+}
+
+}  // namespace pose_graph_test

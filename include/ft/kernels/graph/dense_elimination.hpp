@@ -102,7 +102,7 @@ private:
 struct update_tiles {
   struct scratch {
     real64 row[tile_side][tile_stride];
-    real64 column[tile_side][tile_stride];
+    real64 column[tile_side][tile_stride];  ///< transposed
   };
   static constexpr int each = 3;  ///< rows and columns of a thread
   static constexpr int apart = tile_side / each;
@@ -120,22 +120,36 @@ struct update_tiles {
       int const r = k / tile_side;
       int const c = k % tile_side;
       s.row[r][c] = *A.dense_at(row + r, origin + c);
-      s.column[r][c] = *A.dense_at(column + r, origin + c);
+      s.column[c][r] = *A.dense_at(column + r, origin + c);
     }
     g.sync();
-    for (int k = g.rank(); k < apart * apart; k += g.size()) {
-      subtract(s, k / apart, k % apart, A, row, column);
+    if constexpr (Group::max_threads == 1) {
+      for (int r = 0; r < tile_side; ++r) { subtract_row(s, r, A.dense_at(row + r, column)); }
+    } else {
+      for (int k = g.rank(); k < apart * apart; k += g.size()) {
+        subtract(s, k / apart, k % apart, A, row, column);
+      }
     }
     if (i != j) { return; }
     double* const right = A.dense_right();
     for (int c = g.rank(); c < tile_side; c += g.size()) {
       real64 sum = right[column + c];
-      for (int m = 0; m < tile_side; ++m) { sum -= real64(right[origin + m]) * s.column[c][m]; }
+      for (int m = 0; m < tile_side; ++m) { sum -= real64(right[origin + m]) * s.column[m][c]; }
       right[column + c] = sum.value;
     }
   }
 
 private:
+  /// By one thread, so that the host's compiler sees vectors. The order of terms is the same.
+  FT_HOST_DEVICE static void subtract_row(scratch const& s, int r, double* of_row) {
+    real64 sum[tile_side];
+    for (int c = 0; c < tile_side; ++c) { sum[c] = of_row[c]; }
+    for (int m = 0; m < tile_side; ++m) {
+      real64 const x = s.row[r][m];
+      for (int c = 0; c < tile_side; ++c) { sum[c] -= x * s.column[m][c]; }
+    }
+    for (int c = 0; c < tile_side; ++c) { of_row[c] = sum[c].value; }
+  }
   FT_HOST_DEVICE static void subtract(scratch const& s, int r, int c, graph_system_view const& A,
                                       int row, int column) {
     real64 sum[each][each];
@@ -152,7 +166,7 @@ private:
       FT_UNROLL
       for (int u = 0; u < each; ++u) {
         x[u] = s.row[r + u * apart][m];
-        y[u] = s.column[c + u * apart][m];
+        y[u] = s.column[m][c + u * apart];
       }
       FT_UNROLL
       for (int u = 0; u < each; ++u) {

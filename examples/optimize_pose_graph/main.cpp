@@ -83,7 +83,7 @@ ft::pose_graph circle() {
 }
 
 template <typename Exec>
-bool optimize(Exec const& exec, options const& o) {
+bool optimize(Exec const& exec, char const* where, options const& o) {
   ft::pose_graph const given = o.in.empty() ? circle() : ft::read_g2o(o.in);
   ft::pose_graph graph;
   ft::pose_graph_report report;
@@ -104,8 +104,8 @@ bool optimize(Exec const& exec, options const& o) {
   if (!report.started) { std::puts("the start has no solution: the file's poses were taken"); }
   double const first = times.front();
   std::sort(times.begin(), times.end());
-  std::printf("first call %.2f ms; of %d: least %.2f ms, median %.2f ms\n", first, o.repeat,
-              times.front(), times[times.size() / 2]);
+  std::printf("on the %s: first call %.2f ms; of %d: least %.2f ms, median %.2f ms\n", where, first,
+              o.repeat, times.front(), times[times.size() / 2]);
   if (!o.out.empty()) { ft::write_g2o(o.out, graph); }
   return report.converged;
 }
@@ -118,7 +118,7 @@ bool run(options const& o) {
     if (!found && o.backend == "cuda") { throw std::runtime_error("no CUDA device was found"); }
     if (found) {
       ft::stream const mine;
-      return optimize(ft::cuda_exec(mine.get()), o);
+      return optimize(ft::cuda_exec(mine.get()), "GPU", o);
     }
   }
 #else
@@ -127,7 +127,7 @@ bool run(options const& o) {
         "this program was compiled for the host: use optimize_pose_graph_cuda");
   }
 #endif
-  return optimize(ft::host_exec(), o);
+  return optimize(ft::host_exec(), "host", o);
 }
 
 int main(int argc, char** argv) {

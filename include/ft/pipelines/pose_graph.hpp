@@ -61,6 +61,28 @@ inline void check(pose_graph_params const& params) {
   detail::require_range("first_damping of a pose graph", params.first_damping, 0.0, 1e9);
 }
 
+namespace detail {
+
+/// Damping of steps, relative to the diagonal of the matrix.
+struct graph_damping {
+  double value;
+  double growth = 8;  ///< by refused steps; larger after each one in a row
+
+  bool is_small() const { return value < 1e12; }
+  /// A step that gained what the linear system promised needs less damping.
+  void accept(double gain, double promised) {
+    if (gain >= 0.9 * promised) { value = value > 1e-14 ? value / 8 : value; }
+    if (gain < 0.25 * promised) { value = value * 4; }
+    growth = 8;
+  }
+  void refuse() {
+    value = (value > 1e-12 ? value : 1e-12) * growth;
+    growth *= 4;
+  }
+};
+
+}  // namespace detail
+
 /// Moves the poses of a graph so that the sum of its edges' costs is as low as near the start: by
 /// Levenberg's and Marquardt's method, with each linear system solved exactly. Equal bits on every
 /// executor. Allocates, and returns when all is done. Memory: linear in the edges and in the blocks
@@ -101,29 +123,24 @@ pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
   report.first_cost = best.cost;
   report.first_chi2 = best.chi2;
 
-  double damping = params.first_damping;
-  double factor = 8;  // by which damping grows: larger after each refused step in a row
+  detail::graph_damping damping{params.first_damping};
   bool linear = false;
-  while (!report.converged && report.steps < params.steps && damping < 1e12) {
+  while (!report.converged && report.steps < params.steps && damping.is_small()) {
     if (!linear) { solver.linearize(); }
-    linear = true;
     ++report.steps;
-    auto const trial = solver.try_step(damping);
+    auto const trial = solver.try_step(damping.value);
     double const gain = best.cost - trial.cost;
-    if (gain >= 0) {
+    bool const better = gain >= 0;  // false for NaN
+    if (better) {
       report.converged = gain <= params.enough * best.cost;
-      // A step that gained what the linear system promised needs less damping.
-      if (gain >= 0.75 * trial.promised) { damping = damping > 1e-14 ? damping / 8 : damping; }
-      if (gain < 0.25 * trial.promised) { damping = damping * 4; }
-      factor = 8;
+      damping.accept(gain, trial.promised);
       solver.accept();
-      linear = false;
       best = trial;
     } else {
       report.converged = trial.promised >= 0 && trial.promised <= params.enough * best.cost;
-      damping = (damping > 1e-12 ? damping : 1e-12) * factor;
-      factor *= 4;
+      damping.refuse();
     }
+    linear = !better;
   }
   report.last_cost = best.cost;
   report.last_chi2 = best.chi2;

@@ -104,6 +104,7 @@ struct update_tiles {
     real64 row[tile_side][tile_stride];
     real64 column[tile_side][tile_stride];  ///< transposed
   };
+  static constexpr bool wide_on_host = true;
   static constexpr int each = 3;  ///< rows and columns of a thread
   static constexpr int apart = tile_side / each;
   int step;
@@ -141,7 +142,7 @@ struct update_tiles {
 
 private:
   /// By one thread, so that the host's compiler sees vectors. The order of terms is the same.
-  FT_HOST_DEVICE static void subtract_row(scratch const& s, int r, double* of_row) {
+  FT_HOST_DEVICE FT_INLINE static void subtract_row(scratch const& s, int r, double* of_row) {
     real64 sum[tile_side];
     for (int c = 0; c < tile_side; ++c) { sum[c] = of_row[c]; }
     for (int m = 0; m < tile_side; ++m) {

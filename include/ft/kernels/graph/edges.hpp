@@ -67,10 +67,10 @@ FT_HOST_DEVICE inline real64 squared_error(pose_graph_edge const& edge, real64 c
 }
 
 /// What a squared error costs, and the derivative of that: the weight of the edge.
-struct robust_cost {
+struct edge_cost {
   real64 cost, weight;
 
-  FT_HOST_DEVICE robust_cost(pose_graph_edge const& edge, real64 s) : cost(s), weight(1.0) {
+  FT_HOST_DEVICE edge_cost(pose_graph_edge const& edge, real64 s) : cost(s), weight(1.0) {
     real64 const width = edge.width;
     if (edge.kernel == robust_kernel::huber && s > width * width) {
       real64 const root = scalar::sqrt(s);
@@ -138,7 +138,7 @@ struct linearize_edge {
     pose_graph_edge const& edge = edges[item];
     if (g.rank() == 0) {
       edge_error const at(edge, T[edge.from], T[edge.to]);
-      real64 const weight = robust_cost(edge, squared_error(edge, at.e)).weight;
+      real64 const weight = edge_cost(edge, squared_error(edge, at.e)).weight;
       edge_jacobians(at, s.J);
       for (int k = 0; k < 6; ++k) { s.e[k] = weight * at.e[k]; }
       s.weighted[0][0] = weight;
@@ -191,7 +191,7 @@ struct measure_edge {
     pose_graph_edge const& edge = edges[item];
     edge_error const at(edge, T[edge.from], T[edge.to]);
     real64 const s = squared_error(edge, at.e);
-    cost[2 * item] = robust_cost(edge, s).cost.value;
+    cost[2 * item] = edge_cost(edge, s).cost.value;
     cost[2 * item + 1] = s.value;
   }
 };

@@ -68,7 +68,6 @@ public:
       : exec_(exec),
         order_(order),
         edges_(static_cast<int>(graph.edges.size())),
-        poses_(graph.T_world_pose.size()),
         memory_([&](carver& c, memory& m) { lay_out(c, m, graph, order); }) {
     upload_plan();
     copy(exec_, memory_->edges, graph.edges.data(), graph.edges.size());
@@ -259,7 +258,6 @@ private:
   Exec exec_;
   elimination_order const& order_;
   int edges_;
-  std::size_t poses_;
   int current_ = 0;
   owner<memory, Exec::space> memory_;
 };

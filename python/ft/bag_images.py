@@ -168,7 +168,7 @@ class ImageWriter:
         elif encoding.startswith("bayer"):
             values = grey_of_bayer(values)  # type: ignore[arg-type]
         elif RAW[encoding][1] == 2:
-            self._bits = self._bits or bits_of(values)  # type: ignore[arg-type]
+            self._bits = self._bits or bits_of(values)
             largest = (1 << self._bits) - 1
         kind = "pgm" if values.ndim == 2 else "ppm"
         write_pnm(self._folder / f"{name}.{kind}", values, largest)  # type: ignore[arg-type]

@@ -31,7 +31,7 @@ def videos(walk, tmp_path_factory):
         writer.release()
     matrix = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]])
     file = cv2.FileStorage(str(folder / "stereo.yml"), cv2.FILE_STORAGE_WRITE)
-    for name, value in (("M1", matrix), ("D1", np.zeros(5)), ("M2", matrix), ("D2", np.zeros(5)), ("R", np.eye(3)),
+    for name, value in (("M1", matrix), ("D1", np.zeros((1, 5))), ("M2", matrix), ("D2", np.zeros((1, 5))), ("R", np.eye(3)),
                         ("T", np.array([[-BASELINE], [0], [0]]))):
         file.write(name, value)
     file.release()

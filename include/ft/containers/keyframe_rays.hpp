@@ -41,15 +41,12 @@ static_assert(std::is_trivially_copyable<keyframe_rays_view>::value, "passed to 
 
 /// Places the arrays into an arena. clear() comes before the first use.
 inline void carve(carver& c, keyframe_rays_view& v, keyframes_capacity const& size, int batch) {
-  auto const n = detail::checked_mul(static_cast<std::size_t>(batch),
-                                     static_cast<std::size_t>(size.positions));
-  auto const all = detail::checked_mul(n, static_cast<std::size_t>(size.keypoints));
-  v.number = c.take<int>(n);
-  v.ray = c.take<vec3<float>>(all);
-  v.orb = c.take<descriptor>(all);
-  v.cell = c.take<ray_cell>(detail::checked_mul(n, std::size_t{ray_cells}));
-  v.first = c.take<int>(detail::checked_mul(n, std::size_t{ray_cells + 1}));
-  v.in_cell = c.take<int>(all);
+  auto const positions = size.positions;
+  c.place({batch, positions}, v.number);
+  c.place({batch, positions, size.keypoints}, v.ray, v.orb);
+  c.place({batch, positions, ray_cells}, v.cell);
+  c.place({batch, positions, ray_cells + 1}, v.first);
+  c.place({batch, positions, size.keypoints}, v.in_cell);
 }
 
 /// No keyframe of batch entry b has rays. Asynchronous if the executor is; allocates nothing.

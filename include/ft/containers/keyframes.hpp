@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -48,6 +49,13 @@ struct keyframes_view {
   int* holder = nullptr;         ///< [batch][positions][numbers] slot, -1 = none
   int* holder_number = nullptr;  ///< [batch][positions][numbers] of the point, 0 = none
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch}, made, count);
+    each({batch, positions}, T_cw, time_ns, neighbour, shared);
+    each({batch, positions, cameras}, keypoints);
+    each({batch, positions, numbers()}, x, y, right_x, octave, holder, holder_number);
+  }
   FT_HOST_DEVICE int numbers() const { return cameras * capacity; }
   /// Position of a keyframe. @pre number >= 1
   FT_HOST_DEVICE int position(int number) const { return (number - 1) % positions; }
@@ -80,26 +88,11 @@ inline void carve(carver& c, keyframes_view& v, keyframes_capacity const& size, 
   detail::require_range("keyframes", size.positions, 2, max_keyframes);
   detail::require_range("cameras of a keyframe", size.cameras, 1, 16);
   detail::require_range("keypoints of a keyframe", size.keypoints, 1, 1 << 24);
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(size.positions));
   v.positions = size.positions;
   v.cameras = size.cameras;
   v.capacity = size.keypoints;
   v.batch = batch;
-  std::size_t const all = detail::checked_mul(n, static_cast<std::size_t>(v.numbers()));
-  v.made = c.take<int>(b);
-  v.count = c.take<int>(b);
-  v.T_cw = c.take<rigid<double>>(n);
-  v.time_ns = c.take<std::int64_t>(n);
-  v.neighbour = c.take<int>(n);
-  v.shared = c.take<int>(n);
-  v.keypoints = c.take<int>(n * static_cast<std::size_t>(size.cameras));
-  v.x = c.take<float>(all);
-  v.y = c.take<float>(all);
-  v.right_x = c.take<float>(all);
-  v.octave = c.take<int>(all);
-  v.holder = c.take<int>(all);
-  v.holder_number = c.take<int>(all);
+  detail::place_columns(c, v);
 }
 
 /// Forgets all keyframes. Asynchronous if the executor is; allocates nothing.

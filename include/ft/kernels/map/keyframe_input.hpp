@@ -10,7 +10,6 @@
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/types/poses.hpp"
@@ -85,15 +84,10 @@ struct keyframe_workspace {
 /// Places the arrays into an arena. @param capacity keypoints of an image
 inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int cameras,
                   int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b * static_cast<std::size_t>(cameras),
-                                     static_cast<std::size_t>(capacity));
-  v.claim = c.take<int>(
-      detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
-  v.claimed = c.take<unsigned char>(b * static_cast<std::size_t>(slots));
-  v.free_rows = c.take<unsigned>(b * static_cast<std::size_t>(ceil_div(slots, 32)));
-  v.free_slots = c.take<int>(n);
-  v.new_points = c.take<int>(n);
+  c.place({batch, cameras, slots}, v.claim);
+  c.place({batch, slots}, v.claimed);
+  c.place({batch, ceil_div(slots, 32)}, v.free_rows);
+  c.place({batch, cameras, capacity}, v.free_slots, v.new_points);
 }
 
 }  // namespace FT_ABI

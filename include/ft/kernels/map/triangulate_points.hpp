@@ -9,7 +9,7 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/keyframe_rays.hpp"
+#include "ft/containers/keyframes.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"

@@ -34,7 +34,8 @@ inline namespace FT_ABI {
 namespace detail {
 
 /// Calls visit(data, count) for every array of batch entry b that a file has: not for the frames in
-/// which points were found, which are numbers of a run.
+/// which points were found, which are numbers of a run. An array more in a view makes another
+/// version.
 template <typename Visit>
 void each_array(odometry_map_view const& map, int b, Visit const& visit) {
   odometry_map_view entry = skip_entries(map, b);

@@ -99,10 +99,11 @@ def first_of(reader: AnyReader, connections: list[Connection]) -> object | None:
 
 
 def info_topic_of(topic: str, infos: dict[str, list[Connection]]) -> str:
-    """The camera_info beside images: in the same namespace, or in that around it (image_raw/compressed); or the topic's
-    name with camera_info in place of its last word."""
+    """The camera_info beside images, whose transport may be the last word (image_raw/compressed), or in the namespaces around
+    them; one without a namespace belongs to images without one."""
     parts = topic.split("/")
-    for end in range(len(parts) - 1, 1, -1):
+    words = len(parts) - 1 - (parts[-1] in ("compressed", "compressedDepth"))
+    for end in range(len(parts) - 1, 0 if words == 1 else 1, -1):
         candidate = "/".join([*parts[:end], "camera_info"])
         if candidate in infos:
             return candidate
@@ -214,9 +215,9 @@ def write_camera_txt(file: Path, stream: Stream) -> None:
 
 
 def write_calibration(made: Unpacked, chosen: list[Stream]) -> None:
-    """Of the camera_info of the chosen topics, where all have one."""
+    """Of the camera_info of the chosen topics, where all have one of their own."""
     used = chosen[:1] if len(chosen) > 1 and chosen[1].depth else chosen
-    if any(s.info is None for s in used):
+    if any(s.info is None for s in used) or len({s.info_topic for s in used}) < len(used):
         return
     if used is not chosen and len(chosen) == 2:
         write_camera_txt(made.folder / "camera.txt", used[0])
@@ -308,6 +309,8 @@ def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: l
     made.stamps = "headers of the messages"
     if imus:
         made.added["imu"] = f"{samples} samples of {imus[0]}"
+    else:
+        made.replaced["imu"] = f"none: no topic of the type {IMU_TYPE}"
     truths = sorted(by_topic(reader, TRUTH_TYPES).items())
     if truths:
         made.added["truth"] = "not used, as nothing says of what body they are: " + ", ".join(

@@ -37,7 +37,7 @@ class Wanted:
 @dataclass
 class Unpacked:
     """A folder with the images, and what Sequence.describe() is to say of where they come from: what it is, where its
-    calibration and its stamps are from, and what is `added` to lines, by their name."""
+    calibration and its stamps are from, and what is `added` to lines, or `replaced` in them, by their name."""
 
     source: str
     layout: str
@@ -47,6 +47,7 @@ class Unpacked:
     calibration: str = ""  # "" = the folder's
     stamps: str = ""
     added: dict[str, str] = field(default_factory=dict)
+    replaced: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def named(self, text: str) -> str:
@@ -61,6 +62,8 @@ class Unpacked:
                 text = f"{self.what}; calibration {self.calibration or text.rpartition('; calibration ')[2]}"
             elif name == "images" and self.stamps:
                 text = f"{text.rpartition('; times: ')[0]}; times: {self.stamps}"
+            elif name in self.replaced and text != "not asked for":
+                text = self.replaced[name]
             elif name in self.added and text != "not asked for":
                 text = f"{text}; {self.added[name]}"
             said.append((name, text))

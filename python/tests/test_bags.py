@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk
+from test_sequences import write_png
 
 import ft
 from ft import bag_images
@@ -235,8 +236,6 @@ def test_a_bayer_pattern_of_one_colour_is_grey(pattern, tmp_path):
 
 
 def test_compressed_images_are_taken_as_they_are(walk, tmp_path):
-    from test_sequences import write_png
-
     bag = Bag(tmp_path, "bag")
     for i in range(2):
         left, _, t = walk.frame(i)
@@ -245,6 +244,35 @@ def test_compressed_images_are_taken_as_they_are(walk, tmp_path):
         bag.compressed("/cam/image_raw/compressed", (tmp_path / "one.png").read_bytes(), "mono8; png compressed", FIRST_NS + t)
     sequence = ft.read_sequence(bag.close())
     assert len(sequence) == 2 and np.array_equal(sequence[1].left, walk.frame(1)[0])
+
+
+@pytest.mark.parametrize("transport", ["", "/compressed"])
+def test_a_camera_without_a_namespace_has_its_camera_info(transport, walk, tmp_path):
+    bag = Bag(tmp_path, "mcap")
+    bag.info("/camera_info")
+    for i in range(3):
+        left, _, t = walk.frame(i)
+        write_png(tmp_path / "one.png", left)
+        if transport:
+            bag.compressed("/image_raw/compressed", (tmp_path / "one.png").read_bytes(), "mono8; png compressed", FIRST_NS + t)
+        else:
+            bag.image("/image_raw", left, FIRST_NS + t)
+    sequence = ft.read_sequence(bag.close(), imu=True)
+    assert isinstance(sequence.rig, ft.MonocularCamera) and np.array_equal(sequence[2].left, walk.frame(2)[0])
+    lines = dict(sequence.describe())
+    assert lines["sequence"].endswith("calibration /camera_info")
+    assert lines["imu"] == "none: no topic of the type sensor_msgs/msg/Imu"
+    assert dict(sequence.describe(imu=False))["imu"] == "not asked for"
+
+
+@pytest.mark.parametrize("topics", [("/left", "/right"), ("/stereo/left", "/stereo/right"), ("/left/image", "/right/image")])
+def test_one_camera_info_is_not_that_of_two_cameras(topics, walk, tmp_path):
+    bag = Bag(tmp_path, "mcap")
+    bag.info("/stereo/camera_info" if "stereo" in topics[0] else "/camera_info")
+    for topic, image in zip(topics, walk.frame(0)):
+        bag.image(topic, image, FIRST_NS)
+    with pytest.raises(RuntimeError, match="holds no calibration; accepted are"):
+        ft.read_sequence(bag.close())
 
 
 def test_images_without_stamps_have_those_of_the_recording(tmp_path):

@@ -75,7 +75,6 @@ struct warning_set {
 /// What the matches and images of a frame say about its pose. Of a frame whose local map was not
 /// searched all is 0.
 struct frame_facts {
-  static constexpr int by_chances = -1;  ///< internal: the evidence is still to be computed
   int matches = 0;          ///< keypoints that were matched, before the pose was optimised
   int rejected_x = 0;       ///< of those that do not agree with it, the sums of their errors
   int rejected_y = 0;       ///< likewise, down; 1 / 8 pixels

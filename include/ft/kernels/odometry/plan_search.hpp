@@ -22,7 +22,7 @@ struct search_start {
   int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
                        ///< point counts as matched
   pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
-  frames_in_map fixed{};   ///< whose `changes` tell which keypoints are fixed to a camera
+  unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
   int depth_cameras = 1;
 };
@@ -48,9 +48,7 @@ struct plan_camera_search {
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
     int fixed = 0;
-    if (start.fixed.changes.of != nullptr && has_fixed_parts(start.fixed, b)) {
-      fixed = forget_fixed(g, b, start);
-    }
+    if (start.fixed != nullptr) { fixed = forget_fixed(g, b, frame, start); }
     if (g.rank() != 0) { return; }
     state.tracks[b].facts.fixed = fixed;
     // A frame without points was no attempt.
@@ -80,18 +78,16 @@ struct plan_camera_search {
 private:
   /// Keypoints of what is fixed to a camera become no points of the map. @return the near ones
   template <typename Group>
-  FT_HOST_DEVICE static int forget_fixed(Group g, int b, search_start const& start) {
-    frame_view const& frame = start.fixed.frame;
+  FT_HOST_DEVICE static int forget_fixed(Group g, int b, frame_view const& frame,
+                                         search_start const& start) {
     int const with_depth = start.depth_cameras * frame.capacity();
+    float* const depth = start.depth + static_cast<std::ptrdiff_t>(b) * with_depth;
+    unsigned char const* const is_fixed =
+        start.fixed + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     int fixed = 0;
     for (int i = g.rank(); i < with_depth; i += g.size()) {
-      float& depth = start.depth[static_cast<std::ptrdiff_t>(b) * with_depth + i];
-      if (i - i / frame.capacity() * frame.capacity() >=
-              *frame.camera(b, i / frame.capacity()).count ||
-          !(depth > 0) || !is_fixed_keypoint(start.fixed, b, i)) {
-        continue;
-      }
-      depth = -1.0f;
+      if (is_fixed[i] == 0 || !(depth[i] > 0)) { continue; }
+      depth[i] = -1.0f;
       ++fixed;
     }
     return g.reduce(fixed, sum_op{});

@@ -55,6 +55,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
     char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
     line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
               [&](Line& l) { s.match_stereo(l.with(stereo)); });
+    s.mark_fixed(line.fork(s.result_branch()));
     s.assign_last_frame(line.then("search last frame"));
     line.join(s.result_branch());
     s.optimize_last(line.then("pose last frame"));
@@ -63,6 +64,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
     line.beside(
         s.stereo_branch(), "stereo", [&](auto const& exec) { s.match_stereo(exec); },
         [&](Line& l) {
+          s.mark_fixed(l.fork(s.result_branch()));
           s.assign_last_frame(l.then("search last frame"));
           l.join(s.result_branch());
           s.optimize_last(l.then("pose last frame"));
@@ -77,6 +79,7 @@ void queue_prefetched_motion(Line& line, Stages& s) {
   s.watch_images(line.fork(s.result_branch()));
   queue_prediction(line.then("motion"), s);
   s.list_last_frame(line.then("search last frame"));
+  s.mark_fixed(line.fork(s.result_branch()));
   s.assign_last_frame(line.then("search last frame"));
   line.join(s.result_branch());
   s.optimize_last(line.then("pose last frame"));
@@ -108,6 +111,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   s.judge(line.then("keyframe"));
+  s.report(line.fork(s.result_branch()));
   s.count_points(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) {
     s.insert_first(line.then("keyframe"));

@@ -331,19 +331,27 @@ TYPED_TEST(OdometryRecovery, FindsAnRgbdCamera) {
                this->words.view(), images);
 }
 
+/// As in docs/guide.md. Calls use(odometry&).
+template <typename Exec, typename Rig, typename Use>
+void with_file(Exec const& exec, Rig const& rig, ft::odometry_params const& params,
+               std::istream& file, Use const& use) {
+  auto words = ft::upload(exec, ft::load_vocabulary(file).view());
+  ft::odometry odometry(exec, rig, params, 1, ft::places{words.view()});
+  use(odometry);
+}
+
 TYPED_TEST(OdometryRecovery, ForgetsTheKeyframesOfAMapThatIsReplaced) {
   std::stringstream file;
   ft::save_vocabulary(file, trained().view());
-  // As in docs/guide.md.
-  auto const words = ft::upload(this->exec, ft::load_vocabulary(file).view());
-  ft::odometry odo(this->exec, test::room::rig(), narrow(), 1, ft::places{words.view()});
   auto const frames = carried_back(0, 9, 7);
-  EXPECT_EQ(run(odo, frames).back().state, ft::tracking_state::tracking);
-  // A loaded map has no words, and none of those from before.
-  std::stringstream map;
-  odo.save_map(map);
-  odo.load_map(map);
-  EXPECT_NE(odo.track(images_of(frames.back()), 1).state, ft::tracking_state::tracking);
+  with_file(this->exec, test::room::rig(), narrow(), file, [&](auto& odo) {
+    EXPECT_EQ(run(odo, frames).back().state, ft::tracking_state::tracking);
+    // A loaded map has no words, and none of those from before.
+    std::stringstream map;
+    odo.save_map(map);
+    odo.load_map(map);
+    EXPECT_NE(odo.track(images_of(frames.back()), 1).state, ft::tracking_state::tracking);
+  });
 }
 
 TYPED_TEST(OdometryRecovery, RefusesWhatCannotBe) {

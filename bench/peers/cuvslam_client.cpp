@@ -1,16 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Tracks a camera pair of a sequence with cuVSLAM's odometry, on the frames that ft gets:
-/// cuvslam_client FOLDER TRAJECTORY.txt [--imu]. See README.md here.
+/// @file Tracks a sequence with cuVSLAM's odometry, on the frames that ft gets: a camera pair, one
+/// camera, or one with depth images. See README.md here.
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/reader.hpp"
 
 #include <cuvslam2.h>
 
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <exception>
+#include <fstream>
 #include <iostream>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -51,8 +55,10 @@ cuvslam::Camera to_camera(seq::camera_intrinsics const& c, Eigen::Isometry3d con
 cuvslam::Rig rig_of(seq::sequence const& sequence) {
   cuvslam::Rig rig;
   seq::stereo_rig const& pair = sequence.rig();
-  rig.cameras = {to_camera(pair.left, Eigen::Isometry3d::Identity()),
-                 to_camera(pair.right, pair.T_left_right)};
+  rig.cameras = {to_camera(pair.left, Eigen::Isometry3d::Identity())};
+  if (sequence.kind() == seq::camera_kind::stereo) {
+    rig.cameras.push_back(to_camera(pair.right, pair.T_left_right));
+  }
   if (sequence.imu()) {
     auto const& imu = *sequence.imu();
     seq::imu_noise const& n = imu.calibration.noise;
@@ -67,9 +73,17 @@ cuvslam::Rig rig_of(seq::sequence const& sequence) {
 cuvslam::Odometry::Config config_of(seq::sequence const& sequence) {
   cuvslam::Odometry::Config config = cuvslam::Odometry::GetDefaultConfig();
   config.async_sba = false;  // the same poses on each run
-  config.rectified_stereo_camera = sequence.rig().rectified();
-  config.odometry_mode = sequence.imu() ? cuvslam::Odometry::OdometryMode::Inertial
-                                        : cuvslam::Odometry::OdometryMode::Multicamera;
+  using mode = cuvslam::Odometry::OdometryMode;
+  if (sequence.kind() == seq::camera_kind::mono) {
+    config.odometry_mode = mode::Mono;
+  } else if (sequence.kind() == seq::camera_kind::rgbd) {
+    config.odometry_mode = mode::RGBD;
+    config.rgbd_settings.depth_camera_id = 0;
+    config.rgbd_settings.depth_scale_factor = static_cast<float>(1 / sequence.depth_unit());
+  } else {
+    config.rectified_stereo_camera = sequence.rig().rectified();
+    config.odometry_mode = sequence.imu() ? mode::Inertial : mode::Multicamera;
+  }
   return config;
 }
 
@@ -86,29 +100,48 @@ cuvslam::Image to_image(seq::image const& image, std::int64_t time_ns, std::uint
   return out;
 }
 
-/// Tracks the frames one after the other, with the samples of the IMU up to each one.
+cuvslam::Image to_image(seq::depth_image const& depth, std::int64_t time_ns) {
+  cuvslam::Image out{};
+  out.pixels = depth.pixels.data();
+  out.width = depth.width;
+  out.height = depth.height;
+  out.pitch = depth.width * 2;
+  out.encoding = cuvslam::ImageData::Encoding::MONO;
+  out.data_type = cuvslam::ImageData::DataType::UINT16;
+  out.timestamp_ns = time_ns;
+  return out;
+}
+
+/// Tracks every n-th frame, one after the other, with the samples of the IMU up to each one.
 class client {
 public:
-  explicit client(seq::sequence const& sequence)
-      : sequence_(sequence), odometry_(rig_of(sequence), config_of(sequence)) {}
+  client(seq::sequence const& sequence, int every)
+      : sequence_(sequence), every_(every), odometry_(rig_of(sequence), config_of(sequence)) {}
 
   seq::trajectory track_all() {
     seq::trajectory poses;
-    for (int i = 0; i < sequence_.size(); ++i) {
+    for (int i = 0; i < sequence_.size(); i += every_) {
       seq::stereo_frame const frame = sequence_.load(i);
       add_imu(frame.time_ns);
+      cuvslam::Odometry::ImageSet images{to_image(frame.left, frame.time_ns, 0)};
+      cuvslam::Odometry::ImageSet depths;
+      if (sequence_.kind() == seq::camera_kind::stereo) {
+        images.push_back(to_image(frame.right, frame.time_ns, 1));
+      } else if (sequence_.kind() == seq::camera_kind::rgbd) {
+        depths.push_back(to_image(frame.depth, frame.time_ns));
+      }
       auto const begin = std::chrono::steady_clock::now();
-      auto const found = odometry_.Track(
-          {to_image(frame.left, frame.time_ns, 0), to_image(frame.right, frame.time_ns, 1)});
-      ms_ += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
-                 .count();
+      auto const found = odometry_.Track(images, {}, depths);
+      std::chrono::duration<double, std::milli> const took =
+          std::chrono::steady_clock::now() - begin;
+      ms_.push_back(took.count());
       if (found.world_from_rig) {
         poses.push_back({frame.time_ns, from_pose(found.world_from_rig->pose)});
       }
     }
     return poses;
   }
-  double ms() const { return ms_; }
+  std::vector<double> const& ms() const { return ms_; }
 
 private:
   void add_imu(std::int64_t to_ns) {
@@ -124,35 +157,105 @@ private:
   }
 
   seq::sequence const& sequence_;
+  int every_;
   cuvslam::Odometry odometry_;
   std::size_t next_ = 0;
-  double ms_ = 0;
+  std::vector<double> ms_;
 };
+
+struct arguments {
+  std::string folder, trajectory, json;
+  seq::open_options open;
+  int every = 1;
+};
+
+std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
+  if (words.size() < 2) { return {}; }
+  arguments out{words[0], words[1], {}, {}, 1};
+  out.open.rig = seq::camera_kind::stereo;
+  for (std::size_t i = 2; i < words.size(); ++i) {
+    if (words[i] == "--imu") {
+      out.open.read_imu = true;
+      continue;
+    }
+    if (i + 1 == words.size()) { return {}; }
+    std::string const& option = words[i];
+    std::string const& value = words[++i];
+    if (option == "--rig" && value == "mono") {
+      out.open.rig = seq::camera_kind::mono;
+    } else if (option == "--rig" && value == "rgbd") {
+      out.open.rig = seq::camera_kind::rgbd;
+    } else if (option == "--every") {
+      out.every = std::stoi(value);
+    } else if (option == "--json") {
+      out.json = value;
+    } else if (option != "--rig" || value != "stereo") {
+      return {};
+    }
+  }
+  bool const pair = out.open.rig == seq::camera_kind::stereo;
+  if (out.every < 1 || (out.open.read_imu && !pair)) { return {}; }
+  return out;
+}
+
+/// The value that `percent` of the values do not exceed (nearest rank).
+double percentile(std::vector<double> values, double percent) {
+  std::sort(values.begin(), values.end());
+  double const rank = std::ceil(percent / 100 * static_cast<double>(values.size()));
+  return values[static_cast<std::size_t>(std::max(rank, 1.0)) - 1];
+}
+
+/// ATE after rigid alignment; of one camera with its scale fitted first.
+std::optional<double> ate_of(seq::sequence const& sequence, seq::trajectory poses) {
+  seq::trajectory const& truth = sequence.ground_truth();
+  if (sequence.kind() == seq::camera_kind::mono) {
+    auto const scale = seq::scale_to(poses, truth);
+    if (!scale) { return {}; }
+    poses = seq::scaled(poses, *scale);
+  }
+  return seq::evaluate(poses, truth, sequence.ground_truth_has_orientation()).ate_rmse_m;
+}
+
+/// One line of JSON.
+void write_json(std::ostream& out, std::optional<double> ate, seq::trajectory const& poses,
+                std::vector<double> const& ms) {
+  out << "{\"frames\": " << ms.size() << ", \"lost\": " << ms.size() - poses.size()
+      << ", \"ms_p50\": " << percentile(ms, 50) << ", \"ms_p99\": " << percentile(ms, 99)
+      << ", \"ate_m\": ";
+  if (ate) {
+    out << *ate;
+  } else {
+    out << "null";
+  }
+  out << "}\n";
+}
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  bool const with_imu = argc == 4 && std::string(argv[3]) == "--imu";
-  if (argc != 3 && !with_imu) {
-    std::cerr << "usage: cuvslam_client FOLDER TRAJECTORY.txt [--imu]\n";
-    return 2;
-  }
   try {
-    seq::open_options options;
-    options.rig = seq::camera_kind::stereo;
-    options.read_imu = with_imu;
-    auto const sequence = seq::sequence::open(argv[1], options);
-    if (with_imu && !sequence.imu()) { throw seq::error(std::string(argv[1]) + ": has no IMU"); }
+    auto const asked = read_arguments({argv + 1, argv + argc});
+    if (!asked) {
+      std::cerr << "usage: cuvslam_client FOLDER TRAJECTORY.txt [--rig stereo|mono|rgbd] [--imu]"
+                   " [--every N] [--json FILE]\n";
+      return 2;
+    }
+    auto const sequence = seq::sequence::open(asked->folder, asked->open);
+    if (asked->open.read_imu && !sequence.imu()) {
+      throw seq::error(asked->folder + ": has no IMU");
+    }
+    if (sequence.size() == 0) { throw seq::error(asked->folder + ": has no frames"); }
     cuvslam::WarmUpGPU();
-    client tracker(sequence);
+    client tracker(sequence, asked->every);
     seq::trajectory const poses = tracker.track_all();
-    seq::write_tum(argv[2], poses);
-    auto const error =
-        seq::evaluate(poses, sequence.ground_truth(), sequence.ground_truth_has_orientation());
-    std::cout << sequence.size() << " frames, " << poses.size() << " tracked, "
-              << tracker.ms() / sequence.size() << " ms a frame";
-    if (error.ate_rmse_m) { std::cout << ", ATE " << *error.ate_rmse_m << " m"; }
-    std::cout << "\n";
+    seq::write_tum(asked->trajectory, poses);
+    auto const ate = ate_of(sequence, poses);
+    write_json(std::cout, ate, poses, tracker.ms());
+    if (!asked->json.empty()) {
+      std::ofstream file(asked->json);
+      write_json(file, ate, poses, tracker.ms());
+      if (!file.flush()) { throw seq::error(asked->json + ": cannot be written"); }
+    }
   } catch (std::exception const& e) {
     std::cerr << "cuvslam_client: " << e.what() << "\n";
     return 1;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""python -m ft track FOLDER tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
+"""python -m ft track RECORDING tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
 
 import argparse
 import sys
@@ -45,12 +45,16 @@ def parser():
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser(
-        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout, or folders of images",
+        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout, folders of images, a bag, or videos",
         epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 "
                "where Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
-    command.add_argument("folder", nargs="?", metavar="FOLDER")
+    command.add_argument("folder", nargs="*", metavar="RECORDING",
+                         help="a folder; a bag (.bag, .mcap, .db3, the folder of a ROS 2 bag); a video, or those of the left and "
+                              "the right camera; images of one camera, or 'images/*.png'")
     command.add_argument("--sequence", help="the same as an option")
     command.add_argument("--calibration", default="", help="in place of the sequence's own")
+    command.add_argument("--topics", nargs="+", default=(), metavar="TOPIC",
+                         help="of a bag: one with images, left and right, or colour and depth; default: by type and name")
     command.add_argument("--fps", type=number(1e-3, 1e5), help="images a second, of folders whose file names are no times")
     command.add_argument("--times", default="", help="file with the time of each image, of folders of images")
     command.add_argument("--frames", type=count(0, 2**31 - 1), default=0, help="stop after so many; 0 = all")
@@ -99,9 +103,10 @@ def main():
     top = parser()
     arguments = top.parse_args()
     if arguments.command == "track":
-        if (arguments.folder is None) == (arguments.sequence is None):
-            top.error("one of FOLDER and --sequence names the folder")
-        arguments.folder = arguments.folder or arguments.sequence
+        if bool(arguments.folder) == (arguments.sequence is not None):
+            top.error("one of RECORDING and --sequence names the recording")
+        arguments.files = arguments.folder or [arguments.sequence]
+        arguments.folder = arguments.files[0]
         if arguments.max_depth is not None and not arguments.max_depth > arguments.min_depth:
             top.error(f"argument --max-depth: is {arguments.max_depth:g}, must be above --min-depth, {arguments.min_depth:g}")
         if arguments.max_depth == float("inf"):

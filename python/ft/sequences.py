@@ -8,6 +8,7 @@ import numpy as np
 
 from . import _ft
 from .rigs import FisheyePair, Imu, MonocularCamera, RectifiedPair, RgbdCamera, _matrix
+from .unpacking import Wanted, unpacked
 
 
 @dataclass
@@ -95,8 +96,9 @@ class Sequence:
     ft.Odometry takes. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
     out or looks wrong, a sentence each. files: that of the extension."""
 
-    def __init__(self, files, min_depth=0.0, max_depth=None):
+    def __init__(self, files, min_depth=0.0, max_depth=None, recording=None):
         self.files = files
+        self._recording = recording  # an Unpacked, whose folder goes with it
         rig = files.rig
         self.baseline, self.kind = rig["baseline"], rig["kind"]
         self.width, self.height = rig["width"], rig["height"]
@@ -112,6 +114,9 @@ class Sequence:
         self.left_camera = left
         self.warnings = list(files.warnings)
         self.name, self.layout, self.settings = files.name, files.layout, files.settings
+        if recording is not None:
+            self.layout = recording.layout
+            self.warnings = [*recording.warnings, *map(recording.named, self.warnings)]
         self.has_body_frame = files.has_body_frame
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
@@ -125,7 +130,8 @@ class Sequence:
     def describe(self, imu=True):
         """What was found, lines as (name, text): layout and calibration, cameras, rate and length, IMU, ground truth, and
         images left out. imu: whether it was asked for."""
-        return self.files.describe(bool(imu))
+        lines = self.files.describe(bool(imu))
+        return lines if self._recording is None else self._recording.described(lines)
 
     def __len__(self):
         return len(self.files)
@@ -138,22 +144,39 @@ class Sequence:
 
 
 def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False, rig="auto", depth_unit=None,
-                  min_depth=0.0, max_depth=None, max_time_difference_ns=None, fps=None, times=""):
-    """Opens a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM RGB-D, or plain
-    folders of images: left and right (cam0 and cam1, image_0 and image_1), or one.
+                  min_depth=0.0, max_depth=None, max_time_difference_ns=None, fps=None, times="", topics=(), progress=None):
+    """Opens a recording. It is a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM
+    RGB-D, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
+    .mcap, .db3, the folder of a ROS 2 bag; package rosbags), a video or a list of two (package opencv-python), or images
+    of one camera, as a list or a pattern such as "images/*.png". Bags and videos are unpacked to a folder for temporary
+    files, which is removed with the sequence.
 
     calibration: a file or folder in place of the sequence's own: Kalibr's chain, OpenCV's YAML or XML of a pair, ROS
-    camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt. fps, times:
-    of plain folders, images a second, or a file with a time a line; None and "" = the file names or times.txt say them. max_frames: 0 = all. imu: also reads mav0/imu0, imu0 or imu.csv. rig: auto
-    (what the folder holds), stereo, mono (the left camera alone) or rgbd. depth_unit: metres per unit of depth images; None
+    camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
+    its camera_info. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
+    names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
+    type and name. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
+    also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
+    chain). rig: auto (what the folder holds), stereo, mono (the left camera alone) or rgbd. depth_unit: metres per unit of depth images; None
     = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
     looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
-    sequence = Sequence(_ft.SequenceFiles.open(str(folder), {
+    options = {
         "calibration": str(calibration), "keep_fisheye": bool(keep_fisheye), "max_frames": max_frames, "imu": bool(imu),
         "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
         "fps": fps, "times": str(times),
-    }), min_depth, max_depth)
+    }
+    frames = int(max_frames) if isinstance(max_frames, (int, np.integer)) else 0  # what is none is refused below
+    recording = unpacked(folder, Wanted(str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
+                                        bool(str(calibration)), progress or (lambda images: None)))
+    if recording is None:
+        first = folder[0] if isinstance(folder, (list, tuple)) else folder
+        sequence = Sequence(_ft.SequenceFiles.open(str(first), options), min_depth, max_depth)
+    else:
+        try:
+            sequence = Sequence(_ft.SequenceFiles.open(str(recording.folder), options), min_depth, max_depth, recording)
+        except RuntimeError as e:
+            raise RuntimeError(recording.named(str(e))) from None
     for text in sequence.warnings:
         warnings.warn(text, stacklevel=2)
     return sequence

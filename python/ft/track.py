@@ -20,12 +20,25 @@ RIGS = {"auto": "auto", "stereo": "stereo", "rectified": "stereo", "fisheye": "s
         "rgbd": "rgbd"}
 
 
+class Unpacking:
+    """Says every few seconds how many frames of a bag or video are unpacked."""
+
+    def __init__(self, quiet):
+        self._quiet, self._said = quiet, time.monotonic()
+
+    def __call__(self, frames):
+        if not self._quiet and time.monotonic() - self._said > 5:
+            self._said = time.monotonic()
+            print(f"unpack    {frames} frames", flush=True)
+
+
 def open_sequence(a):
     apart = None if a.max_time_difference is None else round(1e6 * a.max_time_difference)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they are printed
-        sequence = ft.read_sequence(a.folder, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
-                                    imu=a.imu == "auto", rig=RIGS[a.rig], depth_unit=a.depth_unit, min_depth=a.min_depth,
+        sequence = ft.read_sequence(a.files, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
+                                    topics=a.topics, progress=Unpacking(a.quiet), imu=a.imu == "auto", rig=RIGS[a.rig],
+                                    depth_unit=a.depth_unit, min_depth=a.min_depth,
                                     max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times)
     if a.imu_time_offset is not None and sequence.imu is not None:
         sequence.imu.time_offset_s = a.imu_time_offset

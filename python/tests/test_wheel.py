@@ -49,22 +49,22 @@ def portable_wheel(wheel, tmp_path_factory):
     done = subprocess.run([sys.executable, "-m", "auditwheel", "repair", str(wheel), "-w", str(out)], capture_output=True,
                           text=True, check=False, env={**os.environ, "PATH": path})
     assert done.returncode == 0, done.stdout + done.stderr
-    (made,) = out.glob("ft-*.whl")
+    (made,) = out.glob("fasttrack_slam-*.whl")
     return made
 
 
 def test_the_version_is_that_of_the_headers():
-    assert ft.__version__ == version_of_the_headers() == importlib.metadata.version("ft")
+    assert ft.__version__ == version_of_the_headers() == importlib.metadata.version("fasttrack-slam")
 
 
 def test_the_wheel_has_the_version_of_the_headers(wheel):
     name, version = wheel.name.split("-")[:2]
-    assert name == "ft" and version == version_of_the_headers()
+    assert name == "fasttrack_slam" and version == version_of_the_headers()
     with zipfile.ZipFile(wheel) as files:
         (metadata,) = (n for n in files.namelist() if n.endswith(".dist-info/METADATA"))
         assert f"\nVersion: {version}\n" in files.read(metadata).decode()
         names = set(files.namelist())
-    assert {"ft/py.typed", "ft/_ft.pyi", "ft/rigs.py", "ft/rectification.py"} <= names
+    assert {"ft/py.typed", "ft/_ft.pyi", "ft/rigs.py", "ft/rectification.py", "ft/bags.py"} <= names
     assert any(n.endswith("licenses/LICENSE") for n in names) and any(n.endswith("licenses/NOTICE") for n in names)
 
 
@@ -93,7 +93,7 @@ def test_the_portable_wheel_fits_manylinux(portable_wheel):
 def test_the_portable_wheel_brings_its_libraries(portable_wheel, tmp_path):
     run(sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-index",
         "--target", tmp_path, portable_wheel)
-    brought = sorted(p.name for p in (tmp_path / "ft.libs").iterdir())
+    brought = sorted(p.name for p in (tmp_path / "fasttrack_slam.libs").iterdir())
     assert any(name.startswith("libtbb") for name in brought)
     program = """
 import json, numpy as np, ft
@@ -106,4 +106,4 @@ print(json.dumps([line.split()[-1] for line in open("/proc/self/maps") if "tbb" 
                           env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 0, done.stderr
     loaded = json.loads(done.stdout)
-    assert loaded and all("ft.libs" in path for path in loaded), loaded
+    assert loaded and all("fasttrack_slam.libs" in path for path in loaded), loaded

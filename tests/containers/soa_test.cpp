@@ -256,4 +256,65 @@ TYPED_TEST(soa_unit, columns_of_another_container_take_the_place_of_ones_own) {
   EXPECT_THROW(ft::with_columns(keypoints.view(), more.view()), ft::bad_argument);
 }
 
+/// A view with a view in it.
+struct nested_view {
+  int batch = 0;
+  labelled_view labels;
+  int* sizes = nullptr;         ///< [batch]
+  std::int16_t* all = nullptr;  ///< [batch][3][4]
+  float* absent = nullptr;      ///< [batch][3]
+
+  template <typename Visit>
+  void columns(Visit&& each) {
+    labels.columns(each);
+    each({batch}, sizes);
+    each({batch, 3, 4}, all);
+    if (absent != nullptr) { each({batch, 3}, absent); }
+  }
+};
+template <ft::memory_space Space>
+ft::owner<nested_view, Space> nested(int capacity, int batch) {
+  return ft::owner<nested_view, Space>([&](ft::carver& c, nested_view& v) {
+    v.batch = v.labels.batch = batch;
+    v.labels.capacity = capacity;
+    ft::detail::place_columns(c, v);
+  });
+}
+
+TEST(columns_unit, entries_are_skipped_in_all_arrays_of_a_view) {
+  auto const owner = nested<ft::memory_space::host>(7, 5);
+  nested_view const v = owner.view();
+  nested_view const rest = ft::detail::skip_entries(v, 2);
+  EXPECT_EQ(ft::array_of<ft::field::x>(rest.labels), ft::array_of<ft::field::x>(v.labels) + 14);
+  EXPECT_EQ(ft::array_of<landmark_id>(rest.labels), ft::array_of<landmark_id>(v.labels) + 14);
+  EXPECT_EQ(rest.labels.count, v.labels.count + 2);
+  EXPECT_EQ(rest.sizes, v.sizes + 2);
+  EXPECT_EQ(rest.all, v.all + 24);
+  EXPECT_EQ(rest.absent, nullptr);
+}
+
+TYPED_TEST(soa_unit, all_columns_of_a_view_are_filled_and_copied) {
+  constexpr ft::memory_space space = TypeParam::exec_type::space;
+  auto const& exec = this->backend.exec;
+  auto const here = nested<ft::staging_space<typename TypeParam::exec_type>>(7, 5);
+  auto const there = nested<space>(7, 5);
+  auto const back = nested<ft::staging_space<typename TypeParam::exec_type>>(7, 5);
+  ft::detail::fill_columns(exec, there.view(), 0x11);
+  ft::detail::copy_columns(exec, here.view(), there.view());
+  exec.wait();
+  for (int i = 0; i < 60; ++i) { here->all[i] = static_cast<std::int16_t>(i); }
+  here->labels.count[4] = 3;
+  ft::detail::copy_columns(exec, there.view(), here.view());
+  ft::detail::copy_columns(exec, back.view(), there.view());
+  exec.wait();
+  for (int i = 0; i < 60; ++i) { EXPECT_EQ(back->all[i], i); }
+  for (int i = 0; i < 35; ++i) {
+    EXPECT_EQ(ft::get<landmark_id>(back->labels, i), 0x1111111111111111);
+  }
+  for (int b = 0; b < 5; ++b) {
+    EXPECT_EQ(back->sizes[b], 0x11111111);
+    EXPECT_EQ(back->labels.count[b], b == 4 ? 3 : 0x11111111);
+  }
+}
+
 }  // namespace soa_test

@@ -218,6 +218,23 @@ TEST(carver_unit, a_piece_that_does_not_fit_an_address_space_throws) {
   }
 }
 
+TEST(carver_unit, arrays_of_one_extent_follow_each_other) {
+  ft::arena<ft::memory_space::host> const arena([](ft::carver& c) { c.take<std::byte>(4096); });
+  ft::carver carver(arena.data());
+  int* first = nullptr;
+  double* second = nullptr;
+  char* third = nullptr;
+  carver.place({3, 5, 20}, first, second);
+  carver.place({7}, third);
+  auto const offset = [&](void* p) { return static_cast<std::byte*>(p) - arena.data(); };
+  EXPECT_EQ(offset(first), 0);
+  EXPECT_EQ(offset(second), 1280) << "300 ints, rounded up to 256 bytes";
+  EXPECT_EQ(offset(third), 3840);
+  EXPECT_EQ(carver.used(), 3847u);
+  EXPECT_THROW(carver.place({largest / 4, 2, 4}, third), ft::bad_argument);
+  EXPECT_THROW(carver.place({-1, 3}, third), ft::bad_argument);
+}
+
 TEST(carver_unit, rounding_up_at_the_end_of_an_address_space_throws) {
   ft::carver carver;
   carver.take<std::byte>(largest - 10);

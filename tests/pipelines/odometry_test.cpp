@@ -106,6 +106,25 @@ TYPED_TEST(odometry_pipeline, tells_the_covariance_of_a_pose) {
     }
   }
   for (double const v : all[0].covariance) { EXPECT_EQ(v, 0.0); }
+  // Of a scene without noise, errors are far below the pixel that the matrix assumes.
+  ft::frame_facts const& facts = all.back().evidence.facts;
+  EXPECT_GE(facts.rows, 2 * all.back().inliers);
+  EXPECT_LE(facts.rows, 3 * all.back().inliers);
+  EXPECT_GT(facts.misfit, 0);
+  EXPECT_LT(facts.misfit, facts.rows * ft::frame_facts::misfit_one / 2);
+}
+
+TEST(variance_of_unit_weight, is_that_of_the_inliers_errors_where_there_are_many) {
+  ft::frame_facts facts;
+  EXPECT_EQ(ft::detail::variance_of(facts), 1.0) << "nothing is known";
+  facts.rows = 6 + 1980;
+  facts.misfit = 480 * ft::frame_facts::misfit_one;
+  EXPECT_EQ(ft::detail::variance_of(facts), 0.25);
+  facts.misfit = 1980 * ft::frame_facts::misfit_one;
+  EXPECT_EQ(ft::detail::variance_of(facts), 1.0);
+  facts.rows = 3;
+  facts.misfit = 0;
+  EXPECT_EQ(ft::detail::variance_of(facts), 1.0) << "fewer numbers than a pose has";
 }
 
 TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_launch) {

@@ -8,7 +8,6 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
 
 namespace ft {
@@ -122,13 +121,10 @@ struct corners_view {
 
 /// Places the arrays into an arena.
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const levels = static_cast<std::size_t>(layout.levels);
   v.layout = layout;
   v.batch = batch;
-  v.list = c.take<corner>(detail::checked_mul(b, static_cast<std::size_t>(layout.total_slots)));
-  v.list_count = c.take<int>(b * levels);
-  v.progress = c.take<unsigned long long>(b * levels);
+  c.place({batch, layout.total_slots}, v.list);
+  c.place({batch, layout.levels}, v.list_count, v.progress);
 }
 
 }  // namespace FT_ABI

@@ -58,10 +58,8 @@ inline void carve(carver& c, feature_grid_view& v, grid_geometry const& geometry
                   int batch) {
   v.geometry = geometry;
   v.capacity = capacity;
-  auto const b = static_cast<std::size_t>(batch);
-  v.start = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(geometry.cells() + 1)));
-  v.indices = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(capacity)));
-  v.unsorted = c.take<int>(b * static_cast<std::size_t>(capacity));
+  c.place({batch, geometry.cells() + 1}, v.start);
+  c.place({batch, capacity}, v.indices, v.unsorted);
 }
 
 /// Owner of a grid; move-only.

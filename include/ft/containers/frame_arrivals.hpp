@@ -8,7 +8,6 @@
 /// every wait is already satisfied.
 #pragma once
 
-#include <cstddef>
 #include <type_traits>
 
 #include "ft/containers/image_pyramid.hpp"
@@ -113,9 +112,8 @@ inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int b
   v.batch = batch;
   v.parts = frame_arrivals::parts_of(g);
   v.quads_of_row = ceil_div(g.width[0], 16);
-  auto const b = static_cast<std::size_t>(batch);
-  v.received = c.take<unsigned>(b * static_cast<std::size_t>(v.parts));
-  v.placed = c.take<unsigned>(b);
+  c.place({batch, v.parts}, v.received);
+  c.place({batch}, v.placed);
 }
 
 }  // namespace FT_ABI

@@ -130,8 +130,7 @@ static_assert(std::is_trivially_copyable<image_pyramid_view>::value, "passed to 
 inline void carve(carver& c, image_pyramid_view& v, pyramid_geometry const& geometry, int batch) {
   v.geometry = geometry;
   v.batch = batch;
-  v.data = c.take<std::uint8_t>(detail::checked_mul(static_cast<std::size_t>(geometry.bytes),
-                                                    static_cast<std::size_t>(batch)));
+  c.place({batch, geometry.bytes}, v.data);
 }
 
 /// Owner of a pyramid; move-only.

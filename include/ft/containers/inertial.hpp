@@ -74,9 +74,8 @@ static_assert(std::is_trivially_copyable<imu_steps_view>::value, "passed to kern
 inline void carve(carver& c, imu_steps_view& v, int intervals, int capacity) {
   v.intervals = intervals;
   v.capacity = capacity;
-  auto const n = static_cast<std::size_t>(intervals);
-  v.chosen = c.take<imu_selection>(n);
-  v.steps = c.take<imu_step>(detail::checked_mul(n, static_cast<std::size_t>(capacity)));
+  c.place({intervals}, v.chosen);
+  c.place({intervals, capacity}, v.steps);
 }
 
 /// Preintegrated measurements between two images, in the body's frame at the first one.

@@ -9,6 +9,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "ft/containers/columns.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
@@ -52,6 +53,11 @@ struct keyframe_database_view {
   std::uint32_t* word = nullptr;              ///< [capacity][row] ascending
   double* value = nullptr;                    ///< [capacity][row]
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({capacity}, number, map, score, neighbours, words);
+    each({capacity, row}, word, value);
+  }
   FT_HOST_DEVICE std::ptrdiff_t at(int slot) const {
     return static_cast<std::ptrdiff_t>(slot) * row;
   }
@@ -70,15 +76,7 @@ inline void carve(carver& c, keyframe_database_view& v) {
   detail::require_range("words of a keyframe", v.row, 1, most);
   detail::require_range("words of the vocabulary", v.vocabulary, 1,
                         std::numeric_limits<int>::max());
-  auto const slots = static_cast<std::size_t>(v.capacity);
-  auto const all = detail::checked_mul(slots, static_cast<std::size_t>(v.row));
-  v.number = c.take<std::uint32_t>(slots);
-  v.map = c.take<int>(slots);
-  v.score = c.take<float>(slots);
-  v.neighbours = c.take<keyframe_neighbours>(slots);
-  v.words = c.take<int>(slots);
-  v.word = c.take<std::uint32_t>(all);
-  v.value = c.take<double>(all);
+  detail::place_columns(c, v);
 }
 
 /// Which slots of a database are in use. The host's part of it: insertion needs no answer of a

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -48,6 +50,13 @@ struct keyframes_view {
   int* holder = nullptr;         ///< [batch][positions][numbers] slot, -1 = none
   int* holder_number = nullptr;  ///< [batch][positions][numbers] of the point, 0 = none
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch}, made, count);
+    each({batch, positions}, T_cw, time_ns, neighbour, shared);
+    each({batch, positions, cameras}, keypoints);
+    each({batch, positions, numbers()}, x, y, right_x, octave, holder, holder_number);
+  }
   FT_HOST_DEVICE int numbers() const { return cameras * capacity; }
   /// Position of a keyframe. @pre number >= 1
   FT_HOST_DEVICE int position(int number) const { return (number - 1) % positions; }
@@ -80,26 +89,11 @@ inline void carve(carver& c, keyframes_view& v, keyframes_capacity const& size, 
   detail::require_range("keyframes", size.positions, 2, max_keyframes);
   detail::require_range("cameras of a keyframe", size.cameras, 1, 16);
   detail::require_range("keypoints of a keyframe", size.keypoints, 1, 1 << 24);
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(size.positions));
   v.positions = size.positions;
   v.cameras = size.cameras;
   v.capacity = size.keypoints;
   v.batch = batch;
-  std::size_t const all = detail::checked_mul(n, static_cast<std::size_t>(v.numbers()));
-  v.made = c.take<int>(b);
-  v.count = c.take<int>(b);
-  v.T_cw = c.take<rigid<double>>(n);
-  v.time_ns = c.take<std::int64_t>(n);
-  v.neighbour = c.take<int>(n);
-  v.shared = c.take<int>(n);
-  v.keypoints = c.take<int>(n * static_cast<std::size_t>(size.cameras));
-  v.x = c.take<float>(all);
-  v.y = c.take<float>(all);
-  v.right_x = c.take<float>(all);
-  v.octave = c.take<int>(all);
-  v.holder = c.take<int>(all);
-  v.holder_number = c.take<int>(all);
+  detail::place_columns(c, v);
 }
 
 /// Forgets all keyframes. Asynchronous if the executor is; allocates nothing.
@@ -107,6 +101,49 @@ template <typename Exec>
 void clear(Exec const& exec, keyframes_view const& v) {
   fill_bytes(exec, v.made, 0, static_cast<std::size_t>(v.batch) * sizeof(int));
   fill_bytes(exec, v.count, 0, static_cast<std::size_t>(v.batch) * sizeof(int));
+}
+
+// What keyframes keep of their keypoints for later triangulation.
+
+/// Cells of an image in which rays are sorted, about as many as lines are long in pixels of them.
+inline constexpr int ray_columns = 32;
+inline constexpr int ray_rows = 24;
+inline constexpr int ray_cells = ray_columns * ray_rows;
+
+/// Where the rays of a cell are: within `reach` of `middle`, with what each may be off from an
+/// epipolar plane. So a plane with the unit normal n has none of them if |n middle| > reach.
+struct ray_cell {
+  vec3<float> middle;
+  float reach;  ///< below 0: there are none
+};
+
+/// Rays and descriptors of the keypoints of a keyframes_view with one camera, in executor memory,
+/// indexed as there.
+struct keyframe_rays_view {
+  int* number = nullptr;       ///< [batch][positions] of the keyframe that they belong to, 0 = none
+  vec3<float>* ray = nullptr;  ///< [batch][positions][capacity] unit length, camera frame; 0 = none
+  descriptor* orb = nullptr;   ///< [batch][positions][capacity]
+  ray_cell* cell = nullptr;    ///< [batch][positions][ray_cells]
+  int* first = nullptr;        ///< [batch][positions][ray_cells + 1] of a cell in `in_cell`
+  int* in_cell = nullptr;  ///< [batch][positions][capacity] keypoints cell by cell, in any order
+};
+static_assert(std::is_trivially_copyable<keyframe_rays_view>::value, "passed to kernels");
+
+/// Places the arrays into an arena. clear() comes before the first use.
+inline void carve(carver& c, keyframe_rays_view& v, keyframes_capacity const& size, int batch) {
+  auto const positions = size.positions;
+  c.place({batch, positions}, v.number);
+  c.place({batch, positions, size.keypoints}, v.ray, v.orb);
+  c.place({batch, positions, ray_cells}, v.cell);
+  c.place({batch, positions, ray_cells + 1}, v.first);
+  c.place({batch, positions, size.keypoints}, v.in_cell);
+}
+
+/// No keyframe of batch entry b has rays. Asynchronous if the executor is; allocates nothing.
+template <typename Exec>
+void forget_rays(Exec const& exec, keyframe_rays_view const& v, int positions, int b) {
+  fill_bytes(exec, v.number + static_cast<std::ptrdiff_t>(b) * positions, 0,
+             static_cast<std::size_t>(positions) * sizeof(int));
 }
 
 }  // namespace FT_ABI

@@ -2,12 +2,9 @@
 /// @file Map points, one array per field, addressed by slot.
 #pragma once
 
-#include <cstddef>
-
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/types/poses.hpp"
 
@@ -53,14 +50,9 @@ struct observations_view {
 };
 
 inline void carve(carver& c, observations_view& v, int capacity, int batch) {
-  std::size_t const b = static_cast<std::size_t>(batch);
-  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
   v.capacity = capacity;
-  v.items = c.take<observation>(n);
-  v.number = c.take<int>(n);
-  v.outlier = c.take<unsigned char>(n);
-  v.count = c.take<int>(b);
-  v.inliers = c.take<int>(b);
+  c.place({batch, capacity}, v.items, v.number, v.outlier);
+  c.place({batch}, v.count, v.inliers);
 }
 
 }  // namespace FT_ABI

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/keyframes.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/map_points.hpp"
@@ -46,6 +47,13 @@ struct point_records_view {
   int* alive = nullptr;              ///< [batch] slots that are not free
   int* used = nullptr;               ///< [batch] all slots from here on are free
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, slots}, number, visible, found, found_frame, described);
+    each({batch, slots, point_descriptors}, recent);
+    each({batch, slots, words}, seen_by);
+    each({batch}, made, alive, used);
+  }
   FT_HOST_DEVICE std::ptrdiff_t at(int b, int slot) const {
     return static_cast<std::ptrdiff_t>(b) * slots + slot;
   }
@@ -68,38 +76,16 @@ static_assert(std::is_trivially_copyable<point_records_view>::value, "passed to 
 /// Places the arrays into an arena.
 /// @param positions of the keyframe ring
 inline void carve(carver& c, point_records_view& v, int slots, int positions, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(slots));
   v.slots = slots;
   v.words = (positions + 63) / 64;
   v.batch = batch;
-  v.number = c.take<int>(n);
-  v.visible = c.take<int>(n);
-  v.found = c.take<int>(n);
-  v.found_frame = c.take<int>(n);
-  v.described = c.take<int>(n);
-  v.recent = c.take<descriptor>(detail::checked_mul(n, std::size_t{point_descriptors}));
-  v.seen_by = c.take<std::uint64_t>(detail::checked_mul(n, static_cast<std::size_t>(v.words)));
-  v.made = c.take<int>(b);
-  v.alive = c.take<int>(b);
-  v.used = c.take<int>(b);
+  detail::place_columns(c, v);
 }
 
 /// Makes all slots free. Asynchronous if the executor is; allocates nothing.
 template <typename Exec>
 void clear(Exec const& exec, point_records_view const& v) {
-  auto const b = static_cast<std::size_t>(v.batch);
-  std::size_t const n = b * static_cast<std::size_t>(v.slots);
-  fill_bytes(exec, v.number, 0, n * sizeof(int));
-  fill_bytes(exec, v.visible, 0, n * sizeof(int));
-  fill_bytes(exec, v.found, 0, n * sizeof(int));
-  fill_bytes(exec, v.found_frame, 0, n * sizeof(int));
-  fill_bytes(exec, v.described, 0, n * sizeof(int));
-  fill_bytes(exec, v.recent, 0, n * point_descriptors * sizeof(descriptor));
-  fill_bytes(exec, v.seen_by, 0, n * static_cast<std::size_t>(v.words) * sizeof(std::uint64_t));
-  fill_bytes(exec, v.made, 0, b * sizeof(int));
-  fill_bytes(exec, v.alive, 0, b * sizeof(int));
-  fill_bytes(exec, v.used, 0, b * sizeof(int));
+  detail::fill_columns(exec, v, 0);
 }
 
 /// The map of each batch entry. `points.count` is not used: see point_records_view::alive.
@@ -107,6 +93,13 @@ struct odometry_map_view {
   map_points_view points;
   point_records_view records;
   keyframes_view keyframes;
+
+  template <typename Visit>
+  void columns(Visit&& each) {
+    points.columns(each);
+    records.columns(each);
+    keyframes.columns(each);
+  }
 };
 static_assert(std::is_trivially_copyable<odometry_map_view>::value, "passed to kernels");
 

@@ -114,10 +114,7 @@ inline void carve(carver& c, remap_table_view& v, remap_sizes const& sizes, int 
   detail::require_range("remap table's batch", batch, 1, max_remap_batch);
   v.sizes = sizes;
   v.batch = batch;
-  std::size_t const n =
-      detail::checked_mul(static_cast<std::size_t>(v.pixels()), static_cast<std::size_t>(batch));
-  v.position = c.take<remap_position>(n);
-  v.fraction = c.take<std::uint16_t>(n);
+  c.place({batch, v.pixels()}, v.position, v.fraction);
 }
 
 /// Owner of a table; move-only. Entries are not initialised.

@@ -17,6 +17,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "ft/containers/columns.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -69,6 +70,11 @@ struct soa_view : column<Fields>... {
         batch(other.batch),
         count(other.count) {}
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, capacity}, static_cast<column<Fields>&>(*this).data...);
+    each({batch}, count);
+  }
   /// Only batch entry b.
   FT_HOST_DEVICE soa_view slice(int b) const {
     soa_view r(*this);
@@ -107,12 +113,9 @@ soa_view<Fields...> with_columns(soa_view<Fields...> base, soa_view<Others...> c
 /// Places the columns and counts of a container into an arena.
 template <typename... Fields>
 void carve(carver& c, soa_view<Fields...>& v, int capacity, int batch) {
-  std::size_t const n =
-      detail::checked_mul(static_cast<std::size_t>(capacity), static_cast<std::size_t>(batch));
-  ((static_cast<column<Fields>&>(v).data = c.take<typename Fields::type>(n)), ...);
-  v.count = c.take<int>(static_cast<std::size_t>(batch));
   v.capacity = capacity;
   v.batch = batch;
+  detail::place_columns(c, v);
 }
 
 /// Owner of the arrays; move-only. Elements and counts are not initialised.
@@ -139,9 +142,7 @@ public:
 /// Sets all bytes of all columns and counts. Asynchronous if the executor is.
 template <typename Exec, typename... Fields>
 void fill(Exec const& exec, soa_view<Fields...> const& to, int value) {
-  std::size_t const n = static_cast<std::size_t>(to.capacity) * static_cast<std::size_t>(to.batch);
-  (fill_bytes(exec, array_of<Fields>(to), value, n * sizeof(typename Fields::type)), ...);
-  fill_bytes(exec, to.count, value, static_cast<std::size_t>(to.batch) * sizeof(int));
+  detail::fill_columns(exec, to, value);
 }
 
 /// Copies all columns and counts between containers of equal shape, in any spaces. Asynchronous if
@@ -151,12 +152,7 @@ template <typename Exec, typename... Fields>
 void copy(Exec const& exec, soa_view<Fields...> const& to, soa_view<Fields...> const& from) {
   detail::require(to.capacity == from.capacity && to.batch == from.batch,
                   "copy between containers of different shape");
-  std::size_t const n =
-      static_cast<std::size_t>(from.capacity) * static_cast<std::size_t>(from.batch);
-  (copy(exec, array_of<Fields>(to),
-        static_cast<typename Fields::type const*>(array_of<Fields>(from)), n),
-   ...);
-  copy(exec, to.count, static_cast<int const*>(from.count), static_cast<std::size_t>(from.batch));
+  detail::copy_columns(exec, to, from);
 }
 
 /// A copy of a container in memory that the host reads: pinned next to a device, plain otherwise.

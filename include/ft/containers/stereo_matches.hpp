@@ -2,8 +2,6 @@
 /// @file Stereo matches: per left keypoint the right column and the depth.
 #pragma once
 
-#include <cstddef>
-
 #include "ft/containers/soa.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
@@ -36,13 +34,10 @@ struct fisheye_matches_view {
 
 /// Places the arrays into an arena.
 inline void carve(carver& c, fisheye_matches_view& v, int capacity, int batch) {
-  std::size_t const n =
-      detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(capacity));
   v.capacity = capacity;
   v.batch = batch;
-  v.partner = c.take<int>(2 * n);
-  v.depth = c.take<float>(n);
-  v.point = c.take<vec3<float>>(n);
+  c.place({batch, 2, capacity}, v.partner);
+  c.place({batch, capacity}, v.depth, v.point);
 }
 
 }  // namespace FT_ABI

@@ -2,7 +2,6 @@
 /// @file What two images of one camera tell: the motion between them, and points.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <type_traits>
 
@@ -80,11 +79,8 @@ static_assert(std::is_trivially_copyable<two_view_reconstructions>::value, "pass
 inline void carve(carver& c, two_view_reconstructions& v, int pairs, int capacity) {
   v.pairs = pairs;
   v.capacity = capacity;
-  auto const n =
-      detail::checked_mul(static_cast<std::size_t>(pairs), static_cast<std::size_t>(capacity));
-  v.result = c.take<two_view_result>(static_cast<std::size_t>(pairs));
-  v.point = c.take<vec3<float>>(n);
-  v.flags = c.take<std::uint8_t>(n);
+  c.place({pairs}, v.result);
+  c.place({pairs, capacity}, v.point, v.flags);
 }
 
 }  // namespace FT_ABI

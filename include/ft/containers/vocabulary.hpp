@@ -11,6 +11,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/config.hpp"
@@ -59,6 +60,11 @@ struct vocabulary_view {
   double* weight = nullptr;           ///< [nodes] of a word; one that is not positive stops it
   std::uint32_t* word = nullptr;      ///< [nodes] 0 to words - 1, or no_word
   std::uint32_t* node = nullptr;      ///< [nodes] id in the arrays or the file it was made from
+
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({nodes}, children, orb, weight, word, node);
+  }
 };
 static_assert(std::is_trivially_copyable<vocabulary_view>::value, "passed to kernels");
 
@@ -66,12 +72,7 @@ static_assert(std::is_trivially_copyable<vocabulary_view>::value, "passed to ker
 inline void carve(carver& c, vocabulary_view& v, int nodes) {
   detail::require(nodes >= 1, "a vocabulary has 1 node or more");
   v.nodes = nodes;
-  auto const n = static_cast<std::size_t>(nodes);
-  v.children = c.take<node_children>(n);
-  v.orb = c.take<descriptor>(n);
-  v.weight = c.take<double>(n);
-  v.word = c.take<std::uint32_t>(n);
-  v.node = c.take<std::uint32_t>(n);
+  detail::place_columns(c, v);
 }
 
 /// Owner of a vocabulary; move-only. Arrays are not initialised; make_vocabulary(),
@@ -96,13 +97,7 @@ public:
 template <typename Exec>
 vocabulary<Exec::space> upload(Exec const& exec, vocabulary_view const& from) {
   vocabulary<Exec::space> to(from.header, from.nodes, from.words);
-  vocabulary_view const& v = to.view();
-  auto const n = static_cast<std::size_t>(from.nodes);
-  copy(exec, v.children, static_cast<node_children const*>(from.children), n);
-  copy(exec, v.orb, static_cast<descriptor const*>(from.orb), n);
-  copy(exec, v.weight, static_cast<double const*>(from.weight), n);
-  copy(exec, v.word, static_cast<std::uint32_t const*>(from.word), n);
-  copy(exec, v.node, static_cast<std::uint32_t const*>(from.node), n);
+  detail::copy_columns(exec, to.view(), from);
   exec.wait();
   return to;
 }

@@ -101,20 +101,13 @@ inline void carve(carver& c, window_problem_view& v, window_capacity const& capa
   v.points = capacity.points;
   v.cameras = capacity.cameras;
   v.batch = batch;
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const views = detail::checked_mul(b, static_cast<std::size_t>(v.views));
-  std::size_t const points = detail::checked_mul(b, static_cast<std::size_t>(v.points));
-  std::size_t const sightings =
-      detail::checked_mul(points, static_cast<std::size_t>(v.views * v.cameras));
-  v.view_count = c.take<int>(b);
-  v.fixed_count = c.take<int>(b);
-  v.point_count = c.take<int>(b);
-  v.T_cw = c.take<rigid<double>>(views);
-  v.position = c.take<vec3<double>>(points);
-  v.seen = c.take<window_observation>(sightings);
-  if (capacity.links) { v.link = c.take<window_link>(views); }
-  v.outlier = c.take<unsigned char>(sightings);
-  v.outcome = c.take<window_outcome>(b);
+  c.place({batch}, v.view_count, v.fixed_count, v.point_count);
+  c.place({batch, v.views}, v.T_cw);
+  c.place({batch, v.points}, v.position);
+  c.place({batch, v.points, v.views, v.cameras}, v.seen);
+  if (capacity.links) { c.place({batch, v.views}, v.link); }
+  c.place({batch, v.points, v.views, v.cameras}, v.outlier);
+  c.place({batch}, v.outcome);
 }
 
 }  // namespace FT_ABI

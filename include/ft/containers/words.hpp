@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/memory.hpp"
 
@@ -31,9 +32,16 @@ struct word_list_view {
   FT_HOST_DEVICE std::ptrdiff_t at(int frame) const {
     return static_cast<std::ptrdiff_t>(frame) * capacity;
   }
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({frames}, count);
+    each({frames, capacity}, word, value);
+  }
   /// Some of the frames.
   word_list_view slice(int first, int number) const {
-    return {number, capacity, count + first, word + at(first), value + at(first)};
+    word_list_view v = detail::skip_entries(*this, first);
+    v.frames = number;
+    return v;
   }
 };
 static_assert(std::is_trivially_copyable<word_list_view>::value, "passed to kernels");
@@ -41,11 +49,7 @@ static_assert(std::is_trivially_copyable<word_list_view>::value, "passed to kern
 inline void carve(carver& c, word_list_view& v, int frames, int capacity) {
   v.frames = frames;
   v.capacity = capacity;
-  auto const f = static_cast<std::size_t>(frames);
-  auto const n = detail::checked_mul(f, static_cast<std::size_t>(capacity));
-  v.count = c.take<int>(f);
-  v.word = c.take<std::uint32_t>(n);
-  v.value = c.take<double>(n);
+  detail::place_columns(c, v);
 }
 
 /// The keypoints of a batch of frames, grouped by the node of the vocabulary that their descriptors
@@ -64,14 +68,18 @@ struct node_groups_view {
   FT_HOST_DEVICE std::ptrdiff_t start_at(int frame) const {
     return static_cast<std::ptrdiff_t>(frame) * (capacity + 1);
   }
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({frames}, count);
+    each({frames, capacity}, node);
+    each({frames, capacity + 1}, start);
+    each({frames, capacity}, keypoint);
+  }
   /// Some of the frames.
   node_groups_view slice(int first, int number) const {
-    return {number,
-            capacity,
-            count + first,
-            node + at(first),
-            start + start_at(first),
-            keypoint + at(first)};
+    node_groups_view v = detail::skip_entries(*this, first);
+    v.frames = number;
+    return v;
   }
 };
 static_assert(std::is_trivially_copyable<node_groups_view>::value, "passed to kernels");
@@ -79,13 +87,7 @@ static_assert(std::is_trivially_copyable<node_groups_view>::value, "passed to ke
 inline void carve(carver& c, node_groups_view& v, int frames, int capacity) {
   v.frames = frames;
   v.capacity = capacity;
-  auto const f = static_cast<std::size_t>(frames);
-  auto const wide = static_cast<std::size_t>(capacity);
-  auto const n = detail::checked_mul(f, wide);
-  v.count = c.take<int>(f);
-  v.node = c.take<std::uint32_t>(n);
-  v.start = c.take<int>(detail::checked_mul(f, wide + 1));
-  v.keypoint = c.take<int>(n);
+  detail::place_columns(c, v);
 }
 
 /// A keypoint or a node that has no word.
@@ -108,11 +110,7 @@ static_assert(std::is_trivially_copyable<feature_words_view>::value, "passed to 
 inline void carve(carver& c, feature_words_view& v, int frames, int capacity) {
   v.frames = frames;
   v.capacity = capacity;
-  auto const n =
-      detail::checked_mul(static_cast<std::size_t>(frames), static_cast<std::size_t>(capacity));
-  v.word = c.take<std::uint32_t>(n);
-  v.node = c.take<std::uint32_t>(n);
-  v.weight = c.take<double>(n);
+  c.place({frames, capacity}, v.word, v.node, v.weight);
 }
 
 }  // namespace FT_ABI

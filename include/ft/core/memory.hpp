@@ -158,6 +158,23 @@ private:
   std::size_t size_ = 0;
 };
 
+namespace detail {
+
+/// The sides of an array, [entries][...]. @throws bad_argument if the product overflows
+struct extent {
+  std::size_t entries;   ///< of the first axis, such as a batch
+  std::size_t each = 1;  ///< elements of one of them
+
+  template <typename First, typename... Others>
+  extent(First first, Others... others)  // NOLINT(google-explicit-constructor)
+      : entries(static_cast<std::size_t>(first)) {
+    ((each = checked_mul(each, static_cast<std::size_t>(others))), ...);
+  }
+  std::size_t size() const { return checked_mul(entries, each); }
+};
+
+}  // namespace detail
+
 /// Hands out aligned pieces of one block. Run a layout once on a default carver to learn `used()`,
 /// then again on the block: the same calls give the same pieces.
 class carver {
@@ -174,6 +191,11 @@ public:
     T* const piece = base_ == nullptr ? nullptr : reinterpret_cast<T*>(base_ + start);
     used_ = start + bytes;
     return piece;
+  }
+  /// Places arrays of one extent, one after the other: `c.place({batch, slots}, v.found, v.seen)`.
+  template <typename... Ts>
+  void place(detail::extent const& of_each, Ts*&... arrays) {
+    ((arrays = take<Ts>(of_each.size())), ...);
   }
   std::size_t used() const { return used_; }
 

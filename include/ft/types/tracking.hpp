@@ -86,6 +86,9 @@ struct frame_facts {
   int held_before = 0;      ///< camera_track::held of the last frame
   int evidence = 0;         ///< of the inliers, bits
   int moving = 0;           ///< 1 = the last frame moved against the one before
+  int misfit = 0;           ///< sum of the inliers' chi-square, each at most most_misfit, in 1 / 64
+  int rows = 0;             ///< its numbers: two of an inlier, three of one with a disparity
+  static constexpr int misfit_one = 64, most_misfit = 16;
 };
 
 /// What warnings are decided by, of one frame.
@@ -122,7 +125,8 @@ struct tracking {
   int keyframes = 0;      ///< made so far
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
   /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
-  /// optimisation without the IMU, with its robust weights: errors of keypoints, not of map points.
+  /// optimisation without the IMU, times the variance that the inliers' errors have: errors of
+  /// keypoints, not of map points.
   /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
   /// frame that was not tracked.
   double covariance[36] = {};

@@ -39,9 +39,7 @@ inline void carve(carver& c, corner_masks_view& v, int width, int height, int ba
   v.width = width;
   v.height = height;
   v.batch = batch;
-  std::size_t const pixels =
-      detail::checked_mul(static_cast<std::size_t>(width), static_cast<std::size_t>(height));
-  v.data = c.take<std::uint8_t>(detail::checked_mul(pixels, static_cast<std::size_t>(batch)));
+  c.place({batch, height, width}, v.data);
 }
 
 namespace detail {

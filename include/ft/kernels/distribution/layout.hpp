@@ -113,22 +113,15 @@ struct distribution_view {
 /// Places the arrays into an arena, but for `wants_more`.
 inline void carve(carver& c, distribution_view& v, distribution_layout const& layout,
                   corner_layout const& corners, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const levels = static_cast<std::size_t>(layout.levels);
-  auto const slots = static_cast<std::size_t>(corners.total_slots);
-  std::size_t const total = detail::checked_mul(b, static_cast<std::size_t>(layout.total));
   v.layout = layout;
   v.batch = batch;
-  v.kept = c.take<corner>(max_of(total, std::size_t{1}));  // ordering always reads the first
-  v.kept_count = c.take<int>(b * levels);
-  v.keys = c.take<unsigned long long>(
-      detail::checked_mul(b, slots + levels * std::size_t{distribution_view::key_pad}));
-  v.order = c.take<unsigned>(detail::checked_mul(b, slots));
-  v.list[0] = c.take<node_range<int>>(total);
-  v.list[1] = c.take<node_range<int>>(total);
-  v.node_keys = c.take<unsigned long long>(total);
-  v.splits_before = c.take<int>(total);
-  v.gain_before = c.take<int>(total);
+  std::size_t const total =
+      detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(layout.total));
+  c.place({max_of(total, std::size_t{1})}, v.kept);  // ordering always reads the first
+  c.place({batch, layout.levels}, v.kept_count);
+  c.place({batch, corners.total_slots + layout.levels * distribution_view::key_pad}, v.keys);
+  c.place({batch, corners.total_slots}, v.order);
+  c.place({total}, v.list[0], v.list[1], v.node_keys, v.splits_before, v.gain_before);
 }
 
 }  // namespace FT_ABI

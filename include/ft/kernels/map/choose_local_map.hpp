@@ -66,11 +66,9 @@ struct local_map_workspace {
 
 /// Places the arrays into an arena.
 inline void carve(carver& c, local_map_workspace& v, int slots, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
   v.chunks = ceil_div(slots, detail::local_map_chunk);
-  v.rank = c.take<unsigned char>(detail::checked_mul(b, static_cast<std::size_t>(slots)));
-  v.points = c.take<int>(
-      detail::checked_mul(b, static_cast<std::size_t>(v.chunks) * detail::local_map_ranks));
+  c.place({batch, slots}, v.rank);
+  c.place({batch, v.chunks, detail::local_map_ranks}, v.points);
 }
 
 namespace detail {

@@ -46,17 +46,13 @@ struct window_sources_view {
 /// Places the arrays into an arena.
 inline void carve(carver& c, window_sources_view& v, window_capacity const& size, int slots,
                   int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const points = detail::checked_mul(b, static_cast<std::size_t>(size.points));
-  v.keyframe = c.take<int>(b * static_cast<std::size_t>(size.views));
-  v.slot = c.take<int>(points);
-  v.number = c.take<int>(points);
-  v.keypoint =
-      c.take<int>(detail::checked_mul(points, static_cast<std::size_t>(size.views * size.cameras)));
-  v.left_out = c.take<int>(b);
-  v.point_of_slot = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(slots)));
-  v.chosen = c.take<unsigned>(b * static_cast<std::size_t>(ceil_div(slots, 32)));
-  v.correction = c.take<rigid<double>>(b);
+  c.place({batch, size.views}, v.keyframe);
+  c.place({batch, size.points}, v.slot, v.number);
+  c.place({batch, size.points, size.views, size.cameras}, v.keypoint);
+  c.place({batch}, v.left_out);
+  c.place({batch, slots}, v.point_of_slot);
+  c.place({batch, ceil_div(slots, 32)}, v.chosen);
+  c.place({batch}, v.correction);
 }
 
 namespace detail {

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Inputs, results and workspace of insert_keyframe.
+/// @file Inputs, results and workspace of insert_keyframe, and what its steps share.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/types/poses.hpp"
@@ -85,16 +85,56 @@ struct keyframe_workspace {
 /// Places the arrays into an arena. @param capacity keypoints of an image
 inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int cameras,
                   int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b * static_cast<std::size_t>(cameras),
-                                     static_cast<std::size_t>(capacity));
-  v.claim = c.take<int>(
-      detail::checked_mul(b * static_cast<std::size_t>(cameras), static_cast<std::size_t>(slots)));
-  v.claimed = c.take<unsigned char>(b * static_cast<std::size_t>(slots));
-  v.free_rows = c.take<unsigned>(b * static_cast<std::size_t>(ceil_div(slots, 32)));
-  v.free_slots = c.take<int>(n);
-  v.new_points = c.take<int>(n);
+  c.place({batch, cameras, slots}, v.claim);
+  c.place({batch, slots}, v.claimed);
+  c.place({batch, ceil_div(slots, 32)}, v.free_rows);
+  c.place({batch, cameras, capacity}, v.free_slots, v.new_points);
 }
 
+namespace detail {
+
+inline constexpr int unclaimed = std::numeric_limits<int>::max();
+
+/// The new keyframe of a batch entry.
+template <typename Rig>
+struct keyframe_task {
+  using rig_type = Rig;
+  /// Cameras whose keypoints may have a depth.
+  static constexpr int depth_cameras = Rig::rectified ? Rig::cameras : 1;
+
+  keyframe_input<Rig> const& in;
+  keyframe_params const& params;
+  odometry_map_view const& map;
+  keyframe_workspace const& work;
+  int b;
+  int made;   ///< number of the newest keyframe before this one
+  int count;  ///< keyframes before this one
+  int used;   ///< slots that may be in use
+
+  FT_HOST_DEVICE int position() const { return map.keyframes.position(made + 1); }
+  /// Index of the first keypoint of all cameras.
+  FT_HOST_DEVICE std::ptrdiff_t first() const {
+    return static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+  }
+  /// Depths of camera c's keypoints.
+  FT_HOST_DEVICE float const* depth(int c) const {
+    return in.depth + (static_cast<std::ptrdiff_t>(b) * depth_cameras + c) * in.frame.capacity();
+  }
+  FT_HOST_DEVICE int* holders() const { return in.frame.holder + first(); }
+  FT_HOST_DEVICE int const* partners() const {
+    if (in.frame.partner == nullptr) { return nullptr; }
+    return in.frame.partner + first();
+  }
+  FT_HOST_DEVICE int keypoints(int c) const { return *in.frame.camera(b, c).count; }
+  FT_HOST_DEVICE int& claim(int c, int slot) const {
+    return work.claim[work.at(b, c, slot, in.frame.cameras, map.records.slots)];
+  }
+  /// Whether a keypoint of this frame holds the point.
+  FT_HOST_DEVICE unsigned char& claimed(int slot) const {
+    return work.claimed[map.records.at(b, slot)];
+  }
+};
+
+}  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -9,7 +9,7 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/keyframe_rays.hpp"
+#include "ft/containers/keyframes.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
@@ -53,15 +53,10 @@ struct triangulated_view {
 };
 
 inline void carve(carver& c, triangulated_view& v, keyframes_capacity const& size, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(size.keypoints));
-  v.partner = c.take<int>(b * max_partners);
-  v.keyframe = c.take<int>(n);
-  v.keypoint = c.take<int>(n);
-  v.rank = c.take<std::uint32_t>(n);
-  v.claim = c.take<std::uint32_t>(detail::checked_mul(n, static_cast<std::size_t>(size.positions)));
-  v.depth = c.take<float>(n);
-  v.point = c.take<vec3<float>>(n);
+  c.place({batch, max_partners}, v.partner);
+  c.place({batch, size.keypoints}, v.keyframe, v.keypoint, v.rank);
+  c.place({batch, size.keypoints, size.positions}, v.claim);
+  c.place({batch, size.keypoints}, v.depth, v.point);
 }
 
 /// Inputs of the stages below.

@@ -47,17 +47,9 @@ FT_HOST_DEVICE inline bool looks_for_start(camera_track const& t, int patience) 
 }
 
 inline void carve(carver& c, map_beginnings& v, int capacity, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
-  v.T_21 = c.take<rigid<double>>(b);
-  v.first_T_cw = c.take<rigid<double>>(b);
-  v.first_ns = c.take<std::int64_t>(b);
-  v.order = c.take<keyframe_order>(b);
-  v.count = c.take<int>(b);
+  c.place({batch}, v.T_21, v.first_T_cw, v.first_ns, v.order, v.count);
   carve(c, v.pixels, capacity, batch);
-  v.depth = c.take<float>(n);
-  v.point = c.take<vec3<float>>(n);
-  v.holder = c.take<int>(n);
+  c.place({batch, capacity}, v.depth, v.point, v.holder);
 }
 
 namespace detail {

@@ -53,11 +53,8 @@ static_assert(std::is_trivially_copyable<initial_matches_view>::value, "passed t
 inline void carve(carver& c, initial_matches_view& v, int capacity, int batch) {
   v.capacity = capacity;
   v.batch = batch;
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
-  v.previous = c.take<vec2<float>>(n);
-  v.match = c.take<int>(n);
-  v.count = c.take<int>(b);
+  c.place({batch, capacity}, v.previous, v.match);
+  c.place({batch}, v.count);
 }
 
 /// Working memory of search_initial_matches().
@@ -83,13 +80,9 @@ inline void carve(carver& c, initial_match_workspace& v, int capacity, int secon
                   int batch) {
   v.capacity = capacity;
   v.second_capacity = second_capacity;
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(capacity));
-  v.list = c.take<candidate_quad>(detail::checked_mul(n, initial_match_workspace::list_size / 4));
-  v.list_count = c.take<int>(n);
-  v.choice = c.take<int>(n);
-  v.owner =
-      c.take<std::uint32_t>(detail::checked_mul(b, static_cast<std::size_t>(second_capacity)));
+  c.place({batch, capacity, initial_match_workspace::list_size / 4}, v.list);
+  c.place({batch, capacity}, v.list_count, v.choice);
+  c.place({batch, second_capacity}, v.owner);
 }
 
 namespace detail {

@@ -88,6 +88,11 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
     float const e = 8.0f * v.value;
     return e > -8.0f * longest && e < 8.0f * longest ? static_cast<int>(e) : 8 * longest;
   };
+  auto const misfit = [](real chi2) {  // a NaN is the largest
+    return chi2.value < frame_facts::most_misfit
+               ? static_cast<int>(mul(chi2.value, float{frame_facts::misfit_one}))
+               : frame_facts::most_misfit * frame_facts::misfit_one;
+  };
   frame_facts n;
   for (int i = g.rank(); i < in.count[b]; i += g.size()) {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * in.capacity + i;
@@ -104,6 +109,10 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
       n.flowing += static_cast<int>((dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy) >= 16);
+      real chi2 = 0.0f;
+      for (int row = 0; row < r.rows; ++row) { chi2 = chi2 + r.error[row] * r.error[row]; }
+      n.misfit += misfit(chi2 * real(o.inv_sigma2));
+      n.rows += r.rows;
     }
     if (r.rows == 3 && r.valid) {
       real const weight = o.inv_sigma2;
@@ -115,7 +124,8 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
   four_sums const a =
       g.reduce(four_sums{{n.matches, n.rejected_x, n.rejected_y, n.rejected_length}}, sum_op{});
   four_sums const c =
-      g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, 0}}, sum_op{});
+      g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, n.misfit}}, sum_op{});
+  n.rows = g.reduce(n.rows, sum_op{});
   n.matches = a.of[0];
   n.rejected_x = a.of[1];
   n.rejected_y = a.of[2];
@@ -123,6 +133,7 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
   n.flowing = c.of[0];
   n.with_disparity = c.of[1];
   n.off_disparity = c.of[2];
+  n.misfit = c.of[3];
   return n;
 }
 

@@ -59,13 +59,10 @@ struct image_changes_view {
 };
 
 inline void carve(carver& c, image_changes_view& v, int images) {
-  auto const n = static_cast<std::size_t>(images);
-  auto const sampled = detail::checked_mul(n, static_cast<std::size_t>(v.sampled));
-  v.of = c.take<image_changes>(n);
-  v.reference = c.take<std::uint8_t>(sampled);
-  v.last = c.take<std::uint8_t>(sampled);
-  v.frames = c.take<std::uint8_t>(n * image_changes::cells);
-  v.begun = c.take<int>(n);
+  c.place({images}, v.of);
+  c.place({images, v.sampled}, v.reference, v.last);
+  c.place({images, image_changes::cells}, v.frames);
+  c.place({images}, v.begun);
 }
 
 namespace detail {

@@ -136,26 +136,17 @@ struct inertial_capacity {
 };
 
 inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = b * static_cast<std::size_t>(size.observations);
   v.batch = batch;
   v.positions = size.positions;
-  v.tracks = c.take<inertial_track>(b);
-  v.samples = c.take<imu_sample>(b * static_cast<std::size_t>(size.samples));
-  v.intervals = c.take<imu_interval>(b);
+  c.place({batch}, v.tracks);
+  c.place({batch, size.samples}, v.samples);
+  c.place({batch}, v.intervals);
   carve(c, v.steps, batch, size.samples);
-  v.starts = c.take<integral_start>(2 * b);
-  v.integrals = c.take<preintegrated>(2 * b);
-  v.between = c.take<preintegrated>(b * static_cast<std::size_t>(size.positions));
-  v.motion = c.take<keyframe_motion>(b * static_cast<std::size_t>(size.positions));
-  v.prior = c.take<inertial_prior>(b);
-  v.scaling = c.take<map_scaling>(b);
+  c.place({2, batch}, v.starts, v.integrals);
+  c.place({batch, size.positions}, v.between, v.motion);
+  c.place({batch}, v.prior, v.scaling);
   inertial_inputs& in = v.inputs;
-  in.from_last_frame = c.take<int>(b);
-  in.first = c.take<stored_inertial_state>(b);
-  in.start = c.take<stored_inertial_state>(b);
-  in.gravity = c.take<vec3<float>>(b);
-  in.integral = c.take<preintegrated>(b);
+  c.place({batch}, in.from_last_frame, in.first, in.start, in.gravity, in.integral);
   inertial_poses& p = v.poses;
   p.problems = batch;
   p.capacity = size.observations;
@@ -166,8 +157,8 @@ inline void carve(carver& c, inertial_view& v, inertial_capacity const& size, in
   p.integral = in.integral;
   p.prior = v.prior;
   p.next_prior = v.prior;
-  p.result = c.take<inertial_pose_result>(b);
-  p.chi2 = c.take<float>(n * inertial_rounds);
+  c.place({batch}, p.result);
+  c.place({batch, size.observations, inertial_rounds}, p.chi2);
 }
 
 }  // namespace FT_ABI

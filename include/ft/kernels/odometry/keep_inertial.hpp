@@ -44,18 +44,9 @@ struct inertial_windows {
 };
 
 inline void carve(carver& c, inertial_windows& v, int views, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = b * static_cast<std::size_t>(views);
   v.views = views;
-  v.T_wc = c.take<rigid<double>>(n);
-  v.integrals = c.take<preintegrated>(n);
-  v.counts = c.take<int>(b);
-  v.from = c.take<int>(b);
-  v.seeks_scale = c.take<int>(b);
-  v.newest = c.take<int>(b);
-  v.joined = c.take<joined_windows>(b);
-  v.results = c.take<inertial_initialization>(b);
-  v.usable = c.take<int>(b);
+  c.place({batch, views}, v.T_wc, v.integrals);
+  c.place({batch}, v.counts, v.from, v.seeks_scale, v.newest, v.joined, v.results, v.usable);
 }
 
 /// How estimates are made.

@@ -54,12 +54,8 @@ struct windowless_workspace {
 };
 
 inline void carve(carver& c, windowless_workspace& v, int numbers, int batch) {
-  auto const b = static_cast<std::size_t>(batch);
-  std::size_t const n = detail::checked_mul(b, static_cast<std::size_t>(numbers));
-  v.keypoint_of = c.take<int>(n);
-  v.anchor_of = c.take<int>(n);
-  v.matches = c.take<observation>(n);
-  v.proposals = c.take<pose_proposal>(b);
+  c.place({batch, numbers}, v.keypoint_of, v.anchor_of, v.matches);
+  c.place({batch}, v.proposals);
 }
 
 namespace detail {

@@ -2,7 +2,6 @@
 /// @file What an odometry keeps of each camera from frame to frame, and the rules of its states.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 
 #include "ft/core/config.hpp"
@@ -107,18 +106,9 @@ struct odometry_state_view {
 };
 
 inline void carve(carver& c, odometry_state_view& v, int batch) {
-  auto const n = static_cast<std::size_t>(batch);
-  v.tracks = c.take<camera_track>(n);
-  v.T_cw = c.take<rigid<double>>(n);
-  v.mode = c.take<local_map_mode>(n);
-  v.radius_factor = c.take<float>(n);
-  v.counts = c.take<sightings>(n);
-  v.order = c.take<keyframe_order>(n);
-  v.time_ns = c.take<std::int64_t>(n);
-  v.gather = c.take<int>(n);
-  v.apply = c.take<int>(n);
-  v.weighed = c.take<weighed_poses>(n);
   v.batch = batch;
+  c.place({batch}, v.tracks, v.T_cw, v.mode, v.radius_factor, v.counts, v.order, v.time_ns,
+          v.gather, v.apply, v.weighed);
 }
 
 }  // namespace FT_ABI

@@ -64,16 +64,10 @@ inline void carve(carver& c, pnp_problems_view& v, int problems, int capacity) {
   detail::require_range("correspondences of a pose problem", capacity, 0, most);
   v.problems = problems;
   v.capacity = capacity;
-  auto const p = static_cast<std::size_t>(problems);
-  detail::require_items("pose problems", p, static_cast<std::size_t>(capacity));
-  auto const n = detail::checked_mul(p, static_cast<std::size_t>(capacity));
-  v.count = c.take<int>(p);
-  v.seed = c.take<std::uint64_t>(p);
-  v.pixel = c.take<vec2<float>>(n);
-  v.point = c.take<vec3<float>>(n);
-  v.max_error2 = c.take<float>(n);
-  v.ray = c.take<vec3<double>>(n);
-  v.keypoint = c.take<int>(n);
+  detail::require_items("pose problems", static_cast<std::size_t>(problems),
+                        static_cast<std::size_t>(capacity));
+  c.place({problems}, v.count, v.seed);
+  c.place({problems, capacity}, v.pixel, v.point, v.max_error2, v.ray, v.keypoint);
 }
 
 /// Correspondences of a sample.
@@ -151,9 +145,8 @@ static_assert(std::is_trivially_copyable<pnp_results_view>::value, "passed to ke
 inline void carve(carver& c, pnp_results_view& v, int problems, int capacity) {
   v.problems = problems;
   v.capacity = capacity;
-  auto const p = static_cast<std::size_t>(problems);
-  v.result = c.take<pnp_result>(p);
-  v.inlier = c.take<std::uint8_t>(detail::checked_mul(p, static_cast<std::size_t>(capacity)));
+  c.place({problems}, v.result);
+  c.place({problems, capacity}, v.inlier);
 }
 
 namespace detail {
@@ -197,13 +190,11 @@ inline void carve(carver& c, pnp_workspace& w, pnp_problems_view const& problems
   w.problems = problems.problems;
   w.capacity = problems.capacity;
   w.hypotheses = pnp_hypotheses(params);
-  auto const p = static_cast<std::size_t>(w.problems);
-  auto const h = static_cast<std::size_t>(w.hypotheses);
-  detail::require_items("pose hypotheses", p, h);
-  w.state = c.take<detail::pnp_state>(p);
-  w.T_cw = c.take<rigid<double>>(p * h);
-  w.inliers = c.take<int>(p * h);
-  w.listed = c.take<int>(detail::checked_mul(p, static_cast<std::size_t>(w.capacity)));
+  detail::require_items("pose hypotheses", static_cast<std::size_t>(w.problems),
+                        static_cast<std::size_t>(w.hypotheses));
+  c.place({w.problems}, w.state);
+  c.place({w.problems, w.hypotheses}, w.T_cw, w.inliers);
+  c.place({w.problems, w.capacity}, w.listed);
 }
 
 }  // namespace FT_ABI

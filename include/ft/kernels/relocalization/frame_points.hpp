@@ -112,13 +112,11 @@ inline void carve(carver& c, relocalization_view& v, int numbers, int slots, int
   v.batch = batch;
   v.numbers = numbers;
   v.slots = slots;
-  auto const b = static_cast<std::size_t>(batch);
-  auto const n = detail::checked_mul(b, static_cast<std::size_t>(numbers));
-  v.T_cw = c.take<pose>(b);
-  v.held = c.take<int>(n);
-  v.found_now = c.take<int>(b);
-  v.found_in = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(slots)));
-  v.outlier = c.take<unsigned char>(n);
+  c.place({batch}, v.T_cw);
+  c.place({batch, numbers}, v.held);
+  c.place({batch}, v.found_now);
+  c.place({batch, slots}, v.found_in);
+  c.place({batch, numbers}, v.outlier);
 }
 
 /// Nothing is found, no keypoint is an outlier. Asynchronous if the executor is; allocates nothing.

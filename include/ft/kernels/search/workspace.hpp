@@ -66,10 +66,8 @@ inline void carve(carver& c, search_windows_view& v, int capacity, int batch, in
   v.capacity = capacity;
   v.batch = batch;
   v.cameras = cameras;
-  v.windows =
-      c.take<search_window>(static_cast<std::size_t>(cameras) * static_cast<std::size_t>(batch) *
-                            static_cast<std::size_t>(capacity));
-  v.count = c.take<int>(static_cast<std::size_t>(batch));
+  c.place({batch, cameras, capacity}, v.windows);
+  c.place({batch}, v.count);
 }
 
 namespace detail {
@@ -251,21 +249,15 @@ inline void carve(carver& c, search_workspace& v, int windows, int keypoints, in
   v.capacity = windows;
   v.batch = batch;
   v.cameras = cameras;
-  std::size_t const b = static_cast<std::size_t>(batch);
-  std::size_t const per_camera = detail::checked_mul(b, static_cast<std::size_t>(windows));
-  std::size_t const n = detail::checked_mul(static_cast<std::size_t>(cameras), per_camera);
-  std::size_t const numbers =
-      b * static_cast<std::size_t>(cameras) * static_cast<std::size_t>(keypoints);
-  v.list = c.take<candidate_quad>(detail::checked_mul(n, search_workspace::list_size / 4));
-  v.list_count = c.take<int>(n);
-  v.match = c.take<int>(n);
-  v.open = c.take<int>(per_camera);
-  v.writer = c.take<int>(numbers);
   // One link per possible write of a search, and at least one entry per keypoint.
   v.links = max_of(2 * cameras * windows, cameras * keypoints);
-  v.before = c.take<int>(detail::checked_mul(b, static_cast<std::size_t>(v.links)));
-  v.held = c.take<std::uint8_t>(numbers);
-  v.matches = c.take<int>(b);
+  c.place({batch, cameras, windows, search_workspace::list_size / 4}, v.list);
+  c.place({batch, cameras, windows}, v.list_count, v.match);
+  c.place({batch, windows}, v.open);
+  c.place({batch, cameras, keypoints}, v.writer);
+  c.place({batch, v.links}, v.before);
+  c.place({batch, cameras, keypoints}, v.held);
+  c.place({batch}, v.matches);
 }
 
 }  // namespace FT_ABI

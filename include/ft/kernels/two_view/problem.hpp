@@ -113,23 +113,16 @@ static_assert(std::is_trivially_copyable<two_view_workspace>::value, "passed to 
 
 /// @param capacity keypoints of a first image @param samples as in two_view_params
 inline void carve(carver& c, two_view_workspace& v, int pairs, int capacity, int samples) {
+  constexpr int motions = two_view_workspace::most_motions;
   v.pairs = pairs;
   v.capacity = capacity;
   v.samples = samples;
-  auto const p = static_cast<std::size_t>(pairs);
-  auto const n = detail::checked_mul(p, static_cast<std::size_t>(capacity));
-  auto const tries = detail::checked_mul(2 * p, static_cast<std::size_t>(samples));
-  constexpr auto motions = static_cast<std::size_t>(two_view_workspace::most_motions);
-  v.prepared = c.take<detail::prepared_pair>(p);
-  v.matched = c.take<detail::matched_pixels>(n);
-  v.keypoint = c.take<int>(n);
-  v.inlier = c.take<std::uint8_t>(n);
-  v.model = c.take<mat3<double>>(tries);
-  v.score = c.take<double>(tries);
-  v.chosen = c.take<detail::chosen_model>(p);
-  v.motion = c.take<rigid<double>>(detail::checked_mul(p, motions));
-  v.checked = c.take<detail::checked_motion>(detail::checked_mul(p, motions));
-  v.point = c.take<detail::checked_point>(detail::checked_mul(n, motions));
+  c.place({pairs}, v.prepared);
+  c.place({pairs, capacity}, v.matched, v.keypoint, v.inlier);
+  c.place({2, pairs, samples}, v.model, v.score);
+  c.place({pairs}, v.chosen);
+  c.place({pairs, motions}, v.motion, v.checked);
+  c.place({pairs, capacity, motions}, v.point);
 }
 
 namespace detail {

@@ -115,22 +115,17 @@ inline void carve(carver& c, window_workspace& w, window_problem_view const& pro
   w.points = problems.points;
   w.batch = problems.batch;
   w.moving = moving;
-  auto const b = static_cast<std::size_t>(w.batch);
-  auto const m = static_cast<std::size_t>(moving);
-  auto const side = static_cast<std::size_t>(w.side());
-  std::size_t const views = detail::checked_mul(2 * b, static_cast<std::size_t>(w.views));
-  std::size_t const points = detail::checked_mul(2 * b, static_cast<std::size_t>(w.points));
-  std::size_t const terms = detail::checked_mul(points, std::size_t{detail::window_terms});
-  w.state = c.take<detail::window_state>(2 * b);
-  w.solved = c.take<int>(b);
-  w.T_cw = c.take<rigid<double>>(views);
-  w.position = c.take<vec3<double>>(points);
-  w.by_view = c.take<double>(detail::checked_mul(terms, m));
-  w.by_point = c.take<double>(terms);
-  w.mask = c.take<std::uint64_t>(points);
-  w.part = c.take<detail::window_cost_part>(b * static_cast<std::size_t>(w.groups()));
-  w.matrix = c.take<double>(detail::checked_mul(b, side * side));
-  w.step = c.take<double>(b * m * 6);
+  int const terms = detail::window_terms;
+  c.place({2, w.batch}, w.state);
+  c.place({w.batch}, w.solved);
+  c.place({2, w.batch, w.views}, w.T_cw);
+  c.place({2, w.batch, w.points}, w.position);
+  c.place({2, w.batch, w.points, terms, moving}, w.by_view);
+  c.place({2, w.batch, w.points, terms}, w.by_point);
+  c.place({2, w.batch, w.points}, w.mask);
+  c.place({w.batch, w.groups()}, w.part);
+  c.place({w.batch, w.side(), w.side()}, w.matrix);
+  c.place({w.batch, moving, 6}, w.step);
 }
 
 namespace detail {

@@ -44,22 +44,17 @@ struct keyframe_words_view {
   FT_HOST_DEVICE std::ptrdiff_t at(int b, int position) const {
     return static_cast<std::ptrdiff_t>(row(b, position)) * numbers;
   }
+  template <typename Visit>
+  void columns(Visit&& each) {
+    database.columns(each);
+    groups.columns(each);
+    each({database.capacity, numbers}, orb, angle);
+  }
   /// The rows of batch entry b.
   keyframe_words_view slice(int b) const {
-    keyframe_words_view v = *this;
-    int const first = row(b, 0);
+    keyframe_words_view v = detail::skip_entries(*this, row(b, 0));
     v.batch = 1;
-    v.database.capacity = positions;
-    v.database.number += first;
-    v.database.map += first;
-    v.database.score += first;
-    v.database.neighbours += first;
-    v.database.words += first;
-    v.database.word += database.at(first);
-    v.database.value += database.at(first);
-    v.groups = groups.slice(first, positions);
-    v.orb += at(b, 0);
-    v.angle += at(b, 0);
+    v.database.capacity = v.groups.frames = positions;
     return v;
   }
 };
@@ -80,10 +75,7 @@ inline void carve(carver& c, keyframe_words_view& v, keyframes_capacity const& s
   v.database.vocabulary = vocabulary;
   carve(c, v.database);
   carve(c, v.groups, v.database.capacity, v.numbers);
-  auto const all = detail::checked_mul(static_cast<std::size_t>(v.database.capacity),
-                                       static_cast<std::size_t>(v.numbers));
-  v.orb = c.take<descriptor>(all);
-  v.angle = c.take<float>(all);
+  c.place({v.database.capacity, v.numbers}, v.orb, v.angle);
 }
 
 namespace detail {

@@ -53,9 +53,8 @@ static_assert(std::is_trivially_copyable<place_candidates_view>::value, "passed 
 inline void carve(carver& c, place_candidates_view& v, int queries, int capacity) {
   v.queries = queries;
   v.capacity = capacity;
-  auto const q = static_cast<std::size_t>(queries);
-  v.count = c.take<int>(q);
-  v.of = c.take<place_candidate>(detail::checked_mul(q, static_cast<std::size_t>(capacity)));
+  c.place({queries}, v.count);
+  c.place({queries, capacity}, v.of);
 }
 
 namespace detail {
@@ -107,17 +106,9 @@ inline void carve(carver& c, query_workspace& v, int queries, keyframe_database_
   v.queries = queries;
   v.capacity = of.capacity;
   v.rows = of.vocabulary / 32 + 1;
-  auto const q = static_cast<std::size_t>(queries);
-  auto const n = q * static_cast<std::size_t>(of.capacity);
-  v.wanted = c.take<unsigned>(detail::checked_mul(q, static_cast<std::size_t>(v.rows)));
-  v.most = c.take<int>(q);
-  v.common = c.take<int>(n);
-  v.first = c.take<unsigned>(n);
-  v.score = c.take<float>(n);
-  v.group = c.take<float>(n);
-  v.best = c.take<int>(n);
-  v.earliest = c.take<unsigned long long>(n);
-  v.found = c.take<detail::ordered_place>(n);
+  c.place({queries, v.rows}, v.wanted);
+  c.place({queries}, v.most);
+  c.place({queries, of.capacity}, v.common, v.first, v.score, v.group, v.best, v.earliest, v.found);
 }
 
 namespace detail {

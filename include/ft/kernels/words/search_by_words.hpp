@@ -65,9 +65,8 @@ static_assert(std::is_trivially_copyable<word_matches_view>::value, "passed to k
 inline void carve(carver& c, word_matches_view& v, int pairs, int capacity) {
   v.pairs = pairs;
   v.capacity = capacity;
-  auto const p = static_cast<std::size_t>(pairs);
-  v.match = c.take<int>(detail::checked_mul(p, static_cast<std::size_t>(capacity)));
-  v.count = c.take<int>(p);
+  c.place({pairs, capacity}, v.match);
+  c.place({pairs}, v.count);
 }
 
 /// Working memory of search_by_words().
@@ -78,8 +77,7 @@ struct words_search_workspace {
 };
 
 inline void carve(carver& c, words_search_workspace& v, int pairs, int capacity) {
-  v.source = c.take<int>(
-      detail::checked_mul(static_cast<std::size_t>(pairs), static_cast<std::size_t>(capacity)));
+  c.place({pairs, capacity}, v.source);
 }
 
 namespace detail {

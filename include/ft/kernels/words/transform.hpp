@@ -60,8 +60,7 @@ static_assert(std::is_trivially_copyable<transform_workspace>::value, "passed to
 inline void carve(carver& c, transform_workspace& w, int frames, int capacity) {
   w.frames = frames;
   w.capacity = capacity;
-  w.keys = c.take<unsigned long long>(detail::checked_mul(2 * static_cast<std::size_t>(frames),
-                                                          static_cast<std::size_t>(capacity)));
+  c.place({2, frames, capacity}, w.keys);
 }
 
 namespace detail {

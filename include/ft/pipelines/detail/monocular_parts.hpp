@@ -8,7 +8,7 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/keyframe_rays.hpp"
+#include "ft/containers/keyframes.hpp"
 #include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"

@@ -57,7 +57,7 @@ inline tracking tracking_of(odometry_output const& o) {
   t.start_matches = o.start.matches;
   if (o.begins_first_map != 0) { return t; }
   if (o.inliers > 0) {
-    invert_information(o.information, t.covariance);
+    invert_information(o.information, variance_of(o.facts), t.covariance);
   } else {
     unknown_covariance(t.covariance);
   }

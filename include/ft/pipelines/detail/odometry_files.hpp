@@ -33,37 +33,17 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Calls visit(data, count) for every array of batch entry b.
+/// Calls visit(data, count) for every array of batch entry b that a file has: not for the frames in
+/// which points were found, which are numbers of a run. An array more in a view makes another
+/// version.
 template <typename Visit>
 void each_array(odometry_map_view const& map, int b, Visit const& visit) {
-  auto const n = static_cast<std::size_t>(map.records.slots);
-  auto const points = map.points.slice(b);
-  visit(array_of<field::position>(points), n);
-  visit(array_of<field::normal>(points), n);
-  visit(array_of<field::min_distance>(points), n);
-  visit(array_of<field::max_distance>(points), n);
-  visit(array_of<field::orb>(points), n);
-  visit(array_of<field::observations>(points), n);
-  point_records_view const& r = map.records;
-  auto const slot = r.at(b, 0);
-  int* const by_slot[] = {r.number, r.visible, r.found, r.described};
-  for (int* const column : by_slot) { visit(column + slot, n); }
-  visit(r.recent + slot * point_descriptors, n * point_descriptors);
-  visit(r.mask(b, 0), n * static_cast<std::size_t>(r.words));
-  keyframes_view const& k = map.keyframes;
-  int* const one[] = {r.made, r.alive, r.used, k.made, k.count};
-  for (int* const number : one) { visit(number + b, std::size_t{1}); }
-  auto const positions = static_cast<std::size_t>(k.positions);
-  visit(k.T_cw + k.at(b, 0), positions);
-  visit(k.time_ns + k.at(b, 0), positions);
-  visit(k.neighbour + k.at(b, 0), positions);
-  visit(k.shared + k.at(b, 0), positions);
-  visit(k.keypoints + k.at(b, 0) * k.cameras, positions * static_cast<std::size_t>(k.cameras));
-  auto const numbers = positions * static_cast<std::size_t>(k.numbers());
-  float* const pixels[] = {k.x, k.y, k.right_x};
-  for (float* const column : pixels) { visit(column + k.at(b, 0, 0), numbers); }
-  int* const holders[] = {k.octave, k.holder, k.holder_number};
-  for (int* const column : holders) { visit(column + k.at(b, 0, 0), numbers); }
+  odometry_map_view entry = skip_entries(map, b);
+  int const* const left_out[] = {entry.points.count, entry.records.found_frame};
+  each_column(entry, [&](auto* array, extent const& e) {
+    void const* const data = array;
+    if (data != left_out[0] && data != left_out[1]) { visit(array, e.each); }
+  });
 }
 
 /// Bytes of the arrays of a batch entry.

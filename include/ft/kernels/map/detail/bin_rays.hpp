@@ -6,7 +6,6 @@
 #include <cstddef>
 
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/keyframe_rays.hpp"
 #include "ft/containers/keyframes.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"

@@ -12,7 +12,6 @@
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
-#include "ft/kernels/map/detail/keyframe_task.hpp"
 #include "ft/kernels/map/detail/select_new_points.hpp"
 #include "ft/kernels/map/detail/slot_rows.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that rosbags' own writers have written: ROS 1, ROS 2 in SQLite and in MCAP."""
+
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk
+
+import ft
+from ft import bag_images
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: no bags are read")
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import StoragePlugin, Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+FRAMES = 8
+FIRST_NS = 1_700_000_000_000_000_000
+F, _, CX, CY = CAMERA
+
+
+class Bag:
+    """Writes messages to a bag of a kind: bag, db3 or mcap."""
+
+    def __init__(self, folder, kind):
+        self.ros1 = kind == "bag"
+        self.types = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        if self.ros1:
+            self.path = folder / "run.bag"
+            self._writer = Writer1(self.path)
+        else:
+            plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+            self.path = folder / "run" / f"run.{kind}"
+            self._writer = Writer2(folder / "run", version=9, storage_plugin=plugin)
+        self._writer.open()
+        self._connections = {}
+
+    def make(self, name, **values):
+        return self.types.types[name](**values)
+
+    def header(self, time_ns, frame="camera"):
+        stamp = self.make("builtin_interfaces/msg/Time", sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+        sequence = {"seq": 0} if self.ros1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
+
+    def write(self, topic, message, time_ns):
+        kind = message.__msgtype__
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self.types)
+        pack = self.types.serialize_ros1 if self.ros1 else self.types.serialize_cdr
+        self._writer.write(self._connections[topic], time_ns, pack(message, kind))
+
+    def image(self, topic, image, time_ns, encoding="mono8", pad=0, stamped=True, frame="camera", big=False):
+        height, width = image.shape[:2]
+        rows = np.ascontiguousarray(image).view(np.uint8).reshape(len(image), -1)
+        padded = np.pad(rows, ((0, 0), (0, pad)), constant_values=77)
+        self.write(topic, self.make(
+            "sensor_msgs/msg/Image", header=self.header(time_ns if stamped else 0, frame), height=height,
+            width=width, encoding=encoding, is_bigendian=int(big), step=padded.shape[1], data=padded.reshape(-1)), time_ns)
+
+    def compressed(self, topic, data, form, time_ns):
+        self.write(topic, self.make("sensor_msgs/msg/CompressedImage", header=self.header(time_ns), format=form,
+                                    data=np.frombuffer(data, np.uint8)), time_ns)
+
+    def info(self, topic, baseline=0.0, distortion=(0.0,) * 5, time_ns=FIRST_NS):
+        up = str.upper if self.ros1 else str
+        roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+        matrices = {"d": distortion, "k": [F, 0, CX, 0, F, CY, 0, 0, 1], "r": [1, 0, 0, 0, 1, 0, 0, 0, 1],
+                    "p": [F, 0, CX, -F * baseline, 0, F, CY, 0, 0, 0, 1, 0]}
+        self.write(topic, self.make(
+            "sensor_msgs/msg/CameraInfo", header=self.header(time_ns), height=HEIGHT, width=WIDTH, distortion_model="plumb_bob",
+            binning_x=0, binning_y=0, roi=roi, **{up(k): np.array(v, np.float64) for k, v in matrices.items()}), time_ns)
+
+    def imu(self, topic, time_ns):
+        vector, unknown = "geometry_msgs/msg/Vector3", np.zeros(9)
+        self.write(topic, self.make(
+            "sensor_msgs/msg/Imu", header=self.header(time_ns, "imu"),
+            orientation=self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0), orientation_covariance=unknown,
+            angular_velocity=self.make(vector, x=0.0, y=0.0, z=0.0), angular_velocity_covariance=unknown,
+            linear_acceleration=self.make(vector, x=0.0, y=-9.81, z=0.0), linear_acceleration_covariance=unknown), time_ns)
+
+    def pose(self, topic, time_ns):
+        self.write(topic, self.make(
+            "geometry_msgs/msg/PoseStamped", header=self.header(time_ns, "world"), pose=self.make(
+                "geometry_msgs/msg/Pose", position=self.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+                orientation=self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0))), time_ns)
+
+    def close(self):
+        self._writer.close()
+        return self.path
+
+
+def stereo_bag(folder, kind, walk, names=("left", "right")):
+    bag = Bag(folder, kind)
+    for i in range(FRAMES):
+        left, right, t = walk.frame(i)
+        for name, image, baseline in zip(names, (left, right), (0, BASELINE)):
+            bag.info(f"/{name}/camera_info", baseline, time_ns=FIRST_NS + t)
+            bag.image(f"/{name}/image_raw", image, FIRST_NS + t, pad=8)
+        for k in range(10):
+            bag.imu("/imu", FIRST_NS + t + 5_000_000 * k)
+        bag.pose("/vicon/pose", FIRST_NS + t)
+    return bag.close()
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_a_pair_is_found_and_tracked(kind, walk, tmp_path):
+    path = stereo_bag(tmp_path, kind, walk)
+    sequence = ft.read_sequence(path, imu=True)
+    assert (sequence.layout, sequence.name, len(sequence)) == ("bag", path.name, FRAMES)
+    assert isinstance(sequence.rig, ft.RectifiedPair) and sequence.rig.baseline == pytest.approx(BASELINE)
+    odometry = walk.odometry()
+    for i, frame in enumerate(sequence):
+        left, right, t = walk.frame(i)
+        assert frame.time_ns == FIRST_NS + t
+        assert np.array_equal(frame.left, left) and np.array_equal(frame.right, right)
+        pose = odometry.track(*frame.images, frame.time_ns)
+        assert pose.tracked
+    assert pose.T_world_camera[0, 3] == pytest.approx(walk.position(FRAMES - 1)[0], abs=0.01)
+    lines = dict(sequence.describe())
+    assert list(lines) == ["sequence", "cameras", "images", "imu", "truth"]
+    assert f"ROS {1 if kind == 'bag' else 2} bag, /left/image_raw (mono8) and /right/image_raw" in lines["sequence"]
+    assert lines["sequence"].endswith("calibration /left/camera_info and /right/camera_info")
+    assert lines["images"].startswith("8 frames, 20 Hz") and lines["images"].endswith("times: headers of the messages")
+    assert "80 samples of /imu" in lines["imu"] and lines["imu"].startswith("none: ")
+    assert lines["truth"].startswith("none; ") and "/vicon/pose (8 PoseStamped)" in lines["truth"]
+    folder = sequence._recording.folder
+    assert folder.is_dir()
+    del sequence
+    assert not folder.exists()
+
+
+def test_the_folder_of_a_bag_and_the_first_frames(walk, tmp_path):
+    path = stereo_bag(tmp_path, "mcap", walk, ("cam0", "cam1"))
+    assert len(ft.read_sequence(path.parent, max_frames=3)) == 3
+    mono = ft.read_sequence(path, rig="mono")
+    assert isinstance(mono.rig, ft.MonocularCamera) and len(mono) == FRAMES
+    assert np.array_equal(mono[2].left, walk.frame(2)[0])
+    other = ft.read_sequence(path, rig="mono", topics=["/cam1/image_raw"])
+    assert np.array_equal(other[2].left, walk.frame(2)[1])
+
+
+def test_the_program_says_what_it_found(walk, tmp_path):
+    path = stereo_bag(tmp_path, "mcap", walk)
+    run = subprocess.run([sys.executable, "-m", "ft", "track", str(path), "--backend", "host", "--out", str(tmp_path / "out"),
+                          "--quiet"], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    names = [line.split()[0] for line in run.stdout.splitlines()[:6]]
+    assert names == ["sequence", "cameras", "images", "imu", "truth", "backend"]
+    assert len(ft.read_tum(tmp_path / "out" / "trajectory.txt")) == FRAMES
+    run = subprocess.run([sys.executable, "-m", "ft", "track", str(path), "--topics", "/nothing"], capture_output=True, text=True)
+    assert run.returncode == 1 and "/left/image_raw (mono8), /right/image_raw (mono8)" in run.stderr
+
+
+def test_an_imu_is_used_with_kalibrs_chain(walk, tmp_path):
+    path = stereo_bag(tmp_path, "bag", walk)
+    camera = f"""camera_model: pinhole
+  intrinsics: [{F}, {F}, {CX}, {CY}]
+  distortion_model: none
+  distortion_coeffs: []
+  resolution: [{WIDTH}, {HEIGHT}]
+  T_cam_imu: """
+    place = "[[1.0, 0, 0, {}], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]"
+    (tmp_path / "camchain-imucam.yaml").write_text(
+        f"cam0:\n  {camera}{place.format(0.0)}\ncam1:\n  {camera}{place.format(-BASELINE)}\n"
+        f"  T_cn_cnm1: {place.format(-BASELINE)}\n")
+    (tmp_path / "imu.yaml").write_text("accelerometer_noise_density: 0.002\naccelerometer_random_walk: 0.003\n"
+                                       "gyroscope_noise_density: 0.00017\ngyroscope_random_walk: 0.00002\nupdate_rate: 200.0\n")
+    sequence = ft.read_sequence(path, imu=True, calibration=tmp_path / "camchain-imucam.yaml")
+    assert sequence.imu is not None and len(sequence.imu_samples) == 10 * FRAMES
+    assert sequence.imu_samples[1][0] == FIRST_NS + 5_000_000
+    assert np.allclose(sequence.imu_samples[1][1], [0, -9.81, 0])
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_colour_with_depth(encoding, walk, tmp_path):
+    bag = Bag(tmp_path, "db3")
+    for i in range(FRAMES):
+        left, _, t = walk.frame(i)
+        bag.info("/camera/color/camera_info", distortion=[0.01, 0, 0, 0, 0], time_ns=FIRST_NS + t)
+        bag.image("/camera/color/image_raw", np.repeat(left[:, :, None], 3, 2), FIRST_NS + t, "rgb8")
+        depth = walk.depth(i)
+        depth = depth if encoding == "16UC1" else np.where(depth > 2000, np.nan, 1e-3 * depth).astype(np.float32)
+        bag.image("/camera/aligned_depth_to_color/image_raw", depth, FIRST_NS + t + 3_000_000, encoding)
+    sequence = ft.read_sequence(bag.close())
+    assert sequence.kind == "rgbd" and sequence.rig.depth_scale == pytest.approx(0.001) and len(sequence) == FRAMES
+    assert "undistorted on load" in dict(sequence.describe())["cameras"]
+    values = set(np.unique(sequence[3].images[1]))
+    assert values <= ({1200, 3000} if encoding == "16UC1" else {0, 1200}) | {0} and 1200 in values
+
+
+def colours(random):
+    return random.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+def read_back(folder, image, encoding, **how):
+    bag = Bag(folder, "mcap")
+    for i in range(2):
+        bag.info("/cam/camera_info", time_ns=FIRST_NS + i)
+        bag.image("/cam/image", image, FIRST_NS + 50_000_000 * i, encoding, **how)
+    return ft.read_sequence(bag.close())
+
+
+@pytest.mark.parametrize("order", ["rgb8", "bgr8", "rgba8", "bgra8"])
+def test_colours_become_the_same_grey(order, tmp_path):
+    image = colours(np.random.default_rng(5))
+    given = image if order.startswith("rgb") else image[:, :, ::-1]
+    if order.endswith("a8"):
+        given = np.concatenate([given, np.full((HEIGHT, WIDTH, 1), 9, np.uint8)], axis=2)
+    grey = read_back(tmp_path, given, order)[0].left
+    wanted = image @ np.array([0.299, 0.587, 0.114])
+    assert np.abs(grey - wanted).max() <= 1
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_the_range_of_twelve_bits(big, tmp_path):
+    image = np.random.default_rng(6).integers(0, 4096, (HEIGHT, WIDTH)).astype(np.uint16)
+    with pytest.warns(UserWarning, match="taken for images of 12 bits"):
+        sequence = read_back(tmp_path, image.astype(">u2" if big else "<u2"), "mono16", big=big)
+    assert np.abs(sequence[0].left - image * (255 / 4095)).max() <= 0.51
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_a_bayer_pattern_of_one_colour_is_grey(pattern, tmp_path):
+    value = {"r": 40, "g": 120, "b": 200}
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    for k, colour in enumerate(pattern):
+        image[k // 2::2, k % 2::2] = value[colour]
+    grey = read_back(tmp_path, image, f"bayer_{pattern}8")[0].left
+    assert (grey == (40 + 2 * 120 + 200) // 4).all()
+
+
+def test_compressed_images_are_taken_as_they_are(walk, tmp_path):
+    from test_sequences import write_png
+
+    bag = Bag(tmp_path, "bag")
+    for i in range(2):
+        left, _, t = walk.frame(i)
+        write_png(tmp_path / "one.png", left)
+        bag.info("/cam/camera_info", time_ns=FIRST_NS + t)
+        bag.compressed("/cam/image_raw/compressed", (tmp_path / "one.png").read_bytes(), "mono8; png compressed", FIRST_NS + t)
+    sequence = ft.read_sequence(bag.close())
+    assert len(sequence) == 2 and np.array_equal(sequence[1].left, walk.frame(1)[0])
+
+
+def test_images_without_stamps_have_those_of_the_recording(tmp_path):
+    with pytest.warns(UserWarning, match="headers have no stamps"):
+        sequence = read_back(tmp_path, colours(np.random.default_rng(7)), "rgb8", stamped=False)
+    assert [frame.time_ns for frame in sequence] == [FIRST_NS, FIRST_NS + 50_000_000]
+
+
+def test_what_is_refused_says_what_is_accepted(walk, tmp_path):
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(b"no bag")
+    with pytest.raises(RuntimeError, match="damaged.mcap: not a bag that can be read"):
+        ft.read_sequence(damaged)
+    with pytest.raises(RuntimeError, match="none.bag: no such file"):
+        ft.read_sequence(tmp_path / "none.bag")
+    note = tmp_path / "note.doc"
+    note.write_text("x")
+    with pytest.raises(RuntimeError, match=r"accepted are a folder .*\.mcap.*\.mp4"):
+        ft.read_sequence(note)
+    with pytest.raises(RuntimeError, match="yuv444.*accepted are mono8"):
+        read_back(tmp_path, np.zeros((HEIGHT, WIDTH), np.uint8), "yuv444")
+    (tmp_path / "b").mkdir()
+    bag = Bag(tmp_path / "b", "bag")
+    bag.imu("/imu", FIRST_NS)
+    with pytest.raises(RuntimeError, match="no images of a camera"):
+        ft.read_sequence(bag.close())
+    (tmp_path / "c").mkdir()
+    bag = Bag(tmp_path / "c", "bag")
+    bag.image("/front/image", walk.frame(0)[0], FIRST_NS)
+    bag.image("/rear/image", walk.frame(0)[0], FIRST_NS)
+    path = bag.close()
+    with pytest.raises(RuntimeError, match=r"several cameras: /front/image \(mono8\), /rear/image"):
+        ft.read_sequence(path)
+    with pytest.raises(RuntimeError, match=re.escape(f"{path}: holds no calibration; accepted are Kalibr's")):
+        ft.read_sequence(path, topics=["/front/image"])
+    with pytest.raises(RuntimeError, match="no pair of topics"):
+        ft.read_sequence(path, rig="stereo")
+    with pytest.raises(RuntimeError, match="no depth images"):
+        ft.read_sequence(path, rig="rgbd")
+
+
+def test_a_message_that_is_cut_off_is_refused():
+    message = SimpleNamespace(encoding="mono8", width=8, height=4, step=8, is_bigendian=0, data=np.zeros(31, np.uint8))
+    with pytest.raises(bag_images.Refused, match="31 bytes in rows of 8, must have 32"):
+        bag_images.values_of(message, "/cam")

@@ -52,7 +52,7 @@ public:
       : batch_(how.batch),
         owned_(how.host_threads),
         scene_(s, Rig::images),
-        odometry_(owned_.exec, rig, odometry_params_of(s, how), how.batch),
+        odometry_(made(owned_.exec, rig, odometry_params_of(s, how), how.batch)),
         images_(static_cast<std::size_t>(how.batch)),
         times_(images_.size()) {
     if (how.imu) { samples_ = s.imu.samples; }
@@ -101,6 +101,12 @@ private:
       odometry_.prefetch(images_.data());
     }
     return odometry_.track_prefetched(times_.data());
+  }
+  static ft::odometry<Exec, Rig> made(Exec const& exec, Rig const& rig,
+                                      ft::odometry_params const& p, int batch) {
+    using odometry = ft::odometry<Exec, Rig>;
+    return p.imu.present ? odometry(exec, rig, p, batch, ft::inertial{})
+                         : odometry(exec, rig, p, batch);
   }
   void take_images(int i) {
     for (int b = 0; b < batch_; ++b) {

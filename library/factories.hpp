@@ -13,12 +13,21 @@
 
 namespace ft::library {
 
-#define FT_LIBRARY_FACTORIES(where)                                                                \
-  namespace where {                                                                                \
-  any_odometry make_rectified(device const&, rig_description const&, odometry_params const&, int); \
-  any_odometry make_fisheye(device const&, rig_description const&, odometry_params const&, int);   \
-  any_odometry make_monocular(device const&, rig_description const&, odometry_params const&, int); \
-  any_odometry make_multi(device const&, rig_description const&, odometry_params const&, int);     \
+/// The arguments of make_odometry().
+struct odometry_request {
+  device const& where;
+  rig_description const& rig;
+  odometry_params const& params;
+  int batch;
+  place_options const& places;
+};
+
+#define FT_LIBRARY_FACTORIES(where)                     \
+  namespace where {                                     \
+  any_odometry make_rectified(odometry_request const&); \
+  any_odometry make_fisheye(odometry_request const&);   \
+  any_odometry make_monocular(odometry_request const&); \
+  any_odometry make_multi(odometry_request const&);     \
   }
 FT_LIBRARY_FACTORIES(host)
 FT_LIBRARY_FACTORIES(cuda)

@@ -4,9 +4,6 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_fisheye(device const& where, rig_description const& rig,
-                          odometry_params const& params, int batch) {
-  return made(where, fisheye_pair_of(rig), params, batch);
-}
+any_odometry make_fisheye(odometry_request const& of) { return made(of, fisheye_pair_of(of.rig)); }
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

@@ -8,9 +8,13 @@
 #include <utility>
 
 #include "ft/any_odometry.hpp"
+#include "ft/containers/vocabulary.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/erase.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "ft/types/imu.hpp"
 #include "library/factories.hpp"
 
 namespace ft::library::FT_LIBRARY_DEVICE {
@@ -69,13 +73,27 @@ private:
 #endif
 
 template <typename Rig>
-any_odometry made(device const& where, Rig const& rig, odometry_params const& params, int batch) {
+any_odometry made(odometry_request const& of, Rig const& rig) {
   using exec_type = place::exec_type;
-  place here(where);
+  using odometry_type = odometry<exec_type, Rig>;
+  place here(of.where);
   [[maybe_unused]] auto const entered = here.enter();
+  bool const with_places = !of.places.vocabulary.empty();
+  vocabulary<exec_type::space> words;
+  if (with_places) { words = upload(here.exec(), read_vocabulary(of.places.vocabulary).view()); }
+  auto const make = [&](place& p, vocabulary_view const& kept) {
+    auto const with = [&](auto const&... plugged) {
+      return odometry_type(p.exec(), rig, of.params, of.batch, plugged...);
+    };
+    places by_words{kept, {}};
+    by_words.how.candidates = of.places.candidates;
+    if (of.params.imu.present) {
+      return with_places ? with(inertial{}, by_words) : with(inertial{});
+    }
+    return with_places ? with(by_words) : with();
+  };
   return any_odometry(std::make_unique<detail::erased_odometry<exec_type, Rig, place>>(
-      std::move(here),
-      [&](place& p) { return odometry<exec_type, Rig>(p.exec(), rig, params, batch); }));
+      std::move(here), std::move(words), make));
 }
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

@@ -20,7 +20,7 @@ void require_cameras(rig_description const& rig) {
   }
 }
 
-using factory = any_odometry(device const&, rig_description const&, odometry_params const&, int);
+using factory = any_odometry(library::odometry_request const&);
 
 factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
 #if FT_LIBRARY_HAS_CUDA
@@ -48,7 +48,7 @@ factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
 }  // namespace
 
 any_odometry make_odometry(device const& where, rig_description const& rig,
-                           odometry_params const& params, int batch) {
+                           odometry_params const& params, int batch, place_options const& places) {
   if (where.gpu < device::current_gpu) {
     throw bad_argument("ft: gpu is " + std::to_string(where.gpu) +
                        ", must be the number of a GPU, -1 for the host, or -2 for the current GPU");
@@ -62,7 +62,7 @@ any_odometry make_odometry(device const& where, rig_description const& rig,
 #endif
   factory& make = factory_of(rig.kind, gpu);
   require_cameras(rig);
-  return make(where, rig, params, batch);
+  return make({where, rig, params, batch, places});
 }
 
 #if !FT_LIBRARY_HAS_CUDA

@@ -4,10 +4,10 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_monocular(device const& where, rig_description const& rig,
-                            odometry_params const& params, int batch) {
+any_odometry make_monocular(odometry_request const& of) {
+  rig_description const& rig = of.rig;
   auto const with = [&](auto const& camera) {
-    return made(where, monocular_rig<std::decay_t<decltype(camera)>>::make(camera), params, batch);
+    return made(of, monocular_rig<std::decay_t<decltype(camera)>>::make(camera));
   };
   if (rig.camera[0].kind == camera_kind::pinhole) { return with(pinhole_of(rig, 0)); }
   return with(camera_of<kannala_brandt<float>>(rig, 0, camera_kind::kannala_brandt,

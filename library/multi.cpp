@@ -4,11 +4,11 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_multi(device const& where, rig_description const& rig,
-                        odometry_params const& params, int batch) {
+any_odometry make_multi(odometry_request const& of) {
+  rig_description const& rig = of.rig;
   // Two sizes for all numbers: each one takes the compiler a minute.
-  if (rig.cameras <= 4) { return made(where, multi_of<4>(rig), params, batch); }
-  return made(where, multi_of<most_cameras>(rig), params, batch);
+  if (rig.cameras <= 4) { return made(of, multi_of<4>(rig)); }
+  return made(of, multi_of<most_cameras>(rig));
 }
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

@@ -6,23 +6,21 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_rectified(device const& where, rig_description const& rig,
-                            odometry_params const& params, int batch) {
+any_odometry make_rectified(odometry_request const& of) {
+  rig_description const& rig = of.rig;
   switch (rig.kind) {
     case rig_kind::rectified_pair:
-      return made(where, rectified_pair_of(rig), params, batch);
+      return made(of, rectified_pair_of(rig));
     case rig_kind::distorted_pair:
-      return made(where, distorted_pair_of(rig), params, batch);
+      return made(of, distorted_pair_of(rig));
     default:
       break;
   }
   if (rig.camera[0].kind == camera_kind::pinhole) {
-    return made(where, rgbd_of(rig, pinhole_of(rig, 0)), params, batch);
+    return made(of, rgbd_of(rig, pinhole_of(rig, 0)));
   }
-  return made(where,
-              rgbd_of(rig, camera_of<radtan8<float>>(rig, 0, camera_kind::radtan8,
-                                                     "rgbd of pinhole or radtan8")),
-              params, batch);
+  return made(of, rgbd_of(rig, camera_of<radtan8<float>>(rig, 0, camera_kind::radtan8,
+                                                         "rgbd of pinhole or radtan8")));
 }
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

@@ -40,6 +40,12 @@ struct any_images {
   depth_view depth = {};
 };
 
+/// With what make_odometry() finds lost cameras by words; see places.
+struct place_options {
+  std::string vocabulary;  ///< a file, as read_vocabulary() takes it; empty: not by words
+  int candidates = 16;     ///< keyframes tried
+};
+
 /// An odometry behind one interface. Members are those of odometry, with the same errors, and what
 /// is said there holds. One that was never made, or was moved from, refuses every call with
 /// bad_argument.
@@ -58,7 +64,6 @@ public:
     virtual void predict(rigid<double> const& T_world_camera, int b) = 0;
     virtual void reset(int b) = 0;
     virtual void set_mask(int b, int camera, gray_view mask) = 0;
-    virtual void recognize_places(std::string const& vocabulary, int candidates) = 0;
     virtual tracking const& last(int b) const = 0;
     virtual tracked_frame_view const& keypoints() const = 0;
     virtual unsigned char const* matched() const = 0;
@@ -100,10 +105,6 @@ public:
   }
   void reset(int b = 0) { made().reset(b); }
   void set_mask(int b, int camera, gray_view mask) { made().set_mask(b, camera, mask); }
-  /// @param vocabulary a file, as read_vocabulary() takes it @param candidates keyframes tried
-  void recognize_places(std::string const& vocabulary, int candidates = 16) {
-    made().recognize_places(vocabulary, candidates);
-  }
 
   tracking const& last(int b = 0) const { return made().last(b); }
   tracked_frame_view const& keypoints() const { return made().keypoints(); }
@@ -140,11 +141,14 @@ private:
 /// Makes an odometry of a rig that the library ft::odometry has: rectified pairs of pinholes;
 /// distorted pairs of radtan8; fisheye pairs of kannala_brandt; rgbd of pinhole or radtan8;
 /// monocular of pinhole or kannala_brandt; multi rigs. For other camera models: erase().
-/// @throws bad_argument as odometry's constructor, for a rig that is not in the library, for a GPU
+/// Has the part inertial if odometry_params::imu is present, and places if a vocabulary is named.
+/// @throws error for a vocabulary that cannot be read; bad_argument as odometry's constructor, for
+/// a rig that is not in the library, for a GPU
 ///   that is not there, or any GPU if the library was built without CUDA; std::bad_alloc,
 ///   cuda_error
 FT_VISIBLE any_odometry make_odometry(device const& where, rig_description const& rig,
-                                      odometry_params const& params, int batch = 1);
+                                      odometry_params const& params, int batch = 1,
+                                      place_options const& places = {});
 
 /// Names of the GPUs that the library ft::odometry can use, in the order of their numbers; none if
 /// it was built without CUDA.

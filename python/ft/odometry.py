@@ -19,7 +19,8 @@ class Odometry:
     images, pixels; of a DistortedPair, of the rectified ones. imu: ft.Imu, or None.
     near_depth: points up to this many baselines away are near; keyframes are made where they are few. map_slots,
     keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
-    an adjustment, moving and fixed. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
+    an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
+    candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
 
@@ -27,11 +28,13 @@ class Odometry:
     """
 
     def __init__(self, rig, width, height, *, imu=None, batch=1, device="auto", near_depth=50.0, map_slots=1 << 14,
-                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, measure_stages=False, **options):
+                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, vocabulary=None,
+                 candidates=16, measure_stages=False, **options):
         all_options = _options(width, height, **options)
         moving, fixed = _two(window, "window")
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
+                           vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
                            measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, all_options["scale_factor"]
         self._doubts_depth = True
@@ -85,11 +88,6 @@ class Odometry:
         """Keypoints come from where the mask, uint8 or bool of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
         of a MultiRig 2 c and 2 c + 1."""
         self._pipeline.set_mask(mask, camera, b)
-
-    def recognize_places(self, vocabulary, candidates=16):
-        """From the first frame on, a lost camera is also looked up among the keyframes of its map, by the words of a
-        vocabulary's file. Not with an IMU or a MultiRig."""
-        self._pipeline.recognize_places(str(vocabulary), candidates)
 
     def keypoints(self, b=0):
         """Keypoints of the last frame, those of the left images, columns of n: x, y (pixels), camera (0, or its number in a

@@ -119,10 +119,13 @@ public:
     ft::device where;
     where.gpu = gpu_ ? ft::device::current_gpu : ft::device::host;
     where.threads = orb.threads;
+    ft::place_options places;
+    places.vocabulary = nb::cast<std::string>(options["vocabulary"]);
+    places.candidates = get("candidates");
     {
       nb::gil_scoped_release const released;
-      inner_ = std::make_unique<ft::any_odometry>(
-          translated([&] { return ft::make_odometry(where, description_of(r), p, batch_); }));
+      inner_ = std::make_unique<ft::any_odometry>(translated(
+          [&] { return ft::make_odometry(where, description_of(r), p, batch_, places); }));
     }
     for (int i = 0; i < batch_; ++i) {
       for (std::string const& name : image_names(r)) {
@@ -188,11 +191,6 @@ public:
     image const v = kept.mask(mask, "mask");
     nb::gil_scoped_release const released;
     translated([&] { inner_->set_mask(b, camera, to_ft(v)); });
-  }
-  void recognize_places(std::string const& vocabulary, nb::handle candidates) {
-    int const n = whole(candidates, "candidates");
-    nb::gil_scoped_release const released;
-    translated([&] { inner_->recognize_places(vocabulary, n); });
   }
   nb::dict keypoints(int b) const {
     require_camera(b);
@@ -545,8 +543,6 @@ void bind_odometry(nb::module_& m) {
       .def("reset", &bound_odometry::reset, nb::arg("b") = 0)
       .def("set_mask", &bound_odometry::set_mask, nb::arg("mask").none(), nb::arg("camera") = 0,
            nb::arg("b") = 0)
-      .def("recognize_places", &bound_odometry::recognize_places, nb::arg("vocabulary"),
-           nb::arg("candidates").none() = 16)
       .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
       .def("stage_times", &bound_odometry::stage_times)

@@ -97,7 +97,7 @@ def test_sizes_that_are_no_whole_numbers_are_refused(width):
     ("size", lambda v: odometry(ft.DistortedPair(CAMERA, CAMERA, T_RL, CAMERA, (v, HEIGHT)))),
     ("border", lambda v: ft.Rectifier(distorted(), WIDTH, HEIGHT, border=v, device="host")),
     ("threads", lambda v: ft.Rectifier(distorted(), WIDTH, HEIGHT, threads=v, device="host")),
-    ("candidates", lambda v: odometry().recognize_places("words.txt", v)),
+    ("candidates", lambda v: odometry(vocabulary="words.txt", candidates=v)),
     ("max_frames", lambda v: ft.read_sequence("folder", max_frames=v)),
     ("keyframes", lambda v: ft.PlaceRecognition("words.txt", keyframes=v)),
     ("features", lambda v: ft.PlaceRecognition("words.txt", features=v)),

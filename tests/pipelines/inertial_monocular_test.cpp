@@ -148,7 +148,7 @@ double scale_of(std::vector<timed> const& seen, path const& of) {
 /// What the host says of the swaying walk.
 std::vector<ft::tracking> const& host_answers() {
   static auto const answers = [] {
-    ft::odometry<ft::host_exec, rig_type> odo(ft::host_exec(1), rig(), params());
+    ft::odometry<ft::host_exec, rig_type> odo(ft::host_exec(1), rig(), params(), 1, ft::inertial{});
     return run(odo, sway(), swaying);
   }();
   return answers;
@@ -167,7 +167,8 @@ TYPED_TEST_SUITE(inertial_monocular, test::backends);
 
 TYPED_TEST(inertial_monocular, gets_its_scale_from_the_imu) {
   TypeParam backend;
-  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params());
+  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params(), 1,
+                                                     ft::inertial{});
   auto const all = run(odo, sway(), swaying);
   std::size_t const from = metric_from(all);
   ASSERT_LT(from, all.size() - 15);
@@ -212,7 +213,8 @@ TYPED_TEST(inertial_monocular, gets_its_scale_from_the_imu) {
 
 TYPED_TEST(inertial_monocular, begins_anew_after_a_reset_with_the_answers_of_the_host) {
   TypeParam backend;
-  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params());
+  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params(), 1,
+                                                     ft::inertial{});
   for (int round = 0; round < 2; ++round) {
     auto const all = run(odo, sway(), swaying);
     for (std::size_t i = 0; i < all.size(); ++i) { expect_same(all[i], host_answers()[i], i); }
@@ -223,7 +225,8 @@ TYPED_TEST(inertial_monocular, begins_anew_after_a_reset_with_the_answers_of_the
 
 TYPED_TEST(inertial_monocular, cameras_of_a_batch_have_scales_of_their_own) {
   TypeParam backend;
-  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params(), 2);
+  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params(), 2,
+                                                     ft::inertial{});
   int samples = 0;
   for (std::size_t i = 0; i < sway().size(); ++i) {
     for (; samples <= 10 * static_cast<int>(i); ++samples) {
@@ -243,11 +246,11 @@ TYPED_TEST(inertial_monocular, other_motions_give_no_scale) {
   TypeParam backend;
   using odometry_type = ft::odometry<decltype(backend.exec), rig_type>;
   for (path const& of : {path(resting), path(turning)}) {
-    odometry_type odo(backend.exec, rig(), params());
+    odometry_type odo(backend.exec, rig(), params(), 1, ft::inertial{});
     auto const all = run(odo, render(of, 40), of);
     EXPECT_FALSE(ever_metric(all));
   }
-  odometry_type odo(backend.exec, rig(), params());
+  odometry_type odo(backend.exec, rig(), params(), 1, ft::inertial{});
   auto const all = run(odo, render(gliding, 60), gliding);
   EXPECT_FALSE(ever_metric(all));
   EXPECT_GT(frames_with_map(all), 35);
@@ -263,14 +266,14 @@ TYPED_TEST(inertial_monocular, bad_samples_give_no_scale) {
     m.accel = {2 * std::sin(9 * t), -9.81f, 3 * std::cos(7 * t)};
   };
   for (change const& changed : {change(nothing), change(other)}) {
-    odometry_type odo(backend.exec, rig(), params());
+    odometry_type odo(backend.exec, rig(), params(), 1, ft::inertial{});
     auto const all = run(odo, sway(), swaying, changed);
     EXPECT_FALSE(ever_metric(all));
     EXPECT_GT(frames_with_map(all), 40);
   }
   // None, and one in a while: gaps.
   for (int const every : {1000, 40}) {
-    odometry_type odo(backend.exec, rig(), params());
+    odometry_type odo(backend.exec, rig(), params(), 1, ft::inertial{});
     int samples = 0;
     for (std::size_t i = 0; i < sway().size(); ++i) {
       for (; samples <= 10 * static_cast<int>(i); ++samples) {
@@ -285,7 +288,8 @@ TYPED_TEST(inertial_monocular, bad_samples_give_no_scale) {
 
 TYPED_TEST(inertial_monocular, a_loaded_map_has_no_scale_yet) {
   TypeParam backend;
-  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params());
+  ft::odometry<decltype(backend.exec), rig_type> odo(backend.exec, rig(), params(), 1,
+                                                     ft::inertial{});
   auto const all = run(odo, sway(), swaying);
   ASSERT_TRUE(all.back().metric);
   std::stringstream file;
@@ -301,10 +305,10 @@ TYPED_TEST(inertial_monocular, refuses_limits_out_of_range) {
   using odometry_type = ft::odometry<decltype(backend.exec), rig_type>;
   auto p = params();
   p.imu.scale_sigma = -1;
-  EXPECT_THROW(odometry_type(backend.exec, rig(), p), ft::bad_argument);
+  EXPECT_THROW(odometry_type(backend.exec, rig(), p, 1, ft::inertial{}), ft::bad_argument);
   p = params();
   p.imu.scale_position_sigma = 0;
-  EXPECT_THROW(odometry_type(backend.exec, rig(), p), ft::bad_argument);
+  EXPECT_THROW(odometry_type(backend.exec, rig(), p, 1, ft::inertial{}), ft::bad_argument);
 }
 
 }  // namespace inertial_monocular_test

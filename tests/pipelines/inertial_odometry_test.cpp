@@ -91,7 +91,7 @@ std::vector<ft::tracking> run_frames(Exec const& exec, std::vector<stereo_frame>
                                      int prefetch = 0) {
   auto p = params();
   p.prefetch = prefetch;
-  ft::odometry<Exec> odo(exec, test::room::rig(), p);
+  ft::odometry<Exec> odo(exec, test::room::rig(), p, 1, ft::inertial{});
   auto const images_of = [&](int i) {
     auto const& f = frames[static_cast<std::size_t>(i)];
     return ft::stereo_images{test::room::view(f.left), test::room::view(f.right)};
@@ -127,7 +127,7 @@ template <typename Exec>
 std::vector<ft::tracking> run_ahead(Exec const& exec, std::int64_t ahead_ns, double offset_s) {
   auto p = params();
   p.imu.time_offset_s = offset_s;
-  ft::odometry<Exec> odo(exec, test::room::rig(), p);
+  ft::odometry<Exec> odo(exec, test::room::rig(), p, 1, ft::inertial{});
   std::vector<ft::tracking> all;
   int samples = 0;
   for (int i = 0; i < frame_count; ++i) {
@@ -378,20 +378,25 @@ TYPED_TEST(inertial_odometry, refuses_bad_input_and_goes_on) {
   auto const rig = test::room::rig();
   ft::odometry without(backend.exec, rig, test::room::odometry_params(4096));
   EXPECT_THROW(without.add_imu(sample_at(0)), ft::bad_argument);
-  ft::odometry odo(backend.exec, rig, params());
+  EXPECT_THROW(ft::odometry(backend.exec, rig, params()), ft::bad_argument) << "no part";
+  EXPECT_THROW(
+      ft::odometry(backend.exec, rig, test::room::odometry_params(4096), 1, ft::inertial{}),
+      ft::bad_argument)
+      << "no IMU";
+  ft::odometry odo(backend.exec, rig, params(), 1, ft::inertial{});
   EXPECT_THROW(odo.add_imu(sample_at(0), 1), ft::bad_argument);
   auto p = params();
   p.imu.T_bc.R.m[0] = 2;
-  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p, 1, ft::inertial{}), ft::bad_argument);
   p = params();
   p.imu.noise.gyro = 0;
-  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p, 1, ft::inertial{}), ft::bad_argument);
   p = params();
   p.imu.initialization.least_keyframes = p.window.moving + p.window.fixed + 1;
-  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p, 1, ft::inertial{}), ft::bad_argument);
   p = params();
   p.imu.initialization.known_scale = false;
-  EXPECT_THROW(ft::odometry(backend.exec, rig, p), ft::bad_argument);
+  EXPECT_THROW(ft::odometry(backend.exec, rig, p, 1, ft::inertial{}), ft::bad_argument);
 }
 
 // A sample that is doubled, comes late or cannot be is as one that is missing.

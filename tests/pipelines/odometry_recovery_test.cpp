@@ -196,8 +196,7 @@ std::vector<ft::tracking> run(Odometry& odo, std::vector<stereo_frame> const& fr
 template <typename Exec>
 std::vector<ft::tracking> run_with_words(Exec const& exec, std::vector<stereo_frame> const& frames,
                                          ft::vocabulary_view const& words) {
-  ft::odometry odo(exec, test::room::rig(), narrow());
-  odo.recognize_places(words, how());
+  ft::odometry odo(exec, test::room::rig(), narrow(), 1, ft::places{words, how()});
   return run(odo, frames);
 }
 
@@ -217,8 +216,8 @@ protected:
 TYPED_TEST_SUITE(OdometryRecovery, test::backends);
 
 TYPED_TEST(OdometryRecovery, FindsACameraThatWasCarriedAway) {
-  ft::odometry odo(this->exec, test::room::rig(), patient());
-  odo.recognize_places(this->words.view(), how());
+  ft::odometry odo(this->exec, test::room::rig(), patient(), 1,
+                   ft::places{this->words.view(), how()});
   journey const with = carry(odo);
   int const all = static_cast<int>(jumps().size());
   EXPECT_GE(with.found, all - std::max(1, all / 20));
@@ -242,8 +241,8 @@ TYPED_TEST(OdometryRecovery, ClaimsNoPlaceThatWasNeverSeen) {
   }
   ft::odometry plain(this->exec, test::room::rig(), params());
   auto const want = run(plain, frames);
-  ft::odometry odo(this->exec, test::room::rig(), params());
-  odo.recognize_places(this->words.view(), how());
+  ft::odometry odo(this->exec, test::room::rig(), params(), 1,
+                   ft::places{this->words.view(), how()});
   auto const got = run(odo, frames);
   test::expect_same(got, want);
   EXPECT_EQ(got[9].state, ft::tracking_state::recovering);
@@ -255,8 +254,8 @@ TYPED_TEST(OdometryRecovery, ClaimsNoPlaceThatWasNeverSeen) {
 TYPED_TEST(OdometryRecovery, ABatchGivesWhatItsCamerasGiveAlone) {
   std::vector<std::vector<stereo_frame>> const frames{carried_back(0, 9, 7),
                                                       carried_back(20, 9, 7)};
-  ft::odometry odo(this->exec, test::room::rig(), narrow(), 2);
-  odo.recognize_places(this->words.view(), how());
+  ft::odometry odo(this->exec, test::room::rig(), narrow(), 2,
+                   ft::places{this->words.view(), how()});
   std::vector<std::vector<ft::tracking>> together(2);
   for (std::size_t i = 0; i < frames[0].size(); ++i) {
     std::vector<ft::stereo_images> const images{images_of(frames[0][i]), images_of(frames[1][i])};
@@ -270,8 +269,7 @@ TYPED_TEST(OdometryRecovery, ABatchGivesWhatItsCamerasGiveAlone) {
     EXPECT_EQ(alone[alone.size() - 2].state, ft::tracking_state::recovering) << "black images";
     auto p = narrow();
     p.prefetch = 2;
-    ft::odometry early(this->exec, test::room::rig(), p);
-    early.recognize_places(this->words.view(), how());
+    ft::odometry early(this->exec, test::room::rig(), p, 1, ft::places{this->words.view(), how()});
     test::expect_same(
         test::track_prefetched(early, frames[b].size(), period,
                                [&](std::size_t i) { return images_of(frames[b][i]); }),
@@ -285,8 +283,9 @@ template <typename Exec, typename Rig, typename Images>
 void expect_found(Exec const& exec, Rig const& rig, std::vector<stereo_frame> const& frames,
                   ft::vocabulary_view const& words, Images const& images) {
   for (bool const with : {false, true}) {
-    ft::odometry<Exec, Rig> odo(exec, rig, narrow());
-    if (with) { odo.recognize_places(words, how()); }
+    using odometry = ft::odometry<Exec, Rig>;
+    auto odo = with ? odometry(exec, rig, narrow(), 1, ft::places{words, how()})
+                    : odometry(exec, rig, narrow());
     std::int64_t time = 0;
     for (auto const& f : frames) { odo.track(images(f), time += period); }
     EXPECT_EQ(is_right(odo.last(), frames.back().T_cw, frames[0].T_cw), with);
@@ -332,58 +331,57 @@ TYPED_TEST(OdometryRecovery, FindsAnRgbdCamera) {
                this->words.view(), images);
 }
 
-/// As in docs/guide.md. @return what the odometry refers to
-template <typename Exec>
-ft::vocabulary<Exec::space> use_file(Exec const& exec, std::istream& file,
-                                     ft::odometry<Exec>& odometry) {
+/// As in docs/guide.md. Calls use(odometry&).
+template <typename Exec, typename Rig, typename Use>
+void with_file(Exec const& exec, Rig const& rig, ft::odometry_params const& params,
+               std::istream& file, Use const& use) {
   auto words = ft::upload(exec, ft::load_vocabulary(file).view());
-  odometry.recognize_places(words.view());
-  return words;
+  ft::odometry odometry(exec, rig, params, 1, ft::places{words.view()});
+  use(odometry);
 }
 
 TYPED_TEST(OdometryRecovery, ForgetsTheKeyframesOfAMapThatIsReplaced) {
   std::stringstream file;
   ft::save_vocabulary(file, trained().view());
-  ft::odometry odo(this->exec, test::room::rig(), narrow());
-  auto const loaded = use_file(this->exec, file, odo);
   auto const frames = carried_back(0, 9, 7);
-  EXPECT_EQ(run(odo, frames).back().state, ft::tracking_state::tracking);
-  // A loaded map has no words, and none of those from before.
-  std::stringstream map;
-  odo.save_map(map);
-  odo.load_map(map);
-  EXPECT_NE(odo.track(images_of(frames.back()), 1).state, ft::tracking_state::tracking);
+  with_file(this->exec, test::room::rig(), narrow(), file, [&](auto& odo) {
+    EXPECT_EQ(run(odo, frames).back().state, ft::tracking_state::tracking);
+    // A loaded map has no words, and none of those from before.
+    std::stringstream map;
+    odo.save_map(map);
+    odo.load_map(map);
+    EXPECT_NE(odo.track(images_of(frames.back()), 1).state, ft::tracking_state::tracking);
+  });
 }
 
 TYPED_TEST(OdometryRecovery, RefusesWhatCannotBe) {
   auto const view = this->words.view();
-  ft::odometry odo(this->exec, test::room::rig(), params());
-  EXPECT_THROW(odo.recognize_places({}), ft::bad_argument);
+  auto const pair = test::room::rig();
+  auto const make = [&](ft::odometry_params const& p, ft::places const& with, auto const& rig) {
+    return ft::odometry(this->exec, rig, p, 1, with);
+  };
+  EXPECT_THROW(make(params(), {}, pair), ft::bad_argument);
   auto p = how();
   p.candidates = 0;
-  EXPECT_THROW(odo.recognize_places(view, p), ft::bad_argument);
+  EXPECT_THROW(make(params(), {view, p}, pair), ft::bad_argument);
   p = how();
   p.levels_up = -1;
-  EXPECT_THROW(odo.recognize_places(view, p), ft::bad_argument);
-  odo.track(images_of(step(0)), period);
-  EXPECT_THROW(odo.recognize_places(view, how()), ft::bad_argument);
+  EXPECT_THROW(make(params(), {view, p}, pair), ft::bad_argument);
   auto with_imu = params();
   with_imu.imu.present = true;
   with_imu.window = {10, 5};
-  ft::odometry inertial(this->exec, test::room::rig(), with_imu);
-  EXPECT_THROW(inertial.recognize_places(view), ft::bad_argument);
-  auto const pair = test::room::rig();
+  EXPECT_THROW(ft::odometry(this->exec, pair, with_imu, 1, ft::inertial{}, ft::places{view, how()}),
+               ft::bad_argument);
   ft::multi_rig<1> const rig{{{pair.camera, pair.baseline, ft::pose::identity()}}};
-  ft::odometry several(this->exec, rig, params());
-  EXPECT_THROW(several.recognize_places(view), ft::bad_argument);
+  EXPECT_THROW(make(params(), {view, how()}, rig), ft::bad_argument);
 }
 
 #if !defined(__CUDACC__)
 
 TEST(OdometryRecoveryOnTheHost, AllocatesNothingInAFrame) {
   auto const frames = carried_back(0, 9, 7);
-  ft::odometry odo(ft::host_exec(1), test::room::rig(), narrow());
-  odo.recognize_places(trained().view(), how());
+  ft::odometry odo(ft::host_exec(1), test::room::rig(), narrow(), 1,
+                   ft::places{trained().view(), how()});
   test::allocation_count const allocations;
   auto const one = std::make_unique<int>(1);
   if (allocations.so_far() == 0) { GTEST_SKIP() << "this program does not count allocations"; }

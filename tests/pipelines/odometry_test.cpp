@@ -385,7 +385,7 @@ TYPED_TEST(odometry_pipeline, says_the_settings_that_it_was_given) {
   auto p = params();
   p.imu.present = true;
   p.imu.keyframe_period_s = 0.1;
-  ft::odometry const odo(backend.exec, test::room::rig(), p);
+  ft::odometry const odo(backend.exec, test::room::rig(), p, 1, ft::inertial{});
   EXPECT_EQ(odo.params().rules.keyframe_period_s, 0);
   EXPECT_FALSE(odo.params().orb.exact_positions);
   EXPECT_FALSE(odo.params().orb.refine_positions);

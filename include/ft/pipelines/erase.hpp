@@ -15,13 +15,11 @@
 #include "ft/any_odometry.hpp"
 #include "ft/cameras/check_calibration.hpp"
 #include "ft/containers/vocabulary.hpp"
-#include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "ft/types/images.hpp"
-#include "ft/types/relocalization.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {
@@ -62,11 +60,13 @@ class erased_odometry final : public any_odometry::interface {
   using images_type = typename inner_type::images_type;
 
 public:
-  /// @param make odometry<Exec, Rig>(Place&)
+  /// @param words to be kept for the odometry
+  /// @param make odometry<Exec, Rig>(Place&, vocabulary_view const&)
   template <typename Make>
-  erased_odometry(Place place, Make const& make)
+  erased_odometry(Place place, vocabulary<Exec::space> words, Make const& make)
       : place_(std::move(place)),
-        inner_(make(place_)),
+        words_(std::move(words)),
+        inner_(make(place_, words_.view())),
         images_(static_cast<std::size_t>(inner_.batch())) {}
 
   tracking const* track(any_images const* images, std::int64_t const* time_ns) override {
@@ -106,14 +106,6 @@ public:
   void set_mask(int b, int camera, gray_view mask) override {
     [[maybe_unused]] auto const here = place_.enter();
     inner_.set_mask(b, camera, mask);
-  }
-  void recognize_places(std::string const& file, int candidates) override {
-    [[maybe_unused]] auto const here = place_.enter();
-    auto words = upload(inner_.executor(), read_vocabulary(file).view());
-    place_recovery how;
-    how.candidates = candidates;
-    inner_.recognize_places(words.view(), how);
-    words_ = std::move(words);
   }
   tracking const& last(int b) const override { return inner_.last(b); }
   tracked_frame_view const& keypoints() const override { return inner_.keypoints(); }
@@ -176,7 +168,8 @@ template <typename Exec, typename Rig>
 any_odometry erase(odometry<Exec, Rig> of) {
   using erased = detail::erased_odometry<Exec, Rig, detail::calling_thread>;
   return any_odometry(std::make_unique<erased>(
-      detail::calling_thread{}, [&](detail::calling_thread&) { return std::move(of); }));
+      detail::calling_thread{}, vocabulary<Exec::space>(),
+      [&](detail::calling_thread&, vocabulary_view const&) { return std::move(of); }));
 }
 
 }  // namespace FT_ABI

@@ -12,7 +12,6 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/vocabulary.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -20,8 +19,10 @@
 #include "ft/pipelines/detail/map_origin.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_engine.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
-#include "ft/pipelines/detail/odometry_parts.hpp"
+#include "ft/pipelines/detail/odometry_inertial.hpp"
+#include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/rectifying_parts.hpp"
 #include "ft/pipelines/detail/rgbd_parts.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
@@ -29,7 +30,6 @@
 #include "ft/types/imu.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
-#include "ft/types/relocalization.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {
@@ -57,12 +57,12 @@ inline namespace FT_ABI {
 ///   pair" means a rig below
 template <typename Exec, typename Rig = rectified_rig>
 class odometry {
-  using parts = detail::odometry_parts<Exec, Rig>;
+  using engine = detail::odometry_engine<Exec, Rig>;
   using input_type = typename detail::rig_parts<Rig>::template input<Exec>;
 
 public:
   static constexpr memory_space space = Exec::space;
-  static constexpr int cameras = parts::stages_type::cameras;  ///< whose keypoints are searched
+  static constexpr int cameras = engine::stages_type::cameras;  ///< whose keypoints are searched
   /// stereo_images, rgbd_images of an rgbd_rig, rig_images of a multi_rig, or gray_view of a
   /// monocular_rig
   using images_type = typename input_type::images_type;
@@ -70,10 +70,20 @@ public:
   odometry() = default;
   /// Waits for its own set-up. On the host it starts a thread, which sleeps unless keyframes are
   /// adjusted.
-  /// @param batch camera pairs
-  /// @throws bad_argument, std::bad_alloc, cuda_error
-  odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch = 1)
-      : parts_(std::make_unique<parts>(exec, rig, params, batch)) {}
+  /// Parts are plugged in here, and a program compiles those that it names:
+  ///
+  ///     ft::odometry odo(exec, rig, params, 1, ft::inertial{});             // params.imu
+  ///     ft::odometry odo(exec, rig, params, 1, ft::places{words.view()});
+  ///
+  /// @param batch camera pairs @param plugged inertial, or places
+  /// @throws bad_argument also for odometry_params::imu without inertial, and for inertial without
+  ///   it; std::bad_alloc, cuda_error
+  template <typename... Plugged>
+  odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch,
+           Plugged const&... plugged)
+      : engine_(std::make_unique<engine>(exec, rig, params, batch, plugged...)) {}
+  odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
+      : odometry(exec, rig, params, 1) {}
 
   /// Tracks the next frame of all cameras. Synchronous; allocates nothing.
   /// @param images [batch] @param time_ns [batch] when the images were taken; ascending
@@ -81,7 +91,7 @@ public:
   /// @throws bad_argument for an image that is null or of another size, or for a time that is not
   ///   after the camera's last one; then nothing has changed
   tracking const* track(images_type const* images, std::int64_t const* time_ns) {
-    parts& p = made();
+    engine& p = made();
     p.require_later(time_ns);
     for (int b = 0; b < p.stages.batch; ++b) { p.stages.input.take(b, images[b]); }
     forget_prefetched();
@@ -108,7 +118,7 @@ public:
   /// @throws bad_argument for an image that is null or of another size, or if
   ///   odometry_params::prefetch frames are given and not yet tracked
   void prefetch(images_type const* images) {
-    parts& p = made_for_prefetch();
+    engine& p = made_for_prefetch();
     p.prefetch->give(images, p.stages.batch);
   }
   /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
@@ -119,13 +129,13 @@ public:
   /// Forgets the frames that were given, and waits until their images are no longer read. Without
   /// odometry_params::prefetch there are none.
   void forget_prefetched() {
-    parts& p = made();
+    engine& p = made();
     if (p.prefetch != nullptr) { p.prefetch->forget(p.exec); }
   }
   /// track() of the frame whose images were given first.
   /// @throws bad_argument if none were given, or as track() for a time
   tracking const* track_prefetched(std::int64_t const* time_ns) {
-    parts& p = made_for_prefetch();
+    engine& p = made_for_prefetch();
     p.prefetch->require_given();
     p.require_later(time_ns);
     p.prefetch->use(p.exec, p.stages);
@@ -137,31 +147,12 @@ public:
     return *track_prefetched(&time_ns);
   }
 
-  /// From now on, a camera whose frame was not found is also looked up among the keyframes of its
-  /// map, by the words of a vocabulary. If it is found, it is `tracking` at once. Otherwise a new
-  /// map may begin, in the frame in which it would without. track() waits for several steps in such
-  /// a frame, one camera after the other. Call it before the first frame. Waits, and allocates.
-  ///
-  /// Words of a keyframe are computed after its frame, and leave with the keyframe. Files of maps
-  /// have none: keyframes of a loaded map are not looked up.
-  /// @param words in executor memory, valid as long as this
-  /// @throws bad_argument after the first frame, for parameters out of range, a vocabulary without
-  ///   words, an odometry with an IMU, or a multi_rig; std::bad_alloc, cuda_error
-  void recognize_places(vocabulary_view const& words, place_recovery const& params = {}) {
-    parts& p = made();
-    detail::require(p.frame == 0, "places are recognised from the first frame on, not later");
-    detail::require(!p.stages.has_imu(), "places are not recognised by an odometry with an IMU");
-    forget_prefetched();
-    p.recovery = std::make_unique<typename parts::recovery_type>(p.exec, words, params, p.stages);
-    p.stages.recognizes_places = true;
-    p.record();
-  }
   /// Predicts the pose of camera pair b in its next frame, instead of the motion model: from wheels
   /// or an IMU. A camera that is lost is searched for there, too.
   /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
   ///   not exist
   void predict(rigid<double> const& T_world_camera, int b = 0) {
-    parts& p = made();
+    engine& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require_motion(T_world_camera);
     odometry_input& in = p.stages.own.inputs[b];
@@ -176,15 +167,17 @@ public:
   /// @throws bad_argument without odometry_params::imu, or for a pair that does not exist;
   ///   std::bad_alloc
   void add_imu(imu_measurement const& sample, int b = 0) {
-    parts& p = made();
-    detail::require(p.stages.has_imu(), "the odometry was made without an IMU");
+    engine& p = made();
+    detail::require(p.given.imu.present, "the odometry was made without an IMU");
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
-    p.stages.inertial.queue(b).add(sample);
+    for (auto const& part : p.stages.plugged) {
+      if (detail::sample_queue* const to = part->samples(b)) { to->add(sample); }
+    }
   }
   /// Camera pair b begins anew with its next frame: no map, no motion, any time stamp.
   /// @throws bad_argument for a pair that does not exist
   void reset(int b = 0) {
-    parts& p = made();
+    engine& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     auto const i = static_cast<std::size_t>(b);
     p.stages.own.inputs[b].reset = 1;
@@ -193,13 +186,13 @@ public:
     p.results[i] = {};
     p.stages.expect_start(p.exec, b, true);
     p.stages.forget_images(p.exec, b);
-    if (p.stages.has_imu()) { p.stages.inertial.queue(b).clear(); }
+    for (auto const& part : p.stages.plugged) { part->reset(b); }
   }
   /// Copies the mask of a camera, which holds until the next one. Keypoints come from where it is
   /// not 0. Of frames that were given by prefetch() already: as they were then.
   /// @throws bad_argument as orb_extractor::set_mask
   void set_mask(int b, int camera, gray_view mask) {
-    parts& p = made();
+    engine& p = made();
     auto const& images = p.stages.input.images();
     images.require_camera(b, camera);
     int const i = images.number(b, camera);
@@ -223,7 +216,7 @@ public:
   /// The map of camera pair b. Waits, and allocates. Empty if there is none.
   /// @throws bad_argument for a pair that does not exist; std::bad_alloc, cuda_error
   odometry_map download_map(int b = 0) const {
-    parts const& p = made();
+    engine const& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     if (p.results[static_cast<std::size_t>(b)].state == tracking_state::initialising) { return {}; }
     return detail::download_odometry_map(p.exec, p.stages.own.map, b);
@@ -232,7 +225,7 @@ public:
   /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the
   /// stream fails; std::bad_alloc, cuda_error
   void save_map(std::ostream& to, int b = 0) const {
-    parts const& p = made();
+    engine const& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
                     "the camera has no map to be saved");
@@ -247,16 +240,15 @@ public:
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by
   ///   another version of the format; bad_argument for a pair that does not exist
   void load_map(std::istream& from, int b = 0) {
-    parts& p = made();
+    engine& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::load_odometry_map(p.exec, p.stages.own.map, b, origin(), p.stages.geometry().levels,
                               from);
     auto const i = static_cast<std::size_t>(b);
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
-    p.stages.inertial.forget(p.exec, b);
-    if constexpr (parts::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
-    if (p.recovery != nullptr) { p.recovery->forget(p.exec, b); }
+    if constexpr (engine::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
+    for (auto const& part : p.stages.plugged) { part->forget(p.exec, b); }
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }
@@ -271,11 +263,12 @@ public:
 
   /// Memory taken for all camera pairs, without what CUDA takes for graphs and streams.
   allocated_bytes memory_bytes() const {
-    parts const& p = made();
-    return p.stages.bytes() + p.stages.own.bytes() + p.stages.inertial.bytes() +
-           p.stages.input.allocated() + p.stages.beginning.bytes() +
-           (p.prefetch != nullptr ? p.prefetch->bytes() : allocated_bytes{}) +
-           (p.recovery != nullptr ? p.recovery->bytes() : allocated_bytes{});
+    engine const& p = made();
+    allocated_bytes all = p.stages.bytes() + p.stages.own.bytes() + p.stages.input.allocated() +
+                          p.stages.beginning.bytes() +
+                          (p.prefetch != nullptr ? p.prefetch->bytes() : allocated_bytes{});
+    for (auto const& part : p.stages.plugged) { all = all + part->bytes(); }
+    return all;
   }
   int batch() const { return made().stages.batch; }
   int capacity() const { return made().stages.capacity(); }  ///< keypoints of an image
@@ -288,10 +281,10 @@ public:
   odometry_map_view map() const { return made().stages.own.map; }
 
 private:
-  parts& made_for_prefetch() const {
+  engine& made_for_prefetch() const {
     detail::require(made().prefetch != nullptr,
                     "the odometry was made without odometry_params::prefetch");
-    return *parts_;
+    return *engine_;
   }
   detail::map_origin origin() const {
     return {made().rig, made().stages.settings.orb, made().stages.own.map};
@@ -300,12 +293,12 @@ private:
     detail::require(made().stages.batch == 1,
                     "an odometry of several camera pairs needs arrays of images and times");
   }
-  parts& made() const {
-    detail::require(parts_ != nullptr, "the odometry was never made, or was moved from");
-    return *parts_;
+  engine& made() const {
+    detail::require(engine_ != nullptr, "the odometry was never made, or was moved from");
+    return *engine_;
   }
 
-  std::unique_ptr<parts> parts_;
+  std::unique_ptr<engine> engine_;
 };
 
 }  // namespace FT_ABI

@@ -159,5 +159,8 @@ struct imu_tracking {
   imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
 };
 
+/// Plugs the IMU of odometry_params::imu into an odometry: the last argument of its constructor.
+struct inertial {};
+
 }  // namespace v0
 }  // namespace ft

@@ -128,7 +128,7 @@ struct odometry_params {
   window_params adjustment;        ///< how they are adjusted
   int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
   monocular_start_params start;    ///< of a monocular_rig
-  imu_params imu;                  ///< present or not
+  imu_params imu;                  ///< present or not; see inertial
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
   /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each

@@ -11,8 +11,9 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/kernels/window/adjust_window.hpp"
-#include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
+#include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/detail/work_beside.hpp"
 #include "ft/types/odometry_params.hpp"
 
@@ -23,14 +24,14 @@ namespace detail {
 /// One adjustment of the windows of some cameras.
 template <typename Exec, typename Rig>
 struct adjustment_work {
-  Rig rig{};
+  typename rig_parts<Rig>::searched_rig rig{};
   window_problem_view window;
   window_workspace workspace;
   window_params params;
   int* selected = nullptr;               ///< [batch] executor memory
   int const* staged_selected = nullptr;  ///< [runs][batch] staging memory
   int runs = 1;
-  odometry_inertial<Exec> const* inertial = nullptr;
+  odometry_part_list<Exec, Rig> const* parts = nullptr;
   recording<Exec> graph;
 
   void enqueue(Exec const& exec, int run) {
@@ -40,7 +41,7 @@ struct adjustment_work {
   }
   void adjust(Exec const& exec) const {
     adjust_window(exec, rig, window, selected, params, workspace);
-    if (inertial->present()) { inertial->estimate(exec, selected, window); }
+    for (auto const& p : *parts) { p->after_adjustment(exec, selected, window); }
   }
 };
 
@@ -53,12 +54,13 @@ class odometry_adjustments {
 public:
   /// @param delay frames, 1 or more
   odometry_adjustments(Exec const& exec, odometry_memory<Exec> const& memory,
-                       odometry_inertial<Exec> const& inertial, Rig const& rig,
+                       odometry_part_list<Exec, Rig> const& parts,
+                       typename rig_parts<Rig>::searched_rig const& rig,
                        odometry_params const& params)
       : memory_(memory), runs_(static_cast<std::size_t>(params.adjustment_delay), -1) {
     work_type work;
     work.rig = rig;
-    work.inertial = &inertial;
+    work.parts = &parts;
     work.window = memory.window;
     work.workspace = memory.window_work;
     work.params = params.adjustment;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The IMUs of an odometry: memory and stages.
+/// @file The part of an odometry that tracks with IMUs.
 #pragma once
 
 #include <cmath>
@@ -27,10 +27,13 @@
 #include "ft/kernels/odometry/scale_map.hpp"
 #include "ft/kernels/odometry/take_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
+#include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -54,63 +57,26 @@ inline imu_tracking imu_tracking_of(inertial_track const& t) {
   return out;
 }
 
-/// Memory and stages. All stages are asynchronous on their executor and allocate nothing.
-template <typename Exec>
-class odometry_inertial {
+/// Memory and stages.
+template <typename Exec, typename Rig>
+class odometry_inertial final : public odometry_part<Exec, Rig> {
 public:
-  inertial_track* outputs = nullptr;  ///< [batch] staging memory, which a device writes
+  using stages_type = odometry_stages<Exec, Rig>;
 
-  bool present() const { return params_.present; }
-  allocated_bytes bytes() const { return {memory_.bytes(), staging_memory_.bytes()}; }
+  allocated_bytes bytes() const override { return {memory_.bytes(), staging_memory_.bytes()}; }
 
-  /// @param observations of a frame @param seeks_scale whether maps begin without a scale
-  /// @throws bad_argument, std::bad_alloc, cuda_error
-  void take(odometry_params const& p, bool seeks_scale, int observations, int batch) {
-    imu_params const& params = params_ = p.imu;
-    if (!present()) { return; }
-    require(params.initialization.known_scale || seeks_scale,
-            "the scale of this odometry's map is known");
-    view_.seeks_scale = seeks_scale;
-    view_.accel_sigma = params.accel_sigma;
-    if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
-    view_.mount = mount_ = mount_of(params.T_bc);
-    variances_ = variances_of(params.noise);
-    batch_ = batch;
-    views_ = p.window.moving + p.window.fixed;
-    if (seeks_scale) { views_ = max_of(views_, params.scale_keyframes); }
-    memory_ = arena<Exec::space>([&](carver& c) {
-      carve(c, view_, {p.keyframes, params.samples, observations}, batch);
-      carve(c, windows_, views_, batch);
-    });
-    auto const b = static_cast<std::size_t>(batch);
-    staging_memory_ = arena<staging>([&](carver& c) {
-      inputs_ = c.take<inertial_input>(b);
-      outputs = c.take<inertial_track>(b);
-      samples_ = c.take<imu_sample>(b * static_cast<std::size_t>(params.samples));
-    });
-    std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
-    queues_ = std::make_unique<sample_queue[]>(b);
-    for (int i = 0; i < batch; ++i) { queue(i).set_limits(params); }
-    base_ns_.assign(b, 0);
-    offset_ns_.assign(b, nanoseconds(params.time_offset_s));
-    seen_map_.assign(b, 0);
-  }
-  void initialize(Exec const& exec) {
-    if (!present()) { return; }
-    fill_bytes(exec, memory_.data(), 0, memory_.bytes());
-    for (int b = 0; b < batch_; ++b) { outputs[b] = inertial_track::initial(); }
-    fill_bytes(exec, view_.between, 0xff,
-               static_cast<std::size_t>(batch_ * view_.positions) * sizeof(preintegrated));
-    copy(exec, view_.tracks, static_cast<inertial_track const*>(outputs),
-         static_cast<std::size_t>(batch_));
+  /// Waits. @param s with all memory @throws bad_argument, std::bad_alloc, cuda_error
+  odometry_inertial(Exec const& exec, stages_type const& s) {
+    take(s.settings, stages_type::starts_from_motion, s.memory.observations.capacity, s.batch);
+    initialize(exec);
+    exec.wait();
   }
 
   /// Forgets what is known about the IMU of camera pair b. Waits.
-  void forget(Exec const& exec, int b) {
-    if (!present()) { return; }
+  void forget(Exec const& exec, int b) override {
     queue(b).clear();
-    outputs[b] = inertial_track::initial();
-    copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs + b), std::size_t{1});
+    outputs_[b] = inertial_track::initial();
+    copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs_ + b), std::size_t{1});
     fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
     // No interval before has an integral.
     auto const n = static_cast<std::size_t>(view_.positions);
@@ -118,9 +84,10 @@ public:
                n * sizeof(preintegrated));
     exec.wait();
   }
-  sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
-  /// Before a frame: its samples and times. @param begun whether there was a frame before it
-  void set_input(int b, bool begun, std::int64_t from_ns, std::int64_t to_ns) {
+  void reset(int b) override { queue(b).clear(); }
+  sample_queue* samples(int b) override { return &queue(b); }
+  /// Its samples and times.
+  void before_frame(int b, bool begun, std::int64_t from_ns, std::int64_t to_ns) override {
     auto const i = static_cast<std::size_t>(b);
     if (!begun) {
       base_ns_[i] = from_ns = to_ns;
@@ -141,10 +108,12 @@ public:
                       on_its_clock(saturated_difference(to_ns, early_ns)), params_.samples, to);
     inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0};
   }
-  /// After a frame. @param map number of the map that it was tracked in; 0 = none
-  void describe(int b, int map, std::int64_t time_ns, imu_tracking& out) {
+  void describe(int b, std::int64_t time_ns, tracking& of) override {
     auto const i = static_cast<std::size_t>(b);
-    out = imu_tracking_of(outputs[b]);
+    int const map = of.state == tracking_state::tracking ? of.maps : 0;
+    imu_tracking& out = of.imu;
+    of.metric = of.metric || outputs_[b].metric != 0;
+    out = imu_tracking_of(outputs_[b]);
     if (params_.estimate_time_offset) { add_attitude(b, map, time_ns); }
     queue(b).describe(saturated_difference(time_ns, -offset_ns_[i]), out);
     out.time_offset_s = static_cast<double>(offset_ns_[i]) * 1e-9;
@@ -152,52 +121,54 @@ public:
 
   // ---- stages, in order
 
+  bool launches() const override { return true; }
   /// Before an adjustment is applied, which changes the biases.
-  void begin(Exec const& exec, odometry_input const* inputs) const {
-    begin_inertial_frames(exec, inputs, inputs_, samples_, view_);
+  void after_inputs(Exec const& exec, stages_type const& s) const override {
+    begin_inertial_frames(exec, s.own.inputs, inputs_, samples_, view_);
   }
-  void integrate(Exec const& exec) const {
+  /// Integrates samples.
+  void beside_adjusted_map(Exec const& exec, stages_type const&) const override {
     select_samples(exec, view_.samples, view_.intervals, params_.selection, view_.steps);
     preintegrate(exec, view_.steps, {view_.starts, 2 * batch_}, variances_, view_.integrals);
   }
-  /// After the adjustment was applied to the map.
-  void apply(Exec const& exec, odometry_memory<Exec> const& own) const {
+  void after_adjusted_map(Exec const& exec, stages_type const& s) const override {
+    auto const& own = s.own;
     apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_, view_);
     if (view_.seeks_scale) { scale_maps(exec, view_.scaling, own.map, own.state); }
   }
-  void predict(Exec const& exec, odometry_memory<Exec> const& own,
-               predicted_frames const& out) const {
-    predict_inertial_frames(exec, {own.inputs, mount_, own.map.keyframes}, own.state, out, view_);
+  void after_prediction(Exec const& exec, stages_type const& s) const override {
+    predict_inertial_frames(exec, {s.own.inputs, mount_, s.own.map.keyframes}, s.own.state,
+                            s.predictions(), view_);
   }
-  template <typename Rig>
-  void optimize(Exec const& exec, Rig const& rig, odometry_state_view const& state,
-                frame_view const& frame, observations_view const& seen, float const* information,
-                pose* T_cw) const {
-    inertial_poses const poses = problems(seen);
+  /// The pose again, with the IMU.
+  void after_pose(Exec const& exec, stages_type const& s) const override {
+    auto const& seen = s.memory.observations;
     inertial_pose_params how;
     how.step_tolerance = 1e-4;              // the next step would be a hundredth of it or less
     how.first_round = inertial_rounds - 1;  // the pose without the IMU has found outliers
     how.outliers_given = true;
     how.marginalizes = false;
-    optimize_inertial_poses(exec, rig, mount_, poses, how);
-    take_inertial_poses(exec, {seen, state, frame, information, T_cw}, view_);
+    optimize_inertial_poses(exec, s.rig, mount_, problems(seen), how);
+    take_inertial_poses(
+        exec, {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses}, view_);
   }
-  /// Needed by the next frame alone.
-  template <typename Rig>
-  void marginalize(Exec const& exec, Rig const& rig, observations_view const& seen) const {
-    marginalize_inertial_poses(exec, rig, mount_, problems(seen));
+  /// Marginalises: needed by the next frame alone.
+  void beside_decision(Exec const& exec, stages_type const& s) const override {
+    marginalize_inertial_poses(exec, s.rig, mount_, problems(s.memory.observations));
   }
-  void keep(Exec const& exec, odometry_memory<Exec> const& own) const {
-    keep_inertial_frames(exec, own.state, own.map.keyframes, view_, outputs);
+  void beside_window(Exec const& exec, stages_type const& s) const override {
+    keep_inertial_frames(exec, s.own.state, s.own.map.keyframes, view_, outputs_);
   }
-  void gather(Exec const& exec, odometry_memory<Exec> const& own) const {
+  void beside_result(Exec const& exec, stages_type const& s) const override {
+    auto const& own = s.own;
     gather_inertial_windows(exec, own.state.gather, own.map.keyframes, own.window, own.sources,
                             view_, windows_);
     link_windows(exec, own.state.gather, own.map.keyframes, {mount_, {}}, own.window, own.sources,
                  view_);
   }
-  /// Beside tracking, after an adjustment. @param selected [batch] its cameras
-  void estimate(Exec const& exec, int const* selected, window_problem_view const& problem) const {
+  /// Estimates biases, gravity and velocities.
+  void after_adjustment(Exec const& exec, int const* selected,
+                        window_problem_view const& problem) const override {
     inertial_estimation how{mount_, params_.initialization, params_.initialization};
     how.metric.known_scale = true;
     how.unscaled.known_scale = false;
@@ -207,6 +178,46 @@ public:
   }
 
 private:
+  /// @param observations of a frame @param seeks_scale whether maps begin without a scale
+  void take(odometry_params const& p, bool seeks_scale, int observations, int batch) {
+    imu_params const& params = params_ = p.imu;
+    require(params.initialization.known_scale || seeks_scale,
+            "the scale of this odometry's map is known");
+    view_.seeks_scale = seeks_scale;
+    view_.accel_sigma = params.accel_sigma;
+    if (!(params_.selection.rate_hz > 0)) { params_.selection.rate_hz = params.noise.rate_hz; }
+    view_.mount = mount_ = mount_of(params.T_bc);
+    variances_ = variances_of(params.noise);
+    batch_ = batch;
+    views_ = p.window.moving + p.window.fixed;
+    if (seeks_scale) { views_ = max_of(views_, params.scale_keyframes); }
+    memory_ = arena<Exec::space>([&](carver& c) {
+      carve(c, view_, {p.keyframes, params.samples, observations}, batch);
+      carve(c, windows_, views_, batch);
+    });
+    auto const b = static_cast<std::size_t>(batch);
+    staging_memory_ = arena<staging>([&](carver& c) {
+      inputs_ = c.take<inertial_input>(b);
+      outputs_ = c.take<inertial_track>(b);
+      samples_ = c.take<imu_sample>(b * static_cast<std::size_t>(params.samples));
+    });
+    std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
+    queues_ = std::make_unique<sample_queue[]>(b);
+    for (int i = 0; i < batch; ++i) { queue(i).set_limits(params); }
+    base_ns_.assign(b, 0);
+    offset_ns_.assign(b, nanoseconds(params.time_offset_s));
+    seen_map_.assign(b, 0);
+  }
+  void initialize(Exec const& exec) {
+    fill_bytes(exec, memory_.data(), 0, memory_.bytes());
+    for (int b = 0; b < batch_; ++b) { outputs_[b] = inertial_track::initial(); }
+    fill_bytes(exec, view_.between, 0xff,
+               static_cast<std::size_t>(batch_ * view_.positions) * sizeof(preintegrated));
+    copy(exec, view_.tracks, static_cast<inertial_track const*>(outputs_),
+         static_cast<std::size_t>(batch_));
+  }
+
+  sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
   /// Smaller changes of the offset are not made: standard deviations, and seconds.
   static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
   static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
@@ -214,7 +225,7 @@ private:
   /// What the images alone tell of the IMU's attitude.
   void add_attitude(int b, int maps, std::int64_t time_ns) {
     int& last = seen_map_[static_cast<std::size_t>(b)];
-    mat3<strict_double> const R_wc = outputs[b].seen.R.template cast<strict_double>().transposed();
+    mat3<strict_double> const R_wc = outputs_[b].seen.R.template cast<strict_double>().transposed();
     mat3<strict_double> const R_cb = params_.T_bc.R.template cast<strict_double>().transposed();
     if (maps > 0) { queue(b).add_attitude(time_ns, (R_wc * R_cb).cast<double>(), last == maps); }
     last = maps;
@@ -249,8 +260,9 @@ private:
   int views_ = 0;
   inertial_view view_;
   inertial_windows windows_;
-  inertial_input* inputs_ = nullptr;  ///< [batch] staging memory, which a device reads
-  imu_sample* samples_ = nullptr;     ///< [batch][samples] likewise
+  inertial_track* outputs_ = nullptr;  ///< [batch] staging memory, which a device writes
+  inertial_input* inputs_ = nullptr;   ///< [batch] staging memory, which a device reads
+  imu_sample* samples_ = nullptr;      ///< [batch][samples] likewise
   arena<Exec::space> memory_;
   arena<staging> staging_memory_;
   std::unique_ptr<sample_queue[]> queues_;
@@ -258,6 +270,12 @@ private:
   std::vector<std::int64_t> offset_ns_;  ///< of the clocks, in use
   std::vector<int> seen_map_;  ///< number of the map that the last frame was tracked in; 0 = none
 };
+
+template <typename Exec, typename Rig>
+std::unique_ptr<odometry_part<Exec, Rig>> make_part(inertial const&, Exec const& exec,
+                                                    odometry_stages<Exec, Rig> const& stages) {
+  return std::make_unique<odometry_inertial<Exec, Rig>>(exec, stages);
+}
 
 }  // namespace detail
 }  // namespace FT_ABI

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/vocabulary.hpp"
@@ -19,7 +20,9 @@
 #include "ft/kernels/words/keyframe_words.hpp"
 #include "ft/kernels/words/query_database.hpp"
 #include "ft/kernels/words/transform.hpp"
-#include "ft/pipelines/detail/odometry_memory.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
+#include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/pipelines/relocalizer.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"
@@ -27,22 +30,39 @@
 
 namespace ft {
 inline namespace FT_ABI {
+
+/// Plugged into an odometry as the last argument of its constructor: a camera whose frame was not
+/// found is also looked up among the keyframes of its map, by the words of a vocabulary. If it is
+/// found, it is `tracking` at once. Otherwise a new map may begin, in the frame in which it would
+/// without. track() waits for several steps in such a frame, one camera after the other.
+///
+/// Words of a keyframe are computed after its frame, and leave with the keyframe. Files of maps
+/// have none: keyframes of a loaded map are not looked up.
+///
+/// The constructor throws bad_argument for parameters out of range, a vocabulary without words, an
+/// odometry with an IMU, a multi_rig, or a monocular_rig.
+struct places {
+  vocabulary_view words;  ///< in executor memory, valid as long as the odometry
+  place_recovery how = {};
+};
+
 namespace detail {
 
 /// Keeps the words of keyframes, and looks up the places of lost cameras. Allocates nothing after
 /// its construction.
-/// @tparam Rig that is searched: a rectified_rig or a stereo_rig
+/// @tparam Rig that is searched as a rectified_rig or a stereo_rig
 template <typename Exec, typename Rig>
-class odometry_recovery {
+class odometry_recovery final : public odometry_part<Exec, Rig> {
   static constexpr memory_space space = Exec::space;
+  using stages_type = odometry_stages<Exec, Rig>;
+  using searched_rig = typename rig_parts<Rig>::searched_rig;
 
 public:
   /// @param stages of the odometry, with all memory
   /// @throws bad_argument for parameters out of range, or a vocabulary that was never made;
   ///   std::bad_alloc, cuda_error
-  template <typename Stages>
   odometry_recovery(Exec const& exec, vocabulary_view const& words, place_recovery const& params,
-                    Stages const& stages)
+                    stages_type const& stages)
       : words_(words), params_(checked(words, params)) {
     keyframes_view const& ring = stages.own.map.keyframes;
     keyframes_capacity const size{ring.positions, ring.cameras, ring.capacity};
@@ -75,7 +95,7 @@ public:
       s.T_cw = c.template take<pose>(1);
     });
     params_.relocalization.frustum = stages.frustum;
-    relocalizer_ = relocalizer<Exec, Rig>(
+    relocalizer_ = relocalizer<Exec, searched_rig>(
         stages.rig, params_.relocalization,
         {ring.capacity, ring.capacity, stages.own.map.records.slots, params_.candidates});
     clear(exec, memory_->keyframes.database);
@@ -87,8 +107,7 @@ public:
 
   /// After a frame, and the wait for it: keeps the words of new keyframes, looks up lost cameras,
   /// and begins the maps of those that stay lost. Waits, if a camera is lost.
-  template <typename Stages>
-  void after_frame(Exec const& exec, Stages const& stages) {
+  void after_frame(Exec const& exec, stages_type const& stages) override {
     staging const& s = staging_.view();
     int const batch = stages.own.state.batch;
     bool any = false;
@@ -103,7 +122,7 @@ public:
       lost = lost || is_lost;
     }
     if (!any) { return; }
-    describe(exec, stages.memory.frame);
+    find_words(exec, stages.memory.frame);
     keep(exec, stages, stages.own.state.order);
     if (!lost) { return; }
     for (int b = 0; b < batch; ++b) {
@@ -116,8 +135,10 @@ public:
   }
 
   /// Forgets the keyframes of camera b.
-  void forget(Exec const& exec, int b) const { clear(exec, memory_->keyframes.slice(b).database); }
-  allocated_bytes bytes() const {
+  void forget(Exec const& exec, int b) override {
+    clear(exec, memory_->keyframes.slice(b).database);
+  }
+  allocated_bytes bytes() const override {
     return {memory_.bytes() + relocalizer_.bytes(), staging_.bytes()};
   }
 
@@ -154,21 +175,19 @@ private:
   }
 
   /// Words and groups of the wanted frames.
-  void describe(Exec const& exec, frame_view const& frame) const {
+  void find_words(Exec const& exec, frame_view const& frame) const {
     memory const& m = memory_.view();
     gather_descriptors(exec, frame, staging_->wanted, m.descriptors);
     transform_to_words(exec, words_, m.descriptors, {params_.levels_up}, m.words, m.transform);
     if (frame.cameras > 1) { number_keypoints(exec, frame, m.words.groups); }
   }
-  template <typename Stages>
-  void keep(Exec const& exec, Stages const& stages, keyframe_order const* order) const {
+  void keep(Exec const& exec, stages_type const& stages, keyframe_order const* order) const {
     keep_keyframe_words(exec, stages.memory.frame, order, stages.own.map.keyframes, memory_->words,
                         memory_->keyframes);
   }
 
   /// Looks up camera b. @return whether it was found; then its keypoints hold what they see
-  template <typename Stages>
-  bool look_up(Exec const& exec, Stages const& stages, int b) {
+  bool look_up(Exec const& exec, stages_type const& stages, int b) {
     memory const& m = memory_.view();
     list_live_keyframes(exec, stages.own.map, b, m.keyframes, m.live);
     slot_list const candidates = query(exec, b);
@@ -191,8 +210,7 @@ private:
     return true;
   }
   /// The evidence of what was found among the points of a keyframe's first camera.
-  template <typename Stages>
-  void weigh(Exec const& exec, Stages const& stages, int b, relocalization_input const& in,
+  void weigh(Exec const& exec, stages_type const& stages, int b, relocalization_input const& in,
              int row) const {
     memory const& m = memory_.view();
     auto search = stages.local_input();
@@ -225,8 +243,7 @@ private:
     return {s.rows, kept};
   }
 
-  template <typename Stages>
-  relocalization_input input_of(Stages const& stages, int b) const {
+  relocalization_input input_of(stages_type const& stages, int b) const {
     memory const& m = memory_.view();
     keyframes_view const& ring = stages.own.map.keyframes;
     relocalization_input in;
@@ -235,7 +252,7 @@ private:
     in.geometry = stages.geometry();
     in.words = {m.words.groups.slice(b, 1), array_of<field::orb>(in.frame.keypoints),
                 array_of<field::angle>(in.frame.keypoints),
-                Rig::cameras == 2 ? m.first_right : nullptr};
+                searched_rig::cameras == 2 ? m.first_right : nullptr};
     keyframe_words_view const rows = m.keyframes.slice(b);
     in.keyframes = {rows.groups, rows.orb, rows.angle, nullptr};
     auto& kp = in.keyframe_keypoints;
@@ -249,8 +266,7 @@ private:
   }
 
   /// States, new maps and results after the look-ups.
-  template <typename Stages>
-  void settle(Exec const& exec, Stages const& stages) const {
+  void settle(Exec const& exec, stages_type const& stages) const {
     memory const& m = memory_.view();
     looked_up_frames in;
     in.frame = stages.memory.frame;
@@ -272,38 +288,32 @@ private:
 
   vocabulary_view words_;
   place_recovery params_;
-  relocalizer<Exec, Rig> relocalizer_;
+  relocalizer<Exec, searched_rig> relocalizer_;
   owner<memory, space> memory_;
   owner<staging, staging_space<Exec>> staging_;
 };
 
-/// Rigs whose cameras are not found by words.
-struct no_recovery {
-  /// @throws bad_argument
-  template <typename... Arguments>
-  explicit no_recovery(Arguments const&...) {
-    throw bad_argument("ft: places are not recognised with a multi_rig");
-  }
-  template <typename Exec, typename Stages>
-  void after_frame(Exec const&, Stages const&) const {}
-  template <typename Exec>
-  void forget(Exec const&, int) const {}
-  allocated_bytes bytes() const { return {}; }
-};
+template <typename Rig>
+inline constexpr bool has_places = false;
+template <>
+inline constexpr bool has_places<rectified_rig> = true;
+template <typename Left, typename Right>
+inline constexpr bool has_places<stereo_rig<Left, Right>> = true;
 
-/// The recovery of an odometry. @tparam Rig that is searched
+/// @throws bad_argument also for an odometry with an IMU, or a rig whose cameras are not found by
+///   words
 template <typename Exec, typename Rig>
-struct recovery_of {
-  using type = no_recovery;
-};
-template <typename Exec>
-struct recovery_of<Exec, rectified_rig> {
-  using type = odometry_recovery<Exec, rectified_rig>;
-};
-template <typename Exec, typename Left, typename Right>
-struct recovery_of<Exec, stereo_rig<Left, Right>> {
-  using type = odometry_recovery<Exec, stereo_rig<Left, Right>>;
-};
+std::unique_ptr<odometry_part<Exec, Rig>> make_part([[maybe_unused]] places const& given,
+                                                    [[maybe_unused]] Exec const& exec,
+                                                    odometry_stages<Exec, Rig>& stages) {
+  require(!stages.settings.imu.present, "places are not recognised by an odometry with an IMU");
+  if constexpr (has_places<typename rig_parts<Rig>::searched_rig>) {
+    stages.recognizes_places = true;
+    return std::make_unique<odometry_recovery<Exec, Rig>>(exec, given.words, given.how, stages);
+  } else {
+    throw bad_argument("ft: places are not recognised with a rig of one or of several cameras");
+  }
+}
 
 }  // namespace detail
 }  // namespace FT_ABI

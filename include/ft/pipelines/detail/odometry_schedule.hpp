@@ -2,8 +2,9 @@
 /// @file The order of launches of a frame of an odometry; see frame_schedule.hpp.
 ///
 /// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
-/// one the integration of the IMU's samples. After the last pose each stage needs what the one
-/// before it has decided; what only the next pose with the IMU needs is on a branch again.
+/// one what parts have beside it: the integration of an IMU's samples. After the last pose each
+/// stage needs what the one before it has decided; what only the next frame needs of parts is on a
+/// branch again. Without parts that launch there is no branch of theirs.
 /// How the images changed is found beside their keypoints.
 #pragma once
 
@@ -18,16 +19,19 @@ namespace detail {
 /// Reads the inputs, ends an adjustment and predicts the pose.
 template <typename Exec, typename Stages>
 void queue_prediction(Exec const& exec, Stages& s) {
+  using part = typename Stages::part_type;
+  bool const parts = s.parts_launch();
   s.read_inputs(exec);
-  if (s.has_imu()) {
-    s.begin_inertial(exec);
-    s.integrate(s.inertial_branch().fork(exec));
+  if (parts) {
+    s.launch_parts(exec, &part::after_inputs);
+    s.launch_parts(s.part_branch().fork(exec), &part::beside_adjusted_map);
   }
   s.apply_adjustment(exec);
+  if (parts) { s.launch_parts(exec, &part::after_adjusted_map); }
   s.predict(exec);
-  if (s.has_imu()) {
-    s.inertial_branch().join(exec);
-    s.predict_inertial(exec);
+  if (parts) {
+    s.part_branch().join(exec);
+    s.launch_parts(exec, &part::after_prediction);
   }
 }
 
@@ -85,6 +89,8 @@ void queue_prefetched_motion(Line& line, Stages& s) {
 /// A frame.
 template <typename Line, typename Stages>
 void queue_odometry(Line& line, Stages& s, frame_extent extent) {
+  using part = typename Stages::part_type;
+  bool const parts = s.parts_launch();
   if (extent == frame_extent::whole) {
     queue_odometry_motion(line, s);
   } else {
@@ -99,9 +105,9 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.count_chances(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
-  if (s.has_imu()) {
-    s.optimize_inertial(line.then("pose local map"));
-    s.marginalize(line.fork(s.inertial_branch()));
+  if (parts) {
+    s.launch_parts(line.then("pose local map"), &part::after_pose);
+    s.launch_parts(line.fork(s.part_branch()), &part::beside_decision);
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   s.judge(line.then("keyframe"));
@@ -113,13 +119,13 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   }
   s.insert(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) { s.enter_new_points(line.then("keyframe")); }
-  if (s.has_imu()) { s.keep_inertial(line.fork(s.inertial_branch())); }
+  if (parts) { s.launch_parts(line.fork(s.part_branch()), &part::beside_window); }
   s.gather(line.then("keyframe"));
-  if (s.has_imu()) { s.gather_inertial(line.fork(s.inertial_branch())); }
+  if (parts) { s.launch_parts(line.fork(s.part_branch()), &part::beside_result); }
   line.join(s.result_branch());
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));
-  if (s.has_imu()) { line.join(s.inertial_branch()); }
+  if (parts) { line.join(s.part_branch()); }
   line.end();
 }
 

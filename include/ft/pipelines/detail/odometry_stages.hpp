@@ -2,6 +2,7 @@
 /// @file The stages of a frame of an odometry, on its memory.
 #pragma once
 
+#include <algorithm>
 #include <utility>
 
 #include "ft/core/config.hpp"
@@ -26,9 +27,9 @@
 #include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
-#include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
@@ -49,7 +50,7 @@ public:
 
   odometry_params settings;
   odometry_memory<Exec> own;
-  odometry_inertial<Exec> inertial;
+  odometry_part_list<Exec, Rig> plugged;
   typename rig_parts<Rig>::template input<Exec> input;
   /// Whether lost cameras begin a new map after the frame, not in it.
   bool recognizes_places = false;
@@ -62,16 +63,10 @@ public:
   void read_inputs(Exec const& exec) const { read_odometry_inputs(exec, own.inputs, own.state); }
   void apply_adjustment(Exec const& exec) const {
     apply_window(exec, own.state.apply, own.window, own.sources, own.map, own.state.T_cw);
-    if (has_imu()) { inertial.apply(exec, own); }
   }
-  bool has_imu() const { return inertial.present(); }
-  void begin_inertial(Exec const& exec) const { inertial.begin(exec, own.inputs); }
-  side_branch<Exec>& inertial_branch() { return inertial_branch_; }
-  void integrate(Exec const& exec) const { inertial.integrate(exec); }
   void predict(Exec const& exec) const {
     predict_frames(exec, own.inputs, settings.rules, own.state, predictions());
   }
-  void predict_inertial(Exec const& exec) const { inertial.predict(exec, own, predictions()); }
   /// Images alone: the other inputs come with read_inputs().
   void upload(Exec const& exec, bool /*with_local*/) const {
     input.upload(exec, this->extractor.stages());
@@ -99,6 +94,23 @@ public:
   void refine_partners(Exec const& exec) const {
     ft::refine_partners(exec, this->rig, this->extractor.pyramid(), this->extractor.keypoints(),
                         this->matcher.fisheye_matches());
+  }
+
+  // ---- parts, at points of the schedule
+
+  using part_type = odometry_part<Exec, Rig>;
+  /// A point of the frame's launches.
+  using part_launch = void (part_type::*)(Exec const&, odometry_stages const&) const;
+
+  bool parts_launch() const {
+    return std::any_of(plugged.begin(), plugged.end(), [](auto const& p) { return p->launches(); });
+  }
+  void launch_parts(Exec const& exec, part_launch at) const {
+    for (auto const& p : plugged) { ((*p).*at)(exec, *this); }
+  }
+  side_branch<Exec>& part_branch() { return part_branch_; }
+  predicted_frames predictions() const {
+    return {memory.motion.device.predicted, memory.last.T_cw, memory.motion.device.stamp};
   }
 
   // ---- the local map
@@ -133,14 +145,6 @@ public:
 
   // ---- the end
 
-  void optimize_inertial(Exec const& exec) const {
-    inertial.optimize(exec, this->rig, own.state, memory.frame, memory.observations,
-                      own.information, memory.poses);
-  }
-  void marginalize(Exec const& exec) const {
-    inertial.marginalize(exec, this->rig, memory.observations);
-  }
-  void keep_inertial(Exec const& exec) const { inertial.keep(exec, own); }
   void judge(Exec const& exec) const {
     searched_frames<typename base::searched_rig> in{};
     in.rig = this->rig;
@@ -185,7 +189,8 @@ public:
   }
   void triangulate(Exec const& exec) const {
     if constexpr (starts_from_motion) {
-      beginning.triangulate(exec, this->rig, memory.frame, this->geometry(), own, has_imu());
+      beginning.triangulate(exec, this->rig, memory.frame, this->geometry(), own,
+                            settings.imu.present);
     }
   }
   void enter_new_points(Exec const& exec) const {
@@ -220,7 +225,6 @@ public:
     gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
                   own.sources);
   }
-  void gather_inertial(Exec const& exec) const { inertial.gather(exec, own); }
   /// Beside the frame's features.
   void watch_images(Exec const& exec) const {
     image_pyramid_view const images = this->extractor.pyramid();
@@ -262,7 +266,6 @@ public:
       beginning.take(exec, this->rig, settings.start, own.map.keyframes,
                      memory.frame.grids.geometry);
     }
-    inertial.take(settings, starts_from_motion, memory.observations.capacity, this->batch);
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
@@ -271,7 +274,7 @@ public:
       fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
     }
     beginning_branch_.make();
-    inertial_branch_.make();
+    part_branch_.make();
     static_cast<void>(exec);
   }
   /// Forgets in which frames map points were matched. No frame has the number 0.
@@ -286,7 +289,6 @@ public:
     own.initialize(exec);
     if constexpr (starts_from_motion) { beginning.initialize(exec); }
     for (int b = 0; b < this->batch; ++b) { expect_start(exec, b, true); }
-    inertial.initialize(exec);
   }
   /// Says whether a map of camera b may begin with the next frame. Asynchronous.
   void expect_start([[maybe_unused]] Exec const& exec, [[maybe_unused]] int b,
@@ -332,9 +334,6 @@ public:
   }
 
 private:
-  predicted_frames predictions() const {
-    return {memory.motion.device.predicted, memory.last.T_cw, memory.motion.device.stamp};
-  }
   local_map_view local_map() const {
     local_map_view v;
     v.capacity = this->params.local_points;
@@ -351,7 +350,7 @@ private:
   int features_number_ = 0;
   float fixed_disparity_ = 0;  ///< of mark_fixed_keypoints()
   side_branch<Exec> beginning_branch_;
-  side_branch<Exec> inertial_branch_;
+  side_branch<Exec> part_branch_;
 };
 
 }  // namespace detail

@@ -9,6 +9,7 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "ft/cameras/image_domain.hpp"
@@ -24,12 +25,13 @@
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
 #include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/pipelines/detail/odometry_prefetch.hpp"
-#include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/tracker_types.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
+#include "ft/types/imu.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
@@ -82,11 +84,9 @@ inline tracker_params tracker_params_of(odometry_params const& p) {
 
 /// At a fixed address: recordings, the adjustments and the prefetch refer to it.
 template <typename Exec, typename Rig>
-struct odometry_parts {
+struct odometry_engine {
   using stages_type = odometry_stages<Exec, Rig>;
   using parts_of_rig = rig_parts<Rig>;
-  using searched_rig = typename parts_of_rig::searched_rig;
-  using recovery_type = typename recovery_of<Exec, searched_rig>::type;
   using prefetch_type = odometry_prefetch<Exec, Rig>;
 
   /// The launches of a frame, and their times.
@@ -107,21 +107,23 @@ struct odometry_parts {
   std::vector<frame_warnings> warnings;
   long long frame = 0;
   int stamp = 0;
-  std::unique_ptr<recovery_type> recovery;  ///< or none
-  odometry_adjustments<Exec, searched_rig> adjustments;
+  odometry_adjustments<Exec, Rig> adjustments;
   std::unique_ptr<prefetch_type> prefetch;  ///< or none
 
-  /// @throws bad_argument, std::bad_alloc, cuda_error
-  odometry_parts(Exec const& e, Rig const& of, odometry_params const& params, int batch)
+  /// @param plugged parts, by their public names @throws bad_argument, std::bad_alloc, cuda_error
+  template <typename... Plugged>
+  odometry_engine(Exec const& e, Rig const& of, odometry_params const& params, int batch,
+                  Plugged const&... plugged)
       : exec(e),
-        rig(checked(of, params, batch)),
+        rig(checked(of, params, batch, (std::is_same_v<Plugged, inertial> || ...))),
         given(params),
         launches(static_cast<std::size_t>(params.prefetch) + 1),
         results(static_cast<std::size_t>(batch)),
         times(results.size()),
         begun(results.size()),
         warnings(results.size()),
-        adjustments(prepared(params, batch), stages.own, stages.inertial, stages.rig, params) {
+        adjustments(prepared(params, batch, plugged...), stages.own, stages.plugged, stages.rig,
+                    params) {
     if (params.measure_stages) {
       for (auto& of_set : launches) {
         for (auto& of_extent : of_set) { of_extent.clock.enable(); }
@@ -131,8 +133,8 @@ struct odometry_parts {
     last_clock = &launches_of(frame_extent::whole).clock;
     record();
   }
-  odometry_parts(odometry_parts const&) = delete;
-  odometry_parts& operator=(odometry_parts const&) = delete;
+  odometry_engine(odometry_engine const&) = delete;
+  odometry_engine& operator=(odometry_engine const&) = delete;
 
   /// Records the launches of frames. Not while frames are given.
   void record() {
@@ -165,7 +167,7 @@ struct odometry_parts {
     now.graph.replay(exec, [&](Exec const& e) { queue(e, extent); });
     last_clock = &now.clock;
     exec.wait();
-    if (recovery != nullptr) { recovery->after_frame(exec, stages); }
+    for (auto const& p : stages.plugged) { p->after_frame(exec, stages); }
     adjustments.begin_after(frame);
     take_outputs(time_ns);
     ++frame;
@@ -186,7 +188,8 @@ private:
   }
 
   /// Takes all memory and initialises it.
-  Exec const& prepared(odometry_params const& params, int batch) {
+  template <typename... Plugged>
+  Exec const& prepared(odometry_params const& params, int batch, Plugged const&... plugged) {
     stages.settings = params;
     if (params.imu.present) {
       stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
@@ -207,6 +210,7 @@ private:
     stages.take_all_memory(exec, params.adjustment_delay);
     stages.initialize_all(exec);
     exec.wait();
+    (stages.plugged.push_back(make_part(plugged, exec, stages)), ...);
     return exec;
   }
 
@@ -220,7 +224,9 @@ private:
       stages.own.inputs[b].time_ns = time_ns[b];
       stages.own.inputs[b].stamp = stamp;
       auto const i = static_cast<std::size_t>(b);
-      if (stages.has_imu()) { stages.inertial.set_input(b, begun[i] != 0, times[i], time_ns[b]); }
+      for (auto const& p : stages.plugged) {
+        p->before_frame(b, begun[i] != 0, times[i], time_ns[b]);
+      }
     }
   }
   void take_outputs(std::int64_t const* time_ns) {
@@ -233,11 +239,7 @@ private:
       results[i] = tracking_of(stages.own.outputs[b]);
       results[i].depths = depths_of(rig);
       results[i].metric = !stages_type::starts_from_motion;
-      if (stages.has_imu()) {
-        results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;
-        bool const tracked = results[i].state == tracking_state::tracking;
-        stages.inertial.describe(b, tracked ? results[i].maps : 0, time_ns[b], results[i].imu);
-      }
+      for (auto const& p : stages.plugged) { p->describe(b, time_ns[b], results[i]); }
       warnings[i].judge(results[i], time_ns[b], first, stages.settings);
     }
   }
@@ -247,11 +249,16 @@ private:
     if (!stages_type::starts_from_motion) { return 0; }
     return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
   }
-  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch) {
+  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch,
+                            bool with_inertial) {
     rig.check();
     require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     require_range("batch of camera pairs", batch, 1, 2048);
     ft::check(p);
+    require(with_inertial || !p.imu.present,
+            "params.imu needs its part: odometry(exec, rig, params, batch, ft::inertial{})");
+    require(!with_inertial || p.imu.present,
+            "the part ft::inertial needs params.imu: its member present is false");
     require(!(p.prefetch > 0 && stages_type::starts_from_motion),
             "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
     if (!stages_type::starts_from_motion) {

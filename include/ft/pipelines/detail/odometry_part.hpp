@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What is plugged into an odometry: its say at the named points of a frame.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "ft/containers/window_problem.hpp"
+#include "ft/core/config.hpp"
+#include "ft/pipelines/detail/sample_queue.hpp"
+#include "ft/types/tracking.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+template <typename Exec, typename Rig>
+class odometry_stages;
+
+/// A part of an odometry, which takes its memory in its constructor. A program that names no part
+/// compiles none of its kernels. Launches are asynchronous and allocate nothing; they may be
+/// recorded. Forks and joins are those of odometry_schedule.hpp.
+template <typename Exec, typename Rig>
+class odometry_part {
+public:
+  using stages_type = odometry_stages<Exec, Rig>;
+
+  odometry_part() = default;
+  odometry_part(odometry_part const&) = delete;
+  odometry_part& operator=(odometry_part const&) = delete;
+  virtual ~odometry_part() = default;
+  virtual allocated_bytes bytes() const = 0;
+
+  // ---- launches of a frame, in order
+
+  virtual bool launches() const { return false; }  ///< whether there are any
+  virtual void after_inputs(Exec const&, stages_type const&) const {}
+  virtual void beside_adjusted_map(Exec const&, stages_type const&) const {}
+  virtual void after_adjusted_map(Exec const&, stages_type const&) const {}
+  virtual void after_prediction(Exec const&, stages_type const&) const {}
+  virtual void after_pose(Exec const&, stages_type const&) const {}
+  virtual void beside_decision(Exec const&, stages_type const&) const {}
+  virtual void beside_window(Exec const&, stages_type const&) const {}
+  virtual void beside_result(Exec const&, stages_type const&) const {}
+
+  // ---- beside frames
+
+  /// After an adjustment. @param selected [batch] executor memory: its cameras
+  virtual void after_adjustment(Exec const&, int const* /*selected*/,
+                                window_problem_view const&) const {}
+
+  // ---- calls of the host
+
+  /// Before a frame of camera pair b. @param begun whether there was a frame before it
+  virtual void before_frame(int /*b*/, bool /*begun*/, std::int64_t /*from_ns*/,
+                            std::int64_t /*to_ns*/) {}
+  /// After a frame, and the wait for it. May wait.
+  virtual void after_frame(Exec const&, stages_type const&) {}
+  /// What it knows about the frame of camera pair b.
+  virtual void describe(int /*b*/, std::int64_t /*time_ns*/, tracking&) {}
+  /// Camera pair b begins anew.
+  virtual void reset(int /*b*/) {}
+  /// Camera pair b got another map. May wait.
+  virtual void forget(Exec const&, int /*b*/) {}
+  /// Takes the samples of camera pair b's IMU; null if this part has no IMU.
+  virtual sample_queue* samples(int /*b*/) { return nullptr; }
+};
+
+template <typename Exec, typename Rig>
+using odometry_part_list = std::vector<std::unique_ptr<odometry_part<Exec, Rig>>>;
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -91,20 +91,22 @@ FT_HOST_DEVICE inline void note_keyframe(camera_track& t, rigid<double> const& T
 
 /// Item: a camera.
 struct judge_camera_frame {
-  using scratch = no_scratch;
+  using scratch = facts_scratch;
 
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, tracking_rules const& rules,
                                  searched_frames<Rig> const& in,
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
     frame_facts facts{};
     if (before.plan != search_plan::nothing && in.observations.items != nullptr) {
-      facts = weigh_observations(g, b, in.rig, in.observations, in.T_cw[b], state.T_cw[b]);
+      facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], state.T_cw[b],
+                                 in.local.geometry);
       facts.evidence = frame_facts::by_chances;
     }
     facts.fixed = before.facts.fixed;
+    facts.dragged = before.facts.dragged;
     facts.held_before = before.held;
     facts.moving = before.moved;
     bool const found = before.plan == search_plan::follow   ? inliers >= rules.min_inliers

@@ -16,11 +16,13 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Result of the search from the last frame, and the start of the search in the local map.
+template <typename Rig>
 struct search_start {
-  int const* inliers;  ///< [batch] of the first pose
-  pose* T_cw;          ///< [batch] the first pose; replaced for a camera that is searched for
-  int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
-                       ///< point counts as matched
+  Rig rig;
+  int const* inliers = nullptr;  ///< [batch] of the first pose
+  pose* T_cw = nullptr;  ///< [batch] the first pose; replaced for a camera that is searched for
+  int* stamp = nullptr;  ///< [batch] number of the frame; another one for such a camera, so that no
+                         ///< point counts as matched
   pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
   frames_in_map fixed{};   ///< whose `changes` tell which keypoints are fixed to a camera
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
@@ -33,10 +35,10 @@ namespace detail {
 struct plan_camera_search {
   using scratch = no_scratch;
 
-  template <typename Group>
+  template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
                                  frame_view const& frame, odometry_state_view const& state,
-                                 search_start const& start) const {
+                                 search_start<Rig> const& start) const {
     camera_track const& t = state.tracks[b];
     bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
     search_plan const plan = adopts && t.lost_frames == 0 ? search_plan::rejoin
@@ -47,12 +49,13 @@ struct plan_camera_search {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
-    int fixed = 0;
+    fixed_counts fixed;
     if (start.fixed.changes.of != nullptr && has_fixed_parts(start.fixed, b)) {
-      fixed = forget_fixed(g, b, start);
+      fixed = forget_fixed(g, b, start, state.T_cw[b]);
     }
     if (g.rank() != 0) { return; }
-    state.tracks[b].facts.fixed = fixed;
+    state.tracks[b].facts.fixed = fixed.all;
+    state.tracks[b].facts.dragged = fixed.dragged;
     // A frame without points was no attempt.
     int const attempt = t.lost_with_features % recovery_attempts;
     bool const recovers = plan == search_plan::recover || plan == search_plan::rejoin;
@@ -78,12 +81,22 @@ struct plan_camera_search {
   }
 
 private:
-  /// Keypoints of what is fixed to a camera become no points of the map. @return the near ones
-  template <typename Group>
-  FT_HOST_DEVICE static int forget_fixed(Group g, int b, search_start const& start) {
+  struct fixed_counts {
+    int all = 0;
+    int dragged = 0;  ///< that the scene would have moved
+  };
+  /// Keypoints of what is fixed to a camera become no points of the map. A camera that turns about
+  /// a point in view, or hardly moves, has such, too.
+  /// @param last pose of the last frame
+  /// @return the near ones
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static fixed_counts forget_fixed(Group g, int b, search_start<Rig> const& start,
+                                                  rigid<double> const& last) {
     frame_view const& frame = start.fixed.frame;
+    auto const T_cw = start.T_cw[b].template cast<strict_float>();
+    auto const last_T_cw = last.template cast<strict_float>();
     int const with_depth = start.depth_cameras * frame.capacity();
-    int fixed = 0;
+    fixed_counts n;
     for (int i = g.rank(); i < with_depth; i += g.size()) {
       float& depth = start.depth[static_cast<std::ptrdiff_t>(b) * with_depth + i];
       if (i - i / frame.capacity() * frame.capacity() >=
@@ -91,10 +104,39 @@ private:
           !(depth > 0) || !is_fixed_keypoint(start.fixed, b, i)) {
         continue;
       }
+      int const k = i - i / frame.capacity() * frame.capacity();
+      keypoints_view const kp = frame.camera(b, i / frame.capacity());
+      ++n.all;
+      n.dragged += static_cast<int>(
+          is_fixed_keypoint(start.fixed, b, i, true) &&
+          flows(start.rig, i / frame.capacity(), T_cw, last_T_cw, {kp.x(k), kp.y(k)}, depth));
       depth = -1.0f;
-      ++fixed;
     }
-    return g.reduce(fixed, sum_op{});
+    return {g.reduce(n.all, sum_op{}), g.reduce(n.dragged, sum_op{})};
+  }
+  /// Whether what a camera sees at a pixel was 2 pixels from there before, if it is of the scene.
+  template <typename Rig>
+  FT_HOST_DEVICE static bool flows(Rig const& rig, int c, rigid<strict_float> const& T_cw,
+                                   rigid<strict_float> const& last_T_cw, vec2<float> at,
+                                   float depth) {
+    auto const moved = [&](auto const& camera, rigid<strict_float> const& to,
+                           rigid<strict_float> const& from) {
+      auto const model = camera.template cast<strict_float>();
+      auto const ray = model.unproject({strict_float(at.x), strict_float(at.y)});
+      if (!ray.valid || !(ray.direction.z > 0.0f)) { return false; }
+      strict_float const scale = strict_float(depth) / ray.direction.z;
+      auto const d = ray.direction;
+      auto const point = to.inverse() * vec3<strict_float>{d.x * scale, d.y * scale, d.z * scale};
+      auto const before = model.project(from * point);
+      float const x = ::fabsf((before.pixel.x - strict_float(at.x)).value);
+      float const y = ::fabsf((before.pixel.y - strict_float(at.y)).value);
+      return before.valid && !(x + y < 2.0f);
+    };
+    if constexpr (Rig::rectified) {
+      return moved(rig.pair(c).camera, rig.to_camera(c, T_cw), rig.to_camera(c, last_T_cw));
+    } else {
+      return moved(rig.left, T_cw, last_T_cw);
+    }
   }
   FT_HOST_DEVICE static search_plan plan_of(camera_track const& t, tracking_rules const& rules,
                                             int inliers) {
@@ -110,9 +152,9 @@ private:
 /// too few inliers, or that was lost before, is searched for near one of several poses with a wide
 /// radius, among the newest keyframes' points; one that adopts a proposal near that pose. Its
 /// keypoints release what they hold. Asynchronous on `exec`; allocates nothing; one launch.
-template <typename Exec>
+template <typename Exec, typename Rig>
 void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,
-                   odometry_state_view const& state, search_start const& start) {
+                   odometry_state_view const& state, search_start<Rig> const& start) {
   for_each_item<per_block<256>>(exec, state.batch, detail::plan_camera_search{}, rules, frame,
                                 state, start);
 }

@@ -53,7 +53,9 @@ FT_HOST_DEVICE inline bool has_fixed_parts(frames_in_map const& in, int b) {
 }
 /// Whether keypoint i is of what is fixed to its camera. What is far may stay where it is, too; of
 /// a keypoint without disparity that takes many frames to tell.
-FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int i) {
+/// @param sure only if it has been so for many frames
+FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int i,
+                                             bool sure = false) {
   frame_view const& frame = in.frame;
   int const c = i / frame.capacity();
   int const k = i - c * frame.capacity();
@@ -69,7 +71,7 @@ FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int
     return false;
   }
   return in.changes.is_fixed(frame.image(b, c), x, in.geometry.row(kp.y(k), octave),
-                             in.geometry.width[0], in.geometry.height[0], !has_disparity);
+                             in.geometry.width[0], in.geometry.height[0], sure || !has_disparity);
 }
 
 /// One item: a frame. Gathers the observations, optimises the pose and releases outliers.

@@ -232,6 +232,7 @@ private:
       stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
       results[i] = tracking_of(stages.own.outputs[b]);
       results[i].depths = depths_of(rig);
+      results[i].evidence.rectified = Rig::rectified;
       results[i].metric = !stages_type::starts_from_motion;
       if (stages.has_imu()) {
         results[i].metric = results[i].metric || stages.inertial.outputs[b].metric != 0;

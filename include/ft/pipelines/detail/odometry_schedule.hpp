@@ -101,6 +101,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
     s.marginalize(line.fork(s.inertial_branch()));
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
+  line.join(s.result_branch());
   s.judge(line.then("keyframe"));
   s.count_points(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) {
@@ -112,7 +113,6 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   if (s.has_imu()) { s.keep_inertial(line.fork(s.inertial_branch())); }
   s.gather(line.then("keyframe"));
   if (s.has_imu()) { s.gather_inertial(line.fork(s.inertial_branch())); }
-  line.join(s.result_branch());
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));
   if (s.has_imu()) { line.join(s.inertial_branch()); }

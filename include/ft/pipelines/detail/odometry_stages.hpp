@@ -101,8 +101,9 @@ public:
   // ---- the local map
 
   void plan_search(Exec const& exec) const {
-    search_start start{memory.observations.inliers, memory.poses, memory.motion.device.stamp,
-                       own.windowless.proposals};
+    search_start<typename base::searched_rig> start{this->rig, memory.observations.inliers,
+                                                    memory.poses, memory.motion.device.stamp,
+                                                    own.windowless.proposals};
     start.fixed = this->in_map();
     // The matcher's own memory: nothing else reads it at that time.
     start.depth = const_cast<float*>(this->matcher.depth());
@@ -161,7 +162,7 @@ public:
   /// Beside the search in the local map.
   void count_chances(Exec const& exec) const {
     count_chances_of_frames(exec, memory.frame, this->local_input(), this->params.local_points,
-                            memory.map.capacity, own.chances);
+                            memory.map, own.chances);
   }
   void count_points(Exec const& exec) const {
     sightings_input in;

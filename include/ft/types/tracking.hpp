@@ -75,7 +75,6 @@ struct warning_set {
 /// What the matches and images of a frame say about its pose. Of a frame whose local map was not
 /// searched all is 0.
 struct frame_facts {
-  static constexpr int by_chances = -1;  ///< internal: the evidence is still to be computed
   int matches = 0;  ///< keypoints that were matched, before the pose was optimised
   int flowing = 0;  ///< inliers that the motion since the last frame moved 2 pixels
   int resting = 0;  ///< inliers that it moved by a quarter of a pixel at most

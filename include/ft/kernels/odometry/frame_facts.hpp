@@ -198,6 +198,40 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
   return n;
 }
 
+/// What report_frames() reads. Executor memory.
+template <typename Rig>
+struct reported_frames {
+  Rig rig;
+  observations_view observations;          ///< of the last pose
+  chance_counts const* chances = nullptr;  ///< [batch]
+  int const* inliers = nullptr;            ///< [batch] of the judged frame
+  pyramid_geometry geometry{};             ///< of the images
+};
+
+/// Item: a camera.
+struct report_frame {
+  using scratch = facts_scratch;
+
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, reported_frames<Rig> const& in,
+                                 odometry_state_view const& state) const {
+    camera_track& t = state.tracks[b];
+    if (t.plan == search_plan::nothing) { return; }
+    weighed_poses const at = state.weighed[b];
+    frame_facts facts =
+        weigh_observations(g, s, b, in.rig, in.observations, at.T_cw, at.last, in.geometry);
+    if (g.rank() != 0) { return; }
+    facts.fixed = t.facts.fixed;
+    facts.dragged = t.facts.dragged;
+    facts.held_before = t.facts.held_before;
+    facts.moving = t.facts.moving;
+    facts.evidence = static_cast<int>(in.chances[b].bits(in.inliers[b]) / evidence_one);
+    t.facts = facts;
+    bool const found = state.counts[b] != sightings::none;
+    t.moved = found && 2 * facts.flowing > in.inliers[b] ? 1 : 0;
+  }
+};
+
 /// Item: a camera.
 struct count_frame_chances {
   using scratch = no_scratch;
@@ -221,6 +255,14 @@ void count_chances_of_frames(Exec const& exec, frame_view const& frame, local_se
                              int capacity, map_points_view const& map, detail::chance_counts* out) {
   for_each_item<per_block<256>>(exec, frame.batch, detail::count_frame_chances{}, frame, in,
                                 capacity, map, out);
+}
+
+/// What the matches of judged frames say: camera_track::facts and `moved`. Nothing in the frame
+/// waits for it. Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec, typename Rig>
+void report_frames(Exec const& exec, detail::reported_frames<Rig> const& in,
+                   odometry_state_view const& state) {
+  for_each_item<per_block<256>>(exec, state.batch, detail::report_frame{}, in, state);
 }
 
 }  // namespace FT_ABI

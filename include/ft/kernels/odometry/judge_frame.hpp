@@ -14,7 +14,6 @@
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/monocular/begin_map.hpp"
-#include "ft/kernels/odometry/frame_facts.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/search/frustum.hpp"
@@ -41,9 +40,8 @@ struct searched_frames {
   local_search<Rig> local;  ///< in which points were searched; its pose is not used
   int local_capacity = 0;   ///< of its slots
   map_points_view map;
-  map_beginnings begins;             ///< of a monocular_rig
-  bool begins_maps = true;           ///< false: a lost camera begins no new map
-  observations_view observations{};  ///< of the last pose; empty: nothing is said of them
+  map_beginnings begins;    ///< of a monocular_rig
+  bool begins_maps = true;  ///< false: a lost camera begins no new map
 };
 
 namespace detail {
@@ -91,24 +89,14 @@ FT_HOST_DEVICE inline void note_keyframe(camera_track& t, rigid<double> const& T
 
 /// Item: a camera.
 struct judge_camera_frame {
-  using scratch = facts_scratch;
+  using scratch = no_scratch;
 
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, tracking_rules const& rules,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
                                  searched_frames<Rig> const& in,
                                  odometry_state_view const& state) const {
     camera_track const before = state.tracks[b];
     int const inliers = in.inliers[b];
-    frame_facts facts{};
-    if (before.plan != search_plan::nothing && in.observations.items != nullptr) {
-      facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], state.T_cw[b],
-                                 in.local.geometry);
-      facts.evidence = frame_facts::by_chances;
-    }
-    facts.fixed = before.facts.fixed;
-    facts.dragged = before.facts.dragged;
-    facts.held_before = before.held;
-    facts.moving = before.moved;
     bool const found = before.plan == search_plan::follow   ? inliers >= rules.min_inliers
                        : before.plan == search_plan::rejoin ? inliers >= rules.min_recovered
                        : before.plan == search_plan::recover
@@ -119,14 +107,19 @@ struct judge_camera_frame {
     if (g.rank() != 0) { return; }
     camera_track t = before;
     t.begins = 0;
-    t.facts = facts;
+    state.weighed[b] = {in.T_cw[b], state.T_cw[b]};
+    t.facts = {};
+    t.facts.fixed = before.facts.fixed;
+    t.facts.dragged = before.facts.dragged;
+    t.facts.held_before = before.held;
+    t.facts.moving = before.moved;
     t.agreed = before.plan == search_plan::nothing ? 0 : inliers;
     bool const follows = before.plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
     state.counts[b] = !found ? sightings::none : follows ? sightings::all : sightings::found_only;
     state.order[b] = keyframe_order::none;
-    t.moved = found && 2 * facts.flowing > inliers ? 1 : 0;
+    t.moved = 0;
     if (found) {
       keep_pose(t, state.T_cw[b], in.T_cw[b]);
       t.held = counts.held;

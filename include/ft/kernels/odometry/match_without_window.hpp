@@ -40,9 +40,9 @@ struct windowless_search {
   int const*
       last_holder;  ///< [batch][cameras * capacity] slots that the last frame held, -1 = none
   pyramid_geometry geometry;
-  int const* inliers;     ///< [batch] of the first pose
-  pose const* T_cw;       ///< [batch] the first pose: after the search from the last frame
-  frames_in_map fixed{};  ///< whose `changes` tell which keypoints are fixed to a camera
+  int const* inliers;  ///< [batch] of the first pose
+  pose const* T_cw;    ///< [batch] the first pose: after the search from the last frame
+  unsigned char const* fixed = nullptr;  ///< as in frames_in_map
 };
 
 /// Working memory and outputs, in executor memory. Nothing has to be initialised.
@@ -147,7 +147,8 @@ struct match_anywhere {
 
 private:
   FT_HOST_DEVICE static bool is_fixed(windowless_search<Rig> const& in, int b, int i) {
-    return in.fixed.changes.of != nullptr && is_fixed_keypoint(in.fixed, b, i);
+    return in.fixed != nullptr &&
+           in.fixed[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + i] != 0;
   }
   /// The nearest of n descriptors if it is near, and nearer than the second by the ratio.
   template <typename Group, typename At>

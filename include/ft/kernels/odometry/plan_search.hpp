@@ -7,6 +7,7 @@
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/odometry/fixed_keypoints.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/types/odometry_params.hpp"
@@ -24,7 +25,7 @@ struct search_start {
   int* stamp = nullptr;  ///< [batch] number of the frame; another one for such a camera, so that no
                          ///< point counts as matched
   pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
-  frames_in_map fixed{};   ///< whose `changes` tell which keypoints are fixed to a camera
+  unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
   int depth_cameras = 1;
 };
@@ -50,9 +51,7 @@ struct plan_camera_search {
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
     fixed_counts fixed;
-    if (start.fixed.changes.of != nullptr && has_fixed_parts(start.fixed, b)) {
-      fixed = forget_fixed(g, b, start, state.T_cw[b]);
-    }
+    if (start.fixed != nullptr) { fixed = forget_fixed(g, b, frame, start, state.T_cw[b]); }
     if (g.rank() != 0) { return; }
     state.tracks[b].facts.fixed = fixed.all;
     state.tracks[b].facts.dragged = fixed.dragged;
@@ -83,34 +82,33 @@ struct plan_camera_search {
 private:
   struct fixed_counts {
     int all = 0;
-    int dragged = 0;  ///< that the scene would have moved
+    int dragged = 0;  ///< that the scene would have moved, and that are sure
   };
   /// Keypoints of what is fixed to a camera become no points of the map. A camera that turns about
   /// a point in view, or hardly moves, has such, too.
   /// @param last pose of the last frame
   /// @return the near ones
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE static fixed_counts forget_fixed(Group g, int b, search_start<Rig> const& start,
+  FT_HOST_DEVICE static fixed_counts forget_fixed(Group g, int b, frame_view const& frame,
+                                                  search_start<Rig> const& start,
                                                   rigid<double> const& last) {
-    frame_view const& frame = start.fixed.frame;
     auto const T_cw = start.T_cw[b].template cast<strict_float>();
     auto const last_T_cw = last.template cast<strict_float>();
     int const with_depth = start.depth_cameras * frame.capacity();
+    float* const depth = start.depth + static_cast<std::ptrdiff_t>(b) * with_depth;
+    unsigned char const* const is_fixed =
+        start.fixed + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     fixed_counts n;
     for (int i = g.rank(); i < with_depth; i += g.size()) {
-      float& depth = start.depth[static_cast<std::ptrdiff_t>(b) * with_depth + i];
-      if (i - i / frame.capacity() * frame.capacity() >=
-              *frame.camera(b, i / frame.capacity()).count ||
-          !(depth > 0) || !is_fixed_keypoint(start.fixed, b, i)) {
-        continue;
-      }
-      int const k = i - i / frame.capacity() * frame.capacity();
-      keypoints_view const kp = frame.camera(b, i / frame.capacity());
+      if (is_fixed[i] == 0 || !(depth[i] > 0)) { continue; }
+      int const c = i / frame.capacity();
+      keypoints_view const kp = frame.camera(b, c);
+      int const k = i - c * frame.capacity();
       ++n.all;
-      n.dragged += static_cast<int>(
-          is_fixed_keypoint(start.fixed, b, i, true) &&
-          flows(start.rig, i / frame.capacity(), T_cw, last_T_cw, {kp.x(k), kp.y(k)}, depth));
-      depth = -1.0f;
+      n.dragged +=
+          static_cast<int>(is_fixed[i] == fixed_for_long &&
+                           flows(start.rig, c, T_cw, last_T_cw, {kp.x(k), kp.y(k)}, depth[i]));
+      depth[i] = -1.0f;
     }
     return {g.reduce(n.all, sum_op{}), g.reduce(n.dragged, sum_op{})};
   }

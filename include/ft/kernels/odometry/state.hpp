@@ -85,17 +85,24 @@ struct camera_track {
   FT_HOST_DEVICE bool has_map() const { return state != tracking_state::initialising; }
 };
 
+/// Poses by which the matches of a frame are weighed.
+struct weighed_poses {
+  pose T_cw;           ///< of the last search
+  rigid<double> last;  ///< of the last frame
+};
+
 /// The state of all cameras, and what stages decide for those that follow. Executor memory.
 struct odometry_state_view {
-  camera_track* tracks = nullptr;   ///< [batch]
-  rigid<double>* T_cw = nullptr;    ///< [batch] of the last frame, then of the current one
-  local_map_mode* mode = nullptr;   ///< [batch] of choose_local_map()
-  float* radius_factor = nullptr;   ///< [batch] of the search in the local map
-  sightings* counts = nullptr;      ///< [batch] what count_sightings() counts
-  keyframe_order* order = nullptr;  ///< [batch] of insert_keyframe()
-  std::int64_t* time_ns = nullptr;  ///< [batch] of the current frame
-  int* gather = nullptr;            ///< [batch] 1 = an adjustment begins with this frame
-  int* apply = nullptr;             ///< [batch] 1 = an adjustment ends with this frame
+  camera_track* tracks = nullptr;    ///< [batch]
+  rigid<double>* T_cw = nullptr;     ///< [batch] of the last frame, then of the current one
+  local_map_mode* mode = nullptr;    ///< [batch] of choose_local_map()
+  float* radius_factor = nullptr;    ///< [batch] of the search in the local map
+  sightings* counts = nullptr;       ///< [batch] what count_sightings() counts
+  keyframe_order* order = nullptr;   ///< [batch] of insert_keyframe()
+  std::int64_t* time_ns = nullptr;   ///< [batch] of the current frame
+  int* gather = nullptr;             ///< [batch] 1 = an adjustment begins with this frame
+  int* apply = nullptr;              ///< [batch] 1 = an adjustment ends with this frame
+  weighed_poses* weighed = nullptr;  ///< [batch] of the current frame, before it was judged
   int batch = 0;
 };
 
@@ -110,6 +117,7 @@ inline void carve(carver& c, odometry_state_view& v, int batch) {
   v.time_ns = c.take<std::int64_t>(n);
   v.gather = c.take<int>(n);
   v.apply = c.take<int>(n);
+  v.weighed = c.take<weighed_poses>(n);
   v.batch = batch;
 }
 

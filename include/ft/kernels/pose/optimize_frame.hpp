@@ -13,7 +13,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
-#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/types/poses.hpp"
@@ -26,10 +25,10 @@ inline namespace FT_ABI {
 struct frames_in_map {
   frame_view frame;
   map_points_view map;
-  pyramid_geometry geometry;     ///< position and weight of a keypoint depend on its octave
-  image_changes_view changes{};  ///< of the images; keypoints of what is fixed to a camera release
-                                 ///< their points. Empty: there are none
-  float fixed_disparity = 0;     ///< pixels; of these keypoints, those with at least this one
+  pyramid_geometry geometry;  ///< position and weight of a keypoint depend on its octave
+  /// [batch][cameras * capacity] 1 = the keypoint releases its point: it is of what is fixed to a
+  /// camera. Null: none does
+  unsigned char const* fixed = nullptr;
 };
 
 /// Inputs and outputs of optimize_frame_poses(), in the executor's memory.
@@ -42,37 +41,6 @@ struct frame_poses {
 };
 
 namespace detail {
-
-/// Whether a part of any image of a frame is fixed to its camera.
-FT_HOST_DEVICE inline bool has_fixed_parts(frames_in_map const& in, int b) {
-  bool any = false;
-  for (int c = 0; c < in.frame.cameras; ++c) {
-    any = any || in.changes.of[in.frame.image(b, c)].fixed != 0;
-  }
-  return any;
-}
-/// Whether keypoint i is of what is fixed to its camera. What is far may stay where it is, too; of
-/// a keypoint without disparity that takes many frames to tell.
-/// @param sure only if it has been so for many frames
-FT_HOST_DEVICE inline bool is_fixed_keypoint(frames_in_map const& in, int b, int i,
-                                             bool sure = false) {
-  frame_view const& frame = in.frame;
-  int const c = i / frame.capacity();
-  int const k = i - c * frame.capacity();
-  keypoints_view const kp = frame.camera(b, c);
-  if (k >= *kp.count) { return false; }
-  std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.numbers() + i;
-  float const right = frame.right_x != nullptr ? frame.right_x[at] : -1.0f;
-  int const octave = kp.octave(k);
-  float const x = in.geometry.column(kp.x(k), octave);
-  bool const has_disparity = right >= 0;
-  if (has_disparity &&
-      strict_float(kp.x(k)) - strict_float(right) < strict_float(in.fixed_disparity)) {
-    return false;
-  }
-  return in.changes.is_fixed(frame.image(b, c), x, in.geometry.row(kp.y(k), octave),
-                             in.geometry.width[0], in.geometry.height[0], sure || !has_disparity);
-}
 
 /// One item: a frame. Gathers the observations, optimises the pose and releases outliers.
 template <typename Rig>
@@ -94,8 +62,7 @@ struct optimize_frame {
     observations_view const& out = poses.observations;
     int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * out.capacity;
-    if (in.changes.of != nullptr && has_fixed_parts(in, b)) { release_fixed(g, b, in); }
-    int const n = list_observations(g, s, b, frame, out.number + at);
+    int const n = list_observations(g, s, b, in, out.number + at);
     float* const information =
         poses.information == nullptr
             ? nullptr
@@ -134,16 +101,6 @@ struct optimize_frame {
   }
 
 private:
-  /// Keypoints of what is fixed to a camera, and near, release their points.
-  template <typename Group>
-  FT_HOST_DEVICE static void release_fixed(Group g, int b, frames_in_map const& in) {
-    frame_view const& frame = in.frame;
-    for (int i = g.rank(); i < frame.numbers(); i += g.size()) {
-      int& holder = frame.holder[static_cast<std::ptrdiff_t>(b) * frame.numbers() + i];
-      if (holder >= 0 && is_fixed_keypoint(in, b, i)) { holder = -1; }
-    }
-    g.sync();
-  }
   /// Camera of a keypoint.
   FT_HOST_DEVICE static int camera_of(frame_view const& frame, int number) {
     int c = 0;
@@ -154,11 +111,14 @@ private:
     return c;
   }
   /// Lists the numbers of the keypoints that hold a point, in scratch and in `listed`. Returns
-  /// their number.
+  /// their number. Fixed ones release it first.
   template <typename Group>
-  FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int b, frame_view const& frame,
+  FT_HOST_DEVICE static int list_observations(Group g, scratch& s, int b, frames_in_map const& in,
                                               int* listed) {
-    int const* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    frame_view const& frame = in.frame;
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(b) * frame.numbers();
+    int* const holder = frame.holder + first;
+    unsigned char const* const fixed = in.fixed == nullptr ? nullptr : in.fixed + first;
     // Keypoint numbers without the gaps between the cameras': `before` of those precede camera c.
     int before[Rig::cameras];
     int all = 0;
@@ -181,6 +141,13 @@ private:
       return number;
     };
     auto const holds = [&](int k) { return k < to && holder[number_of(k)] >= 0; };
+    if (fixed != nullptr) {
+      // Each thread looks at the keypoints that it will count.
+      for (int k = from + part.rank(); k < to; k += part.size()) {
+        int const number = number_of(k);
+        if (fixed[number] != 0) { holder[number] = -1; }
+      }
+    }
     int mine = 0;
     constexpr int at_once = 4;  // loads
     FT_NO_UNROLL

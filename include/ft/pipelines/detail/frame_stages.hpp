@@ -174,11 +174,8 @@ public:
   }
 
   /// The frame and the points that its keypoints hold.
-  frames_in_map in_map() const {
-    return {memory.frame, memory.map, geometry(), changes, fixed_disparity};
-  }
-  image_changes_view changes{};  ///< of what is fixed to a camera; empty: not looked for
-  float fixed_disparity = 0;
+  frames_in_map in_map() const { return {memory.frame, memory.map, geometry(), fixed}; }
+  unsigned char const* fixed = nullptr;  ///< as in frames_in_map
 
   /// The search in the local map.
   local_search<searched_rig> local_input() const {

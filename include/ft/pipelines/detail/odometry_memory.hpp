@@ -87,6 +87,7 @@ struct odometry_memory {
   window_workspace window_work;
   windowless_workspace windowless;
   image_changes_view changes;
+  unsigned char* fixed = nullptr;      ///< [batch][numbers] as in frames_in_map
   chance_counts* chances = nullptr;    ///< [batch]
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
@@ -121,6 +122,7 @@ struct odometry_memory {
       carve(c, windowless, shape.numbers(), batch);
       carve(c, changes, shape.images * batch);
       chances = c.take<chance_counts>(b);
+      fixed = c.take<unsigned char>(numbers);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);

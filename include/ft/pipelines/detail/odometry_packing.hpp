@@ -32,12 +32,8 @@ struct tracking_facts {
   int const* keyframe_left_out;  ///< likewise
   int const* window_left_out;
   int const* map_points;
-  int depth_cameras = 1;                   ///< the first cameras, whose keypoints may have a depth
-  float distant = 0;                       ///< depth of distant points, metres
-  image_changes_view changes{};            ///< [batch][images]
-  chance_counts const* chances = nullptr;  ///< [batch]
-  int images = 0;                          ///< of a rig
-  absent_images absent{};
+  int depth_cameras = 1;                ///< the first cameras, whose keypoints may have a depth
+  float distant = 0;                    ///< depth of distant points, metres
   start_report const* start = nullptr;  ///< of one camera, or null
 };
 
@@ -72,6 +68,19 @@ FT_HOST_DEVICE inline change_counts count_changes(image_changes_view const& chan
   }
   return n;
 }
+
+/// Item: a camera.
+struct pack_changes {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, image_changes_view const& changes,
+                                 int images, absent_images const& absent,
+                                 odometry_output* outputs) const {
+    outputs[b].light = least_contrast(changes, images, absent, b);
+    outputs[b].changes = count_changes(changes, images, absent, b);
+  }
+};
 
 /// Item: a camera. Keeps the number of a new keyframe's points for later frames.
 struct pack_tracking {
@@ -116,12 +125,7 @@ struct pack_tracking {
     out.with_depth = with_depth;
     out.distant = distant;
     out.agreed = t.agreed;
-    out.light = least_contrast(facts.changes, facts.images, facts.absent, b);
-    out.changes = count_changes(facts.changes, facts.images, facts.absent, b);
     out.facts = t.facts;
-    if (t.facts.evidence == frame_facts::by_chances) {
-      out.facts.evidence = static_cast<int>(facts.chances[b].bits(out.inliers) / evidence_one);
-    }
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];
     // Before its first map a camera that was reset searches its old one, for nothing.
     bool const searched = t.plan != search_plan::nothing;

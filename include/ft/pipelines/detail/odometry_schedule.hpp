@@ -51,6 +51,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
     char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
     line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
               [&](Line& l) { s.match_stereo(l.with(stereo)); });
+    s.mark_fixed(line.fork(s.result_branch()));
     s.assign_last_frame(line.then("search last frame"));
     line.join(s.result_branch());
     s.optimize_last(line.then("pose last frame"));
@@ -59,6 +60,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
     line.beside(
         s.stereo_branch(), "stereo", [&](auto const& exec) { s.match_stereo(exec); },
         [&](Line& l) {
+          s.mark_fixed(l.fork(s.result_branch()));
           s.assign_last_frame(l.then("search last frame"));
           l.join(s.result_branch());
           s.optimize_last(l.then("pose last frame"));
@@ -73,6 +75,7 @@ void queue_prefetched_motion(Line& line, Stages& s) {
   s.watch_images(line.fork(s.result_branch()));
   queue_prediction(line.then("motion"), s);
   s.list_last_frame(line.then("search last frame"));
+  s.mark_fixed(line.fork(s.result_branch()));
   s.assign_last_frame(line.then("search last frame"));
   line.join(s.result_branch());
   s.optimize_last(line.then("pose last frame"));
@@ -103,6 +106,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   line.join(s.result_branch());
   s.judge(line.then("keyframe"));
+  s.report(line.fork(s.result_branch()));
   s.count_points(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) {
     s.insert_first(line.then("keyframe"));
@@ -113,6 +117,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   if (s.has_imu()) { s.keep_inertial(line.fork(s.inertial_branch())); }
   s.gather(line.then("keyframe"));
   if (s.has_imu()) { s.gather_inertial(line.fork(s.inertial_branch())); }
+  line.join(s.result_branch());
   s.pack_matches(line.then("result"), s.outcome_of_local());
   s.pack_outputs(line.with("result"));
   if (s.has_imu()) { line.join(s.inertial_branch()); }

@@ -14,6 +14,9 @@
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
 #include "ft/kernels/odometry/begin_frame.hpp"
+#include "ft/kernels/odometry/fixed_keypoints.hpp"
+#include "ft/kernels/odometry/frame_facts.hpp"
+#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
@@ -104,7 +107,7 @@ public:
     search_start<typename base::searched_rig> start{this->rig, memory.observations.inliers,
                                                     memory.poses, memory.motion.device.stamp,
                                                     own.windowless.proposals};
-    start.fixed = this->in_map();
+    start.fixed = own.fixed;
     // The matcher's own memory: nothing else reads it at that time.
     start.depth = const_cast<float*>(this->matcher.depth());
     start.depth_cameras = memory.result.depth_cameras;
@@ -120,7 +123,7 @@ public:
     in.geometry = this->geometry();
     in.inliers = memory.observations.inliers;
     in.T_cw = memory.poses;
-    in.fixed = this->in_map();
+    in.fixed = own.fixed;
     match_without_window(exec, in, settings.rules, own.state, own.windowless);
     propose_poses(exec, in, settings.rules, own.state, own.windowless);
   }
@@ -156,7 +159,6 @@ public:
       in.begins.wants_more = this->extractor.stages().kept.wants_more;
     }
     in.begins_maps = !recognizes_places;
-    in.observations = memory.observations;
     judge_frames(exec, settings.rules, in, own.state);
   }
   /// Beside the search in the local map.
@@ -220,9 +222,25 @@ public:
                   own.sources);
   }
   void gather_inertial(Exec const& exec) const { inertial.gather(exec, own); }
-  /// Beside the search from the last frame.
+  /// Beside the frame's features.
   void watch_images(Exec const& exec) const {
-    ft::watch_images(exec, this->extractor.pyramid(), this->changes);
+    image_pyramid_view const images = this->extractor.pyramid();
+    ft::watch_images(exec, images, own.changes);
+    for_each_item<per_thread>(exec, own.state.batch, pack_changes{}, own.changes, images_of_rig(),
+                              images.absent, own.outputs);
+  }
+  /// Beside the search from the last frame, after watch_images().
+  void mark_fixed(Exec const& exec) const {
+    mark_fixed_keypoints(
+        exec, {memory.frame, this->geometry(), own.changes, fixed_disparity_, own.fixed});
+  }
+  /// Beside what follows a frame's judgement.
+  void report(Exec const& exec) const {
+    report_frames(
+        exec,
+        reported_frames<typename base::searched_rig>{this->rig, memory.observations, own.chances,
+                                                     memory.observations.inliers, this->geometry()},
+        own.state);
   }
   void pack_outputs(Exec const& exec) const {
     tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,
@@ -230,10 +248,6 @@ public:
                          own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
                          memory.result.depth_cameras};
     facts.distant = (this->rig.baseline_length() * distant_baselines).value;
-    facts.changes = own.changes;
-    facts.chances = own.chances;
-    facts.images = images_of_rig();
-    facts.absent = this->extractor.pyramid().absent;
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }
     for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
                                   facts, own.outputs);
@@ -254,9 +268,9 @@ public:
     memory.map = own.map.points;
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
-    this->changes = own.changes;
+    this->fixed = own.fixed;
     if constexpr (base::searched_rig::rectified && !starts_from_motion) {
-      this->fixed_disparity = this->rig.pair(0).camera.fx / settings.rules.near_depth;
+      fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
     }
     beginning_branch_.make();
     inertial_branch_.make();
@@ -337,6 +351,7 @@ private:
   arena<Exec::space> grid_memory_;  ///< empty while the frame's grids are the first ones
   recording<Exec> features_graph_;
   int features_number_ = 0;
+  float fixed_disparity_ = 0;  ///< of mark_fixed_keypoints()
   side_branch<Exec> beginning_branch_;
   side_branch<Exec> inertial_branch_;
 };

@@ -13,6 +13,9 @@
 
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/kernels/grid.hpp"
+#include "ft/kernels/odometry/frame_facts.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/plain_map.hpp"
 #include "tests/support/random.hpp"
@@ -96,6 +99,9 @@ struct arrays {
   int* count = nullptr;
   int* inliers = nullptr;
   std::int64_t* bits = nullptr;
+  ft::visibility* seen = nullptr;
+  ft::detail::chance_counts* chances = nullptr;
+  ft::search_windows_view windows;
 };
 
 TYPED_TEST(RecoveryEvidence, CountsWhatAWrongPoseWouldMatch) {
@@ -111,6 +117,9 @@ TYPED_TEST(RecoveryEvidence, CountsWhatAWrongPoseWouldMatch) {
     v.count = c.take<int>(1);
     v.inliers = c.take<int>(1);
     v.bits = c.take<std::int64_t>(1);
+    v.seen = c.take<ft::visibility>(points);
+    v.chances = c.take<ft::detail::chance_counts>(1);
+    carve(c, v.windows, points, 1, 1);
   });
   auto const geometry = ft::pyramid_geometry::make(width, height, 4, 1.2f);
   test::generator random(8);
@@ -183,6 +192,18 @@ TYPED_TEST(RecoveryEvidence, CountsWhatAWrongPoseWouldMatch) {
   double const p = by_chance / seen;
   double const want = expected_bits({seen / 2, seen, static_cast<int>(p * 65536)});
   EXPECT_NEAR(static_cast<double>(*data.host.bits) / 65536, want, 0.005 * want);
+
+  // The same of a camera that is not lost, from what its search has listed.
+  search.seen = there.seen;
+  ft::find_visible_points(backend.exec, search, there.map, there.windows);
+  search.T_cw = nullptr;
+  ft::count_chances_of_frames(backend.exec, frame, search, points, there.map, there.chances);
+  data.pull(backend.exec);
+  ft::detail::chance_counts const& n = *data.host.chances;
+  EXPECT_EQ(n.points, seen);
+  EXPECT_EQ(n.sampled, seen);
+  EXPECT_NEAR(static_cast<double>(n.by_chance) / 65536, by_chance, 0.01 * by_chance);
+  EXPECT_EQ(n.bits(seen / 2), *data.host.bits);
 }
 
 }  // namespace recovery_evidence_test

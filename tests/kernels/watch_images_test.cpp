@@ -96,6 +96,20 @@ TYPED_TEST(WatchImages, FindWhatIsFixedWhileTheRestMoves) {
   EXPECT_FALSE(c.fixed(0, 100, 200));
 }
 
+TYPED_TEST(WatchImages, AreComparedWithTheFrameBefore) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
+  // Grey values drift by 4 in a frame: what is still today is not what it was two frames ago.
+  for (int frame = 0; frame < 8; ++frame) {
+    c.see([&](int, int x, int y) {
+      return 110 + texture(x, y) / 6 + (texture(x + 900, y + 900) < 120 ? 4 : -4) * frame;
+    });
+    SCOPED_TRACE(frame);
+    EXPECT_EQ(c.of(0).moved, 0);
+    EXPECT_GT(c.of(0).textured, frame == 0 ? -1 : changes::cells / 2);
+  }
+}
+
 TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
   TypeParam backend;
   camera<typename TypeParam::exec_type> c(backend.exec, 64, 48);

@@ -147,21 +147,23 @@ TYPED_TEST(FrameWarnings, ACameraAtRestRepeatsItsImages) {
 // ---- what they are decided by
 
 TEST(ChanceCounts, AskForMoreOfManyPoints) {
-  auto const bits = [](int inliers, int points, int keypoints) {
+  auto const bits = [](int inliers, int points, double chance) {
     ft::detail::chance_counts n;
     n.points = points;
-    n.keypoints = keypoints;
-    n.area = std::int64_t{16} * 38 * keypoints;
-    n.image = 752 * 480;
+    n.sampled = 100;
+    n.by_chance = static_cast<std::int64_t>(100 * 65536 * chance);
     return n.bits(inliers) / ft::detail::evidence_one;
   };
-  EXPECT_GE(bits(20, 25, 1000), 64);
-  EXPECT_GE(bits(20, 1000, 25), 64);
-  EXPECT_LT(bits(20, 900, 1000), 64);
-  EXPECT_EQ(bits(0, 900, 1000), 0);
-  EXPECT_EQ(bits(5, 0, 1000), 0);
-  EXPECT_EQ(bits(5, 900, 0), 0);
-  EXPECT_GT(bits(1 << 20, 1 << 20, 1 << 20), -1) << "no overflow";
+  EXPECT_GE(bits(20, 25, 0.03), 64);
+  EXPECT_LT(bits(20, 900, 0.03), 1) << "27 are matched by chance";
+  EXPECT_GE(bits(90, 900, 0.03), 64);
+  EXPECT_LT(bits(90, 900, 0.08), 32);
+  EXPECT_EQ(bits(0, 900, 0.03), 0);
+  EXPECT_EQ(bits(5, 0, 0.03), 0);
+  EXPECT_GT(bits(1 << 20, 1 << 20, 0.5), -1) << "no overflow";
+  ft::detail::chance_counts none;
+  none.points = 600;
+  EXPECT_GE(none.bits(500) / ft::detail::evidence_one, 64) << "all were matched before";
 }
 
 /// A frame with nothing to tell.
@@ -210,16 +212,14 @@ TEST(WarningsOfFrames, EachHasItsCause) {
          t.maps = t.map_id = 2;
        }},
       {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.evidence = 31; }},
-      {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.fixed = 40; }},
+      {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.common = 257; }},
       {warning::two_motions,
-       [](ft::tracking& t) {
-         t.evidence.facts.matches = 360;
-         t.evidence.facts.rejected_length = 60 * 80;
-         t.evidence.facts.rejected_x = -60 * 50;
-       }},
-      {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.flowing = 3; }},
+       [](ft::tracking& t) { t.evidence.facts.fixed = t.evidence.facts.dragged = 40; }},
+      {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.resting = 270; }},
       {warning::images_repeat, [](ft::tracking& t) { t.evidence.same = 1; }},
       {warning::stereo_inconsistent, [](ft::tracking& t) { t.stereo_points = 230; }},
+      {warning::stereo_inconsistent,
+       [](ft::tracking& t) { t.evidence.facts.common_disparity = 513; }},
       {warning::stereo_inconsistent,
        [](ft::tracking& t) {
          t.evidence.facts.with_disparity = 200;
@@ -241,9 +241,51 @@ TEST(WarningsOfFrames, EachHasItsCause) {
     EXPECT_TRUE(camera(good()).empty());
     ft::tracking t = good();
     r.change(t);
-    camera(t);  // a camera that stops looks for a frame as if much were fixed to it
     EXPECT_EQ(camera(t).bits, 1U << static_cast<int>(r.wanted));
   }
+}
+
+TEST(WarningsOfFrames, WhatIsRightHasNone) {
+  void (*const changes[])(ft::tracking&) = {
+      // It hardly moves, and so do the images.
+      [](ft::tracking& t) {
+        t.evidence.facts.resting = 300;
+        t.evidence.moved = 100;
+      },
+      // It turns about a point in view, which stays where it is.
+      [](ft::tracking& t) { t.evidence.facts.fixed = 100; },
+      [](ft::tracking& t) {
+        t.evidence.facts.common = 256;
+        t.evidence.facts.common_disparity = 512;
+      },
+      // Two cameras that look past each other.
+      [](ft::tracking& t) {
+        t.evidence.rectified = false;
+        t.stereo_points = 100;
+      },
+      // The depths of a sensor err as they please.
+      [](ft::tracking& t) {
+        t.depths = ft::depth_origin::depth_image;
+        t.evidence.facts.common_disparity = 1000;
+      }};
+  for (auto const& change : changes) {
+    judged camera;
+    ft::tracking t = good();
+    change(t);
+    for (int i = 0; i < 3; ++i) { EXPECT_TRUE(camera(t).empty()); }
+  }
+}
+
+TEST(WarningsOfFrames, ACameraThatIsFoundAgainMayBeElsewhere) {
+  judged camera;
+  EXPECT_TRUE(camera(good()).empty());
+  ft::tracking t = good();
+  t.state = ft::tracking_state::recovering;
+  t.inliers = 0;
+  EXPECT_TRUE(camera(t).empty());
+  EXPECT_TRUE(camera(good()).has(warning::doubtful_pose));
+  EXPECT_TRUE(camera(good(), 1'000'000'000).has(warning::doubtful_pose));
+  EXPECT_TRUE(camera(good(), 1).empty());
 }
 
 TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
@@ -251,7 +293,7 @@ TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
   ft::tracking t = good();
   t.evidence.facts.evidence = 0;
   EXPECT_TRUE(camera(t).has(warning::doubtful_pose));
-  EXPECT_TRUE(camera(good(), 999'999'999).has(warning::doubtful_pose));
+  EXPECT_TRUE(camera(good(), 1'000'000'000).has(warning::doubtful_pose));
   EXPECT_FALSE(camera(good(), 1).has(warning::doubtful_pose));
   // and ends with a camera that begins anew
   EXPECT_TRUE(camera(t).has(warning::doubtful_pose));

@@ -30,15 +30,20 @@ struct warning_limits {
   /// Bits, of a pose that follows the one before: a wrong one has them once in 2^32 frames. One of
   /// a lost camera, which tries many, needs tracking_rules::min_evidence.
   int least_evidence = 32;
+  /// Of the variance of errors, what neighbours share: then half of their length is common to
+  /// them, and the pose is wrong, or points or calibration are. Of a right pose it is about 0.
+  double common_errors = 0.25;
+  /// Likewise of disparities, most of it. Points share the error of the keyframe that measured
+  /// them.
+  double common_disparities = 0.5;
   double dark_mean = 16;
   double bright_mean = 239;
   double least_deviation = 5;          ///< of grey values
   int few_keypoints = 120;             ///< of all cameras, with less than which an image is blurred
-  double least_stereo_share = 0.3;     ///< of keypoints with a stereo match
+  double least_stereo_share = 0.3;     ///< of keypoints of a rectified pair with a stereo match
   double stereo_drop = 0.65;           ///< or of that share, as a share of the usual one
   int moving_points = 20;              ///< that move otherwise than the rest, at least
   double moving_share = 1.0 / 16;      ///< and as a share of all that are fixed to a camera
-  double rejected_share = 0.125;       ///< or of all matches that do not agree with the pose
   std::int64_t stays_ns = 1000000000;  ///< a doubt about a pose is one about the second after it
 };
 
@@ -46,27 +51,24 @@ namespace detail {
 
 /// Whether many keypoints of a frame are fixed to a camera.
 inline bool has_fixed(tracking const& t, warning_limits const& limits) {
-  int const n = t.evidence.facts.fixed;
+  int const n = t.evidence.facts.dragged;
   return n >= limits.moving_points && n >= limits.moving_share * (t.stereo_points + n);
 }
 
-/// Whether keypoints of a frame move otherwise than its pose says.
-/// @param fixed_before has_fixed() of the frame before: a camera that stops looks so for a frame
-inline bool has_two_motions(tracking const& t, warning_limits const& limits, bool fixed_before) {
+/// Whether keypoints of a frame move otherwise than its pose says: what is fixed to a camera, or
+/// all of the image while the pose stands still.
+inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
   tracking_evidence const& e = t.evidence;
-  frame_facts const& f = e.facts;
-  if (fixed_before && has_fixed(t, limits)) { return true; }
-  // Keypoints that do not agree with the pose, and most of whose motion is common.
-  int const together = (f.rejected_x < 0 ? -f.rejected_x : f.rejected_x) +
-                       (f.rejected_y < 0 ? -f.rejected_y : f.rejected_y);
-  int const rejected = f.matches - t.inliers;
-  if (rejected >= limits.moving_points && rejected >= limits.rejected_share * f.matches &&
-      2 * together > f.rejected_length) {
-    return true;
-  }
-  // The pose stands still while much of the image does not.
-  return t.inliers > 0 && !t.map_begun && 8 * f.flowing < t.inliers && 3 * e.moved > e.textured &&
-         e.textured >= 16;
+  if (has_fixed(t, limits)) { return true; }
+  return t.inliers > 0 && !t.map_begun && 8 * (t.inliers - e.facts.resting) < t.inliers &&
+         3 * e.moved > e.textured && e.textured >= 16;
+}
+
+/// Whether a frame's pose may be another one.
+inline bool is_in_doubt(tracking const& t, warning_limits const& limits) {
+  frame_facts const& f = t.evidence.facts;
+  return t.inliers > 0 &&
+         (f.evidence < limits.least_evidence || f.common > 1024 * limits.common_errors);
 }
 
 inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
@@ -74,9 +76,11 @@ inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   if (f.with_disparity >= limits.moving_points && 4 * f.off_disparity > f.with_disparity) {
     return true;
   }
-  if (t.depths != depth_origin::stereo || t.keypoints < limits.few_keypoints) { return false; }
+  if (t.depths != depth_origin::stereo) { return false; }
+  if (f.common_disparity > 1024 * limits.common_disparities) { return true; }
+  if (t.keypoints < limits.few_keypoints) { return false; }
   double const share = t.evidence.stereo_share;
-  return share < limits.least_stereo_share ||
+  return (t.evidence.rectified && share < limits.least_stereo_share) ||
          share < limits.stereo_drop * t.evidence.usual_stereo_share;
 }
 
@@ -115,13 +119,12 @@ public:
     if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }
     if (t.state == tracking_state::tracking) {
-      if (t.inliers > 0 && e.facts.evidence < limits.least_evidence) {
-        all.add(tracking_warning::doubtful_pose);
-      }
-      if (has_two_motions(t, limits, fixed_before_)) { all.add(tracking_warning::two_motions); }
+      bool const found_again = lost_before_ && !t.map_begun;
+      if (found_again || is_in_doubt(t, limits)) { all.add(tracking_warning::doubtful_pose); }
+      if (has_two_motions(t, limits)) { all.add(tracking_warning::two_motions); }
       if (!unlit && has_odd_stereo(t, limits)) { all.add(tracking_warning::stereo_inconsistent); }
     }
-    fixed_before_ = has_fixed(t, limits);
+    lost_before_ = t.state == tracking_state::recovering || t.state == tracking_state::lost;
     if (params.imu.present && !imu_warnings(t.imu, params.imu).empty()) {
       all.add(tracking_warning::imu);
     }
@@ -133,7 +136,7 @@ public:
                                      tracking_warning::stereo_inconsistent}) {
       auto& said = said_ns_[static_cast<int>(w)];
       if (all.has(w)) { said = time_ns; }
-      if (said >= 0 && time_ns - said < limits.stays_ns) { all.add(w); }
+      if (said >= 0 && time_ns - said <= limits.stays_ns) { all.add(w); }
     }
   }
 
@@ -150,12 +153,12 @@ private:
 
   double usual_share_ = 0;
   bool repeats_ = false;
-  bool fixed_before_ = false;
+  bool lost_before_ = false;
   std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 };
 
 inline std::string share_of(double part, double of) {
-  return std::to_string(of > 0 ? static_cast<int>(100 * part / of) : 0) + " %";
+  return std::to_string(of > 0 && part > 0 ? static_cast<int>(100 * part / of) : 0) + " %";
 }
 
 }  // namespace detail
@@ -179,14 +182,18 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
       return "map " + std::to_string(t.map_id) + " begins at a guessed place";
     case tracking_warning::doubtful_pose:
       return std::to_string(t.inliers) + " of " + std::to_string(t.local_points) +
-             " map points agree with the pose, " + std::to_string(f.evidence) +
-             " bits of evidence, in this frame or one of the second before; " +
-             std::to_string(warning_limits{}.least_evidence) + " are asked for";
+             " map points agree with the pose, " + std::to_string(f.evidence) + " bits of " +
+             "evidence where " + std::to_string(warning_limits{}.least_evidence) +
+             " are asked for, and of the variance of errors neighbours share " +
+             detail::share_of(f.common, 1024) + ", of " +
+             detail::share_of(warning_limits{}.common_errors, 1) +
+             " at most; in this frame or one of the second before";
     case tracking_warning::two_motions:
-      return std::to_string(f.fixed) + " keypoints are fixed to the camera, " +
-             std::to_string(f.matches - t.inliers) + " of " + std::to_string(f.matches) +
-             " matches do not agree with the pose, and " + detail::share_of(e.moved, e.textured) +
-             " of the images changed, in this frame or one of the second before";
+      return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, or " +
+             detail::share_of(e.moved, e.textured) + " of the images changed while " +
+             std::to_string(f.resting) + " of " + std::to_string(t.inliers) +
+             " keypoints that agree with the pose stand still, in this frame or one of the " +
+             "second before";
     case tracking_warning::images_repeat:
       return std::to_string(e.same) + " of " + std::to_string(e.images) +
              " images are those of the frame before while the camera moves";
@@ -195,7 +202,9 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              " of the keypoints have a stereo match, usually " +
              detail::share_of(e.usual_stereo_share, 1) + ", and " +
              std::to_string(f.off_disparity) + " of " + std::to_string(f.with_disparity) +
-             " do not agree with the map: are both images taken at the same time?";
+             " do not agree with the map; of the variance of their errors neighbours share " +
+             detail::share_of(f.common_disparity, 1024) +
+             ": are both images taken at the same time?";
     case tracking_warning::depth_scale:
       return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
              " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";

@@ -75,30 +75,35 @@ struct warning_set {
 /// What the matches and images of a frame say about its pose. Of a frame whose local map was not
 /// searched all is 0.
 struct frame_facts {
-  int matches = 0;          ///< keypoints that were matched, before the pose was optimised
-  int rejected_x = 0;       ///< of those that do not agree with it, the sums of their errors
-  int rejected_y = 0;       ///< likewise, down; 1 / 8 pixels
-  int rejected_length = 0;  ///< and the sum of what these amount to without signs
-  int flowing = 0;          ///< inliers that the motion since the last frame moved 2 pixels
-  int with_disparity = 0;   ///< matches that agree in the left image and have a disparity
-  int off_disparity = 0;    ///< of these, those whose disparity does not agree
-  int fixed = 0;            ///< near keypoints of what is fixed to a camera
-  int held_before = 0;      ///< camera_track::held of the last frame
-  int evidence = 0;         ///< of the inliers, bits
-  int moving = 0;           ///< 1 = the last frame moved against the one before
-  int misfit = 0;           ///< sum of the inliers' chi-square, each at most most_misfit, in 1 / 64
-  int rows = 0;             ///< its numbers: two of an inlier, three of one with a disparity
+  int matches = 0;  ///< keypoints that were matched, before the pose was optimised
+  int flowing = 0;  ///< inliers that the motion since the last frame moved 2 pixels
+  int resting = 0;  ///< inliers that it moved by a quarter of a pixel at most
+  int common = 0;   ///< of the variance of the inliers' errors, that which neighbours share;
+                    ///< 1 / 1024; about 0 at the right pose
+  int common_disparity = 0;  ///< likewise, of the errors of their disparities
+  int with_disparity = 0;  ///< matches that agree in the left image and have a disparity; of a pair
+                           ///< that is not rectified, those of the right camera
+  int off_disparity = 0;   ///< of these, those whose disparity, or right image, does not agree
+  int fixed = 0;           ///< near keypoints of parts of the images that stay while others move
+  int dragged = 0;         ///< of these, those that the scene would have moved 2 pixels, and whose
+                           ///< part has stayed for long
+  int held_before = 0;     ///< camera_track::held of the last frame
+  int evidence = 0;        ///< of the inliers, bits
+  int moving = 0;          ///< 1 = the last frame moved against the one before
+  int misfit = 0;          ///< sum of the inliers' chi-square, each at most most_misfit, in 1 / 64
+  int rows = 0;            ///< its numbers: two of an inlier, three of one with a disparity
   static constexpr int misfit_one = 64, most_misfit = 16;
 };
 
 /// What warnings are decided by, of one frame.
 struct tracking_evidence {
-  frame_facts facts;              ///< of matches and pose
-  int images = 0;                 ///< of the rig
-  int same = 0;                   ///< of these, those with the pixels of the frame before
-  int textured = 0;               ///< parts of the images with contrast
-  int moved = 0;                  ///< of these, those with another content than before
-  double stereo_share = 0;        ///< of keypoints with a depth
+  frame_facts facts;        ///< of matches and pose
+  int images = 0;           ///< of the rig
+  int same = 0;             ///< of these, those with the pixels of the frame before
+  int textured = 0;         ///< parts of the images with contrast
+  int moved = 0;            ///< of these, those with another content than a frame before
+  double stereo_share = 0;  ///< of keypoints with a depth
+  bool rectified = true;    ///< all of an image but its border is in a pair's other image, too
   double usual_stereo_share = 0;  ///< the same in the frames before; 0 = not known yet
 };
 

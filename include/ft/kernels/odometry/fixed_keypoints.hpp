@@ -18,11 +18,15 @@ inline namespace FT_ABI {
 /// Inputs and output of mark_fixed_keypoints(), in executor memory.
 struct fixed_keypoints {
   frame_view frame;
-  pyramid_geometry geometry;       ///< the position of a keypoint depends on its octave
-  image_changes_view changes;      ///< of the frame's images
-  float least_disparity = 0;       ///< pixels; of keypoints with a disparity, those with this one
-  unsigned char* fixed = nullptr;  ///< output, [batch][cameras * capacity] 1 = it is
+  pyramid_geometry geometry;   ///< the position of a keypoint depends on its octave
+  image_changes_view changes;  ///< of the frame's images
+  float least_disparity = 0;   ///< pixels; of keypoints with a disparity, those with this one
+  /// Output, [batch][cameras * capacity] 0 = it is not, 1 = it is, or fixed_for_long
+  unsigned char* fixed = nullptr;
 };
+
+/// Of keypoints whose part of the image has stayed for many frames while others moved.
+inline constexpr unsigned char fixed_for_long = 2;
 
 namespace detail {
 
@@ -33,13 +37,15 @@ struct mark_fixed_keypoint {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, fixed_keypoints const& in) const {
     int const b = item / in.frame.numbers();
-    in.fixed[item] = is_fixed(in, b, item - b * in.frame.numbers()) ? 1 : 0;
+    int const i = item - b * in.frame.numbers();
+    in.fixed[item] = !is_fixed(in, b, i, false) ? 0 : is_fixed(in, b, i, true) ? fixed_for_long : 1;
   }
 
 private:
   /// What is far may stay where it is, too; of a keypoint without disparity that takes many frames
   /// to tell.
-  FT_HOST_DEVICE static bool is_fixed(fixed_keypoints const& in, int b, int i) {
+  /// @param sure only if its part has stayed for many frames
+  FT_HOST_DEVICE static bool is_fixed(fixed_keypoints const& in, int b, int i, bool sure) {
     frame_view const& frame = in.frame;
     int const c = i / frame.capacity();
     int const k = i - c * frame.capacity();
@@ -56,7 +62,7 @@ private:
     int const octave = kp.octave(k);
     return in.changes.is_fixed(image, in.geometry.column(kp.x(k), octave),
                                in.geometry.row(kp.y(k), octave), in.geometry.width[0],
-                               in.geometry.height[0], !has_disparity);
+                               in.geometry.height[0], sure || !has_disparity);
   }
 };
 

@@ -7,8 +7,9 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
-#include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
@@ -23,63 +24,126 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Points and keypoints of a frame that may have been matched by chance.
+/// Points of a frame's local map, and what a wrong pose would match of them.
 struct chance_counts {
-  int points = 0;          ///< that a camera sees, once per camera
-  int keypoints = 0;       ///< of all cameras
-  std::int64_t area = 0;   ///< of their inlier circles, 1 / 16 pixels^2
-  std::int64_t image = 0;  ///< area of all images, pixels^2
+  int points = 0;   ///< that a camera sees, once per camera
+  int sampled = 0;  ///< of these, those around which keypoints were counted
+  std::int64_t by_chance =
+      0;  ///< of the sampled, as many as a wrong pose would match, in 1 / 65536
 
-  /// The evidence of so many inliers, in 1 / 65536 bits. The fewer ones of points and keypoints are
-  /// the trials. One of them finds a keypoint by chance where a circle is, if descriptor and octave
-  /// fit, which is one case in four.
+  /// The evidence of so many inliers, in 1 / 65536 bits.
   FT_HOST_DEVICE std::int64_t bits(int inliers) const {
-    if (points < 1 || keypoints < 1 || image < 1) { return 0; }
-    std::int64_t const all = area / 4 * max_of(points, keypoints) / keypoints;
-    std::int64_t const p = min_of(all * (evidence_one / 16) / image, std::int64_t{evidence_one});
-    return binomial_evidence(inliers, min_of(points, keypoints),
-                             max_of(static_cast<int>(p), least_chance));
+    if (points < 1) { return 0; }
+    std::int64_t const p = by_chance / max_of(sampled, 1);
+    return binomial_evidence(
+        inliers, points,
+        max_of(static_cast<int>(min_of(p, std::int64_t{evidence_one})), least_chance));
   }
 };
 
+/// About as many points of a list, evenly spread, are enough to know a chance.
+inline constexpr int most_sampled = 256;
+
 /// Counts them. All threads of a group call.
-/// @param in the search in the local map, with `seen`. A point that the search from the last frame
-///   matched is not searched again, and counts as seen
-/// @param capacity of its lists @param slots of the map
+/// @param in the search in the local map, with `seen`; its pose is not used. A point that the
+///   search from the last frame matched is not searched again, and counts as seen
+/// @param capacity of its lists
 template <typename Group, typename Rig>
 FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& frame,
-                                           local_search<Rig> const& in, int capacity, int slots) {
-  constexpr float circle = 3.14159265f * 5.991f * 16;
-  pyramid_geometry const& geometry = in.geometry;
+                                           local_search<Rig> const& in, int capacity,
+                                           map_points_view const& map) {
+  map_points_view const points = map.slice(b);
+  std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
+  int const* const slots = in.slots + of_list;
+  int const step = max_of(1, ceil_div(in.slot_count[b], most_sampled));
   chance_counts n;
-  std::int64_t area = 0;  // in large octaves above an int
+  searched_evidence around;
   for (int c = 0; c < frame.cameras; ++c) {
-    std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
     visibility const* const seen =
         in.seen + static_cast<std::ptrdiff_t>(c) * frame.batch * capacity + of_list;
     for (int i = g.rank(); i < in.slot_count[b]; i += g.size()) {
       bool const there =
-          seen[i].level >= 0 || (c == 0 && in.stamps.stamped(b, slots, in.slots[of_list + i]));
+          seen[i].level >= 0 || (c == 0 && in.stamps.stamped(b, map.capacity, slots[i]));
       n.points += static_cast<int>(there);
     }
-    keypoints_view const kp = frame.camera(b, c);
-    for (int i = g.rank(); i < *kp.count; i += g.size()) {
-      area += static_cast<std::int64_t>(mul(circle, geometry.sigma2[kp.octave(i)]));
+    for (int i = g.rank() * step; i < in.slot_count[b]; i += g.size() * step) {
+      if (seen[i].level < 0) { continue; }
+      search_window const w = window_of(seen[i], slots[i], 1.0f, false, in.geometry);
+      weigh_point(w, get<field::orb>(points, w.slot), frame, frame.image(b, c),
+                  frame.cameras * b + c, in.params, in.geometry, around);
     }
-    n.keypoints += *kp.count;
   }
   n.points = g.reduce(n.points, sum_op{});
-  n.area = g.reduce(area, sum_op{});
-  n.image = static_cast<std::int64_t>(frame.cameras) * geometry.width[0] * geometry.height[0];
+  n.sampled = g.reduce(around.points, sum_op{});
+  n.by_chance = g.reduce(around.by_chance, sum_op{});
   return n;
 }
 
+/// Errors of the inliers of a frame, summed over parts of the images.
+struct error_blocks {
+  static constexpr int columns = 8, rows = 6;
+  static constexpr int sets = 4;  ///< a camera has one; above 4 cameras share them
+  static constexpr int blocks = sets * columns * rows;
+  int x[blocks], y[blocks];  ///< sums of errors, 1 / 16 standard deviations
+  int squares[blocks];       ///< sum of their squares, of both directions
+  int count[blocks];
+
+  template <typename Group>
+  FT_HOST_DEVICE void clear(Group g) {
+    for (int i = g.rank(); i < blocks; i += g.size()) { x[i] = y[i] = squares[i] = count[i] = 0; }
+    g.sync();
+  }
+  /// @param e error in standard deviations @param o where
+  FT_HOST_DEVICE void add(observation const& o, strict_float ex, strict_float ey, int width,
+                          int height) {
+    int const column = clamp(static_cast<int>(o.u) * columns / max_of(width, 1), 0, columns - 1);
+    int const row = clamp(static_cast<int>(o.v) * rows / max_of(height, 1), 0, rows - 1);
+    int const i = (o.camera % sets * rows + row) * columns + column;
+    int const dx = sixteenths(ex), dy = sixteenths(ey);
+    atomic_add(x + i, dx);
+    atomic_add(y + i, dy);
+    atomic_add(squares + i, dx * dx + dy * dy);
+    atomic_add(count + i, 1);
+  }
+  /// How much of the errors' variance is common to neighbours: the mean of the products of the
+  /// errors of two inliers of a block, by the mean of their squares, in 1 / 1024. The errors of a
+  /// right pose are those of keypoints, of which each has its own: 0, give or take one by the root
+  /// of the number of pairs. 0 where there are too few pairs to tell a quarter with four standard
+  /// deviations.
+  template <typename Group>
+  FT_HOST_DEVICE int common(Group g) const {
+    g.sync();
+    std::int64_t products = 0, all = 0, pairs = 0;
+    for (int i = g.rank(); i < blocks; i += g.size()) {
+      std::int64_t const sx = x[i], sy = y[i], n = count[i];
+      products += sx * sx + sy * sy - squares[i];
+      all += (n - 1) * squares[i];
+      pairs += n * (n - 1) / 2;
+    }
+    products = g.reduce(products, sum_op{});
+    all = g.reduce(all, sum_op{});
+    pairs = g.reduce(pairs, sum_op{});
+    return pairs < 256 || all < 1 ? 0 : static_cast<int>(1024 * products / all);
+  }
+
+private:
+  FT_HOST_DEVICE static int sixteenths(strict_float v) {
+    float const e = 16.0f * v.value;
+    return e > -256.0f && e < 256.0f ? static_cast<int>(e) : 0;
+  }
+};
+
+struct facts_scratch {
+  error_blocks image, disparity;
+};
+
 /// What the observations of the last pose say. All threads of a group call.
-/// @param last pose of the last frame
+/// @param last pose of the last frame @param geometry of the images
 template <typename Group, typename Rig>
-FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
+FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
-                                              rigid<double> const& last) {
+                                              rigid<double> const& last,
+                                              pyramid_geometry const& geometry) {
   using real = strict_float;  // an eighth of a pixel is wanted
   auto const now = T_cw.template cast<real>();
   auto const before = last.template cast<real>();
@@ -93,26 +157,36 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
                ? static_cast<int>(mul(chi2.value, float{frame_facts::misfit_one}))
                : frame_facts::most_misfit * frame_facts::misfit_one;
   };
+  auto const length_of = [](int x, int y) { return (x < 0 ? -x : x) + (y < 0 ? -y : y); };
+  s.image.clear(g);
+  s.disparity.clear(g);
   frame_facts n;
   for (int i = g.rank(); i < in.count[b]; i += g.size()) {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * in.capacity + i;
     observation const o = in.items[at];
     reprojection<Rig, real> const r(rig, now, o);
     int const x = whole(r.error[0]), y = whole(r.error[1]);
-    int const length = (x < 0 ? -x : x) + (y < 0 ? -y : y);
-    ++n.matches;
-    if (in.outlier[at] != 0) {
-      n.rejected_x += x;
-      n.rejected_y += y;
-      n.rejected_length += length;
-    } else {
+    if (in.outlier[at] == 0) {
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
-      n.flowing += static_cast<int>((dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy) >= 16);
+      n.flowing += static_cast<int>(length_of(dx, dy) >= 16);
       real chi2 = 0.0f;
       for (int row = 0; row < r.rows; ++row) { chi2 = chi2 + r.error[row] * r.error[row]; }
       n.misfit += misfit(chi2 * real(o.inv_sigma2));
       n.rows += r.rows;
+      n.resting += static_cast<int>(length_of(dx - x, dy - y) <= 2);
+      real const root = scalar::sqrt(real(o.inv_sigma2));
+      int const width = geometry.width[0], height = geometry.height[0];
+      s.image.add(o, r.error[0] * root, r.error[1] * root, width, height);
+      if (r.rows == 3) {
+        // Of the disparity: what the columns in both images do not share.
+        s.disparity.add(o, (r.error[0] - r.error[2]) * root, real(0), width, height);
+      }
+    }
+    // Of a pair that is not rectified, what the right camera sees tells of its time and place.
+    if constexpr (!Rig::rectified) {
+      n.with_disparity += static_cast<int>(o.camera != 0);
+      n.off_disparity += static_cast<int>(o.camera != 0 && in.outlier[at] != 0);
     }
     if (r.rows == 3 && r.valid) {
       real const weight = o.inv_sigma2;
@@ -122,18 +196,16 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, int b, Rig const& rig,
     }
   }
   four_sums const a =
-      g.reduce(four_sums{{n.matches, n.rejected_x, n.rejected_y, n.rejected_length}}, sum_op{});
-  four_sums const c =
-      g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, n.misfit}}, sum_op{});
+      g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, n.resting}}, sum_op{});
+  n.misfit = g.reduce(n.misfit, sum_op{});
   n.rows = g.reduce(n.rows, sum_op{});
-  n.matches = a.of[0];
-  n.rejected_x = a.of[1];
-  n.rejected_y = a.of[2];
-  n.rejected_length = a.of[3];
-  n.flowing = c.of[0];
-  n.with_disparity = c.of[1];
-  n.off_disparity = c.of[2];
-  n.misfit = c.of[3];
+  n.matches = in.count[b];
+  n.common = s.image.common(g);
+  n.common_disparity = s.disparity.common(g);
+  n.flowing = a.of[0];
+  n.with_disparity = a.of[1];
+  n.off_disparity = a.of[2];
+  n.resting = a.of[3];
   return n;
 }
 
@@ -144,21 +216,24 @@ struct reported_frames {
   observations_view observations;          ///< of the last pose
   chance_counts const* chances = nullptr;  ///< [batch]
   int const* inliers = nullptr;            ///< [batch] of the judged frame
+  pyramid_geometry geometry{};             ///< of the images
 };
 
 /// Item: a camera.
 struct report_frame {
-  using scratch = no_scratch;
+  using scratch = facts_scratch;
 
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, reported_frames<Rig> const& in,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, reported_frames<Rig> const& in,
                                  odometry_state_view const& state) const {
     camera_track& t = state.tracks[b];
     if (t.plan == search_plan::nothing) { return; }
     weighed_poses const at = state.weighed[b];
-    frame_facts facts = weigh_observations(g, b, in.rig, in.observations, at.T_cw, at.last);
+    frame_facts facts =
+        weigh_observations(g, s, b, in.rig, in.observations, at.T_cw, at.last, in.geometry);
     if (g.rank() != 0) { return; }
     facts.fixed = t.facts.fixed;
+    facts.dragged = t.facts.dragged;
     facts.held_before = t.facts.held_before;
     facts.moving = t.facts.moving;
     facts.evidence = static_cast<int>(in.chances[b].bits(in.inliers[b]) / evidence_one);
@@ -174,9 +249,9 @@ struct count_frame_chances {
 
   template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
-                                 local_search<Rig> const& in, int capacity, int slots,
-                                 chance_counts* out) const {
-    chance_counts const n = count_chances(g, b, frame, in, capacity, slots);
+                                 local_search<Rig> const& in, int capacity,
+                                 map_points_view const& map, chance_counts* out) const {
+    chance_counts const n = count_chances(g, b, frame, in, capacity, map);
     if (g.rank() == 0) { out[b] = n; }
   }
 };
@@ -185,12 +260,12 @@ struct count_frame_chances {
 
 /// What of a frame may be matched by chance, once its local map is listed. Asynchronous on `exec`;
 /// allocates nothing; one launch.
-/// @param capacity of the lists @param slots of the map @param out [batch]
+/// @param capacity of the lists @param out [batch]
 template <typename Exec, typename Rig>
 void count_chances_of_frames(Exec const& exec, frame_view const& frame, local_search<Rig> const& in,
-                             int capacity, int slots, detail::chance_counts* out) {
+                             int capacity, map_points_view const& map, detail::chance_counts* out) {
   for_each_item<per_block<256>>(exec, frame.batch, detail::count_frame_chances{}, frame, in,
-                                capacity, slots, out);
+                                capacity, map, out);
 }
 
 /// What the matches of judged frames say: camera_track::facts and `moved`. Nothing in the frame

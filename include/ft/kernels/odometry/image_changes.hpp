@@ -26,7 +26,7 @@ struct image_changes {
   static constexpr int samples = side * side;
 
   int textured;         ///< cells with contrast, now and before
-  int moved;            ///< of these, cells with another content
+  int moved;            ///< of these, cells with another content than a frame before
   int still;            ///< and those whose content is where it was
   int same;             ///< 1 = all samples are those of the frame before
   int sum, squares;     ///< of all samples
@@ -85,7 +85,8 @@ struct watch_image {
     }
     auto const image = images.level(i, 0);
     bool const first = v.begun[i] == 0;
-    int textured = 0, moved = 0, still = 0, known = 0, differ = 0, sum = 0, squares = 0;
+    int textured = 0, moved = 0, still = 0, known = 0, differ = 0, changed = 0, sum = 0,
+        squares = 0;
     for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
       compared const to = compare(image, v, i, c, first);
       textured += static_cast<int>(to.is_textured());
@@ -93,12 +94,13 @@ struct watch_image {
       still += static_cast<int>(to.is_still());
       known += static_cast<int>(!first && to.is_still() && v.frames[frames_at(i, c)] > 0);
       differ += static_cast<int>(to.differs);
+      changed += static_cast<int>(to.has_changed());
       s.still[c] = to.is_still() ? 1 : 0;
       sum += to.sum;
       squares += to.squares;
     }
     four_sums const counts = g.reduce(four_sums{{textured, moved, still, known}}, sum_op{});
-    four_sums const grey = g.reduce(four_sums{{differ, sum, squares, 0}}, sum_op{});
+    four_sums const grey = g.reduce(four_sums{{differ, sum, squares, changed}}, sum_op{});
     textured = counts.of[0];
     moved = counts.of[1];
     still = counts.of[2];
@@ -112,7 +114,7 @@ struct watch_image {
       image_changes& out = v.of[i];
       out = {};
       out.textured = textured;
-      out.moved = moved;
+      out.moved = grey.of[3];
       out.still = still;
       out.same = !first && grey.of[0] == 0 ? 1 : 0;
       out.sum = grey.of[1];
@@ -147,6 +149,7 @@ private:
     int contrast = 0;      ///< now, sum of absolute deviations from the mean
     int was = 0;           ///< likewise of the reference
     int difference = 0;    ///< from the reference
+    int lately = 0;        ///< difference from the last frame
     bool differs = false;  ///< from the last frame
     int sum = 0, squares = 0;
 
@@ -158,6 +161,9 @@ private:
     }
     FT_HOST_DEVICE bool has_moved() const {
       return is_textured() && difference > 6 * samples && 5 * difference > min_of(contrast, was);
+    }
+    FT_HOST_DEVICE bool has_changed() const {
+      return is_textured() && lately > 6 * samples && 5 * lately > min_of(contrast, was);
     }
     FT_HOST_DEVICE bool is_still() const {
       return is_textured() && (difference <= noise || 12 * difference <= min_of(contrast, was));
@@ -180,15 +186,18 @@ private:
     compared out;
     int grey[samples];
     int then[samples];
-    int reference = 0;
+    int prior[samples];
+    int reference = 0, last_sum = 0;
     FT_UNROLL
     for (int k = 0; k < samples; ++k) {
       grey[k] = pixel(image, cell, k);
       then[k] = first ? 0 : v.reference[place(i, cell, k)];
-      out.differs = out.differs || first || v.last[place(i, cell, k)] != grey[k];
+      prior[k] = first ? 0 : v.last[place(i, cell, k)];
+      out.differs = out.differs || first || prior[k] != grey[k];
       out.sum += grey[k];
       out.squares += grey[k] * grey[k];
       reference += then[k];
+      last_sum += prior[k];
     }
     FT_UNROLL
     for (int k = 0; k < samples; ++k) {
@@ -198,10 +207,13 @@ private:
       out.contrast += now < 0 ? -now : now;
       out.was += was < 0 ? -was : was;
       out.difference += now < was ? was - now : now - was;
+      int const before = samples * prior[k] - last_sum;
+      out.lately += now < before ? before - now : now - before;
     }
     out.contrast /= samples;
     out.was /= samples;
     out.difference /= samples;
+    out.lately /= samples;
     return out;
   }
   FT_HOST_DEVICE static std::ptrdiff_t frames_at(int i, int cell) {

@@ -110,6 +110,7 @@ struct judge_camera_frame {
     state.weighed[b] = {in.T_cw[b], state.T_cw[b]};
     t.facts = {};
     t.facts.fixed = before.facts.fixed;
+    t.facts.dragged = before.facts.dragged;
     t.facts.held_before = before.held;
     t.facts.moving = before.moved;
     t.agreed = before.plan == search_plan::nothing ? 0 : inliers;

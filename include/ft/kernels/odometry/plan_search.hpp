@@ -7,6 +7,7 @@
 #include "ft/containers/frame.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/odometry/fixed_keypoints.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/types/odometry_params.hpp"
@@ -16,11 +17,13 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Result of the search from the last frame, and the start of the search in the local map.
+template <typename Rig>
 struct search_start {
-  int const* inliers;  ///< [batch] of the first pose
-  pose* T_cw;          ///< [batch] the first pose; replaced for a camera that is searched for
-  int* stamp;          ///< [batch] number of the frame; another one for such a camera, so that no
-                       ///< point counts as matched
+  Rig rig;
+  int const* inliers = nullptr;  ///< [batch] of the first pose
+  pose* T_cw = nullptr;  ///< [batch] the first pose; replaced for a camera that is searched for
+  int* stamp = nullptr;  ///< [batch] number of the frame; another one for such a camera, so that no
+                         ///< point counts as matched
   pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
   unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
@@ -33,10 +36,10 @@ namespace detail {
 struct plan_camera_search {
   using scratch = no_scratch;
 
-  template <typename Group>
+  template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
                                  frame_view const& frame, odometry_state_view const& state,
-                                 search_start const& start) const {
+                                 search_start<Rig> const& start) const {
     camera_track const& t = state.tracks[b];
     bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
     search_plan const plan = adopts && t.lost_frames == 0 ? search_plan::rejoin
@@ -47,10 +50,11 @@ struct plan_camera_search {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
       for (int i = g.rank(); i < frame.numbers(); i += g.size()) { holder[i] = -1; }
     }
-    int fixed = 0;
-    if (start.fixed != nullptr) { fixed = forget_fixed(g, b, frame, start); }
+    fixed_counts fixed;
+    if (start.fixed != nullptr) { fixed = forget_fixed(g, b, frame, start, state.T_cw[b]); }
     if (g.rank() != 0) { return; }
-    state.tracks[b].facts.fixed = fixed;
+    state.tracks[b].facts.fixed = fixed.all;
+    state.tracks[b].facts.dragged = fixed.dragged;
     // A frame without points was no attempt.
     int const attempt = t.lost_with_features % recovery_attempts;
     bool const recovers = plan == search_plan::recover || plan == search_plan::rejoin;
@@ -76,21 +80,61 @@ struct plan_camera_search {
   }
 
 private:
-  /// Keypoints of what is fixed to a camera become no points of the map. @return the near ones
-  template <typename Group>
-  FT_HOST_DEVICE static int forget_fixed(Group g, int b, frame_view const& frame,
-                                         search_start const& start) {
+  struct fixed_counts {
+    int all = 0;
+    int dragged = 0;  ///< that the scene would have moved, and that are sure
+  };
+  /// Keypoints of what is fixed to a camera become no points of the map. A camera that turns about
+  /// a point in view, or hardly moves, has such, too.
+  /// @param last pose of the last frame
+  /// @return the near ones
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static fixed_counts forget_fixed(Group g, int b, frame_view const& frame,
+                                                  search_start<Rig> const& start,
+                                                  rigid<double> const& last) {
+    auto const T_cw = start.T_cw[b].template cast<strict_float>();
+    auto const last_T_cw = last.template cast<strict_float>();
     int const with_depth = start.depth_cameras * frame.capacity();
     float* const depth = start.depth + static_cast<std::ptrdiff_t>(b) * with_depth;
     unsigned char const* const is_fixed =
         start.fixed + static_cast<std::ptrdiff_t>(b) * frame.numbers();
-    int fixed = 0;
+    fixed_counts n;
     for (int i = g.rank(); i < with_depth; i += g.size()) {
       if (is_fixed[i] == 0 || !(depth[i] > 0)) { continue; }
+      int const c = i / frame.capacity();
+      keypoints_view const kp = frame.camera(b, c);
+      int const k = i - c * frame.capacity();
+      ++n.all;
+      n.dragged +=
+          static_cast<int>(is_fixed[i] == fixed_for_long &&
+                           flows(start.rig, c, T_cw, last_T_cw, {kp.x(k), kp.y(k)}, depth[i]));
       depth[i] = -1.0f;
-      ++fixed;
     }
-    return g.reduce(fixed, sum_op{});
+    return {g.reduce(n.all, sum_op{}), g.reduce(n.dragged, sum_op{})};
+  }
+  /// Whether what a camera sees at a pixel was 2 pixels from there before, if it is of the scene.
+  template <typename Rig>
+  FT_HOST_DEVICE static bool flows(Rig const& rig, int c, rigid<strict_float> const& T_cw,
+                                   rigid<strict_float> const& last_T_cw, vec2<float> at,
+                                   float depth) {
+    auto const moved = [&](auto const& camera, rigid<strict_float> const& to,
+                           rigid<strict_float> const& from) {
+      auto const model = camera.template cast<strict_float>();
+      auto const ray = model.unproject({strict_float(at.x), strict_float(at.y)});
+      if (!ray.valid || !(ray.direction.z > 0.0f)) { return false; }
+      strict_float const scale = strict_float(depth) / ray.direction.z;
+      auto const d = ray.direction;
+      auto const point = to.inverse() * vec3<strict_float>{d.x * scale, d.y * scale, d.z * scale};
+      auto const before = model.project(from * point);
+      float const x = ::fabsf((before.pixel.x - strict_float(at.x)).value);
+      float const y = ::fabsf((before.pixel.y - strict_float(at.y)).value);
+      return before.valid && !(x + y < 2.0f);
+    };
+    if constexpr (Rig::rectified) {
+      return moved(rig.pair(c).camera, rig.to_camera(c, T_cw), rig.to_camera(c, last_T_cw));
+    } else {
+      return moved(rig.left, T_cw, last_T_cw);
+    }
   }
   FT_HOST_DEVICE static search_plan plan_of(camera_track const& t, tracking_rules const& rules,
                                             int inliers) {
@@ -106,9 +150,9 @@ private:
 /// too few inliers, or that was lost before, is searched for near one of several poses with a wide
 /// radius, among the newest keyframes' points; one that adopts a proposal near that pose. Its
 /// keypoints release what they hold. Asynchronous on `exec`; allocates nothing; one launch.
-template <typename Exec>
+template <typename Exec, typename Rig>
 void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,
-                   odometry_state_view const& state, search_start const& start) {
+                   odometry_state_view const& state, search_start<Rig> const& start) {
   for_each_item<per_block<256>>(exec, state.batch, detail::plan_camera_search{}, rules, frame,
                                 state, start);
 }

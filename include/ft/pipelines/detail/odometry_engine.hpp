@@ -238,6 +238,7 @@ private:
       stages.own.inputs[b].predicted = stages.own.inputs[b].reset = 0;
       results[i] = tracking_of(stages.own.outputs[b]);
       results[i].depths = depths_of(rig);
+      results[i].evidence.rectified = Rig::rectified;
       results[i].metric = !stages_type::starts_from_motion;
       for (auto const& p : stages.plugged) { p->describe(b, time_ns[b], results[i]); }
       warnings[i].judge(results[i], time_ns[b], first, stages.settings);

@@ -116,8 +116,9 @@ public:
   // ---- the local map
 
   void plan_search(Exec const& exec) const {
-    search_start start{memory.observations.inliers, memory.poses, memory.motion.device.stamp,
-                       own.windowless.proposals};
+    search_start<typename base::searched_rig> start{this->rig, memory.observations.inliers,
+                                                    memory.poses, memory.motion.device.stamp,
+                                                    own.windowless.proposals};
     start.fixed = own.fixed;
     // The matcher's own memory: nothing else reads it at that time.
     start.depth = const_cast<float*>(this->matcher.depth());
@@ -167,7 +168,7 @@ public:
   /// Beside the search in the local map.
   void count_chances(Exec const& exec) const {
     count_chances_of_frames(exec, memory.frame, this->local_input(), this->params.local_points,
-                            memory.map.capacity, own.chances);
+                            memory.map, own.chances);
   }
   void count_points(Exec const& exec) const {
     sightings_input in;
@@ -239,10 +240,11 @@ public:
   }
   /// Beside what follows a frame's judgement.
   void report(Exec const& exec) const {
-    report_frames(exec,
-                  reported_frames<typename base::searched_rig>{
-                      this->rig, memory.observations, own.chances, memory.observations.inliers},
-                  own.state);
+    report_frames(
+        exec,
+        reported_frames<typename base::searched_rig>{this->rig, memory.observations, own.chances,
+                                                     memory.observations.inliers, this->geometry()},
+        own.state);
   }
   void pack_outputs(Exec const& exec) const {
     tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,

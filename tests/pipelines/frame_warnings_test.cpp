@@ -128,13 +128,13 @@ TYPED_TEST(FrameWarnings, ImagesThatRepeatWhileTheCameraMoves) {
   }
   run const both = track(backend.exec, frames);
   for (std::size_t i = 0; i < frames.size(); ++i) {
-    EXPECT_EQ(both.all[i].warnings.has(warning::images_repeat), i >= 12 && i < 15) << i;
+    EXPECT_EQ(both.all[i].warnings.has(warning::images_repeat), i >= 12) << i;
   }
   frames = walk(0);
   for (std::size_t i = 12; i < 15; ++i) { frames[i].left = frames[11].left; }
   run const one = track(backend.exec, frames);
   for (std::size_t i = 0; i < frames.size(); ++i) {
-    EXPECT_EQ(one.all[i].warnings.has(warning::images_repeat), i >= 12 && i < 15) << i;
+    EXPECT_EQ(one.all[i].warnings.has(warning::images_repeat), i >= 12) << i;
   }
 }
 

@@ -132,8 +132,9 @@ public:
       double const gain = usual_share_ > 0 ? 0.125 : 1;
       usual_share_ += gain * (e.stereo_share - usual_share_);
     }
-    for (tracking_warning const w : {tracking_warning::doubtful_pose, tracking_warning::two_motions,
-                                     tracking_warning::stereo_inconsistent}) {
+    for (tracking_warning const w :
+         {tracking_warning::doubtful_pose, tracking_warning::two_motions,
+          tracking_warning::images_repeat, tracking_warning::stereo_inconsistent}) {
       auto& said = said_ns_[static_cast<int>(w)];
       if (all.has(w)) { said = time_ns; }
       if (said >= 0 && time_ns - said <= limits.stays_ns) { all.add(w); }
@@ -196,7 +197,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              "second before";
     case tracking_warning::images_repeat:
       return std::to_string(e.same) + " of " + std::to_string(e.images) +
-             " images are those of the frame before while the camera moves";
+             " images are those of the frame before while the camera moves, in this frame or one " +
+             "of the second before";
     case tracking_warning::stereo_inconsistent:
       return detail::share_of(e.stereo_share, 1) +
              " of the keypoints have a stereo match, usually " +

@@ -260,7 +260,7 @@ TYPED_TEST(inertial_odometry, goes_on_with_its_map_where_nothing_is_known) {
 
 TYPED_TEST(inertial_odometry, works_without_samples) {
   TypeParam backend;
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   for (int i = 0; i < 12; ++i) {
     auto const& f = walk()[static_cast<std::size_t>(i)];
     auto const t =
@@ -274,7 +274,7 @@ TYPED_TEST(inertial_odometry, works_without_samples) {
 TYPED_TEST(inertial_odometry, takes_samples_from_another_thread) {
   TypeParam backend;
   auto const want = run(backend.exec);
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   std::atomic<int> frame{-1}, added{-1};
   std::thread imu([&] {  // a frame ahead, while the frame before is tracked
     int samples = 0;
@@ -299,7 +299,7 @@ TYPED_TEST(inertial_odometry, takes_samples_from_another_thread) {
 // Without the samples of three frames no velocity is known, until keyframes tell it again.
 TYPED_TEST(inertial_odometry, a_gap_in_the_samples_harms_no_pose) {
   TypeParam backend;
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   bool known = false;
   for (int i = 0; i < frame_count; ++i) {
     for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
@@ -320,7 +320,7 @@ TYPED_TEST(inertial_odometry, a_gap_in_the_samples_harms_no_pose) {
 TYPED_TEST(inertial_odometry, an_early_gap_delays_what_is_known_no_longer_than_it_must) {
   if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   ft::tracking last;
   for (int i = 0; i < frame_count; ++i) {
     for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
@@ -337,7 +337,7 @@ TYPED_TEST(inertial_odometry, an_early_gap_delays_what_is_known_no_longer_than_i
 TYPED_TEST(inertial_odometry, cameras_of_a_batch_have_imus_of_their_own) {
   TypeParam backend;
   auto const want = run(backend.exec);
-  ft::odometry odo(backend.exec, test::room::rig(), params(), 2);
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 2, ft::inertial{});
   int samples = 0;
   for (int i = 0; i < frame_count; ++i) {
     while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++), 1); }
@@ -357,7 +357,7 @@ TYPED_TEST(inertial_odometry, begins_anew_after_a_reset) {
   if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;
   auto const want = run(backend.exec);
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   for (int round = 0; round < 2; ++round) {
     int samples = 0;
     for (int i = 0; i < frame_count; ++i) {
@@ -402,7 +402,7 @@ TYPED_TEST(inertial_odometry, refuses_bad_input_and_goes_on) {
 // A sample that is doubled, comes late or cannot be is as one that is missing.
 TYPED_TEST(inertial_odometry, a_bad_sample_is_left_out_and_counted) {
   TypeParam backend;
-  ft::odometry odo(backend.exec, test::room::rig(), params());
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   float const inf = std::numeric_limits<float>::infinity();
   ft::tracking last;
   for (int i = 0; i < frame_count; ++i) {
@@ -435,7 +435,7 @@ TYPED_TEST(inertial_odometry, times_of_images_and_samples_may_be_any) {
   constexpr auto most = std::numeric_limits<std::int64_t>::max();
   auto p = params();
   p.imu.waiting = 8;
-  ft::odometry odo(backend.exec, test::room::rig(), p);
+  ft::odometry odo(backend.exec, test::room::rig(), p, 1, ft::inertial{});
   auto const& f = walk().front();
   ft::stereo_images const images{test::room::view(f.left), test::room::view(f.right)};
   for (int i = 0; i < 100; ++i) { odo.add_imu(sample_at(0.25 * i)); }  // a clock that is ahead

@@ -60,7 +60,7 @@ struct image_changes_view {
 
 inline void carve(carver& c, image_changes_view& v, int images) {
   c.place({images}, v.of);
-  c.place({images, v.sampled}, v.reference, v.last);
+  c.place({images, image_changes_view::sampled}, v.reference, v.last);
   c.place({images, image_changes::cells}, v.frames);
   c.place({images}, v.begun);
 }

@@ -79,14 +79,16 @@ any_odometry made(odometry_request const& of, Rig const& rig) {
   place here(of.where);
   [[maybe_unused]] auto const entered = here.enter();
   bool const with_places = !of.places.vocabulary.empty();
+  place_recovery how;
+  how.candidates = of.places.candidates;
+  check(how);
   vocabulary<exec_type::space> words;
   if (with_places) { words = upload(here.exec(), read_vocabulary(of.places.vocabulary).view()); }
   auto const make = [&](place& p, vocabulary_view const& kept) {
     auto const with = [&](auto const&... plugged) {
       return odometry_type(p.exec(), rig, of.params, of.batch, plugged...);
     };
-    places by_words{kept, {}};
-    by_words.how.candidates = of.places.candidates;
+    places const by_words{kept, how};
     if (of.params.imu.present) {
       return with_places ? with(inertial{}, by_words) : with(inertial{});
     }

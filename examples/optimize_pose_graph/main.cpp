@@ -27,11 +27,23 @@ struct options {
   int repeat = 1;
 };
 
+int whole(std::string const& name, std::string const& text, long least) {
+  char* end = nullptr;
+  long const v = std::strtol(text.c_str(), &end, 10);
+  if (text.empty() || *end != '\0' || v < least || v > 1000000) {
+    throw std::invalid_argument(name + " " + text + " is not a whole number in range");
+  }
+  return static_cast<int>(v);
+}
+
 options parse(int argc, char** argv) {
   options o;
   for (int i = 1; i < argc; ++i) {
     std::string const word = argv[i];
     if (word.rfind("--", 0) != 0) {
+      if (!o.in.empty()) {
+        throw std::invalid_argument("two graphs are named: " + o.in + ", " + word);
+      }
       o.in = word;
       continue;
     }
@@ -48,9 +60,9 @@ options parse(int argc, char** argv) {
     } else if (word == "--start" && value == "chordal") {
       o.params.start = ft::pose_graph_start::chordal;
     } else if (word == "--steps") {
-      o.params.steps = std::atoi(value.c_str());
+      o.params.steps = whole(word, value, 0);
     } else if (word == "--repeat") {
-      o.repeat = std::max(1, std::atoi(value.c_str()));
+      o.repeat = whole(word, value, 1);
     } else {
       throw std::invalid_argument(word + " " + value + " is not known");
     }

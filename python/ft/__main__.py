@@ -116,6 +116,9 @@ def main():
     except (RuntimeError, ValueError) as e:
         print(f"ft: {e}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("ft: stopped", file=sys.stderr)
+        return 3
 
 
 if __name__ == "__main__":

@@ -76,7 +76,8 @@ def encoding_of(message: Message) -> str:
 
 def is_depth(message: Message, topic: str) -> bool:
     encoding = encoding_of(message)
-    return encoding in ("16UC1", "32FC1") or "compressedDepth" in encoding or ("depth" in topic and encoding == "mono16")
+    kind = encoding.split(";")[0].strip()
+    return kind in ("16UC1", "32FC1") or "compressedDepth" in encoding or ("depth" in topic and kind == "mono16")
 
 
 def values_of(message: RawImage, topic: str) -> Values:
@@ -118,6 +119,7 @@ class ImageWriter:
         self._seen: set[int] = set()
         self._doubled = 0
         self._bits = 0
+        self._beyond = 0
         self.count = 0
 
     def write(self, message: Message, logged_ns: int) -> None:
@@ -170,6 +172,7 @@ class ImageWriter:
         elif RAW[encoding][1] == 2:
             self._bits = self._bits or bits_of(values)
             largest = (1 << self._bits) - 1
+            self._beyond += int(values.max()) > largest
         kind = "pgm" if values.ndim == 2 else "ppm"
         write_pnm(self._folder / f"{name}.{kind}", values, largest)  # type: ignore[arg-type]
         return f"{name}.{kind}"
@@ -182,4 +185,6 @@ class ImageWriter:
             said.append(f"{self._topic}: {self._doubled} images left out: their stamps are those of others")
         if 0 < self._bits < 16:
             said.append(f"{self._topic}: taken for images of {self._bits} bits, by the largest value of the first")
+        if self._beyond:
+            said.append(f"{self._topic}: {self._beyond} images are brighter than {self._bits} bits: white there")
         return said

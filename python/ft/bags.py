@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,7 +56,7 @@ class Stream:
 
     @property
     def rectified(self) -> bool:
-        return "rect" in self.topic
+        return re.search(r"(^|[/_])rect", self.topic) is not None
 
     def right_of_pair(self) -> bool:
         return self.info is not None and matrix(self.info, "p")[3] != 0
@@ -291,7 +292,8 @@ def unpack_bag(path: Path, wanted: Wanted) -> Unpacked:
         made = begin(str(path), "bag")
         if not wanted.calibration:
             write_calibration(made, chosen)
-        imus = sorted(by_topic(reader, (IMU_TYPE,)).items())
+        # A RealSense has a topic for each half of its IMU.
+        imus = [(t, c) for t, c in sorted(by_topic(reader, (IMU_TYPE,)).items()) if not {"accel", "gyro"} & set(t.split("/"))]
         writer = Writer(made, chosen, stack)
         try:
             copy_messages(reader, writer, chosen, imus[0][1] if imus else [], wanted)

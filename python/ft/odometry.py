@@ -31,6 +31,8 @@ class Odometry:
                  keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, vocabulary=None,
                  candidates=16, measure_stages=False, **options):
         all_options = _options(width, height, **options)
+        if vocabulary is not None and not str(vocabulary):
+            raise ValueError("vocabulary is empty, must be a file, or None")
         moving, fixed = _two(window, "window")
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,

@@ -251,6 +251,7 @@ def end_as_ctrl_c(*_):
 
 def track(arguments):
     """Returns the exit status: 0; 1 where no frame could be tracked; 3 for a run that was stopped."""
+    signal.signal(signal.SIGTERM, end_as_ctrl_c)
     sequence = open_sequence(arguments)
     viewer = viewer_of(arguments, sequence)
     _ft.make_output_folder(arguments.out)
@@ -264,7 +265,6 @@ def track(arguments):
     calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
     for text in calibration:
         print(f"warning   calibration: {text}")
-    signal.signal(signal.SIGTERM, end_as_ctrl_c)
     run = Run(arguments, sequence, odometry, viewer, calibration)
     run.track_all()
     if viewer is not None:

@@ -74,7 +74,8 @@ class Unpacked:
 def begin(source: str, layout: str) -> Unpacked:
     """An empty folder of the recording's name, in a new one."""
     temporary = tempfile.TemporaryDirectory(prefix="ft_")
-    folder = Path(temporary.name) / (Path(source).name or "recording")
+    name = Path(source).name
+    folder = Path(temporary.name) / ("recording" if name in ("", "..") else name)
     folder.mkdir()
     return Unpacked(source, layout, folder, temporary)
 
@@ -86,6 +87,15 @@ def is_bag(path: Path) -> bool:
 def unpacked(source: object, wanted: Wanted) -> Unpacked | None:
     """The folder made of a recording; None for what is a folder of images already. Raises RuntimeError that names the
     file and what is wrong."""
+    try:
+        return _unpacked(source, wanted)
+    except (RuntimeError, ValueError):
+        raise
+    except Exception as e:  # of rosbags, sqlite, OpenCV or the disk
+        raise RuntimeError(f"{source}: cannot be unpacked: {e or type(e).__name__}") from e
+
+
+def _unpacked(source: object, wanted: Wanted) -> Unpacked | None:
     files = [str(file) for file in source] if isinstance(source, (list, tuple)) else [str(source)]
     if not files:
         raise RuntimeError(f"no file is named; {ACCEPTED}")
@@ -121,7 +131,7 @@ def of_images(source: str, paths: list[Path]) -> Unpacked:
     wrong = next((path for path in paths if path.suffix.lower() not in IMAGES), None)
     if wrong is not None:
         raise RuntimeError(f"{wrong}: no image; accepted are {', '.join(IMAGES)}")
-    parents = {path.resolve().parent for path in paths}
+    parents = {path.parent.resolve() for path in paths}
     if len(parents) > 1:
         raise RuntimeError(f"{source}: images of {len(parents)} folders, must be of one camera, in one folder; a pair is a "
                            "folder with left and right in it")

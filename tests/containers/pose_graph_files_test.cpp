@@ -91,6 +91,8 @@ TEST(PoseGraphFiles, DamagedOnesAreRefusedByLine) {
   };
   refused("VERTEX_SE3:QUAT 7", "VERTEX_SE2 7", "line 2: there is 'VERTEX_SE2'");
   refused("7 1 2 3", "-7 1 2 3", "line 2: the number of a pose");
+  refused("QUAT 7 1 2 3", "QUAT 7.0 2 3", "line 2: the number of a pose");
+  refused("7 1 2 3", "7 1 +-2 3", "line 2: '+-2' is not a finite number: y");
   refused("7 1 2 3 0 0 0 1", "7 1 2 3 0 0 0", "line 2: there is no part of the quaternion");
   refused("7 1 2 3 0 0 0 1", "7 1 2 3 0 0 0 0", "line 2: the quaternion has the length 0");
   refused("7 1 2 3 0 0 0 1", "7 1 2 3 0 0 0 1 9", "line 2: there is '9' after the last number");

@@ -91,6 +91,7 @@ TYPED_TEST(FixedKeypoints, AreThoseOfAPlainLoop) {
     in.frame.cameras = cameras;
     in.frame.batch = batch;
     in.frame.right_x = there.right_x;
+    in.seen = there.keypoints;
     in.geometry = f.geometry;
     in.changes = there.changes;
     in.least_disparity = least_disparity;

@@ -130,7 +130,7 @@ struct facts_of {
                                  ft::rigid<double> const* last,
                                  ft::pyramid_geometry const& geometry, ft::frame_facts* out) const {
     ft::frame_facts const f =
-        ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last, geometry);
+        ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last, geometry, 0.0f);
     if (g.rank() == 0) { *out = f; }
   }
 };

@@ -333,6 +333,71 @@ TYPED_TEST(pose_graphs, graphs_with_nothing_to_do) {
   EXPECT_TRUE(same_bits(graph.T_world_pose, made.graph.T_world_pose));
 }
 
+TYPED_TEST(pose_graphs, what_no_edge_tells_of_stays_and_the_rest_moves) {
+  // Of the last pose only its place is measured, not where it looks.
+  auto made = make_graph({30, 12}, 3);
+  auto& graph = made.graph;
+  ft::pose_graph_edge e = graph.edges.front();
+  e.from = 4;
+  e.to = static_cast<int>(graph.T_world_pose.size());
+  for (double& v : e.information) { v = 0; }
+  for (int i = 0, at = 0; i < 3; ++i) {
+    e.information[at] = 100;
+    at += 6 - i;
+  }
+  graph.edges.push_back(e);
+  graph.T_world_pose.push_back(ft::rigid<double>::identity());
+  auto without = make_graph({30, 12}, 3).graph;
+  auto const report = this->optimize(graph, pose_graph_start::given);
+  this->optimize(without, pose_graph_start::given);
+  EXPECT_TRUE(report.converged);
+  EXPECT_LT(report.last_chi2, report.first_chi2);
+  for (std::size_t i = 0; i < without.T_world_pose.size(); ++i) {
+    EXPECT_LT(distance(graph.T_world_pose[i], without.T_world_pose[i]), 1e-5) << i;
+  }
+}
+
+TYPED_TEST(pose_graphs, a_start_that_fails_harms_no_later_step) {
+  // Rotations of the last pose are not measured, so that it has no chordal start.
+  for (int poses : {9, 21, 30}) {
+    auto made = make_graph({poses, 12}, 7);
+    auto graph = made.graph;
+    for (auto& e : graph.edges) {
+      for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) {
+        for (int j = i; j < 6; ++j) {
+          if (i >= 3 || j >= 3) { e.information[at + j - i] = 0; }
+        }
+      }
+    }
+    auto same = graph;
+    auto const given = this->optimize(same, pose_graph_start::given);
+    auto const report = this->optimize(graph, pose_graph_start::chordal);
+    EXPECT_LT(given.last_chi2, given.first_chi2) << poses;
+    EXPECT_LT(report.last_chi2, report.given_chi2) << poses;
+  }
+}
+
+TYPED_TEST(pose_graphs, a_very_wide_kernel_is_none) {
+  auto made = make_graph({40, 15}, 9);
+  auto plain = made.graph;
+  auto const none = this->optimize(plain, pose_graph_start::given);
+  for (auto& e : made.graph.edges) {
+    e.kernel = ft::robust_kernel::cauchy;
+    e.width = 1e9;
+  }
+  auto const wide = this->optimize(made.graph, pose_graph_start::given);
+  EXPECT_NEAR(wide.last_cost, none.last_cost, 1e-9 * none.last_cost);
+  EXPECT_GT(wide.steps, 1);
+}
+
+TYPED_TEST(pose_graphs, a_step_that_is_damped_away_is_no_end) {
+  auto made = make_graph({40, 15}, 9);
+  ft::pose_graph_params params;
+  params.first_damping = 1e9;
+  params.steps = 1;
+  EXPECT_FALSE(ft::optimize_pose_graph(this->backend.exec, made.graph, params).converged);
+}
+
 TYPED_TEST(pose_graphs, bad_graphs_are_refused) {
   auto const made = make_graph({5, 2}, 1);
   auto const refused = [&](auto const& damage, std::string const& part) {
@@ -351,6 +416,14 @@ TYPED_TEST(pose_graphs, bad_graphs_are_refused) {
   refused([](ft::pose_graph& g) { g.edges[1].to = g.edges[1].from; }, "with itself");
   refused([&](ft::pose_graph& g) { g.edges[0].information[4] = nan; }, "information is nan");
   refused([&](ft::pose_graph& g) { g.edges[0].information[0] = -1; }, "negative eigenvalue");
+  refused(
+      [&](ft::pose_graph& g) {  // units differ: small beside another one, and negative
+        for (double& v : g.edges[0].information) { v = 0; }
+        for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) {
+          g.edges[0].information[at] = i < 3 ? 1e10 : i < 5 ? 5 : -5;
+        }
+      },
+      "negative eigenvalue");
   refused([&](ft::pose_graph& g) { g.edges[0].T_from_to.t.y = nan; }, "translation is nan");
   refused([&](ft::pose_graph& g) { g.T_world_pose[3].R.m[0] = 2; }, "(pose 3)");
   refused([&](ft::pose_graph& g) { g.fixed.assign(4, 0); }, "`fixed`");
@@ -358,6 +431,12 @@ TYPED_TEST(pose_graphs, bad_graphs_are_refused) {
       [&](ft::pose_graph& g) {
         g.edges[0].kernel = ft::robust_kernel::huber;
         g.edges[0].width = 0;
+      },
+      "width");
+  refused(
+      [&](ft::pose_graph& g) {
+        g.edges[0].kernel = ft::robust_kernel::cauchy;
+        g.edges[0].width = 1e150;
       },
       "width");
   ft::pose_graph_params params;

@@ -52,20 +52,22 @@ struct pose_graph {
 namespace detail {
 
 /// Whether a symmetric 6 x 6 matrix has no negative eigenvalue, up to rounding of its text: LDL^T
-/// with a little added to the diagonal.
+/// with a billionth more on the diagonal. Where that has a 0 the whole row must have.
 inline bool is_semidefinite_6(double const (&upper)[21]) {
   double a[6][6];
-  double largest = 0;
   for (int i = 0, at = 0; i < 6; ++i) {
-    for (int j = i; j < 6; ++j) { a[i][j] = upper[at++]; }
-    largest = a[i][i] > largest ? a[i][i] : largest;
+    for (int j = i; j < 6; ++j) { a[i][j] = a[j][i] = upper[at++]; }
   }
-  for (int i = 0; i < 6; ++i) { a[i][i] += 1e-9 * largest; }
-  if (largest == 0) {
-    for (double const v : upper) {
-      if (v != 0) { return false; }
+  for (int i = 0; i < 6; ++i) {
+    if (a[i][i] < 0) { return false; }
+    if (a[i][i] > 0) {
+      a[i][i] *= 1 + 1e-9;
+      continue;
     }
-    return true;
+    for (int j = 0; j < 6; ++j) {
+      if (a[i][j] != 0) { return false; }
+    }
+    a[i][i] = 1;
   }
   for (int k = 0; k < 6; ++k) {
     if (!(a[k][k] > 0)) { return false; }
@@ -90,8 +92,8 @@ inline void check_edge(pose_graph_edge const& e, int poses) {
   require(e.kernel == robust_kernel::none || e.kernel == robust_kernel::huber ||
               e.kernel == robust_kernel::cauchy,
           "the edge has an unknown robust kernel");
-  require(e.kernel == robust_kernel::none || (e.width > 0 && std::isfinite(e.width)),
-          "the width of a robust kernel must be above 0 and finite");
+  require(e.kernel == robust_kernel::none || (e.width >= 1e-100 && e.width <= 1e100),
+          "the width of a robust kernel must be in [1e-100, 1e100]");
 }
 
 }  // namespace detail

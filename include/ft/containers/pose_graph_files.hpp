@@ -16,6 +16,7 @@
 #include <string>
 #include <system_error>
 #include <unordered_map>
+#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -67,15 +68,21 @@ private:
     throw error("ft: pose graph, line " + std::to_string(line_) + ": " + what);
   }
   std::int64_t id(std::istream& words) const {
-    std::int64_t value = 0;
-    if (!(words >> value) || value < 0) { refuse("the number of a pose is missing or negative"); }
+    std::string word;
+    words >> word;
+    std::int64_t value = -1;
+    char const* const end = word.data() + word.size();
+    auto const result = std::from_chars(word.data(), end, value);
+    if (result.ec != std::errc() || result.ptr != end || value < 0) {
+      refuse("the number of a pose is missing, negative or not whole");
+    }
     return value;
   }
   double number(std::istream& words, char const* name) const {
     std::string word;
     if (!(words >> word)) { refuse(std::string("there is no ") + name); }
     // A sign in front is usual in files, but not for from_chars.
-    if (word[0] == '+') { word.erase(0, 1); }
+    if (word[0] == '+' && word[1] != '-') { word.erase(0, 1); }
     double value = 0;
     if (!parse(word, value) || !std::isfinite(value)) {
       refuse(std::string("'") + word + "' is not a finite number: " + name);
@@ -171,6 +178,15 @@ private:
   int line_ = 0;
 };
 
+/// A number with digits that read back as the same one, in any locale.
+inline std::string g2o_number(double v) {
+  std::ostringstream text;
+  text.imbue(std::locale::classic());
+  text.precision(17);
+  text << v;
+  return text.str();
+}
+
 /// " x y z qx qy qz qw", with digits that read back as the same numbers.
 inline void append_motion(std::string& line, rigid<double> const& T) {
   auto const& m = T.R.m;
@@ -189,7 +205,7 @@ inline void append_motion(std::string& line, rigid<double> const& T) {
   double const scale = (q[3] < 0 ? -1 : 1) / norm;
   for (double const v :
        {T.t.x, T.t.y, T.t.z, q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale}) {
-    line += ' ' + number_text(v);
+    line += ' ' + g2o_number(v);
   }
 }
 
@@ -211,6 +227,11 @@ inline pose_graph read_g2o(std::string const& path) {
 /// the format. @throws bad_argument for an invalid graph; error if it cannot be written
 inline void write_g2o(std::ostream& out, pose_graph const& graph) {
   check(graph);
+  std::unordered_set<std::int64_t> seen;
+  for (std::int64_t const own : graph.ids) {
+    detail::require(own >= 0 && seen.insert(own).second,
+                    "`ids` of a pose graph must be different, and not negative");
+  }
   auto const id = [&](int pose) {
     auto const at = static_cast<std::size_t>(pose);
     return std::to_string(graph.ids.empty() ? pose : graph.ids[at]);
@@ -227,7 +248,7 @@ inline void write_g2o(std::ostream& out, pose_graph const& graph) {
   for (auto const& e : graph.edges) {
     line = "EDGE_SE3:QUAT " + id(e.from) + ' ' + id(e.to);
     detail::append_motion(line, e.T_from_to);
-    for (double const v : e.information) { line += ' ' + detail::number_text(v); }
+    for (double const v : e.information) { line += ' ' + detail::g2o_number(v); }
     out << line << '\n';
   }
   if (!out.flush()) { throw error("ft: pose graph: cannot be written"); }

@@ -7,6 +7,7 @@
 #include <istream>
 #include <memory>
 #include <ostream>
+#include <type_traits>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
@@ -81,7 +82,11 @@ public:
   template <typename... Plugged>
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch,
            Plugged const&... plugged)
-      : engine_(std::make_unique<engine>(exec, rig, params, batch, plugged...)) {}
+      : engine_(std::make_unique<engine>(exec, rig, params, batch, plugged...)) {
+    static_assert((0 + ... + int{std::is_same<Plugged, inertial>::value}) <= 1 &&
+                      (0 + ... + int{std::is_same<Plugged, places>::value}) <= 1,
+                  "a part is plugged in once");
+  }
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
       : odometry(exec, rig, params, 1) {}
 

@@ -88,7 +88,8 @@ struct graph_damping {
 /// executor. Allocates, and returns when all is done. Memory: linear in the edges and in the blocks
 /// of the factor.
 /// @param graph its poses that are not fixed get the result
-/// @throws bad_argument for an invalid graph, or one whose factor does not fit into 32-bit indices
+/// @throws bad_argument for an invalid graph, or one whose factor does not fit into 32-bit indices;
+///   std::bad_alloc, cuda_error
 template <typename Exec>
 pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
                                       pose_graph_params const& params = {}) {
@@ -132,12 +133,13 @@ pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
     double const gain = best.cost - trial.cost;
     bool const better = gain >= 0;  // false for NaN
     if (better) {
-      report.converged = gain <= params.enough * best.cost;
+      report.converged = damping.value <= 1 && gain <= params.enough * best.cost;
       damping.accept(gain, trial.promised);
       solver.accept();
       best = trial;
     } else {
-      report.converged = trial.promised >= 0 && trial.promised <= params.enough * best.cost;
+      report.converged =
+          damping.value <= 1 && trial.promised >= 0 && trial.promised <= params.enough * best.cost;
       damping.refuse();
     }
     linear = !better;

@@ -188,7 +188,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              " are asked for, and of the variance of errors neighbours share " +
              detail::share_of(f.common, 1024) + ", of " +
              detail::share_of(warning_limits{}.common_errors, 1) +
-             " at most; in this frame or one of the second before";
+             " at most, or a lost camera was found again; in this frame or one of the second "
+             "before";
     case tracking_warning::two_motions:
       return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, or " +
              detail::share_of(e.moved, e.textured) + " of the images changed while " +

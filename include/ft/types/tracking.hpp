@@ -73,7 +73,7 @@ struct warning_set {
 };
 
 /// What the matches and images of a frame say about its pose. Of a frame whose local map was not
-/// searched all is 0.
+/// searched, all that matches tell is 0.
 struct frame_facts {
   int matches = 0;  ///< keypoints that were matched, before the pose was optimised
   int flowing = 0;  ///< inliers that the motion since the last frame moved 2 pixels
@@ -130,8 +130,8 @@ struct tracking {
   int keyframes = 0;      ///< made so far
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
   /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
-  /// optimisation without the IMU, times the variance that the inliers' errors have: errors of
-  /// keypoints, not of map points.
+  /// optimisation without the IMU, times the variance that the inliers' errors have, 1 for a camera
+  /// that was found by its words: errors of keypoints, not of map points.
   /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
   /// frame that was not tracked.
   double covariance[36] = {};

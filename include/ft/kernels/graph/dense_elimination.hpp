@@ -20,15 +20,16 @@ inline constexpr int tile_threads = 256;
 /// Rows of tiles in shared memory have an odd length, so that columns lie in different banks.
 inline constexpr int tile_stride = tile_side + 1;
 
-/// One item: an unknown past the poses, up to whole tiles: row of an identity. Once: factorisation
-/// leaves them as they are.
+/// One item: an unknown past the poses, up to whole tiles: row of an identity. Before each
+/// factorisation: one that fails leaves no numbers there.
 struct pad_dense {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, graph_system_view const& A) const {
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, graph_system_view const& A) const {
     int const row = 6 * A.plan.dense + item;
-    *A.dense_at(row, row) = 1.0;
+    for (int c = g.rank(); c <= row; c += g.size()) { *A.dense_at(row, c) = c == row ? 1.0 : 0.0; }
+    if (g.rank() == 0) { A.dense_right()[row] = 0.0; }
   }
 };
 

@@ -78,22 +78,23 @@ struct edge_cost {
       weight = width / root;
     } else if (edge.kernel == robust_kernel::cauchy) {
       real64 const ratio = real64(1.0) + s / (width * width);
-      cost = width * width * log_of(ratio);
+      cost = width * width * log_of(s / (width * width));
       weight = scalar::reciprocal(ratio);
     }
   }
 
 private:
-  /// Logarithm of a number of at least 1, with equal bits on every executor: 2 artanh of a
-  /// fraction, from what is left after halvings.
-  FT_HOST_DEVICE static real64 log_of(real64 v) {
+  /// Logarithm of 1 + x, x at least 0, with equal bits on every executor: 2 artanh of a fraction,
+  /// from what is left after halvings. Exact for a small x.
+  FT_HOST_DEVICE static real64 log_of(real64 x) {
+    real64 v = real64(1.0) + x;
     real64 halvings = 0.0;
     FT_NO_UNROLL
     while (v > real64(1.5) && scalar::is_finite(v)) {
       v = v * real64(0.5);
       halvings += real64(1.0);
     }
-    real64 const t = (v - real64(1.0)) / (v + real64(1.0));
+    real64 const t = (halvings > real64(0.0) ? v - real64(1.0) : x) / (v + real64(1.0));
     real64 const t2 = t * t;
     real64 sum = 0.0;
     FT_NO_UNROLL
@@ -205,6 +206,12 @@ struct move_pose {
                                  rigid<double> const* from, rigid<double>* to) const {
     double const* const x = A.solution + 6 * item;
     int const pose = A.plan.pose[item];
+    bool stays = true;
+    for (int k = 0; k < 6; ++k) { stays = stays && x[k] == 0; }
+    if (stays) {  // to the bit
+      to[pose] = from[pose];
+      return;
+    }
     rigid<real64> const T = from[pose].cast<real64>();
     real64 const turn[6] = {x[3], x[4], x[5], 0.0, 0.0, 0.0};
     strict_vec3d const shift{x[0], x[1], x[2]};

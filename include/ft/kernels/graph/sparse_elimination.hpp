@@ -167,7 +167,8 @@ private:
       int const e = own_entries<Group>::entry(g, k);
       if (e % 7 != 0) { continue; }
       A.diagonal[6 * i + e / 7] = sum.of[k].value;
-      sum.of[k] += sum.of[k] * real64(damping);
+      // An unknown that no edge tells of stays: its row and column are 0.
+      sum.of[k] = sum.of[k] == real64(0.0) ? real64(1.0) : sum.of[k] + sum.of[k] * real64(damping);
     }
   }
 

@@ -18,6 +18,7 @@ inline namespace FT_ABI {
 /// Inputs and output of mark_fixed_keypoints(), in executor memory.
 struct fixed_keypoints {
   frame_view frame;
+  keypoints_view seen;         ///< the same keypoints where the images have them
   pyramid_geometry geometry;   ///< the position of a keypoint depends on its octave
   image_changes_view changes;  ///< of the frame's images
   float least_disparity = 0;   ///< pixels; of keypoints with a disparity, those with this one
@@ -60,8 +61,9 @@ private:
       return false;
     }
     int const octave = kp.octave(k);
-    return in.changes.is_fixed(image, in.geometry.column(kp.x(k), octave),
-                               in.geometry.row(kp.y(k), octave), in.geometry.width[0],
+    keypoints_view const seen = in.seen.slice(image);
+    return in.changes.is_fixed(image, in.geometry.column(seen.x(k), octave),
+                               in.geometry.row(seen.y(k), octave), in.geometry.width[0],
                                in.geometry.height[0], sure || !has_disparity);
   }
 };

@@ -139,11 +139,13 @@ struct facts_scratch {
 
 /// What the observations of the last pose say. All threads of a group call.
 /// @param last pose of the last frame @param geometry of the images
+/// @param disparity_root as in pose_limits
 template <typename Group, typename Rig>
 FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
                                               rigid<double> const& last,
-                                              pyramid_geometry const& geometry) {
+                                              pyramid_geometry const& geometry,
+                                              float disparity_root) {
   using real = strict_float;  // an eighth of a pixel is wanted
   auto const now = T_cw.template cast<real>();
   auto const before = last.template cast<real>();
@@ -170,8 +172,12 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
       n.flowing += static_cast<int>(length_of(dx, dy) >= 16);
+      reprojection<Rig, real> weighted = r;
+      if (disparity_root > 0) { weighted.take_disparity(real(disparity_root)); }
       real chi2 = 0.0f;
-      for (int row = 0; row < r.rows; ++row) { chi2 = chi2 + r.error[row] * r.error[row]; }
+      for (int row = 0; row < r.rows; ++row) {
+        chi2 = chi2 + weighted.error[row] * weighted.error[row];
+      }
       n.misfit += misfit(chi2 * real(o.inv_sigma2));
       n.rows += r.rows;
       n.resting += static_cast<int>(length_of(dx - x, dy - y) <= 2);
@@ -217,6 +223,7 @@ struct reported_frames {
   chance_counts const* chances = nullptr;  ///< [batch]
   int const* inliers = nullptr;            ///< [batch] of the judged frame
   pyramid_geometry geometry{};             ///< of the images
+  float disparity_root = 0;                ///< as in pose_limits
 };
 
 /// Item: a camera.
@@ -229,8 +236,8 @@ struct report_frame {
     camera_track& t = state.tracks[b];
     if (t.plan == search_plan::nothing) { return; }
     weighed_poses const at = state.weighed[b];
-    frame_facts facts =
-        weigh_observations(g, s, b, in.rig, in.observations, at.T_cw, at.last, in.geometry);
+    frame_facts facts = weigh_observations(g, s, b, in.rig, in.observations, at.T_cw, at.last,
+                                           in.geometry, in.disparity_root);
     if (g.rank() != 0) { return; }
     facts.fixed = t.facts.fixed;
     facts.dragged = t.facts.dragged;

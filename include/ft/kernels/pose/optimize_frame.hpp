@@ -26,8 +26,8 @@ struct frames_in_map {
   frame_view frame;
   map_points_view map;
   pyramid_geometry geometry;  ///< position and weight of a keypoint depend on its octave
-  /// [batch][cameras * capacity] 1 = the keypoint releases its point: it is of what is fixed to a
-  /// camera. Null: none does
+  /// [batch][cameras * capacity] not 0 = the keypoint releases its point: it is of what is fixed to
+  /// a camera. Null: none does
   unsigned char const* fixed = nullptr;
 };
 

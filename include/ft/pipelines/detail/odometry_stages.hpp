@@ -235,16 +235,16 @@ public:
   }
   /// Beside the search from the last frame, after watch_images().
   void mark_fixed(Exec const& exec) const {
-    mark_fixed_keypoints(
-        exec, {memory.frame, this->geometry(), own.changes, fixed_disparity_, own.fixed});
+    mark_fixed_keypoints(exec, {memory.frame, this->extractor.keypoints(), this->geometry(),
+                                own.changes, fixed_disparity_, own.fixed});
   }
   /// Beside what follows a frame's judgement.
   void report(Exec const& exec) const {
-    report_frames(
-        exec,
-        reported_frames<typename base::searched_rig>{this->rig, memory.observations, own.chances,
-                                                     memory.observations.inliers, this->geometry()},
-        own.state);
+    report_frames(exec,
+                  reported_frames<typename base::searched_rig>{
+                      this->rig, memory.observations, own.chances, memory.observations.inliers,
+                      this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
+                  own.state);
   }
   void pack_outputs(Exec const& exec) const {
     tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,

@@ -76,7 +76,6 @@ public:
     auto const side = static_cast<std::size_t>(A.side());
     fill_bytes(exec_, A.dense, 0, side * side * sizeof(double));
     fill_bytes(exec_, A.dense_right(), 0, side * sizeof(double));
-    for_each_item<per_thread>(exec_, static_cast<int>(side) - 6 * order.dense, pad_dense{}, A);
     exec_.wait();
   }
 
@@ -243,6 +242,7 @@ private:
     graph_system_view const& A = memory_->system;
     if (order_.dense == 0) { return; }
     int const blocks = A.plan.blocks - A.plan.sparse_blocks;
+    for_each_item<per_warp>(exec_, static_cast<int>(A.side()) - 6 * order_.dense, pad_dense{}, A);
     for_each_item<per_warp>(exec_, blocks + order_.dense,
                             reduce_blocks{A.plan.sparse_blocks, blocks, A.plan.columns, damping},
                             A);

@@ -12,7 +12,7 @@ from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk
 from test_sequences import write_png
 
 import ft
-from ft import bag_images
+from ft import bag_images, bags
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: no bags are read")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -318,3 +318,29 @@ def test_a_message_that_is_cut_off_is_refused():
     message = SimpleNamespace(encoding="mono8", width=8, height=4, step=8, is_bigendian=0, data=np.zeros(31, np.uint8))
     with pytest.raises(bag_images.Refused, match="31 bytes in rows of 8, must have 32"):
         bag_images.values_of(message, "/cam")
+
+
+@pytest.mark.parametrize("text, depth", [("16UC1; png compressed", True), ("mono8; png compressed", False),
+                                         ("16UC1; compressedDepth png", True), ("rgb8; jpeg compressed bgr8", False)])
+def test_a_compressed_depth_is_no_camera(text, depth):
+    assert bag_images.is_depth(SimpleNamespace(format=text), "/camera/image") == depth
+
+
+@pytest.mark.parametrize("topic, rectified", [("/left/image_rect", True), ("/left/image_rect_color", True),
+                                              ("/left/image_unrectified", False), ("/camera_direct/image_raw", False)])
+def test_rect_is_a_word_of_a_topic(topic, rectified):
+    stream = bags.Stream([SimpleNamespace(topic=topic)], SimpleNamespace())
+    assert stream.rectified == rectified
+
+
+@pytest.mark.parametrize("kind", ["db3", "bag"])
+def test_a_damaged_bag_names_itself(kind, walk, tmp_path):
+    bag = Bag(tmp_path, kind)
+    for frame in range(3):
+        bag.image("/cam/image_raw", walk.frame(frame)[0], FIRST_NS + frame * 50_000_000)
+    path = bag.close()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 4:-len(data) // 4] = b"\xff" * (len(data[len(data) // 4:-len(data) // 4]))
+    path.write_bytes(data)
+    with pytest.raises(RuntimeError, match="run"):
+        ft.read_sequence(path)

@@ -166,7 +166,9 @@ def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, im
         "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
         "fps": fps, "times": str(times),
     }
-    frames = int(max_frames) if isinstance(max_frames, (int, np.integer)) else 0  # what is none is refused below
+    if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
+        raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")
+    frames = int(max_frames)
     recording = unpacked(folder, Wanted(str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
                                         bool(str(calibration)), progress or (lambda images: None)))
     if recording is None:

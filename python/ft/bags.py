@@ -312,7 +312,9 @@ def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: l
     if imus:
         made.added["imu"] = f"{samples} samples of {imus[0]}"
     else:
-        made.replaced["imu"] = f"none: no topic of the type {IMU_TYPE}"
+        halves = sorted(by_topic(reader, (IMU_TYPE,)))
+        made.replaced["imu"] = (f"none: {' and '.join(halves)} are halves of one, which are not joined" if halves else
+                                f"none: no topic of the type {IMU_TYPE}")
     truths = sorted(by_topic(reader, TRUTH_TYPES).items())
     if truths:
         made.added["truth"] = "not used, as nothing says of what body they are: " + ", ".join(

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <clocale>
 #include <cmath>
 #include <cstddef>
 #include <sstream>
@@ -47,6 +48,17 @@ TEST(PoseGraphFiles, AreReadAsTheyAreWritten) {
   EXPECT_NEAR(edge.T_from_to.R.m[3], 1, 1e-12);  // a quarter turn about z
   EXPECT_EQ(edge.information[0], 4);
   EXPECT_EQ(edge.information[20], 9);
+}
+
+TEST(PoseGraphFiles, HavePointsInALocaleOfCommas) {
+  if (std::setlocale(LC_NUMERIC, "de_DE.UTF-8") == nullptr) {
+    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed";
+  }
+  std::stringstream file;
+  ft::write_g2o(file, test::make_graph({4, 1}, 1).graph);
+  std::setlocale(LC_NUMERIC, "C");
+  EXPECT_EQ(file.str().find(','), std::string::npos);
+  EXPECT_EQ(ft::read_g2o(file).T_world_pose.size(), 4u);
 }
 
 TEST(PoseGraphFiles, RoundTripsKeepNumbers) {

@@ -21,6 +21,7 @@ constexpr float least_disparity = 5;
 
 struct arrays {
   ft::keypoints_view keypoints;
+  ft::keypoints_view seen;  // elsewhere: what a lens moves
   float* right_x = nullptr;
   unsigned char* fixed = nullptr;
   ft::image_changes_view changes;
@@ -34,6 +35,7 @@ struct frames {
   explicit frames(test::generator& random)
       : data([](ft::carver& c, arrays& v) {
           carve(c, v.keypoints, capacity, images);
+          carve(c, v.seen, capacity, images);
           v.right_x = c.take<float>(batch * numbers);
           v.fixed = c.take<unsigned char>(batch * numbers);
           carve(c, v.changes, images);
@@ -54,6 +56,8 @@ struct frames {
         kp.octave(k) = octave;
         kp.x(k) = random.real(0, static_cast<float>(geometry.width[level] - 1));
         kp.y(k) = random.real(0, static_cast<float>(geometry.height[level] - 1));
+        v.seen.slice(i).x(k) = random.real(0, static_cast<float>(geometry.width[level] - 1));
+        v.seen.slice(i).y(k) = random.real(0, static_cast<float>(geometry.height[level] - 1));
         v.right_x[i * capacity + k] = random.chance(40) ? -1.0f : kp.x(k) - random.real(0, 10);
       }
     }
@@ -67,8 +71,9 @@ bool is_fixed(arrays const& v, ft::pyramid_geometry const& geometry, int image, 
   if (v.changes.of[image].fixed == 0 || k >= *kp.count) { return false; }
   float const right = v.right_x[image * capacity + k];
   if (right >= 0 && kp.x(k) - right < least_disparity) { return false; }
-  float const x = geometry.column(kp.x(k), kp.octave(k));
-  float const y = geometry.row(kp.y(k), kp.octave(k));
+  auto const seen = v.seen.slice(image);
+  float const x = geometry.column(seen.x(k), kp.octave(k));
+  float const y = geometry.row(seen.y(k), kp.octave(k));
   return v.changes.is_fixed(image, x, y, width, height, sure || !(right >= 0));
 }
 
@@ -91,7 +96,7 @@ TYPED_TEST(FixedKeypoints, AreThoseOfAPlainLoop) {
     in.frame.cameras = cameras;
     in.frame.batch = batch;
     in.frame.right_x = there.right_x;
-    in.seen = there.keypoints;
+    in.seen = there.seen;
     in.geometry = f.geometry;
     in.changes = there.changes;
     in.least_disparity = least_disparity;

@@ -92,8 +92,8 @@ inline void check_edge(pose_graph_edge const& e, int poses) {
   require(e.kernel == robust_kernel::none || e.kernel == robust_kernel::huber ||
               e.kernel == robust_kernel::cauchy,
           "the edge has an unknown robust kernel");
-  require(e.kernel == robust_kernel::none || (e.width >= 1e-100 && e.width <= 1e100),
-          "the width of a robust kernel must be in [1e-100, 1e100]");
+  require(e.kernel == robust_kernel::none || (e.width >= 1e-50 && e.width <= 1e50),
+          "the width of a robust kernel must be in [1e-50, 1e50]");
 }
 
 }  // namespace detail

@@ -178,15 +178,6 @@ private:
   int line_ = 0;
 };
 
-/// A number with digits that read back as the same one, in any locale.
-inline std::string g2o_number(double v) {
-  std::ostringstream text;
-  text.imbue(std::locale::classic());
-  text.precision(17);
-  text << v;
-  return text.str();
-}
-
 /// " x y z qx qy qz qw", with digits that read back as the same numbers.
 inline void append_motion(std::string& line, rigid<double> const& T) {
   auto const& m = T.R.m;
@@ -205,7 +196,7 @@ inline void append_motion(std::string& line, rigid<double> const& T) {
   double const scale = (q[3] < 0 ? -1 : 1) / norm;
   for (double const v :
        {T.t.x, T.t.y, T.t.z, q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale}) {
-    line += ' ' + g2o_number(v);
+    line += ' ' + number_text(v);
   }
 }
 
@@ -248,7 +239,7 @@ inline void write_g2o(std::ostream& out, pose_graph const& graph) {
   for (auto const& e : graph.edges) {
     line = "EDGE_SE3:QUAT " + id(e.from) + ' ' + id(e.to);
     detail::append_motion(line, e.T_from_to);
-    for (double const v : e.information) { line += ' ' + detail::g2o_number(v); }
+    for (double const v : e.information) { line += ' ' + detail::number_text(v); }
     out << line << '\n';
   }
   if (!out.flush()) { throw error("ft: pose graph: cannot be written"); }

@@ -2,6 +2,8 @@
 /// @file Checks at the host edge of the library.
 #pragma once
 
+#include <algorithm>
+#include <clocale>
 #include <cmath>
 #include <cstddef>
 #include <cstdio>
@@ -19,8 +21,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// A number as text. Floating-point values get the fewest digits that read back as the same value,
-/// so 1e-07 does not become 0.000000.
+/// A number as text, with a decimal point in every locale. Floating-point values get the fewest
+/// digits that read back as the same value, so 1e-07 does not become 0.000000.
 template <typename T>
 std::string number_text(T value) {
   if constexpr (std::is_floating_point<T>::value) {
@@ -29,7 +31,9 @@ std::string number_text(T value) {
       std::snprintf(text, sizeof text, "%.*g", digits, static_cast<double>(value));
       if (!(static_cast<T>(std::strtod(text, nullptr)) != value)) { break; }
     }
-    return text;
+    std::string all = text;
+    std::replace(all.begin(), all.end(), *std::localeconv()->decimal_point, '.');
+    return all;
   } else {
     return std::to_string(value);
   }

@@ -77,9 +77,9 @@ struct edge_cost {
       cost = real64(2.0) * (width * root) - width * width;
       weight = width / root;
     } else if (edge.kernel == robust_kernel::cauchy) {
-      real64 const ratio = real64(1.0) + s / (width * width);
-      cost = width * width * log_of(s / (width * width));
-      weight = scalar::reciprocal(ratio);
+      real64 const share = s / (width * width);
+      cost = width * width * log_of(share);
+      weight = scalar::reciprocal(real64(1.0) + share);
     }
   }
 

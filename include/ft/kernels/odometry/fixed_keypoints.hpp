@@ -39,32 +39,35 @@ struct mark_fixed_keypoint {
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, fixed_keypoints const& in) const {
     int const b = item / in.frame.numbers();
     int const i = item - b * in.frame.numbers();
-    in.fixed[item] = !is_fixed(in, b, i, false) ? 0 : is_fixed(in, b, i, true) ? fixed_for_long : 1;
+    in.fixed[item] = mark_of(in, b, i);
   }
 
 private:
   /// What is far may stay where it is, too; of a keypoint without disparity that takes many frames
   /// to tell.
-  /// @param sure only if its part has stayed for many frames
-  FT_HOST_DEVICE static bool is_fixed(fixed_keypoints const& in, int b, int i, bool sure) {
+  FT_HOST_DEVICE static unsigned char mark_of(fixed_keypoints const& in, int b, int i) {
     frame_view const& frame = in.frame;
     int const c = i / frame.capacity();
     int const k = i - c * frame.capacity();
     int const image = frame.image(b, c);
     keypoints_view const kp = frame.camera(b, c);
-    if (in.changes.of[image].fixed == 0 || k >= *kp.count) { return false; }
+    if (in.changes.of[image].fixed == 0 || k >= *kp.count) { return 0; }
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * frame.numbers() + i;
     float const right = frame.right_x != nullptr ? frame.right_x[at] : -1.0f;
     bool const has_disparity = right >= 0;
     if (has_disparity &&
         strict_float(kp.x(k)) - strict_float(right) < strict_float(in.least_disparity)) {
-      return false;
+      return 0;
     }
-    int const octave = kp.octave(k);
     keypoints_view const seen = in.seen.slice(image);
-    return in.changes.is_fixed(image, in.geometry.column(seen.x(k), octave),
-                               in.geometry.row(seen.y(k), octave), in.geometry.width[0],
-                               in.geometry.height[0], sure || !has_disparity);
+    float const x = in.geometry.column(seen.x(k), kp.octave(k));
+    float const y = in.geometry.row(seen.y(k), kp.octave(k));
+    auto const stays = [&](bool for_long) {
+      return in.changes.is_fixed(image, x, y, in.geometry.width[0], in.geometry.height[0],
+                                 for_long);
+    };
+    if (stays(true)) { return fixed_for_long; }
+    return has_disparity && stays(false) ? 1 : 0;
   }
 };
 

@@ -110,7 +110,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
     s.launch_parts(line.fork(s.part_branch()), &part::beside_decision);
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
-  line.join(s.result_branch());
+  line.join(s.result_branch());  // count_chances reads points, which insert writes
   s.judge(line.then("keyframe"));
   s.report(line.fork(s.result_branch()));
   s.count_points(line.then("keyframe"));

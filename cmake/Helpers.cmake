@@ -133,9 +133,9 @@ function(ft_write_unit unit)
   file(CONFIGURE OUTPUT ${unit} CONTENT "${text}" @ONLY)
 endfunction()
 
-# ft_make_units(out folder extension sources...): units that include FT_TEST_BATCH of the sources each. Those
-# with the tracker come first, then those with another pipeline: most of what the compiler does for them is the
-# pipeline, once in a unit.
+# ft_make_units(out folder extension sources...): units that include equally many of the sources each, at most
+# FT_TEST_BATCH. Those with the tracker come first, then those with another pipeline: most of what the compiler does for
+# them is the pipeline, once in a unit.
 function(ft_make_units out folder extension)
   set(units)
   set(trackers)
@@ -154,8 +154,10 @@ function(ft_make_units out folder extension)
   set(all ${trackers} ${pipelines} ${others})
   list(LENGTH all count)
   math(EXPR last "${count} - 1")
-  foreach(begin RANGE 0 ${last} ${FT_TEST_BATCH})
-    list(SUBLIST all ${begin} ${FT_TEST_BATCH} sources)
+  math(EXPR batches "(${count} + ${FT_TEST_BATCH} - 1) / ${FT_TEST_BATCH}")
+  math(EXPR batch "(${count} + ${batches} - 1) / ${batches}")
+  foreach(begin RANGE 0 ${last} ${batch})
+    list(SUBLIST all ${begin} ${batch} sources)
     list(GET sources 0 first)
     get_filename_component(first ${first} ABSOLUTE)
     file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${first})
@@ -166,16 +168,18 @@ function(ft_make_units out folder extension)
   set(${out} ${units} PARENT_SCOPE)
 endfunction()
 
-# ft_add_stage_tests(NAME name SOURCES files.cpp... [LIBS targets...] [LABELS labels...])
-# One body, every executor: <name>_host from the sources as C++ and, with CUDA, <name>_cuda from the same
-# sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
+# ft_add_stage_tests(NAME name SOURCES files.cpp... [HOST_WITHOUT files...] [LIBS targets...] [LABELS labels...])
+# One body, every executor: <name>_host from the sources as C++, but those of HOST_WITHOUT, and, with CUDA,
+# <name>_cuda from the same sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
 # stay alone in the plain host program. With FT_FAST_COMPILE <name>_cuda is compiled to PTX and not linked: without
 # a device its tests would skip.
 function(ft_add_stage_tests)
-  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
+  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;HOST_WITHOUT;LIBS;LABELS")
+  set(host_sources ${arg_SOURCES})
+  list(REMOVE_ITEM host_sources ${arg_HOST_WITHOUT})
   set(together)
   set(alone)
-  foreach(source IN LISTS arg_SOURCES)
+  foreach(source IN LISTS host_sources)
     get_source_file_property(options ${source} COMPILE_OPTIONS)
     if(FT_TEST_BATCH EQUAL 1 OR (options AND NOT FT_SANITIZE))
       list(APPEND alone ${source})

@@ -132,7 +132,8 @@ fuzz() {
 }
 
 # The package in an environment of its own, and its tests. Skipped, and said so, where pip cannot fetch what it
-# needs. ft_sequence has the compiler and the options of the build before, so that ccache has it already.
+# needs. Its libraries have the compiler, the options and the depth of folder of the build before, so that ccache has
+# them already.
 test_python() {
   local venv=$build/python-venv pip
   if ! python3 -m venv "$venv"; then
@@ -156,7 +157,7 @@ test_python() {
   local compiler
   compiler=$(sed -n 's/^CMAKE_CXX_COMPILER:[A-Z]*=//p' "$build/CMakeCache.txt")
   CXX=$compiler CMAKE_BUILD_PARALLEL_LEVEL=$jobs "$pip" wheel --quiet --no-build-isolation --no-deps --wheel-dir "$build/wheel" \
-    -C build-dir="$build/python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
+    -C build-dir="$build-python" -C cmake.define.FT_WARNINGS_AS_ERRORS=ON \
     -C cmake.define.FT_FAST_COMPILE=ON "$ft_root"
   "$pip" install --quiet --disable-pip-version-check --no-deps --force-reinstall "$build"/wheel/fasttrack_slam-*.whl
   local status=0
@@ -184,10 +185,11 @@ cuda_options() {
 
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
-  local cuda
+  local cuda once=ON
   read -ra cuda <<<"$(cuda_options)"
+  if ((quick)); then once=OFF; fi
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 \
+    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 -DFT_TESTS_ONCE=$once \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host contract_tests_host conformance)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Extracts the ORB keypoints of an image and draws them: circles as large as the described patch,
 // with a line in the direction of the orientation.
-//   draw_keypoints [IMAGE [OUT.png]]       without IMAGE, one of a generated room
+//   draw_keypoints [IMAGE.pgm [OUT.png]]   8 bits; without IMAGE, one of a generated room
 #include <cmath>
 #include <cstdio>
 #include <string>
@@ -49,7 +49,7 @@ int main(int argc, char** argv) {
   return demo::run([&](auto const& exec) {
     bool const given = argc > 1;
     std::string const path = argc > 2 ? argv[2] : "keypoints.png";
-    auto const image = given ? demo::read_image(argv[1]) : demo::scene(100).render(60).left;
+    auto const image = given ? demo::read_pgm(argv[1]) : demo::scene(100).render(60).left;
     int const found = draw(exec, image, path);
     return demo::verdict(given || (found >= 500 && found < 550));
   });

@@ -49,7 +49,8 @@ Eigen::Matrix3d checked_rotation(Eigen::Matrix3d const& m, std::string const& pa
   if (residual <= 1e-12) {
     return m;  // keeps an exact identity exact
   }
-  Eigen::JacobiSVD<Eigen::Matrix3d> const svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::JacobiSVD<Eigen::Matrix3d, Eigen::NoQRPreconditioner> const svd(
+      m, Eigen::ComputeFullU | Eigen::ComputeFullV);
   return svd.matrixU() * svd.matrixV().transpose();
 }
 

@@ -5,10 +5,7 @@
 #include <Eigen/LU>
 #include <Eigen/SVD>
 #include <algorithm>
-#include <cinttypes>
 #include <cmath>
-#include <cstdio>
-#include <fstream>
 #include <limits>
 #include <vector>
 
@@ -40,9 +37,12 @@ std::vector<matched_pose> match(trajectory const& estimate, trajectory const& tr
 /// interval.
 constexpr double interval_tolerance = 0.1;
 
+/// A square matrix needs no step before it, and the compiler half the time without.
+using svd3 = Eigen::JacobiSVD<Eigen::Matrix3d, Eigen::NoQRPreconditioner>;
+
 /// Closest rotation in the least-squares sense; the identity if `m` does not determine it.
 Eigen::Matrix3d nearest_rotation(Eigen::Matrix3d const& m) {
-  Eigen::JacobiSVD<Eigen::Matrix3d> const svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  svd3 const svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
   if (!(svd.singularValues()(1) > 1e-9)) { return Eigen::Matrix3d::Identity(); }
   Eigen::Vector3d sign = Eigen::Vector3d::Ones();
   sign.z() = svd.matrixU().determinant() * svd.matrixV().determinant() < 0 ? -1 : 1;
@@ -66,15 +66,13 @@ rotation_fit best_rotation(Eigen::Matrix3d const& covariance, double count,
                            Eigen::Matrix3d const& prior) {
   constexpr double coincident = 1e-12;  // m^2: all within a micrometre
   constexpr double collinear = 1e-9;    // of the largest singular value
-  Eigen::JacobiSVD<Eigen::Matrix3d> const svd(covariance,
-                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
+  svd3 const svd(covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d const s = svd.singularValues();
   if (!(s(0) > coincident * count)) { return {prior}; }
   if (s(1) <= collinear * s(0)) {
     Eigen::Vector3d const to = svd.matrixU().col(0);
     Eigen::Vector3d const from = prior * svd.matrixV().col(0);
-    return {Eigen::Quaterniond::FromTwoVectors(from, to).toRotationMatrix() * prior,
-            std::sqrt(s(0) / count), Eigen::Vector3d::Zero()};
+    return {shortest_rotation(from, to) * prior, std::sqrt(s(0) / count), Eigen::Vector3d::Zero()};
   }
   return {nearest_rotation(covariance / s(0)), std::sqrt(s(1) / count), svd.matrixU().col(0)};
 }
@@ -212,88 +210,6 @@ void check_sorted_and_finite(trajectory const& poses, char const* what) {
 
 }  // namespace
 
-trajectory read_tum(std::string const& path, std::vector<std::string>* warnings) {
-  std::vector<std::int64_t> times;
-  trajectory poses;
-  for (detail::text_line const& line : detail::read_lines(path)) {
-    if (detail::is_blank_or_comment(line.text)) { continue; }
-    std::vector<std::string> const words = detail::split(line.text, " \t", true);
-    if (words.size() != 8) {
-      detail::fail_at(
-          path, line.number,
-          std::to_string(words.size()) + " numbers, must have 8 (time tx ty tz qx qy qz qw)");
-    }
-    stamped_pose pose;
-    pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
-                                                 path, line.number);
-    times.push_back(detail::seconds_to_ns(words[0], path, line.number));
-    pose.time_ns = times.back();
-    poses.push_back(pose);
-  }
-  std::vector<std::string> ignored;
-  trajectory taken;
-  for (std::size_t const i : detail::ordered_lines(times, detail::disordered::sorted, path, "poses",
-                                                   warnings != nullptr ? *warnings : ignored)) {
-    taken.push_back(poses[i]);
-  }
-  return taken;
-}
-
-void write_tum(std::string const& path, trajectory const& poses, std::string const& of) {
-  std::ofstream out(path, std::ios::binary);
-  if (!out) { throw error(path + ": cannot be written"); }
-  out << "# time tx ty tz qx qy qz qw (seconds, metres; " << of << " to world)\n";
-  for (stamped_pose const& pose : poses) {
-    Eigen::Vector3d const t = pose.T_world_camera.translation();
-    Eigen::Quaterniond q(pose.T_world_camera.linear());
-    q.normalize();
-    if (q.w() < 0) { q.coeffs() = -q.coeffs(); }
-    constexpr std::int64_t second = 1'000'000'000;
-    bool const negative = pose.time_ns < 0;
-    std::int64_t const whole = pose.time_ns / second;
-    std::int64_t const part = pose.time_ns % second;
-    char stamp[48];
-    std::snprintf(stamp, sizeof stamp, "%s%" PRId64 ".%09" PRId64, negative ? "-" : "",
-                  negative ? -whole : whole, negative ? -part : part);
-    char line[512];
-    int const length = std::snprintf(line, sizeof line, "%s %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n",
-                                     stamp, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w());
-    if (length < 0 || length >= static_cast<int>(sizeof line) || !t.allFinite() ||
-        !q.coeffs().allFinite()) {
-      throw error(path + ": pose at " + stamp + " s is not finite or too large to write");
-    }
-    out << line;
-  }
-  out.flush();
-  if (!out) { throw error(path + ": write failed (disk full?)"); }
-}
-
-void write_kitti_poses(std::string const& path, trajectory const& poses) {
-  std::ofstream out(path, std::ios::binary);
-  if (!out) { throw error(path + ": cannot be written"); }
-  for (stamped_pose const& pose : poses) {
-    std::string line;
-    for (int i = 0; i < 12; ++i) {
-      double const value = pose.T_world_camera.matrix()(i / 4, i % 4);
-      char number[64];
-      int const length = std::snprintf(number, sizeof number, i == 0 ? "%.9e" : " %.9e", value);
-      if (length < 0 || length >= static_cast<int>(sizeof number) || !std::isfinite(value)) {
-        throw error(path + ": a pose is not finite");
-      }
-      line += number;
-    }
-    out << line << '\n';
-  }
-  out.flush();
-  if (!out) { throw error(path + ": write failed (disk full?)"); }
-}
-
-trajectory poses_of(trajectory const& cameras, Eigen::Isometry3d const& T_camera_other) {
-  trajectory poses = cameras;
-  for (stamped_pose& pose : poses) { pose.T_world_camera = pose.T_world_camera * T_camera_other; }
-  return poses;
-}
-
 trajectory at_times_of(trajectory const& poses, trajectory const& reference) {
   trajectory found;
   for (stamped_pose const& pose : poses) {
@@ -334,13 +250,23 @@ std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::i
 std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
   std::vector<matched_pose> const pairs = match(estimate, truth);
   if (pairs.size() < 3) { return std::nullopt; }
-  auto const count = static_cast<Eigen::Index>(pairs.size());
-  Eigen::Matrix3Xd from(3, count), to(3, count);
-  for (Eigen::Index i = 0; i < count; ++i) {
-    from.col(i) = pairs[static_cast<std::size_t>(i)].estimate.translation();
-    to.col(i) = pairs[static_cast<std::size_t>(i)].truth.translation();
+  Eigen::Vector3d from = Eigen::Vector3d::Zero(), to = Eigen::Vector3d::Zero();
+  for (matched_pose const& p : pairs) {
+    from += p.estimate.translation() / static_cast<double>(pairs.size());
+    to += p.truth.translation() / static_cast<double>(pairs.size());
   }
-  double const scale = Eigen::umeyama(from, to, true).col(0).head<3>().norm();
+  double spread = 0;
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+  for (matched_pose const& p : pairs) {
+    Eigen::Vector3d const centred = p.estimate.translation() - from;
+    spread += centred.squaredNorm();
+    covariance += (p.truth.translation() - to) * centred.transpose();
+  }
+  // Umeyama 1991, equation 42
+  svd3 const svd(covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::Vector3d const s = svd.singularValues();
+  bool const mirrored = svd.matrixU().determinant() * svd.matrixV().determinant() < 0;
+  double const scale = (s.x() + s.y() + (mirrored ? -s.z() : s.z())) / spread;
   // 0 if the truth stands still, not finite if the estimate does
   if (!std::isfinite(scale) || !(scale > 0)) { return std::nullopt; }
   return scale;

@@ -189,8 +189,7 @@ rectifier::rectifier(stereo_rig const& raw) {
                 " degrees off the x axis, at most 45 allowed (left and right swapped, or one above "
                 "the other?)");
   }
-  Eigen::Matrix3d const align =
-      Eigen::Quaterniond::FromTwoVectors(baseline, Eigen::Vector3d::UnitX()).toRotationMatrix();
+  Eigen::Matrix3d const align = shortest_rotation(baseline, Eigen::Vector3d::UnitX());
   left_rotation_ = align * halved.transpose();
   right_rotation_ = align * halved;
 

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <cmath>
 #include <cstdint>
 #include <stdexcept>
 #include <string>
@@ -125,5 +126,19 @@ struct imu_sample {
   Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< rad/s, IMU's frame
   Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< m/s^2, IMU's frame, gravity included
 };
+
+/// The shortest rotation that takes one direction to another; neither is zero. Eigen's
+/// FromTwoVectors has the same formula, and the compiler half a minute of decompositions for
+/// vectors that are opposite.
+inline Eigen::Matrix3d shortest_rotation(Eigen::Vector3d const& from, Eigen::Vector3d const& to) {
+  Eigen::Vector3d const a = from.normalized();
+  Eigen::Vector3d const b = to.normalized();
+  double const s = std::sqrt(2 * (1 + a.dot(b)));  // twice the cosine of half the angle
+  if (!(s > 1e-6)) {
+    return 2 * a.unitOrthogonal() * a.unitOrthogonal().transpose() - Eigen::Matrix3d::Identity();
+  }
+  Eigen::Vector3d const axis = a.cross(b) * (1 / s);
+  return Eigen::Quaterniond(0.5 * s, axis.x(), axis.y(), axis.z()).toRotationMatrix();
+}
 
 }  // namespace seq

@@ -161,14 +161,12 @@ if [[ $cuda == ON ]]; then
 fi
 consume example host -DCMAKE_PREFIX_PATH="$prefix"
 consume several_units -DCMAKE_PREFIX_PATH="$prefix"
+# An installed ft with C++17 and C++20, one in the tree with C++17; LINKED, which compiles what OFF does, once.
 for mode in "${modes[@]}"; do
-  consume cmake_consumer find_package "$mode" 17 -DCMAKE_PREFIX_PATH="$prefix"
-  consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"
-  # LINKED compiles what OFF does
-  if [[ $mode != LINKED ]]; then
-    consume cmake_consumer find_package "$mode" 20 -DCMAKE_PREFIX_PATH="$prefix"
-  fi
+  consume cmake_consumer find_package "$mode" "$([[ $mode == ON ]] && echo 20 || echo 17)" -DCMAKE_PREFIX_PATH="$prefix"
+  if [[ $mode != LINKED ]]; then consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"; fi
 done
+consume cmake_consumer find_package OFF 20 -DCMAKE_PREFIX_PATH="$prefix"
 consume cmake_consumer orbslam3 "$cuda" 17 -DCMAKE_PREFIX_PATH="$prefix"
 consume cmake_consumer fetch_content "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"  # then a subdirectory as well
 consume plain_include

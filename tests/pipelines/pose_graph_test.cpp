@@ -288,6 +288,80 @@ TYPED_TEST(pose_graphs, robust_kernels_ignore_a_false_loop) {
   }
 }
 
+/// Turned about an axis of the world, and moved.
+inline ft::rigid<double> with_heading(ft::rigid<double> const& T, ft::vec3<double> turn,
+                                      ft::vec3<double> shift) {
+  return ft::rigid<double>{test::turned_by(turn) * T.R, T.t + shift}.orthonormalized();
+}
+
+TYPED_TEST(pose_graphs, with_gravity_headings_and_positions_become_the_truth) {
+  ft::vec3<double> const up{0.6, 0, -0.8};
+  auto made = make_graph({60, 20}, 4);
+  test::random_motion any(4);
+  for (std::size_t i = 1; i < made.truth.size(); ++i) {
+    double const turn = 0.2 * any.number();
+    made.graph.T_world_pose[i] =
+        with_heading(made.truth[i], {turn * up.x, turn * up.y, turn * up.z}, any.vector(0.2));
+  }
+  for (auto& e : made.graph.edges) {
+    e.T_from_to = (made.truth[static_cast<std::size_t>(e.from)].inverse() *
+                   made.truth[static_cast<std::size_t>(e.to)])
+                      .orthonormalized();
+  }
+  ft::pose_graph_params params;
+  params.gravity = {9.81 * up.x, 9.81 * up.y, 9.81 * up.z};
+  ft::optimize_pose_graph(this->backend.exec, made.graph, params);
+  for (std::size_t i = 0; i < made.truth.size(); ++i) {
+    ASSERT_LT(distance(made.graph.T_world_pose[i], made.truth[i]), 1e-5) << i;
+  }
+}
+
+TYPED_TEST(pose_graphs, with_gravity_angles_against_it_stay_and_the_rest_is_a_minimum) {
+  ft::vec3<double> const up{0.36, 0.48, 0.8};
+  for (unsigned seed = 31; seed <= 33; ++seed) {
+    auto made = make_graph({120, 60}, seed);
+    auto& graph = made.graph;
+    auto const given = graph.T_world_pose;
+    auto host = graph;
+    ft::pose_graph_params params;
+    params.gravity = up;
+    auto const report = ft::optimize_pose_graph(this->backend.exec, graph, params);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LT(report.last_chi2, 0.9 * report.first_chi2);
+    double const least = plain_chi2(graph);
+    for (std::size_t i = 0; i < given.size(); ++i) {
+      auto const before = given[i].R.transposed() * up;
+      auto const now = graph.T_world_pose[i].R.transposed() * up;
+      auto const d = now - before;
+      EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-12) << i;
+    }
+    test::random_motion any(seed);
+    for (int round = 0; round < 30; ++round) {
+      auto moved = graph;
+      for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {
+        double const turn = 1e-4 * any.number();
+        moved.T_world_pose[i] = with_heading(
+            moved.T_world_pose[i], {turn * up.x, turn * up.y, turn * up.z}, any.vector(1e-4));
+      }
+      EXPECT_GT(plain_chi2(moved), least);
+    }
+    ft::optimize_pose_graph(ft::host_exec(1), host, params);
+    EXPECT_TRUE(same_bits(graph.T_world_pose, host.T_world_pose));
+  }
+}
+
+TYPED_TEST(pose_graphs, gravity_that_means_nothing_is_refused) {
+  auto made = make_graph({5, 2}, 1);
+  ft::pose_graph_params params;
+  params.gravity = {0, 0, std::numeric_limits<double>::quiet_NaN()};
+  EXPECT_THROW(ft::optimize_pose_graph(this->backend.exec, made.graph, params), ft::bad_argument);
+  params.gravity = {1e-12, 0, 0};
+  EXPECT_THROW(ft::optimize_pose_graph(this->backend.exec, made.graph, params), ft::bad_argument);
+  params.gravity = {0, 0, -9.81};
+  params.start = pose_graph_start::chordal;
+  EXPECT_THROW(ft::optimize_pose_graph(this->backend.exec, made.graph, params), ft::bad_argument);
+}
+
 TYPED_TEST(pose_graphs, recorded_graphs_reach_their_optimum) {
   char const* const data = std::getenv("FT_DATA");
   std::string const folder =

@@ -10,10 +10,12 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/kernels/graph/edges.hpp"
 #include "ft/kernels/graph/elimination_order.hpp"
 #include "ft/kernels/graph/system.hpp"
 #include "ft/pipelines/detail/pose_graph_solver.hpp"
 #include "ft/pipelines/detail/pose_graph_start.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -30,6 +32,10 @@ struct pose_graph_params {
   int steps = 100;              ///< most steps to try, 0 to 10000
   double enough = 1e-9;         ///< ends with a step that lowers the cost by a smaller share
   double first_damping = 1e-9;  ///< of the first step, relative to the diagonal, 0 to 1e9
+  /// Direction of gravity in the world, of any length from 1e-9 on; 0: not known. Where an IMU told
+  /// it, poses keep their angles against it: heading and position of each are found (four degrees
+  /// of freedom). The start must be the given one.
+  vec3<double> gravity{0, 0, 0};
 };
 
 /// What became of a pose graph. Costs are sums of robust_kernel over the edges.
@@ -50,6 +56,17 @@ struct pose_graph_report {
   std::size_t bytes = 0;  ///< of executor memory
 };
 
+namespace detail {
+
+inline heading_axis axis_of(pose_graph_params const& params) {
+  vec3<double> const g = params.gravity;
+  double const length = std::sqrt(dot(g, g));
+  if (!(length >= 1e-9)) { return {}; }
+  return {true, {g.x / length, g.y / length, g.z / length}};
+}
+
+}  // namespace detail
+
 /// @throws bad_argument for a number out of range
 inline void check(pose_graph_params const& params) {
   detail::require(params.start == pose_graph_start::given ||
@@ -59,6 +76,15 @@ inline void check(pose_graph_params const& params) {
   detail::require_range("steps of a pose graph", params.steps, 0, 10000);
   detail::require_range("enough of a pose graph", params.enough, 0.0, 1.0);
   detail::require_range("first_damping of a pose graph", params.first_damping, 0.0, 1e9);
+  vec3<double> const g = params.gravity;
+  for (double const v : {g.x, g.y, g.z}) {
+    detail::require_range("gravity of a pose graph", v, -1e9, 1e9);
+  }
+  bool const known = detail::axis_of(params).known;
+  detail::require(known || (g.x == 0 && g.y == 0 && g.z == 0),
+                  "gravity of a pose graph is shorter than 1e-9 and not 0");
+  detail::require(params.start == pose_graph_start::given || !known,
+                  "a pose graph with known gravity starts at the poses that are given");
 }
 
 namespace detail {
@@ -101,7 +127,7 @@ pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
     return report;
   }
   detail::elimination_order const order(graph);
-  detail::pose_graph_solver<Exec> solver(exec, graph, order);
+  detail::pose_graph_solver<Exec> solver(exec, graph, order, detail::axis_of(params));
   report.dense_poses = order.dense;
   report.blocks = order.blocks();
   report.bytes = solver.bytes();

@@ -125,8 +125,29 @@ FT_HOST_DEVICE inline void edge_jacobians(edge_error const& at, real64 (&J)[2][3
   }
 }
 
+/// Where gravity is known poses turn about it alone: the last unknown of a pose is its heading, and
+/// the two before are none.
+struct heading_axis {
+  bool known = false;
+  vec3<double> up{0, 0, 0};  ///< in the world, of length 1
+
+  FT_HOST_DEVICE strict_vec3d seen_from(rigid<double> const& T) const {
+    return T.R.template cast<real64>().transposed() * up.template cast<real64>();
+  }
+  /// Derivatives by turns become derivatives by the heading: 6 x 6, by rows.
+  FT_HOST_DEVICE void restrict_turns(rigid<double> const& T, real64 (&J)[36]) const {
+    strict_vec3d const axis = seen_from(T);
+    for (int r = 0; r < 6; ++r) {
+      real64* const turn = J + 6 * r + 3;
+      turn[2] = turn[0] * axis.x + turn[1] * axis.y + turn[2] * axis.z;
+      turn[0] = turn[1] = 0.0;
+    }
+  }
+};
+
 /// One item: an edge. What it adds to the normal equations of a step of all poses.
 struct linearize_edge {
+  heading_axis heading;
   struct scratch {
     real64 J[2][36];
     real64 weighted[2][36];  ///< W J
@@ -141,6 +162,10 @@ struct linearize_edge {
       edge_error const at(edge, T[edge.from], T[edge.to]);
       real64 const weight = edge_cost(edge, squared_error(edge, at.e)).weight;
       edge_jacobians(at, s.J);
+      if (heading.known) {
+        heading.restrict_turns(T[edge.from], s.J[0]);
+        heading.restrict_turns(T[edge.to], s.J[1]);
+      }
       for (int k = 0; k < 6; ++k) { s.e[k] = weight * at.e[k]; }
       s.weighted[0][0] = weight;
     }
@@ -200,6 +225,7 @@ struct measure_edge {
 /// One item: a position. Moves its pose by the solution.
 struct move_pose {
   using scratch = no_scratch;
+  heading_axis heading;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, graph_system_view const& A,
@@ -213,7 +239,9 @@ struct move_pose {
       return;
     }
     rigid<real64> const T = from[pose].cast<real64>();
-    real64 const turn[6] = {x[3], x[4], x[5], 0.0, 0.0, 0.0};
+    strict_vec3d w{x[3], x[4], x[5]};
+    if (heading.known) { w = scaled(heading.seen_from(from[pose]), w.z); }
+    real64 const turn[6] = {w.x, w.y, w.z, 0.0, 0.0, 0.0};
     strict_vec3d const shift{x[0], x[1], x[2]};
     to[pose] = rigid<real64>{T.R * exp_se3(turn).R, T.t + T.R * shift}
                    .orthonormalized()

@@ -64,9 +64,11 @@ template <typename Exec>
 class pose_graph_solver {
 public:
   /// Allocates. `graph` and `order` must outlive the solver.
-  pose_graph_solver(Exec const& exec, pose_graph const& graph, elimination_order const& order)
+  pose_graph_solver(Exec const& exec, pose_graph const& graph, elimination_order const& order,
+                    heading_axis const& heading)
       : exec_(exec),
         order_(order),
+        heading_(heading),
         edges_(static_cast<int>(graph.edges.size())),
         memory_([&](carver& c, memory& m) { lay_out(c, m, graph, order); }) {
     upload_plan();
@@ -92,12 +94,12 @@ public:
   /// Cost of the current poses.
   graph_verdict measure() { return judge(current_, 0, 0); }
   /// Normal equations at the current poses.
-  void linearize() { add_terms(linearize_edge{}); }
+  void linearize() { add_terms(linearize_edge{heading_}); }
   /// Solves them, and measures the poses that the step leads to.
   graph_verdict try_step(double damping) {
     solve(damping);
     memory const& m = memory_.view();
-    for_each_item<per_thread>(exec_, order_.positions(), move_pose{}, m.system,
+    for_each_item<per_thread>(exec_, order_.positions(), move_pose{heading_}, m.system,
                               static_cast<rigid<double> const*>(m.T[current_]), m.T[1 - current_]);
     return judge(1 - current_, 6 * order_.positions(), damping);
   }
@@ -257,6 +259,7 @@ private:
 
   Exec exec_;
   elimination_order const& order_;
+  heading_axis heading_;
   int edges_;
   int current_ = 0;
   owner<memory, Exec::space> memory_;

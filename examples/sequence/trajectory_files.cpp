@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <Eigen/Geometry>
+#include <cinttypes>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/text.hpp"
+#include "examples/sequence/evaluation.hpp"
+
+namespace seq {
+
+trajectory read_tum(std::string const& path, std::vector<std::string>* warnings) {
+  std::vector<std::int64_t> times;
+  trajectory poses;
+  for (detail::text_line const& line : detail::read_lines(path)) {
+    if (detail::is_blank_or_comment(line.text)) { continue; }
+    std::vector<std::string> const words = detail::split(line.text, " \t", true);
+    if (words.size() != 8) {
+      detail::fail_at(
+          path, line.number,
+          std::to_string(words.size()) + " numbers, must have 8 (time tx ty tz qx qy qz qw)");
+    }
+    stamped_pose pose;
+    pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
+                                                 path, line.number);
+    times.push_back(detail::seconds_to_ns(words[0], path, line.number));
+    pose.time_ns = times.back();
+    poses.push_back(pose);
+  }
+  std::vector<std::string> ignored;
+  trajectory taken;
+  for (std::size_t const i : detail::ordered_lines(times, detail::disordered::sorted, path, "poses",
+                                                   warnings != nullptr ? *warnings : ignored)) {
+    taken.push_back(poses[i]);
+  }
+  return taken;
+}
+
+void write_tum(std::string const& path, trajectory const& poses, std::string const& of) {
+  std::ofstream out(path, std::ios::binary);
+  if (!out) { throw error(path + ": cannot be written"); }
+  out << "# time tx ty tz qx qy qz qw (seconds, metres; " << of << " to world)\n";
+  for (stamped_pose const& pose : poses) {
+    Eigen::Vector3d const t = pose.T_world_camera.translation();
+    Eigen::Quaterniond q(pose.T_world_camera.linear());
+    q.normalize();
+    if (q.w() < 0) { q.coeffs() = -q.coeffs(); }
+    constexpr std::int64_t second = 1'000'000'000;
+    bool const negative = pose.time_ns < 0;
+    std::int64_t const whole = pose.time_ns / second;
+    std::int64_t const part = pose.time_ns % second;
+    char stamp[48];
+    std::snprintf(stamp, sizeof stamp, "%s%" PRId64 ".%09" PRId64, negative ? "-" : "",
+                  negative ? -whole : whole, negative ? -part : part);
+    char line[512];
+    int const length = std::snprintf(line, sizeof line, "%s %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n",
+                                     stamp, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w());
+    if (length < 0 || length >= static_cast<int>(sizeof line) || !t.allFinite() ||
+        !q.coeffs().allFinite()) {
+      throw error(path + ": pose at " + stamp + " s is not finite or too large to write");
+    }
+    out << line;
+  }
+  out.flush();
+  if (!out) { throw error(path + ": write failed (disk full?)"); }
+}
+
+void write_kitti_poses(std::string const& path, trajectory const& poses) {
+  std::ofstream out(path, std::ios::binary);
+  if (!out) { throw error(path + ": cannot be written"); }
+  for (stamped_pose const& pose : poses) {
+    std::string line;
+    for (int i = 0; i < 12; ++i) {
+      double const value = pose.T_world_camera.matrix()(i / 4, i % 4);
+      char number[64];
+      int const length = std::snprintf(number, sizeof number, i == 0 ? "%.9e" : " %.9e", value);
+      if (length < 0 || length >= static_cast<int>(sizeof number) || !std::isfinite(value)) {
+        throw error(path + ": a pose is not finite");
+      }
+      line += number;
+    }
+    out << line << '\n';
+  }
+  out.flush();
+  if (!out) { throw error(path + ": write failed (disk full?)"); }
+}
+
+trajectory poses_of(trajectory const& cameras, Eigen::Isometry3d const& T_camera_other) {
+  trajectory poses = cameras;
+  for (stamped_pose& pose : poses) { pose.T_world_camera = pose.T_world_camera * T_camera_other; }
+  return poses;
+}
+
+}  // namespace seq

@@ -47,6 +47,12 @@ calibration read_file(std::string const& path, int width, int height, int left_c
       return read_kalibr_calibration(path, kind);
     case calibration_format::basalt:
       return read_basalt_calibration(path, kind);
+    case calibration_format::colmap:
+      return read_colmap_calibration(path, kind);
+    case calibration_format::realsense:
+      return read_realsense_calibration(path, width, height, kind);
+    case calibration_format::depthai:
+      return read_depthai_calibration(path, width, height, kind);
     case calibration_format::opencv:
     case calibration_format::extrinsics:
       return read_opencv_calibration(path, width, height, kind);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Reads the calibration of a stereo pair, of one camera or of one with depth images: EuRoC
 /// sensor.yaml, KITTI calib.txt, ORB-SLAM3 settings, camera.txt of a TUM RGB-D folder, Kalibr's
-/// chain, OpenCV's and ROS's files, basalt's JSON.
+/// chain, OpenCV's and ROS's files, basalt's JSON, and those of RealSense, DepthAI and COLMAP.
 ///
 /// Every value read is checked (finite, focal lengths above 0, sizes 1 to 16384, baseline above 0,
 /// rotations orthonormal). An error names file, key, value and limit. A radial-tangential camera
@@ -101,6 +101,31 @@ calibration read_kalibr_calibration(std::string const& path,
 calibration read_basalt_calibration(std::string const& path,
                                     camera_kind kind = camera_kind::stereo);
 
+/// COLMAP's cameras.txt: lines "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]" of its models of pinholes,
+/// OPENCV, FULL_OPENCV, radial and fisheye ones. Its pixels begin at 0.5, which is subtracted. A
+/// pair is that of rigs.txt beside it, whose unit is taken for metres, with a warning; else the
+/// first camera is taken. @throws seq::error
+calibration read_colmap_calibration(std::string const& path,
+                                    camera_kind kind = camera_kind::stereo);
+
+/// What librealsense's `rs-enumerate-devices -c` prints: "Infrared 1" and "Infrared 2" (or
+/// "Fisheye 1" and "2") as a pair; of one camera "Infrared 1", with depth "Color". Extrinsics are
+/// in metres, rotations in rows; the body is the IMU, where it has one.
+/// @param width,height of the images, which choose the intrinsics; 0 = there is one size only
+/// @throws seq::error
+calibration read_realsense_calibration(std::string const& path, int width, int height,
+                                       camera_kind kind = camera_kind::stereo);
+
+/// DepthAI's JSON, as CalibrationHandler.eepromToJsonFile writes it: the pair is that of
+/// stereoRectificationData; of one camera the left one, with depth the one at socket 0.
+/// Translations are in centimetres where no lengthUnit is given. The body is the IMU, where
+/// imuExtrinsics say it.
+/// @param width,height of the images: of another size than the calibration's, they are scaled
+///   until they fill it and cut at the middle, with a warning; 0 = as calibrated
+/// @throws seq::error
+calibration read_depthai_calibration(std::string const& path, int width, int height,
+                                     camera_kind kind = camera_kind::stereo);
+
 /// OpenCV's FileStorage (YAML, XML, JSON) of a pair: M1, D1, M2, D2 (or K1, cameraMatrix1,
 /// camera_matrix_left ...), and R, T, which map points of camera 1 into camera 2, in metres; in
 /// this file, or in the extrinsics.yml beside an intrinsics.yml. Or a file a camera, as ROS has its
@@ -123,7 +148,8 @@ extern char const* const accepted_calibrations;
 
 /// Any of these: a folder (`mav0`, or one that contains `mav0` or calib.txt), a cam0/sensor.yaml, a
 /// KITTI calib.txt, an ORB-SLAM3 settings file, Kalibr's chain, OpenCV's or ROS's files, basalt's
-/// JSON or a camera.txt; recognised by content.
+/// or DepthAI's JSON, RealSense's listing, COLMAP's cameras.txt or a camera.txt; recognised by
+/// content.
 /// @param width,height the images' size, for files that do not give it; 0 = unknown
 /// @param left_camera see read_kitti_calibration
 /// @param kind stereo, mono or rgbd: of one camera the right one's calibration is not needed

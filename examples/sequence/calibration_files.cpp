@@ -42,7 +42,9 @@ calibration_format format_of(std::string const& path) {
     if (text.size() > 2 && text[0] == 'P' && text[1] >= '0' && text[1] <= '3' && text[2] == ':') {
       return calibration_format::kitti;
     }
+    if (is_realsense_stream(text)) { return calibration_format::realsense; }
     if (is_blank_or_comment(text)) { continue; }
+    if (!any && is_colmap_camera(text)) { return calibration_format::colmap; }
     any = true;
     numbers = numbers && text.find_first_not_of("0123456789.+-eE \t,") == std::string::npos;
   }
@@ -50,6 +52,7 @@ calibration_format format_of(std::string const& path) {
   yaml_file const file(path);
   if (file.is_map("cam0")) { return calibration_format::kalibr; }
   if (file.is_map("value0")) { return calibration_format::basalt; }
+  if (file.is_list("cameraData")) { return calibration_format::depthai; }
   for (char const* key :
        {"Camera1.fx", "Camera.fx", "Camera.type", "LEFT.K", "ORBextractor.nLevels"}) {
     if (file.has(key)) { return calibration_format::orb_slam3; }
@@ -104,16 +107,20 @@ std::string find_calibration_file(std::string const& folder) {
                    [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
     bool const text =
         extension == ".yaml" || extension == ".yml" || extension == ".xml" || extension == ".json";
+    bool const plain = extension == ".txt";
     constexpr std::uintmax_t largest = 1 << 20;
     std::error_code ignored;
     std::string const path = it->path().string();
-    if (!text || !is_file(path) || fs::file_size(path, ignored) > largest) { continue; }
+    if (!(text || plain) || !is_file(path) || fs::file_size(path, ignored) > largest) { continue; }
     calibration_format format = calibration_format::unknown;
     try {
       format = format_of(path);
     } catch (error const&) { continue; }  // another program's file
     if (format == calibration_format::unknown || format == calibration_format::extrinsics ||
         format == calibration_format::euroc) {
+      continue;
+    }
+    if (plain && format != calibration_format::colmap && format != calibration_format::realsense) {
       continue;
     }
     std::string const first =
@@ -132,8 +139,10 @@ std::string find_calibration_file(std::string const& folder) {
 
 char const* const accepted_calibrations =
     "accepted are Kalibr's chain (cam0, cam1), OpenCV's stereo files in YAML, XML or JSON (M1, D1, "
-    "M2, D2, R, T), ROS camera_info (left.yaml, right.yaml), basalt's JSON (value0), ORB-SLAM3 "
-    "settings, EuRoC's cam0/sensor.yaml, KITTI's calib.txt, and of one camera camera.txt (fx fy cx "
+    "M2, D2, R, T), ROS camera_info (left.yaml, right.yaml), basalt's JSON (value0), what "
+    "rs-enumerate-devices -c prints, DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, "
+    "ORB-SLAM3 settings, EuRoC's cam0/sensor.yaml, KITTI's calib.txt, and of one camera camera.txt "
+    "(fx fy cx "
     "cy)";
 
 }  // namespace seq

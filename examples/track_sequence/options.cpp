@@ -20,8 +20,10 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
   app.add_option(
       "--calibration", a.calibration,
       "calibration: Kalibr's chain, OpenCV's YAML or XML of a pair (M1, D1, M2, D2, R, T), ROS "
-      "camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's "
-      "calib.txt, a camera.txt (fx fy cx cy), or a folder with one; default: the sequence's own");
+      "camera_info (left.yaml beside right.yaml), basalt's JSON, what "
+      "rs-enumerate-devices -c prints, DepthAI's JSON, COLMAP's cameras.txt, ORB-SLAM3 settings, "
+      "KITTI's calib.txt, a camera.txt (fx fy cx cy), or a folder with one; default: the "
+      "sequence's own");
   app.add_option("--fps", a.fps,
                  "images a second, of folders whose file names are no times; times otherwise: the "
                  "file names, or times.txt");

@@ -152,7 +152,8 @@ def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, im
     files, which is removed with the sequence.
 
     calibration: a file or folder in place of the sequence's own: Kalibr's chain, OpenCV's YAML or XML of a pair, ROS
-    camera_info (left.yaml beside right.yaml), basalt's JSON, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
+    camera_info (left.yaml beside right.yaml), basalt's JSON, what rs-enumerate-devices -c prints,
+    DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
     its camera_info. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
     type and name. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:

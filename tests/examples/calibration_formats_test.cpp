@@ -439,7 +439,8 @@ TEST(calibration_any, refusals_name_what_is_accepted) {
        {"a: 1\n", "{\"rows\": 3}", "<opencv_storage><a>1</a></opencv_storage>"}) {
     std::string const path = folder.write("some.yaml", text);
     std::string const message = message_of([&] { seq::read_calibration(path); });
-    for (char const* name : {"Kalibr", "OpenCV", "ROS", "basalt", "ORB-SLAM3", "KITTI"}) {
+    for (char const* name : {"Kalibr", "OpenCV", "ROS", "basalt", "rs-enumerate-devices", "DepthAI",
+                             "COLMAP", "ORB-SLAM3", "KITTI"}) {
       EXPECT_TRUE(contains(message, name)) << message;
     }
   }

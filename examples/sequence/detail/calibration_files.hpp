@@ -18,11 +18,18 @@ enum class calibration_format {
   basalt,
   opencv,      ///< of one camera or two
   extrinsics,  ///< R and T alone
+  colmap,
+  realsense,
+  depthai,
 };
 
 /// @throws seq::error for a file that cannot be read, or not as YAML, XML or JSON
 calibration_format format_of(std::string const& path);
 
+/// A line of COLMAP's cameras.txt, of a model that is known or not.
+bool is_colmap_camera(std::string const& line);
+/// The heading of a stream in what rs-enumerate-devices -c prints.
+bool is_realsense_stream(std::string const& line);
 bool is_opencv_calibration(yaml_file const& file);
 bool is_opencv_extrinsics(yaml_file const& file);
 

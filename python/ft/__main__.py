@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""python -m ft track RECORDING tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
+"""python -m ft track RECORDING tracks a recorded sequence; python -m ft live tracks a camera; python -m ft view FOLDER shows a recording; see --help."""
 
 import argparse
 import sys
@@ -11,6 +11,12 @@ def track(arguments):
     from . import track as program
 
     return program.track(arguments)
+
+
+def track_live(arguments):
+    from .live import live
+
+    return live(arguments)
 
 
 def view_recording(arguments):
@@ -92,6 +98,29 @@ def parser():
     shown.add_argument("--view", action="store_true", help="show the run in the viewer rerun, as it goes (rerun-sdk)")
     shown.add_argument("--record", metavar="FILE.rrd", help="write what the viewer shows to a file (rerun-sdk)")
     command.set_defaults(run=track)
+    command = commands.add_parser(
+        "live", help="tracks a camera that is plugged in, until Ctrl-C",
+        epilog="Writes trajectory.txt in TUM's format. The exit status is 0; 1 for an error, or where no frame was tracked.")
+    command.add_argument("--camera", default="0", metavar="CAMERA",
+                         help="a number or a video for OpenCV, realsense (pyrealsense2), or oak (depthai 3); default: 0")
+    command.add_argument("--parameters", type=float, nargs="+", default=(), metavar="P",
+                         help="of OpenCV's camera: fx fy cx cy, pixels, then 0, 4, 5 or 8 of k1 k2 p1 p2 k3 k4 k5 k6")
+    command.add_argument("--fisheye", action="store_true", help="the parameters are fx fy cx cy k1 k2 k3 k4 of Kannala and Brandt")
+    command.add_argument("--size", metavar="WxH", help="of the images; default: the camera's, or 848x480 and 640x400")
+    command.add_argument("--fps", type=number(1, 1000), help="images a second; default: the camera's, or 30 and 20")
+    command.add_argument("--imu", default="auto", choices=["auto", "off"], help="auto (the default): used if the camera has one")
+    command.add_argument("--backend", "--device", default="auto", choices=["auto", "host", "cuda"],
+                         help="auto is a GPU if there is one")
+    command.add_argument("--threads", type=count(0, 4096), default=0, help="of the host; 0 = all")
+    command.add_argument("--features", type=count(1, 1 << 20), default=1200, help="keypoints per image (1200)")
+    command.add_argument("--frames", type=count(0, 2**31 - 1), default=0, help="stop after so many; 0 = go on")
+    command.add_argument("--seconds", type=number(0, 1e9), help="stop after so long")
+    command.add_argument("--out", default="live_out", help="folder for trajectory.txt")
+    command.add_argument("--quiet", action="store_true", help="no line every second")
+    shown = command.add_mutually_exclusive_group()
+    shown.add_argument("--view", action="store_true", help="show the run in the viewer rerun, as it goes (rerun-sdk)")
+    shown.add_argument("--record", metavar="FILE.rrd", help="write what the viewer shows to a file (rerun-sdk)")
+    command.set_defaults(run=track_live)
     command = commands.add_parser("view", help="shows what track_sequence --record FOLDER wrote (rerun-sdk)")
     command.add_argument("folder")
     command.add_argument("--record", metavar="FILE.rrd", help="write it to a file, and start no viewer")

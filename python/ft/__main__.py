@@ -1,28 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """python -m ft track RECORDING tracks a recorded sequence; python -m ft view FOLDER shows a recording; see --help."""
 
+from __future__ import annotations
+
 import argparse
 import sys
+from typing import Callable, cast
 
 import ft
 
 
-def track(arguments):
+def track(arguments: argparse.Namespace) -> int:
     from . import track as program
 
     return program.track(arguments)
 
 
-def view_recording(arguments):
+def view_recording(arguments: argparse.Namespace) -> int:
     from ft import view
 
     print(f"{view.show_recording(arguments.folder, arguments.record)} frames")
     return 0
 
 
-def count(least, most):
+def count(least: int, most: int) -> Callable[[str], int]:
     """A whole number in a range."""
-    def parsed(text):
+    def parsed(text: str) -> int:
         value = int(text)
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"is {value}, must be in [{least}, {most}]")
@@ -30,9 +33,9 @@ def count(least, most):
     return parsed
 
 
-def number(least, most):
+def number(least: float, most: float) -> Callable[[str], float]:
     """A number in a range."""
-    def parsed(text):
+    def parsed(text: str) -> float:
         value = float(text)
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"is {value:g}, must be in [{least:g}, {most:g}]")
@@ -40,7 +43,7 @@ def number(least, most):
     return parsed
 
 
-def parser():
+def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="python -m ft", description=__doc__)
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
@@ -99,7 +102,7 @@ def parser():
     return top
 
 
-def main():
+def main() -> int:
     top = parser()
     arguments = top.parse_args()
     if arguments.command == "track":
@@ -112,7 +115,7 @@ def main():
         if arguments.max_depth == float("inf"):
             arguments.max_depth = None
     try:
-        return arguments.run(arguments)
+        return cast(int, arguments.run(arguments))
     except (RuntimeError, ValueError) as e:
         print(f"ft: {e}", file=sys.stderr)
         return 1

@@ -1,34 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """python -m ft track RECORDING tracks a recorded sequence; python -m ft live tracks a camera; python -m ft view FOLDER shows a recording; see --help."""
 
+from __future__ import annotations
+
 import argparse
 import sys
+from typing import Callable, cast
 
 import ft
 
 
-def track(arguments):
+def track(arguments: argparse.Namespace) -> int:
     from . import track as program
 
     return program.track(arguments)
 
 
-def track_live(arguments):
+def track_live(arguments: argparse.Namespace) -> int:
     from .live import live
 
     return live(arguments)
 
 
-def view_recording(arguments):
+def view_recording(arguments: argparse.Namespace) -> int:
     from ft import view
 
     print(f"{view.show_recording(arguments.folder, arguments.record)} frames")
     return 0
 
 
-def count(least, most):
+def count(least: int, most: int) -> Callable[[str], int]:
     """A whole number in a range."""
-    def parsed(text):
+    def parsed(text: str) -> int:
         value = int(text)
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"is {value}, must be in [{least}, {most}]")
@@ -36,9 +39,9 @@ def count(least, most):
     return parsed
 
 
-def number(least, most):
+def number(least: float, most: float) -> Callable[[str], float]:
     """A number in a range."""
-    def parsed(text):
+    def parsed(text: str) -> float:
         value = float(text)
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"is {value:g}, must be in [{least:g}, {most:g}]")
@@ -46,7 +49,7 @@ def number(least, most):
     return parsed
 
 
-def parser():
+def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="python -m ft", description=__doc__)
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
@@ -128,7 +131,7 @@ def parser():
     return top
 
 
-def main():
+def main() -> int:
     top = parser()
     arguments = top.parse_args()
     if arguments.command == "track":
@@ -141,7 +144,7 @@ def main():
         if arguments.max_depth == float("inf"):
             arguments.max_depth = None
     try:
-        return arguments.run(arguments)
+        return cast(int, arguments.run(arguments))
     except (RuntimeError, ValueError) as e:
         print(f"ft: {e}", file=sys.stderr)
         return 1

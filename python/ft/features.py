@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """ORB features and stereo matches."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Optional, Sequence, Union, cast, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _ft
-from .rigs import _two
-from .streams import handle_of
+from .rigs import FisheyePair, RectifiedPair, _two
+from .streams import Array, StreamLike, handle_of
+
+if TYPE_CHECKING:
+    import cv2
 
 
 @dataclass
@@ -15,22 +22,22 @@ class Keypoints:
     """Keypoints of an image, n of them. Columns: x, y (float32, pixels), angle (degrees), response, octave (int32),
     descriptors (n, 32) uint8."""
 
-    x: np.ndarray
-    y: np.ndarray
-    angle: np.ndarray
-    response: np.ndarray
-    octave: np.ndarray
-    descriptors: np.ndarray
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    angle: NDArray[np.float32]
+    response: NDArray[np.float32]
+    octave: NDArray[np.int32]
+    descriptors: NDArray[np.uint8]
     scale_factor: float = 1.2
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.x)
 
-    def to_numpy(self):
+    def to_numpy(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Positions (n, 2) float32 and descriptors (n, 32) uint8."""
         return np.stack([self.x, self.y], axis=1), self.descriptors
 
-    def to_cv2(self):
+    def to_cv2(self) -> tuple[list[cv2.KeyPoint], NDArray[np.uint8]]:
         """A list of cv2.KeyPoint, and the descriptors as OpenCV takes them."""
         import cv2
 
@@ -48,12 +55,12 @@ class StereoMatches:
 
     left: Keypoints
     right: Keypoints
-    right_x: np.ndarray
-    depth: np.ndarray
+    right_x: NDArray[np.float32]
+    depth: NDArray[np.float32]
 
 
-def _options(width, height, features=1200, levels=8, scale_factor=1.2, ini_threshold=20, min_threshold=7,
-             mask_size=(0, 0), std_sort=False, threads=0):
+def _options(width: int, height: int, features: int, levels: int, scale_factor: float, ini_threshold: int,
+             min_threshold: int, mask_size: tuple[int, int], std_sort: bool, threads: int) -> dict[str, object]:
     mask_width, mask_height = _two(mask_size, "mask_size")
     return {
         "width": width, "height": height, "features": features, "levels": levels, "scale_factor": scale_factor,
@@ -62,12 +69,16 @@ def _options(width, height, features=1200, levels=8, scale_factor=1.2, ini_thres
     }
 
 
-def _frames(images):
+def _frames(images: Sequence[Sequence[Array]]) -> list[tuple[Array, ...]]:
     """Of a sequence of images for each camera, those of each frame."""
     numbers = [len(of_camera) for of_camera in images]
     if len(set(numbers)) > 1:
         raise ValueError(f"{' and '.join(map(str, numbers))} images of the cameras, must be equally many of each")
     return list(zip(*images))
+
+
+def _keypoints(columns: dict[str, object], scale_factor: float) -> Keypoints:
+    return Keypoints(**columns, scale_factor=scale_factor)  # type: ignore[arg-type]
 
 
 class OrbExtractor:
@@ -79,20 +90,31 @@ class OrbExtractor:
     Raises ValueError for values out of range.
     """
 
-    def __init__(self, width, height, *, batch=1, device="auto", **options):
-        self._options = _options(width, height, **options)
-        self._pipeline = _ft.FeaturePipeline(self._options, batch, None, device)
+    def __init__(self, width: int, height: int, *, batch: int = 1, device: str = "auto", features: int = 1200, levels: int = 8,
+                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
+        self._scale_factor = scale_factor
+        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size, std_sort,
+                            threads)
+        self._pipeline = _ft.FeaturePipeline(options, batch, None, device)
         self.batch = int(batch)
 
-    def extract(self, images, stream=None):
+    @overload
+    def extract(self, images: Array, stream: Optional[StreamLike] = None) -> Keypoints: ...
+
+    @overload
+    def extract(self, images: Sequence[Array], stream: Optional[StreamLike] = None) -> list[Keypoints]: ...
+
+    def extract(self, images: Union[Array, Sequence[Array]],
+                stream: Optional[StreamLike] = None) -> Union[Keypoints, list[Keypoints]]:
         """Keypoints of an image, (height, width) uint8; with batch > 1, of a sequence of images, as a list. On a GPU images
         may lie on the device (__dlpack__); stream: the CUDA stream that writes them, see ft.Stream."""
         single = self.batch == 1 and not isinstance(images, (list, tuple))
-        found = self._pipeline.extract([images] if single else images, handle_of(stream))
-        all_keypoints = [Keypoints(**k, scale_factor=self._options["scale_factor"]) for k in found]
+        found = self._pipeline.extract([images] if single else cast(Sequence[Array], images), handle_of(stream))
+        all_keypoints = [_keypoints(k, self._scale_factor) for k in found]
         return all_keypoints[0] if single else all_keypoints
 
-    def set_mask(self, mask, i=0):
+    def set_mask(self, mask: Array, i: int = 0) -> None:
         """Keypoints of image i come from where the mask, (mask height, mask width) uint8 or bool, is not 0."""
         self._pipeline.set_mask(i, mask)
 
@@ -101,19 +123,32 @@ class StereoMatcher:
     """ORB features of stereo pairs and their depths. rig: RectifiedPair or FisheyePair. Other arguments as those of
     OrbExtractor; batch is the number of pairs."""
 
-    def __init__(self, rig, width, height, *, batch=1, device="auto", **options):
-        self._options = _options(width, height, **options)
-        self._pipeline = _ft.FeaturePipeline(self._options, 2 * batch, rig, device)
+    def __init__(self, rig: Union[RectifiedPair, FisheyePair], width: int, height: int, *, batch: int = 1,
+                 device: str = "auto", features: int = 1200, levels: int = 8,
+                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
+        self._scale_factor = scale_factor
+        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size, std_sort,
+                            threads)
+        self._pipeline = _ft.FeaturePipeline(options, 2 * batch, rig, device)
         self.batch = int(batch)
 
-    def match(self, left, right, stream=None):
+    @overload
+    def match(self, left: Array, right: Array, stream: Optional[StreamLike] = None) -> StereoMatches: ...
+
+    @overload
+    def match(self, left: Sequence[Array], right: Sequence[Array],
+              stream: Optional[StreamLike] = None) -> list[StereoMatches]: ...
+
+    def match(self, left: Union[Array, Sequence[Array]], right: Union[Array, Sequence[Array]],
+              stream: Optional[StreamLike] = None) -> Union[StereoMatches, list[StereoMatches]]:
         """StereoMatches of two images (height, width) uint8; with batch > 1, of two sequences of images, as a list. stream:
         see OrbExtractor.extract."""
         single = self.batch == 1 and not isinstance(left, (list, tuple))
-        pairs = [(left, right)] if single else _frames((left, right))
-        scale = self._options["scale_factor"]
+        pairs = [(left, right)] if single else _frames(cast(Sequence[Sequence[Array]], (left, right)))
+        scale = self._scale_factor
         found = [
-            StereoMatches(Keypoints(**l, scale_factor=scale), Keypoints(**r, scale_factor=scale), right_x, depth)
+            StereoMatches(_keypoints(l, scale), _keypoints(r, scale), right_x, depth)
             for l, r, right_x, depth in self._pipeline.match([i for pair in pairs for i in pair], handle_of(stream))
         ]
         return found[0] if single else found

@@ -1,14 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images in, poses out."""
 
+from __future__ import annotations
+
+import os
 import warnings
+from typing import Optional, Sequence, TypedDict, Union, cast, overload
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
 from .features import _frames, _options
-from .rigs import _matrix, _two, check_calibration
-from .streams import handle_of
+from .rigs import Imu, Rig, _matrix, _two, check_calibration
+from .streams import Array, StreamLike, handle_of
+
+
+class TrackedKeypoints(TypedDict):
+    """See Odometry.keypoints."""
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    camera: NDArray[np.int32]
+    octave: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    point: NDArray[np.int32]
+    matched: NDArray[np.bool_]
+
+
+class Map(TypedDict):
+    """See Odometry.map."""
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    number: NDArray[np.int32]
+    keyframes_that_see_it: NDArray[np.int32]
+    keyframe_time_ns: NDArray[np.int64]
+    keyframe_T_world_camera: NDArray[np.float64]
 
 
 class Odometry:
@@ -27,10 +55,15 @@ class Odometry:
     Not to be used by two threads at a time; other threads run while a frame is tracked.
     """
 
-    def __init__(self, rig, width, height, *, imu=None, batch=1, device="auto", near_depth=50.0, map_slots=1 << 14,
-                 keyframes=128, local_points=1 << 13, window=(10, 5), window_points=1 << 12, vocabulary=None,
-                 candidates=16, measure_stages=False, **options):
-        all_options = _options(width, height, **options)
+    def __init__(self, rig: Rig, width: int, height: int, *, imu: Optional[Imu] = None, batch: int = 1,
+                 device: str = "auto", near_depth: float = 50.0, map_slots: int = 1 << 14, keyframes: int = 128,
+                 local_points: int = 1 << 13, window: tuple[int, int] = (10, 5), window_points: int = 1 << 12,
+                 vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
+                 measure_stages: bool = False, features: int = 1200, levels: int = 8,
+                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
+        all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size,
+                               std_sort, threads)
         if vocabulary is not None and not str(vocabulary):
             raise ValueError("vocabulary is empty, must be a file, or None")
         moving, fixed = _two(window, "window")
@@ -38,13 +71,22 @@ class Odometry:
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
                            vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
                            measure_stages=bool(measure_stages))
-        self.rig, self.scale_factor = rig, all_options["scale_factor"]
+        self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
         for found in check_calibration(rig, width, height):
             warnings.warn(f"{found.name}: {found.text}", stacklevel=2)
 
-    def track(self, *images, time_ns=None, stream=None):
+    @overload
+    def track(self, *images: Union[Array, int], time_ns: Optional[int] = None,
+              stream: Optional[StreamLike] = None) -> _ft.Tracking: ...
+
+    @overload
+    def track(self, *images: Union[Sequence[Array], Sequence[int]], time_ns: Optional[Sequence[int]] = None,
+              stream: Optional[StreamLike] = None) -> list[_ft.Tracking]: ...
+
+    def track(self, *images: object, time_ns: object = None,
+              stream: Optional[StreamLike] = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
         """Tracks a frame, and returns ft.Tracking.
 
         track(left, right, time_ns) of a pair, track(grey, depth, time_ns) of an RgbdCamera, track(image, time_ns) of a
@@ -61,9 +103,10 @@ class Odometry:
         if time_ns is None:
             if not images:
                 raise ValueError("track() has no arguments, needs images and time_ns")
-            *images, time_ns = images
+            time_ns, images = images[-1], images[:-1]
         single = self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple)))
-        frames, times = ([images], [time_ns]) if single else (_frames(images), time_ns)
+        frames = [list(images)] if single else _frames(cast(Sequence[Sequence[Array]], images))
+        times = [time_ns] if single else time_ns
         tracked = self._pipeline.track(frames, times, handle_of(stream))
         if self._doubts_depth and any(t.tracked for t in tracked):
             self._doubts_depth = False
@@ -72,47 +115,47 @@ class Odometry:
                     warnings.warn(t.explanation, stacklevel=2)
         return tracked[0] if single else tracked
 
-    def add_imu(self, time_ns, accel, gyro, b=0):
+    def add_imu(self, time_ns: int, accel: ArrayLike, gyro: ArrayLike, b: int = 0) -> None:
         """A sample of the IMU: specific force, m/s^2, and angular rate, rad/s, three numbers each. Samples come in
         order; a frame uses those that came before its track(). One that is not after the one before, not finite or beyond
         the sensor's range is left out. Any thread may call this."""
         self._pipeline.add_imu(time_ns, accel, gyro, b)
 
-    def predict(self, T_world_camera, b=0):
+    def predict(self, T_world_camera: ArrayLike, b: int = 0) -> None:
         """Where the camera is expected in the next frame, (4, 4) float64."""
         self._pipeline.predict(_matrix(T_world_camera, "T_world_camera"), b)
 
-    def reset(self, b=0):
+    def reset(self, b: int = 0) -> None:
         """Begins anew with the next frame."""
         self._pipeline.reset(b)
 
-    def set_mask(self, mask, camera=0, b=0):
+    def set_mask(self, mask: Array, camera: int = 0, b: int = 0) -> None:
         """Keypoints come from where the mask, uint8 or bool of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
         of a MultiRig 2 c and 2 c + 1."""
         self._pipeline.set_mask(mask, camera, b)
 
-    def keypoints(self, b=0):
+    def keypoints(self, b: int = 0) -> TrackedKeypoints:
         """Keypoints of the last frame, those of the left images, columns of n: x, y (pixels), camera (0, or its number in a
         MultiRig), octave, depth (metres, -1 = none), point (slot of the map point held, -1 = none), matched (to a point
         from before this frame)."""
-        return self._pipeline.keypoints(b)
+        return cast(TrackedKeypoints, self._pipeline.keypoints(b))
 
-    def map(self, b=0):
+    def map(self, b: int = 0) -> Map:
         """The map, n points and k keyframes: position (n, 3) in the world, metres if `Tracking.metric`, normal (n, 3), the
         mean viewing direction, number (n), keyframes_that_see_it (n); keyframe_time_ns (k), keyframe_T_world_camera
         (k, 4, 4)."""
-        return self._pipeline.map(b)
+        return cast(Map, self._pipeline.map(b))
 
-    def stage_times(self):
+    def stage_times(self) -> dict[str, float]:
         """Milliseconds that each stage added to the last frame, by name, in order. Raises ValueError without
         measure_stages."""
         return self._pipeline.stage_times()
 
-    def save_map(self, b=0):
+    def save_map(self, b: int = 0) -> bytes:
         """The map as bytes for load_map()."""
         return self._pipeline.save_map(b)
 
-    def load_map(self, data, b=0):
+    def load_map(self, data: Union[bytes, bytearray, memoryview], b: int = 0) -> None:
         """Replaces the map; the camera is searched for in it. Raises RuntimeError for damaged bytes."""
         try:
             data = bytes(memoryview(data))
@@ -121,6 +164,6 @@ class Odometry:
         self._pipeline.load_map(data, b)
 
     @property
-    def memory_bytes(self):
+    def memory_bytes(self) -> int:
         """Memory that was taken, of the host or of the device."""
         return self._pipeline.memory_bytes

@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rectified images of a distorted pair."""
 
+from __future__ import annotations
+
+from typing import Optional
+
+import numpy as np
+from numpy.typing import NDArray
+
 from . import _ft
-from .rigs import RectifiedPair
-from .streams import handle_of
+from .rigs import DistortedPair, RectifiedPair
+from .streams import Array, StreamLike, handle_of
 
 
 class Rectifier:
@@ -17,11 +24,13 @@ class Rectifier:
     Not to be used by two threads at a time.
     """
 
-    def __init__(self, rig, width, height, *, border=0, threads=0, device="auto"):
+    def __init__(self, rig: DistortedPair, width: int, height: int, *, border: int = 0, threads: int = 0,
+                 device: str = "auto") -> None:
         self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, device)
         self.rig = RectifiedPair(rig.wanted, self._pipeline.baseline)  # that of the rectified images
 
-    def rectify(self, left, right, out=None, stream=None):
+    def rectify(self, left: Array, right: Array, out: Optional[tuple[Array, Array]] = None,
+                stream: Optional[StreamLike] = None) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Two rectified images (height, width) uint8, as a tuple, of two images (raw height, raw width) uint8, whose rows may
         be padded. Of images in host memory arrays of NumPy; on a GPU, of images on the device (__dlpack__) arrays there, which
         torch.from_dlpack and cupy.from_dlpack take. out: two arrays that are written in place of new ones, on the host or,
@@ -29,7 +38,7 @@ class Rectifier:
         images, see ft.Stream. Returns when the pixels are there. Raises ValueError for another shape, type or place."""
         return self._pipeline.rectify(left, right, out, handle_of(stream))
 
-    def map(self, camera):
+    def map(self, camera: int) -> tuple[NDArray[np.int16], NDArray[np.uint16], NDArray[np.float64]]:
         """How camera 0 (left) or 1 (right) is rectified: source positions (height, width, 2) int16 and their fractions
         (height, width) uint16, as cv2.remap takes them; and the rotation (3, 3) of the camera's points into the
         rectified one."""

@@ -2,27 +2,31 @@
 """Rigs of cameras, and the IMU on them. Lengths are in metres, parameters of cameras in pixels. Where fx, fy, cx, cy stand,
 a matrix (3, 3) does, too."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
-from typing import NamedTuple, Optional
+from typing import Iterable, NamedTuple, Optional, Sequence, Union
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
 
 IDENTITY = np.eye(4)
 
-
 MODELS = (_ft.Pinhole, _ft.RadTan, _ft.KannalaBrandt, _ft.DoubleSphere, _ft.Unified, _ft.ExtendedUnified, _ft.FieldOfView)
+Camera = Union[_ft.Pinhole, _ft.RadTan, _ft.KannalaBrandt, _ft.DoubleSphere, _ft.Unified, _ft.ExtendedUnified,
+               _ft.FieldOfView, ArrayLike]
 
 
-def _matrix(values, name="the matrix"):
+def _matrix(values: ArrayLike, name: str = "the matrix") -> NDArray[np.float64]:
     try:
         return np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as e:
         raise ValueError(f"{name} is no matrix of numbers: {e}") from None
 
 
-def _two(values, name):
+def _two(values: Iterable[int], name: str) -> tuple[int, int]:
     try:
         first, second = values
     except (TypeError, ValueError):
@@ -30,7 +34,7 @@ def _two(values, name):
     return first, second
 
 
-def _values(camera, name="the camera", models=(_ft.Pinhole,)):
+def _values(camera: Camera, name: str = "the camera", models: tuple[type, ...] = (_ft.Pinhole,)) -> list[float]:
     """The parameters of a camera, which is one of some models, a matrix (3, 3), or a sequence of numbers."""
     if isinstance(camera, MODELS) and not isinstance(camera, models):
         allowed = " or ".join(f"ft.{m.__name__}" for m in models)
@@ -38,8 +42,10 @@ def _values(camera, name="the camera", models=(_ft.Pinhole,)):
     return _ft.camera_values(camera, name)
 
 
-def _plain(kind, left=(), right=(), wanted=(), T_right_left=IDENTITY, baseline=0.0, depth=(None, 0.0, None), raw=(0, 0),
-           cameras=()):
+def _plain(kind: str, left: Sequence[float] = (), right: Sequence[float] = (), wanted: Sequence[float] = (),
+           T_right_left: ArrayLike = IDENTITY, baseline: float = 0.0,
+           depth: tuple[Optional[float], float, Optional[float]] = (None, 0.0, None), raw: tuple[int, int] = (0, 0),
+           cameras: Iterable[dict[str, object]] = ()) -> dict[str, object]:
     return {
         "kind": kind, "left": left, "right": right, "wanted": wanted, "T_right_left": _matrix(T_right_left, "T_right_left"),
         "baseline": baseline, "depth_scale": depth[0], "min_depth": depth[1], "max_depth": depth[2],
@@ -51,10 +57,10 @@ def _plain(kind, left=(), right=(), wanted=(), T_right_left=IDENTITY, baseline=0
 class RectifiedPair:
     """Two equal pinholes whose rows correspond. `camera`: fx, fy, cx, cy."""
 
-    camera: object
+    camera: Camera
     baseline: float
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         return _plain("rectified", _values(self.camera), baseline=self.baseline)
 
 
@@ -64,13 +70,13 @@ class DistortedPair:
     ...). Their images are rectified before they are searched: to `wanted`, fx, fy, cx, cy of both. `T_right_left` (4, 4)
     maps points of the left camera to the right one. `size` is width and height of the images that come in."""
 
-    left: object
-    right: object
-    T_right_left: np.ndarray
-    wanted: object
-    size: tuple
+    left: Camera
+    right: Camera
+    T_right_left: ArrayLike
+    wanted: Camera
+    size: tuple[int, int]
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         models = (_ft.RadTan, _ft.Pinhole)
         return _plain("distorted", _values(self.left, "the left camera", models),
                       _values(self.right, "the right camera", models), _values(self.wanted, "wanted"),
@@ -82,11 +88,11 @@ class FisheyePair:
     """Two Kannala-Brandt cameras (ft.KannalaBrandt, or fx, fy, cx, cy, k1, k2, k3, k4), whose images are searched as they
     are. `T_right_left` (4, 4) maps points of the left camera to the right one."""
 
-    left: object
-    right: object
-    T_right_left: np.ndarray
+    left: Camera
+    right: Camera
+    T_right_left: ArrayLike
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         models = (_ft.KannalaBrandt,)
         return _plain("fisheye", _values(self.left, "the left camera", models), _values(self.right, "the right camera", models),
                       T_right_left=self.T_right_left)
@@ -99,13 +105,13 @@ class RgbdCamera:
     those of float32 are in metres. Depths below `min_depth` or above `max_depth`, metres, None = no limit, are none.
     `baseline` is that of the virtual pair that keypoints with depth count as."""
 
-    camera: object
+    camera: Camera
     baseline: float = 0.08
     depth_scale: Optional[float] = None
     min_depth: float = 0.0
     max_depth: Optional[float] = None
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         return _plain("rgbd", _values(self.camera, models=(_ft.Pinhole, _ft.RadTan)), baseline=self.baseline,
                       depth=(self.depth_scale, self.min_depth, self.max_depth))
 
@@ -116,9 +122,9 @@ class MonocularCamera:
     has moved. Nothing tells the scale: `Tracking.metric` is False, and the unit of length is the median depth of the
     first points. With an IMU the map gets metres once the scale is known, `metric` is True from then on."""
 
-    camera: object
+    camera: Camera
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         fisheye = isinstance(self.camera, _ft.KannalaBrandt)
         values = _values(self.camera, models=(_ft.Pinhole, _ft.KannalaBrandt))
         return _plain("monocular_fisheye" if fisheye else "monocular", values)
@@ -130,11 +136,11 @@ class RigCamera:
     cx, cy, pixels. `baseline`: to the right camera of the pair, metres. `T_camera_body` (4, 4) maps points of the body to
     the (left) camera."""
 
-    camera: object
+    camera: Camera
     baseline: float = 0.0
-    T_camera_body: np.ndarray = field(default_factory=lambda: np.eye(4))
+    T_camera_body: ArrayLike = field(default_factory=lambda: np.eye(4))
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         return {"camera": _values(self.camera), "baseline": self.baseline,
                 "T_camera_body": _matrix(self.T_camera_body, "T_camera_body")}
 
@@ -146,13 +152,16 @@ class MultiRig:
     left and right, for each pair, in the order of `cameras`. A single camera makes no points: it finds those of the
     pairs. Memory is taken for 4 cameras; from the fifth on for 16."""
 
-    cameras: list
+    cameras: list[RigCamera]
 
-    def _plain(self):
+    def _plain(self) -> dict[str, object]:
         for i, camera in enumerate(self.cameras):
             if not isinstance(camera, RigCamera):
                 raise ValueError(f"cameras[{i}] is {type(camera).__name__}, must be ft.RigCamera")
         return _plain("multi", cameras=[c._plain() for c in self.cameras])
+
+
+Rig = Union[RectifiedPair, DistortedPair, FisheyePair, RgbdCamera, MonocularCamera, MultiRig]
 
 
 class CalibrationWarning(NamedTuple):
@@ -162,7 +171,7 @@ class CalibrationWarning(NamedTuple):
     text: str
 
 
-def check_calibration(rig, width, height):
+def check_calibration(rig: Rig, width: int, height: int) -> list[CalibrationWarning]:
     """Signs that a calibration is another camera's, another size's or in other units, a list of CalibrationWarning: wrong
     calibrations are tracked without an error, and wrongly. Empty for an ordinary one. width, height: of the images that
     are searched, pixels. ft.Odometry warns of these. Raises ValueError for what is no rig, and for sizes out of range."""
@@ -175,7 +184,7 @@ class Imu:
     m/s^2/sqrt(Hz), and of the biases' walks rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz). time_offset_s: its clock less that of the
     images, -10 to 10 s, as Kalibr's timeshift_cam_imu; Odometry corrects it where the camera turns enough."""
 
-    T_imu_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    T_imu_camera: ArrayLike = field(default_factory=lambda: np.eye(4))
     gyro_noise: float = 1.7e-4
     accel_noise: float = 2e-3
     gyro_walk: float = 2e-5
@@ -183,5 +192,5 @@ class Imu:
     rate_hz: float = 200.0
     time_offset_s: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.T_imu_camera = _matrix(self.T_imu_camera, "T_imu_camera")

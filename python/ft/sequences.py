@@ -1,14 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded sequences, trajectories and their errors."""
 
+from __future__ import annotations
+
+import os
 import warnings
 from dataclasses import dataclass
+from typing import Callable, Iterable, Iterator, Optional, TypedDict, Union, cast
+from typing import Sequence as Items
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
 from .rigs import FisheyePair, Imu, MonocularCamera, RectifiedPair, RgbdCamera, _matrix
-from .unpacking import Wanted, unpacked
+from .unpacking import Unpacked, Wanted, unpacked
+
+Path = Union[str, os.PathLike[str]]
+
+
+class Settings(TypedDict, total=False):
+    """What a settings file says of ft.Odometry's arguments."""
+
+    features: int
+    levels: int
+    scale_factor: float
+    ini_threshold: int
+    min_threshold: int
+    near_depth: float
+
+
+class Errors(TypedDict):
+    """See evaluate."""
+
+    pairs: int
+    path_m: float
+    ate_m: Optional[float]
+    rpe_m: Optional[float]
+    ate_deg: Optional[float]
+    ate_rotation_missing: Optional[str]
+    rpe_deg: Optional[float]
+    T_truth_estimate: NDArray[np.float64]
+
+
+class _FileRig(TypedDict):
+    kind: str
+    fisheye: bool
+    left: list[float]
+    right: list[float]
+    T_right_left: NDArray[np.float64]
+    baseline: float
+    depth_unit: float
+    width: int
+    height: int
+
+
+class _FileImu(TypedDict):
+    T_imu_camera: NDArray[np.float64]
+    gyro_noise: float
+    accel_noise: float
+    gyro_walk: float
+    accel_walk: float
+    rate_hz: float
+    time_offset_s: float
+    time_ns: NDArray[np.int64]
+    accel: NDArray[np.float64]
+    gyro: NDArray[np.float64]
 
 
 @dataclass
@@ -17,20 +74,20 @@ class Frame:
     camera, or that and its depth image; (height, width) uint8, depth uint16."""
 
     time_ns: int
-    images: tuple
+    images: tuple[NDArray[np.uint8], ...]
 
     @property
-    def left(self):
+    def left(self) -> NDArray[np.uint8]:
         """That of the left camera, or of the only one."""
         return self.images[0]
 
     @property
-    def right(self):
+    def right(self) -> NDArray[np.uint8]:
         """That of the right camera; of a pair."""
         return self.images[1]
 
 
-def _times(values):
+def _times(values: ArrayLike) -> NDArray[np.int64]:
     """Times as int64. What is no integer would be cut, so it is refused."""
     times = np.asarray(values)
     if times.size == 0:
@@ -49,10 +106,10 @@ class Trajectory:
     """Times (n), int nanoseconds, and poses (n, 4, 4): T_world_camera; n may be 0. Raises ValueError for other shapes and
     types."""
 
-    time_ns: np.ndarray
-    poses: np.ndarray
+    time_ns: NDArray[np.int64]
+    poses: NDArray[np.float64]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.time_ns = _times(self.time_ns)
         poses, n = _matrix(self.poses, "the poses"), len(self.time_ns)
         if poses.shape != (n, 4, 4) and not poses.size == n == 0:
@@ -60,31 +117,32 @@ class Trajectory:
         self.poses = poses.reshape(n, 4, 4)
 
     @classmethod
-    def of(cls, poses):
+    def of(cls, poses: Union[Trajectory, Iterable[tuple[int, ArrayLike]]]) -> Trajectory:
         """A Trajectory, or a sequence of pairs of a time and a (4, 4) matrix."""
         if isinstance(poses, cls):
             return poses
         try:
-            pairs = [(t, T) for t, T in poses]
+            pairs = [(t, T) for t, T in cast(Iterable[tuple[int, ArrayLike]], poses)]
         except (TypeError, ValueError):
             raise ValueError("the trajectory must be an ft.Trajectory, or pairs of a time and a matrix (4, 4)") from None
-        return cls([t for t, _ in pairs], [T for _, T in pairs])
+        return cls(_times([t for t, _ in pairs]), _matrix(cast(ArrayLike, [T for _, T in pairs]), "the poses"))
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.time_ns)
 
-    def write_tum(self, file):
+    def write_tum(self, file: Path) -> None:
         """time tx ty tz qx qy qz qw, a line a pose."""
         _ft.write_tum(str(file), self.time_ns, _matrix(self.poses, "the poses"))
 
-    def write_kitti(self, file):
+    def write_kitti(self, file: Path) -> None:
         """12 numbers a pose."""
         _ft.write_kitti(str(file), self.time_ns, _matrix(self.poses, "the poses"))
 
-    def write_euroc(self, file):
+    def write_euroc(self, file: Path) -> None:
         """timestamp [ns], position, quaternion (w x y z), as in EuRoC's data.csv, with a heading."""
         self.write_tum(file)
-        rows = np.loadtxt(file, ndmin=2)[:, [1, 2, 3, 7, 4, 5, 6]] if len(self) else []
+        columns = [1, 2, 3, 7, 4, 5, 6]
+        rows = np.loadtxt(file, ndmin=2)[:, columns] if len(self) else np.zeros((0, 7))
         with open(file, "w") as out:
             out.write("#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w,q_x,q_y,q_z\n")
             for time_ns, row in zip(self.time_ns, rows):
@@ -96,12 +154,15 @@ class Sequence:
     ft.Odometry takes. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
     out or looks wrong, a sentence each. files: that of the extension."""
 
-    def __init__(self, files, min_depth=0.0, max_depth=None, recording=None):
+    def __init__(self, files: _ft.SequenceFiles, min_depth: float = 0.0, max_depth: Optional[float] = None,
+                 recording: Optional[Unpacked] = None) -> None:
         self.files = files
         self._recording = recording  # an Unpacked, whose folder goes with it
-        rig = files.rig
+        rig = cast(_FileRig, files.rig)
         self.baseline, self.kind = rig["baseline"], rig["kind"]
         self.width, self.height = rig["width"], rig["height"]
+        self.rig: Union[MonocularCamera, RgbdCamera, FisheyePair, RectifiedPair]
+        left: Union[_ft.KannalaBrandt, _ft.Pinhole]
         left = _ft.KannalaBrandt(rig["left"]) if rig["fisheye"] else _ft.Pinhole(rig["left"][:4])
         if self.kind == "mono":
             self.rig = MonocularCamera(left)
@@ -113,38 +174,43 @@ class Sequence:
             self.rig = RectifiedPair(left, rig["baseline"])
         self.left_camera = left
         self.warnings = list(files.warnings)
-        self.name, self.layout, self.settings = files.name, files.layout, files.settings
+        self.name, self.layout, self.settings = files.name, files.layout, cast(Settings, files.settings)
         if recording is not None:
             self.layout = recording.layout
             self.warnings = [*recording.warnings, *map(recording.named, self.warnings)]
         self.has_body_frame = files.has_body_frame
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
-        samples = files.imu
-        self.imu = None
-        self.imu_samples = []
+        samples = cast(Optional[_FileImu], files.imu)
+        self.imu: Optional[Imu] = None
+        self.imu_samples: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
         if samples is not None:
-            self.imu_samples = list(zip(samples.pop("time_ns").tolist(), samples.pop("accel"), samples.pop("gyro")))
-            self.imu = Imu(**samples)
+            self.imu_samples = list(zip(samples["time_ns"].tolist(), samples["accel"], samples["gyro"]))
+            self.imu = Imu(samples["T_imu_camera"], samples["gyro_noise"], samples["accel_noise"], samples["gyro_walk"],
+                           samples["accel_walk"], samples["rate_hz"], samples["time_offset_s"])
 
-    def describe(self, imu=True):
+    def describe(self, imu: bool = True) -> list[tuple[str, str]]:
         """What was found, lines as (name, text): layout and calibration, cameras, rate and length, IMU, ground truth, and
         images left out. imu: whether it was asked for."""
         lines = self.files.describe(bool(imu))
         return lines if self._recording is None else self._recording.described(lines)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.files)
 
-    def __getitem__(self, i):
+    def __getitem__(self, i: int) -> Frame:
         return Frame(*self.files.load(i))
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Frame]:
         return (self[i] for i in range(len(self)))
 
 
-def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, imu=False, rig="auto", depth_unit=None,
-                  min_depth=0.0, max_depth=None, max_time_difference_ns=None, fps=None, times="", topics=(), progress=None):
+def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", keep_fisheye: bool = True,
+                  max_frames: int = 0, imu: bool = False, rig: str = "auto", depth_unit: Optional[float] = None,
+                  min_depth: float = 0.0, max_depth: Optional[float] = None,
+                  max_time_difference_ns: Optional[int] = None, fps: Optional[float] = None, times: Path = "",
+                  topics: Union[str, Items[str]] = (),
+                  progress: Optional[Callable[[int], None]] = None) -> Sequence:
     """Opens a recording. It is a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM
     RGB-D, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
     .mcap, .db3, the folder of a ROS 2 bag; package rosbags), a video or a list of two (package opencv-python), or images
@@ -185,12 +251,14 @@ def read_sequence(folder, *, calibration="", keep_fisheye=True, max_frames=0, im
     return sequence
 
 
-def read_tum(file):
+def read_tum(file: Path) -> Trajectory:
     """A Trajectory from a file in TUM format."""
     return Trajectory(*_ft.read_tum(str(file)))
 
 
-def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
+def evaluate(poses: Union[Trajectory, Iterable[tuple[int, ArrayLike]]],
+             truth: Union[Trajectory, Iterable[tuple[int, ArrayLike]], None], *, orientation: bool = True,
+             interval_s: float = 1.0) -> Errors:
     """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations ate_deg, rpe_deg; None
     where there is too little. ate_rotation_missing: a str, why ate_deg is None though orientations are known, such as an
     alignment that the path does not determine; else None. orientation: whether the ground truth has orientations. Raises
@@ -198,4 +266,5 @@ def evaluate(poses, truth, *, orientation=True, interval_s=1.0):
     if truth is None:
         raise ValueError("the ground truth is None: errors need one, and not every sequence has one")
     a, b = Trajectory.of(poses), Trajectory.of(truth)
-    return _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), bool(orientation), interval_s)
+    return cast(Errors, _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), bool(orientation),
+                                            interval_s))

@@ -1,12 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """The CUDA stream that writes the caller's images."""
 
+from __future__ import annotations
+
 import contextvars
+from typing import Protocol, Union
 
-_current = contextvars.ContextVar("stream", default=0)
+_current: contextvars.ContextVar[int] = contextvars.ContextVar("stream", default=0)
 
 
-def handle_of(stream):
+class Array(Protocol):
+    """An array of NumPy, or one on a GPU, such as those of CuPy and PyTorch."""
+
+    def __dlpack__(self) -> object: ...
+
+
+class _HasPointer(Protocol):
+    """A stream of CuPy."""
+
+    ptr: int
+
+
+class _HasStream(Protocol):
+    """A stream of PyTorch."""
+
+    @property
+    def cuda_stream(self) -> int: ...
+
+
+class _HasProtocol(Protocol):
+    """A stream of anything else."""
+
+    def __cuda_stream__(self) -> tuple[int, int]: ...
+
+
+StreamLike = Union[int, _HasPointer, _HasStream, _HasProtocol]
+
+
+def handle_of(stream: object) -> int:
     """The handle of a stream, an int: None is that of the innermost `with ft.Stream(...)`, else the default stream."""
     if stream is None:
         return _current.get()
@@ -26,14 +57,14 @@ class Stream:
     the default stream, or a stream of CuPy or PyTorch, which must live as long. Holds for the calling thread. Raises
     ValueError for anything else."""
 
-    def __init__(self, stream):
+    def __init__(self, stream: StreamLike) -> None:
         self._stream = stream  # keeps it alive
         self.handle = handle_of(stream)
-        self._before = []
+        self._before: list[contextvars.Token[int]] = []
 
-    def __enter__(self):
+    def __enter__(self) -> Stream:
         self._before.append(_current.set(self.handle))
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         _current.reset(self._before.pop())

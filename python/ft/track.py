@@ -1,16 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The program `python -m ft track`: options, defaults and files are those of track_sequence."""
 
+from __future__ import annotations
+
+import argparse
 import signal
 import sys
 import time
 import warnings
+from typing import TYPE_CHECKING, Mapping, Optional
 
 import numpy as np
+from numpy.typing import NDArray
 
 import ft
 
 from . import _ft
+from .sequences import Settings
+
+if TYPE_CHECKING:
+    from .view import Viewer
 
 MOST_CLOUD_POINTS = 8000
 SAMPLES = 6  # frames that are drawn in the report
@@ -23,16 +32,16 @@ RIGS = {"auto": "auto", "stereo": "stereo", "rectified": "stereo", "fisheye": "s
 class Unpacking:
     """Says every few seconds how many frames of a bag or video are unpacked."""
 
-    def __init__(self, quiet):
+    def __init__(self, quiet: bool) -> None:
         self._quiet, self._said = quiet, time.monotonic()
 
-    def __call__(self, frames):
+    def __call__(self, frames: int) -> None:
         if not self._quiet and time.monotonic() - self._said > 5:
             self._said = time.monotonic()
             print(f"unpack    {frames} frames", flush=True)
 
 
-def open_sequence(a):
+def open_sequence(a: argparse.Namespace) -> ft.Sequence:
     apart = None if a.max_time_difference is None else round(1e6 * a.max_time_difference)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they are printed
@@ -56,9 +65,10 @@ def open_sequence(a):
     return sequence
 
 
-def make_odometry(arguments, sequence, measure_stages):
+def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
+                  measure_stages: bool) -> tuple[ft.Odometry, Settings]:
     """The settings file's values where the command line has none."""
-    settings = dict(sequence.settings)
+    settings = sequence.settings.copy()
     settings.setdefault("features", 2000 if sequence.width > 1000 else 1200)
     if arguments.features:
         settings["features"] = arguments.features
@@ -72,7 +82,7 @@ def make_odometry(arguments, sequence, measure_stages):
     return odometry, settings
 
 
-def duration_text(seconds):
+def duration_text(seconds: float) -> str:
     whole = int(seconds + 0.5)
     if whole < 60:
         return f"{whole} s"
@@ -82,11 +92,11 @@ def duration_text(seconds):
 class Progress:
     """One line that changes on a terminal; elsewhere a line every 10 %."""
 
-    def __init__(self, total, quiet):
+    def __init__(self, total: int, quiet: bool) -> None:
         self._total, self._quiet, self._terminal = total, quiet, sys.stdout.isatty()
         self._begin, self._drawn, self._tenth = time.monotonic(), -1.0, 0
 
-    def step(self, done, note=""):
+    def step(self, done: int, note: str = "") -> None:
         now = time.monotonic()
         if self._terminal:
             show = done == self._total or now - self._drawn > 0.1
@@ -101,7 +111,7 @@ class Progress:
         print(f"\r{text}  {note}\033[K" if self._terminal else f"{text}  {note}".rstrip(), end="" if self._terminal else "\n",
               flush=True)
 
-    def finish(self):
+    def finish(self) -> None:
         if self._terminal and not self._quiet and self._drawn >= 0:
             print(flush=True)
 
@@ -109,7 +119,8 @@ class Progress:
 class Run:
     """What is known about a run so far."""
 
-    def __init__(self, arguments, sequence, odometry, viewer, calibration):
+    def __init__(self, arguments: argparse.Namespace, sequence: ft.Sequence, odometry: ft.Odometry,
+                 viewer: Optional[Viewer], calibration: list[str]) -> None:
         self._arguments, self._sequence, self._odometry, self._viewer = arguments, sequence, odometry, viewer
         self._calibration = calibration
         self._camera = sequence.left_camera
@@ -118,15 +129,18 @@ class Run:
             self._samples_due = set(range(len(sequence)))
         self._imu = iter(sequence.imu_samples)
         self._imu_time_offset_s = sequence.imu.time_offset_s if sequence.imu is not None else 0.0
-        self._before = (-1, {})
+        self._before: tuple[int, dict[int, tuple[float, float]]] = (-1, {})
         self._cloud, self._cloud_step = np.zeros((0, 3), np.float32), 1
-        self._stage_names = []
-        self.records, self.poses, self.samples = [], [], []
+        self._stage_names: list[str] = []
+        self.records: list[tuple[int, int, bool, dict[str, float], float, ft.Tracking]] = []
+        self.poses: list[tuple[int, NDArray[np.float64]]] = []
+        self.samples: list[tuple[int, NDArray[np.uint8], list[tuple[float, float, float, int, float, bool, float, float]]]] = []
         self.metric = sequence.kind != "mono"
-        self.stopped_at, self.stopped_by = None, ""
-        self.last = None
+        self.stopped_at: Optional[int] = None
+        self.stopped_by = ""
+        self.last: Optional[ft.Tracking] = None
 
-    def track_all(self):
+    def track_all(self) -> None:
         progress = Progress(len(self._sequence), self._arguments.quiet)
         begin, i = time.monotonic(), 0
         try:
@@ -142,7 +156,7 @@ class Run:
         progress.finish()
         self.wall_s = time.monotonic() - begin
 
-    def _track(self, i, frame):
+    def _track(self, i: int, frame: ft.Frame) -> bool:
         # A recording has what comes soon after a frame, too: the IMU's clock may be ahead.
         until_ns = frame.time_ns + round(1e9 * (0.08 + self._imu_time_offset_s))
         for sample in self._imu:
@@ -162,11 +176,11 @@ class Run:
             self.poses.append((frame.time_ns, pose.T_world_camera))
         self._look(i, frame.left, pose, tracked)
         if self._viewer is not None:
-            self._show(i, frame, pose, tracked, {**stages, "total": total})
+            self._show(self._viewer, i, frame, pose, tracked, {**stages, "total": total})
         self.last = pose
         return tracked
 
-    def _look(self, i, image, pose, tracked):
+    def _look(self, i: int, image: NDArray[np.uint8], pose: ft.Tracking, tracked: bool) -> None:
         """Keeps points that a keyframe begins, and frames for the report."""
         begins = tracked and pose.keyframe
         sample = i in self._samples_due
@@ -194,18 +208,19 @@ class Run:
                 size = 31.0 * self._odometry.scale_factor ** octave
                 drawn.append((x, y, size, octave, float(k["depth"][n]), bool(k["matched"][n]), from_x, from_y))
             self.samples.append((i, image, drawn))
-        self._before = i, {int(p): tuple(xy) for p, xy in zip(k["point"], at.tolist()) if p >= 0}
+        self._before = i, {int(p): (x, y) for p, (x, y) in zip(k["point"], at.tolist()) if p >= 0}
 
-    def _show(self, i, frame, pose, tracked, milliseconds):
+    def _show(self, viewer: Viewer, i: int, frame: ft.Frame, pose: ft.Tracking, tracked: bool,
+              milliseconds: Mapping[str, float]) -> None:
         from .view import Seen
 
         counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
                   "local map": pose.local_points}
-        self._viewer.show(Seen(i, frame.time_ns, frame.left, tracked, pose.keyframe, pose.T_world_camera,
-                               self._odometry.keypoints(), counts, milliseconds),
-                          self._odometry.map() if tracked and pose.keyframe else None)
+        viewer.show(Seen(i, frame.time_ns, frame.left, tracked, pose.keyframe, pose.T_world_camera,
+                         self._odometry.keypoints(), counts, milliseconds),
+                    self._odometry.map() if tracked and pose.keyframe else None)
 
-    def write(self, settings):
+    def write(self, settings: Settings) -> None:
         """The files that track_sequence writes. Prints its summary."""
         a, sequence, last = self._arguments, self._sequence, self.last
         stages = self._stage_names if a.timing else []
@@ -231,11 +246,11 @@ class Run:
         })
 
 
-def backend_of(wanted):
+def backend_of(wanted: str) -> str:
     return "cuda" if wanted != "host" and len(ft.devices()) > 1 else "host"
 
 
-def viewer_of(arguments, sequence):
+def viewer_of(arguments: argparse.Namespace, sequence: ft.Sequence) -> Optional[Viewer]:
     """A viewer, or None. Raises view.MissingPackage."""
     if not arguments.view and arguments.record is None:
         return None
@@ -245,11 +260,11 @@ def viewer_of(arguments, sequence):
                        sequence.ground_truth, sequence.ground_truth_has_orientation)
 
 
-def end_as_ctrl_c(*_):
+def end_as_ctrl_c(*_: object) -> None:
     raise KeyboardInterrupt("SIGTERM")
 
 
-def track(arguments):
+def track(arguments: argparse.Namespace) -> int:
     """Returns the exit status: 0; 1 where no frame could be tracked; 3 for a run that was stopped."""
     signal.signal(signal.SIGTERM, end_as_ctrl_c)
     sequence = open_sequence(arguments)
@@ -276,7 +291,8 @@ def track(arguments):
     if not any(record[2] for record in run.records):
         why = {"mono": "the camera does not move enough, or too few corners are seen",
                "rgbd": "too few corners have a depth"}.get(sequence.kind, "too few corners are seen by both cameras")
-        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']}); {run.last.explanation}",
+        last = run.last.explanation if run.last else "it has no frame"
+        print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']}); {last}",
               file=sys.stderr)
         return 1
     return 0

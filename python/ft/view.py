@@ -6,14 +6,23 @@ counts/NAME and milliseconds/STAGE are plots. The world is the first left camera
 timeline `frame` are the numbers of frames, on `time` their time stamps.
 """
 
+from __future__ import annotations
+
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
+from typing import Any, Iterator, Mapping, Optional, Sequence, Union
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _ft
+from .odometry import Map, TrackedKeypoints
+from .rigs import Camera
 from .sequences import Trajectory, evaluate
+
+Floats = NDArray[np.float64]
 
 FORMAT = 1  # of recordings
 WHITE, GREEN, ORANGE, GREY, RED = [255, 255, 255], [60, 220, 90], [255, 160, 40], [150, 150, 150], [240, 60, 60]
@@ -30,16 +39,16 @@ class Seen:
 
     index: int
     time_ns: int
-    image: object
+    image: Union[NDArray[np.uint8], str, Path]
     tracked: bool
     keyframe: bool
-    T_world_camera: np.ndarray
-    keypoints: dict
-    counts: dict = field(default_factory=dict)
-    milliseconds: dict = field(default_factory=dict)
+    T_world_camera: Floats
+    keypoints: TrackedKeypoints
+    counts: Mapping[str, float] = field(default_factory=dict)
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
 
 
-def open_rerun(file=None):
+def open_rerun(file: Union[str, Path, None] = None) -> ModuleType:
     """The module rerun, which writes to the file from now on, or to a viewer that is started. Raises MissingPackage."""
     try:
         import rerun
@@ -51,10 +60,10 @@ def open_rerun(file=None):
     return rerun
 
 
-def depth_colours(depth):
+def depth_colours(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Red is near, blue is far, by inverse depth between 1 m and infinity; grey has none."""
     near = np.clip(1.0 / np.maximum(depth, 1.0), 0, 1)[:, None]
-    colours = near * (255, 40, 40) + (1 - near) * (40, 90, 255)
+    colours: NDArray[np.floating[Any]] = near * (255, 40, 40) + (1 - near) * (40, 90, 255)
     colours[depth <= 0] = GREY
     return colours.astype(np.uint8)
 
@@ -62,23 +71,26 @@ def depth_colours(depth):
 class Viewer:
     """Logs frames. camera: fx, fy, cx, cy and, of a fisheye camera, k1 to k4. truth: ft.Trajectory, or None."""
 
-    def __init__(self, rerun, camera, width, height, truth=None, truth_has_orientation=True):
+    def __init__(self, rerun: ModuleType, camera: Camera, width: int, height: int, truth: Optional[Trajectory] = None,
+                 truth_has_orientation: bool = True) -> None:
         self._rerun = rerun
-        camera = _ft.camera_values(camera, "the camera")
-        self._camera = _ft.KannalaBrandt(camera) if len(camera) == 8 else _ft.Pinhole(camera[:4])
+        values = _ft.camera_values(camera, "the camera")
+        self._camera = _ft.KannalaBrandt(values) if len(values) == 8 else _ft.Pinhole(values[:4])
         self._truth = truth if truth is not None and len(truth) else None
         self._oriented = truth_has_orientation
-        self._poses, self._keyframes, self._points = [], [], []
-        self._before = {}
-        self._last = None
+        self._poses: list[tuple[int, Floats]] = []
+        self._keyframes: list[Floats] = []
+        self._points: list[Floats] = []
+        self._before: dict[int, NDArray[np.float32]] = {}
+        self._last: Optional[Seen] = None
         rerun.log("world", rerun.ViewCoordinates.RDF, static=True)
-        rerun.log("world/camera/left", rerun.Pinhole(width=width, height=height, focal_length=camera[:2],
-                                                     principal_point=camera[2:4]), static=True)
+        rerun.log("world/camera/left", rerun.Pinhole(width=width, height=height, focal_length=values[:2],
+                                                     principal_point=values[2:4]), static=True)
         if self._truth is not None:
             rerun.log("world/truth", rerun.LineStrips3D([self._truth.poses[:, :3, 3]], colors=GREY), static=True)
         rerun.send_blueprint(self._layout())
 
-    def _layout(self):
+    def _layout(self) -> object:
         import rerun.blueprint as b
 
         return b.Blueprint(b.Horizontal(
@@ -87,7 +99,7 @@ class Viewer:
                        b.TimeSeriesView(origin="counts", name="keypoints and points"),
                        b.TimeSeriesView(origin="milliseconds", name="milliseconds a frame"))))
 
-    def show(self, seen, made=None):
+    def show(self, seen: Seen, made: Optional[Map] = None) -> None:
         """Logs a frame; made: ft.Odometry.map(), or None, then new points are taken from keyframes."""
         self._set_time(seen)
         self._show_image(seen)
@@ -99,7 +111,7 @@ class Viewer:
             self._show_map(seen, made)
         self._last = seen
 
-    def finish(self):
+    def finish(self) -> None:
         """Logs what is known at the end: the whole path, and the truth aligned to it."""
         if self._last is None or not self._poses:
             return
@@ -108,13 +120,13 @@ class Viewer:
         if self._truth is not None:
             errors = evaluate(Trajectory.of(self._poses), self._truth, orientation=self._oriented)
             if errors["ate_m"] is not None:
-                self._show_truth(np.linalg.inv(errors["T_truth_estimate"]), static=True)
+                self._show_truth(np.asarray(np.linalg.inv(errors["T_truth_estimate"]), np.float64), static=True)
 
-    def _set_time(self, seen):
+    def _set_time(self, seen: Seen) -> None:
         self._rerun.set_time("frame", sequence=seen.index)
         self._rerun.set_time("time", timestamp=1e-9 * seen.time_ns)
 
-    def _show_image(self, seen):
+    def _show_image(self, seen: Seen) -> None:
         rerun, left = self._rerun, "world/camera/left"
         if isinstance(seen.image, (str, Path)):
             rerun.log(left, rerun.EncodedImage(path=seen.image))
@@ -131,7 +143,7 @@ class Viewer:
         rerun.log(left + "/matches", rerun.LineStrips2D(pairs, colors=GREEN))
         self._before = now
 
-    def _in_camera(self, keypoints, chosen):
+    def _in_camera(self, keypoints: TrackedKeypoints, chosen: NDArray[np.bool_]) -> Floats:
         """Keypoints with depth as points of the camera's frame, (n, 3)."""
         pixels = np.stack([keypoints["x"], keypoints["y"]], axis=1).astype(np.float64)[chosen]
         rays, valid = self._camera.unproject(pixels)
@@ -139,7 +151,7 @@ class Viewer:
         depth = np.asarray(keypoints["depth"], dtype=np.float64)[chosen][valid]
         return depth[:, None] * rays[valid] / rays[valid, 2:]
 
-    def _show_camera(self, seen):
+    def _show_camera(self, seen: Seen) -> None:
         rerun, T = self._rerun, seen.T_world_camera
         rerun.log("world/camera", rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
         depth = np.asarray(seen.keypoints["depth"])
@@ -153,36 +165,37 @@ class Viewer:
         if seen.keyframe or len(self._poses) % 10 == 0:
             self._show_path()
 
-    def _show_path(self):
+    def _show_path(self) -> None:
         path = np.array([T[:3, 3] for _, T in self._poses])
         self._rerun.log("world/trajectory", self._rerun.LineStrips3D([path], colors=RED))
 
-    def _show_map(self, seen, made):
+    def _show_map(self, seen: Seen, made: Optional[Map]) -> None:
         if made is None:
             k, T = seen.keypoints, seen.T_world_camera
             new = (np.asarray(k["point"]) >= 0) & ~np.asarray(k["matched"], dtype=bool) & (np.asarray(k["depth"]) > 0)
             self._points.append(self._in_camera(k, new) @ T[:3, :3].T + T[:3, 3])
             self._keyframes.append(T[:3, 3])
-            points, keyframes = np.concatenate(self._points), np.array(self._keyframes)
+            points: NDArray[np.floating[Any]] = np.concatenate(self._points)
+            keyframes = np.array(self._keyframes)
         else:
             points, keyframes = made["position"], made["keyframe_T_world_camera"][:, :3, 3]
         rerun = self._rerun
         rerun.log("world/map", rerun.Points3D(points, colors=WHITE, radii=0.01))
         rerun.log("world/keyframes", rerun.Points3D(keyframes, colors=GREEN, radii=0.02))
 
-    def _align_first(self, time_ns, T):
+    def _align_first(self, time_ns: int, T: Floats) -> None:
         """The truth begins where the estimate does; finish() aligns the whole path."""
         if self._truth is None or not self._oriented:
             return
         i = np.abs(self._truth.time_ns - time_ns).argmin()
         self._show_truth(T @ np.linalg.inv(self._truth.poses[i]))
 
-    def _show_truth(self, T_world_truth, static=False):
+    def _show_truth(self, T_world_truth: Floats, static: bool = False) -> None:
         self._rerun.log("world/truth", self._rerun.Transform3D(translation=T_world_truth[:3, 3],
                                                                mat3x3=T_world_truth[:3, :3]), static=static)
 
 
-def _matrices(rows):
+def _matrices(rows: Sequence[Sequence[float]]) -> Floats:
     all_poses = np.tile(np.eye(4), (len(rows), 1, 1))
     all_poses[:, :3] = np.array(rows, dtype=np.float64).reshape(-1, 3, 4)
     return all_poses
@@ -198,7 +211,7 @@ class Recording:
     of a run that goes on, is left out. Raises RuntimeError that names the file and what is wrong.
     """
 
-    def __init__(self, folder):
+    def __init__(self, folder: Union[str, Path]) -> None:
         self.folder = Path(folder)
         self._file = self.folder / "recording.jsonl"
         try:
@@ -208,7 +221,8 @@ class Recording:
             raise RuntimeError(f"{self._file}: {e}") from e
         if not isinstance(self.header, dict) or self.header.get("ft_recording") != FORMAT:
             raise RuntimeError(f"{self._file}: is no recording of format {FORMAT}")
-        self.truth, self.truth_has_orientation = None, False
+        self.truth: Optional[Trajectory] = None
+        self.truth_has_orientation = False
         try:
             truth = self.header["truth"]
             if truth:
@@ -217,7 +231,7 @@ class Recording:
         except (KeyError, TypeError, ValueError) as e:
             raise RuntimeError(f"{self._file}:1: {e!r}") from e
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Seen]:
         with open(self._file, encoding="utf-8") as lines:
             next(lines)
             for number, line in enumerate(lines, 2):
@@ -228,14 +242,17 @@ class Recording:
                 except (KeyError, TypeError, ValueError) as e:
                     raise RuntimeError(f"{self._file}:{number}: {e!r}") from e
 
-    def _seen(self, f):
-        keypoints = {name: np.array(f[name]) for name in ("x", "y", "depth", "point", "matched")}
+    def _seen(self, f: dict[str, Any]) -> Seen:
+        none = np.zeros(0, np.int32)  # of the camera and octave, which are not recorded
+        keypoints = TrackedKeypoints(x=np.array(f["x"]), y=np.array(f["y"]), camera=none, octave=none,
+                                     depth=np.array(f["depth"]), point=np.array(f["point"]),
+                                     matched=np.array(f["matched"]))
         return Seen(f["frame"], f["time_ns"], self.folder / f["image"], f["tracked"], f["keyframe"],
                     _matrices([f["T_world_camera"]])[0], keypoints, f["counts"],
                     dict(zip(self.header["stages"], f["stage_ms"])))
 
 
-def show_recording(folder, file=None):
+def show_recording(folder: Union[str, Path], file: Union[str, Path, None] = None) -> int:
     """Shows a recording in the viewer, or writes it to a .rrd file. Returns the number of frames."""
     recording = Recording(folder)
     h = recording.header

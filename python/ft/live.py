@@ -12,10 +12,12 @@ import warnings
 from pathlib import Path
 from typing import Iterator, Optional
 
+from ._ft import Tracking
 from .live_cameras import LiveFrame, Oak, OpenCvCamera, RealSense, Sample, Source
 from .odometry import Odometry
 from .rigs import check_calibration
 from .sequences import Trajectory
+from .view import Seen, Viewer, open_rerun
 
 
 def open_source(a: argparse.Namespace) -> Source:
@@ -100,6 +102,7 @@ def track(source: Source, a: argparse.Namespace) -> int:
     newest = Newest(source) if source.live else None
     poses = []
     frames = tracked = before = 0
+    metric = True
     spent, begin, said = 0.0, time.monotonic(), time.monotonic()
     try:
         for frame in newest or source.frames():
@@ -112,6 +115,7 @@ def track(source: Source, a: argparse.Namespace) -> int:
             if pose.tracked:
                 tracked += 1
                 poses.append((frame.time_ns, pose.T_world_camera))
+                metric = pose.metric
             if viewer is not None:
                 show(viewer, frames - 1, frame, pose, odometry)
             now = time.monotonic()
@@ -136,20 +140,18 @@ def track(source: Source, a: argparse.Namespace) -> int:
             Trajectory.of(poses).write_tum(str(Path(a.out) / "trajectory.txt"))
     dropped = newest.dropped if newest is not None else 0
     print(f"{frames} frames, {tracked} tracked, {dropped} left out" + (f"; {Path(a.out) / 'trajectory.txt'}" if poses else ""))
+    if not metric:
+        print("one camera: the unit of length is unknown, not the metre")
     return 0 if poses else 1
 
 
-def viewer_of(a: argparse.Namespace, source: Source):  # type: ignore[no-untyped-def]  # rerun is loaded here alone
+def viewer_of(a: argparse.Namespace, source: Source) -> Optional[Viewer]:
     if not a.view and a.record is None:
         return None
-    from . import view
-
-    return view.Viewer(view.open_rerun(a.record), source.rig.camera, source.width, source.height)
+    return Viewer(open_rerun(a.record), source.rig.camera, source.width, source.height)
 
 
-def show(viewer, index, frame, pose, odometry):  # type: ignore[no-untyped-def]
-    from .view import Seen
-
+def show(viewer: Viewer, index: int, frame: LiveFrame, pose: Tracking, odometry: Odometry) -> None:
     counts = {"keypoints": pose.keypoints, "inliers": pose.inliers, "local map": pose.local_points}
     viewer.show(Seen(index, frame.time_ns, frame.images[0], pose.tracked, pose.keyframe, pose.T_world_camera,
                      odometry.keypoints(), counts), odometry.map() if pose.tracked and pose.keyframe else None)

@@ -17,6 +17,7 @@ from .rigs import DistortedPair, Imu, MonocularCamera, RectifiedPair
 
 Numbers = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
+LiveRig = Union[RectifiedPair, MonocularCamera]
 
 
 class Sample(NamedTuple):
@@ -39,7 +40,7 @@ class Source(Protocol):
     """A camera. Size: of the images, pixels. `live`: images that nobody waits for are lost."""
 
     name: str
-    rig: Union[RectifiedPair, MonocularCamera]
+    rig: LiveRig
     width: int
     height: int
     imu: Optional[Imu]
@@ -92,6 +93,7 @@ class OpenCvCamera:
     or 8 of OpenCV's coefficients of distortion, whose images are undistorted; with fisheye k1 to k4 of its fisheye model.
     OpenCV tells no times of a camera's images: theirs are those of the computer, when they arrived."""
 
+    rig: LiveRig
     imu: Optional[Imu] = None
 
     def __init__(self, camera: str, parameters: Sequence[float], *, fisheye: bool = False,
@@ -166,6 +168,8 @@ class RealSense:
     """The two infrared cameras of an Intel RealSense D4xx, which rectifies their images, and its IMU where it has one. The
     projector is switched off: its dots move with the camera. Lengths and calibration are the device's."""
 
+    rig: LiveRig
+    imu: Optional[Imu]
     live = True
     name = "RealSense"
 
@@ -263,6 +267,8 @@ class Oak:
     """The two grey cameras of a Luxonis OAK-D, rectified here by the device's calibration, and its IMU where its place is
     known. Needs depthai 3."""
 
+    rig: LiveRig
+    imu: Optional[Imu]
     live = True
     name = "OAK"
 
@@ -278,10 +284,10 @@ class Oak:
         sockets = dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C
         self._pipeline = dai.Pipeline()
         calibration = self._pipeline.getDefaultDevice().readCalibration()
-        cameras = [self._camera(calibration, socket) for socket in sockets]
+        left, right = (self._camera(calibration, socket) for socket in sockets)
         T = np.array(calibration.getCameraExtrinsics(*sockets), np.float64)
         T[:3, 3] *= 0.01  # centimetres
-        pair = DistortedPair(*cameras, T, tuple(cameras[0][:4]), size)
+        pair = DistortedPair(left, right, T, tuple(left[:4]), size)
         self._rectifier = Rectifier(pair, *size, device="host")
         self.rig = self._rectifier.rig
         self.imu = self._imu(calibration, sockets[0]) if imu else None
@@ -334,8 +340,8 @@ class Oak:
                 time_ns = _nanoseconds(waiting[0][0].getTimestampDevice())
                 newer = len(waiting[0]) > 1 and len(waiting[1]) > 1
                 if self.imu is None or joiner.last_ns >= time_ns or newer:
-                    left, right = (np.ascontiguousarray(taken.popleft().getFrame(), np.uint8) for taken in waiting)
-                    yield LiveFrame(time_ns, self._rectifier.rectify(left, right), joiner.take())
+                    raw = [np.ascontiguousarray(taken.popleft().getFrame(), np.uint8) for taken in waiting]
+                    yield LiveFrame(time_ns, self._rectifier.rectify(raw[0], raw[1]), joiner.take())
             if something:
                 arrived = time.monotonic()
             elif time.monotonic() - arrived > 5:

@@ -350,6 +350,7 @@ def test_the_program_tracks_what_opencv_opens(video, tmp_path):
     assert run.returncode == 0, run.stderr
     assert f"camera    {video}, {WIDTH}x{HEIGHT}, without an IMU" in run.stdout
     assert f"{3 * FRAMES} frames, " in run.stdout and "0 left out" in run.stdout
+    assert "the unit of length is unknown" in run.stdout
     path = ft.read_tum(tmp_path / "trajectory.txt").poses[:, :3, 3]
     along = path[-1] - path[0]
     assert along[0] > 3 * abs(along[1]) > 0 and abs(along[2]) < 0.2 * along[0]  # to the right and down

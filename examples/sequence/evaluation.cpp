@@ -135,6 +135,11 @@ double root_mean_square(double sum, std::size_t count) {
   return std::sqrt(sum / static_cast<double>(count));
 }
 
+/// What the estimate of the motion between two poses misses.
+Eigen::Isometry3d missed_motion(matched_pose const& a, matched_pose const& b) {
+  return (a.truth.inverse() * b.truth).inverse() * (a.estimate.inverse() * b.estimate);
+}
+
 /// The relative errors; nothing without steps.
 void add_relative_errors(std::vector<matched_pose> const& pairs,
                          std::vector<pose_step> const& steps, bool orientation,
@@ -149,9 +154,7 @@ void add_relative_errors(std::vector<matched_pose> const& pairs,
     matched_pose const& b = pairs[s.to];
     equal_spans = equal_spans && s.to - s.from == span;
     if (orientation) {
-      Eigen::Isometry3d const truth = a.truth.inverse() * b.truth;
-      Eigen::Isometry3d const estimate = a.estimate.inverse() * b.estimate;
-      Eigen::Isometry3d const miss = truth.inverse() * estimate;
+      Eigen::Isometry3d const miss = missed_motion(a, b);
       translations += miss.translation().squaredNorm();
       double const angle = angle_deg(miss.linear());
       rotations += angle * angle;
@@ -168,22 +171,45 @@ void add_relative_errors(std::vector<matched_pose> const& pairs,
   }
 }
 
+/// The drift; from each pose to the first one that is a stretch further along the path.
+void add_drift(std::vector<matched_pose> const& pairs, trajectory_error& result) {
+  constexpr double least_m = 0.1;
+  double const stretch = result.truth_path_m / 10;
+  if (!(stretch >= least_m)) { return; }
+  std::vector<double> along{0};
+  for (std::size_t i = 1; i < pairs.size(); ++i) {
+    along.push_back(along.back() +
+                    (pairs[i].truth.translation() - pairs[i - 1].truth.translation()).norm());
+  }
+  double sum = 0;
+  std::size_t count = 0;
+  std::size_t j = 0;
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    while (j < pairs.size() && along[j] - along[i] < stretch) { ++j; }
+    if (j == pairs.size()) { break; }
+    sum += missed_motion(pairs[i], pairs[j]).translation().norm() / (along[j] - along[i]);
+    ++count;
+  }
+  if (count > 0) { result.drift_percent = 100 * sum / static_cast<double>(count); }
+}
+
 /// The errors after the alignment. Its rotation is not determined where positions spread no more
 /// in the weaker direction than they err across the stronger one.
 void add_absolute_errors(std::vector<matched_pose> const& pairs, bool orientation,
                          rotation_fit const& fit, trajectory_error& result) {
-  double translations = 0;
+  Eigen::Array3d translations = Eigen::Array3d::Zero();
   double across = 0;
   double rotations = 0;
   for (matched_pose const& p : pairs) {
     Eigen::Isometry3d const aligned = result.T_truth_estimate * p.estimate;
     Eigen::Vector3d const miss = p.truth.translation() - aligned.translation();
-    translations += miss.squaredNorm();
+    translations += miss.array().square();
     across += (miss - miss.dot(fit.stronger) * fit.stronger).squaredNorm();
     double const angle = angle_deg(p.truth.linear().transpose() * aligned.linear());
     rotations += angle * angle;
   }
-  result.ate_rmse_m = root_mean_square(translations, pairs.size());
+  result.ate_rmse_m = root_mean_square(translations.sum(), pairs.size());
+  result.ate_axes_m = (translations / static_cast<double>(pairs.size())).sqrt().matrix();
   if (!orientation) { return; }
   double const error_across = root_mean_square(across, pairs.size());
   if (fit.spread > error_across) {
@@ -305,6 +331,7 @@ trajectory_error evaluate(trajectory const& estimate, trajectory const& truth, b
   if (pairs.size() >= 3) { add_absolute_errors(pairs, orientation, fit, result); }
   auto const interval_ns = static_cast<std::int64_t>(std::llround(rpe_interval_s * 1e9));
   add_relative_errors(pairs, steps_over(pairs, interval_ns), orientation, result);
+  if (orientation) { add_drift(pairs, result); }
   return result;
 }
 

@@ -49,6 +49,12 @@ struct trajectory_error {
   double estimate_path_m = 0;  ///< length of the estimated path over the pairs
   std::optional<double>
       ate_rmse_m;  ///< after SE(3) alignment (Umeyama/Horn without scale); needs 3 pairs
+  /// The same error along the axes of ground truth's world.
+  std::optional<Eigen::Vector3d> ate_axes_m;
+  /// Mean error of the translation over stretches of a tenth of ground truth's path, as a share of
+  /// their length, percent. Nothing without orientations, and where a stretch is shorter than 0.1
+  /// m.
+  std::optional<double> drift_percent;
   std::optional<double>
       rpe_rmse_m;  ///< translation part of relative pose error over `rpe_interval_s`
   /// Rotation parts of both errors, degrees; nothing where ground truth has no orientations.

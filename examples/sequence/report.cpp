@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <ctime>
 #include <fstream>
 #include <locale>
 #include <sstream>
@@ -169,6 +170,31 @@ std::vector<evo_command> evo_commands(run_report const& report, run_figures cons
 
 }  // namespace detail
 
+std::string utc_now() {
+  std::time_t const now = std::time(nullptr);
+  std::tm parts{};
+  gmtime_r(&now, &parts);
+  char text[32];
+  return {text, std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts)};
+}
+
+std::string command_line(std::vector<std::string> const& words) {
+  constexpr char const* plain =
+      "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789%+,-./:=@_";
+  std::string line;
+  for (std::string const& word : words) {
+    if (!line.empty()) { line += ' '; }
+    if (!word.empty() && word.find_first_not_of(plain) == std::string::npos) {
+      line += word;
+      continue;
+    }
+    line += '\'';
+    for (char const c : word) { line += c == '\'' ? std::string("'\\''") : std::string(1, c); }
+    line += '\'';
+  }
+  return line;
+}
+
 statistics summarise(std::vector<double> samples) {
   samples.erase(
       std::remove_if(samples.begin(), samples.end(), [](double v) { return !std::isfinite(v); }),
@@ -263,6 +289,10 @@ void write_summary_json(std::string const& path, run_report const& report) {
   json root = json::object();
   root["title"] = report.title;
   root["sequence"] = report.sequence;
+  root["version"] = report.version;
+  root["command"] = report.command;
+  root["date"] = report.date;
+  root["threads"] = report.threads;
   root["backend"] = report.backend;
   root["device"] = report.device;
   root["image_width"] = report.image_width;
@@ -280,6 +310,9 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["pairs"] = report.error.pairs;
   root["scale"] = number(report.scale);
   root["ate_rmse_m"] = number(f.ate_rmse_m);
+  root["ate_axes_m"] =
+      report.error.ate_axes_m ? vector_of(*report.error.ate_axes_m) : json(nullptr);
+  root["drift_percent"] = number(report.error.drift_percent);
   root["rpe_rmse_m"] = number(f.rpe_rmse_m);
   root["ate_rotation_rmse_deg"] = number(f.ate_rotation_rmse_deg);
   root["rpe_rotation_rmse_deg"] = number(f.rpe_rotation_rmse_deg);

@@ -73,6 +73,10 @@ struct run_report {
   std::string backend;                         ///< "host" or "cuda"
   std::string device;                          ///< processor or GPU name
   std::map<std::string, std::string> options;  ///< as given on the command line
+  std::string version;                         ///< of ft
+  std::string command;                         ///< that was run
+  std::string date;                            ///< utc_now() at its begin
+  int threads = 0;                             ///< of the host; 0: a GPU, or not known
   int image_width = 0, image_height = 0;
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
   int maps = 0;                     ///< maps begun; more than one after a long loss
@@ -100,15 +104,21 @@ struct run_report {
   std::vector<std::string> calibration;  ///< sentences about a calibration that looks wrong
 };
 
+/// Date and time, ISO 8601, UTC.
+std::string utc_now();
+/// Words of a command in a line, quoted where a shell needs it.
+std::string command_line(std::vector<std::string> const& words);
+
 /// Per-stage table (mean, std, p50, p99, max in ms) and the figures, for a terminal.
 void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
-/// ground truth), scale (null where it is known or there is no ground truth), keyframes,
-/// map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null without
-/// one), warnings, images_to_pose = mean_ms ... from handing a frame's images over to having its
-/// pose, prefetch = frames given ahead (then fps is null: the stages leave their keypoints and
-/// stereo out), reasons = name -> frames that were not tracked or are doubted,
-/// ate_rotation_missing, stopped_at (null for a whole run), evo = figure -> command, and the rest.
+/// ground truth), ate_axes_m, drift_percent, version, command, date, threads, scale (null where it
+/// is known or there is no ground truth), keyframes, map_points, backend, stages = name -> mean_ms
+/// std_ms p50_ms p99_ms max_ms, imu (null without one), warnings, images_to_pose = mean_ms ... from
+/// handing a frame's images over to having its pose, prefetch = frames given ahead (then fps is
+/// null: the stages leave their keypoints and stereo out), reasons = name -> frames that were not
+/// tracked or are doubted, ate_rotation_missing, stopped_at (null for a whole run), evo = figure ->
+/// command, and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

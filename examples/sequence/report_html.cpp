@@ -39,6 +39,13 @@ std::string length_text(double metres) {
   return std::isfinite(metres) ? significant(metres) : "n/a";
 }
 
+std::string axes_note(trajectory_error const& e) {
+  if (!e.ate_axes_m) { return {}; }
+  auto const& a = *e.ate_axes_m;
+  return "; along x, y, z " + significant(a.x()) + ", " + significant(a.y()) + ", " +
+         significant(a.z());
+}
+
 std::string rotation_note(std::optional<double> const& degrees) {
   return degrees ? "; rotation " + significant(*degrees) + "\xc2\xb0" : std::string();
 }
@@ -60,14 +67,18 @@ std::string cards(run_report const& r, run_figures const& f) {
   out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
               f.ate_rmse_m ? "ATE RMSE over " + grouped(r.error.pairs) + " poses" +
                                  (r.scale ? ", scaled to the ground truth" : "") +
-                                 rotation_note(f.ate_rotation_rmse_deg) +
+                                 axes_note(r.error) + rotation_note(f.ate_rotation_rmse_deg) +
                                  (r.error.ate_rotation_missing.empty()
                                       ? ""
                                       : "; rotation n/a: " + r.error.ate_rotation_missing)
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   out += card("Relative error", f.rpe_rmse_m ? significant(*f.rpe_rmse_m) : "n/a", "m",
-              f.rpe_rmse_m  ? "RPE RMSE over 1 s" + rotation_note(f.rpe_rotation_rmse_deg)
+              f.rpe_rmse_m
+                  ? "RPE RMSE over 1 s" + rotation_note(f.rpe_rotation_rmse_deg) +
+                        (r.error.drift_percent ? "; drift " + significant(*r.error.drift_percent) +
+                                                     " % of a tenth of the path"
+                                               : "")
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   std::string path_note = r.metric || r.scale ? "estimated" : "estimated, of unknown scale";
@@ -135,6 +146,10 @@ std::string options_section(run_report const& r, run_figures const& f) {
                                      ? std::to_string(r.image_width) + " \xc3\x97 " +
                                            std::to_string(r.image_height)
                                      : "n/a");
+  if (r.threads > 0) { out += table_row("threads", std::to_string(r.threads)); }
+  out += table_row("ft", r.version);
+  out += table_row("date", r.date);
+  out += table_row("command", r.command);
   out += table_row("poses", "of the " + r.frame);
   out += table_row("frames", grouped(r.frames));
   out += table_row("lost", grouped(r.lost));

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <Eigen/Core>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -120,6 +121,15 @@ std::string error_lines(run_report const& report, detail::run_figures const& f) 
   }
   std::string const why = f.has_truth ? "" : " (no ground truth)";
   text += line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);
+  if (report.error.ate_axes_m) {
+    Eigen::Vector3d const& axes = *report.error.ate_axes_m;
+    text += line("ATE along axes", "x " + fixed(axes.x(), 4) + ", y " + fixed(axes.y(), 4) +
+                                       ", z " + fixed(axes.z(), 4) + " m, of the truth's world");
+  }
+  if (report.error.drift_percent) {
+    text += line("drift", fixed(*report.error.drift_percent, 2) + " % of " +
+                              fixed(report.error.truth_path_m / 10, 2) + " m");
+  }
   text += line("RPE RMSE over 1 s", fixed(f.rpe_rmse_m, 4, " m") + why);
   if (f.ate_rotation_rmse_deg) {
     text += line("ATE rotation", fixed(f.ate_rotation_rmse_deg, 3, " deg"));

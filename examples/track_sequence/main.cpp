@@ -3,6 +3,8 @@
 #include <exception>
 #include <iostream>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
@@ -13,6 +15,7 @@
 #include "examples/track_sequence/setup.hpp"
 #include "examples/track_sequence/timed_odometry.hpp"
 #include "examples/track_sequence/tracking_run.hpp"
+#include "ft/version.hpp"
 
 namespace {
 
@@ -67,7 +70,7 @@ void print_recording(seq::sequence const& sequence, app::arguments const& a,
   }
 }
 
-int run(app::arguments a) {
+int run(app::arguments a, std::vector<std::string> const& words) {
   seq::sequence const sequence = app::open_sequence(a);
   app::odometry_setup const setup = app::setup_of(a, sequence);
   app::make_output_folder(a);
@@ -76,6 +79,14 @@ int run(app::arguments a) {
                                setup.rig.kind);
   if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
   describe(a, sequence, setup, odometry, report);
+  report.version = std::to_string(ft::version_major) + "." + std::to_string(ft::version_minor) +
+                   "." + std::to_string(ft::version_patch);
+  report.command = seq::command_line(words);
+  report.date = seq::utc_now();
+  if (report.backend == "host") {
+    report.threads =
+        a.threads > 0 ? a.threads : static_cast<int>(std::thread::hardware_concurrency());
+  }
   print_recording(sequence, a, setup);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
   for (std::string const& warning : report.calibration) {
@@ -117,7 +128,7 @@ int main(int argc, char** argv) {
   int const status = app::parse(argc, argv, a);
   if (status >= 0) { return status; }
   try {
-    return run(a);
+    return run(a, {argv, argv + argc});
   } catch (std::exception const& e) {
     std::cerr << "track_sequence: " << e.what() << "\n";
     return app::exit_failed;

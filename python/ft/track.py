@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import time
@@ -136,6 +137,7 @@ class Run:
         self.poses: list[tuple[int, NDArray[np.float64]]] = []
         self.samples: list[tuple[int, NDArray[np.uint8], list[tuple[float, float, float, int, float, bool, float, float]]]] = []
         self.metric = sequence.kind != "mono"
+        self._date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         self.stopped_at: Optional[int] = None
         self.stopped_by = ""
         self.last: Optional[ft.Tracking] = None
@@ -230,6 +232,8 @@ class Run:
         trajectory = ft.Trajectory.of(self.poses)
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
+            "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,
+            "threads": 0 if backend_of(a.backend) == "cuda" else a.threads or os.cpu_count() or 0,
             "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
             "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)),
                         "layout": sequence.layout, "rig": rig, "frame": a.frame,

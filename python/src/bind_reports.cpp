@@ -83,6 +83,10 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.backend = text("backend");
   r.device = r.backend == "host" ? app::processor_name() : ft::gpu_names().at(0);
   r.options = nb::cast<std::map<std::string, std::string>>(run["options"]);
+  r.version = text("version");
+  r.command = seq::command_line(nb::cast<std::vector<std::string>>(run["command"]));
+  r.date = text("date");
+  r.threads = count("threads");
   r.image_width = count("width");
   r.image_height = count("height");
   r.stages = nb::cast<std::vector<std::string>>(run["stages"]);

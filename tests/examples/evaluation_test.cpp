@@ -118,6 +118,36 @@ TEST(evaluate, constant_drift_is_the_rpe) {
   EXPECT_NEAR(seq::evaluate(estimate, truth, true, 2.0).rpe_rmse_m.value(), 0.02, 1e-9);
 }
 
+TEST(evaluate, drift_is_a_share_of_the_path) {
+  seq::trajectory truth;  // 20 m straight ahead, and an estimate that is 3 % too long
+  for (int i = 0; i <= 200; ++i) {
+    truth.push_back({50'000'000LL * i, make_pose({0, 0, 0}, {0.1 * i, 0, 0})});
+  }
+  seq::trajectory estimate = truth;
+  for (seq::stamped_pose& p : estimate) { p.T_world_camera.translation().x() *= 1.03; }
+  EXPECT_NEAR(seq::evaluate(estimate, truth, true).drift_percent.value(), 3, 1e-6);
+  EXPECT_FALSE(seq::evaluate(estimate, truth, false).drift_percent);
+  truth.resize(10);  // 0.9 m: a tenth is too short to speak of a drift
+  EXPECT_FALSE(seq::evaluate(estimate, truth, true).drift_percent);
+}
+
+TEST(evaluate, absolute_errors_are_told_along_the_axes_of_the_truth) {
+  seq::trajectory const truth = winding_path(4000);
+  seq::trajectory estimate = truth;
+  std::mt19937 random(12);
+  std::normal_distribution<double> noise(0, 1);
+  for (seq::stamped_pose& p : estimate) {
+    p.T_world_camera.translation() +=
+        Eigen::Vector3d(0.01 * noise(random), 0.02 * noise(random), 0.03 * noise(random));
+  }
+  for (seq::trajectory const& given : {estimate, moved(estimate, world_shift)}) {
+    seq::trajectory_error const e = seq::evaluate(given, truth, true);
+    Eigen::Vector3d const axes = e.ate_axes_m.value();
+    EXPECT_LT((axes - Eigen::Vector3d(0.01, 0.02, 0.03)).cwiseAbs().maxCoeff(), 0.0015);
+    EXPECT_NEAR(axes.norm(), *e.ate_rmse_m, 1e-12);
+  }
+}
+
 TEST(evaluate, a_turn_of_the_camera_in_its_mount_is_a_rotation_error_alone) {
   seq::trajectory const truth = moved(winding_path(200), world_shift);
   double const degree = std::acos(-1.0) / 180;

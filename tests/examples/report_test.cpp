@@ -321,6 +321,37 @@ TEST_F(report, statistics_match_numbers_by_hand) {
   EXPECT_DOUBLE_EQ(s.max, 9);
 }
 
+TEST_F(report, how_a_run_was_made_is_in_all_its_files) {
+  seq::run_report r;
+  r.backend = "host";
+  r.version = "1.2.3";
+  r.date = seq::utc_now();
+  r.threads = 7;
+  r.command = seq::command_line({"track_sequence", "my folder", "--out=a", "it's"});
+  EXPECT_EQ(r.command, "track_sequence 'my folder' --out=a 'it'\\''s'");
+  EXPECT_EQ(r.date.size(), 20u);
+  EXPECT_EQ(r.date[10], 'T');
+  EXPECT_EQ(r.date.back(), 'Z');
+  r.error.drift_percent = 1.25;
+  r.error.ate_axes_m = Eigen::Vector3d(0.1, 0.2, 0.3);
+  auto const json = summary(r);
+  EXPECT_EQ(json.at("version"), "1.2.3");
+  EXPECT_EQ(json.at("date"), r.date);
+  EXPECT_EQ(json.at("threads"), 7);
+  EXPECT_EQ(json.at("command"), r.command);
+  EXPECT_EQ(json.at("drift_percent"), 1.25);
+  EXPECT_EQ(json.at("ate_axes_m"), (nlohmann::json{0.1, 0.2, 0.3}));
+  std::string const page = html(r);
+  for (char const* part : {"1.2.3", "my folder", "threads</th><td>7"}) {
+    EXPECT_NE(page.find(part), std::string::npos) << part;
+  }
+  EXPECT_NE(page.find(r.date), std::string::npos);
+  std::ostringstream printed;
+  seq::print_summary(printed, r);
+  EXPECT_NE(printed.str().find("x 0.1000, y 0.2000, z 0.3000 m"), std::string::npos);
+  EXPECT_NE(printed.str().find("1.25 % of"), std::string::npos);
+}
+
 TEST_F(report, percentiles_are_nearest_rank) {
   std::vector<double> samples;
   for (int i = 200; i >= 1; --i) { samples.push_back(i); }

@@ -86,24 +86,29 @@ numbered_camera read_camera(text_line const& line, std::string const& path) {
 
 numbered_camera const& camera_of(std::vector<numbered_camera> const& all, std::string const& id,
                                  std::string const& path) {
-  auto const found =
-      std::find_if(all.begin(), all.end(), [&](numbered_camera const& c) { return c.id == id; });
+  auto const same = [&](numbered_camera const& c) { return c.id == id; };
+  auto const found = std::find_if(all.begin(), all.end(), same);
   if (found == all.end()) { throw error(path + ": camera " + id + " is missing"); }
+  if (std::any_of(found + 1, all.end(), same)) {
+    throw error(path + ": camera " + id + " is there twice");
+  }
   return *found;
 }
 
-/// The first rig of rigs.txt: "RIG_ID NUM_SENSORS REF_TYPE REF_ID", then for each other sensor
-/// "TYPE ID HAS_POSE [QW QX QY QZ TX TY TZ]", which maps points of the rig, that is of its first
-/// sensor, into this one.
+/// The rig of two cameras of rigs.txt: "RIG_ID NUM_SENSORS REF_TYPE REF_ID", then for each other
+/// sensor "TYPE ID HAS_POSE [QW QX QY QZ TX TY TZ]", which maps points of the rig, that is of its
+/// first sensor, into this one. Other rigs are left out.
 void read_rig(std::string const& path, std::string const& cameras,
               std::vector<numbered_camera> const& all, calibration& result) {
+  bool found = false;
   for (text_line const& line : read_lines(path)) {
     if (is_blank_or_comment(line.text)) { continue; }
     std::vector<std::string> const f = split(line.text, " \t", true);
     if (f.size() != 14 || f[1] != "2" || f[2] != "CAMERA" || f[4] != "CAMERA" || f[6] != "1") {
-      fail_at(path, line.number,
-              "not a rig of two cameras: RIG_ID 2 CAMERA ID CAMERA ID 1 QW QX QY QZ TX TY TZ");
+      continue;
     }
+    if (found) { fail_at(path, line.number, "a second rig of two cameras: keep the line of one"); }
+    found = true;
     double v[7];
     for (std::size_t i = 0; i < 7; ++i) { v[i] = finite_number(f[7 + i], path, line.number); }
     Eigen::Isometry3d T_right_left = Eigen::Isometry3d::Identity();
@@ -113,12 +118,14 @@ void read_rig(std::string const& path, std::string const& cameras,
     result.rig.left = camera_of(all, f[3], cameras).camera;
     result.rig.right = camera_of(all, f[5], cameras).camera;
     result.rig.T_left_right = T_right_left.inverse();
-    check_baseline(result.rig, path, "TX TY TZ");
-    result.warnings.push_back(path + ": COLMAP's unit of length is that of its reconstruction: " +
-                              to_text(result.rig.baseline()) + " is taken for metres");
-    return;
   }
-  throw error(path + ": has no rig");
+  if (!found) {
+    throw error(path +
+                ": has no rig of two cameras: RIG_ID 2 CAMERA ID CAMERA ID 1 QW QX QY QZ TX TY TZ");
+  }
+  check_baseline(result.rig, path, "TX TY TZ");
+  result.warnings.push_back(path + ": COLMAP's unit of length is that of its reconstruction: " +
+                            to_text(result.rig.baseline()) + " is taken for metres");
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -39,18 +40,6 @@ int whole(json const& value, std::string const& path, std::string const& key) {
   return static_cast<int>(number);
 }
 
-/// Metres per unit of a translation: DepthAI's LengthUnit, centimetres where it is not named.
-double length_unit(json const& extrinsics, std::string const& path) {
-  if (!extrinsics.contains("lengthUnit")) { return 0.01; }
-  int const unit = whole(extrinsics.at("lengthUnit"), path, "lengthUnit");
-  if (unit < 0 || unit > 2) {
-    throw error(path + ": lengthUnit is " + std::to_string(unit) +
-                ": must be 0 (m), 1 (cm) or 2 (mm)");
-  }
-  constexpr double metres[] = {1, 0.01, 0.001};
-  return metres[unit];
-}
-
 std::vector<double> matrix_of(json const& rows) {
   std::vector<double> all;
   for (json const& row : rows) {
@@ -75,7 +64,8 @@ mount read_mount(json const& extrinsics, std::string const& path) {
     constexpr char const* axes[] = {"x", "y", "z"};
     double const value = t.at(axes[i]).get<double>();
     check_number(value, {-1e5, 1e5}, path, std::string("translation: ") + axes[i]);
-    result.T_to_camera.translation()[i] = length_unit(extrinsics, path) * value;
+    result.T_to_camera.translation()[i] =
+        0.01 * value;  // centimetres, whatever lengthUnit says: DepthAI ignores it
   }
   return result;
 }
@@ -117,35 +107,40 @@ socket read_socket(sockets const& all, int which, std::string const& path) {
   return read_socket(found->second, name);
 }
 
-/// Maps points of a camera into the one at the end of its chain, whose socket is `end`.
-Eigen::Isometry3d chain(sockets const& all, int which, std::string const& path, int& end) {
+/// Maps points of camera `from` into camera `to` where its chain of at most so many extrinsics
+/// leads there.
+std::optional<Eigen::Isometry3d> along_chain(sockets const& all, int from, int to, std::size_t most,
+                                             std::string const& path) {
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  end = which;
-  for (std::size_t steps = 0; steps <= all.size(); ++steps) {
-    auto const found = all.find(end);
-    if (found == all.end()) {
-      throw error(path + ": cameraData of socket " + std::to_string(end) + " is missing");
-    }
+  int at = from;
+  for (std::size_t steps = 0; at != to; ++steps) {
+    auto const found = all.find(at);
+    if (found == all.end() || steps == most) {
+      return std::nullopt;
+    }  // it may go round in a circle
     mount const next = read_mount(found->second.at("extrinsics"),
-                                  path + ": extrinsics of socket " + std::to_string(end));
-    if (next.to == no_socket) { return T; }
+                                  path + ": extrinsics of socket " + std::to_string(at));
+    if (next.to == no_socket) { return std::nullopt; }
     T = next.T_to_camera * T;
-    end = next.to;
+    at = next.to;
   }
-  throw error(path + ": extrinsics of socket " + std::to_string(which) + " go round in a circle");
+  return T;
 }
 
-/// Maps points of camera `from` into camera `to`.
+/// Maps points of camera `from` into camera `to`: by the extrinsics of one of them, by a chain
+/// between them, else by chains of both to a third.
 Eigen::Isometry3d between(sockets const& all, int from, int to, std::string const& path) {
-  int end_from = 0;
-  int end_to = 0;
-  Eigen::Isometry3d const T_from = chain(all, from, path, end_from);
-  Eigen::Isometry3d const T_to = chain(all, to, path, end_to);
-  if (end_from != end_to) {
-    throw error(path + ": no extrinsics between the cameras of sockets " + std::to_string(from) +
-                " and " + std::to_string(to));
+  for (std::size_t const most : {std::size_t{1}, all.size()}) {
+    if (auto const T = along_chain(all, from, to, most, path)) { return *T; }
+    if (auto const T = along_chain(all, to, from, most, path)) { return T->inverse(); }
   }
-  return T_to.inverse() * T_from;
+  for (auto const& [third, data] : all) {
+    auto const T_from = along_chain(all, from, third, all.size(), path);
+    auto const T_to = along_chain(all, to, third, all.size(), path);
+    if (T_from && T_to) { return T_to->inverse() * *T_from; }
+  }
+  throw error(path + ": no extrinsics between the cameras of sockets " + std::to_string(from) +
+              " and " + std::to_string(to));
 }
 
 /// Images of another size: scaled until they fill it, then cut at the middle, as the device does.
@@ -173,10 +168,14 @@ void read_imu_place(json const& file, sockets const& all, int left, std::string 
   std::vector<double> const m = matrix_of(extrinsics.at("rotationMatrix"));
   bool const known = std::any_of(m.begin(), m.end(), [](double v) { return v != 0; });
   if (!known) { return; }
-  mount const imu = read_mount(extrinsics, path + ": imuExtrinsics");
-  if (imu.to == no_socket) { return; }
-  result.rig.T_body_left = imu.T_to_camera.inverse() * between(all, left, imu.to, path);
-  result.has_body_frame = true;
+  try {
+    mount const imu = read_mount(extrinsics, path + ": imuExtrinsics");
+    if (imu.to == no_socket) { return; }
+    result.rig.T_body_left = imu.T_to_camera.inverse() * between(all, left, imu.to, path);
+    result.has_body_frame = true;
+  } catch (error const& e) {
+    result.warnings.push_back(std::string("the place of the IMU is not known: ") + e.what());
+  }
 }
 
 calibration read(json const& file, std::string const& path, int width, int height,

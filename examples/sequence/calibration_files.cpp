@@ -99,6 +99,7 @@ std::string extrinsics_file(std::string const& path) {
 std::string find_calibration_file(std::string const& folder) {
   using namespace detail;
   std::map<std::string, std::string> found;  // what is one calibration once
+  std::map<std::string, std::string> plain;  // .txt, which count where there are no others
   std::error_code failure;
   for (fs::directory_iterator it(folder, failure), end; !failure && it != end;
        it.increment(failure)) {
@@ -107,11 +108,13 @@ std::string find_calibration_file(std::string const& folder) {
                    [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
     bool const text =
         extension == ".yaml" || extension == ".yml" || extension == ".xml" || extension == ".json";
-    bool const plain = extension == ".txt";
+    bool const listing = extension == ".txt";
     constexpr std::uintmax_t largest = 1 << 20;
     std::error_code ignored;
     std::string const path = it->path().string();
-    if (!(text || plain) || !is_file(path) || fs::file_size(path, ignored) > largest) { continue; }
+    if (!(text || listing) || !is_file(path) || fs::file_size(path, ignored) > largest) {
+      continue;
+    }
     calibration_format format = calibration_format::unknown;
     try {
       format = format_of(path);
@@ -120,13 +123,15 @@ std::string find_calibration_file(std::string const& folder) {
         format == calibration_format::euroc) {
       continue;
     }
-    if (plain && format != calibration_format::colmap && format != calibration_format::realsense) {
+    if (listing && format != calibration_format::colmap &&
+        format != calibration_format::realsense) {
       continue;
     }
     std::string const first =
         format == calibration_format::opencv ? camera_files(path).first : path;
-    found[first] = first;
+    (listing ? plain : found)[first] = first;
   }
+  if (found.empty()) { found = plain; }
   if (found.size() > 1) {
     std::string all;
     for (auto const& [name, path] : found) {

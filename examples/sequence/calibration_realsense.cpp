@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,7 @@ struct stream {
   std::string distortion;
   camera_intrinsics camera;
   std::vector<double> coefficients;
+  std::set<std::string> keys;  ///< that were read
 };
 
 /// What follows `Extrinsic from "FROM" To "TO" :`: maps points of the one into the other, metres.
@@ -62,6 +64,7 @@ void read_value(text_line const& line, std::string const& path, stream& to) {
     check_number(v, range, path + ":" + std::to_string(line.number), key, value);
     return v;
   };
+  to.keys.insert(key);
   if (key == "Width") { to.camera.width = static_cast<int>(number(side_limits)); }
   if (key == "Height") { to.camera.height = static_cast<int>(number(side_limits)); }
   if (key == "PPX") { to.camera.cx = number(centre_limits); }
@@ -130,6 +133,9 @@ device read_device(std::string const& path) {
 
 void set_lens(stream& s, std::string const& path, std::vector<std::string>& warnings) {
   std::string const where = path + ": \"" + s.name + "\"";
+  for (char const* key : {"Width", "Height", "PPX", "PPY", "Fx", "Fy", "Distortion", "Coeffs"}) {
+    if (s.keys.count(key) == 0) { throw error(where + ": " + key + " is missing"); }
+  }
   bool const zero =
       std::all_of(s.coefficients.begin(), s.coefficients.end(), [](double k) { return k == 0; });
   if (s.distortion == "Kannala Brandt4") {
@@ -152,14 +158,11 @@ camera_intrinsics camera_of(device const& all, std::string const& name, int widt
                             std::string const& path, std::vector<std::string>& warnings) {
   std::string sizes;
   stream const* best = nullptr;
-  std::size_t others = 0;
+  std::set<std::string> others;
   for (stream const& s : all.streams) {
     if (s.name != name || s.camera.fx == 0) { continue; }
     std::string const size = std::to_string(s.camera.width) + "x" + std::to_string(s.camera.height);
-    if (sizes.find(size) == std::string::npos) {
-      sizes += (sizes.empty() ? "" : ", ") + size;
-      ++others;
-    }
+    if (others.insert(size).second) { sizes += (sizes.empty() ? "" : ", ") + size; }
     if (width != 0 && (s.camera.width != width || s.camera.height != height)) { continue; }
     bool const grey = s.formats.find("Y8") != std::string::npos;
     if (best == nullptr || (grey && best->formats.find("Y8") == std::string::npos)) { best = &s; }
@@ -170,7 +173,7 @@ camera_intrinsics camera_of(device const& all, std::string const& name, int widt
                                : " at " + std::to_string(width) + "x" + std::to_string(height) +
                                      "; it has " + sizes));
   }
-  if (width == 0 && others > 1) {
+  if (width == 0 && others.size() > 1) {
     throw error(path + ": \"" + name + "\" has intrinsics at " + sizes +
                 ", and the images' size is not known");
   }

@@ -282,12 +282,18 @@ std::optional<double> scale_to(trajectory const& estimate, trajectory const& tru
     to += p.truth.translation() / static_cast<double>(pairs.size());
   }
   double spread = 0;
+  double truth_spread = 0;
+  double size = 0;
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
   for (matched_pose const& p : pairs) {
     Eigen::Vector3d const centred = p.estimate.translation() - from;
     spread += centred.squaredNorm();
+    truth_spread += (p.truth.translation() - to).squaredNorm();
+    size += p.estimate.translation().squaredNorm() + p.truth.translation().squaredNorm();
     covariance += (p.truth.translation() - to) * centred.transpose();
   }
+  // One of them stands still, but for rounding.
+  if (!(std::min(spread, truth_spread) > 1e-24 * size)) { return std::nullopt; }
   // Umeyama 1991, equation 42
   svd3 const svd(covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d const s = svd.singularValues();

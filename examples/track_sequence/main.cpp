@@ -3,7 +3,6 @@
 #include <exception>
 #include <iostream>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "examples/sequence/reader.hpp"
@@ -83,10 +82,7 @@ int run(app::arguments a, std::vector<std::string> const& words) {
                    "." + std::to_string(ft::version_patch);
   report.command = seq::command_line(words);
   report.date = seq::utc_now();
-  if (report.backend == "host") {
-    report.threads =
-        a.threads > 0 ? a.threads : static_cast<int>(std::thread::hardware_concurrency());
-  }
+  if (report.backend == "host") { report.threads = app::threads_of(setup); }
   print_recording(sequence, a, setup);
   std::cout << "backend   " << report.backend << ", " << report.device << "\n";
   for (std::string const& warning : report.calibration) {

@@ -165,6 +165,10 @@ int usual_read_ahead(std::string const& backend) {
   return backend == "cuda" ? 2 * threads : std::max(2, 3 * (threads + 1) / 8);
 }
 
+int threads_of(odometry_setup const& setup) {
+  return setup.threads > 0 ? setup.threads : tbb::this_task_arena::max_concurrency();
+}
+
 ft::rigid<double> rigid_of(Eigen::Isometry3d const& T) {
   ft::rigid<double> p;
   for (int r = 0; r < 3; ++r) {

@@ -233,7 +233,7 @@ class Run:
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,
-            "threads": 0 if backend_of(a.backend) == "cuda" else a.threads or os.cpu_count() or 0,
+            "threads": 0 if backend_of(a.backend) == "cuda" else threads_of(a.threads),
             "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
             "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)),
                         "layout": sequence.layout, "rig": rig, "frame": a.frame,
@@ -248,6 +248,12 @@ class Run:
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
         })
+
+
+def threads_of(wanted: int) -> int:
+    """No more threads run than there are cores for this process."""
+    most = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(wanted, most) if wanted else most
 
 
 def backend_of(wanted: str) -> str:

@@ -206,13 +206,14 @@ TEST(calibration_depthai, scales_to_the_images_and_takes_the_colour_camera_with_
   EXPECT_EQ(mono.rig.left.fy, 801.5);
 }
 
-TEST(calibration_depthai, reads_fisheyes_and_other_units_and_refuses_the_rest) {
+TEST(calibration_depthai, reads_fisheyes_and_refuses_the_rest) {
   temp_folder const folder;
   std::string const path =
       folder.write("oak.json", replaced(eeprom, "\"translation\": {\"x\": -7.5",
                                         "\"lengthUnit\": 2, "
-                                        "\"translation\": {\"x\": -75"));
-  EXPECT_NEAR(seq::read_calibration(path).rig.baseline(), 0.075, 1e-12);
+                                        "\"translation\": {\"x\": -7.5"));
+  EXPECT_NEAR(seq::read_calibration(path).rig.baseline(), 0.075, 1e-12)
+      << "DepthAI ignores the unit";
   folder.write("oak.json", replaced(eeprom, "[2, {\"cameraType\": 0", "[2, {\"cameraType\": 2"));
   EXPECT_TRUE(contains(refusal(path), "must be 0 (perspective) or 1 (fisheye)"));
   folder.write("oak.json", replaced(eeprom, "2.25, 0.75, 0,", "2.25, 0.75, 0.1,"));
@@ -221,7 +222,7 @@ TEST(calibration_depthai, reads_fisheyes_and_other_units_and_refuses_the_rest) {
   EXPECT_TRUE(contains(refusal(path), "names no pair"));
   folder.write("oak.json", replaced(eeprom, "[], \"toCameraSocket\": -1",
                                     "[[1,0,0],[0,1,0],[0,0,1]], \"toCameraSocket\": 1"));
-  EXPECT_TRUE(contains(refusal(path), "circle"));
+  EXPECT_NEAR(seq::read_calibration(path).rig.baseline(), 0.075, 1e-12) << "a circle of extrinsics";
   folder.write("oak.json", replaced(eeprom, "\"leftCameraSocket\": 1, ", ""));
   EXPECT_TRUE(contains(refusal(path), "leftCameraSocket"));
   std::string fisheye = replaced(eeprom, "[2, {\"cameraType\": 0", "[2, {\"cameraType\": 1");
@@ -266,6 +267,26 @@ TEST(calibration_colmap, reads_a_rig_and_moves_the_centre_of_pixels) {
   EXPECT_TRUE(contains(one.warnings[0], "has 2 cameras; the first, 1, is taken"));
 }
 
+TEST(calibration_realsense, a_key_that_is_missing_is_named) {
+  temp_folder const folder;
+  for (char const* key : {"PPX", "Fy", "Coeffs", "Distortion"}) {
+    std::string cut = listing;
+    for (std::size_t at = cut.find(key); at != std::string::npos; at = cut.find(key)) {
+      cut.erase(at, cut.find('\n', at) + 1 - at);
+    }
+    std::string const path = folder.write("rs.txt", cut);
+    EXPECT_TRUE(contains(refusal(path, 848, 480), std::string(key) + " is missing"))
+        << refusal(path, 848, 480);
+  }
+}
+
+TEST(calibration_files, listings_count_where_there_is_nothing_else) {
+  temp_folder const folder;
+  folder.write("rs.txt", listing);
+  folder.write("oak.json", eeprom);
+  EXPECT_TRUE(contains(seq::find_calibration_file(folder.path()), "oak.json"));
+}
+
 TEST(calibration_colmap, reads_each_model_and_refuses_others_by_name) {
   struct row {
     char const* text;
@@ -306,7 +327,14 @@ TEST(calibration_colmap, reads_each_model_and_refuses_others_by_name) {
   EXPECT_TRUE(contains(refusal(path), "has 3 parameters, must have 4"));
   folder.write("cameras.txt", cameras);
   folder.write("rigs.txt", "1 1 CAMERA 1\n");
-  EXPECT_TRUE(contains(refusal(path), "not a rig of two cameras"));
+  EXPECT_TRUE(contains(refusal(path), "has no rig of two cameras"));
+  folder.write("rigs.txt", "1 1 CAMERA 1\n" + rigs.substr(rigs.find("\n") + 1));
+  EXPECT_NEAR(seq::read_calibration(path).rig.baseline(), 0.1, 1e-12);
+  folder.write("rigs.txt", rigs + "2" + rigs.substr(rigs.find("\n") + 2));
+  EXPECT_TRUE(contains(refusal(path), "a second rig of two cameras"));
+  folder.write("rigs.txt", rigs);
+  folder.write("cameras.txt", cameras + cameras.substr(cameras.find("\n2 ") + 1));
+  EXPECT_TRUE(contains(refusal(path), "camera 2 is there twice"));
 }
 
 }  // namespace

@@ -10,14 +10,19 @@ import threading
 import time
 import warnings
 from pathlib import Path
-from typing import Iterator, Optional
+from typing import Iterable, Iterator, Optional
+
+import numpy as np
+import numpy.typing as npt
 
 from ._ft import Tracking
-from .live_cameras import LiveFrame, Oak, OpenCvCamera, RealSense, Sample, Source
+from .live_cameras import PATIENCE_S, LiveFrame, Oak, OpenCvCamera, RealSense, Sample, Source
 from .odometry import Odometry
 from .rigs import check_calibration
 from .sequences import Trajectory
 from .view import Seen, Viewer, open_rerun
+
+Matrix = npt.NDArray[np.float64]
 
 
 def open_source(a: argparse.Namespace) -> Source:
@@ -42,7 +47,7 @@ def open_source(a: argparse.Namespace) -> Source:
 
 class Newest:
     """Iterates over the newest frames of a camera: those that come while one is tracked are left out, but for the samples of
-    the IMU. A thread takes them. What the camera raises is raised here."""
+    the IMU. A thread takes them, and closes the camera. What the camera raises is raised here."""
 
     def __init__(self, source: Source) -> None:
         self.dropped = 0
@@ -50,15 +55,15 @@ class Newest:
         self._frame: Optional[LiveFrame] = None
         self._error: Optional[BaseException] = None
         self._ended = False
-        threading.Thread(target=self._take, args=(source,), daemon=True).start()
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._take, args=(source,), daemon=True)
+        self._thread.start()
 
     def _take(self, source: Source) -> None:
         error: Optional[BaseException] = None
         try:
-            for frame in source.frames():
+            for frame in source.frames(self._stopped.is_set):
                 with self._ready:
-                    if self._ended:
-                        return
                     if self._frame is not None:
                         self.dropped += 1
                         frame = frame._replace(imu=self._frame.imu + frame.imu)
@@ -66,6 +71,10 @@ class Newest:
                     self._ready.notify()
         except Exception as e:  # handed on
             error = e
+        try:
+            source.close()
+        except Exception as e:
+            error = error or e
         with self._ready:
             self._ended, self._error = True, error
             self._ready.notify()
@@ -83,72 +92,97 @@ class Newest:
             yield frame
 
     def stop(self) -> None:
-        with self._ready:
-            self._ended = True
+        """Waits until the camera is closed, at most some seconds."""
+        self._stopped.set()
+        self._thread.join(2 * PATIENCE_S)
 
 
 def track(source: Source, a: argparse.Namespace) -> int:
-    """Returns the exit status: 0; 1 where no frame was tracked."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they are printed
-        odometry = Odometry(source.rig, source.width, source.height, imu=source.imu, device=a.backend, threads=a.threads,
-                            features=a.features)
-    found = [f"calibration: {w.text}" for w in check_calibration(source.rig, source.width, source.height)]
-    for text in source.warnings + found:
-        print(f"ft: warning: {text}", file=sys.stderr)
-    print(f"camera    {source.name}, {source.width}x{source.height}, {'with' if source.imu is not None else 'without'} an IMU",
-          flush=True)
-    viewer = viewer_of(a, source)
-    newest = Newest(source) if source.live else None
-    poses = []
-    frames = tracked = before = 0
-    metric = True
-    spent, begin, said = 0.0, time.monotonic(), time.monotonic()
+    """Returns the exit status: 0; 1 where no frame was tracked. Closes the camera."""
+    file = Path(a.out) / "trajectory.txt"
+    newest: Optional[Newest] = None
+    viewer: Optional[Viewer] = None
+    run = Run(a)
     try:
-        for frame in newest or source.frames():
-            for sample in frame.imu:
-                odometry.add_imu(*sample)
-            started = time.perf_counter()
-            pose = odometry.track(*frame.images, frame.time_ns)
-            spent += time.perf_counter() - started
-            frames += 1
-            if pose.tracked:
-                tracked += 1
-                poses.append((frame.time_ns, pose.T_world_camera))
-                metric = pose.metric
-            if viewer is not None:
-                show(viewer, frames - 1, frame, pose, odometry)
-            now = time.monotonic()
-            if now - said >= 1 and not a.quiet:
-                n = max(frames - before, 1)
-                where = " ".join(f"{v:.2f}" for v in pose.T_world_camera[:3, 3]) if pose.tracked else f"lost: {pose.reason}"
-                print(f"{frames} frames  {n / (now - said):.0f}/s  {1e3 * spent / n:.1f} ms  {where}  {pose.inliers} inliers"
-                      + "".join(f"  {name}" for name in pose.warnings), flush=True)
-                said, before, spent = now, frames, 0.0
-            if (a.frames and frames >= a.frames) or (a.seconds is not None and now - begin >= a.seconds):
-                break
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as e:
+            raise RuntimeError(f"--out {a.out}: {e}") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they are printed
+            odometry = Odometry(source.rig, source.width, source.height, imu=source.imu, device=a.backend, threads=a.threads,
+                                features=a.features)
+        found = [f"calibration: {w.text}" for w in check_calibration(source.rig, source.width, source.height)]
+        for text in source.warnings + found:
+            print(f"ft: warning: {text}", file=sys.stderr)
+        print(f"camera    {source.name}, {source.width}x{source.height}, {'with' if source.imu is not None else 'without'} an IMU",
+              flush=True)
+        if a.view or a.record is not None:
+            viewer = Viewer(open_rerun(a.record), source.rig.camera, source.width, source.height)
+        newest = Newest(source) if source.live else None
+        run.track_all(newest or source.frames(), odometry, viewer, source.imu is not None)
     except KeyboardInterrupt:
         print()
     finally:
+        if run.poses:  # first, whatever the devices do
+            Trajectory.of(run.poses).write_tum(str(file))
+        for stop in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(stop, signal.SIG_DFL)
         if newest is not None:
             newest.stop()
-        source.close()
+        else:
+            source.close()
         if viewer is not None:
             viewer.finish()
-        if poses:
-            Path(a.out).mkdir(parents=True, exist_ok=True)
-            Trajectory.of(poses).write_tum(str(Path(a.out) / "trajectory.txt"))
-    dropped = newest.dropped if newest is not None else 0
-    print(f"{frames} frames, {tracked} tracked, {dropped} left out" + (f"; {Path(a.out) / 'trajectory.txt'}" if poses else ""))
-    if not metric:
-        print("one camera: the unit of length is unknown, not the metre")
-    return 0 if poses else 1
+        if run.frames:
+            dropped = newest.dropped if newest is not None else 0
+            print(f"{run.frames} frames, {len(run.poses)} tracked, {dropped} left out" + (f"; {file}" if run.poses else ""))
+            if not run.metric:
+                print("one camera: the unit of length is unknown, not the metre")
+    return 0 if run.poses else 1
 
 
-def viewer_of(a: argparse.Namespace, source: Source) -> Optional[Viewer]:
-    if not a.view and a.record is None:
-        return None
-    return Viewer(open_rerun(a.record), source.rig.camera, source.width, source.height)
+class Run:
+    """What was tracked."""
+
+    def __init__(self, a: argparse.Namespace) -> None:
+        self._a = a
+        self.frames, self.poses, self.metric = 0, list[tuple[int, Matrix]](), True
+        self._before, self._spent, self._said = 0, 0.0, time.monotonic()
+
+    def track_all(self, frames: Iterable[LiveFrame], odometry: Odometry, viewer: Optional[Viewer], imu: bool) -> None:
+        a, begin, samples = self._a, time.monotonic(), 0
+        self._said = begin
+        for frame in frames:
+            for sample in frame.imu:
+                odometry.add_imu(*sample)
+            samples += len(frame.imu)
+            started = time.perf_counter()
+            pose = odometry.track(*frame.images, frame.time_ns)
+            self._spent += time.perf_counter() - started
+            self.frames += 1
+            if pose.tracked:
+                self.poses.append((frame.time_ns, pose.T_world_camera))
+                self.metric = pose.metric
+            if viewer is not None:
+                show(viewer, self.frames - 1, frame, pose, odometry)
+            now = time.monotonic()
+            if now - self._said >= 1:
+                self._say(pose, now)
+            if imu and samples == 0 and now - begin > PATIENCE_S:
+                imu = False
+                print("ft: warning: no samples of the IMU: its two sensors and the images have different clocks, or one of them "
+                      "is silent", file=sys.stderr)
+            if (a.frames and self.frames >= a.frames) or (a.seconds is not None and now - begin >= a.seconds):
+                return
+
+    def _say(self, pose: Tracking, now: float) -> None:
+        n = max(self.frames - self._before, 1)
+        where = " ".join(f"{v:.2f}" for v in pose.T_world_camera[:3, 3]) if pose.tracked else f"lost: {pose.reason}"
+        if not self._a.quiet:
+            print(f"{self.frames} frames  {n / (now - self._said):.0f}/s  {1e3 * self._spent / n:.1f} ms  {where}  "
+                  f"{pose.inliers} inliers" + "".join(f"  {name}" for name in pose.warnings), flush=True)
+        self._said, self._before, self._spent = now, self.frames, 0.0
 
 
 def show(viewer: Viewer, index: int, frame: LiveFrame, pose: Tracking, odometry: Odometry) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import queue
 import time
 from collections import deque
-from typing import Any, Iterator, NamedTuple, Optional, Protocol, Sequence, Union
+from typing import Any, Callable, Iterator, NamedTuple, Optional, Protocol, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,12 @@ from .rigs import DistortedPair, Imu, MonocularCamera, RectifiedPair
 Numbers = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 LiveRig = Union[RectifiedPair, MonocularCamera]
+Stopped = Callable[[], bool]
+PATIENCE_S = 5  # without images
+
+
+def never() -> bool:
+    return False
 
 
 class Sample(NamedTuple):
@@ -47,10 +53,12 @@ class Source(Protocol):
     live: bool
     warnings: list[str]
 
-    def frames(self) -> Iterator[LiveFrame]:
-        """Frames in the order of their times. Raises RuntimeError where the camera gives no more."""
+    def frames(self, stopped: Stopped = never) -> Iterator[LiveFrame]:
+        """Frames in the order of their times, until stopped() is true, which is asked several times a second. Raises
+        RuntimeError where the camera gives no more."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Called by the thread that took the frames, after the last one."""
 
 
 class ImuJoiner:
@@ -58,30 +66,32 @@ class ImuJoiner:
     between two of the accelerometer's. Both in the order of their times."""
 
     def __init__(self) -> None:
-        self._accel: deque[tuple[int, Numbers]] = deque(maxlen=2)
-        self._waiting: deque[tuple[int, Numbers]] = deque()
-        self._joined: list[Sample] = []
+        self._accel: deque[tuple[int, Numbers]] = deque(maxlen=2000)  # from the one before the oldest that waits
+        self._waiting: deque[tuple[int, Numbers]] = deque(maxlen=2000)
+        self._joined: deque[Sample] = deque(maxlen=10000)
         self.last_ns = -1  # of the joined ones
 
     def add_accel(self, time_ns: int, value: Sequence[float]) -> None:
-        self._accel.append((time_ns, np.asarray(value, np.float64)))
-        self._join()
+        if not self._accel or time_ns > self._accel[-1][0]:
+            self._accel.append((time_ns, np.asarray(value, np.float64)))
+            self._join()
 
     def add_gyro(self, time_ns: int, value: Sequence[float]) -> None:
         self._waiting.append((time_ns, np.asarray(value, np.float64)))
         self._join()
 
     def take(self) -> list[Sample]:
-        taken, self._joined = self._joined, []
+        taken = list(self._joined)
+        self._joined.clear()
         return taken
 
     def _join(self) -> None:
-        if len(self._accel) < 2:
-            return
-        (t0, a0), (t1, a1) = self._accel
-        while self._waiting and self._waiting[0][0] <= t1:
+        while self._waiting and len(self._accel) > 1 and self._waiting[0][0] <= self._accel[-1][0]:
             t, gyro = self._waiting.popleft()
-            if t < t0 or t1 <= t0:
+            while self._accel[1][0] < t:
+                self._accel.popleft()
+            (t0, a0), (t1, a1) = self._accel[0], self._accel[1]
+            if t < t0:
                 continue  # from before the accelerometer began
             share = (t - t0) / (t1 - t0)
             self._joined.append(Sample(t, (1 - share) * a0 + share * a1, gyro))
@@ -107,10 +117,10 @@ class OpenCvCamera:
         if len(parameters) not in wanted:
             raise ValueError(f"--parameters: {len(parameters)} numbers, must be " + (
                 "8: fx fy cx cy k1 k2 k3 k4" if fisheye else "fx fy cx cy, and 0, 4, 5 or 8 of k1 k2 p1 p2 k3 k4 k5 k6"))
-        self.live = camera.isdigit()
-        self.name = f"camera {camera}" if self.live else camera
+        self.live = camera.isdigit() or "://" in camera or camera.startswith("/dev/")
+        self.name = f"camera {camera}" if camera.isdigit() else camera
         self.warnings: list[str] = []
-        self._video = cv2.VideoCapture(int(camera) if self.live else camera)
+        self._video = cv2.VideoCapture(int(camera) if camera.isdigit() else camera)
         if size is not None:
             self._video.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
@@ -147,17 +157,21 @@ class OpenCvCamera:
         grey = image if image.ndim == 2 else self._cv2.cvtColor(image, self._cv2.COLOR_BGR2GRAY)
         return arrived, np.asarray(grey, np.uint8)
 
-    def frames(self) -> Iterator[LiveFrame]:
-        last_ns, found = -1, self._first
-        while found is not None:
+    def frames(self, stopped: Stopped = never) -> Iterator[LiveFrame]:
+        last_ns, found, given, taken = -1, self._first, 0, 0
+        while found is not None and not stopped():
             time_ns, image = found
+            given += 1
             if time_ns > last_ns:
                 last_ns = time_ns
+                taken += 1
                 if self._maps is not None:
                     image = np.asarray(self._cv2.remap(image, *self._maps, self._cv2.INTER_LINEAR), np.uint8)
                 yield LiveFrame(time_ns, (image,), [])
             found = self._next()
-        if self.live:
+        if given > 1 and taken == 1:
+            raise RuntimeError(f"{self.name}: OpenCV tells no times of its images")
+        if self.live and found is None:
             raise RuntimeError(f"{self.name}: gives no more images")
 
     def close(self) -> None:
@@ -185,20 +199,28 @@ class RealSense:
         self._arrived: queue.Queue[Any] = queue.Queue(maxsize=1000)
         self._pipeline = rs.pipeline()
         profile, has_imu = self._start(fps, imu)
+        try:
+            self._read_calibration(profile, has_imu)
+        except BaseException:
+            self.close()
+            raise
+
+    def _read_calibration(self, profile: Any, has_imu: bool) -> None:
+        rs = self._rs
         left, right = (profile.get_stream(rs.stream.infrared, i).as_video_stream_profile() for i in (1, 2))
         k = left.get_intrinsics()
         if any(k.coeffs):
-            self.close()
             raise RuntimeError(f"{self.name}: its infrared images are not rectified: distortion {list(k.coeffs)}")
         # Points of the left camera in the right one: the baseline is along x.
         self.rig = RectifiedPair((k.fx, k.fy, k.ppx, k.ppy), abs(left.get_extrinsics_to(right).translation[0]))
         self.imu = None
         if has_imu:
-            to_imu = left.get_extrinsics_to(profile.get_stream(rs.stream.gyro))
+            gyro = profile.get_stream(rs.stream.gyro)
+            to_imu = left.get_extrinsics_to(gyro)
             T = np.eye(4)
             T[:3, :3] = np.reshape(to_imu.rotation, (3, 3)).T  # the device's are by columns
             T[:3, 3] = to_imu.translation
-            self.imu = Imu(T)
+            self.imu = Imu(T, rate_hz=float(gyro.fps()))
 
     def _start(self, fps: int, imu: bool) -> tuple[Any, bool]:
         """Starts with the IMU, or without one where there is none."""
@@ -209,7 +231,7 @@ class RealSense:
                 config.enable_stream(rs.stream.infrared, i, self.width, self.height, rs.format.y8, fps)
             if with_imu:
                 for stream in (rs.stream.accel, rs.stream.gyro):
-                    config.enable_stream(stream, rs.format.motion_xyz32f)
+                    config.enable_stream(stream, rs.format.motion_xyz32f, 0)  # at the device's own rate
             try:
                 profile = self._pipeline.start(config, self._arrive)
             except RuntimeError as e:
@@ -231,24 +253,31 @@ class RealSense:
         except queue.Full:
             pass  # nobody takes frames
 
-    def frames(self) -> Iterator[LiveFrame]:
+    def frames(self, stopped: Stopped = never) -> Iterator[LiveFrame]:
         rs, joiner = self._rs, ImuJoiner()
         pending: Optional[tuple[int, tuple[Grey, ...]]] = None
-        last_ns = -1
-        while True:
+        last_ns, domain, arrived = -1, None, time.monotonic()
+        for _ in range(self._arrived.qsize()):  # those from before anybody took frames are old
+            self._arrived.get_nowait()
+        while not stopped():
+            if time.monotonic() - arrived > PATIENCE_S:
+                raise RuntimeError(f"{self.name}: no images for {PATIENCE_S} s")
             try:
-                frame = self._arrived.get(timeout=5)
+                frame = self._arrived.get(timeout=0.1)
             except queue.Empty:
-                raise RuntimeError(f"{self.name}: nothing arrived for 5 s") from None
+                continue
             time_ns = round(1e6 * frame.get_timestamp())
             ready = None
             if frame.is_motion_frame():
+                if frame.get_frame_timestamp_domain() != domain:
+                    continue  # of another clock than the images
                 motion = frame.as_motion_frame().get_motion_data()
                 gyro = frame.get_profile().stream_type() == rs.stream.gyro
                 (joiner.add_gyro if gyro else joiner.add_accel)(time_ns, (motion.x, motion.y, motion.z))
             elif frame.is_frameset():
                 both = [frame.as_frameset().get_infrared_frame(i) for i in (1, 2)]
                 if all(both) and time_ns > last_ns:
+                    arrived, domain = time.monotonic(), frame.get_frame_timestamp_domain()
                     ready, last_ns = pending, time_ns  # the next frame is here: no longer wait for the IMU
                     pending = time_ns, tuple(np.array(image.get_data(), np.uint8) for image in both)
             if pending is not None and ready is None and (self.imu is None or joiner.last_ns >= pending[0]):
@@ -281,8 +310,17 @@ class Oak:
         self._dai = dai
         self.warnings: list[str] = []
         self.width, self.height = size
-        sockets = dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C
+        self._fps = fps
         self._pipeline = dai.Pipeline()
+        try:
+            self._build(size, fps, imu)
+        except BaseException:
+            self.close()
+            raise
+
+    def _build(self, size: tuple[int, int], fps: int, imu: bool) -> None:
+        dai = self._dai
+        sockets = dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C
         calibration = self._pipeline.getDefaultDevice().readCalibration()
         left, right = (self._camera(calibration, socket) for socket in sockets)
         T = np.array(calibration.getCameraExtrinsics(*sockets), np.float64)
@@ -324,29 +362,39 @@ class Oak:
         raw_of_rectified[:3, :3] = np.asarray(self._rectifier.map(0)[2], np.float64).T
         return Imu(np.linalg.inv(T) @ raw_of_rectified, rate_hz=200.0)
 
-    def frames(self) -> Iterator[LiveFrame]:
-        joiner, waiting = ImuJoiner(), [deque[Any](), deque[Any]()]
+    def frames(self, stopped: Stopped = never) -> Iterator[LiveFrame]:
+        try:
+            yield from self._frames(stopped)
+        except self._dai.MessageQueue.QueueException as e:
+            raise RuntimeError(f"{self.name}: {e}") from None
+
+    def _frames(self, stopped: Stopped) -> Iterator[LiveFrame]:
+        joiner, waiting = ImuJoiner(), [deque[Any](maxlen=16), deque[Any](maxlen=16)]
         arrived = time.monotonic()
         while self._pipeline.isRunning():
+            if stopped():
+                return
             something = self._take_samples(joiner)
             for taken, images in zip(waiting, self._images):
                 image = images.tryGet()
                 if image is not None:
                     taken.append(image)
                     something = True
-            while waiting[0] and waiting[1] and waiting[0][0].getSequenceNum() != waiting[1][0].getSequenceNum():
-                min(waiting, key=lambda taken: int(taken[0].getSequenceNum())).popleft()  # its other half was lost
+            while waiting[0] and waiting[1]:
+                times = [_nanoseconds(taken[0].getTimestampDevice()) for taken in waiting]
+                if abs(times[0] - times[1]) < 0.25e9 / self._fps:
+                    break
+                waiting[0 if times[0] < times[1] else 1].popleft()  # its other half was lost
             if waiting[0] and waiting[1]:
                 time_ns = _nanoseconds(waiting[0][0].getTimestampDevice())
+                arrived = time.monotonic()
                 newer = len(waiting[0]) > 1 and len(waiting[1]) > 1
                 if self.imu is None or joiner.last_ns >= time_ns or newer:
                     raw = [np.ascontiguousarray(taken.popleft().getFrame(), np.uint8) for taken in waiting]
                     yield LiveFrame(time_ns, self._rectifier.rectify(raw[0], raw[1]), joiner.take())
-            if something:
-                arrived = time.monotonic()
-            elif time.monotonic() - arrived > 5:
-                raise RuntimeError(f"{self.name}: nothing arrived for 5 s")
-            else:
+            if time.monotonic() - arrived > PATIENCE_S:
+                raise RuntimeError(f"{self.name}: no pair of images for {PATIENCE_S} s")
+            if not something:
                 time.sleep(0.001)
         raise RuntimeError(f"{self.name}: stopped")
 
@@ -361,7 +409,10 @@ class Oak:
         return True
 
     def close(self) -> None:
-        self._pipeline.stop()
+        try:
+            self._pipeline.stop()
+        except RuntimeError:
+            pass  # has not started
 
 
 def _nanoseconds(duration: Any) -> int:

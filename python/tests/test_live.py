@@ -42,16 +42,35 @@ def test_two_rates_are_joined_between_samples():
     np.testing.assert_allclose(joiner.take()[0].accel, [1, 0, 10])
 
 
+def test_bursts_and_repeated_stamps_are_joined():
+    joiner = ImuJoiner()
+    for first in range(0, 300, 30):  # three of the one sensor, then three of the other
+        for t in range(first, first + 30, 10):
+            joiner.add_accel(t, (t, 0, 0))
+            joiner.add_accel(t, (99, 0, 0))
+        for t in range(first, first + 30, 10):
+            joiner.add_gyro(t + 4, (0, 0, 0))
+    taken = joiner.take()
+    assert [s.time_ns for s in taken] == list(range(4, 294, 10))
+    np.testing.assert_allclose([s.accel[0] for s in taken], [s.time_ns for s in taken])
+    for t in range(5000):  # an accelerometer that is silent takes no memory without end
+        joiner.add_gyro(1000 + t, (0, 0, 0))
+    assert len(joiner._waiting) <= 2000
+
+
 def test_a_slow_reader_gets_the_newest_frame_and_all_samples():
-    sent, go = threading.Event(), threading.Event()
+    sent, go, closed = threading.Event(), threading.Event(), []
 
     class Fast:
-        def frames(self):
+        def frames(self, stopped):
             for i in range(5):
                 yield LiveFrame(i, (), [Sample(i, np.zeros(3), np.zeros(3))])
             sent.set()
             go.wait(10)
             raise RuntimeError("unplugged")
+
+        def close(self):
+            closed.append(threading.current_thread())
 
     newest = live.Newest(Fast())
     assert sent.wait(10)
@@ -61,6 +80,25 @@ def test_a_slow_reader_gets_the_newest_frame_and_all_samples():
     go.set()
     with pytest.raises(RuntimeError, match="unplugged"):
         next(frames)
+    assert len(closed) == 1 and closed[0] is not threading.current_thread()
+
+
+def test_a_camera_that_goes_on_is_closed_after_its_last_frame():
+    log = []
+
+    class Endless:
+        def frames(self, stopped):
+            while not stopped():
+                yield LiveFrame(len(log), (), [])
+            log.append("ended")
+
+        def close(self):
+            log.append("closed")
+
+    newest = live.Newest(Endless())
+    next(iter(newest))
+    newest.stop()
+    assert log == ["ended", "closed"]
 
 
 def identity(size):
@@ -70,7 +108,7 @@ def identity(size):
 class FakeRealSense:
     """Of pyrealsense2, what RealSense takes. The IMU is turned by a quarter about z, and moved."""
 
-    def __init__(self, walk, imu=True, coefficients=(0, 0, 0, 0, 0)):
+    def __init__(self, walk, imu=True, coefficients=(0, 0, 0, 0, 0), same_clock=True):
         self.stream = SimpleNamespace(infrared="infrared", accel="accel", gyro="gyro")
         self.format = SimpleNamespace(y8="y8", motion_xyz32f="xyz")
         self.option = SimpleNamespace(emitter_enabled="emitter")
@@ -83,6 +121,9 @@ class FakeRealSense:
 
             def stream_type(self):
                 return self.kind
+
+            def fps(self):
+                return 400
 
             def as_video_stream_profile(self):
                 return self
@@ -101,6 +142,9 @@ class FakeRealSense:
 
             def get_timestamp(self):
                 return self.ms
+
+            def get_frame_timestamp_domain(self):
+                return "global" if self.kind == "pair" or same_clock else "system"
 
             def is_motion_frame(self):
                 return self.kind in ("gyro", "accel")
@@ -128,16 +172,20 @@ class FakeRealSense:
                 if "gyro" in config.streams and not imu:
                     raise RuntimeError("Couldn't resolve requests")
                 fake.wanted = config.streams
+                self.callback, self.imu = callback, "gyro" in config.streams
+                sensor = SimpleNamespace(supports=lambda option: True, set_option=fake.set.__setitem__)
+                return SimpleNamespace(get_stream=Profile,
+                                       get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
+
+            def send(self):
+                callback = self.callback
                 for i in range(FRAMES):
                     left, right, ns = walk.frame(i)
-                    if "gyro" in config.streams:
+                    if self.imu:
                         for k in range(10):
                             callback(Frame("accel", 1e-6 * ns + 5 * k - 48, (0.0, -9.81, 0.0)))
                             callback(Frame("gyro", 1e-6 * ns + 5 * k - 46, (0.0, 0.0, 0.0)))
                     callback(Frame("pair", 1e-6 * ns, (left, right)))
-                sensor = SimpleNamespace(supports=lambda option: True, set_option=fake.set.__setitem__)
-                return SimpleNamespace(get_stream=Profile,
-                                       get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
 
             def stop(self):
                 fake.stopped = True
@@ -146,46 +194,76 @@ class FakeRealSense:
             def __init__(self):
                 self.streams = []
 
-            def enable_stream(self, *what):
-                self.streams.append(what[0])
+            def enable_stream(self, stream, *how):
+                wanted = ("infrared", int, int, int, "y8", int) if stream == "infrared" else (stream, "xyz", int)
+                assert len(how) + 1 == len(wanted) and all(type(a) is b if isinstance(b, type) else a == b for a, b in zip((stream, *how), wanted))
+                self.streams.append(stream)
 
-        self.pipeline, self.config = Pipeline, Config
+        self.running = Pipeline()
+        self.pipeline, self.config = lambda: self.running, Config
+
+
+def frames_of(source, rs, most):
+    """Frames of a device that sends them once somebody takes them."""
+    frames = source.frames()
+    sender = threading.Timer(0.2, rs.running.send)
+    sender.start()
+    taken = [frame for _, frame in zip(range(most), frames)]
+    sender.join()
+    return taken
 
 
 def poses_of(source, frames):
     odometry = ft.Odometry(source.rig, source.width, source.height, imu=source.imu, features=400, device="host")
-    taken = []
-    for frame in source.frames():
-        taken.append((frame, odometry.track(*frame.images, frame.time_ns)))
-        if len(taken) == frames:
-            return taken
+    return [odometry.track(*frame.images, frame.time_ns) for frame in frames]
 
 
 def test_a_realsense_is_tracked(walk):
     rs = FakeRealSense(walk)
     source = RealSense((WIDTH, HEIGHT), 20, rs=rs)
     assert rs.set == {"emitter": 0} and rs.wanted == ["infrared", "infrared", "accel", "gyro"]
-    assert source.rig == ft.RectifiedPair((F, F, CX, CY), BASELINE)
+    assert source.rig == ft.RectifiedPair((F, F, CX, CY), BASELINE) and source.imu.rate_hz == 400
+    rs.running.callback("older than the first request")
     np.testing.assert_allclose(source.imu.T_imu_camera @ [1, 0, 0, 1], [0.01, 1.02, 0.03, 1])
-    taken = list(zip(range(FRAMES - 1), source.frames()))
-    assert [frame.time_ns for _, frame in taken] == [50_000_000 * i for i in range(FRAMES - 1)]
-    times = [s.time_ns for _, frame in taken for s in frame.imu]
+    taken = frames_of(source, rs, FRAMES - 1)
+    assert [frame.time_ns for frame in taken] == [50_000_000 * i for i in range(FRAMES - 1)]
+    times = [s.time_ns for frame in taken for s in frame.imu]
     assert times == sorted(times) and len(times) > 100
-    assert all(frame.imu[-1].time_ns >= frame.time_ns - 10_000_000 for _, frame in taken)
+    assert all(frame.imu[-1].time_ns >= frame.time_ns - 10_000_000 for frame in taken)
     source.close()
     assert rs.stopped
 
-    source = RealSense((WIDTH, HEIGHT), 20, imu=False, rs=FakeRealSense(walk))
+    rs = FakeRealSense(walk)
+    source = RealSense((WIDTH, HEIGHT), 20, imu=False, rs=rs)
     assert source.imu is None
-    pose = poses_of(source, FRAMES - 1)[-1][1]
+    pose = poses_of(source, frames_of(source, rs, FRAMES - 1))[-1]
     assert pose.tracked and pose.T_world_camera[0, 3] == pytest.approx(walk.position(FRAMES - 2)[0], abs=0.02)
 
 
 def test_a_realsense_without_imu_says_so_and_one_with_distortion_is_refused(walk):
     source = RealSense((WIDTH, HEIGHT), 20, rs=FakeRealSense(walk, imu=False))
     assert source.imu is None and source.warnings == ["RealSense: has no IMU"]
+    distorted = FakeRealSense(walk, coefficients=(0.1, 0, 0, 0, 0))
     with pytest.raises(RuntimeError, match="not rectified: distortion"):
-        RealSense((WIDTH, HEIGHT), 20, rs=FakeRealSense(walk, coefficients=(0.1, 0, 0, 0, 0)))
+        RealSense((WIDTH, HEIGHT), 20, rs=distorted)
+    assert distorted.stopped
+
+
+def test_an_imu_of_another_clock_is_left_out(walk):
+    rs = FakeRealSense(walk, same_clock=False)
+    source = RealSense((WIDTH, HEIGHT), 20, rs=rs)
+    assert all(frame.imu == [] for frame in frames_of(source, rs, FRAMES - 1))
+
+
+def test_images_that_stop_are_told(walk, monkeypatch):
+    monkeypatch.setattr(live_cameras, "PATIENCE_S", 0.5)
+    rs = FakeRealSense(walk)
+    source = RealSense((WIDTH, HEIGHT), 20, rs=rs)
+    with pytest.raises(RuntimeError, match="RealSense: no images for 0.5 s"):
+        frames_of(source, rs, FRAMES + 1)
+    source = Oak((WIDTH, HEIGHT), 20, dai=FakeDepthAi(walk))
+    with pytest.raises(RuntimeError, match="OAK: no pair of images for 0.5 s"):
+        list(source.frames())
 
 
 class FakeDepthAi:
@@ -195,6 +273,7 @@ class FakeDepthAi:
         self.CameraBoardSocket = SimpleNamespace(CAM_B="left", CAM_C="right")
         self.CameraModel = SimpleNamespace(Perspective="Perspective", Fisheye="Fisheye")
         self.ImgFrame = SimpleNamespace(Type=SimpleNamespace(GRAY8="grey"))
+        self.MessageQueue = SimpleNamespace(QueueException=KeyError)
         self.IMUSensor = SimpleNamespace(ACCELEROMETER_RAW="a", GYROSCOPE_RAW="w")
 
         def extrinsics(first, second):
@@ -286,16 +365,16 @@ def test_an_oak_is_tracked(walk):
     source = Oak((WIDTH, HEIGHT), 20, dai=FakeDepthAi(walk))
     assert source.rig.baseline == pytest.approx(BASELINE)
     np.testing.assert_allclose(source.imu.T_imu_camera[:3, 3], [-0.01, -0.02, -0.03], atol=1e-9)
-    taken = list(zip(range(FRAMES - 2), source.frames()))
-    assert [frame.time_ns // 50_000_000 for _, frame in taken] == [0, 1, 2, *range(4, FRAMES - 1)]
-    assert all(frame.imu[-1].time_ns >= frame.time_ns - 5_000_000 for _, frame in taken)
-    assert sum(len(frame.imu) for _, frame in taken) > 150
+    taken = [frame for _, frame in zip(range(FRAMES - 2), source.frames())]
+    assert [frame.time_ns // 50_000_000 for frame in taken] == [0, 1, 2, *range(4, FRAMES - 1)]
+    assert all(frame.imu[-1].time_ns >= frame.time_ns - 5_000_000 for frame in taken)
+    assert sum(len(frame.imu) for frame in taken) > 150
     source.close()
     with pytest.raises(RuntimeError, match="OAK: stopped"):
         next(source.frames())
 
     source = Oak((WIDTH, HEIGHT), 20, imu=False, dai=FakeDepthAi(walk, imu=False))
-    pose = poses_of(source, FRAMES - 1)[-1][1]
+    pose = poses_of(source, [frame for _, frame in zip(range(FRAMES - 1), source.frames())])[-1]
     assert pose.tracked and pose.T_world_camera[0, 3] == pytest.approx(walk.position(FRAMES - 1)[0], abs=0.02)
 
 
@@ -368,6 +447,15 @@ def test_distorted_images_are_undistorted(video, walk):
     image = next(source.frames()).images[0]
     inner = np.s_[40:-40, 40:-40]
     assert np.abs(image[inner].astype(int) - wanted[inner]).mean() < 5  # JPEG
+
+
+def test_a_folder_that_cannot_be_made_is_named_and_the_camera_closed(video, tmp_path):
+    (tmp_path / "file").write_text("")
+    a = options("--camera", str(video), "--parameters", *(str(v) for v in CAMERA), "--out", str(tmp_path / "file"))
+    source = live.open_source(a)
+    with pytest.raises(RuntimeError, match="--out .*file"):
+        live.track(source, a)
+    assert not source._video.isOpened()
 
 
 @pytest.mark.parametrize("arguments, message", [

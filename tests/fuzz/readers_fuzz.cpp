@@ -187,6 +187,17 @@ void read_settings(folder const& files, std::string const& bytes) {
   }
 }
 
+/// A pair of COLMAP: `bytes` are its rigs.txt.
+void read_rigs(folder const& files, std::string const& bytes) {
+  files.write("colmap/cameras.txt", "1 PINHOLE 16 12 10 10 8 6\n2 PINHOLE 16 12 10 10 8 6\n");
+  files.write("colmap/rigs.txt", bytes);
+  try {
+    auto const read = seq::read_calibration(files.path("colmap/cameras.txt"), 16, 12);
+    fuzz::require(read.rig.baseline() > 0 && read.rig.T_left_right.matrix().allFinite(),
+                  "a pair that is read has a baseline");
+  } catch (seq::error const&) {}
+}
+
 void read_picture(folder const& files, std::string const& bytes) {
   files.write("picture", bytes);
   try {
@@ -296,6 +307,9 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 10:
       s.open_with("euroc", "mav0/imu0/sensor.yaml", bytes);
+      break;
+    case 11:
+      read_rigs(s.files(), bytes);
       break;
     case 12:
       read_vocabulary_text(bytes);

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Copies to and from an executor's memory.
+/// @file Copies to and from an executor's memory, and their comparison.
 #pragma once
 
 #include <cstddef>
+#include <cstring>
 #include <vector>
 
 #include "ft/containers/keypoints.hpp"
@@ -27,6 +28,12 @@ std::vector<T> from_exec(Exec const& exec, T const* data, std::size_t count) {
   ft::copy(exec, values.data(), data, count);
   exec.wait();
   return values;
+}
+
+template <typename T>
+bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
+  return a.size() == b.size() &&
+         (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0);
 }
 
 /// Waits, then reads one column of a container: all batch entries, capacity each.

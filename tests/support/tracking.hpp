@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "ft/pipelines/frame_tracker.hpp"
+#include "tests/support/memory.hpp"
 
 namespace test {
 
@@ -146,12 +147,6 @@ private:
     return all;
   }
 };
-
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  return a.size() == b.size() &&
-         (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0);
-}
 
 inline void expect_same(snapshot const& a, snapshot const& b) {
   EXPECT_EQ(a.keypoints, b.keypoints);

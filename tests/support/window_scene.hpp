@@ -15,6 +15,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/window/adjust_window.hpp"
 #include "tests/support/example_rigs.hpp"
+#include "tests/support/memory.hpp"
 
 namespace test {
 
@@ -182,11 +183,6 @@ struct window_result {
   ft::window_outcome outcome;
 };
 
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  if (a.size() != b.size()) { return false; }
-  return a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
-}
 inline bool same_bits(window_result const& a, window_result const& b) {
   return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position) &&
          same_bits(a.outlier, b.outlier) &&

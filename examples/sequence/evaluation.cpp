@@ -77,31 +77,43 @@ rotation_fit best_rotation(Eigen::Matrix3d const& covariance, double count,
   return {nearest_rotation(covariance / s(0)), std::sqrt(s(1) / count), svd.matrixU().col(0)};
 }
 
+/// Of positions: means, and the sum of truth_i estimate_i^T about them, m^2.
+struct moments {
+  Eigen::Vector3d truth_mean = Eigen::Vector3d::Zero();
+  Eigen::Vector3d estimate_mean = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+};
+
+moments moments_of(std::vector<matched_pose> const& pairs) {
+  moments m;
+  for (matched_pose const& p : pairs) {
+    m.truth_mean += p.truth.translation();
+    m.estimate_mean += p.estimate.translation();
+  }
+  m.truth_mean /= static_cast<double>(pairs.size());
+  m.estimate_mean /= static_cast<double>(pairs.size());
+  for (matched_pose const& p : pairs) {
+    m.covariance += (p.truth.translation() - m.truth_mean) *
+                    (p.estimate.translation() - m.estimate_mean).transpose();
+  }
+  return m;
+}
+
 /// @param fit gets the alignment's rotation
 Eigen::Isometry3d align(std::vector<matched_pose> const& pairs, bool orientation,
                         rotation_fit& fit) {
   double const n = static_cast<double>(pairs.size());
-  Eigen::Vector3d truth_mean = Eigen::Vector3d::Zero();
-  Eigen::Vector3d estimate_mean = Eigen::Vector3d::Zero();
+  moments const m = moments_of(pairs);
   Eigen::Matrix3d rotation_sum = Eigen::Matrix3d::Zero();
   for (matched_pose const& p : pairs) {
-    truth_mean += p.truth.translation();
-    estimate_mean += p.estimate.translation();
     rotation_sum += p.truth.linear() * p.estimate.linear().transpose();
-  }
-  truth_mean /= n;
-  estimate_mean /= n;
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-  for (matched_pose const& p : pairs) {
-    covariance += (p.truth.translation() - truth_mean) *
-                  (p.estimate.translation() - estimate_mean).transpose();
   }
   Eigen::Matrix3d const prior =
       orientation ? nearest_rotation(rotation_sum / n) : Eigen::Matrix3d::Identity();
   Eigen::Isometry3d result = Eigen::Isometry3d::Identity();
-  fit = best_rotation(covariance, n, prior);
+  fit = best_rotation(m.covariance, n, prior);
   result.linear() = fit.R;
-  result.translation() = truth_mean - result.linear() * estimate_mean;
+  result.translation() = m.truth_mean - result.linear() * m.estimate_mean;
   return result;
 }
 
@@ -276,26 +288,19 @@ std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::i
 std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
   std::vector<matched_pose> const pairs = match(estimate, truth);
   if (pairs.size() < 3) { return std::nullopt; }
-  Eigen::Vector3d from = Eigen::Vector3d::Zero(), to = Eigen::Vector3d::Zero();
-  for (matched_pose const& p : pairs) {
-    from += p.estimate.translation() / static_cast<double>(pairs.size());
-    to += p.truth.translation() / static_cast<double>(pairs.size());
-  }
+  moments const m = moments_of(pairs);
   double spread = 0;
   double truth_spread = 0;
   double size = 0;
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
   for (matched_pose const& p : pairs) {
-    Eigen::Vector3d const centred = p.estimate.translation() - from;
-    spread += centred.squaredNorm();
-    truth_spread += (p.truth.translation() - to).squaredNorm();
+    spread += (p.estimate.translation() - m.estimate_mean).squaredNorm();
+    truth_spread += (p.truth.translation() - m.truth_mean).squaredNorm();
     size += p.estimate.translation().squaredNorm() + p.truth.translation().squaredNorm();
-    covariance += (p.truth.translation() - to) * centred.transpose();
   }
   // One of them stands still, but for rounding.
   if (!(std::min(spread, truth_spread) > 1e-24 * size)) { return std::nullopt; }
   // Umeyama 1991, equation 42
-  svd3 const svd(covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  svd3 const svd(m.covariance, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d const s = svd.singularValues();
   bool const mirrored = svd.matrixU().determinant() * svd.matrixV().determinant() < 0;
   double const scale = (s.x() + s.y() + (mirrored ? -s.z() : s.z())) / spread;

@@ -30,6 +30,8 @@ def open_source(a: argparse.Namespace) -> Source:
     if a.size is not None:
         try:
             width, height = (int(n) for n in a.size.split("x"))
+            if width < 1 or height < 1:
+                raise ValueError
         except ValueError:
             raise ValueError(f"--size: is {a.size}, must be WxH, such as 640x480") from None
         size = width, height

@@ -465,6 +465,7 @@ def test_a_folder_that_cannot_be_made_is_named_and_the_camera_closed(video, tmp_
     (["--camera", "none.mp4", "--parameters", "1", "2", "3", "4"], "none.mp4: OpenCV cannot open it"),
     (["--camera", "oak", "--fisheye"], "its calibration is the device's"),
     (["--camera", "oak", "--size", "big"], "is big, must be WxH"),
+    (["--camera", "oak", "--size", "0x400"], "is 0x400, must be WxH"),
 ])
 def test_mistakes_are_named(arguments, message):
     pytest.importorskip("cv2")

@@ -442,6 +442,18 @@ TEST(scale, is_found_whatever_the_worlds_are) {
   EXPECT_FALSE(seq::scale_to(estimate, truth)) << "a path of no length has every scale";
 }
 
+TEST(scale, is_not_told_where_one_of_them_stands_still_anywhere) {
+  seq::trajectory const walk = winding_path(10);
+  for (double const x : {0.0, 1.0, 0.1, 1e3 / 3}) {
+    seq::trajectory still = walk;
+    for (seq::stamped_pose& p : still) {
+      p.T_world_camera.translation() = Eigen::Vector3d(x, -x, x / 7);
+    }
+    EXPECT_FALSE(seq::scale_to(walk, still)) << x;
+    EXPECT_FALSE(seq::scale_to(still, walk)) << x;
+  }
+}
+
 TEST(tum, reads_comments_order_and_formats) {
   temp_folder const folder;
   seq::trajectory const poses = seq::read_tum(

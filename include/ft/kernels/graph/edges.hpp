@@ -129,10 +129,10 @@ FT_HOST_DEVICE inline void edge_jacobians(edge_error const& at, real64 (&J)[2][3
 /// the two before are none.
 struct heading_axis {
   bool known = false;
-  vec3<double> up{0, 0, 0};  ///< in the world, of length 1
+  vec3<double> gravity{0, 0, 0};  ///< its direction in the world, of length 1
 
   FT_HOST_DEVICE strict_vec3d seen_from(rigid<double> const& T) const {
-    return T.R.template cast<real64>().transposed() * up.template cast<real64>();
+    return T.R.template cast<real64>().transposed() * gravity.template cast<real64>();
   }
   /// Derivatives by turns become derivatives by the heading: 6 x 6, by rows.
   FT_HOST_DEVICE void restrict_turns(rigid<double> const& T, real64 (&J)[36]) const {

@@ -310,6 +310,11 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["pairs"] = report.error.pairs;
   root["scale"] = number(report.scale);
   root["ate_rmse_m"] = number(f.ate_rmse_m);
+  if (report.loops) {
+    root["loops"] = {{"closed", report.loops->closed},
+                     {"corrections", report.loops->corrections},
+                     {"online_ate_rmse_m", number(report.loops->online_ate_m)}};
+  }
   root["ate_axes_m"] =
       report.error.ate_axes_m ? vector_of(*report.error.ate_axes_m) : json(nullptr);
   root["drift_percent"] = number(report.error.drift_percent);

@@ -85,18 +85,19 @@ TEST(LoopPath, FitsWhatTheOdometryMayHaveDrifted) {
   constexpr int n = 60;
   loop_path path = drifting_lap(n, 0.002);  // 2 % of its way at most
   ft::loop_params params;
-  EXPECT_TRUE(path.fits(true_loop(0, n - 1, n), params));
+  EXPECT_TRUE(path.fits(true_loop(0, n - 1, n), params, 0));
   params.max_drift = 0.001f;
-  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params));
+  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
   params = {};
   path_loop wrong = true_loop(0, n - 1, n);
   wrong.T_from_to.t.x += 1;  // 8 % of the way
-  EXPECT_FALSE(path.fits(wrong, params));
+  EXPECT_FALSE(path.fits(wrong, params, 0));
+  EXPECT_TRUE(path.fits(wrong, params, 0.5));  // 5 % of the way are 0.6 m
   path_loop turned = true_loop(0, n - 1, n);
   turned.T_from_to = turned.T_from_to * test::turn({0, 1, 0}, 0.5, {0, 0, 0});
-  EXPECT_FALSE(path.fits(turned, params));
+  EXPECT_FALSE(path.fits(turned, params, 0));
   path.keyframes.back().map = 2;  // whose place is guessed
-  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params));
+  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
 }
 
 TEST(LoopPath, LoopsAgreeWithinTheirUncertainty) {

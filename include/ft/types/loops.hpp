@@ -24,7 +24,8 @@ struct loop_params {
   int min_votes = 12;      ///< that find an alike point in a keyframe which is to be verified
   int min_inliers = 40;    ///< matches that agree with the pose of a loop
   float min_share = 0.5f;  ///< and their share of the matches
-  /// A loop must not correct more than this share of the path since its keyframe, and
+  /// A loop must not correct more than this share of the path since its keyframe and the rig's
+  /// baseline, and
   float max_drift = 0.05f;
   float max_turn = 0.1f;  ///< rad, and 0.01 rad for each unit of length of the path. Places that
                           ///< look alike are told apart so.

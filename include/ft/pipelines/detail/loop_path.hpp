@@ -81,14 +81,14 @@ struct loop_path {
   }
 
   /// Whether a loop fits the path: what it corrects is no more than the odometry may have drifted
-  /// since.
-  bool fits(path_loop const& loop, loop_params const& params) const {
+  /// since. @param baseline of the rig, metres, which a loop may correct anyway
+  bool fits(path_loop const& loop, loop_params const& params, double baseline) const {
     path_keyframe const& from = at(loop.from);
     path_keyframe const& to = at(loop.to);
     if (from.map != to.map) { return false; }
     rigid<double> const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
     double const way = to.path - from.path;
-    return length(off.t) <= static_cast<double>(params.max_drift) * way &&
+    return length(off.t) <= static_cast<double>(params.max_drift) * way + baseline &&
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
   }
   /// Whether two loops of one keyframe say the same of its pose: their difference is likely with

@@ -171,7 +171,9 @@ private:
       loop.to = query();
       loop.T_from_to = found.T_query_row.inverse().orthonormalized();
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
-      if (path.fits(loop, params)) { loops.push_back(loop); }
+      if (path.fits(loop, params, static_cast<double>(rig.baseline_length().value))) {
+        loops.push_back(loop);
+      }
     }
     for (path_loop const& a : loops) {
       bool const agreed = std::any_of(loops.begin(), loops.end(), [&](path_loop const& b) {

@@ -61,8 +61,9 @@ enum class tracking_warning : int {
   low_texture,          ///< an image has hardly any contrast
   blurred,              ///< too few corners in images that have contrast
   imu,                  ///< see imu_warnings()
+  imu_not_used,         ///< the IMU could have been used for long, and was not
 };
-constexpr int tracking_warnings = 11;  ///< kinds
+constexpr int tracking_warnings = 12;  ///< kinds
 
 /// A set of them.
 struct warning_set {

@@ -8,7 +8,7 @@
 #include <exception>
 #include <string>
 
-#include "ft/containers/pose_graph_files.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/support/pose_graphs.hpp"
 
 #if __has_include(<ceres/ceres.h>)

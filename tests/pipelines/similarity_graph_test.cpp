@@ -64,6 +64,11 @@ inline double plain_chi2(ft::similarity_graph const& graph) {
   return sum;
 }
 
+static_assert(ft::similarity_edge().information[0] == 1 &&
+                  ft::similarity_edge().information[1] == 0 &&
+                  ft::similarity_edge().information[27] == 1,
+              "at first the identity");
+
 TEST(SimilarityEdge, DerivativesAreThoseOfDifferences) {
   test::random_motion any(8);
   auto const scaled_motion = [&](double angle, double length) {

@@ -64,8 +64,8 @@ static_assert(std::is_trivially_copyable<similarity_edge>::value, "copied to exe
 /// A graph of poses in host memory.
 template <typename Motion>
 struct motion_graph {
-  /// Metres. A similarity has units of its own: `scale` of them are one of the world's, as maps of
-  /// one camera whose scale drifts.
+  /// Metres. A similarity has units of its own, each `scale` metres long, as maps of one camera
+  /// whose scale drifts.
   std::vector<Motion> T_world_pose;
   std::vector<motion_edge<Motion>> edges;
   /// For each pose whether it stays where it is; empty: none does. In a part of the graph without

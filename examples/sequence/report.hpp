@@ -71,6 +71,7 @@ struct sample_frame {
 struct loop_record {
   int closed = 0;
   int corrections = 0;  ///< frames with which some entered
+  trajectory tracked;   ///< poses that no loop has corrected
   trajectory online;    ///< poses as each frame told them; those of the run are corrected by all
   std::optional<double> online_ate_m;
 };

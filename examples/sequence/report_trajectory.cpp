@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -54,6 +55,34 @@ view_plane choose_plane(positions const& points, bool truth) {
   return v;
 }
 
+/// Axes of equal scale that hold all paths; the height follows their shape within bounds.
+chart chart_of(std::initializer_list<positions const*> shown, view_plane const& plane) {
+  chart c;
+  constexpr double huge = std::numeric_limits<double>::max();
+  c.x = {huge, -huge};
+  c.y = {huge, -huge};
+  for (positions const* points : shown) {
+    for (auto const& p : *points) {
+      c.x = {std::min(c.x.low, plane.across.of(p.second)),
+             std::max(c.x.high, plane.across.of(p.second))};
+      c.y = {std::min(c.y.low, plane.up.of(p.second)), std::max(c.y.high, plane.up.of(p.second))};
+    }
+  }
+  double const margin = 0.05 * std::max({c.x.span(), c.y.span(), 0.2});
+  c.x = {c.x.low - margin, c.x.high + margin};
+  c.y = {c.y.low - margin, c.y.high + margin};
+  double const inner = std::clamp(c.inner_width() * c.y.span() / c.x.span(), 240.0, 520.0);
+  c.height = inner + c.top + c.bottom;
+  double const scale = std::max(c.x.span() / c.inner_width(), c.y.span() / c.inner_height());
+  auto const widen = [scale](range axis, double length) {
+    double const centre = (axis.low + axis.high) / 2, half = scale * length / 2;
+    return range{centre - half, centre + half};
+  };
+  c.x = widen(c.x, c.inner_width());
+  c.y = widen(c.y, c.inner_height());
+  return c;
+}
+
 }  // namespace
 
 std::string trajectory_section(run_report const& r, run_figures const& f) {
@@ -70,30 +99,11 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   auto const across = [&](Eigen::Vector3d const& p) { return plane.across.of(p); };
   auto const up = [&](Eigen::Vector3d const& p) { return plane.up.of(p); };
 
-  chart c;
-  constexpr double huge = std::numeric_limits<double>::max();
-  c.x = {huge, -huge};
-  c.y = {huge, -huge};
-  for (positions const* points : {&estimate, &truth}) {
-    for (auto const& p : *points) {
-      c.x = {std::min(c.x.low, across(p.second)), std::max(c.x.high, across(p.second))};
-      c.y = {std::min(c.y.low, up(p.second)), std::max(c.y.high, up(p.second))};
-    }
-  }
-  // equal scale: the height follows the shape within bounds, then the shorter axis is extended
-  double const margin = 0.05 * std::max({c.x.span(), c.y.span(), 0.2});
-  c.x = {c.x.low - margin, c.x.high + margin};
-  c.y = {c.y.low - margin, c.y.high + margin};
-  double const inner = std::clamp(c.inner_width() * c.y.span() / c.x.span(), 240.0, 520.0);
-  c.height = inner + c.top + c.bottom;
-  double const scale = std::max(c.x.span() / c.inner_width(), c.y.span() / c.inner_height());
-  auto const widen = [scale](range axis, double length) {
-    double const centre = (axis.low + axis.high) / 2, half = scale * length / 2;
-    return range{centre - half, centre + half};
-  };
-  c.x = widen(c.x, c.inner_width());
-  c.y = widen(c.y, c.inner_height());
-
+  positions const tracked =
+      r.loops ? finite_positions(r.loops->tracked, has_truth ? r.error.T_truth_estimate
+                                                             : Eigen::Isometry3d::Identity())
+              : positions();
+  chart const c = chart_of({&estimate, &truth, &tracked}, plane);
   auto const line = [&](positions const& points) {
     std::int64_t const gap = bridged_gap(points);
     pen p;
@@ -118,6 +128,7 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   if (!truth.empty()) { out += legend_entry("truth", mark::line, "ground truth"); }
   if (!estimate.empty()) {
     out += legend_entry("estimate", mark::line, f.ate_rmse_m ? "estimate, aligned" : "estimate");
+    if (!tracked.empty()) { out += legend_entry("tracked", mark::line, "without its loops"); }
     out += legend_entry("start", mark::dot, "start");
     out += legend_entry("end", mark::dot, "end");
   } else {
@@ -125,7 +136,8 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   }
   out += "</div>\n" + c.open("Trajectory");
   out += c.axes(plane.across.name() + " [m]", plane.up.name() + " [m]", false, false);
-  out += path("truth", line(truth)) + path("estimate", line(estimate));
+  out += path("truth", line(truth)) + path("tracked", line(tracked)) +
+         path("estimate", line(estimate));
   if (!estimate.empty()) {
     auto const dot = [&](char const* style, Eigen::Vector3d const& p) {
       return std::string("<circle class=\"") + style + '"' + attribute("cx", c.px(across(p))) +

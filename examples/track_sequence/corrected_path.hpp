@@ -19,6 +19,7 @@ public:
   void add(std::int64_t time_ns, ft::rigid<double> const& T_odom_camera) {
     tracked_.push_back({time_ns, T_odom_camera, T_odom_camera});
   }
+  seq::trajectory as_tracked() const { return by({}); }
   /// Each pose moves with the last keyframe that is not after it.
   seq::trajectory by(std::vector<ft::placed_keyframe> const& keyframes) const {
     seq::trajectory path;

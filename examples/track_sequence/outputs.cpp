@@ -24,9 +24,10 @@ void move_to_body(seq::sequence const& sequence, seq::run_report& report) {
   report.estimate = seq::poses_of(report.estimate, T_body_camera.inverse());
   for (auto& pose : report.estimate) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
   if (report.loops) {
-    auto& online = report.loops->online;
-    online = seq::poses_of(online, T_body_camera.inverse());
-    for (auto& pose : online) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
+    for (seq::trajectory* path : {&report.loops->tracked, &report.loops->online}) {
+      *path = seq::poses_of(*path, T_body_camera.inverse());
+      for (auto& pose : *path) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
+    }
   }
   for (auto& point : report.cloud) { point = T_body_camera.cast<float>() * point; }
   if (sequence.ground_truth_has_orientation()) {

@@ -175,6 +175,7 @@ void tracking_run::track_all() {
   }
   if (!arguments_.quiet) { progress.finish(); }
   if (report_.loops) {
+    report_.loops->tracked = path_.as_tracked();
     report_.loops->online = report_.estimate;
     report_.estimate = path_.by(odometry_.odometry().placed_keyframes());
   }

@@ -240,8 +240,9 @@ class Run:
                                                         "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
         trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
         closed = [pose.loops_closed for *_, pose in self.records]
+        tracked = [(t, T) for (t, _), T in zip(self.poses, self._odom_poses)]
         loops = {"closed": sum(closed), "corrections": sum(n > 0 for n in closed),
-                 "poses": ft.Trajectory.of(self.poses).poses} if a.loops else None
+                 "poses": ft.Trajectory.of(self.poses).poses, "tracked": ft.Trajectory.of(tracked).poses} if a.loops else None
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,

@@ -108,6 +108,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
     r.loops.emplace();
     r.loops->closed = nb::cast<int>(loops["closed"]);
     r.loops->corrections = nb::cast<int>(loops["corrections"]);
+    r.loops->tracked = trajectory_of(run["time_ns"], loops["tracked"], "the estimate");
     r.loops->online = trajectory_of(run["time_ns"], loops["poses"], "the estimate");
   }
   for (nb::handle const h : run["samples"]) { r.samples.push_back(sample_of(h)); }

@@ -780,6 +780,30 @@ TEST_F(report, html_moves_the_map_with_the_path) {
   EXPECT_EQ(numbers(alone, "cloud"), "-1000,-1000,0,1000,-1000,0,-1000,1000,0,1000,1000,0");
 }
 
+TEST_F(report, loops_are_counted_and_the_path_without_them_is_drawn) {
+  seq::run_report r = filled(20, true);
+  EXPECT_EQ(html(r).find("without its loops"), std::string::npos);
+  EXPECT_FALSE(summary(r).contains("loops"));
+  r.loops.emplace();
+  r.loops->closed = 7;
+  r.loops->corrections = 2;
+  r.loops->online_ate_m = 0.125;
+  r.loops->online = r.loops->tracked = r.estimate;
+  for (auto& pose : r.loops->tracked) { pose.T_world_camera.translation().x() += 50; }
+  auto const json = summary(r).at("loops");
+  EXPECT_EQ(json.at("closed"), 7);
+  EXPECT_EQ(json.at("corrections"), 2);
+  EXPECT_EQ(json.at("online_ate_rmse_m"), 0.125);
+  std::string const page = html(r);
+  EXPECT_EQ(markup_fault(page), "");
+  EXPECT_NE(page.find("without its loops"), std::string::npos);
+  EXPECT_NE(page.find("class=\"tracked\""), std::string::npos);
+  std::ostringstream text;
+  seq::print_summary(text, r);
+  EXPECT_NE(text.str().find("7 closed, in 2 frames"), std::string::npos);
+  EXPECT_NE(text.str().find("0.1250 m, of the poses as each frame told them"), std::string::npos);
+}
+
 TEST_F(report, html_has_the_rotation_error) {
   std::string const text = html(filled(60, true));
   EXPECT_NE(text.find("Rotation error over time"), std::string::npos);

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstddef>
-#include <string>
 #include <vector>
 
 #include "ft/core/config.hpp"
@@ -35,15 +34,6 @@ struct bundle {
 };
 
 namespace detail {
-
-template <typename Check>
-void check_named(char const* what, std::size_t at, Check const& check_one) {
-  try {
-    check_one();
-  } catch (bad_argument const& e) {
-    throw bad_argument(std::string(e.what()) + " (" + what + " " + std::to_string(at) + ")");
-  }
-}
 
 template <typename Camera>
 void check_views(bundle<Camera> const& map) {

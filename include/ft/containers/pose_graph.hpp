@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
-#include <string>
 #include <type_traits>
 #include <vector>
 
@@ -110,22 +109,16 @@ inline void check(pose_graph const& graph) {
                   "`fixed` of a pose graph has as many entries as there are poses, or none");
   detail::require(graph.ids.empty() || graph.ids.size() == poses,
                   "`ids` of a pose graph has as many entries as there are poses, or none");
-  auto const named = [](char const* what, std::size_t at, auto const& check_one) {
-    try {
-      check_one();
-    } catch (bad_argument const& e) {
-      throw bad_argument(std::string(e.what()) + " (" + what + " " + std::to_string(at) + ")");
-    }
-  };
   for (std::size_t i = 0; i < poses; ++i) {
-    named("pose", i, [&] {
+    detail::check_named("pose", i, [&] {
       auto const& T = graph.T_world_pose[i];
       detail::require_rotation(T.R);
       for (double const v : {T.t.x, T.t.y, T.t.z}) { detail::require_finite("translation", v); }
     });
   }
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
-    named("edge", i, [&] { detail::check_edge(graph.edges[i], static_cast<int>(poses)); });
+    detail::check_named("edge", i,
+                        [&] { detail::check_edge(graph.edges[i], static_cast<int>(poses)); });
   }
 }
 

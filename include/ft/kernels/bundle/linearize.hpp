@@ -49,13 +49,6 @@ struct observation_rule {
   }
 };
 
-/// Row vector v times A.
-FT_HOST_DEVICE inline strict_vec3d row_of_product(strict_vec3d const& v, strict_mat3d const& A) {
-  return {v.x * A.m[0] + (v.y * A.m[3] + v.z * A.m[6]),
-          v.x * A.m[1] + (v.y * A.m[4] + v.z * A.m[7]),
-          v.x * A.m[2] + (v.y * A.m[5] + v.z * A.m[8])};
-}
-
 /// One item: a view. Costs of its observations, and how many have no image.
 /// @tparam Camera of strict_double
 template <typename Camera>
@@ -127,8 +120,8 @@ private:
     real64 const ex = at.value.pixel.x - real64(A.pixel[o].x);
     real64 const ey = at.value.pixel.y - real64(A.pixel[o].y);
     auto const& J = at.jacobian.m;
-    strict_vec3d const a = row_of_product({J[0], J[1], J[2]}, T.R);
-    strict_vec3d const b = row_of_product({J[3], J[4], J[5]}, T.R);
+    strict_vec3d const a = row_times({J[0], J[1], J[2]}, T.R);
+    strict_vec3d const b = row_times({J[3], J[4], J[5]}, T.R);
     real64 const chi2 = real64(A.weight[o]) * (ex * ex + ey * ey);
     bool const seen = at.value.valid && scalar::is_finite(chi2 + dot(a, a) + dot(b, b));
     real64 const zero = 0.0;

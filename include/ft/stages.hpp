@@ -19,7 +19,6 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/containers/pose_graph.hpp"
-#include "ft/containers/pose_graph_files.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/stereo_matches.hpp"
@@ -126,3 +125,4 @@
 #include "ft/pipelines/adjust_map.hpp"
 #include "ft/pipelines/bundle_files.hpp"
 #include "ft/pipelines/pose_graph.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"

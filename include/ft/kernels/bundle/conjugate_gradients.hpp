@@ -93,7 +93,7 @@ private:
       lower[7 * r] =
           own == real64(0.0) ? 1.0 : (real64(lower[7 * r]) + own * real64(damping)).value;
     }
-    block_factor const factor(lower, 6);
+    block_factor<6> const factor(lower, 6);
     double* const out = entry<36>(A.block_factor, item);
     for (int r = 0; r < 6; ++r) {
       for (int c = 0; c < r; ++c) { out[6 * r + c] = factor.c[r][c].value; }

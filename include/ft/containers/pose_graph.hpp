@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
-#include <string>
 #include <type_traits>
 #include <vector>
 
@@ -107,12 +106,12 @@ bool is_semidefinite(double const (&upper)[N * (N + 1) / 2]) {
   return true;
 }
 
-inline void check_motion(rigid<double> const& T) {
+inline void check_pose(rigid<double> const& T) {
   require_rotation(T.R);
   for (double const v : {T.t.x, T.t.y, T.t.z}) { require_finite("translation", v); }
 }
-inline void check_motion(similarity<double> const& T) {
-  check_motion(rigid<double>{T.R, T.t});
+inline void check_pose(similarity<double> const& T) {
+  check_pose(rigid<double>{T.R, T.t});
   require(T.scale >= 1e-50 && T.scale <= 1e50, "a scale must be in [1e-50, 1e50]");
 }
 
@@ -121,7 +120,7 @@ void check_edge(motion_edge<Motion> const& e, int poses) {
   require_range("pose at the start of an edge", e.from, 0, poses - 1);
   require_range("pose at the end of an edge", e.to, 0, poses - 1);
   require(e.from != e.to, "an edge joins a pose with itself");
-  check_motion(e.T_from_to);
+  check_pose(e.T_from_to);
   for (double const v : e.information) { require_finite("information", v); }
   require(is_semidefinite<freedom_of<Motion>>(e.information),
           "the information matrix has a negative eigenvalue");
@@ -147,18 +146,12 @@ void check(motion_graph<Motion> const& graph) {
                   "`fixed` of a pose graph has as many entries as there are poses, or none");
   detail::require(graph.ids.empty() || graph.ids.size() == poses,
                   "`ids` of a pose graph has as many entries as there are poses, or none");
-  auto const named = [](char const* what, std::size_t at, auto const& check_one) {
-    try {
-      check_one();
-    } catch (bad_argument const& e) {
-      throw bad_argument(std::string(e.what()) + " (" + what + " " + std::to_string(at) + ")");
-    }
-  };
   for (std::size_t i = 0; i < poses; ++i) {
-    named("pose", i, [&] { detail::check_motion(graph.T_world_pose[i]); });
+    detail::check_named("pose", i, [&] { detail::check_pose(graph.T_world_pose[i]); });
   }
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
-    named("edge", i, [&] { detail::check_edge(graph.edges[i], static_cast<int>(poses)); });
+    detail::check_named("edge", i,
+                        [&] { detail::check_edge(graph.edges[i], static_cast<int>(poses)); });
   }
 }
 

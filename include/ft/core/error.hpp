@@ -58,6 +58,16 @@ inline void require_finite(char const* name, double value) {
   }
 }
 
+/// Runs a check of one entry of an array; what it throws names the entry.
+template <typename Check>
+void check_named(char const* what, std::size_t at, Check const& check_one) {
+  try {
+    check_one();
+  } catch (bad_argument const& e) {
+    throw bad_argument(std::string(e.what()) + " (" + what + " " + std::to_string(at) + ")");
+  }
+}
+
 /// Product of sizes. @throws bad_argument if it overflows
 inline std::size_t checked_mul(std::size_t a, std::size_t b) {
   if (a != 0 && b > std::numeric_limits<std::size_t>::max() / a) {

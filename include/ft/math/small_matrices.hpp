@@ -34,6 +34,12 @@ FT_HOST_DEVICE inline strict_vec3d column_of(strict_mat3d const& A, int c) {
 FT_HOST_DEVICE inline strict_mat3d from_rows(strict_vec3d a, strict_vec3d b, strict_vec3d c) {
   return {{a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z}};
 }
+/// Row vector v times A.
+FT_HOST_DEVICE inline strict_vec3d row_times(strict_vec3d v, strict_mat3d const& A) {
+  return {v.x * A.m[0] + (v.y * A.m[3] + v.z * A.m[6]),
+          v.x * A.m[1] + (v.y * A.m[4] + v.z * A.m[7]),
+          v.x * A.m[2] + (v.y * A.m[5] + v.z * A.m[8])};
+}
 FT_HOST_DEVICE inline real64 determinant(strict_mat3d const& A) {
   return dot(cross(row_of(A, 0), row_of(A, 1)), row_of(A, 2));
 }

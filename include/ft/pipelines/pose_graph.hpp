@@ -13,6 +13,7 @@
 #include "ft/kernels/graph/edges.hpp"
 #include "ft/kernels/graph/elimination_order.hpp"
 #include "ft/kernels/graph/system.hpp"
+#include "ft/pipelines/detail/descent.hpp"
 #include "ft/pipelines/detail/pose_graph_solver.hpp"
 #include "ft/pipelines/detail/pose_graph_start.hpp"
 #include "ft/types/poses.hpp"
@@ -87,28 +88,6 @@ inline void check(pose_graph_params const& params) {
                   "a pose graph with known gravity starts at the poses that are given");
 }
 
-namespace detail {
-
-/// Damping of steps, relative to the diagonal of the matrix.
-struct graph_damping {
-  double value;
-  double growth = 8;  ///< by refused steps; larger after each one in a row
-
-  bool is_small() const { return value < 1e12; }
-  /// A step that gained what the linear system promised needs less damping.
-  void accept(double gain, double promised) {
-    if (gain >= 0.9 * promised) { value = value > 1e-14 ? value / 8 : value; }
-    if (gain < 0.25 * promised) { value = value * 4; }
-    growth = 8;
-  }
-  void refuse() {
-    value = (value > 1e-12 ? value : 1e-12) * growth;
-    growth *= 4;
-  }
-};
-
-}  // namespace detail
-
 /// Moves the poses of a graph so that the sum of its edges' costs is as low as near the start: by
 /// Levenberg's and Marquardt's method, with each linear system solved exactly. Equal bits on every
 /// executor. Allocates, and returns when all is done. Memory: linear in the edges and in the blocks
@@ -151,28 +130,12 @@ pose_graph_report optimize_pose_graph(Exec const& exec, motion_graph<Motion>& gr
   report.first_cost = best.cost;
   report.first_chi2 = best.chi2;
 
-  detail::graph_damping damping{params.first_damping};
-  bool linear = false;
-  while (!report.converged && report.steps < params.steps && damping.is_small()) {
-    if (!linear) { solver.linearize(); }
-    ++report.steps;
-    auto const trial = solver.try_step(damping.value);
-    double const gain = best.cost - trial.cost;
-    bool const better = gain >= 0;  // false for NaN
-    if (better) {
-      report.converged = damping.value <= 1 && gain <= params.enough * best.cost;
-      damping.accept(gain, trial.promised);
-      solver.accept();
-      best = trial;
-    } else {
-      report.converged =
-          damping.value <= 1 && trial.promised >= 0 && trial.promised <= params.enough * best.cost;
-      damping.refuse();
-    }
-    linear = !better;
-  }
-  report.last_cost = best.cost;
-  report.last_chi2 = best.chi2;
+  auto const found =
+      detail::descend(solver, best, {params.steps, params.enough, params.first_damping});
+  report.steps = found.steps;
+  report.converged = found.converged;
+  report.last_cost = found.best.cost;
+  report.last_chi2 = found.best.chi2;
   solver.download(graph.T_world_pose);
   return report;
 }

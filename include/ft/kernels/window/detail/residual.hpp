@@ -12,6 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/math/positive_definite.hpp"
+#include "ft/math/small_matrices.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 
@@ -25,12 +26,6 @@ using window_real = strict_double;
 FT_HOST_DEVICE inline vec3<window_real> to_real(vec3<double> const& v) { return {v.x, v.y, v.z}; }
 FT_HOST_DEVICE inline vec3<double> from_real(vec3<window_real> const& v) {
   return {v.x.value, v.y.value, v.z.value};
-}
-/// Row vector v times A.
-FT_HOST_DEVICE inline vec3<window_real> row_times(vec3<window_real> v, mat3<window_real> const& A) {
-  return {v.x * A.m[0] + (v.y * A.m[3] + v.z * A.m[6]),
-          v.x * A.m[1] + (v.y * A.m[4] + v.z * A.m[7]),
-          v.x * A.m[2] + (v.y * A.m[5] + v.z * A.m[8])};
 }
 
 /// Cost of a squared weighted error. Source: Huber, "Robust estimation of a location parameter",

@@ -88,11 +88,14 @@ any_odometry made(odometry_request const& of, Rig const& rig) {
     auto const with = [&](auto const&... plugged) {
       return odometry_type(p.exec(), rig, of.params, of.batch, plugged...);
     };
+    auto const with_loops = [&](auto const&... plugged) {
+      return of.params.loops.present ? with(plugged..., loops{}) : with(plugged...);
+    };
     places const by_words{kept, how};
     if (of.params.imu.present) {
-      return with_places ? with(inertial{}, by_words) : with(inertial{});
+      return with_places ? with_loops(inertial{}, by_words) : with_loops(inertial{});
     }
-    return with_places ? with(by_words) : with();
+    return with_places ? with_loops(by_words) : with_loops();
   };
   return any_odometry(std::make_unique<detail::erased_odometry<exec_type, Rig, place>>(
       std::move(here), std::move(words), make));

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Pose graphs for measurements, and Ceres Solver on them.
-//   pose_graphs make POSES LOOPS APART OUT.g2o    a walk; loops between poses about APART apart, 0:
-//   any pose_graphs ceres IN.g2o [THREADS [REPEAT]]   analytic derivatives, sparse Cholesky
+//   pose_graphs make POSES LOOPS APART OUT.g2o    a walk; loops between poses about APART apart
+//                                                 (0: any)
+//   pose_graphs make_similarities ...             the same, of poses with scales that drift
+//   pose_graphs ceres IN.g2o [THREADS [REPEAT]]   analytic derivatives, sparse Cholesky
 // ft's own times: examples/optimize_pose_graph --repeat N.
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
 #include <string>
 
-#include "ft/containers/pose_graph_files.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/support/pose_graphs.hpp"
 
 #if __has_include(<ceres/ceres.h>)
@@ -24,7 +26,7 @@ int number(char const* text) { return std::atoi(text); }
 
 int usage() {
   std::fputs(
-      "pose_graphs make POSES LOOPS APART OUT.g2o\n"
+      "pose_graphs make|make_similarities POSES LOOPS APART OUT.g2o\n"
       "pose_graphs ceres IN.g2o [THREADS [REPEAT]]\n",
       stderr);
   return EXIT_FAILURE;
@@ -35,10 +37,15 @@ int usage() {
 int main(int argc, char** argv) {
   try {
     std::string const what = argc > 1 ? argv[1] : "";
-    if (what == "make" && argc == 6) {
+    bool const scales = what == "make_similarities";
+    if ((what == "make" || scales) && argc == 6) {
       test::graph_shape shape{number(argv[2]), number(argv[3])};
       shape.apart = number(argv[4]);
-      ft::write_g2o(argv[5], test::make_graph(shape, 1).graph);
+      if (scales) {
+        ft::write_g2o(argv[5], test::make_similarity_graph(shape, 1).graph);
+      } else {
+        ft::write_g2o(argv[5], test::make_graph(shape, 1).graph);
+      }
       return EXIT_SUCCESS;
     }
 #if FT_BENCH_HAS_CERES

@@ -3,23 +3,24 @@
 //   optimize_pose_graph IN.g2o [--out OUT.g2o] [--backend host|cuda] [--start
 //   file|odometry|chordal]
 //                       [--steps N] [--repeat N]
-// Without IN.g2o: a loop of a hundred poses, made here. Compiled as CUDA it runs on a GPU where
-// there is one; as C++ on the host.
+// Without IN.g2o: a loop of a hundred poses, made here. Poses have scales where the file has
+// VERTEX_SIM3:EXPMAP. Compiled as CUDA it runs on a GPU where there is one; as C++ on the host.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <fstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "ft/containers/pose_graph.hpp"
-#include "ft/containers/pose_graph_files.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/pose_graph.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"
 
 struct options {
   std::string in, out, backend;
@@ -94,10 +95,20 @@ ft::pose_graph circle() {
   return graph;
 }
 
-template <typename Exec>
-bool optimize(Exec const& exec, char const* where, options const& o) {
-  ft::pose_graph const given = o.in.empty() ? circle() : ft::read_g2o(o.in);
-  ft::pose_graph graph;
+/// Whether a file's poses have scales: what its first pose or edge is.
+bool has_scales(std::string const& path) {
+  std::ifstream in(path);
+  std::string tag;
+  for (std::string line; std::getline(in, line);) {
+    tag = line.substr(0, line.find(':'));
+    if (tag.rfind("VERTEX_", 0) == 0 || tag.rfind("EDGE_", 0) == 0) { break; }
+  }
+  return tag == "VERTEX_SIM3" || tag == "EDGE_SIM3";
+}
+
+template <typename Exec, typename Graph>
+bool optimize(Exec const& exec, char const* where, options const& o, Graph const& given) {
+  Graph graph;
   ft::pose_graph_report report;
   std::vector<double> times;
   for (int k = 0; k < o.repeat; ++k) {
@@ -120,6 +131,13 @@ bool optimize(Exec const& exec, char const* where, options const& o) {
               o.repeat, times.front(), times[times.size() / 2]);
   if (!o.out.empty()) { ft::write_g2o(o.out, graph); }
   return report.converged;
+}
+
+template <typename Exec>
+bool optimize(Exec const& exec, char const* where, options const& o) {
+  if (o.in.empty()) { return optimize(exec, where, o, circle()); }
+  if (has_scales(o.in)) { return optimize(exec, where, o, ft::read_g2o_similarities(o.in)); }
+  return optimize(exec, where, o, ft::read_g2o(o.in));
 }
 
 bool run(options const& o) {

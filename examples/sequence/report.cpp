@@ -310,6 +310,11 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["pairs"] = report.error.pairs;
   root["scale"] = number(report.scale);
   root["ate_rmse_m"] = number(f.ate_rmse_m);
+  if (report.loops) {
+    root["loops"] = {{"closed", report.loops->closed},
+                     {"corrections", report.loops->corrections},
+                     {"online_ate_rmse_m", number(report.loops->online_ate_m)}};
+  }
   root["ate_axes_m"] =
       report.error.ate_axes_m ? vector_of(*report.error.ate_axes_m) : json(nullptr);
   root["drift_percent"] = number(report.error.drift_percent);
@@ -431,7 +436,9 @@ void write_times_csv(std::string const& path, run_report const& report) {
     if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
     text += ',' + csv_field(r.reason) + ',' + std::to_string(r.map_id) + ',';
     std::string names;
-    for (auto const& [name, said] : r.warnings) { names += (names.empty() ? "" : " ") + name; }
+    auto const add = [&](std::string const& name) { names += (names.empty() ? "" : " ") + name; };
+    for (auto const& [name, said] : r.warnings) { add(name); }
+    if (!r.imu_warnings.empty()) { add("imu"); }
     text += csv_field(names) + '\n';
   }
   detail::write_text(path, text);

@@ -67,6 +67,14 @@ struct sample_frame {
   std::vector<keypoint> keypoints;
 };
 
+/// What loops did to a path.
+struct loop_record {
+  int closed = 0;
+  int corrections = 0;  ///< frames with which some entered
+  trajectory online;    ///< poses as each frame told them; those of the run are corrected by all
+  std::optional<double> online_ate_m;
+};
+
 struct run_report {
   std::string title;
   std::string sequence;
@@ -79,11 +87,12 @@ struct run_report {
   int threads = 0;                             ///< of the host; 0: a GPU, or not known
   int image_width = 0, image_height = 0;
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
-  int maps = 0;                     ///< maps begun; more than one after a long loss
-  bool one_camera = false;          ///< the left images alone were used
-  bool depth_images = false;        ///< one camera with depth images was used
-  bool with_imu = false;            ///< the sequence's IMU was used
-  std::vector<std::string> stages;  ///< names; the last one is "total"
+  std::optional<loop_record> loops;  ///< where they were looked for
+  int maps = 0;                      ///< maps begun; more than one after a long loss
+  bool one_camera = false;           ///< the left images alone were used
+  bool depth_images = false;         ///< one camera with depth images was used
+  bool with_imu = false;             ///< the sequence's IMU was used
+  std::vector<std::string> stages;   ///< names; the last one is "total"
   std::vector<frame_record> records;
   trajectory estimate;  ///< tracked frames only; of one camera, those whose scale is known if any
   bool metric = true;   ///< the scale of `estimate` is known
@@ -118,7 +127,7 @@ void print_summary(std::ostream& out, run_report const& report);
 /// handing a frame's images over to having its pose, prefetch = frames given ahead (then fps is
 /// null: the stages leave their keypoints and stereo out), reasons = name -> frames that were not
 /// tracked or are doubted, ate_rotation_missing, stopped_at (null for a whole run), evo = figure ->
-/// command, and the rest.
+/// command, loops = closed, corrections, online_ate_rmse_m (only with --loops), and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

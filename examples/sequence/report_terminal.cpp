@@ -87,15 +87,18 @@ std::string count_lines(run_report const& report, detail::run_figures const& f) 
   using detail::fixed;
   std::string const share =
       f.tracked_ratio ? " (" + fixed(100.0 * *f.tracked_ratio, 1) + " %)" : "";
-  std::string text = line("frames", std::to_string(report.frames)) +
-                     line("tracked", std::to_string(report.tracked) + share) +
-                     line("lost", std::to_string(report.lost)) +
-                     line("dropped", std::to_string(report.dropped)) +
-                     line("keyframes", std::to_string(report.keyframes)) +
-                     line("map points", std::to_string(report.map_points)) +
-                     line("maps begun", std::to_string(report.maps)) +
-                     line("mean keypoints", fixed(f.mean_keypoints, 1)) +
-                     line("mean inliers", fixed(f.mean_inliers, 1));
+  std::string text =
+      line("frames", std::to_string(report.frames)) +
+      line("tracked", std::to_string(report.tracked) + share) +
+      line("lost", std::to_string(report.lost)) + line("dropped", std::to_string(report.dropped)) +
+      line("keyframes", std::to_string(report.keyframes)) +
+      line("map points", std::to_string(report.map_points)) +
+      line("maps begun", std::to_string(report.maps)) +
+      (report.loops ? line("loops", std::to_string(report.loops->closed) + " closed, in " +
+                                        std::to_string(report.loops->corrections) + " frames")
+                    : std::string()) +
+      line("mean keypoints", fixed(f.mean_keypoints, 1)) +
+      line("mean inliers", fixed(f.mean_inliers, 1));
   if (report.prefetch == 0) {
     text += line("throughput", fixed(f.fps, 1, " frames/s") + ", tracking alone");
   }
@@ -121,6 +124,10 @@ std::string error_lines(run_report const& report, detail::run_figures const& f) 
   }
   std::string const why = f.has_truth ? "" : " (no ground truth)";
   text += line("ATE RMSE", fixed(f.ate_rmse_m, 4, " m") + why);
+  if (report.loops) {
+    text += line("ATE online", fixed(report.loops->online_ate_m, 4, " m") +
+                                   ", of the poses as each frame told them");
+  }
   if (report.error.ate_axes_m) {
     Eigen::Vector3d const& axes = *report.error.ate_axes_m;
     text += line("ATE along axes", "x " + fixed(axes.x(), 4) + ", y " + fixed(axes.y(), 4) +

@@ -69,6 +69,9 @@ void add_tracking(CLI::App& app, arguments& a) {
          "--features", a.features,
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
+  app.add_flag("--loops", a.loops,
+               "recognises places seen before and corrects the path there: trajectory.txt is the "
+               "path as all loops have corrected it, trajectory_online.txt as each frame told it");
   app.add_option("--near", a.near_depth,
                  "depth of near map points, in baselines; default: the settings file's, or 50");
 }

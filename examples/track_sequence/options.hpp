@@ -38,6 +38,7 @@ struct arguments {
   double depth_unit = 0;                         ///< metres; 0 = as the recording says
   double min_depth = 0;                          ///< metres
   double max_depth = std::numeric_limits<double>::infinity();  ///< metres
+  bool loops = false;
   bool realtime = false;
   bool timing = false;
   bool quiet = false;

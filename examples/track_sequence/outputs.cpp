@@ -23,6 +23,11 @@ void move_to_body(seq::sequence const& sequence, seq::run_report& report) {
   Eigen::Isometry3d const T_body_camera = sequence.rig().T_body_left;
   report.estimate = seq::poses_of(report.estimate, T_body_camera.inverse());
   for (auto& pose : report.estimate) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
+  if (report.loops) {
+    auto& online = report.loops->online;
+    online = seq::poses_of(online, T_body_camera.inverse());
+    for (auto& pose : online) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
+  }
   for (auto& point : report.cloud) { point = T_body_camera.cast<float>() * point; }
   if (sequence.ground_truth_has_orientation()) {
     report.truth = seq::poses_of(report.truth, T_body_camera.inverse());
@@ -53,6 +58,11 @@ seq::trajectory without_gaps(seq::sequence const& sequence, seq::run_report cons
 /// Writes the poses. Files of an older run that this one does not have are removed.
 void write_poses(arguments const& a, seq::sequence const& sequence, seq::run_report const& report) {
   seq::write_tum(a.out + "/trajectory.txt", report.estimate, a.frame);
+  if (report.loops) {
+    seq::write_tum(a.out + "/trajectory_online.txt", report.loops->online, a.frame);
+  } else {
+    fs::remove(a.out + "/trajectory_online.txt");
+  }
   std::string const truth_file = a.out + "/groundtruth.txt";
   seq::trajectory const truth = seq::at_times_of(frame_times(report), report.truth);
   if (truth.empty()) {
@@ -80,8 +90,8 @@ void write_map(arguments const& a, seq::sequence const& sequence, map_writer con
 
 /// @throws seq::error where a file of the run could not be written: before the run, not after it
 void require_writable(std::string const& folder) {
-  for (char const* name : {"trajectory.txt", "groundtruth.txt", "poses.txt", "map.ply", "times.csv",
-                           "summary.json", "report.html"}) {
+  for (char const* name : {"trajectory.txt", "trajectory_online.txt", "groundtruth.txt",
+                           "poses.txt", "map.ply", "times.csv", "summary.json", "report.html"}) {
     fs::path const file = fs::path(folder) / name;
     if (!fs::exists(file)) { continue; }
     errno = 0;
@@ -130,6 +140,11 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
   if (report.scale) { report.estimate = seq::scaled(report.estimate, *report.scale); }
   report.error =
       seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
+  if (report.loops) {
+    bool const oriented = sequence.ground_truth_has_orientation();
+    report.loops->online_ate_m =
+        seq::evaluate(report.loops->online, report.truth, oriented).ate_rmse_m;
+  }
   report.unpaired_left = sequence.unpaired().left;
   report.unpaired_right = sequence.unpaired().right;
   report.warnings = sequence.warnings();

@@ -134,6 +134,7 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   p.measure_stages = a.timing;
+  p.loops.present = a.loops;
   // Nothing is prefetched where stages are timed, frames arrive in real time, or one thread is
   // asked for.
   bool const one_by_one = o.rig.kind == ft::rig_kind::monocular || a.timing || a.realtime ||

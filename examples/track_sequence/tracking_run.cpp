@@ -130,6 +130,7 @@ tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence,
       scale_factor_(setup.scale_factor),
       prefetch_(setup.params.prefetch),
       left_lens_(sequence.rig().left) {
+  if (a.loops) { report.loops.emplace(); }
   if (!a.record.empty()) { recording_.emplace(a.record, sequence, report.stages); }
 }
 
@@ -173,6 +174,10 @@ void tracking_run::track_all() {
     }
   }
   if (!arguments_.quiet) { progress.finish(); }
+  if (report_.loops) {
+    report_.loops->online = report_.estimate;
+    report_.estimate = path_.by(odometry_.odometry().placed_keyframes());
+  }
   report_.wall_s = std::chrono::duration<double>(clock::now() - begin).count();
 }
 
@@ -193,6 +198,11 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   }
   if (outcome.tracked && found.metric == report_.metric) {
     report_.estimate.push_back(stamped(frame.time_ns, found.T_world_camera));
+    path_.add(frame.time_ns, found.T_odom_camera);
+  }
+  if (report_.loops) {
+    report_.loops->closed += found.loops_closed;
+    report_.loops->corrections += static_cast<int>(found.loops_closed > 0);
   }
   if (outcome.tracked && found.keyframe) { add_points(found.T_world_camera); }
   add_sample(i, std::move(frame.left));

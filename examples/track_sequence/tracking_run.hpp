@@ -9,6 +9,7 @@
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/rectify.hpp"
 #include "examples/sequence/report.hpp"
+#include "examples/track_sequence/corrected_path.hpp"
 #include "examples/track_sequence/options.hpp"
 #include "examples/track_sequence/recording.hpp"
 #include "examples/track_sequence/setup.hpp"
@@ -46,6 +47,7 @@ private:
   int prefetch_;  ///< frames that the odometry gets early
   seq::lens_projection left_lens_;
   std::optional<recording> recording_;
+  corrected_path path_;                ///< with --loops
   std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_
   int before_index_ = -2;
   double busy_until_ms_ = 0;     ///< on the sequence's own clock, for --realtime

@@ -14,6 +14,7 @@
 #include "ft/types/errors.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/rig_description.hpp"
@@ -68,6 +69,7 @@ public:
     virtual tracked_frame_view const& keypoints() const = 0;
     virtual unsigned char const* matched() const = 0;
     virtual odometry_map download_map(int b) const = 0;
+    virtual std::vector<placed_keyframe> placed_keyframes(int b) const = 0;
     virtual void save_map(std::ostream& to, int b) const = 0;
     virtual void load_map(std::istream& from, int b) = 0;
     virtual std::vector<stage_time> stage_times() const = 0;
@@ -110,6 +112,9 @@ public:
   tracked_frame_view const& keypoints() const { return made().keypoints(); }
   unsigned char const* matched() const { return made().matched(); }
   odometry_map download_map(int b = 0) const { return made().download_map(b); }
+  std::vector<placed_keyframe> placed_keyframes(int b = 0) const {
+    return made().placed_keyframes(b);
+  }
   void save_map(std::ostream& to, int b = 0) const { made().save_map(to, b); }
   void load_map(std::istream& from, int b = 0) { made().load_map(from, b); }
   std::vector<stage_time> stage_times() const { return made().stage_times(); }
@@ -141,7 +146,8 @@ private:
 /// Makes an odometry of a rig that the library ft::odometry has: rectified pairs of pinholes;
 /// distorted pairs of radtan8; fisheye pairs of kannala_brandt; rgbd of pinhole or radtan8;
 /// monocular of pinhole or kannala_brandt; multi rigs. For other camera models: erase().
-/// Has the part inertial if odometry_params::imu is present, and places if a vocabulary is named.
+/// Has the part inertial if odometry_params::imu is present, loops if odometry_params::loops are,
+/// and places if a vocabulary is named.
 /// @throws error for a vocabulary that cannot be read; bad_argument as odometry's constructor, for
 /// a rig that is not in the library, for a GPU
 ///   that is not there, or any GPU if the library was built without CUDA; std::bad_alloc,

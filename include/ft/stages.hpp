@@ -18,7 +18,6 @@
 #include "ft/containers/map_points.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/containers/pose_graph.hpp"
-#include "ft/containers/pose_graph_files.hpp"
 #include "ft/containers/remap_table.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/stereo_matches.hpp"
@@ -119,3 +118,4 @@
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/transform.hpp"
 #include "ft/pipelines/pose_graph.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"

@@ -86,6 +86,9 @@ def parser() -> argparse.ArgumentParser:
                          help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
     command.add_argument("--near", type=number(1e-6, 1e6),
                          help="depth of map points, in baselines; default: the settings file's, or 50")
+    command.add_argument("--loops", action="store_true",
+                         help="recognises places seen before and corrects the path there: trajectory.txt is the path as all "
+                              "loops have corrected it, trajectory_online.txt as each frame told it")
     command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
                          help="auto (the default): used if the sequence has one")
     command.add_argument("--imu-time-offset", type=number(-10, 10),

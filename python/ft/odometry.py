@@ -39,6 +39,14 @@ class Map(TypedDict):
     keyframe_T_world_camera: NDArray[np.float64]
 
 
+class PlacedKeyframes(TypedDict):
+    """See Odometry.placed_keyframes."""
+
+    time_ns: NDArray[np.int64]
+    T_odom_camera: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64]
+
+
 class Odometry:
     """Tracks the cameras of a rig in a map that it makes; with batch > 1 that many rigs of the same kind, each in its own
     map.
@@ -48,7 +56,9 @@ class Odometry:
     near_depth: points up to this many baselines away are near; keyframes are made where they are few. map_slots,
     keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
-    candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
+    candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
+    seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera, a MultiRig
+    or batch > 1. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
 
@@ -59,7 +69,7 @@ class Odometry:
                  device: str = "auto", near_depth: float = 50.0, map_slots: int = 1 << 14, keyframes: int = 128,
                  local_points: int = 1 << 13, window: tuple[int, int] = (10, 5), window_points: int = 1 << 12,
                  vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
-                 measure_stages: bool = False, features: int = 1200, levels: int = 8,
+                 loops: bool = False, measure_stages: bool = False, features: int = 1200, levels: int = 8,
                  scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
                  mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size,
@@ -70,7 +80,7 @@ class Odometry:
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
                            vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
-                           measure_stages=bool(measure_stages))
+                           loops=bool(loops), measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
@@ -145,6 +155,11 @@ class Odometry:
         mean viewing direction, number (n), keyframes_that_see_it (n); keyframe_time_ns (k), keyframe_T_world_camera
         (k, 4, 4)."""
         return cast(Map, self._pipeline.map(b))
+
+    def placed_keyframes(self, b: int = 0) -> PlacedKeyframes:
+        """The keyframes as loops have corrected them, oldest first: time_ns (n), T_odom_camera (n, 4, 4) as they were
+        tracked, T_world_camera (n, 4, 4) as they are known now. Empty without loops."""
+        return cast(PlacedKeyframes, self._pipeline.placed_keyframes(b))
 
     def stage_times(self) -> dict[str, float]:
         """Milliseconds that each stage added to the last frame, by name, in order. Raises ValueError without

@@ -78,7 +78,7 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the calibration, which are printed
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
-                               threads=arguments.threads, measure_stages=measure_stages,
+                               threads=arguments.threads, loops=arguments.loops, measure_stages=measure_stages,
                                map_slots=max(1 << 14, 8 * settings["features"]), **settings)
     return odometry, settings
 
@@ -135,6 +135,7 @@ class Run:
         self._stage_names: list[str] = []
         self.records: list[tuple[int, int, bool, dict[str, float], float, ft.Tracking]] = []
         self.poses: list[tuple[int, NDArray[np.float64]]] = []
+        self._odom_poses: list[NDArray[np.float64]] = []
         self.samples: list[tuple[int, NDArray[np.uint8], list[tuple[float, float, float, int, float, bool, float, float]]]] = []
         self.metric = sequence.kind != "mono"
         self._date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
@@ -173,9 +174,10 @@ class Run:
         self._stage_names += [name for name in stages if name not in self._stage_names]
         self.records.append((i, frame.time_ns, tracked, stages, total, pose))
         if tracked and pose.metric and not self.metric:
-            self.metric, self.poses = True, []  # those before have an unknown scale
+            self.metric, self.poses, self._odom_poses = True, [], []  # those before have an unknown scale
         if tracked and pose.metric == self.metric:
             self.poses.append((frame.time_ns, pose.T_world_camera))
+            self._odom_poses.append(pose.T_odom_camera)
         self._look(i, frame.left, pose, tracked)
         if self._viewer is not None:
             self._show(self._viewer, i, frame, pose, tracked, {**stages, "total": total})
@@ -222,6 +224,13 @@ class Run:
                          self._odometry.keypoints(), counts, milliseconds),
                     self._odometry.map() if tracked and pose.keyframe else None)
 
+    def _corrected(self) -> list[tuple[int, NDArray[np.float64]]]:
+        """Each pose moves with the last keyframe that is not after it."""
+        placed = self._odometry.placed_keyframes()
+        moves = placed["T_world_camera"] @ np.linalg.inv(placed["T_odom_camera"])
+        last = np.searchsorted(placed["time_ns"], [t for t, _ in self.poses], "right") - 1
+        return [(t, moves[k] @ T if k >= 0 else T) for (t, _), T, k in zip(self.poses, self._odom_poses, last)]
+
     def write(self, settings: Settings) -> None:
         """The files that track_sequence writes. Prints its summary."""
         a, sequence, last = self._arguments, self._sequence, self.last
@@ -229,7 +238,10 @@ class Run:
         made = self._odometry.map()
         rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
                                                         "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
-        trajectory = ft.Trajectory.of(self.poses)
+        trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
+        closed = [pose.loops_closed for *_, pose in self.records]
+        loops = {"closed": sum(closed), "corrections": sum(n > 0 for n in closed),
+                 "poses": ft.Trajectory.of(self.poses).poses} if a.loops else None
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,
@@ -244,7 +256,7 @@ class Run:
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
-            "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
+            "loops": loops, "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
         })

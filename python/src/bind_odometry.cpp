@@ -108,6 +108,7 @@ public:
     p.window = {moving, get("window_fixed")};
     p.window_points = get("window_points");
     p.measure_stages = nb::cast<bool>(options["measure_stages"]);
+    p.loops.present = nb::cast<bool>(options["loops"]);
     if (!inertial.is_none()) { p.imu = imu_of(inertial); }
     is_rgbd_ = r.kind == "rgbd";
     has_depth_scale_ = r.depth_scale.has_value();
@@ -257,6 +258,22 @@ public:
     d["keyframe_T_world_camera"] = to_numpy(std::move(poses), {keyframes, 4, 4});
     return d;
   }
+  nb::dict placed_keyframes(int b) const {
+    std::vector<std::int64_t> time_ns;
+    std::vector<double> tracked, placed;
+    for (auto const& k : translated([&] { return inner_->placed_keyframes(b); })) {
+      time_ns.push_back(k.time_ns);
+      pose const T_odom = from_ft(k.T_odom_camera), T_world = from_ft(k.T_world_camera);
+      tracked.insert(tracked.end(), T_odom.begin(), T_odom.end());
+      placed.insert(placed.end(), T_world.begin(), T_world.end());
+    }
+    std::size_t const n = time_ns.size();
+    nb::dict d;
+    d["time_ns"] = to_numpy(std::move(time_ns));
+    d["T_odom_camera"] = to_numpy(std::move(tracked), {n, 4, 4});
+    d["T_world_camera"] = to_numpy(std::move(placed), {n, 4, 4});
+    return d;
+  }
   nb::dict stage_times() const {
     nb::dict d;
     for (auto const& stage : translated([&] { return inner_->stage_times(); })) {
@@ -396,6 +413,16 @@ void bind_tracking(nb::module_& m) {
           [](tracking const& t) { return to_numpy(from_ft(t.of.T_world_camera)); },
           "(4, 4) float64: maps points of the left camera, or of the body of a MultiRig, to the "
           "world, which is that of the first frame with a map; metres if `metric`.")
+      .def_prop_ro(
+          "T_odom_camera", [](tracking const& t) { return to_numpy(from_ft(t.of.T_odom_camera)); },
+          "(4, 4) float64: the same as it was tracked, which never jumps where a loop is closed; "
+          "T_world_camera is T_world_odom @ T_odom_camera")
+      .def_prop_ro(
+          "T_world_odom", [](tracking const& t) { return to_numpy(from_ft(t.of.T_world_odom)); },
+          "(4, 4) float64: what loops have corrected so far")
+      .def_prop_ro(
+          "loops_closed", [](tracking const& t) { return t.of.loops_closed; },
+          "loops whose correction enters with this frame")
       .def_prop_ro(
           "state", [](tracking const& t) { return name_of(t.of.state); },
           "initialising, tracking, recovering or lost")
@@ -545,6 +572,7 @@ void bind_odometry(nb::module_& m) {
            nb::arg("b") = 0)
       .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
+      .def("placed_keyframes", &bound_odometry::placed_keyframes, nb::arg("b") = 0)
       .def("stage_times", &bound_odometry::stage_times)
       .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
       .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)

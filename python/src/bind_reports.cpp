@@ -103,6 +103,13 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.with_imu = flag("with_imu");
   r.metric = flag("metric");
   r.estimate = trajectory_of(run["time_ns"], run["poses"], "the estimate");
+  nb::object const loops = run["loops"];
+  if (!loops.is_none()) {
+    r.loops.emplace();
+    r.loops->closed = nb::cast<int>(loops["closed"]);
+    r.loops->corrections = nb::cast<int>(loops["corrections"]);
+    r.loops->online = trajectory_of(run["time_ns"], loops["poses"], "the estimate");
+  }
   for (nb::handle const h : run["samples"]) { r.samples.push_back(sample_of(h)); }
   for (nb::handle const p : run["cloud"]) {
     auto const at = [&](int i) { return nb::cast<float>(p[i]); };

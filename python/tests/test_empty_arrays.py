@@ -126,7 +126,7 @@ def test_every_public_entry_is_called_here(calls):
         "CalibrationWarning", "CalibrationWarning.count", "CalibrationWarning.index",
         "Frame", "Keypoints", "Sequence", "Sequence.describe", "StereoMatches", "Stream", "Tracking", "devices", "read_sequence", "read_tum",
         "Keypoints.to_cv2", "Keypoints.to_numpy", "Odometry", "Odometry.keypoints", "Odometry.map",
-        "Odometry.reset", "Odometry.save_map", "Odometry.stage_times", "OrbExtractor", "PlaceRecognition",
+        "Odometry.placed_keyframes", "Odometry.reset", "Odometry.save_map", "Odometry.stage_times", "OrbExtractor", "PlaceRecognition",
         "PlaceRecognition.add", "PlaceRecognition.erase", "PlaceRecognition.query", "PlaceRecognition.words", "Rectifier",
         "Rectifier.map", "StereoMatcher", "Trajectory.write_euroc", "Trajectory.write_kitti", "Trajectory.write_tum",
         "check_calibration",

@@ -27,6 +27,22 @@ def test_host_and_gpu_agree_to_the_bit(walk, device):
     assert all(np.array_equal(p.T_world_camera, q.T_world_camera) for p, q in zip(a, b))
 
 
+def test_loops_are_plugged_in(walk, device):
+    odometry = walk.odometry(device=device, loops=True)
+    poses = follow(odometry, walk, 8)
+    plain = follow(walk.odometry(device=device), walk, 8)
+    placed = odometry.placed_keyframes()
+    n = sum(p.keyframe for p in poses)
+    assert n > 0 and placed["time_ns"].tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
+    assert placed["T_odom_camera"].shape == placed["T_world_camera"].shape == (n, 4, 4)
+    for p, q in zip(poses, plain):  # a straight line has no loop
+        assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4))
+        assert np.array_equal(p.T_odom_camera, q.T_world_camera) and np.array_equal(p.T_world_camera, q.T_world_camera)
+    assert len(walk.odometry().placed_keyframes()["time_ns"]) == 0
+    with pytest.raises(ValueError, match="batch"):
+        walk.odometry(batch=2, loops=True)
+
+
 def test_a_batch_tracks_each_camera_as_alone(walk):
     both = walk.odometry(batch=2)
     alone = walk.odometry()

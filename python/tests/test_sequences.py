@@ -287,11 +287,14 @@ def test_the_program_tracks_a_folder(folder, folder_with_truth, tmp_path):
 
 def test_options_of_the_program(folder_with_truth, tmp_path):
     done = track("--sequence", folder_with_truth, "--out", tmp_path, "--device", "host", "--features", "400", "--frames", "6", "--timing",
-                 "--poses", "kitti", "--imu", "off", "--threads", "1", "--near", "40", "--rig", "rectified", "--quiet")
+                 "--poses", "kitti", "--imu", "off", "--threads", "1", "--near", "40", "--rig", "rectified", "--loops", "--quiet")
     assert done.returncode == 0, done.stderr
     assert "track  " not in done.stdout
     assert np.loadtxt(tmp_path / "poses.txt").shape == (6, 12)
     summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["loops"] == {"closed": 0, "corrections": 0, "online_ate_rmse_m": pytest.approx(summary["ate_rmse_m"])}
+    online, corrected = (ft.read_tum(tmp_path / name) for name in ("trajectory_online.txt", "trajectory.txt"))
+    assert np.allclose(online.poses, corrected.poses, atol=1e-8)
     assert len(summary["stages"]) > 5 and summary["options"]["near points, baselines"].startswith("40")
     for bad in (["--frames", "-1"], ["--near", "nan"], ["--near", "0"], ["--threads", "9999"], ["--rig", "odd"], [folder_with_truth]):
         done = track("--sequence", folder_with_truth, "--out", tmp_path / "none", *bad)

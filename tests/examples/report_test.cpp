@@ -519,6 +519,7 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   r.records[1].reason = "dark";
   r.records[1].map_id = 2;
   r.records[1].warnings = {{"dark", "nearly black"}, {"two_motions", "things move"}};
+  r.records[1].imu_warnings = {"samples come too late"};
   seq::write_times_csv(file("times.csv"), r);
   auto const lines = split(read_text(file("times.csv")), '\n');
   ASSERT_EQ(lines.size(), 4U);
@@ -529,7 +530,7 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   EXPECT_EQ(lines[1],
             "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,,0,");
   EXPECT_EQ(lines[2],
-            "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions");
+            "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions imu");
   for (auto const& line : lines) {
     EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14) << line;
   }

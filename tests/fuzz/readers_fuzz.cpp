@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any bytes where a calibration, a list of frames, ground truth, an image or a vocabulary is
-// expected: read, or refused with seq::error or ft::error. The first byte says which file they are.
+// Any bytes where a calibration, a list of frames, ground truth, an image, a vocabulary or a pose
+// graph is expected: read, or refused with seq::error or ft::error. The first byte says which file
+// they are.
 #include <unistd.h>
 
 #include <cstddef>
@@ -21,6 +22,7 @@
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/error.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/fuzz/input.hpp"
 
 namespace {
@@ -271,6 +273,18 @@ void load_vocabulary(std::string bytes, bool mend) {
   } catch (ft::error const&) {}
 }
 
+/// What is read is a valid graph, and can be written.
+template <typename Read>
+void read_graph(std::string const& bytes, Read const& read) {
+  std::istringstream in(bytes);
+  try {
+    auto const graph = read(in);
+    std::ostringstream again;
+    fuzz::require(fuzz::accepted<ft::error>([&] { ft::write_g2o(again, graph); }),
+                  "a pose graph that is read is written");
+  } catch (ft::error const&) {}
+}
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
@@ -328,6 +342,12 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 17:
       s.open_with("folders", "left/1.png", bytes);
+      break;
+    case 18:
+      read_graph(bytes, [](std::istream& in) { return ft::read_g2o(in); });
+      break;
+    case 19:
+      read_graph(bytes, [](std::istream& in) { return ft::read_g2o_similarities(in); });
       break;
     case 20:
       s.open_with("tum", "rgb.txt", bytes);

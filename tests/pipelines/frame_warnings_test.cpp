@@ -301,4 +301,134 @@ TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
   EXPECT_TRUE(camera(good()).empty());
 }
 
+// ---- an IMU that is not used
+
+/// A frame that moves, with samples, whose IMU says nothing.
+ft::tracking idle() {
+  ft::tracking t = good();
+  t.evidence.facts.moving = 1;
+  t.imu.samples = ft::integration_status::integrated;
+  t.imu.rate_hz = 200;
+  return t;
+}
+ft::tracking used() {
+  ft::tracking t = idle();
+  t.imu.known = t.imu.predicted = t.imu.optimized = true;
+  return t;
+}
+judged with_imu() {
+  judged camera;
+  camera.params.imu.present = true;
+  return camera;
+}
+/// Frames of one kind until the warning. @return their number, at most `most`
+int until_told(judged& camera, ft::tracking const& t, int most, std::int64_t after = period) {
+  for (int n = 1; n <= most; ++n) {
+    if (camera(t, after).has(warning::imu_not_used)) { return n; }
+  }
+  return most;
+}
+constexpr int never = 1000;
+
+TEST(AnImuThatIsNotUsed, IsToldAfterTwiceTheTimeOfAStart) {
+  judged camera = with_imu();
+  EXPECT_EQ(ft::longest_unused_s(camera.params.imu, true), 4.0);  // 8 keyframes, 0.25 s
+  EXPECT_EQ(until_told(camera, idle(), never), 81);  // the first frame has no time before it
+  // It falls back, and does not come back.
+  for (int i = 0; i < 100; ++i) { EXPECT_TRUE(camera(used()).empty()); }
+  EXPECT_EQ(until_told(camera, idle(), never), 80);
+  camera.first = true;
+  EXPECT_EQ(until_told(camera, idle(), never), 81);
+}
+
+TEST(AnImuThatIsNotUsed, IsNotToldOfWhatCannotBeUsed) {
+  void (*const changes[])(ft::tracking&) = {
+      [](ft::tracking& t) { t.imu.samples = ft::integration_status::no_samples; },
+      [](ft::tracking& t) { t.imu.samples = ft::integration_status::wrong_rate; },
+      [](ft::tracking& t) {
+        t.state = ft::tracking_state::recovering;
+        t.inliers = 0;
+      },
+      [](ft::tracking& t) { t.inliers = 0; }};
+  for (auto const& change : changes) {
+    judged camera = with_imu();
+    ft::tracking t = idle();
+    change(t);
+    EXPECT_EQ(until_told(camera, t, never), never);
+    EXPECT_EQ(until_told(camera, idle(), never), 80) << "as one that starts late";
+  }
+  judged without;
+  EXPECT_EQ(until_told(without, idle(), never), never);
+}
+
+TEST(AnImuThatIsNotUsed, IsNotToldOfACameraAtRest) {
+  judged camera = with_imu();
+  ft::tracking t = idle();
+  t.evidence.facts.moving = 0;
+  EXPECT_EQ(until_told(camera, t, never), never);
+  EXPECT_EQ(until_told(camera, idle(), never), 40);  // half of the time in motion
+}
+
+TEST(AnImuThatIsNotUsed, HasTheTimeThatItsKeyframesNeed) {
+  judged slow = with_imu();  // two images a second: 16 keyframes
+  EXPECT_EQ(until_told(slow, idle(), never, 500'000'000), 17);
+  judged one_camera = with_imu();
+  ft::tracking t = idle();
+  t.metric = false;
+  EXPECT_EQ(ft::longest_unused_s(one_camera.params.imu, false), 20.0);  // 40 keyframes
+  t.depths = ft::depth_origin::motion;
+  EXPECT_EQ(until_told(one_camera, t, never), 401);
+  t.metric = true;  // the IMU has told it
+  for (int i = 0; i < 20; ++i) { one_camera(t); }
+  EXPECT_EQ(until_told(one_camera, t, never), never);
+  // Corrected clocks: it begins anew.
+  judged clock = with_imu();
+  EXPECT_EQ(until_told(clock, idle(), 70), 70);
+  t = idle();
+  t.imu.time_offset_s = 0.001;
+  EXPECT_EQ(until_told(clock, t, never), 80);
+}
+
+TEST(AnImuThatIsNotUsed, IsToldOfOneThatIsUsedNowAndThen) {
+  judged camera = with_imu();
+  int told = 0;
+  for (int i = 0; i < 300; ++i) {
+    told += camera(i % 4 == 0 ? used() : idle()).has(warning::imu_not_used) ? 1 : 0;
+  }
+  EXPECT_GT(told, 100);
+  camera.first = true;
+  for (int i = 0; i < 300; ++i) {
+    EXPECT_FALSE(camera(i % 4 != 0 ? used() : idle()).has(warning::imu_not_used)) << i;
+  }
+}
+
+TEST(AnImuThatIsNotUsed, SaysWhy) {
+  struct row {
+    ft::integration_status samples;
+    ft::initialization_status estimate;
+    char const* words;
+  };
+  using samples = ft::integration_status;
+  using estimate = ft::initialization_status;
+  row const rows[] = {
+      {samples::integrated, estimate::inconsistent, "contradict the images"},
+      {samples::contradicted, estimate::little_motion, "contradict the images"},
+      {samples::integrated, estimate::little_motion, "the motion is too little"},
+      {samples::integrated, estimate::no_integral, "8 keyframes in a row"},
+  };
+  for (row const& r : rows) {
+    judged camera = with_imu();
+    ft::tracking t = idle();
+    t.imu.samples = r.samples;
+    t.imu.estimate = r.estimate;
+    ASSERT_LT(until_told(camera, t, never), never);
+    t.imu.unused_s = 4;
+    std::string const said = ft::text_of(warning::imu_not_used, t, camera.params);
+    for (char const* words :
+         {r.words, "4 s of tracking", "time_offset_s", "T_bc", "axes", "units"}) {
+      EXPECT_NE(said.find(words), std::string::npos) << words << ": " << said;
+    }
+  }
+}
+
 }  // namespace frame_warnings_test

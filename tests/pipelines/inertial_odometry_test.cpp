@@ -10,6 +10,7 @@
 #include <cstring>
 #include <limits>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "ft/pipelines/explain.hpp"
@@ -149,6 +150,10 @@ double error_of(ft::tracking const& t, int frame) {
   return length(t.T_world_camera.t - f.T_cw.cast<double>().inverse().t);
 }
 
+bool warns_of_unused_imu(ft::tracking const& t) {
+  return t.warnings.has(ft::tracking_warning::imu_not_used);
+}
+
 template <typename Backend>
 class inertial_odometry : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(inertial_odometry, test::backends);
@@ -194,7 +199,33 @@ TYPED_TEST(inertial_odometry, finds_gravity_velocity_and_biases) {
   for (int i = 0; i < frame_count; ++i) {
     EXPECT_EQ(all[static_cast<std::size_t>(i)].state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(all[static_cast<std::size_t>(i)], i), 0.02) << i;
+    EXPECT_FALSE(warns_of_unused_imu(all[static_cast<std::size_t>(i)])) << i;
   }
+}
+
+/// x and y of the IMU are exchanged: its state is never known, and the poses are those of the
+/// images.
+TYPED_TEST(inertial_odometry, says_that_an_imu_with_wrong_axes_is_not_used) {
+  TypeParam backend;
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
+  ft::tracking last;
+  int samples = 0;
+  for (int i = 0; i < frame_count; ++i) {
+    while (samples <= 4 * i) {
+      auto m = sample_at(0.25 * samples++);
+      std::swap(m.accel.x, m.accel.y);
+      std::swap(m.gyro.x, m.gyro.y);
+      odo.add_imu(m);
+    }
+    auto const& f = walk()[static_cast<std::size_t>(i)];
+    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_LT(error_of(last, i), 0.02) << i;
+    double const limit = ft::longest_unused_s(params().imu, true);
+    EXPECT_EQ(warns_of_unused_imu(last), last.imu.unused_s > limit - 1e-6) << i;
+    EXPECT_FALSE(warns_of_unused_imu(last) && i * seconds < limit - 1e-6) << i;
+  }
+  EXPECT_TRUE(warns_of_unused_imu(last));
+  EXPECT_FALSE(last.imu.optimized);
 }
 
 TYPED_TEST(inertial_odometry, prefetch_changes_no_answer) {

@@ -15,7 +15,7 @@
 #include <string>
 #include <vector>
 
-#include "ft/containers/pose_graph_files.hpp"
+#include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
 #include "tests/support/pose_graphs.hpp"
@@ -114,7 +114,7 @@ TEST(PoseGraphEdge, DerivativesAreThoseOfDifferences) {
 /// A tile is updated with wide vectors where the processor has them.
 TEST(PoseGraphTiles, WideVectorsGiveTheSameBits) {
   if (!ft::detail::has_wide_vectors()) { GTEST_SKIP() << "this processor has no AVX2"; }
-  constexpr std::size_t side = 2 * ft::detail::tile_side;
+  constexpr std::size_t side = 2 * ft::detail::tile_side<6>;
   test::random_motion any(5);
   std::vector<double> dense(side * side);
   std::vector<double> right(side);
@@ -122,7 +122,7 @@ TEST(PoseGraphTiles, WideVectorsGiveTheSameBits) {
   for (double& v : right) { v = any.number(); }
   auto wide_dense = dense;
   auto wide_right = right;
-  ft::detail::graph_system_view A;
+  ft::detail::graph_system_view<6> A;
   A.plan.dense = side / 6;
   A.dense = dense.data();
   A.right = right.data();

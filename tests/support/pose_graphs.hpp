@@ -101,4 +101,53 @@ inline generated_graph make_graph(graph_shape const& shape, unsigned seed) {
   return made;
 }
 
+/// The largest difference of two poses: of their rotations, of their places, of the logarithms of
+/// their scales.
+inline double distance(ft::similarity<double> const& a, ft::similarity<double> const& b) {
+  double worst = std::abs(std::log(a.scale / b.scale));
+  for (int k = 0; k < 9; ++k) { worst = std::max(worst, std::abs(a.R.m[k] - b.R.m[k])); }
+  auto const d = a.t - b.t;
+  return std::max(worst, std::sqrt(ft::dot(d, d)));
+}
+
+struct generated_similarity_graph {
+  ft::similarity_graph graph;  ///< poses as odometry has them
+  std::vector<ft::similarity<double>> truth;
+};
+
+/// The graph of make_graph, its poses with scales that drift.
+inline generated_similarity_graph make_similarity_graph(graph_shape const& shape, unsigned seed) {
+  auto const rigid = make_graph(shape, seed);
+  random_motion any(seed + 1000);
+  generated_similarity_graph made;
+  double log_scale = 0;
+  for (auto const& T : rigid.truth) {
+    made.truth.push_back({T.R, T.t, std::exp(log_scale)});
+    log_scale += 0.02 * any.number();
+  }
+  for (auto const& edge : rigid.graph.edges) {
+    auto const at = [&](int i) { return made.truth[static_cast<std::size_t>(i)]; };
+    ft::similarity_edge e;
+    e.from = edge.from;
+    e.to = edge.to;
+    auto const noise = any(shape.angle, shape.length);
+    e.T_from_to = (at(e.from).inverse() * at(e.to) *
+                   ft::similarity<double>{noise.R, noise.t, std::exp(0.01 * any.number())})
+                      .orthonormalized();
+    // The information of the rigid edge, and that of the scale, which depends on the translation.
+    for (int i = 0, own = 0, rigid_at = 0; i < 6; ++i) {
+      for (int j = i; j < 6; ++j) { e.information[own++] = edge.information[rigid_at++]; }
+      e.information[own++] = shape.full && i < 3 ? 0.2 * edge.information[0] : 0;
+    }
+    e.information[27] = 1e4;
+    made.graph.edges.push_back(e);
+  }
+  made.graph.T_world_pose.push_back(made.truth.front());
+  for (std::size_t i = 0; i + 1 < made.truth.size(); ++i) {
+    auto const& step = made.graph.edges[i].T_from_to;
+    made.graph.T_world_pose.push_back((made.graph.T_world_pose.back() * step).orthonormalized());
+  }
+  return made;
+}
+
 }  // namespace test

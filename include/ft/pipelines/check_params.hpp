@@ -79,6 +79,20 @@ inline void check(imu_params const& imu) {
   detail::require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);
 }
 
+/// @throws bad_argument naming the value and the limit
+inline void check(loop_params const& p) {
+  detail::require_range("loops.keyframes", p.keyframes, 128, 1 << 16);
+  detail::require_range("loops.points", p.points, 16, 1 << 12);
+  detail::require_range("loops.recent", p.recent, 2, 1 << 16);
+  detail::require_range("loops.groups", p.groups, 1, 16);
+  detail::require_range("loops.votes", p.votes, 8, 1 << 12);
+  detail::require_range("loops.min_votes", p.min_votes, 1, p.votes);
+  detail::require_range("loops.min_inliers", p.min_inliers, 8, 1 << 12);
+  detail::require_range("loops.min_share", p.min_share, 0.0f, 1.0f);
+  detail::require_range("loops.max_drift", p.max_drift, 0.0f, 10.0f);
+  detail::require_range("loops.max_turn", p.max_turn, 0.0f, 3.2f);
+}
+
 /// What does not depend on the rig; of the IMU only if there is one.
 inline void check(odometry_params const& p) {
   check(p.orb);
@@ -97,6 +111,7 @@ inline void check(odometry_params const& p) {
   detail::require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);
   detail::require_range("local_map.neighbours", p.local_map.neighbours, 0, 32);
   check(p.rules);
+  if (p.loops.present) { check(p.loops); }
   if (!p.imu.present) { return; }
   check(p.imu);
   if (p.rules.keyframe_period_s != 0) {  // two answers to one question

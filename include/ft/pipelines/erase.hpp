@@ -20,6 +20,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "ft/types/images.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {
@@ -113,6 +114,9 @@ public:
   odometry_map download_map(int b) const override {
     [[maybe_unused]] auto const here = place_.enter();
     return inner_.download_map(b);
+  }
+  std::vector<placed_keyframe> placed_keyframes(int b) const override {
+    return inner_.placed_keyframes(b);
   }
   void save_map(std::ostream& to, int b) const override {
     [[maybe_unused]] auto const here = place_.enter();

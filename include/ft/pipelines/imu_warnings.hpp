@@ -2,13 +2,17 @@
 /// @file What is likely wrong with the samples of an IMU, in words.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <string>
 #include <vector>
 
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/types/imu.hpp"
+#include "ft/types/tracking.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -66,5 +70,78 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
   return out;
 }
 
+/// The time of tracking that an IMU has until it is said that it is not used, s: twice that in
+/// which the keyframes of an estimate are made. A right one needs it once, to begin and to come
+/// back.
+/// @param metric whether the unit of the map is known; not of one camera, before its IMU tells it
+inline double longest_unused_s(imu_params const& params, bool metric) {
+  int const least = params.initialization.least_keyframes;
+  int const keyframes = metric ? least : std::max(least, params.scale_keyframes);
+  return 2 * keyframes * params.keyframe_period_s;
+}
+
+namespace detail {
+
+/// The sentence of tracking_warning::imu_not_used.
+inline std::string unused_imu_text(imu_tracking const& t, imu_params const& params) {
+  bool const contradicts = t.samples == integration_status::contradicted ||
+                           t.estimate == initialization_status::inconsistent;
+  std::string why = "its samples contradict the images";
+  if (!contradicts && t.estimate == initialization_status::little_motion) {
+    why =
+        "its velocity, gravity and biases remain uncertain, for the motion is too little or "
+        "its samples do not suit the images";
+  } else if (!contradicts) {
+    why = "there were no " + std::to_string(params.initialization.least_keyframes) +
+          " keyframes in a row whose samples suit the images";
+  }
+  char time[32];
+  std::snprintf(time, sizeof time, "%.3g", t.unused_s);
+  return "the IMU is not used, " + std::string(time) + " s of tracking by now: " + why +
+         "; check T_bc and the axes, time_offset_s and the clocks, the units m/s^2 and rad/s";
+}
+
+/// What is kept of an IMU to tell whether it is used.
+class idle_imu {
+public:
+  /// Writes imu_tracking::unused_s. @return whether the IMU is not used, though it has had the time
+  /// for it, half of it in motion: a camera at rest tells little of an IMU. One camera's has told
+  /// the unit of the map when it is known, so it is right, and what it contradicts later is the map
+  bool judge(tracking& t, std::int64_t time_ns, imu_params const& params) {
+    imu_tracking& imu = t.imu;
+    // At a low rate of images keyframes take longer.
+    double const passed =
+        any_ ? std::fmin(static_cast<double>(saturated_difference(time_ns, last_ns_)) * 1e-9,
+                         params.keyframe_period_s)
+             : 0.0;
+    bool const told_unit = t.depths == depth_origin::motion && t.metric;
+    // Where the offset of the clocks was corrected the IMU has begun anew.
+    if (told_unit || imu.time_offset_s != offset_s_) { unused_s_ = moving_s_ = 0; }
+    any_ = true;
+    last_ns_ = time_ns;
+    offset_s_ = imu.time_offset_s;
+    double const most = longest_unused_s(params, t.metric);
+    bool const sees = t.state == tracking_state::tracking && t.inliers > 0;
+    bool const could = usable(imu.samples) || imu.samples == integration_status::contradicted;
+    double const counted = imu.optimized ? -passed : sees && could && !told_unit ? passed : 0.0;
+    auto const add = [&](double& sum, double most_of_it) {
+      sum = std::fmin(std::fmax(sum + counted, 0.0), most_of_it);
+    };
+    add(unused_s_, most);
+    if (imu.optimized || t.evidence.facts.moving != 0) { add(moving_s_, 0.5 * most); }
+    imu.unused_s = unused_s_;
+    constexpr double rounding = 1e-6;
+    return !imu.optimized && unused_s_ > most - rounding && moving_s_ > 0.5 * most - rounding;
+  }
+
+private:
+  bool any_ = false;
+  std::int64_t last_ns_ = 0;
+  double offset_s_ = 0;
+  double unused_s_ = 0;
+  double moving_s_ = 0;
+};
+
+}  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

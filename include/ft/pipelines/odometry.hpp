@@ -23,12 +23,14 @@
 #include "ft/pipelines/detail/odometry_engine.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
 #include "ft/pipelines/detail/odometry_inertial.hpp"
+#include "ft/pipelines/detail/odometry_loops.hpp"
 #include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/rectifying_parts.hpp"
 #include "ft/pipelines/detail/rgbd_parts.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
@@ -75,10 +77,11 @@ public:
   ///
   ///     ft::odometry odo(exec, rig, params, 1, ft::inertial{});             // params.imu
   ///     ft::odometry odo(exec, rig, params, 1, ft::places{words.view()});
+  ///     ft::odometry odo(exec, rig, params, 1, ft::loops{});                // params.loops
   ///
-  /// @param batch camera pairs @param plugged inertial, or places
+  /// @param batch camera pairs @param plugged inertial, places, or loops
   /// @throws bad_argument also for odometry_params::imu without inertial, and for inertial without
-  ///   it; std::bad_alloc, cuda_error
+  ///   it; likewise for odometry_params::loops and loops; std::bad_alloc, cuda_error
   template <typename... Plugged>
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch,
            Plugged const&... plugged)
@@ -161,7 +164,8 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require_motion(T_world_camera);
     odometry_input& in = p.stages.own.inputs[b];
-    in.T_cw = T_world_camera.inverse();
+    in.T_cw =
+        (p.results[static_cast<std::size_t>(b)].T_world_odom.inverse() * T_world_camera).inverse();
     in.predicted = 1;
   }
   /// A sample of camera pair b's IMU. Samples of one IMU come in order; a frame uses those that
@@ -225,6 +229,16 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     if (p.results[static_cast<std::size_t>(b)].state == tracking_state::initialising) { return {}; }
     return detail::download_odometry_map(p.exec, p.stages.own.map, b);
+  }
+  /// Keyframes as loops have corrected them, oldest first; see loop_params::keyframes. Empty
+  /// without ft::loops. Allocates. @throws bad_argument for a pair that does not exist;
+  /// std::bad_alloc
+  std::vector<placed_keyframe> placed_keyframes(int b = 0) const {
+    engine const& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    std::vector<placed_keyframe> all;
+    for (auto const& part : p.stages.plugged) { part->list_placed(all); }
+    return all;
   }
   /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp. Waits,
   /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the

@@ -24,7 +24,7 @@ inline namespace FT_ABI {
 enum class pose_graph_start {
   given,     ///< at the graph's poses
   odometry,  ///< measured motions chained: each pose from the one before where an edge joins them
-  chordal,   ///< rotations by linear least squares and projection, then translations
+  chordal,   ///< rotations by linear least squares and projection, then scales, then translations
 };
 
 struct pose_graph_params {
@@ -34,7 +34,7 @@ struct pose_graph_params {
   double first_damping = 1e-9;  ///< of the first step, relative to the diagonal, 0 to 1e9
   /// Direction of gravity in the world, of any length from 1e-9 on; 0: not known. Where an IMU told
   /// it, poses keep their angles against it: heading and position of each are found (four degrees
-  /// of freedom). The start must be the given one.
+  /// of freedom), and its scale where it has one. The start must be the given one.
   vec3<double> gravity{0, 0, 0};
 };
 
@@ -52,7 +52,7 @@ struct pose_graph_report {
   /// were given were taken.
   bool started = true;
   int dense_poses = 0;    ///< poses that were solved as a dense matrix
-  long long blocks = 0;   ///< 6 x 6 blocks of the factor
+  long long blocks = 0;   ///< of the factor; 6 x 6 numbers each, 7 x 7 where poses have scales
   std::size_t bytes = 0;  ///< of executor memory
 };
 
@@ -113,11 +113,12 @@ struct graph_damping {
 /// Levenberg's and Marquardt's method, with each linear system solved exactly. Equal bits on every
 /// executor. Allocates, and returns when all is done. Memory: linear in the edges and in the blocks
 /// of the factor.
-/// @param graph its poses that are not fixed get the result
+/// @param graph its poses that are not fixed get the result; a fixed one keeps its scale, too. With
+///   a similarity_graph each pose has seven degrees of freedom
 /// @throws bad_argument for an invalid graph, or one whose factor does not fit into 32-bit indices;
 ///   std::bad_alloc, cuda_error
-template <typename Exec>
-pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
+template <typename Exec, typename Motion>
+pose_graph_report optimize_pose_graph(Exec const& exec, motion_graph<Motion>& graph,
                                       pose_graph_params const& params = {}) {
   check(params);
   check(graph);
@@ -127,7 +128,7 @@ pose_graph_report optimize_pose_graph(Exec const& exec, pose_graph& graph,
     return report;
   }
   detail::elimination_order const order(graph);
-  detail::pose_graph_solver<Exec> solver(exec, graph, order, detail::axis_of(params));
+  detail::pose_graph_solver<Exec, Motion> solver(exec, graph, order, detail::axis_of(params));
   report.dense_poses = order.dense;
   report.blocks = order.blocks();
   report.bytes = solver.bytes();

@@ -19,7 +19,7 @@ inline char const* name_of(tracking_warning warning) {
   constexpr char const* names[] = {
       "new_map",     "doubtful_pose", "two_motions", "images_repeat", "stereo_inconsistent",
       "depth_scale", "dark",          "bright",      "low_texture",   "blurred",
-      "imu"};
+      "imu",         "imu_not_used"};
   static_assert(sizeof names / sizeof *names == tracking_warnings, "one a warning");
   int const i = static_cast<int>(warning);
   return i >= 0 && i < tracking_warnings ? names[i] : "unknown";
@@ -128,6 +128,9 @@ public:
     if (params.imu.present && !imu_warnings(t.imu, params.imu).empty()) {
       all.add(tracking_warning::imu);
     }
+    if (params.imu.present && idle_.judge(t, time_ns, params.imu)) {
+      all.add(tracking_warning::imu_not_used);
+    }
     if (!all.has(tracking_warning::stereo_inconsistent) && !unlit) {
       double const gain = usual_share_ > 0 ? 0.125 : 1;
       usual_share_ += gain * (e.stereo_share - usual_share_);
@@ -152,10 +155,11 @@ private:
     return repeats_ || (e.same > 0 && e.same < e.images && e.textured > 0);
   }
 
+  idle_imu idle_;
   double usual_share_ = 0;
   bool repeats_ = false;
   bool lost_before_ = false;
-  std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
+  std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 };
 
 inline std::string share_of(double part, double of) {
@@ -219,6 +223,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
       return "almost uniform is " + light;
     case tracking_warning::blurred:
       return "only " + std::to_string(t.keypoints) + " keypoints: blurred, or without texture";
+    case tracking_warning::imu_not_used:
+      return detail::unused_imu_text(t.imu, params.imu);
     case tracking_warning::imu:
       break;
   }

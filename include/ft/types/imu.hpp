@@ -91,6 +91,19 @@ struct initialization_params {
   float max_rotation_rms = 0.02f;   ///< and rad for an interval
 };
 
+/// What came of an initialisation.
+enum class initialization_status : int {
+  initialized = 0,
+  /// Known as well. Of the accelerometer's bias only the vertical part is: a level one looks like a
+  /// tilt. tilt_sigma says how much that may be; more is known once the body has moved.
+  at_rest,
+  few_keyframes,  ///< fewer than initialization_params::least_keyframes
+  no_integral,    ///< an interval was not integrated
+  not_finite,     ///< a pose or an integral has NaN or infinity
+  little_motion,  ///< a result is less certain than its limit: more keyframes, or more motion
+  inconsistent,   ///< poses and integrals contradict each other
+};
+
 /// The IMU of a rig. All numbers down to the noise come from its calibration.
 struct imu_params {
   bool present = false;
@@ -146,12 +159,18 @@ struct imu_clock_offset {
 struct imu_tracking {
   bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
                        ///< what is said of the samples
-  bool optimized = false;             ///< the frame's pose was optimised with the IMU
-  bool predicted = false;             ///< the frame's pose was predicted with the IMU
+  bool optimized = false;  ///< the frame's pose was optimised with the IMU
+  bool predicted = false;  ///< the frame's pose was predicted with the IMU
+  /// What the last estimate of gravity, velocity and biases came to.
+  initialization_status estimate = initialization_status::few_keyframes;
   vec3<double> velocity = {0, 0, 0};  ///< of the IMU in the world, m/s
   vec3<double> gravity = {0, 0, 0};   ///< in the world, m/s^2
   imu_bias bias{};
   integration_status samples = integration_status::no_samples;  ///< those since the last frame
+  /// Time of tracking in which the samples could have been used and were not, s, less that in
+  /// which they were since: at most longest_unused_s(). A frame counts keyframe_period_s at most. 0
+  /// again where the IMU begins anew.
+  double unused_s = 0;
   double rate_hz = 0;        ///< at which the last samples came, by their times; 0 = unknown
   double newest_s = 0;       ///< time of the newest sample since the frame's; 0 = there is none
   imu_left_out left_out;     ///< all of them so far

@@ -6,6 +6,7 @@
 
 #include "ft/core/config.hpp"
 #include "ft/types/imu.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/orb_params.hpp"
 
 namespace ft {
@@ -129,6 +130,7 @@ struct odometry_params {
   int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
   monocular_start_params start;    ///< of a monocular_rig
   imu_params imu;                  ///< present or not; see inertial
+  loop_params loops;               ///< present or not; see ft::loops
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
   /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each

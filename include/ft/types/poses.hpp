@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Small vectors, matrices and rigid motions.
+/// @file Small vectors, matrices, rigid motions and similarities.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -142,6 +142,37 @@ struct rigid {
 private:
   FT_HOST_DEVICE FT_INLINE static vec3<S> unit(vec3<S> v) {
     return scaled(v, S(1) / S(rounded::square_root(to_plain(dot(v, v)))));
+  }
+};
+
+/// A similarity x -> scale R x + t. Named `T_ab`, it maps coordinates in frame b to frame a: a unit
+/// of b is `scale` units of a.
+template <typename S>
+struct similarity {
+  mat3<S> R;
+  vec3<S> t;
+  S scale;  ///< above 0
+
+  FT_HOST_DEVICE FT_INLINE static constexpr similarity identity() {
+    return {mat3<S>::identity(), {S(0), S(0), S(0)}, S(1)};
+  }
+  FT_HOST_DEVICE FT_INLINE vec3<S> operator*(vec3<S> p) const { return scaled(R * p, scale) + t; }
+  friend FT_HOST_DEVICE FT_INLINE similarity operator*(similarity const& a, similarity const& b) {
+    return {a.R * b.R, a * b.t, a.scale * b.scale};
+  }
+  FT_HOST_DEVICE FT_INLINE similarity inverse() const {
+    mat3<S> const Rt = R.transposed();
+    S const shrink = S(1) / scale;
+    return {Rt, -scaled(Rt * t, shrink), shrink};
+  }
+  /// As that of rigid.
+  FT_HOST_DEVICE FT_INLINE similarity orthonormalized() const {
+    return {rigid<S>{R, t}.orthonormalized().R, t, scale};
+  }
+  template <typename U>
+  FT_HOST_DEVICE FT_INLINE similarity<U> cast() const {
+    using P = plain_scalar_t<U>;
+    return {R.template cast<U>(), t.template cast<U>(), U(static_cast<P>(to_plain(scale)))};
   }
 };
 

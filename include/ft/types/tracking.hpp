@@ -61,8 +61,9 @@ enum class tracking_warning : int {
   low_texture,          ///< an image has hardly any contrast
   blurred,              ///< too few corners in images that have contrast
   imu,                  ///< see imu_warnings()
+  imu_not_used,         ///< the IMU could have been used for long, and was not
 };
-constexpr int tracking_warnings = 11;  ///< kinds
+constexpr int tracking_warnings = 12;  ///< kinds
 
 /// A set of them.
 struct warning_set {
@@ -113,6 +114,12 @@ struct tracking {
   /// body, of the first frame with a map. For a frame that was not tracked: where it is thought to
   /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
+  /// With ft::loops T_world_camera is T_world_odom * T_odom_camera. T_odom_camera never jumps where
+  /// a loop is closed: it is the pose that the odometry tracks. T_world_odom is what loops have
+  /// corrected so far, REP 105's map to odom.
+  rigid<double> T_odom_camera = rigid<double>::identity();
+  rigid<double> T_world_odom = rigid<double>::identity();
+  int loops_closed = 0;  ///< whose correction enters with this frame
   tracking_state state = tracking_state::initialising;
   /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
   /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known

@@ -182,7 +182,8 @@ public:
   int dense = 0;
 
   /// @param graph valid @throws bad_argument for a system with too many blocks
-  explicit elimination_order(pose_graph const& graph) {
+  template <typename Motion>
+  explicit elimination_order(motion_graph<Motion> const& graph) {
     std::vector<int> vertex = free_vertices(graph);
     elimination_rounds rounds(neighbours_of(graph, vertex));
     round_begin = rounds.round_begin;
@@ -212,7 +213,8 @@ private:
   static std::size_t index(int v) { return static_cast<std::size_t>(v); }
 
   /// Numbers the free poses; the lowest of each part of the graph without a fixed one is fixed.
-  static std::vector<int> free_vertices(pose_graph const& graph) {
+  template <typename Motion>
+  static std::vector<int> free_vertices(motion_graph<Motion> const& graph) {
     std::size_t const poses = graph.T_world_pose.size();
     std::vector<int> root(poses);
     for (std::size_t i = 0; i < poses; ++i) { root[i] = static_cast<int>(i); }
@@ -241,7 +243,8 @@ private:
     return vertex;
   }
 
-  static std::vector<std::vector<int>> neighbours_of(pose_graph const& graph,
+  template <typename Motion>
+  static std::vector<std::vector<int>> neighbours_of(motion_graph<Motion> const& graph,
                                                      std::vector<int> const& vertex) {
     int const n = vertex.empty() ? 0 : *std::max_element(vertex.begin(), vertex.end()) + 1;
     std::vector<std::vector<int>> neighbours(index(n));
@@ -319,7 +322,8 @@ private:
   }
 
   /// Sorts the terms of edges by block, those of a block by edge (a counting sort).
-  void make_terms(pose_graph const& graph) {
+  template <typename Motion>
+  void make_terms(motion_graph<Motion> const& graph) {
     struct entry {
       int block, term;
     };

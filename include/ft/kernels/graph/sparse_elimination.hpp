@@ -2,7 +2,7 @@
 /// @file Elimination of a pose graph's sparse columns, round by round, and what they leave of the
 /// dense part.
 ///
-/// The matrix is factored as L L^T in blocks of 6 x 6. A block of a round takes what all columns of
+/// The matrix is factored as L L^T in blocks of N x N. A block of a round takes what all columns of
 /// the rounds before have in its row and its column, in ascending order of columns
 /// ("left-looking"), so bits do not depend on the number of threads. Source: Davis, "Direct methods
 /// for sparse linear systems", 2006, section 4.
@@ -78,29 +78,43 @@ FT_HOST_DEVICE void for_common_columns(Group g, common_columns& found, graph_pla
 }
 
 /// Entries of a block that a thread of a group has.
-template <typename Group>
+template <typename Group, int N>
 struct own_entries {
-  static constexpr int count = Group::max_threads == 1 ? 36 : 2;
+  static constexpr int all = N * N;
+  static constexpr int count = Group::max_threads == 1 ? all : 2;
   real64 of[count];
 
-  FT_HOST_DEVICE static bool any(Group g) { return g.rank() * count < 36; }
-  FT_HOST_DEVICE static int entry(Group g, int k) { return g.rank() * count + k; }
+  FT_HOST_DEVICE static bool any(Group g) { return g.rank() * count < all; }
+  /// The last thread may have the last entry twice.
+  FT_HOST_DEVICE static int entry(Group g, int k) {
+    int const e = g.rank() * count + k;
+    if constexpr (all % count == 0) {
+      return e;
+    } else {
+      return min_of(e, all - 1);
+    }
+  }
 };
+/// Threads that share the sum of an unknown, and numbers that they leave.
+template <int N>
+inline constexpr int sharers = 32 / N;
+inline constexpr int most_parts = 30;
 
 /// One item: a block of a round, its rows as they are before the division by the diagonal block;
 /// or, past these, a column's right-hand side.
 struct reduce_blocks {
   struct scratch {
     common_columns common;
-    real64 part[30];
+    real64 part[most_parts];
   };
   int first;         ///< block
   int blocks;        ///< items that are blocks
   int first_column;  ///< of the others
   double damping;    ///< relative to the diagonal
 
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, graph_system_view const& A) const {
+  template <typename Group, int N>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item,
+                                 graph_system_view<N> const& A) const {
     if (item < blocks) {
       reduce(g, s.common, first + item, A);
     } else {
@@ -109,10 +123,10 @@ struct reduce_blocks {
   }
 
 private:
-  template <typename Group>
+  template <typename Group, int N>
   FT_HOST_DEVICE void reduce(Group g, common_columns& common, int b,
-                             graph_system_view const& A) const {
-    using own = own_entries<Group>;
+                             graph_system_view<N> const& A) const {
+    using own = own_entries<Group, N>;
     int const i = A.plan.block_row[b];
     int const j = A.plan.block_column[b];
     own sum;
@@ -125,9 +139,9 @@ private:
         FT_UNROLL
         for (int k = 0; k < own::count; ++k) {
           int const e = own::entry(g, k);
-          int const transposed = e % 6 * 6 + e / 6;
-          sum.of[k] +=
-              code % 4 == between_transposed ? terms[72 + transposed] : terms[36 * (code % 4) + e];
+          int const transposed = e % N * N + e / N;
+          sum.of[k] += code % 4 == between_transposed ? terms[2 * N * N + transposed]
+                                                      : terms[N * N * (code % 4) + e];
         }
       }
       if (i == j) { damp(g, i, sum, A); }
@@ -138,11 +152,12 @@ private:
       double const* const M = A.block(of_j);
       FT_UNROLL
       for (int k = 0; k < own::count; ++k) {
-        double const* const l = L + own::entry(g, k) / 6 * 6;
-        double const* const m = M + own::entry(g, k) % 6 * 6;
+        double const* const l = L + own::entry(g, k) / N * N;
+        double const* const m = M + own::entry(g, k) % N * N;
         real64 const p = real64(l[0]) * m[0] + real64(l[1]) * m[1];
         real64 const q = real64(l[2]) * m[2] + real64(l[3]) * m[3];
-        real64 const r = real64(l[4]) * m[4] + real64(l[5]) * m[5];
+        real64 r = real64(l[4]) * m[4] + real64(l[5]) * m[5];
+        if constexpr (N == 7) { r += real64(l[6]) * m[6]; }
         sum.of[k] -= p + (q + r);
       }
     });
@@ -153,52 +168,53 @@ private:
       if (j < A.plan.columns) {
         A.block(b)[e] = sum.of[k].value;
       } else {
-        *A.dense_at(6 * (i - A.plan.columns) + e / 6, 6 * (j - A.plan.columns) + e % 6) =
+        *A.dense_at(N * (i - A.plan.columns) + e / N, N * (j - A.plan.columns) + e % N) =
             sum.of[k].value;
       }
     }
   }
 
-  template <typename Group>
-  FT_HOST_DEVICE void damp(Group g, int i, own_entries<Group>& sum,
-                           graph_system_view const& A) const {
+  template <typename Group, int N>
+  FT_HOST_DEVICE void damp(Group g, int i, own_entries<Group, N>& sum,
+                           graph_system_view<N> const& A) const {
     FT_UNROLL
-    for (int k = 0; k < own_entries<Group>::count; ++k) {
-      int const e = own_entries<Group>::entry(g, k);
-      if (e % 7 != 0) { continue; }
-      A.diagonal[6 * i + e / 7] = sum.of[k].value;
+    for (int k = 0; k < own_entries<Group, N>::count; ++k) {
+      int const e = own_entries<Group, N>::entry(g, k);
+      if (e % (N + 1) != 0) { continue; }
+      A.diagonal[N * i + e / (N + 1)] = sum.of[k].value;
       // An unknown that no edge tells of stays: its row and column are 0.
       sum.of[k] = sum.of[k] == real64(0.0) ? real64(1.0) : sum.of[k] + sum.of[k] * real64(damping);
     }
   }
 
-  /// Five threads an unknown, each with every fifth column.
-  template <typename Group>
-  FT_HOST_DEVICE void reduce_right(Group g, scratch& s, int i, graph_system_view const& A) const {
+  /// `sharers` threads an unknown, which take turns with the columns.
+  template <typename Group, int N>
+  FT_HOST_DEVICE void reduce_right(Group g, scratch& s, int i,
+                                   graph_system_view<N> const& A) const {
     int const begin = A.plan.row_begin[i];
     int const end = A.plan.row_begin[i + 1];
-    for (int k = g.rank(); k < 30; k += g.size()) {
+    for (int k = g.rank(); k < N * sharers<N>; k += g.size()) {
       real64 sum = 0.0;
-      for (int at = begin + k / 6; at < end; at += 5) {
-        double const* const L = A.block(A.plan.row_block[at]) + k % 6 * 6;
-        double const* const y = A.right + 6 * A.plan.row_column[at];
+      for (int at = begin + k / N; at < end; at += sharers<N>) {
+        double const* const L = A.block(A.plan.row_block[at]) + k % N * N;
+        double const* const y = A.right + N * A.plan.row_column[at];
         FT_UNROLL
-        for (int m = 0; m < 6; ++m) { sum += real64(L[m]) * y[m]; }
+        for (int m = 0; m < N; ++m) { sum += real64(L[m]) * y[m]; }
       }
       s.part[k] = sum;
     }
     g.sync();
     int const b = A.plan.diagonal(i);
-    for (int k = g.rank(); k < 6; k += g.size()) {
+    for (int k = g.rank(); k < N; k += g.size()) {
       real64 right = 0.0;
       for (int at = A.plan.term_begin[b]; at < A.plan.term_begin[b + 1]; ++at) {
         int const code = A.plan.term[at];
-        right -= A.terms_of(code / 4)[108 + 6 * (code % 4) + k];
+        right -= A.terms_of(code / 4)[3 * N * N + N * (code % 4) + k];
       }
-      A.gradient[6 * i + k] = right.value;
+      A.gradient[N * i + k] = right.value;
       FT_UNROLL
-      for (int m = 0; m < 5; ++m) { right -= s.part[6 * m + k]; }
-      A.right[6 * i + k] = right.value;
+      for (int m = 0; m < sharers<N>; ++m) { right -= s.part[N * m + k]; }
+      A.right[N * i + k] = right.value;
     }
   }
 };
@@ -209,27 +225,27 @@ struct divide_blocks {
   using scratch = no_scratch;
   int first, blocks, first_column;  ///< as in reduce_blocks
 
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, graph_system_view const& A) const {
+  template <typename Group, int N>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, graph_system_view<N> const& A) const {
     int const b = first + item;
     bool const right = item >= blocks;
     int const j = right ? first_column + item - blocks : A.plan.block_column[b];
     int const diagonal = A.plan.column_begin[j];
-    block_factor const factor(A.block(diagonal), 6);
+    block_factor<N> const factor(A.block(diagonal), N);
     if (right) {
-      if (g.rank() == 0) { factor.divide(A.right + 6 * j); }
+      if (g.rank() == 0) { factor.divide(A.right + N * j); }
     } else if (b == diagonal) {
       if (g.rank() == 0) {
-        double* const out = A.pivot + static_cast<std::ptrdiff_t>(j) * 36;
+        double* const out = A.pivot + static_cast<std::ptrdiff_t>(j) * (N * N);
         FT_UNROLL
-        for (int r = 0; r < 6; ++r) {
+        for (int r = 0; r < N; ++r) {
           FT_UNROLL
-          for (int c = 0; c < r; ++c) { out[6 * r + c] = factor.c[r][c].value; }
-          out[7 * r] = factor.inverse[r].value;
+          for (int c = 0; c < r; ++c) { out[N * r + c] = factor.c[r][c].value; }
+          out[(N + 1) * r] = factor.inverse[r].value;
         }
       }
     } else {
-      for (int r = g.rank(); r < 6; r += g.size()) { factor.divide(A.block(b) + 6 * r); }
+      for (int r = g.rank(); r < N; r += g.size()) { factor.divide(A.block(b) + N * r); }
     }
   }
 };
@@ -237,38 +253,39 @@ struct divide_blocks {
 /// One item: a column of a round; rounds in descending order. Its part of the solution.
 struct substitute_column {
   struct scratch {
-    real64 part[30];
+    real64 part[most_parts];
   };
   int first;  ///< column
 
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item, graph_system_view const& A) const {
+  template <typename Group, int N>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int item,
+                                 graph_system_view<N> const& A) const {
     int const j = first + item;
     int const begin = A.plan.column_begin[j] + 1;
     int const end = A.plan.column_begin[j + 1];
-    for (int k = g.rank(); k < 30; k += g.size()) {
+    for (int k = g.rank(); k < N * sharers<N>; k += g.size()) {
       real64 sum = 0.0;
-      for (int b = begin + k / 6; b < end; b += 5) {
-        double const* const L = A.block(b) + k % 6;
-        double const* const x = A.solution + 6 * A.plan.block_row[b];
+      for (int b = begin + k / N; b < end; b += sharers<N>) {
+        double const* const L = A.block(b) + k % N;
+        double const* const x = A.solution + N * A.plan.block_row[b];
         FT_UNROLL
-        for (int m = 0; m < 6; ++m) { sum += real64(L[6 * m]) * x[m]; }
+        for (int m = 0; m < N; ++m) { sum += real64(L[N * m]) * x[m]; }
       }
       s.part[k] = sum;
     }
     g.sync();
     if (g.rank() != 0) { return; }
-    double const* const C = A.pivot + static_cast<std::ptrdiff_t>(j) * 36;
-    real64 x[6];
+    double const* const C = A.pivot + static_cast<std::ptrdiff_t>(j) * (N * N);
+    real64 x[N];
     FT_UNROLL
-    for (int k = 5; k >= 0; --k) {
-      x[k] = A.right[6 * j + k];
+    for (int k = N - 1; k >= 0; --k) {
+      x[k] = A.right[N * j + k];
       FT_UNROLL
-      for (int m = 0; m < 5; ++m) { x[k] -= s.part[6 * m + k]; }
+      for (int m = 0; m < sharers<N>; ++m) { x[k] -= s.part[N * m + k]; }
       FT_UNROLL
-      for (int m = 5; m > k; --m) { x[k] -= real64(C[6 * m + k]) * x[m]; }
-      x[k] *= real64(C[7 * k]);
-      A.solution[6 * j + k] = x[k].value;
+      for (int m = N - 1; m > k; --m) { x[k] -= real64(C[N * m + k]) * x[m]; }
+      x[k] *= real64(C[(N + 1) * k]);
+      A.solution[N * j + k] = x[k].value;
     }
   }
 };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The sparse linear system of a pose graph, in blocks of 6 x 6, on an executor.
+/// @file The sparse linear system of a pose graph, in blocks of N x N, on an executor.
+/// N is the number of unknowns of a pose: 6, or 7 with a scale.
 #pragma once
 
 #include <cstddef>
@@ -15,9 +16,12 @@ namespace detail {
 
 /// Numbers that an edge adds to the system: blocks of its first pose, of its second one and between
 /// them (row: first pose), by rows; then the gradients of both.
-inline constexpr int edge_terms = 3 * 36 + 12;
-/// Unknowns of a tile of the dense part: eight poses.
-inline constexpr int tile_side = 48;
+template <int N>
+inline constexpr int edge_terms = 3 * N* N + 2 * N;
+/// Unknowns of a tile of the dense part: whole poses.
+inline constexpr int most_tile_side = 48;
+template <int N>
+inline constexpr int tile_side = most_tile_side / N* N;
 
 /// Where a term of an edge enters a block.
 enum term_part : int { first_pose = 0, second_pose = 1, between = 2, between_transposed = 3 };
@@ -45,7 +49,6 @@ struct graph_plan_view {
   int const* pose = nullptr;          ///< [positions] pose at a position
 
   FT_HOST_DEVICE int positions() const { return columns + dense; }
-  FT_HOST_DEVICE int tiles() const { return ceil_div(6 * dense, tile_side); }
   /// Block of the diagonal at a position.
   FT_HOST_DEVICE int diagonal(int position) const {
     if (position < columns) { return column_begin[position]; }
@@ -55,55 +58,60 @@ struct graph_plan_view {
 };
 
 /// Numbers of the system. Matrices are by rows.
+template <int N>
 struct graph_system_view {
   graph_plan_view plan;
-  double* edge_term = nullptr;     ///< [edges][edge_terms]
-  double* value = nullptr;         ///< [sparse blocks][36] of the reduced matrix, then its factor
-  double* pivot = nullptr;         ///< [columns][36] factors of diagonal blocks
-  double* dense = nullptr;         ///< square, of whole tiles; only the lower triangle is used
-  double* dense_factor = nullptr;  ///< [tiles][tile_side][tile_side] factors of diagonal tiles
-  double* right = nullptr;         ///< right-hand sides: [positions][6], to whole tiles
+  double* edge_term = nullptr;  ///< [edges][edge_terms<N>]
+  double* value = nullptr;      ///< [sparse blocks][N * N] of the reduced matrix, then its factor
+  double* pivot = nullptr;      ///< [columns][N * N] factors of diagonal blocks
+  double* dense = nullptr;      ///< square, of whole tiles; only the lower triangle is used
+  double* dense_factor = nullptr;  ///< [tiles][tile_side<N>][the same] factors of diagonal tiles
+  double* right = nullptr;         ///< right-hand sides: [positions][N], to whole tiles
   double* solution = nullptr;      ///< the same
   double* gradient = nullptr;      ///< the same: right-hand sides before elimination
   double* diagonal = nullptr;      ///< the same: diagonal of the matrix without damping
 
+  FT_HOST_DEVICE int tiles() const { return ceil_div(N * plan.dense, tile_side<N>); }
   FT_HOST_DEVICE std::ptrdiff_t side() const {
-    return static_cast<std::ptrdiff_t>(plan.tiles()) * tile_side;
+    return static_cast<std::ptrdiff_t>(tiles()) * tile_side<N>;
   }
-  FT_HOST_DEVICE double* block(int b) const { return value + static_cast<std::ptrdiff_t>(b) * 36; }
+  FT_HOST_DEVICE double* block(int b) const {
+    return value + static_cast<std::ptrdiff_t>(b) * (N * N);
+  }
   FT_HOST_DEVICE double* dense_at(int row, int column) const {
     return dense + static_cast<std::ptrdiff_t>(row) * side() + column;
   }
-  FT_HOST_DEVICE double* dense_right() const { return right + 6 * plan.columns; }
-  FT_HOST_DEVICE double* dense_solution() const { return solution + 6 * plan.columns; }
+  FT_HOST_DEVICE double* dense_right() const { return right + N * plan.columns; }
+  FT_HOST_DEVICE double* dense_solution() const { return solution + N * plan.columns; }
   FT_HOST_DEVICE double const* terms_of(int edge) const {
-    return edge_term + static_cast<std::ptrdiff_t>(edge) * edge_terms;
+    return edge_term + static_cast<std::ptrdiff_t>(edge) * edge_terms<N>;
   }
 };
-static_assert(std::is_trivially_copyable<graph_system_view>::value, "passed to kernels");
+static_assert(std::is_trivially_copyable<graph_system_view<6>>::value, "passed to kernels");
 
-/// Cholesky factor C of a symmetric positive definite 6 x 6 block, of which the lower triangle is
+/// Cholesky factor C of a symmetric positive definite N x N block, of which the lower triangle is
 /// read, and the inverse of its diagonal. NaN where it is not positive definite.
+template <int N>
 struct block_factor {
-  real64 c[6][6];
-  real64 inverse[6];
+  real64 c[N][N];
+  real64 inverse[N];
 
   /// @param stride between rows
   template <typename Number>
   FT_HOST_DEVICE block_factor(Number const* a, int stride) {
     FT_UNROLL
-    for (int r = 0; r < 6; ++r) {
+    for (int r = 0; r < N; ++r) {
       FT_UNROLL
       for (int k = 0; k <= r; ++k) { c[r][k] = a[r * stride + k]; }
     }
     FT_UNROLL
-    for (int k = 0; k < 6; ++k) {
+    for (int k = 0; k < N; ++k) {
       FT_UNROLL
       for (int m = 0; m < k; ++m) { c[k][k] -= c[k][m] * c[k][m]; }
       c[k][k] = scalar::sqrt(c[k][k]);
       inverse[k] = scalar::reciprocal(c[k][k]);
       FT_UNROLL
-      for (int r = k + 1; r < 6; ++r) {
+      for (int r = k + 1; r < N; ++r) {
         FT_UNROLL
         for (int m = 0; m < k; ++m) { c[r][k] -= c[r][m] * c[k][m]; }
         c[r][k] *= inverse[k];
@@ -113,16 +121,16 @@ struct block_factor {
   /// x C^-T in place: a row of the factor below the block, or C^-1 x of a right-hand side.
   template <typename Number>
   FT_HOST_DEVICE void divide(Number* x) const {
-    real64 v[6];
+    real64 v[N];
     FT_UNROLL
-    for (int k = 0; k < 6; ++k) {
+    for (int k = 0; k < N; ++k) {
       v[k] = x[k];
       FT_UNROLL
       for (int m = 0; m < k; ++m) { v[k] -= v[m] * c[k][m]; }
       v[k] *= inverse[k];
     }
     FT_UNROLL
-    for (int k = 0; k < 6; ++k) { x[k] = static_cast<Number>(v[k]); }
+    for (int k = 0; k < N; ++k) { x[k] = static_cast<Number>(v[k]); }
   }
 };
 

@@ -27,19 +27,6 @@ inline void check(initialization_params const& p) {
   detail::require_range("rest_angle", p.rest_angle, 0.0f, most);
 }
 
-/// What came of an initialisation.
-enum class initialization_status : int {
-  initialized = 0,
-  /// Known as well. Of the accelerometer's bias only the vertical part is: a level one looks like a
-  /// tilt. tilt_sigma says how much that may be; more is known once the body has moved.
-  at_rest,
-  few_keyframes,  ///< fewer than initialization_params::least_keyframes
-  no_integral,    ///< an interval was not integrated
-  not_finite,     ///< a pose or an integral has NaN or infinity
-  little_motion,  ///< a result is less certain than its limit: more keyframes, or more motion
-  inconsistent,   ///< poses and integrals contradict each other
-};
-
 /// Gravity, velocity and biases. Standard deviations come from the poses' given ones, or from
 /// what the poses are off by, if that is more.
 struct inertial_initialization {

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
@@ -94,6 +95,36 @@ inline void carve(carver& c, keyframe_workspace& v, int slots, int capacity, int
 namespace detail {
 
 inline constexpr int unclaimed = std::numeric_limits<int>::max();
+
+/// Column of the match of camera c's keypoint i in the right image, at its octave; -1 = none.
+template <typename Rig>
+FT_HOST_DEVICE float right_column(frame_view const& frame, int b, int c, int i) {
+  if (!Rig::rectified || frame.right_x == nullptr) { return -1.0f; }
+  return frame.right_x[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + i];
+}
+
+/// The stereo point of a left keypoint, in its camera's frame.
+template <typename Rig>
+FT_HOST_DEVICE vec3<float> stereo_point(keyframe_input<Rig> const& in, int b, int c, int i) {
+  if constexpr (is_monocular_v<Rig>) {
+    static_cast<void>(c);
+    return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
+  } else if constexpr (Rig::rectified) {
+    keypoints_view const keypoints = in.frame.camera(b, c);
+    int const octave = get<field::octave>(keypoints, i);
+    strict_float const x = in.geometry.column(get<field::x>(keypoints, i), octave);
+    strict_float const y = in.geometry.row(get<field::y>(keypoints, i), octave);
+    auto const ray =
+        in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+    float const z = in.geometry.depth(
+        in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + c * in.frame.capacity() + i],
+        octave);
+    return {(ray.x * z).value, (ray.y * z).value, z};
+  } else {
+    static_cast<void>(c);
+    return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
+  }
+}
 
 /// The new keyframe of a batch entry.
 template <typename Rig>

@@ -27,10 +27,11 @@ enum class inertial_source : int {
 
 /// What is kept of the IMU of one camera. The world is the odometry's.
 struct inertial_track {
-  int estimates;        ///< of gravity and biases that were taken over; 0 = unknown
-  vec3<float> gravity;  ///< of the last estimate, m/s^2
-  imu_bias bias;        ///< likewise; that of the gyroscope is a weighted mean
-  float gyro_weight;    ///< sum of the weights in it, in which older ones count less, s^2 / rad^2
+  int estimates;                   ///< of gravity and biases that were taken over; 0 = unknown
+  initialization_status estimate;  ///< what the last one came to, whether it was taken or not
+  vec3<float> gravity;             ///< of the last estimate, m/s^2
+  imu_bias bias;                   ///< likewise; that of the gyroscope is a weighted mean
+  float gyro_weight;  ///< sum of the weights in it, in which older ones count less, s^2 / rad^2
   stored_inertial_state last;       ///< of the last frame
   stored_inertial_state keyframe;   ///< of the newest keyframe
   stored_inertial_state predicted;  ///< of the current frame
@@ -59,6 +60,7 @@ struct inertial_track {
     t.last.q_cw = t.keyframe.q_cw = t.predicted.q_cw = {0, 0, 0, 1};
     t.restarts = 1;
     t.status = integration_status::no_samples;
+    t.estimate = initialization_status::few_keyframes;
     t.seen = rigid<double>::identity();
     return t;
   }

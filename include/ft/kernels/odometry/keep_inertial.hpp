@@ -251,7 +251,9 @@ struct apply_inertial_estimate {
     v.scaling[b] = {1, t.origin};
     bool const stale = flags[b] != 0 && t.stale != 0;
     if (stale) { t.stale = 0; }
-    if (stale || flags[b] == 0 || windows.usable[b] == 0) { return; }
+    if (stale || flags[b] == 0) { return; }
+    if (windows.counts[b] != 0) { t.estimate = found.status; }
+    if (windows.usable[b] == 0) { return; }
     if (windows.seeks_scale[b] != 0) {
       v.scaling[b].factor = found.scale;
       t.metric = 1;

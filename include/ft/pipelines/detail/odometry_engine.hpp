@@ -32,6 +32,7 @@
 #include "ft/pipelines/tracker_types.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/types/imu.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/orb_params.hpp"
 #include "ft/types/poses.hpp"
@@ -115,7 +116,8 @@ struct odometry_engine {
   odometry_engine(Exec const& e, Rig const& of, odometry_params const& params, int batch,
                   Plugged const&... plugged)
       : exec(e),
-        rig(checked(of, params, batch, (std::is_same_v<Plugged, inertial> || ...))),
+        rig(checked(of, params, batch, (std::is_same_v<Plugged, inertial> || ...),
+                    (std::is_same_v<Plugged, loops> || ...))),
         given(params),
         launches(static_cast<std::size_t>(params.prefetch) + 1),
         results(static_cast<std::size_t>(batch)),
@@ -240,6 +242,7 @@ private:
       results[i].depths = depths_of(rig);
       results[i].evidence.rectified = Rig::rectified;
       results[i].metric = !stages_type::starts_from_motion;
+      results[i].T_odom_camera = results[i].T_world_camera;
       for (auto const& p : stages.plugged) { p->describe(b, time_ns[b], results[i]); }
       warnings[i].judge(results[i], time_ns[b], first, stages.settings);
     }
@@ -250,8 +253,8 @@ private:
     if (!stages_type::starts_from_motion) { return 0; }
     return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
   }
-  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch,
-                            bool with_inertial) {
+  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch, bool with_inertial,
+                            bool with_loops) {
     rig.check();
     require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     require_range("batch of camera pairs", batch, 1, 2048);
@@ -260,6 +263,9 @@ private:
             "params.imu needs its part: odometry(exec, rig, params, batch, ft::inertial{})");
     require(!with_inertial || p.imu.present,
             "the part ft::inertial needs params.imu: its member present is false");
+    require(with_loops == p.loops.present,
+            "params.loops and the part ft::loops need each other: "
+            "odometry(exec, rig, params, 1, ft::loops{}) with params.loops.present");
     require(!(p.prefetch > 0 && stages_type::starts_from_motion),
             "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
     if (!stages_type::starts_from_motion) {

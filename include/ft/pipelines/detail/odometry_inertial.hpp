@@ -44,6 +44,7 @@ inline imu_tracking imu_tracking_of(inertial_track const& t) {
   imu_tracking out;
   out.samples = t.status;
   out.known = t.known();
+  out.estimate = t.estimate;
   if (!out.known) { return out; }
   auto const widen = [](vec3<float> v) {
     return vec3<double>{static_cast<double>(v.x), static_cast<double>(v.y),

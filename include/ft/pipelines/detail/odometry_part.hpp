@@ -9,6 +9,7 @@
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/config.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
+#include "ft/types/loops.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {
@@ -59,6 +60,8 @@ public:
   virtual void after_frame(Exec const&, stages_type const&) {}
   /// What it knows about the frame of camera pair b.
   virtual void describe(int /*b*/, std::int64_t /*time_ns*/, tracking&) {}
+  /// Adds the keyframes whose places it has corrected.
+  virtual void list_placed(std::vector<placed_keyframe>& /*to*/) const {}
   /// Camera pair b begins anew.
   virtual void reset(int /*b*/) {}
   /// Camera pair b got another map. May wait.

@@ -200,17 +200,23 @@ public:
     }
   }
   void insert(Exec const& exec) const { insert(exec, own.state.order); }
-  /// @param order [batch] instead of that of the state
-  void insert(Exec const& exec, keyframe_order const* order) const {
+  /// The frame as one that may become a keyframe, by the order of the state.
+  keyframe_input<typename base::searched_rig> as_keyframe() const {
     keyframe_input<typename base::searched_rig> in{};
     in.rig = this->rig;
     in.frame = memory.frame;
-    in.order = order;
+    in.order = own.state.order;
     in.T_cw = own.state.T_cw;
     in.time_ns = own.state.time_ns;
     in.depth = this->matcher.depth();
     in.point = this->matcher.fisheye_matches().point;
     in.geometry = this->geometry();
+    return in;
+  }
+  /// @param order [batch] instead of that of the state
+  void insert(Exec const& exec, keyframe_order const* order) const {
+    auto in = as_keyframe();
+    in.order = order;
     keyframe_params p;
     p.near_depth = max_of(settings.rules.near_depth, settings.rules.far_depth);
     p.wanted_near_points = settings.rules.wanted_near_points;

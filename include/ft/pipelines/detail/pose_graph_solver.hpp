@@ -41,8 +41,8 @@ struct judge_step {
   int unknowns;  ///< 0: poses that were not made by a step
   double damping;
 
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, graph_system_view const& A,
+  template <typename Group, int N>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int, graph_system_view<N> const& A,
                                  double const* cost, graph_verdict* verdict) const {
     ordered_sum(g, s.costs, edges, [&](int e, sum_terms<2, double>& acc) {
       acc.of[0] += cost[2 * e];
@@ -60,11 +60,16 @@ struct judge_step {
 
 /// A graph's system and poses in executor memory. Functions enqueue, but for those that return
 /// something: they wait.
-template <typename Exec>
+template <typename Exec, typename Motion>
 class pose_graph_solver {
 public:
+  static constexpr int freedom = freedom_of<Motion>;
+  using graph_type = motion_graph<Motion>;
+  using edge = motion_edge<Motion>;
+  using system_view = graph_system_view<freedom>;
+
   /// Allocates. `graph` and `order` must outlive the solver.
-  pose_graph_solver(Exec const& exec, pose_graph const& graph, elimination_order const& order,
+  pose_graph_solver(Exec const& exec, graph_type const& graph, elimination_order const& order,
                     heading_axis const& heading)
       : exec_(exec),
         order_(order),
@@ -74,7 +79,7 @@ public:
     upload_plan();
     copy(exec_, memory_->edges, graph.edges.data(), graph.edges.size());
     set_poses(graph.T_world_pose);
-    graph_system_view const& A = memory_->system;
+    system_view const& A = memory_->system;
     auto const side = static_cast<std::size_t>(A.side());
     fill_bytes(exec_, A.dense, 0, side * side * sizeof(double));
     fill_bytes(exec_, A.dense_right(), 0, side * sizeof(double));
@@ -82,11 +87,11 @@ public:
   }
 
   std::size_t bytes() const { return memory_.bytes(); }
-  void set_poses(std::vector<rigid<double>> const& T) {
+  void set_poses(std::vector<Motion> const& T) {
     for (int k = 0; k < 2; ++k) { copy(exec_, memory_->T[k], T.data(), T.size()); }
     exec_.wait();
   }
-  void download(std::vector<rigid<double>>& T) const {
+  void download(std::vector<Motion>& T) const {
     copy(exec_, T.data(), memory_->T[current_], T.size());
     exec_.wait();
   }
@@ -94,24 +99,24 @@ public:
   /// Cost of the current poses.
   graph_verdict measure() { return judge(current_, 0, 0); }
   /// Normal equations at the current poses.
-  void linearize() { add_terms(linearize_edge{heading_}); }
+  void linearize() { add_terms(linearize_edge<freedom>{heading_}); }
   /// Solves them, and measures the poses that the step leads to.
   graph_verdict try_step(double damping) {
     solve(damping);
     memory const& m = memory_.view();
     for_each_item<per_thread>(exec_, order_.positions(), move_pose{heading_}, m.system,
-                              static_cast<rigid<double> const*>(m.T[current_]), m.T[1 - current_]);
-    return judge(1 - current_, 6 * order_.positions(), damping);
+                              static_cast<Motion const*>(m.T[current_]), m.T[1 - current_]);
+    return judge(1 - current_, freedom * order_.positions(), damping);
   }
   /// Makes the poses that were tried the current ones.
   void accept() { current_ = 1 - current_; }
 
-  /// Rotations and translations by linear least squares.
+  /// Rotations, scales and translations by linear least squares.
   void start_chordal() {
     memory const& m = memory_.view();
     int const n = order_.positions();
-    rigid<double>* const T = m.T[current_];
-    rigid<double>* const other = m.T[1 - current_];
+    Motion* const T = m.T[current_];
+    Motion* const other = m.T[1 - current_];
     for_each_item<per_thread>(exec_, n, clear_rotation{}, m.system, T);
     add_terms(chordal_rotation{{0, 1}});
     solve(least_damping);
@@ -121,6 +126,11 @@ public:
     for_each_item<per_thread>(exec_, n, take_rows{{2, 0}, 1}, m.system, other);
     for_each_item<per_thread>(exec_, n, project_rotation{}, m.system, other);
     accept();
+    if constexpr (freedom == 7) {
+      add_terms(chordal_scale{});
+      solve(least_damping);
+      for_each_item<per_thread>(exec_, n, scale_pose{}, m.system, other);
+    }
     add_terms(chordal_translation{});
     solve(least_damping);
     for_each_item<per_thread>(exec_, n, shift_pose{}, m.system, other);
@@ -131,9 +141,9 @@ private:
   static constexpr double least_damping = 1e-14;
 
   struct memory {
-    graph_system_view system;
-    pose_graph_edge* edges = nullptr;
-    rigid<double>* T[2] = {nullptr, nullptr};
+    system_view system;
+    edge* edges = nullptr;
+    Motion* T[2] = {nullptr, nullptr};
     double* cost = nullptr;  ///< [edges][2]
     graph_verdict* verdict = nullptr;
     int* numbers = nullptr;  ///< of the plan
@@ -154,9 +164,9 @@ private:
     take(order.pose, plan.pose);
   }
 
-  static void lay_out(carver& c, memory& m, pose_graph const& graph,
+  static void lay_out(carver& c, memory& m, graph_type const& graph,
                       elimination_order const& order) {
-    graph_system_view& A = m.system;
+    system_view& A = m.system;
     A.plan.columns = order.columns();
     A.plan.dense = order.dense;
     A.plan.sparse_blocks = order.sparse_blocks();
@@ -171,17 +181,18 @@ private:
       if (next != nullptr) { next += from.size(); }
     });
     std::size_t const edges = graph.edges.size();
-    m.edges = c.take<pose_graph_edge>(edges);
-    for (auto& T : m.T) { T = c.take<rigid<double>>(graph.T_world_pose.size()); }
+    m.edges = c.take<edge>(edges);
+    for (auto& T : m.T) { T = c.take<Motion>(graph.T_world_pose.size()); }
     m.cost = c.take<double>(2 * edges);
     m.verdict = c.take<graph_verdict>(1);
     auto const side = static_cast<std::size_t>(A.side());
-    std::size_t const unknowns = 6 * static_cast<std::size_t>(order.columns()) + side;
-    A.edge_term = c.take<double>(checked_mul(edges, edge_terms));
-    A.value = c.take<double>(checked_mul(static_cast<std::size_t>(order.sparse_blocks()), 36));
-    A.pivot = c.take<double>(36 * static_cast<std::size_t>(order.columns()));
+    std::size_t const unknowns = freedom * static_cast<std::size_t>(order.columns()) + side;
+    constexpr std::size_t block = freedom * freedom;
+    A.edge_term = c.take<double>(checked_mul(edges, edge_terms<freedom>));
+    A.value = c.take<double>(checked_mul(static_cast<std::size_t>(order.sparse_blocks()), block));
+    A.pivot = c.take<double>(block * static_cast<std::size_t>(order.columns()));
     A.dense = c.take<double>(checked_mul(side, side));
-    A.dense_factor = c.take<double>(side * tile_side);
+    A.dense_factor = c.take<double>(side * tile_side<freedom>);
     A.right = c.take<double>(unknowns);
     A.solution = c.take<double>(unknowns);
     A.gradient = c.take<double>(unknowns);
@@ -201,15 +212,14 @@ private:
   template <typename Op>
   void add_terms(Op const& op) {
     memory const& m = memory_.view();
-    for_each_item<per_warp>(exec_, edges_, op, static_cast<pose_graph_edge const*>(m.edges),
-                            static_cast<rigid<double> const*>(m.T[current_]), m.system.edge_term);
+    for_each_item<per_warp>(exec_, edges_, op, static_cast<edge const*>(m.edges),
+                            static_cast<Motion const*>(m.T[current_]), m.system.edge_term);
   }
 
   graph_verdict judge(int at, int unknowns, double damping) {
     memory const& m = memory_.view();
-    for_each_item<per_thread>(exec_, edges_, measure_edge{},
-                              static_cast<pose_graph_edge const*>(m.edges),
-                              static_cast<rigid<double> const*>(m.T[at]), m.cost);
+    for_each_item<per_thread>(exec_, edges_, measure_edge{}, static_cast<edge const*>(m.edges),
+                              static_cast<Motion const*>(m.T[at]), m.cost);
     for_each_item<per_block<sum_lanes>>(exec_, 1, judge_step{edges_, unknowns, damping}, m.system,
                                         static_cast<double const*>(m.cost), m.verdict);
     graph_verdict verdict{};
@@ -219,7 +229,7 @@ private:
   }
 
   void solve(double damping) {
-    graph_system_view const& A = memory_->system;
+    system_view const& A = memory_->system;
     auto const at = [](std::vector<int> const& list, int k) {
       return list[static_cast<std::size_t>(k)];
     };
@@ -241,14 +251,15 @@ private:
   }
 
   void solve_dense(double damping) {
-    graph_system_view const& A = memory_->system;
+    system_view const& A = memory_->system;
     if (order_.dense == 0) { return; }
     int const blocks = A.plan.blocks - A.plan.sparse_blocks;
-    for_each_item<per_warp>(exec_, static_cast<int>(A.side()) - 6 * order_.dense, pad_dense{}, A);
+    for_each_item<per_warp>(exec_, static_cast<int>(A.side()) - freedom * order_.dense, pad_dense{},
+                            A);
     for_each_item<per_warp>(exec_, blocks + order_.dense,
                             reduce_blocks{A.plan.sparse_blocks, blocks, A.plan.columns, damping},
                             A);
-    int const tiles = A.plan.tiles();
+    int const tiles = A.tiles();
     for (int step = 0; step < tiles; ++step) {
       int const below = tiles - 1 - step;
       for_each_item<per_block<tile_threads>>(exec_, below + 1, factor_tiles{step}, A);

@@ -19,10 +19,11 @@ namespace detail {
 /// Each pose from one that is known: over the edge to the pose before or after it where there is
 /// one, and over other edges only from where no such edge leads on.
 /// @param position of each pose in the system; -1: it stays
-inline std::vector<rigid<double>> chained_poses(pose_graph const& graph,
-                                                std::vector<int> const& position) {
+template <typename Motion>
+std::vector<Motion> chained_poses(motion_graph<Motion> const& graph,
+                                  std::vector<int> const& position) {
   std::size_t const poses = graph.T_world_pose.size();
-  std::vector<rigid<double>> T = graph.T_world_pose;
+  std::vector<Motion> T = graph.T_world_pose;
   std::vector<std::vector<int>> edges_of(poses);
   for (std::size_t e = 0; e < graph.edges.size(); ++e) {
     edges_of[static_cast<std::size_t>(graph.edges[e].from)].push_back(static_cast<int>(e));
@@ -37,13 +38,13 @@ inline std::vector<rigid<double>> chained_poses(pose_graph const& graph,
     chain.push_back(pose);
   };
   auto const follow = [&](int pose, int edge) {
-    pose_graph_edge const& e = graph.edges[static_cast<std::size_t>(edge)];
+    motion_edge<Motion> const& e = graph.edges[static_cast<std::size_t>(edge)];
     int const to = e.from == pose ? e.to : e.from;
     if (known[static_cast<std::size_t>(to)] != 0) { return; }
-    auto const Z = e.T_from_to.cast<strict_double>();
-    auto const here = T[static_cast<std::size_t>(pose)].cast<strict_double>();
+    auto const Z = e.T_from_to.template cast<strict_double>();
+    auto const here = T[static_cast<std::size_t>(pose)].template cast<strict_double>();
     T[static_cast<std::size_t>(to)] =
-        (here * (e.from == pose ? Z : Z.inverse())).orthonormalized().cast<double>();
+        (here * (e.from == pose ? Z : Z.inverse())).orthonormalized().template cast<double>();
     learn(to);
   };
   for (std::size_t i = 0; i < poses; ++i) {
@@ -59,7 +60,7 @@ inline std::vector<rigid<double>> chained_poses(pose_graph const& graph,
     int const pose = chain.back();
     chain.pop_back();
     for (int const e : edges_of[static_cast<std::size_t>(pose)]) {
-      pose_graph_edge const& edge = graph.edges[static_cast<std::size_t>(e)];
+      motion_edge<Motion> const& edge = graph.edges[static_cast<std::size_t>(e)];
       int const apart = edge.to - edge.from;
       if (apart == 1 || apart == -1) {
         follow(pose, e);

@@ -70,39 +70,10 @@ private:
     to.x[at] = in.geometry.column(get<field::x>(keypoints, i), octave);
     to.y[at] = in.geometry.row(get<field::y>(keypoints, i), octave);
     to.octave[at] = octave;
-    float const right_x = right_column(in.frame, b, c, i);
+    float const right_x = right_column<Rig>(in.frame, b, c, i);
     to.right_x[at] = right_x < 0 ? -1.0f : in.geometry.column(right_x, octave);
     to.holder[at] = slot;
     to.holder_number[at] = slot >= 0 ? map.records.number[map.records.at(b, slot)] : 0;
-  }
-
-  FT_HOST_DEVICE static float right_column(frame_view const& frame, int b, int c, int i) {
-    if (!Rig::rectified || frame.right_x == nullptr) { return -1.0f; }
-    return frame
-        .right_x[static_cast<std::ptrdiff_t>(b) * frame.numbers() + c * frame.capacity() + i];
-  }
-
-  /// The stereo point of a left keypoint, in its camera's frame.
-  FT_HOST_DEVICE static vec3<float> stereo_point(input const& in, int b, int c, int i) {
-    if constexpr (is_monocular_v<Rig>) {
-      static_cast<void>(c);
-      return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
-    } else if constexpr (Rig::rectified) {
-      keypoints_view const keypoints = in.frame.camera(b, c);
-      int const octave = get<field::octave>(keypoints, i);
-      strict_float const x = in.geometry.column(get<field::x>(keypoints, i), octave);
-      strict_float const y = in.geometry.row(get<field::y>(keypoints, i), octave);
-      auto const ray =
-          in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
-      float const z =
-          in.geometry.depth(in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() +
-                                     c * in.frame.capacity() + i],
-                            octave);
-      return {(ray.x * z).value, (ray.y * z).value, z};
-    } else {
-      static_cast<void>(c);
-      return in.point[static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + i];
-    }
   }
 
   /// Position and distances of a new point, from its first keypoint. Distances are those from the

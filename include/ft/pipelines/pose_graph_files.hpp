@@ -2,6 +2,15 @@
 /// @file Pose graphs in g2o's text format: lines VERTEX_SE3:QUAT id x y z qx qy qz qw;
 /// EDGE_SE3:QUAT id id, the same seven numbers and the upper triangle of the information matrix by
 /// rows, translation first; FIX id.
+///
+/// Similarities are VERTEX_SIM3:EXPMAP id and seven numbers, then four numbers of a camera or none;
+/// EDGE_SIM3:EXPMAP id id, seven numbers and the upper triangle of the information matrix by rows.
+/// The seven are the logarithm of the pose or the measurement: rotation vector, translation part of
+/// the tangent vector, natural logarithm of the scale (exp_sim3 in math/sim3.hpp). g2o keeps the
+/// inverses, T_pose_world and T_to_from, and writes the logarithms of their inverses: these are
+/// T_world_pose and T_from_to. Its error is the logarithm of the motion that is left, the rotation
+/// first. For small errors that is ft's with the vector part of the quaternion doubled, so the
+/// rotation's entries of the information matrix are 1/4 of ft's, and 1/2 beside other unknowns.
 #pragma once
 
 #include <charconv>
@@ -24,6 +33,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
+#include "ft/math/sim3.hpp"
 #include "ft/types/errors.hpp"
 #include "ft/types/poses.hpp"
 
@@ -32,10 +42,40 @@ inline namespace FT_ABI {
 
 namespace detail {
 
+/// What lines begin with.
+template <typename Motion>
+struct g2o_tags {
+  static constexpr char const* vertex = "VERTEX_SE3:QUAT";
+  static constexpr char const* edge = "EDGE_SE3:QUAT";
+};
+template <>
+struct g2o_tags<similarity<double>> {
+  static constexpr char const* vertex = "VERTEX_SIM3:EXPMAP";
+  static constexpr char const* edge = "EDGE_SIM3:EXPMAP";
+};
+
+/// Calls use(place in ft's information matrix, factor from the file's entry) for each entry of the
+/// upper triangle of a file's. Factors are powers of 2.
+template <typename Motion, typename Use>
+void for_each_information(Use const& use) {
+  constexpr int n = freedom_of<Motion>;
+  for (int i = 0; i < n; ++i) {
+    for (int j = i; j < n; ++j) {
+      // Of similarities files have the rotation before the translation.
+      auto const own = [](int k) { return n == 6 || k == 6 ? k : (k + 3) % 6; };
+      auto const doubled = [](int k) { return n == 7 && k < 3 ? 2.0 : 1.0; };
+      int const low = own(i) < own(j) ? own(i) : own(j);
+      int const high = own(i) + own(j) - low;
+      use(low * (2 * n - 1 - low) / 2 + high, doubled(i) * doubled(j));
+    }
+  }
+}
+
 /// Reads lines of g2o's format.
+template <typename Motion>
 class g2o_reader {
 public:
-  pose_graph read(std::istream& in) {
+  motion_graph<Motion> read(std::istream& in) {
     std::string text;
     while (std::getline(in, text)) {
       ++line_;
@@ -43,14 +83,15 @@ public:
       words.imbue(std::locale::classic());
       std::string tag;
       if (!(words >> tag) || tag[0] == '#') { continue; }
-      if (tag == "VERTEX_SE3:QUAT") {
+      if (tag == tags::vertex) {
         read_vertex(words);
-      } else if (tag == "EDGE_SE3:QUAT") {
+      } else if (tag == tags::edge) {
         read_edge(words);
       } else if (tag == "FIX") {
         read_fixed(words);
       } else {
-        refuse("there is '" + tag + "', which is not VERTEX_SE3:QUAT, EDGE_SE3:QUAT or FIX");
+        refuse("there is '" + tag + "', which is not " + tags::vertex + ", " + tags::edge +
+               " or FIX");
       }
     }
     if (in.bad()) { throw error("ft: pose graph: cannot be read"); }
@@ -59,6 +100,7 @@ public:
   }
 
 private:
+  using tags = g2o_tags<Motion>;
   struct edge_ids {
     std::int64_t from, to;
     int line;
@@ -100,8 +142,7 @@ private:
     return static_cast<bool>(text >> value) && text.eof();
 #endif
   }
-  rigid<double> motion(std::istream& words) const {
-    rigid<double> T;
+  void read_motion(std::istream& words, rigid<double>& T) const {
     T.t.x = number(words, "x");
     T.t.y = number(words, "y");
     T.t.z = number(words, "z");
@@ -118,7 +159,23 @@ private:
     T.R = {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z),
             1 - 2 * (x * x + z * z), 2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x),
             1 - 2 * (x * x + y * y)}};
-    return T;
+  }
+  void read_motion(std::istream& words, similarity<double>& T) const {
+    strict_double d[7];
+    for (int k = 0; k < 7; ++k) {
+      d[k] = number(words, k < 3   ? "part of the rotation vector"
+                           : k < 6 ? "part of the translation"
+                                   : "logarithm of the scale");
+    }
+    double const angle = norm(strict_vec3d{d[0], d[1], d[2]}).value;
+    if (!(angle < 6.3)) {
+      refuse("the rotation vector has the length " + number_text(angle) + ", more than a turn");
+    }
+    if (!(std::abs(d[6].value) < 115)) {
+      refuse("the logarithm of the scale is " + number_text(d[6].value) + ", not in (-115, 115)");
+    }
+    T = exp_sim3(d).template cast<double>();
+    if (!std::isfinite(T.t.x + T.t.y + T.t.z)) { refuse("the translation is too large"); }
   }
   void end_of_line(std::istream& words) const {
     std::string rest;
@@ -131,17 +188,26 @@ private:
       refuse("pose " + std::to_string(own) + " is there twice");
     }
     graph_.ids.push_back(own);
-    graph_.T_world_pose.push_back(motion(words));
+    graph_.T_world_pose.emplace_back();
+    read_motion(words, graph_.T_world_pose.back());
+    if (freedom_of<Motion> == 7 && !(words >> std::ws).eof()) {
+      for (int k = 0; k < 4; ++k) { number(words, "number of the camera"); }
+    }
     end_of_line(words);
   }
   void read_edge(std::istream& words) {
     std::int64_t const from = id(words);
     std::int64_t const to = id(words);
     if (from == to) { refuse("an edge joins pose " + std::to_string(from) + " with itself"); }
-    pose_graph_edge edge;
-    edge.T_from_to = motion(words);
-    for (double& v : edge.information) { v = number(words, "entry of the information matrix"); }
-    if (!is_semidefinite_6(edge.information)) {
+    motion_edge<Motion> edge;
+    read_motion(words, edge.T_from_to);
+    for_each_information<Motion>([&](int at, double factor) {
+      edge.information[at] = factor * number(words, "entry of the information matrix");
+    });
+    for (double const v : edge.information) {
+      if (!std::isfinite(v)) { refuse("an entry of the information matrix is too large"); }
+    }
+    if (!is_semidefinite<freedom_of<Motion>>(edge.information)) {
       refuse("the information matrix has a negative eigenvalue");
     }
     end_of_line(words);
@@ -171,7 +237,7 @@ private:
     }
   }
 
-  pose_graph graph_;
+  motion_graph<Motion> graph_;
   std::unordered_map<std::int64_t, int> index_;
   std::vector<edge_ids> ends_;
   std::vector<edge_ids> fixed_;
@@ -200,23 +266,47 @@ inline void append_motion(std::string& line, rigid<double> const& T) {
   }
 }
 
+inline void append_motion(std::string& line, similarity<double> const& T) {
+  strict_double d[7];
+  log_sim3(T.cast<strict_double>(), d);
+  for (auto const& v : d) { line += ' ' + number_text(v.value); }
+}
+
+template <typename Motion>
+motion_graph<Motion> read_g2o_file(std::string const& path) {
+  std::ifstream in(path);
+  if (!in) { throw error("ft: pose graph: cannot open '" + path + "'"); }
+  try {
+    return g2o_reader<Motion>().read(in);
+  } catch (error const& e) { throw error(std::string(e.what()) + " ('" + path + "')"); }
+}
+
 }  // namespace detail
 
 /// Reads a pose graph. Quaternions are brought to unit length. @throws error naming the line of
 /// what is wrong
-inline pose_graph read_g2o(std::istream& in) { return detail::g2o_reader().read(in); }
+inline pose_graph read_g2o(std::istream& in) {
+  return detail::g2o_reader<rigid<double>>().read(in);
+}
 /// @throws error, also if the file cannot be opened
 inline pose_graph read_g2o(std::string const& path) {
-  std::ifstream in(path);
-  if (!in) { throw error("ft: pose graph: cannot open '" + path + "'"); }
-  try {
-    return read_g2o(in);
-  } catch (error const& e) { throw error(std::string(e.what()) + " ('" + path + "')"); }
+  return detail::read_g2o_file<rigid<double>>(path);
 }
 
-/// Writes a pose graph, numbers with as many digits as they have. Robust kernels have no place in
-/// the format. @throws bad_argument for an invalid graph; error if it cannot be written
-inline void write_g2o(std::ostream& out, pose_graph const& graph) {
+/// The same of poses with scales. The numbers of cameras are not kept.
+inline similarity_graph read_g2o_similarities(std::istream& in) {
+  return detail::g2o_reader<similarity<double>>().read(in);
+}
+inline similarity_graph read_g2o_similarities(std::string const& path) {
+  return detail::read_g2o_file<similarity<double>>(path);
+}
+
+/// Writes a graph of poses, numbers with as many digits as they have; for similarities the camera
+/// that g2o has by default, 1 1 0 0. Robust kernels have no place in the format. @throws
+/// bad_argument for an invalid graph; error if it cannot be written
+template <typename Motion>
+void write_g2o(std::ostream& out, motion_graph<Motion> const& graph) {
+  using tags = detail::g2o_tags<Motion>;
   check(graph);
   std::unordered_set<std::int64_t> seen;
   for (std::int64_t const own : graph.ids) {
@@ -229,22 +319,26 @@ inline void write_g2o(std::ostream& out, pose_graph const& graph) {
   };
   std::string line;
   for (std::size_t i = 0; i < graph.T_world_pose.size(); ++i) {
-    line = "VERTEX_SE3:QUAT " + id(static_cast<int>(i));
+    line = tags::vertex + (' ' + id(static_cast<int>(i)));
     detail::append_motion(line, graph.T_world_pose[i]);
+    if (detail::freedom_of<Motion> == 7) { line += " 1 1 0 0"; }
     out << line << '\n';
   }
   for (std::size_t i = 0; i < graph.fixed.size(); ++i) {
     if (graph.fixed[i] != 0) { out << "FIX " << id(static_cast<int>(i)) << '\n'; }
   }
   for (auto const& e : graph.edges) {
-    line = "EDGE_SE3:QUAT " + id(e.from) + ' ' + id(e.to);
+    line = tags::edge + (' ' + id(e.from)) + ' ' + id(e.to);
     detail::append_motion(line, e.T_from_to);
-    for (double const v : e.information) { line += ' ' + detail::number_text(v); }
+    detail::for_each_information<Motion>([&](int at, double factor) {
+      line += ' ' + detail::number_text(e.information[at] / factor);
+    });
     out << line << '\n';
   }
   if (!out.flush()) { throw error("ft: pose graph: cannot be written"); }
 }
-inline void write_g2o(std::string const& path, pose_graph const& graph) {
+template <typename Motion>
+void write_g2o(std::string const& path, motion_graph<Motion> const& graph) {
   std::ofstream out(path);
   if (!out) { throw error("ft: pose graph: cannot open '" + path + "'"); }
   write_g2o(out, graph);

@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: which kept keyframes look like one of them, and from where it was seen.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/containers/loop_archive.hpp"
+#include "ft/containers/map_points.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/atomics.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/counter_draws.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/pnp/draw_pose.hpp"
+#include "ft/kernels/pose/optimize_pose.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// Rows of an archive, in executor memory.
+struct loop_rows {
+  int query = 0;             ///< row that is looked for
+  int const* row = nullptr;  ///< [count] among which
+  int count = 0;
+};
+
+/// Working memory of match_keyframes(), in executor memory. Nothing has to be initialised.
+struct loop_workspace {
+  int capacity = 0;                  ///< rows at a time
+  int points = 0;                    ///< of a row
+  int* nearest_in_row = nullptr;     ///< [capacity][points] of the query's points, -1 = none
+  int* nearest_in_query = nullptr;   ///< [capacity][points] of the row's points, -1 = none
+  observation* matches = nullptr;    ///< [capacity][points]
+  unsigned char* outlier = nullptr;  ///< [capacity][points]
+  pose* T = nullptr;                 ///< [capacity]
+  int* inliers = nullptr;            ///< [capacity]
+};
+
+inline void carve(carver& c, loop_workspace& v, int capacity, int points) {
+  v.capacity = capacity;
+  v.points = points;
+  c.place({capacity, points}, v.nearest_in_row, v.nearest_in_query, v.matches, v.outlier);
+  c.place({capacity}, v.T, v.inliers);
+}
+
+namespace detail {
+
+/// The nearest of a row's descriptors if it is near, and nearer than the second by the ratio; else
+/// -1. By all threads of a group.
+template <typename Group>
+FT_HOST_DEVICE int nearest_in(Group g, descriptor const& mine, loop_archive_view const& a,
+                              int row) {
+  constexpr int most = 64;  // bits that differ
+  descriptor const* const all = a.orb + a.at(row);
+  two_nearest best;
+  for (int k = g.rank(); k < a.count[row]; k += g.size()) {
+    best.add(hamming_by_adders(mine, all[k]), k);
+  }
+  best = best.merged(g);
+  return best.first <= most && 10 * best.first < 9 * best.second ? best.index : -1;
+}
+
+/// Item: a descriptor of the query, and a row.
+struct vote_for_row {
+  static constexpr bool wide_on_host = true;
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, loop_archive_view const& a,
+                                 loop_rows const& rows, int asked, int* votes) const {
+    int const n = min_of(asked, a.count[rows.query]);
+    int const at = item % asked;
+    if (at >= n) { return; }
+    int const k = static_cast<int>(static_cast<long long>(at) * a.count[rows.query] / n);
+    int const found = nearest_in(g, a.orb[a.at(rows.query) + k], a, rows.row[item / asked]);
+    if (g.rank() == 0 && found >= 0) { atomic_add(votes + item / asked, 1); }
+  }
+};
+
+/// Item: a point of the query or of a row. Finds the nearest one in the other.
+struct match_row {
+  static constexpr bool wide_on_host = true;
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, loop_archive_view const& a,
+                                 loop_rows const& rows, loop_workspace const& out) const {
+    int const r = item / (2 * a.points);
+    bool const of_query = item / a.points % 2 == 0;
+    int const i = item % a.points;
+    int const mine = of_query ? rows.query : rows.row[r];
+    int const other = of_query ? rows.row[r] : rows.query;
+    if (i >= a.count[mine]) { return; }
+    int const found = nearest_in(g, a.orb[a.at(mine) + i], a, other);
+    int* const to = of_query ? out.nearest_in_row : out.nearest_in_query;
+    if (g.rank() == 0) { to[static_cast<std::ptrdiff_t>(r) * a.points + i] = found; }
+  }
+};
+
+/// Item: a row. The pose of the query against it.
+template <typename Rig>
+struct place_query {
+  static constexpr bool wide_on_host = true;
+  static constexpr int least = 8;  ///< matches, to look for a pose
+  using scratch = pose_scratch;
+  Rig rig;
+  pose_params params;
+  pose_limits limits = pose_limits::of(params);
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int r, loop_archive_view const& a,
+                                 loop_rows const& rows, std::uint64_t seed,
+                                 loop_workspace const& work, loop_match* matches) const {
+    loop_match& out = matches[r];
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(r) * a.points;
+    observation* const list = work.matches + first;
+    int const n = list_matches(g, r, a, rows, work, list);
+    if (g.rank() == 0) {
+      out.matches = n;
+      out.inliers = 0;
+    }
+    g.sync();
+    if (n < least) { return; }
+    seen_matches<Rig> const seen{rig, 0, list, n};
+    if (!draw_pose(g, seen, {mixed_bits(seed)}, out.T_query_row)) { return; }
+    if (g.rank() == 0) { work.T[r] = out.T_query_row.template cast<float>(); }
+    g.sync();
+    pose_problem const problem{
+        list, n, work.T + r, work.T + r, work.outlier + first, work.inliers + r, out.information};
+    pose_solver<Group, Rig> const solver{g, s, rig, problem, params, limits};
+    for (int i = g.rank(); i < n; i += g.size()) { solver.prepare(i, list[i]); }
+    solver.solve();
+    g.sync();
+    if (g.rank() != 0) { return; }
+    out.T_query_row = work.T[r].template cast<double>();
+    out.inliers = work.inliers[r];
+  }
+
+private:
+  /// Lists the matches that are each other's nearest, in the order of the query's points.
+  template <typename Group>
+  FT_HOST_DEVICE static int list_matches(Group g, int r, loop_archive_view const& a,
+                                         loop_rows const& rows, loop_workspace const& work,
+                                         observation* list) {
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(r) * a.points;
+    std::ptrdiff_t const query = a.at(rows.query), row = a.at(rows.row[r]);
+    int n = 0;
+    for (int base = 0; base < a.count[rows.query]; base += g.size()) {
+      int const i = base + g.rank();
+      int const k = i < a.count[rows.query] ? work.nearest_in_row[first + i] : -1;
+      bool const there = k >= 0 && work.nearest_in_query[first + k] == i;
+      int here = 0;
+      int const place = n + g.exclusive_count(there, here);
+      n += here;
+      if (!there) { continue; }
+      list[place] = {a.point[row + k],     a.x[query + i],          a.y[query + i],
+                     a.right_x[query + i], a.inv_sigma2[query + i], 0};
+    }
+    return n;
+  }
+};
+
+}  // namespace detail
+
+/// How many of the query's descriptors find an alike one in each row: one that differs in at most
+/// 64 bits, and in less than nine tenths of what the second best does. Asynchronous on `exec`;
+/// allocates nothing; one launch.
+/// @param asked descriptors of the query, spread evenly over its points
+/// @param votes [rows.count] executor memory
+template <typename Exec>
+void vote_for_rows(Exec const& exec, loop_archive_view const& archive, loop_rows const& rows,
+                   int asked, int* votes) {
+  fill_bytes(exec, votes, 0, static_cast<std::size_t>(rows.count) * sizeof(int));
+  for_each_item<per_warp>(exec, rows.count * asked, detail::vote_for_row{}, archive, rows, asked,
+                          votes);
+}
+
+/// Matches the query's keypoints with each row's points, all with all; finds the pose that most
+/// matches agree with, among 256 poses from three matches each; and optimises it. Asynchronous on
+/// `exec`; allocates nothing; two launches.
+/// @param seed of the draws @param out [rows.count] executor memory
+/// @throws bad_argument for more rows, or larger ones, than there is working memory for
+template <typename Exec, typename Rig>
+void match_keyframes(Exec const& exec, Rig const& rig, loop_archive_view const& archive,
+                     loop_rows const& rows, std::uint64_t seed, pose_params const& params,
+                     loop_workspace const& work, loop_match* out) {
+  detail::require_range("rows to be matched", rows.count, 0, work.capacity);
+  detail::require_range("points of a row", archive.points, work.points, work.points);
+  for_each_item<per_warp>(exec, 2 * rows.count * archive.points, detail::match_row{}, archive, rows,
+                          work);
+  for_each_item<per_block<sum_lanes>>(exec, rows.count, detail::place_query<Rig>{rig, params},
+                                      archive, rows, seed, work, out);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The path of a camera by its keyframes, and the loops that correct it.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "ft/containers/loop_archive.hpp"
+#include "ft/containers/pose_graph.hpp"
+#include "ft/core/config.hpp"
+#include "ft/pipelines/pose_graph.hpp"
+#include "ft/types/loops.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Information of an edge to a pose, from that of the pose: from a twist on the left of its
+/// inverse, rotation first, to the error of a pose_graph_edge. Sums of floats are positive
+/// semidefinite up to their rounding only: the diagonal grows by more than that.
+/// @param scale of the information
+inline void edge_information(float const (&of_pose)[21], double scale, double (&to)[21]) {
+  double full[6][6];
+  for (int i = 0, at = 0; i < 6; ++i) {
+    for (int j = i; j < 6; ++j) { full[i][j] = full[j][i] = static_cast<double>(of_pose[at++]); }
+  }
+  for (int i = 0, at = 0; i < 6; ++i) {
+    for (int j = i; j < 6; ++j) {
+      double const half = (i < 3 ? 1.0 : 2.0) * (j < 3 ? 1.0 : 2.0);  // sines of half angles
+      to[at++] = scale * half * full[(i + 3) % 6][(j + 3) % 6] * (i == j ? 1 + 1e-5 : 1.0);
+    }
+  }
+  // So that an edge of a frame about which nothing is known still holds its two poses together.
+  for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) { to[at] += 100; }
+}
+
+/// A keyframe on the path.
+struct path_keyframe {
+  int row = 0;  ///< of the archive
+  int map = 0;  ///< number of the map that it was tracked in
+  std::int64_t time_ns = 0;
+  double path = 0;  ///< length of the way to it, metres
+  rigid<double> T_odom_camera = rigid<double>::identity();
+  rigid<double> T_world_camera = rigid<double>::identity();
+  double information[21] = {};  ///< of the edge from the keyframe before, if that has its map
+};
+
+/// A keyframe seen from another one.
+struct path_loop {
+  int from = 0;  ///< index of a keyframe
+  int to = 0;    ///< index of a later one
+  rigid<double> T_from_to = rigid<double>::identity();
+  double information[21] = {};
+};
+
+/// Keyframes in the order of their time, and loops between them. Copies allocate nothing between
+/// two that have reserved as much.
+struct loop_path {
+  std::vector<path_keyframe> keyframes;
+  std::vector<path_loop> loops;
+
+  void reserve(int most) {
+    keyframes.reserve(static_cast<std::size_t>(most));
+    loops.reserve(static_cast<std::size_t>(most) * 4);
+  }
+  void clear() {
+    keyframes.clear();
+    loops.clear();
+  }
+  int size() const { return static_cast<int>(keyframes.size()); }
+  path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
+  /// From the frame of the odometry to the world, as the newest keyframe says.
+  rigid<double> T_world_odom() const {
+    if (keyframes.empty()) { return rigid<double>::identity(); }
+    auto const& k = keyframes.back();
+    return (k.T_world_camera * k.T_odom_camera.inverse()).orthonormalized();
+  }
+
+  /// Whether a loop fits the path: what it corrects is no more than the odometry may have drifted
+  /// since. @param baseline of the rig, metres, which a loop may correct anyway
+  bool fits(path_loop const& loop, loop_params const& params, double baseline) const {
+    path_keyframe const& from = at(loop.from);
+    path_keyframe const& to = at(loop.to);
+    if (from.map != to.map) { return false; }
+    rigid<double> const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
+    double const way = to.path - from.path;
+    return length(off.t) <= static_cast<double>(params.max_drift) * way + baseline &&
+           angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
+  }
+  /// Whether two loops of one keyframe say the same of its pose: their difference is likely with
+  /// 8 times the covariance of either.
+  bool agree(path_loop const& a, path_loop const& b) const {
+    rigid<double> const off = (at(a.from).T_world_camera * a.T_from_to).inverse() *
+                              (at(b.from).T_world_camera * b.T_from_to);
+    auto const chi2 = [&off](path_loop const& of) {
+      double e[6];
+      edge_error(off, e);
+      double sum = 0;
+      for (int i = 0, k = 0; i < 6; ++i) {
+        for (int j = i; j < 6; ++j) { sum += (i == j ? 1 : 2) * of.information[k++] * e[i] * e[j]; }
+      }
+      return sum / 8;
+    };
+    constexpr double likely = 22.46;  // 99.9 % of 6 degrees of freedom
+    return chi2(a) < likely && chi2(b) < likely;
+  }
+
+  /// Every second keyframe of the older three quarters leaves. Its loops become those of the
+  /// keyframe before it. @param freed gets the rows of those that leave
+  template <typename Freed>
+  void thin(Freed const& freed) {
+    int const older = size() * 3 / 4;
+    std::vector<int> now(keyframes.size());
+    int kept = 0;
+    for (int i = 0; i < size(); ++i) {
+      bool const leaves = i > 0 && i < older && i % 2 == 1 && at(i).map == at(i - 1).map;
+      now[static_cast<std::size_t>(i)] = leaves ? kept - 1 : kept;
+      if (leaves) { freed(at(i).row); }
+      kept += leaves ? 0 : 1;
+    }
+    for (path_loop& l : loops) {
+      l.T_from_to = moved_to(now, l.from).inverse() * at(l.from).T_odom_camera * l.T_from_to *
+                    at(l.to).T_odom_camera.inverse() * moved_to(now, l.to);
+    }
+    for (path_loop& l : loops) {
+      l.from = now[static_cast<std::size_t>(l.from)];
+      l.to = now[static_cast<std::size_t>(l.to)];
+    }
+    loops.erase(std::remove_if(loops.begin(), loops.end(),
+                               [](path_loop const& l) { return l.from == l.to; }),
+                loops.end());
+    for (int i = 0; i < size(); ++i) {
+      if (i == 0 || now[static_cast<std::size_t>(i)] != now[static_cast<std::size_t>(i - 1)]) {
+        keyframes[static_cast<std::size_t>(now[static_cast<std::size_t>(i)])] = at(i);
+      }
+    }
+    keyframes.resize(static_cast<std::size_t>(kept));
+  }
+
+  /// Moves the keyframes' poses in the world to where motions and loops agree best. Allocates.
+  template <typename Exec>
+  void optimize(Exec const& exec) {
+    pose_graph graph;
+    for (path_keyframe const& k : keyframes) {
+      graph.T_world_pose.push_back(k.T_world_camera.orthonormalized());
+      graph.fixed.push_back(graph.fixed.empty() ? 1 : 0);
+    }
+    auto const add = [&graph](int from, int to, rigid<double> const& T, double const(&W)[21]) {
+      pose_graph_edge e;
+      e.from = from;
+      e.to = to;
+      e.T_from_to = T.orthonormalized();
+      for (int i = 0; i < 21; ++i) { e.information[i] = W[i]; }
+      graph.edges.push_back(e);
+    };
+    for (int i = 1; i < size(); ++i) {
+      if (at(i).map != at(i - 1).map) { continue; }
+      add(i - 1, i, at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera, at(i).information);
+    }
+    for (path_loop const& l : loops) {
+      add(l.from, l.to, l.T_from_to, l.information);
+      graph.edges.back().kernel = robust_kernel::huber;
+      graph.edges.back().width = 3.5;  // 95 % of 6 degrees of freedom
+    }
+    optimize_pose_graph(exec, graph);
+    for (int i = 0; i < size(); ++i) {
+      keyframes[static_cast<std::size_t>(i)].T_world_camera =
+          graph.T_world_pose[static_cast<std::size_t>(i)];
+    }
+  }
+
+private:
+  static double length(vec3<double> const& v) { return std::sqrt(dot(v, v)); }
+  static double angle(mat3<double> const& R) {
+    double const cosine = (R.m[0] + R.m[4] + R.m[8] - 1) / 2;
+    return std::acos(cosine > 1 ? 1 : (cosine < -1 ? -1 : cosine));
+  }
+  /// Translation, and half the vector of a small rotation.
+  static void edge_error(rigid<double> const& T, double (&e)[6]) {
+    e[0] = T.t.x;
+    e[1] = T.t.y;
+    e[2] = T.t.z;
+    e[3] = (T.R.m[7] - T.R.m[5]) / 4;
+    e[4] = (T.R.m[2] - T.R.m[6]) / 4;
+    e[5] = (T.R.m[3] - T.R.m[1]) / 4;
+  }
+  /// Where the keyframe is tracked that stands for keyframe i afterwards: itself, or the one
+  /// before.
+  rigid<double> const& moved_to(std::vector<int> const& now, int i) const {
+    auto const k = static_cast<std::size_t>(i);
+    bool const leaves = i > 0 && now[k] == now[k - 1];
+    return at(leaves ? i - 1 : i).T_odom_camera;
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,332 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Recognises places that an odometry has seen before, and corrects its path.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "ft/containers/loop_archive.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/loops/keep_keyframe.hpp"
+#include "ft/kernels/loops/match_keyframes.hpp"
+#include "ft/pipelines/detail/loop_path.hpp"
+#include "ft/pipelines/detail/odometry_part.hpp"
+#include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/pipelines/detail/work_beside.hpp"
+#include "ft/types/loops.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/tracking.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Where the search for loops runs: on threads that are given, or on a stream.
+template <typename Exec>
+struct loop_executor {
+  Exec const& on(host_exec const& threads) const { return threads; }
+  static host_exec threads_of(Exec const& exec) { return exec; }
+};
+#if defined(__CUDACC__)
+template <>
+struct loop_executor<cuda_exec> {
+  loop_executor() : exec(own.get()) { throw_on_error(cudaGetDevice(&device), "cudaGetDevice"); }
+  cuda_exec const& on(host_exec const&) const {
+    throw_on_error(cudaSetDevice(device), "cudaSetDevice");
+    return exec;
+  }
+  static host_exec threads_of(cuda_exec const&) { return host_exec(1); }
+  stream own;
+  cuda_exec exec;
+  int device = 0;
+};
+#endif
+
+/// Looks for loops of the newest keyframe of a path, and corrects the path.
+template <typename Exec, typename Rig>
+struct loop_search {
+  Rig rig;
+  loop_params params;
+  pose_params pose_settings;
+  loop_archive_view archive;
+  std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
+  loop_path path;  ///< in and out
+  int closed = 0;  ///< loops that the last run added
+  struct memory {
+    int* rows = nullptr;   ///< [keyframes]
+    int* votes = nullptr;  ///< [keyframes]
+    loop_workspace work;
+    loop_match* found = nullptr;  ///< [3 groups]
+  };
+  struct staging {
+    int* rows = nullptr;
+    int* votes = nullptr;
+    loop_match* found = nullptr;
+  };
+  owner<memory, Exec::space> memory_;
+  owner<staging, staging_space<Exec>> staging_;
+
+  loop_search(Rig const& of, loop_params const& with, pose_params const& pose_of,
+              loop_archive_view const& in)
+      : rig(of), params(with), pose_settings(pose_of), archive(in) {
+    int const most = 3 * params.groups;
+    memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
+      c.place({archive.rows}, m.rows, m.votes);
+      carve(c, m.work, most, archive.points);
+      c.place({most}, m.found);
+    });
+    staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
+      c.place({archive.rows}, s.rows, s.votes);
+      c.place({most}, s.found);
+    });
+    path.reserve(archive.rows);
+  }
+
+  /// Called on a thread of its own.
+  void enqueue(host_exec const& threads, int) {
+    closed = 0;
+    Exec const& exec = where->on(threads);
+    int const candidates = vote(exec);
+    if (candidates == 0) { return; }
+    for (auto const& group : choose(candidates)) { close(exec, group); }
+    if (closed > 0) { path.optimize(threads); }
+  }
+
+private:
+  int query() const { return path.size() - 1; }
+
+  /// Votes for the keyframes that are not among the newest. @return their number
+  int vote(Exec const& exec) {
+    memory const& m = memory_.view();
+    staging const& s = staging_.view();
+    int const n = path.size() - params.recent;
+    if (n <= 0) { return 0; }
+    for (int i = 0; i < n; ++i) { s.rows[i] = path.at(i).row; }
+    auto const count = static_cast<std::size_t>(n);
+    copy(exec, m.rows, static_cast<int const*>(s.rows), count);
+    vote_for_rows(exec, archive, {path.at(query()).row, m.rows, n}, params.votes, m.votes);
+    copy(exec, s.votes, static_cast<int const*>(m.votes), count);
+    exec.wait();
+    return n;
+  }
+
+  /// The keyframes with most votes together with their neighbours; the first one of equals.
+  std::vector<std::vector<int>> choose(int n) const {
+    int const* const votes = staging_->votes;
+    std::vector<int> sums(static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      bool const same = path.at(i).map == path.at(query()).map;
+      if (!same || votes[i] < params.min_votes) { continue; }
+      for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
+        sums[static_cast<std::size_t>(i)] += votes[k];
+      }
+    }
+    std::vector<std::vector<int>> groups;
+    while (static_cast<int>(groups.size()) < params.groups) {
+      auto const most = std::max_element(sums.begin(), sums.end());
+      if (*most == 0) { break; }
+      int const i = static_cast<int>(most - sums.begin());
+      groups.emplace_back();
+      for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
+        groups.back().push_back(k);
+      }
+      for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
+        sums[static_cast<std::size_t>(k)] = 0;
+      }
+    }
+    return groups;
+  }
+
+  /// Adds the loops to a group of keyframes that two of them agree on.
+  void close(Exec const& exec, std::vector<int> const& group) {
+    memory const& m = memory_.view();
+    staging const& s = staging_.view();
+    int const n = static_cast<int>(group.size());
+    for (int i = 0; i < n; ++i) { s.rows[i] = path.at(group[static_cast<std::size_t>(i)]).row; }
+    copy(exec, m.rows, static_cast<int const*>(s.rows), group.size());
+    match_keyframes(exec, rig, archive, {path.at(query()).row, m.rows, n},
+                    static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work,
+                    m.found);
+    copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
+    exec.wait();
+    std::vector<path_loop> loops;
+    for (int i = 0; i < n; ++i) {
+      loop_match const& found = s.found[i];
+      if (found.inliers < params.min_inliers ||
+          static_cast<float>(found.inliers) <
+              params.min_share * static_cast<float>(found.matches)) {
+        continue;
+      }
+      path_loop loop;
+      loop.from = group[static_cast<std::size_t>(i)];
+      loop.to = query();
+      loop.T_from_to = found.T_query_row.inverse().orthonormalized();
+      edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
+      if (path.fits(loop, params, static_cast<double>(rig.baseline_length().value))) {
+        loops.push_back(loop);
+      }
+    }
+    for (path_loop const& a : loops) {
+      bool const agreed = std::any_of(loops.begin(), loops.end(), [&](path_loop const& b) {
+        return &a != &b && path.agree(a, b);
+      });
+      if (agreed && path.loops.size() < path.loops.capacity()) {
+        path.loops.push_back(a);
+        ++closed;
+      }
+    }
+  }
+};
+
+/// Keeps keyframes, and runs the search for loops beside the frames.
+template <typename Exec, typename Rig>
+class odometry_loops final : public odometry_part<Exec, Rig> {
+  using stages_type = odometry_stages<Exec, Rig>;
+  using searched_rig = typename rig_parts<Rig>::searched_rig;
+  using search_type = loop_search<Exec, searched_rig>;
+  static constexpr int margin = 64;  ///< rows beyond the limit, for keyframes during a search
+
+public:
+  odometry_loops(Exec const& exec, stages_type const& stages) : params_(stages.settings.loops) {
+    archive_ = owner<loop_archive_view, Exec::space>([&](carver& c, loop_archive_view& v) {
+      carve(c, v, params_.keyframes + margin, params_.points);
+    });
+    path_.reserve(archive_->rows);
+    forget_all();
+    beside_ = std::make_unique<work_beside<host_exec, search_type>>(
+        loop_executor<Exec>::threads_of(exec),
+        search_type(stages.rig, params_, stages.pose_settings, archive_.view()), 1, 2);
+  }
+
+  void after_frame(Exec const& exec, stages_type const& stages) override {
+    odometry_output const& out = stages.own.outputs[0];
+    ++frame_;
+    closed_now_ = 0;
+    if (running_ && frame_ == ends_) { finish(); }
+    if (out.keyframe != 0) { keep(exec, stages, out); }
+    if (running_ || searched_ == path_.size()) { return; }
+    if (path_.size() >= params_.keyframes) {
+      path_.thin([this](int row) { free_.push_back(row); });
+    }
+    begin();
+  }
+  void describe(int, std::int64_t, tracking& t) override {
+    t.T_world_odom = T_world_odom_;
+    if (corrected_) { t.T_world_camera = (T_world_odom_ * t.T_odom_camera).orthonormalized(); }
+    t.loops_closed = closed_now_;
+  }
+  void reset(int) override { forget_all(); }
+  void forget(Exec const&, int) override { forget_all(); }
+  void list_placed(std::vector<placed_keyframe>& to) const override {
+    for (path_keyframe const& k : path_.keyframes) {
+      to.push_back({k.time_ns, k.T_odom_camera, k.T_world_camera});
+    }
+  }
+  allocated_bytes bytes() const override {
+    search_type const& s = beside_->work();
+    return {archive_.bytes() + s.memory_.bytes(), s.staging_.bytes()};
+  }
+
+private:
+  void keep(Exec const& exec, stages_type const& stages, odometry_output const& out) {
+    if (free_.empty()) { return; }  // cannot be: a search takes fewer frames than there is margin
+    path_keyframe k;
+    k.row = free_.back();
+    free_.pop_back();
+    k.map = out.maps;
+    k.time_ns = stages.own.inputs[0].time_ns;
+    k.T_odom_camera = out.T_cw.inverse();
+    k.T_world_camera = (T_world_odom_ * k.T_odom_camera).orthonormalized();
+    edge_information(out.information, 1.0, k.information);
+    if (path_.size() > 0) {
+      path_keyframe const& last = path_.keyframes.back();
+      vec3<double> const step = (last.T_odom_camera.inverse() * k.T_odom_camera).t;
+      k.path = last.path + (last.map == k.map ? std::sqrt(dot(step, step)) : 0.0);
+    }
+    keep_keyframe(exec, stages.as_keyframe(), 0, k.row, archive_.view());
+    exec.wait();
+    path_.keyframes.push_back(k);
+  }
+  void begin() {
+    beside_->work().path = path_;
+    searched_ = path_.size();
+    // By the number of keyframes alone, so that answers do not depend on the machine.
+    ends_ = frame_ + std::min(4 + path_.size() / 64, margin / 2);
+    running_ = true;
+    run_ = beside_->begin();
+  }
+  /// The correction enters.
+  void finish() {
+    beside_->finish(host_exec(1), run_);
+    running_ = false;
+    search_type const& search = beside_->work();
+    closed_now_ = search.closed;
+    if (search.closed == 0) { return; }
+    rigid<double> const T_world_odom = search.path.T_world_odom();
+    for (std::size_t i = 0; i < path_.keyframes.size(); ++i) {
+      path_keyframe& k = path_.keyframes[i];
+      k.T_world_camera = i < search.path.keyframes.size()
+                             ? search.path.keyframes[i].T_world_camera
+                             : (T_world_odom * k.T_odom_camera).orthonormalized();
+    }
+    path_.loops = search.path.loops;
+    T_world_odom_ = T_world_odom;
+    corrected_ = true;
+  }
+  void forget_all() {
+    if (beside_ != nullptr) { beside_->drain(); }
+    running_ = corrected_ = false;
+    path_.clear();
+    free_.clear();
+    for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
+    searched_ = closed_now_ = 0;
+    T_world_odom_ = rigid<double>::identity();
+  }
+
+  loop_params params_;
+  owner<loop_archive_view, Exec::space> archive_;
+  loop_path path_;
+  std::vector<int> free_;  ///< rows
+  rigid<double> T_world_odom_ = rigid<double>::identity();
+  long long frame_ = 0;
+  long long ends_ = 0;  ///< frame with which the search in progress ends
+  int run_ = 0;
+  int searched_ = 0;    ///< keyframes of which loops were looked for
+  int closed_now_ = 0;  ///< loops that entered with the last frame
+  bool running_ = false;
+  bool corrected_ = false;  ///< T_world_odom_ is not the identity
+  std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive
+};
+
+template <typename Rig>
+inline constexpr bool closes_loops = true;
+template <int N>
+inline constexpr bool closes_loops<multi_rig<N>> = false;
+template <typename Camera>
+inline constexpr bool closes_loops<monocular_rig<Camera>> = false;
+
+/// @throws bad_argument as loops says
+template <typename Exec, typename Rig>
+std::unique_ptr<odometry_part<Exec, Rig>> make_part(
+    loops const&, [[maybe_unused]] Exec const& exec,
+    [[maybe_unused]] odometry_stages<Exec, Rig>& s) {
+  if constexpr (closes_loops<Rig>) {
+    require(s.batch == 1, "loops are closed for one camera pair, not for a batch");
+    return std::make_unique<odometry_loops<Exec, Rig>>(exec, s);
+  } else {
+    throw bad_argument("ft: loops are not closed with a rig of one or of several cameras");
+  }
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Settings of loop closing, and what it tells.
+#pragma once
+
+#include <cstdint>
+
+#include "ft/core/config.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace v0 {
+
+/// How an odometry recognises places that it has seen before, and corrects its path there.
+struct loop_params {
+  bool present = false;
+  /// Keyframes that are kept at a time. Before there are more, every second one of the older three
+  /// quarters leaves: the limit thins the path out, it does not end it.
+  int keyframes = 1000;
+  int points = 400;  ///< keypoints with a depth that are kept of a keyframe, at most, spread evenly
+  int recent = 30;   ///< the newest keyframes, which the odometry's own map connects with a frame
+  int groups = 2;    ///< neighbourhoods that are verified for a keyframe, each of three keyframes
+  /// Of the keypoints of a keyframe, those whose descriptors are compared with all keyframes'.
+  int votes = 128;
+  int min_votes = 12;      ///< that find an alike point in a keyframe which is to be verified
+  int min_inliers = 40;    ///< matches that agree with the pose of a loop
+  float min_share = 0.5f;  ///< and their share of the matches
+  /// A loop must not correct more than this share of the path since its keyframe and the rig's
+  /// baseline, and
+  float max_drift = 0.05f;
+  float max_turn = 0.1f;  ///< rad, and 0.01 rad for each unit of length of the path. Places that
+                          ///< look alike are told apart so.
+};
+
+/// Plugged into an odometry whose odometry_params::loops are present: places that were seen before
+/// are recognised, and the path is corrected.
+///
+/// Keyframes are kept with some of their keypoints. Each one is compared with all that are kept and
+/// are not among the newest: by descriptors, then by a pose that most matches agree with. A loop is
+/// closed where two neighbouring keyframes say the same of that pose, and what it corrects is no
+/// more than the odometry may have drifted since. Then the poses of all keyframes are optimised.
+/// That runs beside tracking, on a thread, and on a GPU on a stream of its own; the correction
+/// enters a number of frames later that depends on the number of keyframes alone. The odometry
+/// itself is not changed: see tracking::T_odom_camera and T_world_odom.
+///
+/// The constructor throws bad_argument for parameters out of range, more than one camera pair,
+/// without odometry_params::loops, and for a multi_rig or a monocular_rig.
+struct loops {};
+
+/// A keyframe that loops have corrected.
+struct placed_keyframe {
+  std::int64_t time_ns;
+  rigid<double> T_odom_camera;   ///< as it was tracked
+  rigid<double> T_world_camera;  ///< as it is known now
+};
+
+}  // namespace v0
+}  // namespace ft

@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: Apache-2.0
+// Kept keyframes that look like one of them: votes against a plain count, poses against the true
+// ones, and the same bits on both executors.
+#include "ft/kernels/loops/match_keyframes.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <vector>
+
+#include "ft/containers/loop_archive.hpp"
+#include "ft/core/error.hpp"
+#include "ft/kernels/loops/keep_keyframe.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/example_rigs.hpp"
+#include "tests/support/memory.hpp"
+#include "tests/support/plain_map.hpp"
+#include "tests/support/random.hpp"
+
+namespace match_keyframes_test {
+
+using test::at;
+constexpr int rows = 6;
+constexpr int points = 150;
+constexpr int query = 5;  ///< row
+constexpr int alike = 2;  ///< the row that shows the same place
+
+struct arrays {
+  ft::loop_archive_view archive;
+  ft::loop_workspace work;
+  int* row = nullptr;    ///< [rows - 1] all but the query
+  int* votes = nullptr;  ///< likewise
+  ft::loop_match* found = nullptr;
+};
+
+template <typename Rig>
+auto const& model_of(Rig const& rig) {
+  if constexpr (Rig::rectified) {
+    return rig.camera;
+  } else {
+    return rig.left;
+  }
+}
+
+/// Rows of random points; one of them sees `common` of the query's from another pose.
+template <typename Exec, typename Rig>
+struct scene {
+  Exec const& exec;
+  Rig rig = test::example_rig<Rig>();
+  test::motion T_query_row = test::turn({0.1, 1, 0.2}, 0.25, {0.3, -0.05, 0.2});
+  test::mirrored<Exec, arrays> data;
+
+  scene(Exec const& on, unsigned seed, int common, int full = points)
+      : exec(on), data([](ft::carver& c, arrays& v) {
+          carve(c, v.archive, rows, points);
+          carve(c, v.work, rows, points);
+          c.place({rows}, v.row, v.votes, v.found);
+        }) {
+    put(seed, common, full);
+    data.push(exec);
+    arrays const& there = data.device;
+    ft::vote_for_rows(exec, there.archive, {query, there.row, rows - 1}, 64, there.votes);
+    ft::match_keyframes(exec, rig, there.archive, {query, there.row, rows - 1}, 7, {}, there.work,
+                        there.found);
+    data.pull(exec);
+  }
+  double off() const {
+    auto const d = data.host.found[alike].T_query_row.centre() - T_query_row.centre();
+    return std::sqrt(ft::dot(d, d));
+  }
+
+private:
+  void put(unsigned seed, int common, int full) {
+    test::generator random(seed);
+    ft::loop_archive_view const& a = data.host.archive;
+    for (int r = 0; r < rows; ++r) {
+      a.count[r] = full;
+      for (int i = 0; i < points; ++i) { put_point(random, a.at(r) + i, random.descriptor()); }
+    }
+    for (int i = 0; i < common; ++i) { see_again(random, i); }
+    for (int i = 0; i < rows - 1; ++i) { data.host.row[i] = i; }
+  }
+  void put_point(test::generator& random, std::ptrdiff_t k, ft::descriptor const& d) {
+    ft::loop_archive_view const& a = data.host.archive;
+    ft::vec2<float> const pixel{random.real(150, 400), random.real(150, 350)};
+    auto const ray = model_of(rig).unproject(pixel).direction;
+    float const depth = random.real(2, 6) / ray.z;
+    a.point[k] = {ray.x * depth, ray.y * depth, ray.z * depth};
+    a.x[k] = pixel.x;
+    a.y[k] = pixel.y;
+    a.right_x[k] = -1;
+    a.inv_sigma2[k] = 1;
+    a.orb[k] = d;
+  }
+  /// Point i of the row is seen by the query.
+  void see_again(test::generator& random, int i) {
+    ft::loop_archive_view const& a = data.host.archive;
+    std::ptrdiff_t const from = a.at(alike) + i, to = a.at(query) + (i * 7) % points;
+    auto const p = T_query_row * a.point[from].template cast<double>();
+    auto const seen = model_of(rig).project(p.template cast<float>());
+    a.point[to] = p.template cast<float>();
+    a.x[to] = seen.pixel.x + random.real(-0.5f, 0.5f);
+    a.y[to] = seen.pixel.y + random.real(-0.5f, 0.5f);
+    a.orb[to] = random.flipped(a.orb[from], 12);
+  }
+};
+
+/// The votes of a row, one distance after the other.
+int plain_votes(ft::loop_archive_view const& a, int row, int asked) {
+  int votes = 0;
+  int const n = std::min(asked, a.count[query]);
+  for (int s = 0; s < n; ++s) {
+    ft::descriptor const& mine = a.orb[a.at(query) + s * a.count[query] / n];
+    int best = 1000, second = 1000;
+    for (int k = 0; k < a.count[row]; ++k) {
+      int const d = ft::hamming(mine, a.orb[a.at(row) + k]);
+      second = std::min(second, std::max(best, d));
+      best = std::min(best, d);
+    }
+    votes += static_cast<int>(best <= 64 && 10 * best < 9 * second);
+  }
+  return votes;
+}
+
+template <typename Backend>
+class MatchKeyframes : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(MatchKeyframes, test::backends);
+
+TYPED_TEST(MatchKeyframes, CountsTheVotesOfEachRow) {
+  TypeParam backend;
+  for (unsigned seed = 1; seed < 5; ++seed) {
+    for (int const full : {0, 1, 40, points}) {
+      scene<typename TypeParam::exec_type, ft::rectified_rig> const s(backend.exec, seed, 90, full);
+      for (int r = 0; r + 1 < rows; ++r) {
+        EXPECT_EQ(s.data.host.votes[r], plain_votes(s.data.host.archive, r, 64)) << r << full;
+      }
+      if (full == points) { EXPECT_GE(s.data.host.votes[alike], 30); }
+    }
+  }
+}
+
+template <typename Rig, typename Exec>
+void finds_the_pose(Exec const& exec) {
+  for (unsigned seed = 1; seed < 6; ++seed) {
+    SCOPED_TRACE(seed);
+    scene<Exec, Rig> const s(exec, seed, 80);
+    auto const& found = s.data.host.found[alike];
+    EXPECT_GE(found.matches, 70);
+    EXPECT_GE(found.inliers, 65);
+    EXPECT_LT(s.off(), 0.02);
+    EXPECT_GT(found.information[0], 0);
+    for (int r = 0; r + 1 < rows; ++r) {
+      if (r != alike) { EXPECT_LT(s.data.host.found[r].inliers, 12) << r; }
+    }
+  }
+}
+TYPED_TEST(MatchKeyframes, FindsThePoseOfThePlaceAndNoOther) {
+  TypeParam backend;
+  finds_the_pose<ft::rectified_rig>(backend.exec);
+  finds_the_pose<test::fisheye_rig>(backend.exec);
+}
+
+TYPED_TEST(MatchKeyframes, FewPointsHaveNoPose) {
+  TypeParam backend;
+  for (int const full : {0, 1, 3, 7}) {
+    scene<typename TypeParam::exec_type, ft::rectified_rig> const s(backend.exec, 3, full, full);
+    for (int r = 0; r + 1 < rows; ++r) { EXPECT_EQ(s.data.host.found[r].inliers, 0); }
+  }
+}
+
+TYPED_TEST(MatchKeyframes, BothExecutorsHaveTheSameBits) {
+  TypeParam backend;
+  ft::host_exec const host;
+  for (unsigned seed = 11; seed < 16; ++seed) {
+    scene<typename TypeParam::exec_type, ft::rectified_rig> const a(backend.exec, seed, 60);
+    scene<ft::host_exec, ft::rectified_rig> const b(host, seed, 60);
+    auto const& x = a.data.host.found[alike];
+    auto const& y = b.data.host.found[alike];
+    EXPECT_GT(x.inliers, 0);
+    EXPECT_EQ(x.matches, y.matches);
+    EXPECT_EQ(x.inliers, y.inliers);
+    EXPECT_EQ(std::memcmp(&x.T_query_row, &y.T_query_row, sizeof x.T_query_row), 0);
+    EXPECT_EQ(std::memcmp(x.information, y.information, sizeof x.information), 0);
+  }
+}
+
+TYPED_TEST(MatchKeyframes, RefusesMoreRowsThanThereIsMemoryFor) {
+  TypeParam backend;
+  scene<typename TypeParam::exec_type, ft::rectified_rig> const s(backend.exec, 1, 0);
+  arrays const& there = s.data.device;
+  EXPECT_THROW(ft::match_keyframes(backend.exec, s.rig, there.archive, {query, there.row, rows + 1},
+                                   7, {}, there.work, there.found),
+               ft::bad_argument);
+  auto const too_few = [](ft::carver& c, ft::loop_archive_view& v) { carve(c, v, 3, points); };
+  using owner_type = ft::owner<ft::loop_archive_view, ft::memory_space::host>;
+  EXPECT_THROW(owner_type{too_few}, ft::bad_argument);
+}
+
+// ---- what is kept of a frame
+
+struct frame_arrays {
+  ft::keypoints_view keypoints;
+  float* depth = nullptr;
+  float* right_x = nullptr;
+  ft::loop_archive_view archive;
+};
+constexpr int capacity = 700;
+
+/// Keeps keypoints of which each third has no depth. @return the archive's row 1
+template <typename Exec>
+ft::loop_archive_view keep(Exec const& exec, test::mirrored<Exec, frame_arrays>& data, int count) {
+  auto const rig = test::example_rig<ft::rectified_rig>();
+  test::generator random(5);
+  frame_arrays const& v = data.host;
+  for (int k = 0; k < capacity; ++k) {
+    auto const left = v.keypoints.slice(0);
+    left.x(k) = random.real(20, 300);
+    left.y(k) = random.real(20, 200);
+    left.octave(k) = k % 3;
+    left.orb(k) = random.descriptor();
+    v.depth[k] = k % 3 == 1 ? -1.0f : random.real(1, 9);
+    v.right_x[k] = k % 3 == 1 ? -1.0f : left.x(k) - 5;
+  }
+  v.keypoints.count[0] = count;
+  v.keypoints.count[1] = 0;
+  data.push(exec);
+  ft::keyframe_input<ft::rectified_rig> in{};
+  in.rig = rig;
+  in.frame.keypoints = data.device.keypoints;
+  in.frame.right_x = data.device.right_x;
+  in.depth = data.device.depth;
+  in.geometry = ft::pyramid_geometry::make(640, 480, 3, 1.2f);
+  ft::keep_keyframe(exec, in, 0, 1, data.device.archive);
+  data.pull(exec);
+  return data.host.archive;
+}
+template <typename Exec>
+test::mirrored<Exec, frame_arrays> frame_memory() {
+  return test::mirrored<Exec, frame_arrays>([](ft::carver& c, frame_arrays& v) {
+    carve(c, v.keypoints, capacity, 2);
+    c.place({capacity}, v.depth, v.right_x);
+    carve(c, v.archive, 4, points);
+  });
+}
+
+TYPED_TEST(MatchKeyframes, KeepsKeypointsWithADepthSpreadOverTheirOrder) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const geometry = ft::pyramid_geometry::make(640, 480, 3, 1.2f);
+  for (int const count : {0, 1, 2, 60, 225, 226, 699, 700}) {
+    SCOPED_TRACE(count);
+    auto data = frame_memory<exec_type>();
+    ft::loop_archive_view const a = keep(backend.exec, data, count);
+    std::vector<int> with_depth;
+    for (int k = 0; k < count; ++k) {
+      if (k % 3 != 1) { with_depth.push_back(k); }
+    }
+    int const all = static_cast<int>(with_depth.size());
+    ASSERT_EQ(a.count[1], std::min(all, points));
+    auto const left = data.host.keypoints.slice(0);
+    int before = -1;
+    for (int i = 0; i < a.count[1]; ++i) {
+      int k = before + 1;  // the next one with that descriptor
+      while (k < count && std::memcmp(&a.orb[a.at(1) + i], &left.orb(k), 32) != 0) { ++k; }
+      ASSERT_LT(k, count);
+      EXPECT_NE(k % 3, 1);
+      EXPECT_LE(k - before, 2 + 3 * all / (2 * a.count[1]) + 1);
+      before = k;
+      int const octave = k % 3;
+      EXPECT_EQ(a.x[a.at(1) + i], geometry.column(left.x(k), octave));
+      EXPECT_EQ(a.y[a.at(1) + i], geometry.row(left.y(k), octave));
+      EXPECT_EQ(a.right_x[a.at(1) + i], geometry.column(left.x(k) - 5, octave));
+      EXPECT_EQ(a.inv_sigma2[a.at(1) + i], geometry.inv_sigma2[octave]);
+      EXPECT_GT(a.point[a.at(1) + i].z, 0);
+    }
+  }
+}
+
+}  // namespace match_keyframes_test

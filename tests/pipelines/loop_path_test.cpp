@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+// The path of a camera and its loops: what fits it, what agrees, what a correction does, and that
+// thinning changes nothing but the number of keyframes.
+#include "ft/pipelines/detail/loop_path.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "ft/core/execution.hpp"
+#include "tests/support/example_rigs.hpp"
+#include "tests/support/random.hpp"
+
+namespace loop_path_test {
+
+using ft::detail::loop_path;
+using ft::detail::path_loop;
+using test::at;
+constexpr double turn_of_lap = 6.283185307179586;
+
+/// The true pose of keyframe i of n on a circle of 2 m, camera to world.
+test::motion truth(int i, int n) {
+  double const a = turn_of_lap * i / n;
+  return test::turn({0, 1, 0}, a, {2 - 2 * std::cos(a), 0.0, 2 * std::sin(a)});
+}
+
+float const certain[21] = {1e6f, 0, 0, 0, 0,    0, 1e6f, 0,    0, 0,   0,
+                           1e6f, 0, 0, 0, 1e6f, 0, 0,    1e6f, 0, 1e6f};
+
+/// A lap whose motions are each off by a little of the same, so that its end is not at its start.
+loop_path drifting_lap(int n, double drift) {
+  loop_path path;
+  path.reserve(200);
+  test::motion T = truth(0, n);
+  double way = 0;
+  for (int i = 0; i < n; ++i) {
+    if (i > 0) {
+      test::motion step = truth(i - 1, n).inverse() * truth(i, n);
+      step.t.y += drift;  // on a circle it adds up
+      T = T * step;
+      way += std::sqrt(ft::dot(step.t, step.t));
+    }
+    ft::detail::path_keyframe k;
+    k.row = i;
+    k.map = 1;
+    k.path = way;
+    k.time_ns = i * 1000;
+    k.T_odom_camera = k.T_world_camera = T.orthonormalized();
+    ft::detail::edge_information(certain, 1, k.information);
+    path.keyframes.push_back(k);
+  }
+  return path;
+}
+path_loop true_loop(int from, int to, int n) {
+  path_loop l;
+  l.from = from;
+  l.to = to;
+  l.T_from_to = (truth(from, n).inverse() * truth(to, n)).orthonormalized();
+  ft::detail::edge_information(certain, 1, l.information);
+  return l;
+}
+double error(loop_path const& path, int i, int n) {
+  auto const d = path.at(i).T_world_camera.t - truth(i, n).t;
+  return std::sqrt(ft::dot(d, d));
+}
+
+TEST(LoopPath, ALoopSpreadsTheDriftOverTheLap) {
+  constexpr int n = 60;
+  loop_path path = drifting_lap(n, 0.002);
+  double const before = error(path, n - 1, n);
+  ASSERT_GT(before, 0.01);
+  path.loops.push_back(true_loop(0, n - 1, n));
+  path.optimize(ft::host_exec());
+  EXPECT_LT(error(path, n - 1, n), before / 10);
+  EXPECT_EQ(error(path, 0, n), 0);
+  // What the odometry tracked stays, and the correction takes the newest keyframe to its place.
+  auto const T = path.T_world_odom() * path.keyframes.back().T_odom_camera;
+  EXPECT_NEAR(T.t.x, path.keyframes.back().T_world_camera.t.x, 1e-9);
+  EXPECT_NEAR(T.t.z, path.keyframes.back().T_world_camera.t.z, 1e-9);
+}
+
+TEST(LoopPath, FitsWhatTheOdometryMayHaveDrifted) {
+  constexpr int n = 60;
+  loop_path path = drifting_lap(n, 0.002);  // 2 % of its way at most
+  ft::loop_params params;
+  EXPECT_TRUE(path.fits(true_loop(0, n - 1, n), params, 0));
+  params.max_drift = 0.001f;
+  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
+  params = {};
+  path_loop wrong = true_loop(0, n - 1, n);
+  wrong.T_from_to.t.x += 1;  // 8 % of the way
+  EXPECT_FALSE(path.fits(wrong, params, 0));
+  EXPECT_TRUE(path.fits(wrong, params, 0.5));  // 5 % of the way are 0.6 m
+  path_loop turned = true_loop(0, n - 1, n);
+  turned.T_from_to = turned.T_from_to * test::turn({0, 1, 0}, 0.5, {0, 0, 0});
+  EXPECT_FALSE(path.fits(turned, params, 0));
+  path.keyframes.back().map = 2;  // whose place is guessed
+  EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
+}
+
+TEST(LoopPath, LoopsAgreeWithinTheirUncertainty) {
+  constexpr int n = 60;
+  loop_path const path = drifting_lap(n, 0);
+  path_loop const a = true_loop(0, n - 1, n);
+  EXPECT_TRUE(path.agree(a, true_loop(1, n - 1, n)));
+  for (double const off : {0.01, 0.02}) {  // 1 / certain is 1 mm, 8 times the variance 13 mm
+    path_loop b = true_loop(1, n - 1, n);
+    b.T_from_to.t.x += off;
+    EXPECT_EQ(path.agree(a, b), off < 0.0134) << off;
+  }
+}
+
+TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
+  constexpr int n = 100;
+  loop_path path = drifting_lap(n, 0);
+  for (int i = 0; i < 10; ++i) { path.loops.push_back(true_loop(3 * i, 99 - i, n)); }
+  path_loop const between = true_loop(40, 41, n);
+  path.loops.push_back(between);
+  std::vector<int> freed;
+  path.thin([&](int row) { freed.push_back(row); });
+  EXPECT_EQ(path.size(), 100 - 37);
+  EXPECT_EQ(freed.size(), at(37));
+  EXPECT_EQ(path.loops.size(), at(10));  // the last one joined what is one keyframe now
+  for (int i = 0; i < path.size(); ++i) { EXPECT_EQ(path.at(i).row, i < 38 ? 2 * i : i + 37); }
+  for (path_loop const& l : path.loops) {
+    ASSERT_LT(l.to, path.size());
+    auto const T = path.at(l.from).T_odom_camera * l.T_from_to;
+    auto const d = T.t - path.at(l.to).T_odom_camera.t;
+    EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-9);
+  }
+  path.optimize(ft::host_exec());
+  EXPECT_LT(std::abs(path.at(20).T_world_camera.t.x - path.at(20).T_odom_camera.t.x), 1e-6);
+}
+
+TEST(LoopPath, InformationIsThatOfTheEdgesError) {
+  float of_pose[21];
+  for (int i = 0; i < 21; ++i) { of_pose[i] = static_cast<float>(i + 1); }
+  double to[21];
+  ft::detail::edge_information(of_pose, 2, to);
+  // Rotation first: entry (3, 3) of the pose is the first of the edge, (0, 0) is (3, 3) there.
+  EXPECT_NEAR(to[0], 2 * 16 * (1 + 1e-5) + 100, 1e-9);
+  EXPECT_NEAR(to[15], 2 * 4 * 1 * (1 + 1e-5) + 100, 1e-9);
+  EXPECT_NEAR(to[3], 2 * 2 * 4, 1e-9);  // x with the turn about x: (0, 3)
+}
+
+}  // namespace loop_path_test

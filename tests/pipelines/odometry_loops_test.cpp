@@ -1,0 +1,228 @@
+// SPDX-License-Identifier: Apache-2.0
+// An odometry with loops: a camera on a circle is recognised where it began, the odometry itself is
+// not changed, corrections enter when they must, and what cannot have loops is refused.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <sstream>
+#include <vector>
+
+#include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/core/error.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/random.hpp"
+#include "tests/support/room.hpp"
+
+namespace odometry_loops_test {
+
+using test::at;
+using test::room::stereo_frame;
+constexpr std::int64_t period = 50'000'000;
+constexpr int lap = 42;
+constexpr int frames = lap + 12;
+
+/// Where the camera is in a frame, camera to world: on a circle of 1.2 m, looking outwards.
+ft::pose pose_at(int i) {
+  float const yaw = 6.2831853f * static_cast<float>(i) / lap;
+  float const c = std::cos(yaw), s = std::sin(yaw);
+  return {{{c, 0, s, 0, 1, 0, -s, 0, c}}, {0.6f * s, 0, 1.2f + 0.6f * c}};
+}
+template <typename Rig>
+stereo_frame see(Rig const& rig, int i) {
+  static auto const walls = test::room::make_walls(0);
+  ft::pose const T_cw = pose_at(i).inverse();
+  if constexpr (Rig::rectified) {
+    ft::pose T_rw = T_cw;
+    T_rw.t.x -= rig.baseline_length().value;
+    return {test::room::render(rig.camera, walls, T_cw),
+            test::room::render(rig.camera, walls, T_rw), T_cw};
+  } else {
+    return {test::room::render(rig.left, walls, T_cw),
+            test::room::render(rig.right, walls, rig.T_rl * T_cw), T_cw};
+  }
+}
+template <typename Rig>
+std::vector<stereo_frame> const& walk(Rig const& rig) {
+  static std::vector<stereo_frame> const all = [&] {
+    std::vector<stereo_frame> made;
+    for (int i = 0; i < frames; ++i) { made.push_back(see(rig, i)); }
+    return made;
+  }();
+  return all;
+}
+
+ft::odometry_params params(bool with_loops = true) {
+  auto p = test::room::odometry_params(8192);
+  p.window = {4, 2};
+  p.keyframes = 12;  // the odometry itself has forgotten where it began
+  p.local_map.keyframes = 8;
+  p.loops.present = with_loops;
+  p.loops.recent = 20;
+  return p;
+}
+
+struct answers {
+  std::vector<ft::tracking> told;
+  std::vector<ft::placed_keyframe> placed;
+  int closed = 0;
+};
+template <typename Odometry, typename Rig>
+answers run(Odometry& odo, Rig const& rig, int count = frames) {
+  answers a;
+  for (int i = 0; i < count; ++i) {
+    auto const& f = walk(rig)[at(i)];
+    a.told.push_back(
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+    a.closed += a.told.back().loops_closed;
+  }
+  a.placed = odo.placed_keyframes();
+  return a;
+}
+bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
+  return std::memcmp(&a, &b, sizeof a) == 0;
+}
+/// How far the camera is from its place, metres. The world is the first frame's camera.
+double off(ft::rigid<double> const& T_world_camera, int i) {
+  auto const want = pose_at(0).inverse().cast<double>() * pose_at(i).cast<double>();
+  auto const d = T_world_camera.t - want.t;
+  return std::sqrt(ft::dot(d, d));
+}
+
+template <typename Backend>
+class OdometryLoops : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(OdometryLoops, test::backends);
+
+template <typename Exec, typename Rig>
+void closes_a_lap(Exec const& exec, Rig const& rig) {
+  ft::odometry<Exec, Rig> odo(exec, rig, params(), 1, ft::loops{});
+  ft::odometry<Exec, Rig> plain(exec, rig, params(false));
+  answers const with = run(odo, rig);
+  answers const without = run(plain, rig);
+  EXPECT_GT(with.closed, 0);
+  EXPECT_TRUE(without.placed.empty());
+  ASSERT_GT(with.placed.size(), 20u);
+  int before = 0;
+  for (int i = 0; i < frames; ++i) {
+    ft::tracking const& t = with.told[at(i)];
+    ASSERT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_TRUE(same(t.T_odom_camera, without.told[at(i)].T_world_camera)) << i;
+    EXPECT_TRUE(same(without.told[at(i)].T_odom_camera, without.told[at(i)].T_world_camera)) << i;
+    auto const product = (t.T_world_odom * t.T_odom_camera).t - t.T_world_camera.t;
+    EXPECT_LT(std::sqrt(ft::dot(product, product)), 1e-12) << i;
+    if (t.loops_closed > 0 && before == 0) { before = i; }
+  }
+  // Nothing is closed before the camera is back, less the frames that see the same things.
+  EXPECT_GT(before, lap - 8);
+  EXPECT_LT(off(with.told.back().T_world_camera, frames - 1), 0.03);
+  for (auto const& k : with.placed) {
+    int const i = static_cast<int>(k.time_ns / period) - 1;
+    auto const d = k.T_odom_camera.t - with.told[at(i)].T_odom_camera.t;
+    EXPECT_EQ(ft::dot(d, d), 0) << i;
+    EXPECT_LT(off(k.T_world_camera, i), 0.05) << i;
+  }
+}
+TYPED_TEST(OdometryLoops, ARectifiedPairIsRecognisedWhereItBegan) {
+  TypeParam backend;
+  closes_a_lap(backend.exec, test::room::rig());
+}
+TYPED_TEST(OdometryLoops, TwoFisheyeCamerasAreRecognisedWhereTheyBegan) {
+  TypeParam backend;
+  closes_a_lap(backend.exec, test::room::fisheye());
+}
+
+void expect_same(answers const& a, answers const& b) {
+  ASSERT_EQ(a.told.size(), b.told.size());
+  for (std::size_t i = 0; i < a.told.size(); ++i) {
+    EXPECT_EQ(a.told[i].loops_closed, b.told[i].loops_closed) << i;
+    EXPECT_TRUE(same(a.told[i].T_world_camera, b.told[i].T_world_camera)) << i;
+    EXPECT_TRUE(same(a.told[i].T_world_odom, b.told[i].T_world_odom)) << i;
+  }
+  ASSERT_EQ(a.placed.size(), b.placed.size());
+  for (std::size_t i = 0; i < a.placed.size(); ++i) {
+    EXPECT_TRUE(same(a.placed[i].T_world_camera, b.placed[i].T_world_camera)) << i;
+  }
+}
+TYPED_TEST(OdometryLoops, BothExecutorsHaveTheSameBitsAndSoHaveTwoRuns) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const rig = test::room::rig();
+  ft::odometry<exec_type> odo(backend.exec, rig, params(), 1, ft::loops{});
+  answers const first = run(odo, rig);
+  ft::host_exec const host(1);
+  ft::odometry<ft::host_exec> on_host(host, rig, params(), 1, ft::loops{});
+  answers const other = run(on_host, rig);
+  EXPECT_GT(first.closed, 0);
+  expect_same(first, other);
+  odo.reset();
+  EXPECT_TRUE(odo.placed_keyframes().empty());
+  expect_same(run(odo, rig), other);
+}
+
+TYPED_TEST(OdometryLoops, AResetOrALoadedMapForgetsThemAlsoDuringASearch) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const rig = test::room::rig();
+  ft::odometry<exec_type> odo(backend.exec, rig, params(), 1, ft::loops{});
+  for (int const count : {1, lap + 3, 22, 23}) {  // in the middle of a search, or not
+    run(odo, rig, count);
+    odo.reset();
+    EXPECT_TRUE(odo.placed_keyframes().empty());
+  }
+  run(odo, rig, 5);
+  std::stringstream file;
+  odo.save_map(file);
+  odo.load_map(file);
+  EXPECT_TRUE(odo.placed_keyframes().empty());
+}
+
+TYPED_TEST(OdometryLoops, APredictionIsOneInTheWorld) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const rig = test::room::rig();
+  auto const after = [&](bool predict) {
+    ft::odometry<exec_type> odo(backend.exec, rig, params(), 1, ft::loops{});
+    answers const a = run(odo, rig, frames - 1);
+    EXPECT_GT(a.closed, 0);
+    auto const next = pose_at(frames - 2).inverse().template cast<double>() *
+                      pose_at(frames - 1).template cast<double>();
+    if (predict) { odo.predict(a.told.back().T_world_camera * next); }
+    auto const& f = walk(rig)[at(frames - 1)];
+    return odo.track({test::room::view(f.left), test::room::view(f.right)}, frames * period);
+  };
+  auto const d = after(true).T_world_camera.t - after(false).T_world_camera.t;
+  EXPECT_LT(std::sqrt(ft::dot(d, d)), 2e-3);
+}
+
+TYPED_TEST(OdometryLoops, RefusesWhatCannotHaveLoops) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const rig = test::room::rig();
+  using odometry = ft::odometry<exec_type>;
+  auto const make = [&](ft::odometry_params const& p, int batch) {
+    odometry(backend.exec, rig, p, batch, ft::loops{});
+  };
+  EXPECT_THROW(make(params(), 2), ft::bad_argument);
+  EXPECT_THROW(make(params(false), 1), ft::bad_argument);
+  EXPECT_THROW(odometry(backend.exec, rig, params(), 1), ft::bad_argument);
+  for (auto const& change : std::vector<void (*)(ft::loop_params&)>{
+           [](ft::loop_params& p) { p.keyframes = 100; }, [](ft::loop_params& p) { p.points = 3; },
+           [](ft::loop_params& p) { p.min_votes = p.votes + 1; },
+           [](ft::loop_params& p) { p.min_share = std::nanf(""); },
+           [](ft::loop_params& p) { p.max_drift = -1; },
+           [](ft::loop_params& p) { p.recent = 0; }}) {
+    auto p = params();
+    change(p.loops);
+    EXPECT_THROW(make(p, 1), ft::bad_argument);
+  }
+  using mono = ft::monocular_rig<ft::pinhole<float>>;
+  EXPECT_THROW(
+      (ft::odometry<exec_type, mono>(backend.exec, mono{rig.camera}, params(), 1, ft::loops{})),
+      ft::bad_argument);
+}
+
+}  // namespace odometry_loops_test

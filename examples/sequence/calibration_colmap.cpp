@@ -14,7 +14,7 @@ namespace {
 
 using namespace detail;
 
-struct known_model {
+struct colmap_model {
   char const* name;
   lens model;
   std::size_t focal_lengths;
@@ -22,15 +22,15 @@ struct known_model {
   std::size_t all;           ///< with the zeros after them
 };
 
-constexpr known_model known[] = {{"SIMPLE_PINHOLE", lens::pinhole, 1, 0, 0},
-                                 {"PINHOLE", lens::pinhole, 2, 0, 0},
-                                 {"SIMPLE_RADIAL", lens::radial_tangential, 1, 1, 4},
-                                 {"RADIAL", lens::radial_tangential, 1, 2, 4},
-                                 {"OPENCV", lens::radial_tangential, 2, 4, 4},
-                                 {"FULL_OPENCV", lens::radial_tangential, 2, 8, 8},
-                                 {"SIMPLE_RADIAL_FISHEYE", lens::kannala_brandt, 1, 1, 4},
-                                 {"RADIAL_FISHEYE", lens::kannala_brandt, 1, 2, 4},
-                                 {"OPENCV_FISHEYE", lens::kannala_brandt, 2, 4, 4}};
+constexpr colmap_model colmap_models[] = {{"SIMPLE_PINHOLE", lens::pinhole, 1, 0, 0},
+                                          {"PINHOLE", lens::pinhole, 2, 0, 0},
+                                          {"SIMPLE_RADIAL", lens::radial_tangential, 1, 1, 4},
+                                          {"RADIAL", lens::radial_tangential, 1, 2, 4},
+                                          {"OPENCV", lens::radial_tangential, 2, 4, 4},
+                                          {"FULL_OPENCV", lens::radial_tangential, 2, 8, 8},
+                                          {"SIMPLE_RADIAL_FISHEYE", lens::kannala_brandt, 1, 1, 4},
+                                          {"RADIAL_FISHEYE", lens::kannala_brandt, 1, 2, 4},
+                                          {"OPENCV_FISHEYE", lens::kannala_brandt, 2, 4, 4}};
 
 struct numbered_camera {
   std::string id;
@@ -44,11 +44,11 @@ numbered_camera read_camera(text_line const& line, std::string const& path) {
   if (fields.size() < 4) {
     fail_at(path, line.number, "not of the form CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]");
   }
-  auto const model = std::find_if(std::begin(known), std::end(known),
-                                  [&](known_model const& k) { return fields[1] == k.name; });
-  if (model == std::end(known)) {
+  auto const model = std::find_if(std::begin(colmap_models), std::end(colmap_models),
+                                  [&](colmap_model const& k) { return fields[1] == k.name; });
+  if (model == std::end(colmap_models)) {
     std::string names;
-    for (known_model const& k : known) {
+    for (colmap_model const& k : colmap_models) {
       names += (names.empty() ? "" : ", ") + std::string(k.name);
     }
     fail_at(path, line.number, "camera model " + fields[1] + ": must be one of " + names);

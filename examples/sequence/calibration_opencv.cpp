@@ -16,10 +16,10 @@ namespace {
 
 using namespace detail;
 
-using names = std::vector<std::string>;
+using name_list = std::vector<std::string>;
 
 /// The first of the names that is a key of the file; empty without any.
-std::string first_of(yaml_file const& file, names const& keys) {
+std::string first_of(yaml_file const& file, name_list const& keys) {
   for (std::string const& key : keys) {
     if (file.has(key)) { return key; }
   }
@@ -27,9 +27,9 @@ std::string first_of(yaml_file const& file, names const& keys) {
 }
 
 /// What programs call a matrix of camera `side` (0, 1) of a pair, or of the one of a file (-1).
-names with_side(names const& stems, int side) {
+name_list with_side(name_list const& stems, int side) {
   if (side < 0) { return stems; }
-  names all;
+  name_list all;
   for (std::string const& stem : stems) {
     for (char const* word :
          {side == 0 ? "1" : "2", side == 0 ? "_1" : "_2", side == 0 ? "_left" : "_right",
@@ -42,7 +42,7 @@ names with_side(names const& stems, int side) {
 }
 
 std::string matrix_key(yaml_file const& file, int side) {
-  names stems = {
+  name_list stems = {
       "M",          "K",        "camera_matrix", "cameraMatrix", "CameraMatrix", "Camera_Matrix",
       "intrinsics", "intrinsic"};
   if (side < 0) { stems.push_back("k"); }  // of a ROS 2 message
@@ -50,15 +50,15 @@ std::string matrix_key(yaml_file const& file, int side) {
 }
 
 std::string coefficients_key(yaml_file const& file, int side) {
-  names stems = {"D",          "distortion_coefficients", "distCoeffs", "dist_coeffs",
-                 "DistCoeffs", "Distortion_Coefficients", "distortion"};
+  name_list stems = {"D",          "distortion_coefficients", "distCoeffs", "dist_coeffs",
+                     "DistCoeffs", "Distortion_Coefficients", "distortion"};
   if (side < 0) { stems.push_back("d"); }
   return first_of(file, with_side(stems, side));
 }
 
-names const rotation_names = {"R", "rotation", "Rotation", "rotation_matrix", "R_stereo"};
-names const translation_names = {"T",       "t", "translation", "Translation", "translation_vector",
-                                 "T_stereo"};
+name_list const rotation_names = {"R", "rotation", "Rotation", "rotation_matrix", "R_stereo"};
+name_list const translation_names = {
+    "T", "t", "translation", "Translation", "translation_vector", "T_stereo"};
 
 bool has_place(yaml_file const& file) {
   return !first_of(file, rotation_names).empty() && !first_of(file, translation_names).empty();
@@ -181,8 +181,8 @@ void read_place(yaml_file const& file, stereo_rig& rig) {
 /// Where the cameras of two camera_info are: x_rectified = R x_raw, and in the rectified frames the
 /// right camera is at -P(:, 3) / f.
 void read_rectification(yaml_file const& left, yaml_file const& right, stereo_rig& rig) {
-  names const projection = {"projection_matrix", "P", "p"};
-  names const rotation = {"rectification_matrix", "R", "r"};
+  name_list const projection = {"projection_matrix", "P", "p"};
+  name_list const rotation = {"rectification_matrix", "R", "r"};
   std::string const p = first_of(right, projection);
   std::string const r[] = {first_of(left, rotation), first_of(right, rotation)};
   if (p.empty() || r[0].empty() || r[1].empty()) {

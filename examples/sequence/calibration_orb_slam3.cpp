@@ -69,7 +69,7 @@ void read_raw_camera(yaml_file const& file, std::string const& side, camera_intr
   }
 }
 
-Eigen::Matrix3d read_rotation(yaml_file const& file, std::string const& key) {
+Eigen::Matrix3d read_matrix(yaml_file const& file, std::string const& key) {
   std::vector<double> const values = file.matrix_of(key, 3, 3);
   Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor> const> const m(values.data());
   return checked_rotation(m, file.path(), key);
@@ -132,8 +132,8 @@ void read_new_settings(yaml_file const& file, camera_kind kind, stereo_rig& rig)
 void read_raw_pair(yaml_file const& file, stereo_rig& rig) {
   read_raw_camera(file, "LEFT", rig.left);
   read_raw_camera(file, "RIGHT", rig.right);
-  Eigen::Matrix3d const R_left = read_rotation(file, "LEFT.R");
-  Eigen::Matrix3d const R_right = read_rotation(file, "RIGHT.R");
+  Eigen::Matrix3d const R_left = read_matrix(file, "LEFT.R");
+  Eigen::Matrix3d const R_right = read_matrix(file, "RIGHT.R");
   std::vector<double> const p = file.matrix_of("RIGHT.P", 3, 4);
   check_number(p[0], focal_limits, file.path(), "RIGHT.P[0] (fx)");
   double const baseline = -p[3] / p[0];

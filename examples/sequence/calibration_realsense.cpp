@@ -25,7 +25,7 @@ struct stream {
 };
 
 /// What follows `Extrinsic from "FROM" To "TO" :`: maps points of the one into the other, metres.
-struct place {
+struct stated_place {
   std::string from;
   std::string to;
   Eigen::Isometry3d T_to_from = Eigen::Isometry3d::Identity();
@@ -33,7 +33,7 @@ struct place {
 
 struct device {
   std::vector<stream> streams;
-  std::vector<place> places;
+  std::vector<stated_place> places;
 };
 
 bool starts_with(std::string const& text, char const* word) { return text.rfind(word, 0) == 0; }
@@ -77,7 +77,7 @@ void read_value(text_line const& line, std::string const& path, stream& to) {
 
 /// Reads rotation (rows) and translation. @return the line after them
 std::size_t read_place(std::vector<text_line> const& lines, std::size_t at, std::string const& path,
-                       place& to) {
+                       stated_place& to) {
   std::vector<double> rotation;
   for (; at < lines.size(); ++at) {
     std::string const text = trim(lines[at].text);
@@ -115,7 +115,7 @@ device read_device(std::string const& path) {
       open->formats = parts[2];
     } else if (starts_with(text, "Extrinsic from \"") && parts.size() == 5) {
       open = nullptr;
-      place found;
+      stated_place found;
       found.from = parts[1];
       found.to = parts[3];
       i = read_place(lines, i + 1, path, found);
@@ -182,9 +182,10 @@ camera_intrinsics camera_of(device const& all, std::string const& name, int widt
   return chosen.camera;
 }
 
-place const* place_of(device const& all, std::string const& from, std::string const& to) {
-  auto const found = std::find_if(all.places.begin(), all.places.end(),
-                                  [&](place const& p) { return p.from == from && p.to == to; });
+stated_place const* place_of(device const& all, std::string const& from, std::string const& to) {
+  auto const found = std::find_if(all.places.begin(), all.places.end(), [&](stated_place const& p) {
+    return p.from == from && p.to == to;
+  });
   return found == all.places.end() ? nullptr : &*found;
 }
 
@@ -215,7 +216,7 @@ calibration read_realsense_calibration(std::string const& path, int width, int h
   if (kind == camera_kind::stereo) {
     std::string const right = pair + " 2";
     result.rig.right = camera_of(all, right, width, height, path, result.warnings);
-    place const* const where = place_of(all, left, right);
+    stated_place const* const where = place_of(all, left, right);
     if (where == nullptr) {
       throw error(path + ": Extrinsic from \"" + left + "\" To \"" + right + "\" is missing");
     }
@@ -226,7 +227,7 @@ calibration read_realsense_calibration(std::string const& path, int width, int h
     result.warnings.push_back(path + ": the calibration of \"" + left + "\" is taken");
   }
   for (char const* imu : {"Gyro", "Accel"}) {
-    place const* const where = place_of(all, left, imu);
+    stated_place const* const where = place_of(all, left, imu);
     if (where != nullptr && !result.has_body_frame) {
       result.rig.T_body_left = where->T_to_from;
       result.has_body_frame = true;

@@ -8,8 +8,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::int64_t finest_frame_step_ns = 1'000'000;
-
 /// The images of an EuRoC camera's data.csv.
 std::vector<listed_image> read_image_list(fs::path const& camera,
                                           std::vector<std::string>& warnings) {

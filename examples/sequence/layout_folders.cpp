@@ -16,15 +16,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::int64_t finest_frame_step_ns = 1'000'000;
-
 /// An image and the number in its name: "left_000012" has 000012, "1305031102.1753" the whole.
 struct named_image {
   std::string file;
   std::string number;
 };
-
-bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 /// The longest number in a text, of equal ones the last; with its decimal part.
 std::string number_in(std::string const& text) {

@@ -11,7 +11,7 @@ namespace seq {
 namespace {
 
 using detail::max_tangent;
-constexpr double pi = 3.14159265358979323846;
+using detail::pi;
 constexpr double max_radius = 10.0;  // of radial-tangential distortion, as x/z
 
 /// theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)

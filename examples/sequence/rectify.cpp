@@ -10,10 +10,10 @@
 namespace seq {
 namespace {
 
-constexpr double pi = 3.14159265358979323846;
 constexpr double min_focal_factor = 0.75;  // of the raw focal lengths
 
 using detail::max_tangent;
+using detail::pi;
 
 /// Rectangle of directions (x/z, y/z).
 struct field {

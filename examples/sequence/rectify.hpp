@@ -50,6 +50,7 @@ private:
 double scale_on_axis(camera_intrinsics const& camera);
 
 namespace detail {
+constexpr double pi = 3.14159265358979323846;
 constexpr double max_tangent = 9.5;  ///< 84 degrees off the axis
 }  // namespace detail
 

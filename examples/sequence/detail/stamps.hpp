@@ -10,6 +10,9 @@
 
 namespace seq::detail {
 
+/// Stamps of images that differ by no more than this are not in nanoseconds.
+constexpr std::int64_t finest_frame_step_ns = 1'000'000;
+
 /// The stamps of a file with whole numbers of ns, or with decimal fractions of seconds.
 class stamp_column {
 public:

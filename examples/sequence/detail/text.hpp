@@ -24,6 +24,8 @@ struct text_line {
   std::string text;
 };
 
+inline bool is_digit(char c) { return c >= '0' && c <= '9'; }
+
 /// @throws seq::error "file:line: reason"
 [[noreturn]] inline void fail_at(std::string const& path, int line, std::string const& reason) {
   throw error(path + ":" + std::to_string(line) + ": " + reason);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// With FT_TEST_CUDA the program has cuda_backend.cu as well.
+// With FT_TEST_CUDA the program has cuda_backend.cu as well, and the tests of that executor alone.
 #include <cstdlib>
 #include <memory>
 #include <string>
@@ -30,7 +30,7 @@ std::unique_ptr<ft::orbslam3::device_tracker> on_executor::make(ft::orbslam3::se
 
 std::vector<std::string> executors() {
 #if FT_TEST_CUDA
-  return {"host", "cuda"};
+  return {"cuda"};  // the other program has the host
 #else
   return {"host"};
 #endif

@@ -28,13 +28,14 @@ namespace detail {
 struct chance_counts {
   int points = 0;   ///< that a camera sees, once per camera
   int sampled = 0;  ///< of these, those around which keypoints were counted
-  std::int64_t by_chance =
-      0;  ///< of the sampled, as many as a wrong pose would match, in 1 / 65536
+  /// Of the sampled, as many as a wrong pose would match, in 1 / 65536. Without a sign for
+  /// atomic_add().
+  unsigned long long by_chance = 0;
 
   /// The evidence of so many inliers, in 1 / 65536 bits.
   FT_HOST_DEVICE std::int64_t bits(int inliers) const {
     if (points < 1) { return 0; }
-    std::int64_t const p = by_chance / max_of(sampled, 1);
+    auto const p = static_cast<std::int64_t>(by_chance) / max_of(sampled, 1);
     return binomial_evidence(
         inliers, points,
         max_of(static_cast<int>(min_of(p, std::int64_t{evidence_one})), least_chance));
@@ -43,41 +44,6 @@ struct chance_counts {
 
 /// About as many points of a list, evenly spread, are enough to know a chance.
 inline constexpr int most_sampled = 256;
-
-/// Counts them. All threads of a group call.
-/// @param in the search in the local map, with `seen`; its pose is not used. A point that the
-///   search from the last frame matched is not searched again, and counts as seen
-/// @param capacity of its lists
-template <typename Group, typename Rig>
-FT_HOST_DEVICE chance_counts count_chances(Group g, int b, frame_view const& frame,
-                                           local_search<Rig> const& in, int capacity,
-                                           map_points_view const& map) {
-  map_points_view const points = map.slice(b);
-  std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
-  int const* const slots = in.slots + of_list;
-  int const step = max_of(1, ceil_div(in.slot_count[b], most_sampled));
-  chance_counts n;
-  searched_evidence around;
-  for (int c = 0; c < frame.cameras; ++c) {
-    visibility const* const seen =
-        in.seen + static_cast<std::ptrdiff_t>(c) * frame.batch * capacity + of_list;
-    for (int i = g.rank(); i < in.slot_count[b]; i += g.size()) {
-      bool const there =
-          seen[i].level >= 0 || (c == 0 && in.stamps.stamped(b, map.capacity, slots[i]));
-      n.points += static_cast<int>(there);
-    }
-    for (int i = g.rank() * step; i < in.slot_count[b]; i += g.size() * step) {
-      if (seen[i].level < 0) { continue; }
-      search_window const w = window_of(seen[i], slots[i], 1.0f, false, in.geometry);
-      weigh_point(w, get<field::orb>(points, w.slot), frame, frame.image(b, c),
-                  frame.cameras * b + c, in.params, in.geometry, around);
-    }
-  }
-  n.points = g.reduce(n.points, sum_op{});
-  n.sampled = g.reduce(around.points, sum_op{});
-  n.by_chance = g.reduce(around.by_chance, sum_op{});
-  return n;
-}
 
 /// Errors of the inliers of a frame, summed over parts of the images.
 struct error_blocks {
@@ -250,16 +216,42 @@ struct report_frame {
   }
 };
 
-/// Item: a camera.
+/// Item: a sample of a camera's list. A group, since the keypoints around a point are many and a
+/// single thread would wait for each of them.
 struct count_frame_chances {
   using scratch = no_scratch;
 
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, frame_view const& frame,
                                  local_search<Rig> const& in, int capacity,
                                  map_points_view const& map, chance_counts* out) const {
-    chance_counts const n = count_chances(g, b, frame, in, capacity, map);
-    if (g.rank() == 0) { out[b] = n; }
+    int const b = item / (frame.cameras * most_sampled);
+    int const c = item / most_sampled % frame.cameras;
+    int const sample = item % most_sampled;
+    std::ptrdiff_t const of_list = static_cast<std::ptrdiff_t>(b) * capacity;
+    int const* const slots = in.slots + of_list;
+    int const listed = in.slot_count[b];
+    visibility const* const seen =
+        in.seen + static_cast<std::ptrdiff_t>(c) * frame.batch * capacity + of_list;
+    int points = 0;
+    for (int i = sample + most_sampled * g.rank(); i < listed; i += most_sampled * g.size()) {
+      points += static_cast<int>(seen[i].level >= 0 ||
+                                 (c == 0 && in.stamps.stamped(b, map.capacity, slots[i])));
+    }
+    searched_evidence around;
+    int const i = sample * max_of(1, ceil_div(listed, most_sampled));
+    if (i < listed && seen[i].level >= 0) {
+      search_window const w = window_of(seen[i], slots[i], 1.0f, false, in.geometry);
+      weigh_point(g, w, get<field::orb>(map.slice(b), w.slot), frame, frame.image(b, c),
+                  frame.cameras * b + c, in.params, in.geometry, around);
+    }
+    points = g.reduce(points, sum_op{});
+    around.points = g.reduce(around.points, sum_op{});
+    around.by_chance = g.reduce(around.by_chance, sum_op{});
+    if (g.rank() != 0 || points + around.points == 0) { return; }
+    atomic_add(&out[b].points, points);
+    atomic_add(&out[b].sampled, around.points);
+    atomic_add(&out[b].by_chance, static_cast<unsigned long long>(around.by_chance));
   }
 };
 
@@ -267,12 +259,15 @@ struct count_frame_chances {
 
 /// What of a frame may be matched by chance, once its local map is listed. Asynchronous on `exec`;
 /// allocates nothing; one launch.
+/// @param in the search in the local map, with `seen`; its pose is not used. A point that the
+///   search from the last frame matched is not searched again, and counts as seen
 /// @param capacity of the lists @param out [batch]
 template <typename Exec, typename Rig>
 void count_chances_of_frames(Exec const& exec, frame_view const& frame, local_search<Rig> const& in,
                              int capacity, map_points_view const& map, detail::chance_counts* out) {
-  for_each_item<per_block<256>>(exec, frame.batch, detail::count_frame_chances{}, frame, in,
-                                capacity, map, out);
+  fill_bytes(exec, out, 0, static_cast<std::size_t>(frame.batch) * sizeof *out);
+  for_each_item<per_warp>(exec, frame.batch * frame.cameras * detail::most_sampled,
+                          detail::count_frame_chances{}, frame, in, capacity, map, out);
 }
 
 /// What the matches of judged frames say: camera_track::facts and `moved`. Nothing in the frame

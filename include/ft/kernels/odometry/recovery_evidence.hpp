@@ -90,17 +90,19 @@ FT_HOST_DEVICE inline int inlier_share(pyramid_geometry const& geometry, int oct
   return static_cast<int>(share.value);
 }
 
-/// Adds what one visible point has around it.
+/// Adds what one visible point has around it: its keypoints are shared by the threads of a group,
+/// which all call. The sums of the group are to be added up.
 /// @param v the point's window in an image; slot -1 = it is not visible there
-FT_HOST_DEVICE inline void weigh_point(search_window v, descriptor const& orb,
-                                       frame_view const& frame, int image, int grid,
-                                       local_search_params const& params,
-                                       pyramid_geometry const& geometry, searched_evidence& sum) {
+template <typename Group>
+FT_HOST_DEVICE void weigh_point(Group g, search_window v, descriptor const& orb,
+                                frame_view const& frame, int image, int grid,
+                                local_search_params const& params, pyramid_geometry const& geometry,
+                                searched_evidence& sum) {
   if (v.slot < 0) { return; }
-  ++sum.points;
+  sum.points += static_cast<int>(g.rank() == 0);
   keypoints_view const kp = frame.keypoints.slice(image);
   v.radius = (strict_float(evidence_radius) * geometry.scale[v.max_level]).value;
-  visit_cells(single_group{}, v, frame.grids.slice(grid), [&](int k) {
+  visit_cells(g, v, frame.grids.slice(grid), [&](int k) {
     if (k < 0 || !inside(v, kp, k) || hamming(kp.orb(k), orb) > params.max_hamming) { return; }
     sum.by_chance += inlier_share(geometry, kp.octave(k), v.max_level);
   });
@@ -129,8 +131,9 @@ FT_HOST_DEVICE searched_evidence weigh_points(Group g, int b, local_search<Rig> 
         search_window const w = pair.camera(c);
         int const camera = s * windows::cameras + c;
         if (w.slot < 0) { continue; }
-        weigh_point(w, get<field::orb>(points, w.slot), frame, frame.image(b, camera),
-                    frame.cameras * b + camera, in.params, in.geometry, mine);
+        weigh_point(single_group{}, w, get<field::orb>(points, w.slot), frame,
+                    frame.image(b, camera), frame.cameras * b + camera, in.params, in.geometry,
+                    mine);
       }
     }
   }

@@ -17,7 +17,7 @@ namespace app {
 class corrected_path {
 public:
   void add(std::int64_t time_ns, ft::rigid<double> const& T_odom_camera) {
-    tracked_.push_back({time_ns, T_odom_camera, T_odom_camera});
+    tracked_.push_back({time_ns, 0, T_odom_camera, T_odom_camera});
   }
   seq::trajectory as_tracked() const { return by({}); }
   /// Each pose moves with the last keyframe that is not after it.

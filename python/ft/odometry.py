@@ -43,6 +43,7 @@ class PlacedKeyframes(TypedDict):
     """See Odometry.placed_keyframes."""
 
     time_ns: NDArray[np.int64]
+    map: NDArray[np.int32]
     T_odom_camera: NDArray[np.float64]
     T_world_camera: NDArray[np.float64]
 
@@ -157,8 +158,9 @@ class Odometry:
         return cast(Map, self._pipeline.map(b))
 
     def placed_keyframes(self, b: int = 0) -> PlacedKeyframes:
-        """The keyframes as loops have corrected them, oldest first: time_ns (n), T_odom_camera (n, 4, 4) as they were
-        tracked, T_world_camera (n, 4, 4) as they are known now. Empty without loops."""
+        """The keyframes as loops have corrected them, oldest first: time_ns (n), map (n) their map's number, which is that
+        of the first of maps that loops have joined, T_odom_camera (n, 4, 4) as they were tracked, T_world_camera
+        (n, 4, 4) as they are known now. Empty without loops."""
         return cast(PlacedKeyframes, self._pipeline.placed_keyframes(b))
 
     def stage_times(self) -> dict[str, float]:

@@ -260,9 +260,11 @@ public:
   }
   nb::dict placed_keyframes(int b) const {
     std::vector<std::int64_t> time_ns;
+    std::vector<int> map;
     std::vector<double> tracked, placed;
     for (auto const& k : translated([&] { return inner_->placed_keyframes(b); })) {
       time_ns.push_back(k.time_ns);
+      map.push_back(k.map);
       pose const T_odom = from_ft(k.T_odom_camera), T_world = from_ft(k.T_world_camera);
       tracked.insert(tracked.end(), T_odom.begin(), T_odom.end());
       placed.insert(placed.end(), T_world.begin(), T_world.end());
@@ -270,6 +272,7 @@ public:
     std::size_t const n = time_ns.size();
     nb::dict d;
     d["time_ns"] = to_numpy(std::move(time_ns));
+    d["map"] = to_numpy(std::move(map));
     d["T_odom_camera"] = to_numpy(std::move(tracked), {n, 4, 4});
     d["T_world_camera"] = to_numpy(std::move(placed), {n, 4, 4});
     return d;

@@ -35,6 +35,7 @@ def test_loops_are_plugged_in(walk, device):
     n = sum(p.keyframe for p in poses)
     assert n > 0 and placed["time_ns"].tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
     assert placed["T_odom_camera"].shape == placed["T_world_camera"].shape == (n, 4, 4)
+    assert placed["map"].tolist() == [1] * n
     for p, q in zip(poses, plain):  # a straight line has no loop
         assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4))
         assert np.array_equal(p.T_odom_camera, q.T_world_camera) and np.array_equal(p.T_world_camera, q.T_world_camera)

@@ -32,7 +32,7 @@ float const certain[21] = {1e6f, 0, 0, 0, 0,    0, 1e6f, 0,    0, 0,   0,
 /// A lap whose motions are each off by a little of the same, so that its end is not at its start.
 loop_path drifting_lap(int n, double drift) {
   loop_path path;
-  path.reserve(200);
+  path.reserve(200, 2);
   test::motion T = truth(0, n);
   double way = 0;
   for (int i = 0; i < n; ++i) {
@@ -44,7 +44,7 @@ loop_path drifting_lap(int n, double drift) {
     }
     ft::detail::path_keyframe k;
     k.row = i;
-    k.map = 1;
+    k.map = k.part = 1;
     k.path = way;
     k.time_ns = i * 1000;
     k.T_odom_camera = k.T_world_camera = T.orthonormalized();
@@ -81,6 +81,31 @@ TEST(LoopPath, ALoopSpreadsTheDriftOverTheLap) {
   EXPECT_NEAR(T.t.z, path.keyframes.back().T_world_camera.t.z, 1e-9);
 }
 
+TEST(LoopPath, KnownGravityKeepsEachKeyframesAnglesAgainstIt) {
+  constexpr int n = 60;
+  for (bool const known : {false, true}) {
+    SCOPED_TRACE(known);
+    loop_path path = drifting_lap(n, 0.002);
+    loop_path const before = path;
+    path.loops.push_back(true_loop(0, n - 1, n));
+    if (known) { path.gravity = {0, 9.8, 0}; }
+    path.optimize(ft::host_exec());
+    double tilt = 0;
+    for (int i = 0; i < n; ++i) {
+      for (int column = 0; column < 3; ++column) {  // what the camera sees of the world's y axis
+        tilt = std::fmax(tilt, std::abs(path.at(i).T_world_camera.R.m[3 + column] -
+                                        before.at(i).T_world_camera.R.m[3 + column]));
+      }
+    }
+    if (known) {
+      EXPECT_LT(tilt, 1e-9);
+    } else {
+      EXPECT_GT(tilt, 1e-5);
+    }
+    EXPECT_LT(error(path, n - 1, n), error(before, n - 1, n) / 10);
+  }
+}
+
 TEST(LoopPath, FitsWhatTheOdometryMayHaveDrifted) {
   constexpr int n = 60;
   loop_path path = drifting_lap(n, 0.002);  // 2 % of its way at most
@@ -96,7 +121,7 @@ TEST(LoopPath, FitsWhatTheOdometryMayHaveDrifted) {
   path_loop turned = true_loop(0, n - 1, n);
   turned.T_from_to = turned.T_from_to * test::turn({0, 1, 0}, 0.5, {0, 0, 0});
   EXPECT_FALSE(path.fits(turned, params, 0));
-  path.keyframes.back().map = 2;  // whose place is guessed
+  path.keyframes.back().part = 2;  // whose place is guessed
   EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
 }
 
@@ -110,6 +135,50 @@ TEST(LoopPath, LoopsAgreeWithinTheirUncertainty) {
     b.T_from_to.t.x += off;
     EXPECT_EQ(path.agree(a, b), off < 0.0134) << off;
   }
+}
+
+/// A lap whose second half is another map, that begins at a wrong place.
+loop_path broken_lap(int n) {
+  loop_path path = drifting_lap(n, 0);
+  test::motion const wrong = test::turn({0.1, 1, 0.2}, 0.4, {0.7, -0.2, 0.3});
+  for (int i = n / 2; i < n; ++i) {
+    auto& k = path.keyframes[at(i)];
+    k.map = k.part = 2;
+    k.T_odom_camera = k.T_world_camera = (wrong * k.T_world_camera).orthonormalized();
+  }
+  return path;
+}
+
+TEST(LoopPath, TwoKeyframesThatAgreeJoinTwoMaps) {
+  constexpr int n = 60;
+  loop_path path = broken_lap(n);
+  ASSERT_GT(error(path, n - 1, n), 0.5);
+  EXPECT_EQ(path.newest(100), n / 2);
+  EXPECT_EQ(path.join(true_loop(1, n - 3, n)), 0);
+  EXPECT_EQ(path.join(true_loop(2, n - 3, n)), 0);  // of the same keyframe
+  path_loop off = true_loop(0, n - 2, n);
+  off.T_from_to.t.x += 0.3;
+  EXPECT_EQ(path.join(off), 0);
+  EXPECT_GT(error(path, n - 1, n), 0.5);
+  EXPECT_EQ(path.join(true_loop(1, n - 1, n)), 2);
+  path.optimize(ft::host_exec());
+  for (int i = 0; i < n; ++i) {
+    EXPECT_EQ(path.at(i).part, 1) << i;
+    EXPECT_LT(error(path, i, n), 1e-6) << i;
+  }
+  EXPECT_EQ(path.newest(100), n);
+  // From now on such a loop is one of the same part, which must fit it.
+  EXPECT_TRUE(path.fits(true_loop(3, n - 5, n), {}, 0));
+  EXPECT_EQ(path.at(n - 1).map, 2);
+}
+
+TEST(LoopPath, MapsThatNothingJoinsKeepTheirPlaces) {
+  constexpr int n = 60;
+  loop_path path = broken_lap(n);
+  double const before = error(path, n - 1, n);
+  path.loops.push_back(true_loop(0, n / 2 - 1, n));
+  path.optimize(ft::host_exec());
+  EXPECT_NEAR(error(path, n - 1, n), before, 1e-9);
 }
 
 TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {

@@ -135,6 +135,37 @@ TYPED_TEST(OdometryLoops, TwoFisheyeCamerasAreRecognisedWhereTheyBegan) {
   closes_a_lap(backend.exec, test::room::fisheye());
 }
 
+TYPED_TEST(OdometryLoops, AMapThatALostCameraBeginsIsJoinedWithTheFirstOne) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto const rig = test::room::rig();
+  ft::odometry<exec_type> odo(backend.exec, rig, params(), 1, ft::loops{});
+  test::room::image const black(at(test::room::width) * at(test::room::height));
+  std::vector<int> places;  // in the walk; -1 = black
+  for (int i = 0; i < lap / 2 + 3; ++i) { places.push_back(i); }
+  for (int i = 0; i < 3; ++i) { places.push_back(-1); }
+  for (int i = 2; i < lap / 2; ++i) { places.push_back(i); }  // carried back
+  std::vector<ft::tracking> told;
+  for (std::size_t k = 0; k < places.size(); ++k) {
+    auto const& f = walk(rig)[at(places[k] < 0 ? 0 : places[k])];
+    auto const& left = places[k] < 0 ? black : f.left;
+    auto const& right = places[k] < 0 ? black : f.right;
+    told.push_back(odo.track({test::room::view(left), test::room::view(right)},
+                             static_cast<std::int64_t>(k + 1) * period));
+  }
+  ASSERT_EQ(told.back().maps, 2);
+  bool guessed = false;
+  for (std::size_t k = at(lap / 2 + 6); k < told.size(); ++k) {
+    guessed = guessed || (told[k].map_id == 2 && off(told[k].T_world_camera, places[k]) > 0.3);
+  }
+  EXPECT_TRUE(guessed) << "the second map is where the first one says anyway";
+  EXPECT_LT(off(told.back().T_world_camera, places.back()), 0.05);
+  for (auto const& k : odo.placed_keyframes()) {
+    EXPECT_EQ(k.map, 1);
+    EXPECT_LT(off(k.T_world_camera, places[at(k.time_ns / period - 1)]), 0.06);
+  }
+}
+
 void expect_same(answers const& a, answers const& b) {
   ASSERT_EQ(a.told.size(), b.told.size());
   for (std::size_t i = 0; i < a.told.size(); ++i) {

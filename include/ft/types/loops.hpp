@@ -37,10 +37,11 @@ struct loop_params {
 /// Keyframes are kept with some of their keypoints. Each one is compared with all that are kept and
 /// are not among the newest: by descriptors, then by a pose that most matches agree with. A loop is
 /// closed where two neighbouring keyframes say the same of that pose, and what it corrects is no
-/// more than the odometry may have drifted since. Then the poses of all keyframes are optimised.
-/// That runs beside tracking, on a thread, and on a GPU on a stream of its own; the correction
-/// enters a number of frames later that depends on the number of keyframes alone. The odometry
-/// itself is not changed: see tracking::T_odom_camera and T_world_odom.
+/// more than the odometry may have drifted since. A map that a lost camera begins is joined with an
+/// older one where two of its keyframes say the same. Then the poses of all keyframes are
+/// optimised. That runs beside tracking, on a thread, and on a GPU on a stream of its own; the
+/// correction enters a number of frames later that depends on the number of keyframes alone. The
+/// odometry itself is not changed: see tracking::T_odom_camera and T_world_odom.
 ///
 /// The constructor throws bad_argument for parameters out of range, more than one camera pair,
 /// without odometry_params::loops, and for a multi_rig or a monocular_rig.
@@ -49,6 +50,7 @@ struct loops {};
 /// A keyframe that loops have corrected.
 struct placed_keyframe {
   std::int64_t time_ns;
+  int map;  ///< number of the map that it is in; of maps that loops have joined, of the first one
   rigid<double> T_odom_camera;   ///< as it was tracked
   rigid<double> T_world_camera;  ///< as it is known now
 };

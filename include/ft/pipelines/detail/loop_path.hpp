@@ -40,8 +40,9 @@ inline void edge_information(float const (&of_pose)[21], double scale, double (&
 
 /// A keyframe on the path.
 struct path_keyframe {
-  int row = 0;  ///< of the archive
-  int map = 0;  ///< number of the map that it was tracked in
+  int row = 0;   ///< of the archive
+  int map = 0;   ///< number of the map that it was tracked in
+  int part = 0;  ///< that of the first map that loops have joined with it
   std::int64_t time_ns = 0;
   double path = 0;  ///< length of the way to it, metres
   rigid<double> T_odom_camera = rigid<double>::identity();
@@ -62,14 +63,21 @@ struct path_loop {
 struct loop_path {
   std::vector<path_keyframe> keyframes;
   std::vector<path_loop> loops;
+  std::vector<path_loop> joints;  ///< to other parts, that wait for another one that agrees
+  vec3<double> gravity{0, 0, 0};  ///< in the world, of any length; 0 = not known
 
-  void reserve(int most) {
+  /// @param most keyframes @param found loops to a keyframe, at most
+  void reserve(int most, int found) {
     keyframes.reserve(static_cast<std::size_t>(most));
-    loops.reserve(static_cast<std::size_t>(most) * 4);
+    loops.reserve(static_cast<std::size_t>(most) *
+                  static_cast<std::size_t>(std::max(found, most_thinned)));
+    joints.reserve(most_joints);
   }
   void clear() {
     keyframes.clear();
     loops.clear();
+    joints.clear();
+    gravity = {0, 0, 0};
   }
   int size() const { return static_cast<int>(keyframes.size()); }
   path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
@@ -85,17 +93,26 @@ struct loop_path {
   bool fits(path_loop const& loop, loop_params const& params, double baseline) const {
     path_keyframe const& from = at(loop.from);
     path_keyframe const& to = at(loop.to);
-    if (from.map != to.map) { return false; }
+    if (from.part != to.part) { return false; }
     rigid<double> const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
     double const way = to.path - from.path;
     return length(off.t) <= static_cast<double>(params.max_drift) * way + baseline &&
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
   }
-  /// Whether two loops of one keyframe say the same of its pose: their difference is likely with
-  /// 8 times the covariance of either.
+  /// The newest keyframes of the part of the last one, at most so many.
+  int newest(int most) const {
+    int n = 0;
+    while (n < most && n < size() && at(size() - 1 - n).part == keyframes.back().part) { ++n; }
+    return n;
+  }
+  /// Whether two loops say the same of the pose of the part that they lead to, which is that of one
+  /// of its keyframes where they lead to the same: their difference is likely with 8 times the
+  /// covariance of either.
   bool agree(path_loop const& a, path_loop const& b) const {
-    rigid<double> const off = (at(a.from).T_world_camera * a.T_from_to).inverse() *
-                              (at(b.from).T_world_camera * b.T_from_to);
+    rigid<double> const from_a = at(a.from).T_world_camera * a.T_from_to;
+    rigid<double> const from_b = at(b.from).T_world_camera * b.T_from_to *
+                                 at(b.to).T_world_camera.inverse() * at(a.to).T_world_camera;
+    rigid<double> const off = from_a.inverse() * from_b;
     auto const chi2 = [&off](path_loop const& of) {
       double e[6];
       edge_error(off, e);
@@ -109,10 +126,39 @@ struct loop_path {
     return chi2(a) < likely && chi2(b) < likely;
   }
 
+  /// A loop to another part waits until one of another keyframe agrees with it; then the parts are
+  /// joined: the later one moves to where they say, and both loops are kept.
+  /// @return how many loops are kept
+  int join(path_loop const& loop) {
+    int const from = at(loop.from).part, to = at(loop.to).part;
+    auto const of_both = [&](path_loop const& l) {
+      return at(l.from).part == from && at(l.to).part == to;
+    };
+    for (path_loop const& other : joints) {
+      if (!of_both(other) || other.to == loop.to || !agree(loop, other)) { continue; }
+      path_loop const first = other;
+      rigid<double> const moved =
+          at(loop.from).T_world_camera * loop.T_from_to * at(loop.to).T_world_camera.inverse();
+      for (path_keyframe& k : keyframes) {
+        if (k.part != to) { continue; }
+        k.part = from;
+        k.T_world_camera = (moved * k.T_world_camera).orthonormalized();
+      }
+      joints.clear();
+      loops.push_back(first);
+      loops.push_back(loop);
+      return 2;
+    }
+    if (joints.size() == most_joints) { joints.erase(joints.begin()); }
+    joints.push_back(loop);
+    return 0;
+  }
+
   /// Every second keyframe of the older three quarters leaves. Its loops become those of the
-  /// keyframe before it. @param freed gets the rows of those that leave
+  /// keyframe before it, of which each keeps four. @param freed gets the rows of those that leave
   template <typename Freed>
   void thin(Freed const& freed) {
+    joints.clear();
     int const older = size() * 3 / 4;
     std::vector<int> now(keyframes.size());
     int kept = 0;
@@ -130,8 +176,12 @@ struct loop_path {
       l.from = now[static_cast<std::size_t>(l.from)];
       l.to = now[static_cast<std::size_t>(l.to)];
     }
+    std::vector<int> of(static_cast<std::size_t>(kept));
     loops.erase(std::remove_if(loops.begin(), loops.end(),
-                               [](path_loop const& l) { return l.from == l.to; }),
+                               [&of](path_loop const& l) {
+                                 int& n = of[static_cast<std::size_t>(l.to)];
+                                 return l.from == l.to || ++n > most_thinned;
+                               }),
                 loops.end());
     for (int i = 0; i < size(); ++i) {
       if (i == 0 || now[static_cast<std::size_t>(i)] != now[static_cast<std::size_t>(i - 1)]) {
@@ -141,7 +191,8 @@ struct loop_path {
     keyframes.resize(static_cast<std::size_t>(kept));
   }
 
-  /// Moves the keyframes' poses in the world to where motions and loops agree best. Allocates.
+  /// Moves the keyframes' poses in the world to where motions and loops agree best: with known
+  /// gravity their headings and positions. Allocates.
   template <typename Exec>
   void optimize(Exec const& exec) {
     pose_graph graph;
@@ -166,7 +217,9 @@ struct loop_path {
       graph.edges.back().kernel = robust_kernel::huber;
       graph.edges.back().width = 3.5;  // 95 % of 6 degrees of freedom
     }
-    optimize_pose_graph(exec, graph);
+    pose_graph_params params;
+    params.gravity = gravity;
+    optimize_pose_graph(exec, graph, params);
     for (int i = 0; i < size(); ++i) {
       keyframes[static_cast<std::size_t>(i)].T_world_camera =
           graph.T_world_pose[static_cast<std::size_t>(i)];
@@ -174,6 +227,9 @@ struct loop_path {
   }
 
 private:
+  static constexpr std::size_t most_joints = 32;
+  static constexpr int most_thinned = 4;  ///< loops to a keyframe that others were joined with
+
   static double length(vec3<double> const& v) { return std::sqrt(dot(v, v)); }
   static double angle(mat3<double> const& R) {
     double const cosine = (R.m[0] + R.m[4] + R.m[8] - 1) / 2;

@@ -88,7 +88,7 @@ struct loop_search {
       c.place({archive.rows}, s.rows, s.votes);
       c.place({most}, s.found);
     });
-    path.reserve(archive.rows);
+    path.reserve(archive.rows, params.groups);
   }
 
   /// Called on a thread of its own.
@@ -108,7 +108,7 @@ private:
   int vote(Exec const& exec) {
     memory const& m = memory_.view();
     staging const& s = staging_.view();
-    int const n = path.size() - params.recent;
+    int const n = path.size() - path.newest(params.recent);
     if (n <= 0) { return 0; }
     for (int i = 0; i < n; ++i) { s.rows[i] = path.at(i).row; }
     auto const count = static_cast<std::size_t>(n);
@@ -124,26 +124,29 @@ private:
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
     for (int i = 0; i < n; ++i) {
-      bool const same = path.at(i).map == path.at(query()).map;
-      if (!same || votes[i] < params.min_votes) { continue; }
-      for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
-        sums[static_cast<std::size_t>(i)] += votes[k];
-      }
+      if (votes[i] < params.min_votes) { continue; }
+      for (int const k : neighbours(i, n)) { sums[static_cast<std::size_t>(i)] += votes[k]; }
     }
     std::vector<std::vector<int>> groups;
     while (static_cast<int>(groups.size()) < params.groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }
       int const i = static_cast<int>(most - sums.begin());
-      groups.emplace_back();
-      for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
-        groups.back().push_back(k);
-      }
+      groups.push_back(neighbours(i, n));
       for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
         sums[static_cast<std::size_t>(k)] = 0;
       }
     }
     return groups;
+  }
+
+  /// Keyframe i of the first n and those beside it that are of its part.
+  std::vector<int> neighbours(int i, int n) const {
+    std::vector<int> all;
+    for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
+      if (path.at(k).part == path.at(i).part) { all.push_back(k); }
+    }
+    return all;
   }
 
   /// Adds the loops to a group of keyframes that two of them agree on.
@@ -159,6 +162,7 @@ private:
     copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
     exec.wait();
     std::vector<path_loop> loops;
+    std::vector<int> inliers;
     for (int i = 0; i < n; ++i) {
       loop_match const& found = s.found[i];
       if (found.inliers < params.min_inliers ||
@@ -171,19 +175,33 @@ private:
       loop.to = query();
       loop.T_from_to = found.T_query_row.inverse().orthonormalized();
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
-      if (path.fits(loop, params, static_cast<double>(rig.baseline_length().value))) {
+      bool const joins = path.at(loop.from).part != path.at(loop.to).part;
+      if (joins || path.fits(loop, params, static_cast<double>(rig.baseline_length().value))) {
         loops.push_back(loop);
+        inliers.push_back(found.inliers);
       }
     }
-    for (path_loop const& a : loops) {
-      bool const agreed = std::any_of(loops.begin(), loops.end(), [&](path_loop const& b) {
-        return &a != &b && path.agree(a, b);
-      });
-      if (agreed && path.loops.size() < path.loops.capacity()) {
-        path.loops.push_back(a);
-        ++closed;
-      }
+    path_loop const* const best = best_agreed(loops, inliers);
+    if (best == nullptr) { return; }
+    if (path.at(best->from).part == path.at(query()).part) {
+      path.loops.push_back(*best);
+      ++closed;
+    } else {
+      closed += path.join(*best);
     }
+  }
+  /// Of the loops that another one agrees with, that of most inliers; null if there is none.
+  path_loop const* best_agreed(std::vector<path_loop> const& loops,
+                               std::vector<int> const& inliers) const {
+    std::size_t best = loops.size();
+    for (std::size_t a = 0; a < loops.size(); ++a) {
+      bool agreed = false;
+      for (std::size_t b = 0; b < loops.size(); ++b) {
+        agreed = agreed || (a != b && path.agree(loops[a], loops[b]));
+      }
+      if (agreed && (best == loops.size() || inliers[a] > inliers[best])) { best = a; }
+    }
+    return best < loops.size() ? &loops[best] : nullptr;
   }
 };
 
@@ -200,7 +218,7 @@ public:
     archive_ = owner<loop_archive_view, Exec::space>([&](carver& c, loop_archive_view& v) {
       carve(c, v, params_.keyframes + margin, params_.points);
     });
-    path_.reserve(archive_->rows);
+    path_.reserve(archive_->rows, params_.groups);
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
         loop_executor<Exec>::threads_of(exec),
@@ -220,6 +238,8 @@ public:
     begin();
   }
   void describe(int, std::int64_t, tracking& t) override {
+    // Corrections with known gravity turn about it, so it is the same in the world.
+    if (t.imu.known && (!corrected_ || knows_gravity())) { path_.gravity = t.imu.gravity; }
     t.T_world_odom = T_world_odom_;
     if (corrected_) { t.T_world_camera = (T_world_odom_ * t.T_odom_camera).orthonormalized(); }
     t.loops_closed = closed_now_;
@@ -228,7 +248,7 @@ public:
   void forget(Exec const&, int) override { forget_all(); }
   void list_placed(std::vector<placed_keyframe>& to) const override {
     for (path_keyframe const& k : path_.keyframes) {
-      to.push_back({k.time_ns, k.T_odom_camera, k.T_world_camera});
+      to.push_back({k.time_ns, k.part, k.T_odom_camera, k.T_world_camera});
     }
   }
   allocated_bytes bytes() const override {
@@ -237,6 +257,7 @@ public:
   }
 
 private:
+  bool knows_gravity() const { return dot(path_.gravity, path_.gravity) > 0; }
   void keep(Exec const& exec, stages_type const& stages, odometry_output const& out) {
     if (free_.empty()) { return; }  // cannot be: a search takes fewer frames than there is margin
     path_keyframe k;
@@ -247,10 +268,13 @@ private:
     k.T_odom_camera = out.T_cw.inverse();
     k.T_world_camera = (T_world_odom_ * k.T_odom_camera).orthonormalized();
     edge_information(out.information, 1.0, k.information);
+    k.part = k.map;
     if (path_.size() > 0) {
       path_keyframe const& last = path_.keyframes.back();
       vec3<double> const step = (last.T_odom_camera.inverse() * k.T_odom_camera).t;
-      k.path = last.path + (last.map == k.map ? std::sqrt(dot(step, step)) : 0.0);
+      bool const goes_on = last.map == k.map;
+      k.path = last.path + (goes_on ? std::sqrt(dot(step, step)) : 0.0);
+      k.part = goes_on ? last.part : k.map;
     }
     keep_keyframe(exec, stages.as_keyframe(), 0, k.row, archive_.view());
     exec.wait();
@@ -268,19 +292,23 @@ private:
   void finish() {
     beside_->finish(host_exec(1), run_);
     running_ = false;
-    search_type const& search = beside_->work();
-    closed_now_ = search.closed;
-    if (search.closed == 0) { return; }
-    rigid<double> const T_world_odom = search.path.T_world_odom();
-    for (std::size_t i = 0; i < path_.keyframes.size(); ++i) {
-      path_keyframe& k = path_.keyframes[i];
-      k.T_world_camera = i < search.path.keyframes.size()
-                             ? search.path.keyframes[i].T_world_camera
-                             : (T_world_odom * k.T_odom_camera).orthonormalized();
-    }
-    path_.loops = search.path.loops;
-    T_world_odom_ = T_world_odom;
+    loop_path const& found = beside_->work().path;
+    closed_now_ = beside_->work().closed;
+    path_.joints = found.joints;
+    if (closed_now_ == 0) { return; }
+    path_.loops = found.loops;
+    T_world_odom_ = found.T_world_odom();
     corrected_ = true;
+    for (int i = 0; i < path_.size(); ++i) {
+      path_keyframe& k = path_.keyframes[static_cast<std::size_t>(i)];
+      if (i < found.size()) {
+        k.part = found.at(i).part;
+        k.T_world_camera = found.at(i).T_world_camera;
+      } else if (k.map == found.keyframes.back().map) {  // made since
+        k.part = found.keyframes.back().part;
+        k.T_world_camera = (T_world_odom_ * k.T_odom_camera).orthonormalized();
+      }
+    }
   }
   void forget_all() {
     if (beside_ != nullptr) { beside_->drain(); }

@@ -236,6 +236,10 @@ class Run:
         a, sequence, last = self._arguments, self._sequence, self.last
         stages = self._stage_names if a.timing else []
         made = self._odometry.map()
+        if last is not None:  # the map's points are in the frame of the odometry
+            R = last.T_world_odom[:3, :3]
+            made["position"] = made["position"] @ R.T + last.T_world_odom[:3, 3]
+            made["normal"] = made["normal"] @ R.T
         rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
                                                         "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
         trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)

@@ -190,6 +190,9 @@ TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
   std::vector<int> freed;
   path.thin([&](int row) { freed.push_back(row); });
   EXPECT_EQ(path.size(), 100 - 37);
+  EXPECT_EQ(path.at(20).steps, 2);
+  EXPECT_EQ(path.at(0).steps, 1);
+  EXPECT_EQ(path.at(60).steps, 1);
   EXPECT_EQ(freed.size(), at(37));
   EXPECT_EQ(path.loops.size(), at(10));  // the last one joined what is one keyframe now
   for (int i = 0; i < path.size(); ++i) { EXPECT_EQ(path.at(i).row, i < 38 ? 2 * i : i + 37); }
@@ -201,6 +204,53 @@ TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
   }
   path.optimize(ft::host_exec());
   EXPECT_LT(std::abs(path.at(20).T_world_camera.t.x - path.at(20).T_odom_camera.t.x), 1e-6);
+}
+
+TEST(LoopPath, NoLoopIsRefusedHoweverOftenItIsThinned) {
+  loop_path path = drifting_lap(100, 0);
+  path.reserve(200, 2);
+  std::size_t const room = path.loops.capacity();
+  for (int round = 0; round < 30; ++round) {
+    for (int i = 10; i < path.size(); ++i) {
+      for (int k = 0; k < 2; ++k) {
+        path_loop l = true_loop(0, 1, 100);
+        l.from = (i + 3 * k) % 10;
+        l.to = i;
+        path.loops.push_back(l);
+      }
+    }
+    ASSERT_LE(path.loops.size(), room) << round;
+    int freed = 0;
+    path.thin([&](int) { ++freed; });
+    EXPECT_GT(freed, 0);
+    while (path.size() < 100) {
+      auto const k = path.keyframes.back();
+      path.keyframes.push_back(k);
+    }
+  }
+}
+
+TEST(LoopPath, MapsOfOneKeyframeEachLeaveFromTheOldestOn) {
+  loop_path path = drifting_lap(40, 0);
+  for (int i = 0; i < 40; ++i) { path.keyframes[at(i)].map = path.keyframes[at(i)].part = i + 1; }
+  path.loops = {true_loop(3, 30, 40), true_loop(25, 31, 40)};
+  std::vector<int> freed;
+  path.thin([&](int row) { freed.push_back(row); });
+  ASSERT_EQ(freed.size(), at(20));
+  EXPECT_EQ(freed.back(), 19);
+  ASSERT_EQ(path.size(), 20);
+  EXPECT_EQ(path.at(0).row, 20);
+  ASSERT_EQ(path.loops.size(), at(1));
+  EXPECT_EQ(path.loops[0].from, 5);
+  EXPECT_EQ(path.loops[0].to, 11);
+}
+
+TEST(LoopPath, WhatIsNotFiniteIsNotKnown) {
+  float of_pose[21] = {1, 2, 3};
+  of_pose[7] = std::nanf("");
+  double to[21];
+  ft::detail::edge_information(of_pose, 1, to);
+  for (int i = 0; i < 21; ++i) { EXPECT_TRUE(to[i] == 0 || to[i] == 100) << i; }
 }
 
 TEST(LoopPath, InformationIsThatOfTheEdgesError) {

@@ -83,11 +83,11 @@ inline void check(imu_params const& imu) {
 inline void check(loop_params const& p) {
   detail::require_range("loops.keyframes", p.keyframes, 128, 1 << 16);
   detail::require_range("loops.points", p.points, 16, 1 << 12);
-  detail::require_range("loops.recent", p.recent, 2, 1 << 16);
+  detail::require_range("loops.recent", p.recent, 2, p.keyframes / 2);
   detail::require_range("loops.groups", p.groups, 1, 16);
   detail::require_range("loops.votes", p.votes, 8, 1 << 12);
-  detail::require_range("loops.min_votes", p.min_votes, 1, p.votes);
-  detail::require_range("loops.min_inliers", p.min_inliers, 8, 1 << 12);
+  detail::require_range("loops.min_votes", p.min_votes, 1, p.votes < p.points ? p.votes : p.points);
+  detail::require_range("loops.min_inliers", p.min_inliers, 8, p.points);
   detail::require_range("loops.min_share", p.min_share, 0.0f, 1.0f);
   detail::require_range("loops.max_drift", p.max_drift, 0.0f, 10.0f);
   detail::require_range("loops.max_turn", p.max_turn, 0.0f, 3.2f);

@@ -34,14 +34,19 @@ struct loop_params {
 /// Plugged into an odometry whose odometry_params::loops are present: places that were seen before
 /// are recognised, and the path is corrected.
 ///
-/// Keyframes are kept with some of their keypoints. Each one is compared with all that are kept and
-/// are not among the newest: by descriptors, then by a pose that most matches agree with. A loop is
-/// closed where two neighbouring keyframes say the same of that pose, and what it corrects is no
-/// more than the odometry may have drifted since. A map that a lost camera begins is joined with an
-/// older one where two of its keyframes say the same. Then the poses of all keyframes are
-/// optimised. That runs beside tracking, on a thread, and on a GPU on a stream of its own; the
-/// correction enters a number of frames later that depends on the number of keyframes alone. The
-/// odometry itself is not changed: see tracking::T_odom_camera and T_world_odom.
+/// Keyframes are kept with some of their keypoints. The newest one is compared with all that are
+/// kept and are not among the newest, one search after the other: by descriptors, then by a pose
+/// that most matches agree with. A loop is closed where two neighbouring keyframes say the same of
+/// that pose, and what it corrects is no more than the odometry may have drifted since. A map that
+/// a lost camera begins is joined with an older one where two of its keyframes say the same. Then
+/// the poses of all keyframes are optimised, with an IMU that knew gravity before the first loop in
+/// heading and position alone. That runs beside tracking, on a thread, and on a GPU on a stream of
+/// its own; the correction enters a number of frames later that depends on the number of keyframes
+/// alone, and a frame that comes sooner waits. The odometry itself is not changed: see
+/// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
+/// by the next track(), of which nothing has changed then.
+///
+/// A keyframe costs its frame a launch and a wait.
 ///
 /// The constructor throws bad_argument for parameters out of range, more than one camera pair,
 /// without odometry_params::loops, and for a multi_rig or a monocular_rig.

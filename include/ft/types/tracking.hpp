@@ -158,7 +158,7 @@ struct tracking {
 
 /// A map point in host memory.
 struct downloaded_point {
-  vec3<float> position;  ///< world, metres
+  vec3<float> position;  ///< world, with ft::loops the frame of the odometry, metres
   vec3<float> normal;    ///< mean viewing direction, unit length
   float min_distance;    ///< metres, as in map_points_view
   float max_distance;
@@ -171,7 +171,7 @@ struct downloaded_point {
 struct downloaded_keyframe {
   int number;  ///< unique, ascending with time
   std::int64_t time_ns;
-  rigid<double> T_world_camera;
+  rigid<double> T_world_camera;  ///< with ft::loops T_odom_camera
 };
 
 /// The map of one camera pair in host memory.

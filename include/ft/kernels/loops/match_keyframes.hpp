@@ -169,7 +169,7 @@ private:
 
 /// How many of the query's descriptors find an alike one in each row: one that differs in at most
 /// 64 bits, and in less than nine tenths of what the second best does. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// allocates nothing; a fill and a launch.
 /// @param asked descriptors of the query, spread evenly over its points
 /// @param votes [rows.count] executor memory
 template <typename Exec>

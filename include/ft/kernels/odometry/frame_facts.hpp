@@ -258,7 +258,7 @@ struct count_frame_chances {
 }  // namespace detail
 
 /// What of a frame may be matched by chance, once its local map is listed. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// allocates nothing; a fill and a launch.
 /// @param in the search in the local map, with `seen`; its pose is not used. A point that the
 ///   search from the last frame matched is not searched again, and counts as seen
 /// @param capacity of the lists @param out [batch]

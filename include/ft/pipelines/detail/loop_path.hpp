@@ -25,13 +25,16 @@ namespace detail {
 /// @param scale of the information
 inline void edge_information(float const (&of_pose)[21], double scale, double (&to)[21]) {
   double full[6][6];
+  bool known = true;
   for (int i = 0, at = 0; i < 6; ++i) {
     for (int j = i; j < 6; ++j) { full[i][j] = full[j][i] = static_cast<double>(of_pose[at++]); }
   }
+  for (float const v : of_pose) { known = known && std::isfinite(v); }
   for (int i = 0, at = 0; i < 6; ++i) {
     for (int j = i; j < 6; ++j) {
       double const half = (i < 3 ? 1.0 : 2.0) * (j < 3 ? 1.0 : 2.0);  // sines of half angles
-      to[at++] = scale * half * full[(i + 3) % 6][(j + 3) % 6] * (i == j ? 1 + 1e-5 : 1.0);
+      double const entry = known ? full[(i + 3) % 6][(j + 3) % 6] : 0.0;
+      to[at++] = scale * half * entry * (i == j ? 1 + 1e-5 : 1.0);
     }
   }
   // So that an edge of a frame about which nothing is known still holds its two poses together.
@@ -48,6 +51,7 @@ struct path_keyframe {
   rigid<double> T_odom_camera = rigid<double>::identity();
   rigid<double> T_world_camera = rigid<double>::identity();
   double information[21] = {};  ///< of the edge from the keyframe before, if that has its map
+  int steps = 1;                ///< that the edge takes the place of: each is as uncertain
 };
 
 /// A keyframe seen from another one.
@@ -72,6 +76,8 @@ struct loop_path {
     loops.reserve(static_cast<std::size_t>(most) *
                   static_cast<std::size_t>(std::max(found, most_thinned)));
     joints.reserve(most_joints);
+    now_.reserve(static_cast<std::size_t>(most));
+    held_.reserve(static_cast<std::size_t>(most));
   }
   void clear() {
     keyframes.clear();
@@ -154,41 +160,28 @@ struct loop_path {
     return 0;
   }
 
-  /// Every second keyframe of the older three quarters leaves. Its loops become those of the
-  /// keyframe before it, of which each keeps four. @param freed gets the rows of those that leave
+  /// Of the older three quarters every second keyframe of a map leaves. Its loops become those of
+  /// the keyframe before it, of which each keeps four. Where no map has two, the older half leaves.
+  /// Allocates nothing. @param freed gets the rows of those that leave
   template <typename Freed>
   void thin(Freed const& freed) {
     joints.clear();
     int const older = size() * 3 / 4;
-    std::vector<int> now(keyframes.size());
+    now_.assign(keyframes.size(), 0);
     int kept = 0;
+    bool left = false;
     for (int i = 0; i < size(); ++i) {
-      bool const leaves = i > 0 && i < older && i % 2 == 1 && at(i).map == at(i - 1).map;
-      now[static_cast<std::size_t>(i)] = leaves ? kept - 1 : kept;
-      if (leaves) { freed(at(i).row); }
-      kept += leaves ? 0 : 1;
+      left = i > 0 && i < older && !left && at(i).map == at(i - 1).map;
+      now_[static_cast<std::size_t>(i)] = left ? kept - 1 : kept;
+      kept += left ? 0 : 1;
     }
-    for (path_loop& l : loops) {
-      l.T_from_to = moved_to(now, l.from).inverse() * at(l.from).T_odom_camera * l.T_from_to *
-                    at(l.to).T_odom_camera.inverse() * moved_to(now, l.to);
-    }
-    for (path_loop& l : loops) {
-      l.from = now[static_cast<std::size_t>(l.from)];
-      l.to = now[static_cast<std::size_t>(l.to)];
-    }
-    std::vector<int> of(static_cast<std::size_t>(kept));
-    loops.erase(std::remove_if(loops.begin(), loops.end(),
-                               [&of](path_loop const& l) {
-                                 int& n = of[static_cast<std::size_t>(l.to)];
-                                 return l.from == l.to || ++n > most_thinned;
-                               }),
-                loops.end());
-    for (int i = 0; i < size(); ++i) {
-      if (i == 0 || now[static_cast<std::size_t>(i)] != now[static_cast<std::size_t>(i - 1)]) {
-        keyframes[static_cast<std::size_t>(now[static_cast<std::size_t>(i)])] = at(i);
+    if (kept == size()) {
+      for (int i = 0; i < size(); ++i) {
+        now_[static_cast<std::size_t>(i)] = std::max(i - size() / 2, -1);
       }
     }
-    keyframes.resize(static_cast<std::size_t>(kept));
+    move_loops();
+    move_keyframes(freed);
   }
 
   /// Moves the keyframes' poses in the world to where motions and loops agree best: with known
@@ -200,20 +193,22 @@ struct loop_path {
       graph.T_world_pose.push_back(k.T_world_camera.orthonormalized());
       graph.fixed.push_back(graph.fixed.empty() ? 1 : 0);
     }
-    auto const add = [&graph](int from, int to, rigid<double> const& T, double const(&W)[21]) {
+    auto const add = [&graph](int from, int to, rigid<double> const& T, double const(&W)[21],
+                              double scale) {
       pose_graph_edge e;
       e.from = from;
       e.to = to;
       e.T_from_to = T.orthonormalized();
-      for (int i = 0; i < 21; ++i) { e.information[i] = W[i]; }
+      for (int i = 0; i < 21; ++i) { e.information[i] = scale * W[i]; }
       graph.edges.push_back(e);
     };
     for (int i = 1; i < size(); ++i) {
       if (at(i).map != at(i - 1).map) { continue; }
-      add(i - 1, i, at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera, at(i).information);
+      add(i - 1, i, at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera, at(i).information,
+          1.0 / at(i).steps);
     }
     for (path_loop const& l : loops) {
-      add(l.from, l.to, l.T_from_to, l.information);
+      add(l.from, l.to, l.T_from_to, l.information, 1);
       graph.edges.back().kernel = robust_kernel::huber;
       graph.edges.back().width = 3.5;  // 95 % of 6 degrees of freedom
     }
@@ -227,6 +222,45 @@ struct loop_path {
   }
 
 private:
+  /// Loops of keyframes that leave become those of the keyframe that stands for them.
+  void move_loops() {
+    for (path_loop& l : loops) {
+      if (number(l.from) < 0 || number(l.to) < 0) { continue; }
+      l.T_from_to = moved_to(l.from).inverse() * at(l.from).T_odom_camera * l.T_from_to *
+                    at(l.to).T_odom_camera.inverse() * moved_to(l.to);
+    }
+    for (path_loop& l : loops) {
+      l.from = number(l.from);
+      l.to = number(l.to);
+    }
+    held_.assign(keyframes.size(), 0);
+    loops.erase(std::remove_if(loops.begin(), loops.end(),
+                               [this](path_loop const& l) {
+                                 return l.from < 0 || l.to < 0 || l.from == l.to ||
+                                        ++held_[static_cast<std::size_t>(l.to)] > most_thinned;
+                               }),
+                loops.end());
+  }
+  template <typename Freed>
+  void move_keyframes(Freed const& freed) {
+    int kept = 0, steps = 0;
+    for (int i = 0; i < size(); ++i) {
+      if (!stays(i)) {
+        freed(at(i).row);
+        steps = number(i) < 0 ? 0 : at(i).steps;
+        continue;
+      }
+      path_keyframe k = at(i);
+      k.steps += steps;
+      steps = 0;
+      keyframes[static_cast<std::size_t>(kept++)] = k;
+    }
+    keyframes.resize(static_cast<std::size_t>(kept));
+  }
+  /// Of keyframe i, or of the one that stands for it, afterwards; -1 = none does.
+  int number(int i) const { return now_[static_cast<std::size_t>(i)]; }
+  bool stays(int i) const { return number(i) >= 0 && (i == 0 || number(i) != number(i - 1)); }
+
   static constexpr std::size_t most_joints = 32;
   static constexpr int most_thinned = 4;  ///< loops to a keyframe that others were joined with
 
@@ -246,11 +280,9 @@ private:
   }
   /// Where the keyframe is tracked that stands for keyframe i afterwards: itself, or the one
   /// before.
-  rigid<double> const& moved_to(std::vector<int> const& now, int i) const {
-    auto const k = static_cast<std::size_t>(i);
-    bool const leaves = i > 0 && now[k] == now[k - 1];
-    return at(leaves ? i - 1 : i).T_odom_camera;
-  }
+  rigid<double> const& moved_to(int i) const { return at(stays(i) ? i : i - 1).T_odom_camera; }
+
+  std::vector<int> now_, held_;  ///< of thin()
 };
 
 }  // namespace detail

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <exception>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -237,6 +238,9 @@ public:
     }
     begin();
   }
+  void before_frame(int, bool, std::int64_t, std::int64_t) override {
+    if (failure_) { std::rethrow_exception(std::exchange(failure_, nullptr)); }
+  }
   void describe(int, std::int64_t, tracking& t) override {
     // Corrections with known gravity turn about it, so it is the same in the world.
     if (t.imu.known && (!corrected_ || knows_gravity())) { path_.gravity = t.imu.gravity; }
@@ -288,10 +292,16 @@ private:
     running_ = true;
     run_ = beside_->begin();
   }
-  /// The correction enters.
+  /// The correction enters. What the search threw is kept for the next frame, before anything of
+  /// that has changed; this one and the odometry go on.
   void finish() {
-    beside_->finish(host_exec(1), run_);
     running_ = false;
+    try {
+      beside_->finish(host_exec(1), run_);
+    } catch (...) {
+      failure_ = std::current_exception();
+      return;
+    }
     loop_path const& found = beside_->work().path;
     closed_now_ = beside_->work().closed;
     path_.joints = found.joints;
@@ -311,8 +321,9 @@ private:
     }
   }
   void forget_all() {
-    if (beside_ != nullptr) { beside_->drain(); }
-    running_ = corrected_ = false;
+    if (running_) { finish(); }
+    failure_ = nullptr;
+    corrected_ = false;
     path_.clear();
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
@@ -331,7 +342,8 @@ private:
   int searched_ = 0;    ///< keyframes of which loops were looked for
   int closed_now_ = 0;  ///< loops that entered with the last frame
   bool running_ = false;
-  bool corrected_ = false;  ///< T_world_odom_ is not the identity
+  std::exception_ptr failure_;  ///< of a search
+  bool corrected_ = false;      ///< T_world_odom_ is not the identity
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive
 };
 

@@ -12,6 +12,7 @@
 #include <cstdlib>
 #include <exception>
 #include <fstream>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -95,15 +96,31 @@ ft::pose_graph circle() {
   return graph;
 }
 
-/// Whether a file's poses have scales: what its first pose or edge is.
-bool has_scales(std::string const& path) {
+/// A file, read once: it may be a pipe.
+std::string text_of(std::string const& path) {
   std::ifstream in(path);
+  std::ostringstream text;
+  if (!in || (in.peek() != std::ifstream::traits_type::eof() && !(text << in.rdbuf()))) {
+    throw std::runtime_error(path + ": cannot be read");
+  }
+  return text.str();
+}
+
+/// Whether a file's poses have scales: what its first pose or edge is.
+bool has_scales(std::string const& text) {
+  std::istringstream in(text);
   std::string tag;
   for (std::string line; std::getline(in, line);) {
     tag = line.substr(0, line.find(':'));
     if (tag.rfind("VERTEX_", 0) == 0 || tag.rfind("EDGE_", 0) == 0) { break; }
   }
   return tag == "VERTEX_SIM3" || tag == "EDGE_SIM3";
+}
+
+template <typename Graph>
+Graph with_poses(Graph graph, std::string const& path) {
+  if (graph.T_world_pose.empty()) { throw std::runtime_error(path + ": it has no poses"); }
+  return graph;
 }
 
 template <typename Exec, typename Graph>
@@ -136,8 +153,14 @@ bool optimize(Exec const& exec, char const* where, options const& o, Graph const
 template <typename Exec>
 bool optimize(Exec const& exec, char const* where, options const& o) {
   if (o.in.empty()) { return optimize(exec, where, o, circle()); }
-  if (has_scales(o.in)) { return optimize(exec, where, o, ft::read_g2o_similarities(o.in)); }
-  return optimize(exec, where, o, ft::read_g2o(o.in));
+  std::string const text = text_of(o.in);
+  std::istringstream in(text);
+  try {
+    if (has_scales(text)) {
+      return optimize(exec, where, o, with_poses(ft::read_g2o_similarities(in), o.in));
+    }
+    return optimize(exec, where, o, with_poses(ft::read_g2o(in), o.in));
+  } catch (ft::error const& e) { throw std::runtime_error(o.in + ": " + e.what()); }
 }
 
 bool run(options const& o) {

@@ -236,10 +236,7 @@ class Run:
         a, sequence, last = self._arguments, self._sequence, self.last
         stages = self._stage_names if a.timing else []
         made = self._odometry.map()
-        if last is not None:  # the map's points are in the frame of the odometry
-            R = last.T_world_odom[:3, :3]
-            made["position"] = made["position"] @ R.T + last.T_world_odom[:3, 3]
-            made["normal"] = made["normal"] @ R.T
+        T = last.T_world_odom if last else np.eye(4)  # the map's points are in the frame of the odometry
         rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
                                                         "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
         trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
@@ -263,7 +260,8 @@ class Run:
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "loops": loops, "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
-            "map_position": made["position"].tolist(), "map_normal": made["normal"].tolist(),
+            "map_position": (made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),
+            "map_normal": (made["normal"] @ T[:3, :3].T).tolist(),
         })
 
 

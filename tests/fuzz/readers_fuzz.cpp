@@ -22,6 +22,7 @@
 #include "ft/containers/vocabulary_files.hpp"
 #include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/error.hpp"
+#include "ft/pipelines/bundle_files.hpp"
 #include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/fuzz/input.hpp"
 
@@ -285,6 +286,14 @@ void read_graph(std::string const& bytes, Read const& read) {
   } catch (ft::error const&) {}
 }
 
+void read_bundle(std::string const& bytes) {
+  std::istringstream in(bytes);
+  std::ostringstream again;
+  try {
+    ft::write_bal(again, ft::read_bal(in));  // which refuses views that see nothing, too
+  } catch (ft::error const&) {}
+}
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size) {
@@ -348,6 +357,7 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 19:
       read_graph(bytes, [](std::istream& in) { return ft::read_g2o_similarities(in); });
+      read_bundle(bytes);
       break;
     case 20:
       s.open_with("tum", "rgb.txt", bytes);

@@ -98,6 +98,7 @@ TYPED_TEST(maps, without_noise_they_become_the_truth) {
     auto made = test::make_bundle(shape, two_lenses(), seed);
     auto const report = this->adjust(made.map, thorough());
     EXPECT_EQ(report.last_without_image, 0);
+    EXPECT_EQ(report.outcome, ft::map_outcome::converged);
     EXPECT_LT(report.last_cost, 1e-12 * report.first_cost);
     EXPECT_LT(worst_centre(made.map, made.truth), 1e-6);
     for (std::size_t p = 0; p < made.truth.position.size(); ++p) {

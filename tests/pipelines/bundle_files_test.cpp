@@ -93,6 +93,7 @@ TEST(BundleFiles, DamagedOnesAreRefused) {
       EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
     }
   };
+  refused("0.1 -0.2 0.3 1", "1e200 0 0 1", "view 0: the rotation's vector is longer");
   refused("2 1 2", "-2 1 2", "first line: the number of views is '-2'");
   refused("2 1 2", "2 1.5 2", "first line: the number of points is '1.5'");
   refused("2 1 2", "2 1 999999999999", "the number of observations is '999999999999'");

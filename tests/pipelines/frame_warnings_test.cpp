@@ -356,6 +356,9 @@ TEST(AnImuThatIsNotUsed, IsNotToldOfWhatCannotBeUsed) {
     change(t);
     EXPECT_EQ(until_told(camera, t, never), never);
     EXPECT_EQ(until_told(camera, idle(), never), 80) << "as one that starts late";
+    // Told before, it is not while it could not be used; at once when it could again.
+    EXPECT_FALSE(camera(t).has(warning::imu_not_used));
+    EXPECT_TRUE(camera(idle()).has(warning::imu_not_used));
   }
   judged without;
   EXPECT_EQ(until_told(without, idle(), never), never);

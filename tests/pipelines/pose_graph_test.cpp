@@ -388,6 +388,27 @@ TYPED_TEST(pose_graphs, recorded_graphs_reach_their_optimum) {
   }
 }
 
+TYPED_TEST(pose_graphs, motions_that_agree_exactly_are_met_and_that_is_the_end) {
+  ft::pose_graph graph;
+  ft::rigid<double> step = ft::rigid<double>::identity();
+  step.t = {1, 0, 0};
+  for (int i = 0; i < 6; ++i) {
+    graph.T_world_pose.push_back(ft::rigid<double>::identity());
+    graph.T_world_pose.back().t = {1.0 * i, 0.1 * i * i, 0};  // off
+    ft::pose_graph_edge e;
+    e.from = i;
+    e.to = (i + 1) % 6;
+    e.T_from_to = step;
+    if (i == 5) { e.T_from_to.t.x = -5; }
+    graph.edges.push_back(e);
+  }
+  auto const report = ft::optimize_pose_graph(this->backend.exec, graph);
+  EXPECT_GT(report.given_cost, 0.1);
+  EXPECT_LT(report.last_cost, 1e-20 * report.given_cost);
+  EXPECT_TRUE(report.converged);
+  EXPECT_LT(report.steps, 20);
+}
+
 TYPED_TEST(pose_graphs, graphs_with_nothing_to_do) {
   ft::pose_graph empty;
   EXPECT_TRUE(this->optimize(empty, pose_graph_start::chordal).converged);

@@ -77,7 +77,10 @@ private:
   }
   std::string word(char const* name) {
     std::string text;
-    if (!(in_ >> text)) { refuse(std::string(name) + " is missing"); }
+    if (!(in_ >> text)) {
+      if (in_.bad()) { throw error("ft: bundle: cannot be read"); }
+      refuse(std::string(name) + " is missing");
+    }
     return text;
   }
   int whole(char const* name, int last) {
@@ -104,6 +107,8 @@ private:
   void read_view(bundle<radtan4<double>>& map) {
     double v[9];
     for (double& n : v) { n = number("a number of the view"); }
+    double const turn = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    if (!(turn < 1e6)) { refuse("the rotation's vector is longer than 1e6 rad"); }
     auto const R = rotation_exp(strict_vec3d{v[0], v[1], v[2]}).cast<double>();
     auto const& m = R.m;
     map.T_cw.push_back(rigid<double>{
@@ -146,20 +151,29 @@ inline bundle<radtan4<double>> read_bal(std::string const& path) {
   } catch (error const& e) { throw error(std::string(e.what()) + " ('" + path + "')"); }
 }
 
+namespace detail {
+
+/// @throws bad_argument for what BAL's format cannot hold
+inline void check_bal(bundle<radtan4<double>> const& map) {
+  check(map);
+  for (std::size_t i = 0; i < map.cameras.size(); ++i) {
+    check_named("camera", i, [&] {
+      radtan4<double> const& c = map.cameras[i];
+      require(
+          c.fx == c.fy && c.cx == 0 && c.cy == 0 && c.distortion[2] == 0 && c.distortion[3] == 0,
+          "the camera has more parameters than f, k1 and k2");
+    });
+  }
+}
+
+}  // namespace detail
+
 /// Writes a bundle, numbers with as many digits as they have. Fixed views and standard deviations
 /// have no place in the format.
 /// @throws bad_argument for an invalid bundle, and for a camera with two focal lengths, a principal
 ///   point other than 0, or tangential distortion; error if it cannot be written
 inline void write_bal(std::ostream& out, bundle<radtan4<double>> const& map) {
-  check(map);
-  for (std::size_t i = 0; i < map.cameras.size(); ++i) {
-    detail::check_named("camera", i, [&] {
-      radtan4<double> const& c = map.cameras[i];
-      detail::require(
-          c.fx == c.fy && c.cx == 0 && c.cy == 0 && c.distortion[2] == 0 && c.distortion[3] == 0,
-          "the camera has more parameters than f, k1 and k2");
-    });
-  }
+  detail::check_bal(map);
   out.imbue(std::locale::classic());
   out << map.T_cw.size() << ' ' << map.position.size() << ' ' << map.pixel.size() << '\n';
   for (std::size_t o = 0; o < map.pixel.size(); ++o) {
@@ -177,9 +191,12 @@ inline void write_bal(std::ostream& out, bundle<radtan4<double>> const& map) {
   if (!out.flush()) { throw error("ft: bundle: cannot be written"); }
 }
 inline void write_bal(std::string const& path, bundle<radtan4<double>> const& map) {
+  detail::check_bal(map);  // before a file that is there is emptied
   std::ofstream out(path);
   if (!out) { throw error("ft: bundle: cannot open '" + path + "'"); }
-  write_bal(out, map);
+  try {
+    write_bal(out, map);
+  } catch (error const& e) { throw error(std::string(e.what()) + " ('" + path + "')"); }
 }
 
 }  // namespace FT_ABI

@@ -97,7 +97,7 @@ inline std::string unused_imu_text(imu_tracking const& t, imu_params const& para
   }
   char time[32];
   std::snprintf(time, sizeof time, "%.3g", t.unused_s);
-  return "the IMU is not used, " + std::string(time) + " s of tracking by now: " + why +
+  return "the IMU is not used, for " + std::string(time) + " s of tracking or more: " + why +
          "; check T_bc and the axes, time_offset_s and the clocks, the units m/s^2 and rad/s";
 }
 
@@ -131,7 +131,8 @@ public:
     if (imu.optimized || t.evidence.facts.moving != 0) { add(moving_s_, 0.5 * most); }
     imu.unused_s = unused_s_;
     constexpr double rounding = 1e-6;
-    return !imu.optimized && unused_s_ > most - rounding && moving_s_ > 0.5 * most - rounding;
+    return sees && could && !imu.optimized && unused_s_ > most - rounding &&
+           moving_s_ > 0.5 * most - rounding;
   }
 
 private:

@@ -2,6 +2,8 @@
 /// @file The method of Levenberg and Marquardt, for solvers of any problem.
 #pragma once
 
+#include <cmath>
+
 #include "ft/core/config.hpp"
 
 namespace ft {
@@ -40,7 +42,8 @@ struct descent {
   bool converged = false;
 };
 
-/// Lowers the cost of a solver's estimate.
+/// Lowers the cost of a solver's estimate. Ends also where the cost is the rounding of its terms: a
+/// 10^20th of the first one's.
 /// @param solver has linearize(), which prepares steps from its current estimate,
 /// try_step(damping),
 ///   which returns the verdict about the estimate that a step leads to, its `cost` and the gain
@@ -51,6 +54,11 @@ descent<Verdict> descend(Solver& solver, Verdict const& best, descent_limits con
   descent<Verdict> d{best};
   step_damping damping{limits.first_damping};
   bool linear = false;
+  double const rounding = 1e-20 * best.cost;
+  auto const is_little = [&](double gain) {
+    return std::isfinite(d.best.cost) && damping.value <= 1 &&
+           (gain <= limits.enough * d.best.cost || gain <= rounding);
+  };
   while (!d.converged && d.steps < limits.steps && damping.is_small()) {
     if (!linear) { solver.linearize(); }
     ++d.steps;
@@ -58,14 +66,13 @@ descent<Verdict> descend(Solver& solver, Verdict const& best, descent_limits con
     double const gain = d.best.cost - trial.cost;
     bool const better = gain >= 0;  // false for NaN
     if (better) {
-      d.converged = damping.value <= 1 && gain <= limits.enough * d.best.cost;
+      d.converged = is_little(gain) || trial.cost <= rounding;
       damping.accept(gain, trial.promised);
       solver.accept();
       d.best = trial;
     } else {
       ++d.refused;
-      d.converged = damping.value <= 1 && trial.promised >= 0 &&
-                    trial.promised <= limits.enough * d.best.cost;
+      d.converged = trial.promised >= 0 && is_little(trial.promised);
       damping.refuse();
     }
     linear = !better;

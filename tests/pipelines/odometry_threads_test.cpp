@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Cameras of a batch whose keyframes come at different frames: while some are adjusted on the
-// odometry's thread, others gather their windows. A program of its own, which ThreadSanitizer
-// checks; oneTBB, which is not built for it, has no part in an executor of one thread.
+// odometry's thread, others gather their windows. A search for loops beside frames. A program of
+// its own, which ThreadSanitizer checks; oneTBB, which is not built for it, has no part in an
+// executor of one thread.
 #include <gtest/gtest.h>
 
 #include <cstddef>
@@ -27,6 +28,11 @@ ft::odometry_params params() {
   return p;
 }
 
+std::vector<test::room::stereo_frame> const& shared_walk() {
+  static auto const walk = test::room::make_walk(test::room::rig(), 0, frames);
+  return walk;
+}
+
 /// Camera b begins to walk after b frames at rest.
 std::vector<ft::stereo_images> images_of(std::vector<test::room::stereo_frame> const& walk, int b) {
   std::vector<ft::stereo_images> images;
@@ -39,7 +45,7 @@ std::vector<ft::stereo_images> images_of(std::vector<test::room::stereo_frame> c
 
 TEST(OdometryThreads, CamerasThatSelectKeyframesAtDifferentFramesDoNotMeet) {
   auto const rig = test::room::rig();
-  auto const walk = test::room::make_walk(rig, 0, frames);
+  auto const& walk = shared_walk();
   ft::host_exec const exec(1);
   std::vector<std::vector<ft::stereo_images>> images;
   for (int b = 0; b < cameras; ++b) { images.push_back(images_of(walk, b)); }
@@ -72,6 +78,27 @@ TEST(OdometryThreads, CamerasThatSelectKeyframesAtDifferentFramesDoNotMeet) {
     test::expect_same(together[static_cast<std::size_t>(b)], answers);
   }
 #endif
+}
+
+/// There and back, with a reset and an end in the middle of a search.
+TEST(OdometryThreads, ASearchForLoopsDoesNotMeetTheFramesBesideIt) {
+  auto const rig = test::room::rig();
+  auto const& walk = shared_walk();
+  auto p = params();
+  p.loops.present = true;
+  p.loops.recent = 3;
+  ft::odometry<ft::host_exec> odo(ft::host_exec(1), rig, p, 1, ft::loops{});
+  int closed = 0;
+  for (int round = 0; round < 2; ++round) {
+    for (int i = 0; i < 2 * frames; ++i) {
+      auto const& f = walk[static_cast<std::size_t>(i < frames ? i : 2 * frames - 1 - i)];
+      closed += odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period)
+                    .loops_closed;
+      if (round == 1 && i == frames) { return; }
+    }
+    EXPECT_GT(closed, 0);
+    odo.reset();
+  }
 }
 
 }  // namespace odometry_threads_test

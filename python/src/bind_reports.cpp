@@ -42,6 +42,15 @@ seq::frame_record record_of(nb::handle given) {
   r.reason = reason_of(said);
   r.why = said.why.text;
   r.imu_warnings = said.imu_warnings;
+  for (ft::tracking_notice const& notice : said.warnings) {
+    if (notice.warning == ft::tracking_warning::imu) { continue; }  // with sentences of their own
+    r.warnings.emplace_back(ft::name_of(notice.warning), notice.text);
+  }
+  r.map_id = t.map_id;
+  for (int row = 0; r.tracked && row < 6; ++row) {  // the upper triangle
+    double const* const begin = t.covariance + 6 * row;
+    r.covariance.insert(r.covariance.end(), begin + row, begin + 6);
+  }
   auto const vector = [](auto const& v) {
     auto const wide = v.template cast<double>();
     return Eigen::Vector3d(wide.x, wide.y, wide.z);

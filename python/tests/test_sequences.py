@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import csv
 import json
 import os
 import shutil
@@ -280,7 +281,9 @@ def test_the_program_tracks_a_folder(folder, folder_with_truth, tmp_path):
         assert len(ft.read_tum(out / "trajectory.txt")) == 12
         assert (out / "groundtruth.txt").exists() == truth
         assert summary["ate_rmse_m"] < 0.005 if truth else summary["ate_rmse_m"] is None
-        assert len((out / "times.csv").read_text().splitlines()) == 13
+        rows = list(csv.DictReader((out / "times.csv").open()))
+        assert len(rows) == 12 and all(r["map_id"] == "1" and r["warnings"] == "" for r in rows)
+        assert sum(name.startswith("cov") for name in rows[0]) == 21
         assert (out / "map.ply").read_bytes().startswith(b"ply\n") and "<svg" in (out / "report.html").read_text()
         assert "track  12/12  100 %" in done.stdout and "ATE RMSE" in done.stdout
 

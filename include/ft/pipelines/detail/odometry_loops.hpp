@@ -307,8 +307,7 @@ private:
     path_.joints = found.joints;
     if (closed_now_ == 0) { return; }
     path_.loops = found.loops;
-    T_world_odom_ = found.T_world_odom();
-    corrected_ = true;
+    rigid<double> const T_world_odom = found.T_world_odom();
     for (int i = 0; i < path_.size(); ++i) {
       path_keyframe& k = path_.keyframes[static_cast<std::size_t>(i)];
       if (i < found.size()) {
@@ -316,9 +315,11 @@ private:
         k.T_world_camera = found.at(i).T_world_camera;
       } else if (k.map == found.keyframes.back().map) {  // made since
         k.part = found.keyframes.back().part;
-        k.T_world_camera = (T_world_odom_ * k.T_odom_camera).orthonormalized();
+        k.T_world_camera = (T_world_odom * k.T_odom_camera).orthonormalized();
       }
     }
+    T_world_odom_ = path_.T_world_odom();  // a map that began since stays where it is
+    corrected_ = true;
   }
   void forget_all() {
     if (running_) { finish(); }

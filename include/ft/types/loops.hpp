@@ -27,8 +27,8 @@ struct loop_params {
   /// A loop must not correct more than this share of the path since its keyframe and the rig's
   /// baseline, and
   float max_drift = 0.05f;
-  float max_turn = 0.1f;  ///< rad, and 0.01 rad for each unit of length of the path. Places that
-                          ///< look alike are told apart so.
+  float max_turn = 0.1f;  ///< must not turn it by more than this, rad, and 0.01 rad for each metre
+                          ///< of the path. So places that look alike are told apart.
 };
 
 /// Plugged into an odometry whose odometry_params::loops are present: places that were seen before

@@ -161,8 +161,9 @@ struct loop_path {
   }
 
   /// Of the older three quarters every second keyframe of a map leaves. Its loops become those of
-  /// the keyframe before it, of which each keeps four. Where no map has two, the older half leaves.
-  /// Allocates nothing. @param freed gets the rows of those that leave
+  /// the keyframe before it, of which each keeps four. Where an eighth would not leave so, for maps
+  /// have one keyframe each, the older half does. Allocates nothing. @param freed gets the rows of
+  /// those that leave
   template <typename Freed>
   void thin(Freed const& freed) {
     joints.clear();
@@ -175,7 +176,7 @@ struct loop_path {
       now_[static_cast<std::size_t>(i)] = left ? kept - 1 : kept;
       kept += left ? 0 : 1;
     }
-    if (kept == size()) {
+    if (8 * (size() - kept) < size()) {
       for (int i = 0; i < size(); ++i) {
         now_[static_cast<std::size_t>(i)] = std::max(i - size() / 2, -1);
       }

@@ -63,7 +63,7 @@ template <typename D>
 using descriptor_names = decltype(D::rules.least, D::rules.greatest, D::rules.near,
                                   D::rules.ratio_num, D::rules.ratio_den, D::name);
 template <typename D>
-using descriptor_distances =
+using descriptor_comparison =
     decltype(D::distance(std::declval<D const&>(), std::declval<D const&>()));
 template <typename D>
 using descriptor_parts = decltype(D::parts);
@@ -90,10 +90,10 @@ template <typename D, typename = void>
 inline constexpr bool has_distance = false;
 template <typename D>
 inline constexpr bool
-    has_distance<D, std::void_t<descriptor_distances<D>, descriptor_distance<D>>> =
-        std::is_same<descriptor_distances<D>, descriptor_distance<D>>::value &&
-        (std::is_same<descriptor_distances<D>, int>::value ||
-         std::is_same<descriptor_distances<D>, float>::value);
+    has_distance<D, std::void_t<descriptor_comparison<D>, descriptor_distance<D>>> =
+        std::is_same<descriptor_comparison<D>, descriptor_distance<D>>::value &&
+        (std::is_same<descriptor_comparison<D>, int>::value ||
+         std::is_same<descriptor_comparison<D>, float>::value);
 
 /// Whether a model has all that its parts need, or no parts.
 template <typename D>

@@ -34,7 +34,7 @@ struct accept_match {
     strip_plan const queries = strip_plan::of(query.size(), strips_of(query.capacity));
     strip_plan const trains =
         strip_plan::of(train.size(), train.capacity > 0 ? strips_of(train.capacity) : 1);
-    auto best = nearest_two<distance_type>::none();
+    auto best = two_nearest_rows<distance_type>::none();
     if (i < queries.rows) {
       for (int s = g.rank(); s < trains.used; s += g.size()) {
         best = merge_nearest{}(best, work.of_query[place(s, work.queries, i)]);
@@ -60,7 +60,7 @@ private:
   FT_HOST_DEVICE static std::ptrdiff_t place(int strip, int rows, int row) {
     return static_cast<std::ptrdiff_t>(strip) * rows + row;
   }
-  FT_HOST_DEVICE static bool is_clear(nearest_two<distance_type> const& best,
+  FT_HOST_DEVICE static bool is_clear(two_nearest_rows<distance_type> const& best,
                                       match_tests<distance_type> const& tests) {
     if (tests.ratio_den == 0 || best.second.index == no_row) { return true; }
     if constexpr (std::is_same<distance_type, int>::value) {

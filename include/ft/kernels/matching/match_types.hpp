@@ -80,10 +80,10 @@ struct nearest_row {
 
 /// The two nearest rows so far.
 template <typename Distance>
-struct nearest_two {
+struct two_nearest_rows {
   nearest_row<Distance> first, second;
 
-  FT_HOST_DEVICE FT_INLINE static nearest_two none() {
+  FT_HOST_DEVICE FT_INLINE static two_nearest_rows none() {
     return {nearest_row<Distance>::none(), nearest_row<Distance>::none()};
   }
   /// @param at must exceed those of earlier calls
@@ -100,8 +100,8 @@ struct nearest_two {
 /// The two nearest of two pairs.
 struct merge_nearest {
   template <typename Distance>
-  FT_HOST_DEVICE nearest_two<Distance> operator()(nearest_two<Distance> const& a,
-                                                  nearest_two<Distance> const& b) const {
+  FT_HOST_DEVICE two_nearest_rows<Distance> operator()(two_nearest_rows<Distance> const& a,
+                                                       two_nearest_rows<Distance> const& b) const {
     bool const of_b = b.first < a.first;
     nearest_row<Distance> const behind = of_b ? b.second : a.second;
     nearest_row<Distance> const loser = of_b ? a.first : b.first;
@@ -142,10 +142,10 @@ struct strip_plan {
 /// Working memory of match_descriptors(), in executor memory. Nothing has to be initialised.
 template <typename Distance>
 struct match_workspace {
-  int queries = 0;                                    ///< capacity
-  int trains = 0;                                     ///< capacity
-  detail::nearest_two<Distance>* of_query = nullptr;  ///< [strips of trains][queries]
-  detail::nearest_row<Distance>* of_train = nullptr;  ///< [strips of queries][trains]
+  int queries = 0;                                         ///< capacity
+  int trains = 0;                                          ///< capacity
+  detail::two_nearest_rows<Distance>* of_query = nullptr;  ///< [strips of trains][queries]
+  detail::nearest_row<Distance>* of_train = nullptr;       ///< [strips of queries][trains]
 };
 
 /// @throws bad_argument for a negative number of rows

@@ -27,7 +27,7 @@ inline constexpr int match_step = match_side / match_own;
 static_assert(match_step * match_step == match_threads, "a thread for 4 by 4 pairs of a tile");
 
 template <typename D>
-struct strip_scratch {
+struct match_scratch {
   using reader = row_parts<D>;
   using part = typename reader::part;
   /// Parts of a row at a time.
@@ -44,7 +44,7 @@ template <typename D>
 struct match_strips {
   static constexpr bool wide_on_host = true;
   static constexpr int resident_blocks = 2;
-  using scratch = strip_scratch<D>;
+  using scratch = match_scratch<D>;
   using distance_type = descriptor_distance<D>;
   using workspace = match_workspace<distance_type>;
 
@@ -78,7 +78,7 @@ private:
   using reader = row_parts<D>;
   using part = typename reader::part;
   using sum = typename reader::sum;
-  using two = nearest_two<distance_type>;
+  using two = two_nearest_rows<distance_type>;
   using one = nearest_row<distance_type>;
 
   struct strip {

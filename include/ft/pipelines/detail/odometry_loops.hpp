@@ -350,8 +350,6 @@ private:
 
 template <typename Rig>
 inline constexpr bool closes_loops = true;
-template <int N>
-inline constexpr bool closes_loops<multi_rig<N>> = false;
 template <typename Camera>
 inline constexpr bool closes_loops<monocular_rig<Camera>> = false;
 
@@ -361,10 +359,10 @@ std::unique_ptr<odometry_part<Exec, Rig>> make_part(
     loops const&, [[maybe_unused]] Exec const& exec,
     [[maybe_unused]] odometry_stages<Exec, Rig>& s) {
   if constexpr (closes_loops<Rig>) {
-    require(s.batch == 1, "loops are closed for one camera pair, not for a batch");
+    require(s.batch == 1, "loops are closed for one rig, not for a batch");
     return std::make_unique<odometry_loops<Exec, Rig>>(exec, s);
   } else {
-    throw bad_argument("ft: loops are not closed with a rig of one or of several cameras");
+    throw bad_argument("ft: loops are not closed with one camera");
   }
 }
 

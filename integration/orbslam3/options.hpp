@@ -154,10 +154,16 @@ inline options from_environment(options o = {}) {
   return o;
 }
 
-/// Times of calls, microseconds.
+/// Times of the last 65,536 calls, microseconds.
 class call_times {
 public:
-  void add(double time) { all_.push_back(time); }
+  void add(double time) {
+    if (all_.size() < most) {
+      all_.push_back(time);
+    } else {
+      all_[next_++ % most] = time;
+    }
+  }
   /// @param share 0.5 for the median, 1 for the maximum @return 0 without calls
   double percentile(double share) const {
     if (all_.empty()) { return 0; }
@@ -169,7 +175,9 @@ public:
   }
 
 private:
+  static constexpr std::size_t most = std::size_t{1} << 16;
   std::vector<double> all_;
+  std::size_t next_ = 0;
 };
 
 /// Of all calls of one stage, microseconds.

@@ -16,6 +16,7 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
@@ -548,6 +549,23 @@ TYPED_TEST(odometry_features, need_their_part_and_a_rig_that_takes_them) {
   EXPECT_THROW(one.track(depths, time_of(0)), ft::bad_argument);
   depths.left.right_x = nullptr;
   EXPECT_THROW(one.track(depths, time_of(0)), ft::bad_argument);
+}
+
+TYPED_TEST(odometry_features, say_what_they_lack) {
+  TypeParam backend;
+  auto const given = extract(backend.exec, test::room::rig(), {walk()[0]})[0];
+  ft::odometry<typename TypeParam::exec_type, ft::rectified_rig> odo(
+      backend.exec, test::room::rig(), params(), 1, ft::own_features{});
+  auto const reason = [&](int n, std::size_t time) {
+    ft::given_features f = given.without_partners();
+    f.left.count = n;
+    f.right.count = 0;
+    return ft::explain(odo.track(f, time_of(time)), odo.params().rules);
+  };
+  EXPECT_EQ(reason(0, 0).reason, ft::tracking_reason::not_started);
+  EXPECT_EQ(reason(10, 1).reason, ft::tracking_reason::blurred);
+  EXPECT_NE(reason(10, 2).text.find("only 10 keypoints were given"), std::string::npos);
+  EXPECT_EQ(reason(400, 3).reason, ft::tracking_reason::stereo_inconsistent);
 }
 
 // ---- beside other calls

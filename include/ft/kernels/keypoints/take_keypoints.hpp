@@ -48,7 +48,7 @@ struct take_keypoint {
     int const image = item / to.capacity;
     int const i = item % to.capacity;
     int const count = from.keypoints.count[image];
-    if (i == 0) { to.count[image] = pixels.count[image] = count; }
+    if (i == 0) { to.count[image] = count; }
     if (i >= count) { return; }
     int const octave = from.keypoints.octave(item);
     float const x = from.keypoints.x(item);

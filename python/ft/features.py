@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Optional, Sequence, Union, cast, overload
+from typing import TYPE_CHECKING, Optional, Sequence, TypeVar, Union, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,7 +133,10 @@ def _options(width: int, height: int, features: int, levels: int, scale_factor: 
     }
 
 
-def _frames(images: Sequence[Sequence[Array]]) -> list[tuple[Array, ...]]:
+_Item = TypeVar("_Item")
+
+
+def _frames(images: Sequence[Sequence[_Item]]) -> list[tuple[_Item, ...]]:
     """Of a sequence of images for each camera, those of each frame."""
     numbers = [len(of_camera) for of_camera in images]
     if len(set(numbers)) > 1:

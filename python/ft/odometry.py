@@ -148,7 +148,8 @@ class Odometry:
                 raise ValueError("track_features() has no arguments, needs features and time_ns")
             time_ns, features = features[-1], features[:-1]
         single = self._pipeline.batch == 1 and not (features and isinstance(features[0], (list, tuple)))
-        frames = [features] if single else _frames(cast(Sequence[Sequence[ImageFeatures]], features))
+        of_cameras = cast("tuple[ImageFeatures, ...]", features)
+        frames = [of_cameras] if single else _frames(cast(Sequence[Sequence[ImageFeatures]], features))
         for f in (f for frame in frames for f in frame):
             if not isinstance(f, ImageFeatures):
                 raise ValueError(f"features are {type(f).__name__}, must be ft.ImageFeatures")

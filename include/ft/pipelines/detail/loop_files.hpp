@@ -194,9 +194,8 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
   get(keyframes, loops, to.gravity);
   require_saved("keyframes of loops", keyframes, 0, most);
   require_saved("loops", loops, 0, most_loops);
-  for (double const g : {to.gravity.x, to.gravity.y, to.gravity.z}) {
-    require_saved("gravity", g, -1e3, 1e3);
-  }
+  double const gravity[3] = {to.gravity.x, to.gravity.y, to.gravity.z};
+  for (double const g : gravity) { require_saved("gravity", g, -1e3, 1e3); }
   for (int i = 0; i < keyframes; ++i) {
     path_keyframe k;
     each_number(k, get);

@@ -237,6 +237,16 @@ TEST(cameras, see_every_point_that_they_are_timed_on) {
   }
 }
 
+TEST(matching, finds_the_rows_that_are_alike) {
+  for (auto const backend : backends()) {
+    for (char const* const model : bench::matching_models) {
+      auto const runner = bench::make_matching_runner({backend, 2, model, 300, true});
+      EXPECT_GT(runner->run(), 0);
+      EXPECT_NEAR(runner->matched_share(), 0.5, 0.02) << model;
+    }
+  }
+}
+
 TEST(windows, are_adjusted) {
   for (auto const b : backends()) {
     bench::window_case what;

@@ -132,6 +132,37 @@ void run_window(benchmark::State& state, bench::window_case const& what) {
   } catch (std::exception const& e) { state.SkipWithError(e.what()); }
 }
 
+void run_matching(benchmark::State& state, bench::matching_case const& what) {
+  try {
+    auto const runner = bench::make_matching_runner(what);
+    runner->run();
+    for (auto _ : state) { state.SetIterationTime(1e-6 * runner->run()); }
+    if (!(runner->matched_share() > 0.4)) { state.SkipWithError("little was matched"); }
+    state.SetItemsProcessed(state.iterations() * what.rows * what.rows);
+  } catch (std::exception const& e) { state.SkipWithError(e.what()); }
+}
+
+/// Descriptors of each model, all with all.
+void add_matching(std::vector<bench::backend_type> const& backends, int device_iterations,
+                  int host_iterations) {
+  for (auto const b : backends) {
+    for (char const* const model : bench::matching_models) {
+      for (int const rows : {1000, 8000}) {
+        for (bool const mutual : {false, true}) {
+          bench::matching_case const what{b, 0, model, rows, mutual};
+          std::string const name = std::string("match/") + model + "/rows:" + std::to_string(rows) +
+                                   (mutual ? "/mutual/" : "/one_way/") + name_of(b);
+          benchmark::RegisterBenchmark(name.c_str(),
+                                       [what](benchmark::State& s) { run_matching(s, what); })
+              ->UseManualTime()
+              ->Unit(benchmark::kMicrosecond)
+              ->Iterations(b == bench::backend_type::host ? host_iterations : device_iterations);
+        }
+      }
+    }
+  }
+}
+
 /// Bundle adjustments: the default window alone and in a batch, larger ones.
 void add_windows(std::vector<bench::backend_type> const& backends, int device_iterations,
                  int host_iterations) {
@@ -249,6 +280,7 @@ int main(int argc, char** argv) {
     }
   }
   add_windows(backends, device_iterations, host_iterations);
+  add_matching(backends, device_iterations, host_iterations);
   std::vector<std::unique_ptr<bench::camera_runner>> cameras;
   try {
     for (auto const b : backends) {

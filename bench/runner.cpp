@@ -8,6 +8,7 @@ std::unique_ptr<frame_runner> make_host_fisheye(scene const& s, frame_options co
 std::unique_ptr<odometry_runner> make_host_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_host_cameras(int threads, int points, int sets);
 std::unique_ptr<window_runner> make_host_windows(window_case const& what);
+std::unique_ptr<matching_runner> make_host_matching(matching_case const& what);
 std::unique_ptr<inertial_runner> make_host_inertial(inertial_case const& what);
 std::unique_ptr<words_runner> make_host_words(words_case const& what);
 
@@ -17,6 +18,7 @@ std::unique_ptr<frame_runner> make_cuda_fisheye(scene const& s, frame_options co
 std::unique_ptr<odometry_runner> make_cuda_odometry(scene const& s, frame_options const& how);
 std::unique_ptr<camera_runner> make_cuda_cameras(int points, int sets);
 std::unique_ptr<window_runner> make_cuda_windows(window_case const& what);
+std::unique_ptr<matching_runner> make_cuda_matching(matching_case const& what);
 std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const& what);
 std::unique_ptr<words_runner> make_cuda_words(words_case const& what);
 #else
@@ -29,6 +31,7 @@ std::unique_ptr<odometry_runner> make_cuda_odometry(scene const&, frame_options 
 }
 std::unique_ptr<camera_runner> make_cuda_cameras(int, int) { no_cuda(); }
 std::unique_ptr<window_runner> make_cuda_windows(window_case const&) { no_cuda(); }
+std::unique_ptr<matching_runner> make_cuda_matching(matching_case const&) { no_cuda(); }
 std::unique_ptr<inertial_runner> make_cuda_inertial(inertial_case const&) { no_cuda(); }
 std::unique_ptr<words_runner> make_cuda_words(words_case const&) { no_cuda(); }
 }  // namespace
@@ -58,6 +61,10 @@ std::unique_ptr<camera_runner> make_camera_runner(backend_type backend, int host
 
 std::unique_ptr<window_runner> make_window_runner(window_case const& what) {
   return what.backend == backend_type::host ? make_host_windows(what) : make_cuda_windows(what);
+}
+
+std::unique_ptr<matching_runner> make_matching_runner(matching_case const& what) {
+  return what.backend == backend_type::host ? make_host_matching(what) : make_cuda_matching(what);
 }
 
 std::unique_ptr<inertial_runner> make_inertial_runner(inertial_case const& what) {

@@ -236,6 +236,37 @@ public:
 /// @throws std::runtime_error
 std::unique_ptr<window_runner> make_window_runner(window_case const& what);
 
+// ---- matching descriptors -----------------------------------------------------------------------
+
+inline constexpr char const* matching_models[] = {"binary_128", "binary_256", "binary_488",
+                                                  "binary_512", "int8_128",   "float16_128",
+                                                  "float_64",   "float_128"};
+
+struct matching_case {
+  backend_type backend = backend_type::host;
+  int host_threads = 0;  ///< of the host executor, 0 = all
+  std::string model;     ///< one of matching_models
+  int rows = 1000;       ///< query rows, and train rows
+  bool mutual = true;
+};
+
+/// Matches the same rows again and again, all with all.
+class matching_runner {
+public:
+  matching_runner() = default;
+  matching_runner(matching_runner const&) = delete;
+  matching_runner& operator=(matching_runner const&) = delete;
+  virtual ~matching_runner() = default;
+
+  /// Time of one call, microseconds.
+  virtual double run() = 0;
+  /// Share of the query rows whose match was accepted; half of them have one.
+  virtual double matched_share() = 0;
+};
+
+/// @throws std::runtime_error
+std::unique_ptr<matching_runner> make_matching_runner(matching_case const& what);
+
 // ---- poses with an IMU --------------------------------------------------------------------------
 
 struct inertial_case {

@@ -321,13 +321,36 @@ def scenario_rows():
     return lines
 
 
+def beside_cuvslam():
+    """Of bench/peers/beside_cuvslam.py."""
+    result = load("beside_cuvslam_h200.json")
+    lines = [
+        f"{result['gpu']}; {result['date']}, commit {result['commit']}.",
+        "",
+        "| frames | of them every | ATE, mm: ft | cuVSLAM, 3 runs | adjusting within frames | ms: ft p50, p99 | cuVSLAM |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for r in result["rows"]:
+        name = r["recording"] + (f", seed {r['seed']}" if "seed" in r else "")
+        runs = [1000 * v for v in r["cuvslam.ate_m"]]
+        least, most = f"{runs[0]:.1f}", f"{runs[-1]:.1f}"
+        found = f"{1000 * r['ft.ate_m']:.1f}" + (f" ({r['ft.lost']} lost)" if r["ft.lost"] else "")
+        times = [f"{r[f'{who}.p50_ms']:.2f}, {r[f'{who}.p99_ms']:.2f}" for who in ("ft", "cuvslam")]
+        cells = [
+            name, r["every"], found, least if least == most else f"{least} to {most}",
+            f"{1000 * r['cuvslam.ate_synchronous_m']:.1f}", *times,
+        ]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
+
+
 def median_mm(lengths):
     known = [v for v in lengths if v is not None]
     return f"{1000 * statistics.median(known):.1f}" if known else ""
 
 
 TABLES = {
-    "docs/scenarios.md": {"scenarios": scenario_rows},
+    "docs/scenarios.md": {"scenarios": scenario_rows, "beside cuVSLAM": beside_cuvslam},
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
     },

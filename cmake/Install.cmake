@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# Headers, the camera contract, CMake package (find_package(ft)) and pkg-config file. All of it is
+# Headers, the contracts of cameras and descriptors, CMake package (find_package(ft)) and pkg-config file. All of it is
 # independent of machine and compiler, so it goes to share/. With FT_BUILD_LIBRARY also the library, whose own
 # package, ftOdometry, lies beside it.
 
@@ -10,10 +10,12 @@ set(package_dir ${CMAKE_INSTALL_DATADIR}/cmake/ft)
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/ft TYPE INCLUDE)
 set(contract_dir ${CMAKE_INSTALL_DATADIR}/ft)
-install(FILES ${PROJECT_SOURCE_DIR}/tests/camera_contract.hpp DESTINATION ${contract_dir}/tests)
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/tests/camera_contract DESTINATION ${contract_dir}/tests)
+install(FILES ${PROJECT_SOURCE_DIR}/tests/camera_contract.hpp ${PROJECT_SOURCE_DIR}/tests/descriptor_contract.hpp
+        DESTINATION ${contract_dir}/tests)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/tests/camera_contract ${PROJECT_SOURCE_DIR}/tests/descriptor_contract
+        DESTINATION ${contract_dir}/tests)
 target_include_directories(ft_camera_contract INTERFACE $<INSTALL_INTERFACE:${contract_dir}>)
-install(TARGETS ft ft_camera_contract EXPORT ftTargets)
+install(TARGETS ft ft_camera_contract ft_descriptor_contract EXPORT ftTargets)
 install(EXPORT ftTargets NAMESPACE ft:: DESTINATION ${package_dir})
 
 configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/ftConfig.cmake.in

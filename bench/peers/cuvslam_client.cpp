@@ -70,9 +70,9 @@ cuvslam::Rig rig_of(seq::sequence const& sequence) {
   return rig;
 }
 
-cuvslam::Odometry::Config config_of(seq::sequence const& sequence) {
+cuvslam::Odometry::Config config_of(seq::sequence const& sequence, bool asynchronous) {
   cuvslam::Odometry::Config config = cuvslam::Odometry::GetDefaultConfig();
-  config.async_sba = false;  // the same poses on each run
+  config.async_sba = asynchronous;
   using mode = cuvslam::Odometry::OdometryMode;
   if (sequence.kind() == seq::camera_kind::mono) {
     config.odometry_mode = mode::Mono;
@@ -112,15 +112,15 @@ cuvslam::Image to_image(seq::depth_image const& depth, std::int64_t time_ns) {
   return out;
 }
 
-/// Tracks every n-th frame, one after the other, with the samples of the IMU up to each one.
+/// Tracks one frame after the other, with the samples of the IMU up to each one.
 class client {
 public:
-  client(seq::sequence const& sequence, int every)
-      : sequence_(sequence), every_(every), odometry_(rig_of(sequence), config_of(sequence)) {}
+  client(seq::sequence const& sequence, bool asynchronous)
+      : sequence_(sequence), odometry_(rig_of(sequence), config_of(sequence, asynchronous)) {}
 
   seq::trajectory track_all() {
     seq::trajectory poses;
-    for (int i = 0; i < sequence_.size(); i += every_) {
+    for (int i = 0; i < sequence_.size(); ++i) {
       seq::stereo_frame const frame = sequence_.load(i);
       add_imu(frame.time_ns);
       cuvslam::Odometry::ImageSet images{to_image(frame.left, frame.time_ns, 0)};
@@ -157,7 +157,6 @@ private:
   }
 
   seq::sequence const& sequence_;
-  int every_;
   cuvslam::Odometry odometry_;
   std::size_t next_ = 0;
   std::vector<double> ms_;
@@ -166,16 +165,20 @@ private:
 struct arguments {
   std::string folder, trajectory, json;
   seq::open_options open;
-  int every = 1;
+  bool asynchronous = false;
 };
 
 std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
   if (words.size() < 2) { return {}; }
-  arguments out{words[0], words[1], {}, {}, 1};
+  arguments out{words[0], words[1], {}, {}, false};
   out.open.rig = seq::camera_kind::stereo;
   for (std::size_t i = 2; i < words.size(); ++i) {
     if (words[i] == "--imu") {
       out.open.read_imu = true;
+      continue;
+    }
+    if (words[i] == "--async") {
+      out.asynchronous = true;
       continue;
     }
     if (i + 1 == words.size()) { return {}; }
@@ -185,8 +188,6 @@ std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
       out.open.rig = seq::camera_kind::mono;
     } else if (option == "--rig" && value == "rgbd") {
       out.open.rig = seq::camera_kind::rgbd;
-    } else if (option == "--every") {
-      out.every = std::stoi(value);
     } else if (option == "--json") {
       out.json = value;
     } else if (option != "--rig" || value != "stereo") {
@@ -194,7 +195,7 @@ std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
     }
   }
   bool const pair = out.open.rig == seq::camera_kind::stereo;
-  if (out.every < 1 || (out.open.read_imu && !pair)) { return {}; }
+  if (out.open.read_imu && !pair) { return {}; }
   return out;
 }
 
@@ -237,7 +238,7 @@ int main(int argc, char** argv) {
     auto const asked = read_arguments({argv + 1, argv + argc});
     if (!asked) {
       std::cerr << "usage: cuvslam_client FOLDER TRAJECTORY.txt [--rig stereo|mono|rgbd] [--imu]"
-                   " [--every N] [--json FILE]\n";
+                   " [--async] [--json FILE]\n";
       return 2;
     }
     auto const sequence = seq::sequence::open(asked->folder, asked->open);
@@ -246,7 +247,7 @@ int main(int argc, char** argv) {
     }
     if (sequence.size() == 0) { throw seq::error(asked->folder + ": has no frames"); }
     cuvslam::WarmUpGPU();
-    client tracker(sequence, asked->every);
+    client tracker(sequence, asked->asynchronous);
     seq::trajectory const poses = tracker.track_all();
     seq::write_tum(asked->trajectory, poses);
     auto const ate = ate_of(sequence, poses);

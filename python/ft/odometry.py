@@ -58,8 +58,8 @@ class Odometry:
     keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
-    seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera, a MultiRig
-    or batch > 1. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
+    seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera or
+    batch > 1. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks which part of ft includes which, and where kernels are launched.
 
-    types <- core <- math, cameras, containers <- kernels <- pipelines <- everything outside include/ft
-    types, core, containers <- interop
+    types <- core <- math, cameras, descriptors <- containers <- kernels <- pipelines <- everything outside include/ft
+    types, core, descriptors, containers <- interop
     types <- any_odometry.hpp <- pipelines
 
 Headers of types/ include core/config.hpp besides: what they hold has one name in every compiler.
@@ -25,11 +25,12 @@ ALLOWED_ROOMS = {
     "core": {"types", "core"},
     "math": {"types", "core", "math"},
     "cameras": {"types", "core", "cameras"},
-    "containers": {"types", "core", "containers"},
-    "kernels": {"types", "core", "math", "cameras", "containers", "kernels"},
+    "descriptors": {"types", "core", "descriptors"},
+    "containers": {"types", "core", "descriptors", "containers"},
+    "kernels": {"types", "core", "math", "cameras", "descriptors", "containers", "kernels"},
     "seam": {"types"},
-    "pipelines": {"types", "core", "math", "cameras", "containers", "kernels", "seam", "pipelines"},
-    "interop": {"types", "core", "containers", "interop"},
+    "pipelines": {"types", "core", "math", "cameras", "descriptors", "containers", "kernels", "seam", "pipelines"},
+    "interop": {"types", "core", "descriptors", "containers", "interop"},
 }
 CONFIG = "ft/core/config.hpp"  # macros, open to all
 SEAM = "ft/any_odometry.hpp"

@@ -37,12 +37,31 @@ struct arrays {
 };
 
 template <typename Rig>
-auto const& model_of(Rig const& rig) {
+auto const& model_of(Rig const& rig, int c) {
   if constexpr (Rig::rectified) {
-    return rig.camera;
+    return rig.pair(c).camera;
   } else {
     return rig.left;
   }
+}
+/// The camera of place i in a row.
+template <typename Rig>
+int camera_of(Rig const&, int i) {
+  if constexpr (Rig::rectified) {
+    return i * Rig::cameras / points;
+  } else {
+    return 0;
+  }
+}
+template <typename Rig>
+ft::vec3<double> in_camera(Rig const& rig, int c, ft::vec3<double> const& p) {
+  if constexpr (Rig::rectified) { return rig.to_camera(c, p); }
+  return p;
+}
+template <typename Rig>
+ft::vec3<double> in_body(Rig const& rig, int c, ft::vec3<double> const& p) {
+  if constexpr (Rig::rectified) { return rig.to_body(c, p); }
+  return p;
 }
 
 /// Rows of random points; one of them sees `common` of the query's from another pose.
@@ -78,29 +97,34 @@ private:
     ft::loop_archive_view const& a = data.host.archive;
     for (int r = 0; r < rows; ++r) {
       a.count[r] = full;
-      for (int i = 0; i < points; ++i) { put_point(random, a.at(r) + i, random.descriptor()); }
+      for (int i = 0; i < points; ++i) { put_point(random, r, i); }
     }
     for (int i = 0; i < common; ++i) { see_again(random, i); }
     for (int i = 0; i < rows - 1; ++i) { data.host.row[i] = i; }
   }
-  void put_point(test::generator& random, std::ptrdiff_t k, ft::descriptor const& d) {
+  void put_point(test::generator& random, int r, int i) {
     ft::loop_archive_view const& a = data.host.archive;
+    std::ptrdiff_t const k = a.at(r) + i;
+    int const c = camera_of(rig, i);
     ft::vec2<float> const pixel{random.real(150, 400), random.real(150, 350)};
-    auto const ray = model_of(rig).unproject(pixel).direction;
+    auto const ray = model_of(rig, c).unproject(pixel).direction;
     float const depth = random.real(2, 6) / ray.z;
-    a.point[k] = {ray.x * depth, ray.y * depth, ray.z * depth};
+    ft::vec3<float> const seen{ray.x * depth, ray.y * depth, ray.z * depth};
+    a.point[k] = in_body(rig, c, seen.template cast<double>()).template cast<float>();
     a.x[k] = pixel.x;
     a.y[k] = pixel.y;
     a.right_x[k] = -1;
     a.inv_sigma2[k] = 1;
-    a.orb[k] = d;
+    a.camera[k] = c;
+    a.orb[k] = random.descriptor();
   }
   /// Point i of the row is seen by the query.
   void see_again(test::generator& random, int i) {
     ft::loop_archive_view const& a = data.host.archive;
     std::ptrdiff_t const from = a.at(alike) + i, to = a.at(query) + (i * 7) % points;
     auto const p = T_query_row * a.point[from].template cast<double>();
-    auto const seen = model_of(rig).project(p.template cast<float>());
+    int const c = a.camera[to];
+    auto const seen = model_of(rig, c).project(in_camera(rig, c, p).template cast<float>());
     a.point[to] = p.template cast<float>();
     a.x[to] = seen.pixel.x + random.real(-0.5f, 0.5f);
     a.y[to] = seen.pixel.y + random.real(-0.5f, 0.5f);
@@ -161,6 +185,7 @@ TYPED_TEST(MatchKeyframes, FindsThePoseOfThePlaceAndNoOther) {
   TypeParam backend;
   finds_the_pose<ft::rectified_rig>(backend.exec);
   finds_the_pose<test::fisheye_rig>(backend.exec);
+  finds_the_pose<test::three_camera_rig>(backend.exec);
 }
 
 TYPED_TEST(MatchKeyframes, FewPointsHaveNoPose) {
@@ -171,12 +196,12 @@ TYPED_TEST(MatchKeyframes, FewPointsHaveNoPose) {
   }
 }
 
-TYPED_TEST(MatchKeyframes, BothExecutorsHaveTheSameBits) {
-  TypeParam backend;
+template <typename Rig, typename Exec>
+void expect_the_bits_of_the_host(Exec const& exec) {
   ft::host_exec const host;
   for (unsigned seed = 11; seed < 16; ++seed) {
-    scene<typename TypeParam::exec_type, ft::rectified_rig> const a(backend.exec, seed, 60);
-    scene<ft::host_exec, ft::rectified_rig> const b(host, seed, 60);
+    scene<Exec, Rig> const a(exec, seed, 60);
+    scene<ft::host_exec, Rig> const b(host, seed, 60);
     auto const& x = a.data.host.found[alike];
     auto const& y = b.data.host.found[alike];
     EXPECT_GT(x.inliers, 0);
@@ -185,6 +210,12 @@ TYPED_TEST(MatchKeyframes, BothExecutorsHaveTheSameBits) {
     EXPECT_EQ(std::memcmp(&x.T_query_row, &y.T_query_row, sizeof x.T_query_row), 0);
     EXPECT_EQ(std::memcmp(x.information, y.information, sizeof x.information), 0);
   }
+}
+
+TYPED_TEST(MatchKeyframes, BothExecutorsHaveTheSameBits) {
+  TypeParam backend;
+  expect_the_bits_of_the_host<ft::rectified_rig>(backend.exec);
+  expect_the_bits_of_the_host<test::three_camera_rig>(backend.exec);
 }
 
 TYPED_TEST(MatchKeyframes, RefusesMoreRowsThanThereIsMemoryFor) {

@@ -7,14 +7,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <cstdint>
-#include <string>
 #include <vector>
 
 #include "ft/pipelines/frame_tracker.hpp"
-#include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
-#include "tests/support/odometry_answers.hpp"
+#include "tests/support/multi_rig_walk.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/tracking.hpp"
 
@@ -23,53 +20,7 @@ namespace multi_rig_test {
 using test::snapshot;
 using test::room::at;
 using test::room::image;
-
-/// Body to a camera that is turned by `yaw` about the body's y axis and lies at `centre`.
-ft::pose turned(float yaw, ft::vec3<float> centre) {
-  float const c = std::cos(yaw);
-  float const s = std::sin(yaw);
-  ft::pose const T_bc{{{c, 0, s, 0, 1, 0, -s, 0, c}}, centre};
-  return T_bc.inverse();
-}
-
-ft::rig_camera pair_at(ft::pose const& T_cb) {
-  auto const pair = test::room::rig();
-  return {pair.camera, pair.baseline, T_cb};
-}
-ft::rig_camera single_at(ft::pose const& T_cb) { return {test::room::rig().camera, 0, T_cb}; }
-
-/// A pair that looks ahead and one that looks to the right, both away from the body's origin.
-ft::multi_rig<2> two_pairs() {
-  return {{pair_at(turned(0.1f, {0.1f, 0.02f, 0.2f})), pair_at(turned(1.4f, {0.3f, 0, -0.1f}))}};
-}
-
-/// Images of a rig at poses of its body.
-struct rig_frame {
-  std::vector<image> images;  ///< as a tracker numbers them; empty = there is none
-  ft::pose T_cw;              ///< true, of the body
-};
-
-template <int N>
-std::vector<rig_frame> make_walk(ft::multi_rig<N> const& rig, unsigned seed, int frames) {
-  auto const walls = test::room::make_walls(seed);
-  std::vector<rig_frame> walk;
-  float const turn = seed % 2 == 0 ? 1.0f : -1.0f;
-  for (int i = 0; i < frames; ++i) {
-    auto const step = static_cast<float>(i);
-    ft::pose const T_bw =
-        turned(turn * 0.012f * step, {turn * 0.02f * step, -0.01f * step, 0.05f * step});
-    rig_frame f{{}, T_bw};
-    for (ft::rig_camera const& c : rig.of) {
-      ft::pose const T_cw = c.T_cb * T_bw;
-      f.images.push_back(test::room::render(c.camera, walls, T_cw));
-      ft::pose T_rw = T_cw;
-      T_rw.t.x -= static_cast<float>(c.baseline);
-      f.images.push_back(c.single() ? image{} : test::room::render(c.camera, walls, T_rw));
-    }
-    walk.push_back(f);
-  }
-  return walk;
-}
+using namespace test::rigs;
 
 template <typename Tracker>
 void set_images(Tracker& tracker, int b, rig_frame const& f) {
@@ -174,15 +125,6 @@ int held(snapshot const& s, int c) {
   auto const capacity = static_cast<std::ptrdiff_t>(s.x.size() / s.keypoints.size());
   auto const first = s.holder.begin() + c * capacity;
   return static_cast<int>(std::count_if(first, first + capacity, [](int h) { return h >= 0; }));
-}
-
-/// The walk with every second image black from frame 1 on: those of pair c.
-std::vector<rig_frame> blackened(std::vector<rig_frame> walk, std::size_t c) {
-  for (std::size_t f = 1; f < walk.size(); ++f) {
-    std::fill(walk[f].images[2 * c].begin(), walk[f].images[2 * c].end(), std::uint8_t{0});
-    std::fill(walk[f].images[2 * c + 1].begin(), walk[f].images[2 * c + 1].end(), std::uint8_t{0});
-  }
-  return walk;
 }
 
 template <typename Backend>
@@ -310,125 +252,6 @@ TYPED_TEST(multi_rig, cameras_that_are_not_used_change_nothing) {
   EXPECT_THROW(tracker.set_image(0, 4, test::room::view(walk[0].images[0])), ft::bad_argument);
 }
 
-// ---- the whole odometry ------------------------------------------------------------------------
-
-ft::odometry_params odometry_params() { return test::room::odometry_params(8192); }
-
-template <typename Exec, typename Rig>
-std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
-                                 std::vector<rig_frame> const& walk, int prefetch = 0) {
-  using odometry_type = ft::odometry<Exec, Rig>;
-  auto params = odometry_params();
-  params.prefetch = prefetch;
-  odometry_type odo(exec, rig, params);
-  auto const images_of = [](rig_frame const& f) {
-    std::vector<ft::gray_view> views;
-    for (image const& i : f.images) { views.push_back(test::room::view(i)); }
-    typename odometry_type::images_type images;
-    if constexpr (Rig::images == 2) {
-      images = {views[0], views[1]};
-    } else {
-      std::copy(views.begin(), views.end(), images.of);
-    }
-    return images;
-  };
-  constexpr std::int64_t period = 50'000'000;
-  if (prefetch > 0) {
-    return test::track_prefetched(odo, walk.size(), period,
-                                  [&](std::size_t i) { return images_of(walk[i]); });
-  }
-  std::vector<ft::tracking> all;
-  std::int64_t time = 0;
-  for (rig_frame const& f : walk) { all.push_back(odo.track(images_of(f), time += period)); }
-  return all;
-}
-
-/// Distance of the body from its true place in the world of the first frame, metres.
-double error_of(ft::tracking const& t, ft::pose const& now, ft::pose const& first) {
-  auto const T_0w = first.cast<double>();
-  auto const d = t.T_world_camera.t - (T_0w * now.cast<double>().inverse()).t;
-  return std::sqrt(ft::dot(d, d));
-}
-double rms_of(std::vector<ft::tracking> const& seen, std::vector<rig_frame> const& walk) {
-  double sum = 0;
-  for (std::size_t f = 0; f < seen.size(); ++f) {
-    double const e = error_of(seen[f], walk[f].T_cw, walk[0].T_cw);
-    sum += e * e;
-  }
-  return std::sqrt(sum / static_cast<double>(seen.size()));
-}
-
-TYPED_TEST(multi_rig, odometry_of_one_pair_has_the_bits_of_a_rectified_rig) {
-  TypeParam backend;
-  ft::multi_rig<1> const one{{pair_at(ft::pose::identity())}};
-  auto const walk = make_walk(one, 0, 16);
-  auto const a = follow(backend.exec, one, walk);
-  auto const b = follow(backend.exec, test::room::rig(), walk);
-  EXPECT_GE(a.back().keyframes, 2);
-  for (std::size_t f = 0; f < a.size(); ++f) {
-    ft::tracking of_rig = a[f];
-    EXPECT_EQ(of_rig.depths, ft::depth_origin::some_pairs);
-    of_rig.depths = b[f].depths;
-    EXPECT_TRUE(test::same(of_rig, b[f])) << f;
-  }
-}
-
-TYPED_TEST(multi_rig, odometry_of_two_pairs_is_as_exact_as_the_better_one) {
-  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
-  TypeParam backend;
-  auto const rig = two_pairs();
-  auto const walk = make_walk(rig, 0, 16);
-  auto const both = follow(backend.exec, rig, walk);
-  double alone[2] = {};
-  for (std::size_t c = 0; c < 2; ++c) {
-    auto part = walk;
-    for (auto& f : part) { f.images = {f.images[2 * c], f.images[2 * c + 1]}; }
-    alone[c] = rms_of(follow(backend.exec, ft::multi_rig<1>{{rig.of[c]}}, part), part);
-  }
-  for (std::size_t f = 0; f < both.size(); ++f) {
-    EXPECT_EQ(both[f].state, ft::tracking_state::tracking) << f;
-    EXPECT_EQ(both[f].left_out, 0) << f;
-  }
-  EXPECT_GE(both.back().keyframes, 2);
-  double const rms = rms_of(both, walk);
-  EXPECT_LT(rms, 0.01);
-  EXPECT_LE(rms, std::min(alone[0], alone[1]));
-  this->RecordProperty("rms_mm", std::to_string(1000 * rms));
-  this->RecordProperty("rms_mm_alone",
-                       std::to_string(1000 * alone[0]) + " " + std::to_string(1000 * alone[1]));
-}
-
-TYPED_TEST(multi_rig, odometry_goes_on_while_one_pair_is_black) {
-  TypeParam backend;
-  auto const rig = two_pairs();
-  auto const whole = make_walk(rig, 1, 12);
-  for (std::size_t c = 0; c < 2; ++c) {
-    auto const walk = blackened(whole, c);
-    auto const seen = follow(backend.exec, rig, walk);
-    for (std::size_t f = 0; f < seen.size(); ++f) {
-      EXPECT_EQ(seen[f].state, ft::tracking_state::tracking) << "pair " << c << " frame " << f;
-      EXPECT_EQ(seen[f].maps, 1);
-      EXPECT_LT(error_of(seen[f], walk[f].T_cw, walk[0].T_cw), 0.03);
-    }
-  }
-}
-
-TYPED_TEST(multi_rig, odometry_gives_the_bits_of_the_host) {
-  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
-  TypeParam backend;
-  ft::multi_rig<3> const rig{{pair_at(turned(0.1f, {0.1f, 0.02f, 0.2f})),
-                              single_at(turned(-0.1f, {-0.2f, 0, 0.1f})),
-                              pair_at(turned(1.4f, {0.3f, 0, -0.1f}))}};
-  auto const walk = make_walk(rig, 2, 12);
-  auto const here = follow(backend.exec, rig, walk);
-  test::expect_same(follow(backend.exec, rig, walk, 2), here);
-  auto const host = follow(ft::host_exec{}, rig, walk);
-  for (std::size_t f = 0; f < here.size(); ++f) {
-    EXPECT_TRUE(test::same(here[f], host[f])) << f;
-    EXPECT_LT(error_of(here[f], walk[f].T_cw, walk[0].T_cw), 0.02) << f;
-  }
-}
-
 TEST(multi_rig_errors, name_what_is_wrong) {
   ft::host_exec const exec;
   ft::multi_rig<2> const rig{
@@ -445,9 +268,6 @@ TEST(multi_rig_errors, name_what_is_wrong) {
 
   ft::multi_rig<1> const alone{{single_at(ft::pose::identity())}};
   EXPECT_NO_THROW(alone.check());
-  EXPECT_THROW((ft::odometry<ft::host_exec, ft::multi_rig<1>>(exec, alone, odometry_params())),
-               ft::bad_argument)
-      << "no pair gives points";
 
   auto const refused = [](ft::rig_camera const& c) {
     EXPECT_THROW(ft::multi_rig<1>{{c}}.check(), ft::bad_argument);

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstring>
 #include <sstream>
+#include <string>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
@@ -205,9 +206,83 @@ TYPED_TEST(OdometryLoops, AResetOrALoadedMapForgetsThemAlsoDuringASearch) {
     EXPECT_TRUE(odo.placed_keyframes().empty());
   }
   run(odo, rig, 5);
+  ft::odometry<exec_type> plain(backend.exec, rig, params(false));
+  run(plain, rig, 5);
+  std::stringstream file;
+  plain.save_map(file);
+  odo.load_map(file);
+  EXPECT_TRUE(odo.placed_keyframes().empty());
+}
+
+/// The map, and the loops, of the first frames of a walk.
+template <typename Odometry, typename Rig>
+std::string saved_after(Odometry& odo, Rig const& rig, int count) {
+  run(odo, rig, count);
   std::stringstream file;
   odo.save_map(file);
-  odo.load_map(file);
+  return file.str();
+}
+
+// Far from the newest keyframe, where a map without loops begins anew.
+TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry first(backend.exec, rig, params(), 1, ft::loops{});
+  std::istringstream file(saved_after(first, rig, lap / 2 + 8));
+  odometry second(backend.exec, rig, params(), 1, ft::loops{});
+  second.load_map(file);
+  auto const before = second.placed_keyframes();
+  auto const were = first.placed_keyframes();
+  ASSERT_EQ(before.size(), were.size());
+  for (std::size_t k = 0; k < before.size(); ++k) {
+    EXPECT_EQ(before[k].time_ns, were[k].time_ns);
+    EXPECT_EQ(before[k].map, 1);
+    EXPECT_TRUE(same(before[k].T_world_camera, were[k].T_world_camera));
+    EXPECT_TRUE(same(before[k].T_odom_camera, were[k].T_odom_camera));
+  }
+  ft::tracking told;
+  int closed = 0;
+  constexpr int from = 2, to = lap / 2 - 2;
+  for (int i = from; i < to; ++i) {
+    auto const& f = walk(rig)[at(i)];
+    told = second.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    closed += told.loops_closed;
+  }
+  EXPECT_EQ(told.maps, 2) << "found near the newest keyframe: this tests nothing";
+  EXPECT_GT(closed, 0);
+  EXPECT_LT(off(told.T_world_camera, to - 1), 0.05);
+  EXPECT_GT(off(told.T_odom_camera, to - 1), 0.3);
+  for (auto const& k : second.placed_keyframes()) { EXPECT_EQ(k.map, 1) << k.time_ns; }
+}
+
+TYPED_TEST(OdometryLoops, ADamagedFileChangesNothing) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry odo(backend.exec, rig, params(), 1, ft::loops{});
+  std::string const whole = saved_after(odo, rig, 12);
+  auto const placed = odo.placed_keyframes();
+  ASSERT_FALSE(placed.empty());
+  auto const refused = [&](std::string const& bytes) {
+    std::istringstream file(bytes);
+    EXPECT_THROW(odo.load_map(file), ft::error);
+    EXPECT_EQ(odo.placed_keyframes().size(), placed.size());
+  };
+  std::size_t const begin = whole.find("ft loop archive");
+  ASSERT_NE(begin, std::string::npos);
+  for (std::size_t const bytes : {begin, begin + 20, begin + 40, whole.size() - 1}) {
+    refused(whole.substr(0, bytes));
+  }
+  for (std::size_t at = begin; at < whole.size(); at += 1 + (whole.size() - begin) / 31) {
+    std::string bytes = whole;
+    bytes[at] = static_cast<char>(bytes[at] ^ 0x10);
+    refused(bytes);
+  }
+  odometry plain(backend.exec, rig, params(false));
+  std::istringstream file(whole), without(saved_after(plain, rig, 5));
+  EXPECT_THROW(plain.load_map(file), ft::error) << "an odometry without loops";
+  odo.load_map(without);
   EXPECT_TRUE(odo.placed_keyframes().empty());
 }
 

@@ -34,7 +34,8 @@ class FtConan(ConanFile):
         self.version = ".".join(parts)
 
     def export_sources(self):
-        for pattern in ("include/*", "tests/camera_contract.hpp", "tests/camera_contract/*", "LICENSE", "NOTICE"):
+        for pattern in ("include/*", "tests/camera_contract.hpp", "tests/camera_contract/*",
+                        "tests/descriptor_contract.hpp", "tests/descriptor_contract/*", "LICENSE", "NOTICE"):
             copy(self, pattern, str(self._root), self.export_sources_folder)
 
     def requirements(self):
@@ -53,7 +54,7 @@ class FtConan(ConanFile):
         copy(self, "LICENSE", self.source_folder, str(Path(self.package_folder) / "licenses"))
         copy(self, "NOTICE", self.source_folder, str(Path(self.package_folder) / "licenses"))
         copy(self, "*.hpp", str(Path(self.source_folder) / "include"), str(Path(self.package_folder) / "include"))
-        for pattern in ("camera_contract.hpp", "camera_contract/*"):
+        for pattern in ("camera_contract.hpp", "camera_contract/*", "descriptor_contract.hpp", "descriptor_contract/*"):
             copy(self, pattern, str(Path(self.source_folder) / "tests"),
                  str(Path(self.package_folder) / "share/ft/tests"))
 
@@ -65,7 +66,8 @@ class FtConan(ConanFile):
         host.set_property("cmake_target_name", "ft::ft")
         host.set_property("pkg_config_name", "ft")
         host.requires = ["onetbb::libtbb"]
-        contract = self.cpp_info.components["camera_contract"]
-        contract.set_property("cmake_target_name", "ft::camera_contract")
-        contract.includedirs = ["share/ft"]
-        contract.requires = ["host"]
+        for name in ("camera_contract", "descriptor_contract"):
+            contract = self.cpp_info.components[name]
+            contract.set_property("cmake_target_name", f"ft::{name}")
+            contract.includedirs = ["share/ft"]
+            contract.requires = ["host"]

@@ -10,14 +10,13 @@
 #include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
+#include "ft/descriptors/binary_descriptor.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// 256 bits; bit i of byte j is test 8j+i.
-struct alignas(16) descriptor {
-  std::uint32_t words[8];
-};
+/// ORB's 256 bits; bit i of byte j is test 8j+i.
+using descriptor = binary_descriptor<256>;
 
 /// Number of differing bits, 0..256.
 FT_HOST_DEVICE inline int hamming(descriptor const& a, descriptor const& b) {
@@ -79,25 +78,13 @@ struct two_nearest {
   }
 };
 
-/// hamming() for loops that do little else. On a device a population count costs four logic
-/// operations: full adders combine the words first, which leaves four counts instead of eight.
+/// hamming() for loops that do little else.
 FT_HOST_DEVICE inline int hamming_by_adders(descriptor const& a, descriptor const& b) {
 #if defined(__CUDA_ARCH__)
   std::uint32_t d[8];
   FT_UNROLL
   for (int i = 0; i < 8; ++i) { d[i] = a.words[i] ^ b.words[i]; }
-  auto const carry = [](std::uint32_t x, std::uint32_t y, std::uint32_t z) {
-    return (x & y) | (x & z) | (y & z);
-  };
-  std::uint32_t const ones_a = d[0] ^ d[1] ^ d[2];
-  std::uint32_t const ones_b = d[3] ^ d[4] ^ d[5];
-  std::uint32_t const ones = ones_a ^ ones_b ^ d[6];
-  std::uint32_t const twos_a = carry(d[0], d[1], d[2]);
-  std::uint32_t const twos_b = carry(d[3], d[4], d[5]);
-  std::uint32_t const twos_c = carry(ones_a, ones_b, d[6]);
-  std::uint32_t const twos = twos_a ^ twos_b ^ twos_c;
-  std::uint32_t const fours = carry(twos_a, twos_b, twos_c);
-  return popcount(ones) + popcount(d[7]) + 2 * popcount(twos) + 4 * popcount(fours);
+  return ones_by_adders(d);
 #else
   return hamming(a, b);
 #endif

@@ -21,16 +21,17 @@ struct loop_archive_view {
   int points = 0;                ///< of a row, at most
   int* count = nullptr;          ///< [rows]
   descriptor* orb = nullptr;     ///< [rows][points]
-  vec3<float>* point = nullptr;  ///< [rows][points] in the keyframe's left camera frame, metres
+  vec3<float>* point = nullptr;  ///< [rows][points] in the frame of the keyframe's pose, metres
   float* x = nullptr;            ///< [rows][points] pixels
   float* y = nullptr;            ///< [rows][points] pixels
   float* right_x = nullptr;      ///< [rows][points] pixels, -1 = none
   float* inv_sigma2 = nullptr;   ///< [rows][points] 1 / variance of the position, 1 / pixels^2
+  int* camera = nullptr;         ///< [rows][points] of a multi_rig, ascending in a row; 0
 
   template <typename Visit>
   void columns(Visit&& each) {
     each({rows}, count);
-    each({rows, points}, orb, point, x, y, right_x, inv_sigma2);
+    each({rows, points}, orb, point, x, y, right_x, inv_sigma2, camera);
   }
   FT_HOST_DEVICE std::ptrdiff_t at(int row) const {
     return static_cast<std::ptrdiff_t>(row) * points;
@@ -49,7 +50,7 @@ inline void carve(carver& c, loop_archive_view& v, int rows, int points) {
 
 /// What was found between two keyframes.
 struct loop_match {
-  rigid<double> T_query_row;  ///< from the frame of the row's camera to that of the query's, metres
+  rigid<double> T_query_row;  ///< from the frame of the row's pose to that of the query's, metres
   int matches;                ///< that are each other's nearest
   int inliers;                ///< of these, those that agree with the pose; 0 = there is none
   /// Upper triangle by rows of the pose's information matrix, as in pose_problem.

@@ -240,7 +240,8 @@ public:
     for (auto const& part : p.stages.plugged) { part->list_placed(all); }
     return all;
   }
-  /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp. Waits,
+  /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp, with
+  /// ft::loops also the keyframes that are kept, and their loops. Waits,
   /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the
   /// stream fails; std::bad_alloc, cuda_error
   void save_map(std::ostream& to, int b = 0) const {
@@ -248,12 +249,14 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
                     "the camera has no map to be saved");
-    detail::save_odometry_map(p.exec, p.stages.own.map, b, origin(), to);
+    detail::save_odometry_map(p.exec, p.stages.own.map, b, origin(), p.given.loops.present, to);
+    for (auto const& part : p.stages.plugged) { part->save(p.exec, to); }
   }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
-  /// newest keyframes, as one that was lost; predict() says where else. Any time stamp may follow.
-  /// What was known about an IMU is forgotten. Reads no more of the stream than the file's head
-  /// says. Waits, and allocates.
+  /// newest keyframes, as one that was lost; predict() says where else. With ft::loops it is found
+  /// anywhere: what it sees meanwhile is a map of its own, until two keyframes are recognised.
+  /// Any time stamp may follow. What was known about an IMU is forgotten. Reads no more of the
+  /// stream than the file's head says. Waits, and allocates.
   /// @throws error, with nothing changed, for a file that is truncated or damaged, has numbers out
   ///   of range or, where the stream can be positioned, bytes after its end, and naming what
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by
@@ -262,7 +265,11 @@ public:
     engine& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::load_odometry_map(p.exec, p.stages.own.map, b, origin(), p.stages.geometry().levels,
-                              from);
+                              from, p.given.loops.present, [&](bool loops) {
+                                for (auto const& part : p.stages.plugged) {
+                                  part->read(loops ? &from : nullptr);
+                                }
+                              });
     auto const i = static_cast<std::size_t>(b);
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);

@@ -16,9 +16,11 @@ struct loop_params {
   /// Keyframes that are kept at a time. Before there are more, every second one of the older three
   /// quarters leaves: the limit thins the path out, it does not end it.
   int keyframes = 1000;
-  int points = 400;  ///< keypoints with a depth that are kept of a keyframe, at most, spread evenly
-  int recent = 30;   ///< the newest keyframes, which the odometry's own map connects with a frame
-  int groups = 2;    ///< neighbourhoods that are verified for a keyframe, each of three keyframes
+  /// Keypoints with a depth that are kept of a keyframe, of all cameras together, at most, spread
+  /// evenly.
+  int points = 400;
+  int recent = 30;  ///< the newest keyframes, which the odometry's own map connects with a frame
+  int groups = 2;   ///< neighbourhoods that are verified for a keyframe, each of three keyframes
   /// Of the keypoints of a keyframe, those whose descriptors are compared with all keyframes'.
   int votes = 128;
   int min_votes = 12;      ///< that find an alike point in a keyframe which is to be verified
@@ -48,8 +50,8 @@ struct loop_params {
 ///
 /// A keyframe costs its frame a launch and a wait.
 ///
-/// The constructor throws bad_argument for parameters out of range, more than one camera pair,
-/// without odometry_params::loops, and for a multi_rig or a monocular_rig.
+/// The constructor throws bad_argument for parameters out of range, more than one rig,
+/// without odometry_params::loops, and for a monocular_rig.
 struct loops {};
 
 /// A keyframe that loops have corrected.

@@ -23,46 +23,59 @@ struct keep_loop_keyframe {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int, keyframe_input<Rig> const& in, int b,
                                  int row, loop_archive_view const& to) const {
-    int const keypoints = *in.frame.camera(b, 0).count;
     int mine = 0;
-    for (int i = g.rank(); i < keypoints; i += g.size()) {
-      mine += static_cast<int>(has_depth(in, b, i));
+    for (int c = 0; c < cameras; ++c) {
+      int const keypoints = *in.frame.camera(b, c).count;
+      for (int i = g.rank(); i < keypoints; i += g.size()) {
+        mine += static_cast<int>(has_depth(in, b, c, i));
+      }
     }
     int const all = g.reduce(mine, sum_op{});
     int const kept = min_of(all, to.points);
     if (g.rank() == 0) { to.count[row] = kept; }
     int before = 0;
-    for (int base = 0; base < keypoints; base += g.size()) {
-      int const i = base + g.rank();
-      bool const there = i < keypoints && has_depth(in, b, i);
-      int here = 0;
-      int const k = before + g.exclusive_count(there, here);
-      before += here;
-      if (!there) { continue; }
-      // Of `all` keypoints in their order every (all / kept)th.
-      int const place = share(k, kept, all);
-      if (share(k + 1, kept, all) != place) { write(in, b, i, to, to.at(row) + place); }
+    for (int c = 0; c < cameras; ++c) {
+      int const keypoints = *in.frame.camera(b, c).count;
+      for (int base = 0; base < keypoints; base += g.size()) {
+        int const i = base + g.rank();
+        bool const there = i < keypoints && has_depth(in, b, c, i);
+        int here = 0;
+        int const k = before + g.exclusive_count(there, here);
+        before += here;
+        if (!there) { continue; }
+        // Of `all` keypoints in their order every (all / kept)th.
+        int const place = share(k, kept, all);
+        if (share(k + 1, kept, all) != place) { write(in, b, c, i, to, to.at(row) + place); }
+      }
     }
   }
 
 private:
+  static constexpr int cameras = keyframe_task<Rig>::depth_cameras;
+
   FT_HOST_DEVICE static int share(int k, int kept, int all) {
     return static_cast<int>(static_cast<long long>(k) * kept / all);
   }
-  FT_HOST_DEVICE static bool has_depth(keyframe_input<Rig> const& in, int b, int i) {
-    constexpr int cameras = keyframe_task<Rig>::depth_cameras;
-    float const d = in.depth[static_cast<std::ptrdiff_t>(b) * cameras * in.frame.capacity() + i];
+  FT_HOST_DEVICE static bool has_depth(keyframe_input<Rig> const& in, int b, int c, int i) {
+    std::ptrdiff_t const camera = static_cast<std::ptrdiff_t>(b) * cameras + c;
+    float const d = in.depth[camera * in.frame.capacity() + i];
     return d > 0 && d < 1e30f;
   }
-  FT_HOST_DEVICE static void write(keyframe_input<Rig> const& in, int b, int i,
+  FT_HOST_DEVICE static void write(keyframe_input<Rig> const& in, int b, int c, int i,
                                    loop_archive_view const& to, std::ptrdiff_t at) {
-    keypoints_view const keypoints = in.frame.camera(b, 0);
+    keypoints_view const keypoints = in.frame.camera(b, c);
     int const octave = get<field::octave>(keypoints, i);
     to.orb[at] = get<field::orb>(keypoints, i);
-    to.point[at] = stereo_point(in, b, 0, i);
+    vec3<float> const seen = stereo_point(in, b, c, i);
+    if constexpr (Rig::rectified) {
+      to.point[at] = in.rig.to_body(c, seen.template cast<strict_float>()).template cast<float>();
+    } else {
+      to.point[at] = seen;
+    }
+    to.camera[at] = c;
     to.x[at] = in.geometry.column(get<field::x>(keypoints, i), octave);
     to.y[at] = in.geometry.row(get<field::y>(keypoints, i), octave);
-    float const right = right_column<Rig>(in.frame, b, 0, i);
+    float const right = right_column<Rig>(in.frame, b, c, i);
     to.right_x[at] = Rig::rectified && right >= 0 ? in.geometry.column(right, octave) : -1.0f;
     to.inv_sigma2[at] = in.geometry.inv_sigma2[octave];
   }
@@ -70,9 +83,9 @@ private:
 
 }  // namespace detail
 
-/// Keeps the keypoints of the left camera of a frame that have a depth, at most
-/// loop_archive_view::points of them, spread evenly over their order. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// Keeps the keypoints of a frame that have a depth, of the left camera or of each of a multi_rig,
+/// at most loop_archive_view::points of them, spread evenly over their order. Asynchronous on
+/// `exec`; allocates nothing; one launch.
 /// @param in `order`, `T_cw` and `time_ns` are not read @param b batch entry @param row of `to`
 template <typename Exec, typename Rig>
 void keep_keyframe(Exec const& exec, keyframe_input<Rig> const& in, int b, int row,

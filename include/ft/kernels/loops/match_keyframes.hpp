@@ -126,8 +126,8 @@ struct place_query {
     }
     g.sync();
     if (n < least) { return; }
-    seen_matches<Rig> const seen{rig, 0, list, n};
-    if (!draw_pose(g, seen, {mixed_bits(seed)}, out.T_query_row)) { return; }
+    seen_matches<Rig> const seen = of_busiest(list, n);
+    if (seen.n < least || !draw_pose(g, seen, {mixed_bits(seed)}, out.T_query_row)) { return; }
     if (g.rank() == 0) { work.T[r] = out.T_query_row.template cast<float>(); }
     g.sync();
     pose_problem const problem{
@@ -142,6 +142,22 @@ struct place_query {
   }
 
 private:
+  /// The matches of the camera that has most of them, the first one of equals.
+  FT_HOST_DEVICE seen_matches<Rig> of_busiest(observation const* list, int n) const {
+    seen_matches<Rig> best{rig, 0, list, n};
+    if constexpr (Rig::rectified && Rig::cameras > 1) {
+      best.n = 0;
+      for (int begin = 0, end = 0; begin < n; begin = end) {
+        while (end < n && list[end].camera == list[begin].camera) { ++end; }
+        if (end - begin > best.n) {
+          best.camera = list[begin].camera;
+          best.list = list + begin;
+          best.n = end - begin;
+        }
+      }
+    }
+    return best;
+  }
   /// Lists the matches that are each other's nearest, in the order of the query's points.
   template <typename Group>
   FT_HOST_DEVICE static int list_matches(Group g, int r, loop_archive_view const& a,
@@ -159,7 +175,7 @@ private:
       n += here;
       if (!there) { continue; }
       list[place] = {a.point[row + k],     a.x[query + i],          a.y[query + i],
-                     a.right_x[query + i], a.inv_sigma2[query + i], 0};
+                     a.right_x[query + i], a.inv_sigma2[query + i], a.camera[query + i]};
     }
     return n;
   }
@@ -181,8 +197,8 @@ void vote_for_rows(Exec const& exec, loop_archive_view const& archive, loop_rows
 }
 
 /// Matches the query's keypoints with each row's points, all with all; finds the pose that most
-/// matches agree with, among 256 poses from three matches each; and optimises it. Asynchronous on
-/// `exec`; allocates nothing; two launches.
+/// matches agree with, among 256 poses from three matches each of the camera with most; and
+/// optimises it. Asynchronous on `exec`; allocates nothing; two launches.
 /// @param seed of the draws @param out [rows.count] executor memory
 /// @throws bad_argument for more rows, or larger ones, than there is working memory for
 template <typename Exec, typename Rig>

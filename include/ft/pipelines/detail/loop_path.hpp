@@ -86,6 +86,7 @@ struct loop_path {
     gravity = {0, 0, 0};
   }
   int size() const { return static_cast<int>(keyframes.size()); }
+  int most_loops() const { return static_cast<int>(loops.capacity()); }  ///< that are reserved
   path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
   /// From the frame of the odometry to the world, as the newest keyframe says.
   rigid<double> T_world_odom() const {

@@ -6,9 +6,11 @@
 /// - uint64 bytes of the text, uint64 bytes of the arrays;
 /// - the text of map_origin: rig, image size, settings and capacities;
 /// - the arrays in the order of each_array(), of one camera pair, what is not in use cleared;
-/// - uint64 FNV-1a hash of all bytes before it (Fowler, Noll, Vo).
+/// - uint64 FNV-1a hash of all bytes before it (Fowler, Noll, Vo);
+/// - where the text ends with the line "loops: kept", what loop_files.hpp says.
 ///
-/// A file fits an odometry with the same text. Version 1 had capacities alone.
+/// A file fits an odometry with the same text, but for that line: an odometry with loops also takes
+/// a map without them. Version 1 had capacities alone.
 #pragma once
 
 #include <cstddef>
@@ -104,10 +106,15 @@ private:
   arena<staging_space<Exec>> memory_;
 };
 
-/// @throws error if the stream cannot be written; std::bad_alloc, cuda_error
+/// The last line of the text of a file that has loops.
+inline constexpr char loops_line[] = "loops: kept\n";
+
+/// @param loops whether they follow @throws error if the stream cannot be written; std::bad_alloc,
+/// cuda_error
 template <typename Exec>
 void save_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
-                       map_origin const& origin, std::ostream& to) {
+                       map_origin const& origin, bool loops, std::ostream& to) {
+  std::string const text = origin.text() + (loops ? loops_line : "");
   host_map<Exec> const host(map);
   host.download(exec, map, b);
   clear_unused(host.view());
@@ -117,10 +124,10 @@ void save_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
     to.write(static_cast<char const*>(data), static_cast<std::streamsize>(bytes));
   };
   map_file_head head;
-  head.text_bytes = origin.text().size();
+  head.text_bytes = text.size();
   head.array_bytes = array_bytes_of(map);
   put(&head, sizeof head);
-  put(origin.text().data(), origin.text().size());
+  put(text.data(), text.size());
   each_array(host.view(), 0, [&](auto* data, std::size_t n) { put(data, n * sizeof *data); });
   std::uint64_t const sum = hash;
   put(&sum, sizeof sum);
@@ -133,8 +140,9 @@ class map_file_reader {
 public:
   explicit map_file_reader(std::istream& from) : from_(from) {}
 
+  /// @param loops whether they may follow @return whether they do
   /// @throws error for what is no map, is of another version, or has another origin
-  void read_head(map_origin const& origin, std::uint64_t array_bytes) {
+  bool read_head(map_origin const& origin, std::uint64_t array_bytes, bool loops) {
     map_file_head const ours;
     map_file_head head;
     auto* const bytes = reinterpret_cast<char*>(&head);
@@ -154,15 +162,23 @@ public:
     require_saved("bytes of text", head.text_bytes, std::uint64_t{0}, most_text);
     std::string text(static_cast<std::size_t>(head.text_bytes), '\0');
     read(text.data(), text.size());
+    constexpr std::size_t line = sizeof loops_line - 1;
+    bool const follow =
+        text.size() >= line && text.compare(text.size() - line, line, loops_line) == 0;
+    if (follow) { text.resize(text.size() - line); }
     origin.require_same(text);
+    if (follow && !loops) {
+      throw error("ft: the map was saved with loops, this odometry is without ft::loops");
+    }
     require_saved("bytes of arrays", head.array_bytes, array_bytes, array_bytes);
     std::uint64_t const wanted = array_bytes + sizeof hash_;
     std::size_t const left = bytes_left(from_);  // 0: the stream cannot tell
-    if (left != 0 && left != wanted) {
+    if (left != 0 && (follow ? left < wanted : left != wanted)) {
       throw error(
           "ft: the map file is truncated, or has bytes after its end: " + std::to_string(left) +
           " bytes follow its head, must be " + std::to_string(wanted));
     }
+    return follow;
   }
   void read(void* to, std::size_t bytes) {
     if (!take(to, bytes)) { throw error("ft: the map file is truncated"); }
@@ -186,14 +202,16 @@ private:
   std::uint64_t hash_ = fnv1a_start;
 };
 
-/// Reads and checks a whole file before anything is changed.
+/// Reads and checks a whole file before anything is changed. @param loops whether they may follow
+/// @param read_loops called before anything is changed: whether they do
 /// @throws error for a file that is truncated or damaged, of another version, rig, image size,
 ///   setting or capacity, or has numbers out of range
-template <typename Exec>
+template <typename Exec, typename ReadLoops>
 void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
-                       map_origin const& origin, int levels, std::istream& from) {
+                       map_origin const& origin, int levels, std::istream& from, bool loops,
+                       ReadLoops const& read_loops) {
   map_file_reader in(from);
-  in.read_head(origin, array_bytes_of(map));
+  bool const follow = in.read_head(origin, array_bytes_of(map), loops);
   host_map<Exec> const host(map);
   each_array(host.view(), 0, [&](auto* data, std::size_t n) {
     in.read(static_cast<void*>(data), n * sizeof *data);
@@ -203,6 +221,7 @@ void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
   clear_unused(host.view());
   check_saved_points(host.view());
   check_saved_keyframes(host.view(), levels);
+  read_loops(follow);
   host.upload(exec, map, b);
   fill_bytes(exec, map.records.found_frame + map.records.at(b, 0), 0,
              static_cast<std::size_t>(map.records.slots) * sizeof(int));

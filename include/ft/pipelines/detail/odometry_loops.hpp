@@ -7,7 +7,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <exception>
+#include <istream>
 #include <memory>
+#include <ostream>
 #include <utility>
 #include <vector>
 
@@ -19,6 +21,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/kernels/loops/match_keyframes.hpp"
+#include "ft/pipelines/detail/loop_files.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
@@ -243,13 +246,28 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     // Corrections with known gravity turn about it, so it is the same in the world.
-    if (t.imu.known && (!corrected_ || knows_gravity())) { path_.gravity = t.imu.gravity; }
+    // What a file says of the world stays: the odometry's own frame is another one until it joins.
+    bool const same = !loaded_ && (!corrected_ || knows_gravity());
+    if (t.imu.known && same) { path_.gravity = t.imu.gravity; }
     t.T_world_odom = T_world_odom_;
     if (corrected_) { t.T_world_camera = (T_world_odom_ * t.T_odom_camera).orthonormalized(); }
     t.loops_closed = closed_now_;
   }
   void reset(int) override { forget_all(); }
-  void forget(Exec const&, int) override { forget_all(); }
+  void save(Exec const& exec, std::ostream& to) const override {
+    save_loops(exec, archive_.view(), path_, to);
+  }
+  void read(std::istream* from) override {
+    saved_.reset();
+    if (from == nullptr) { return; }
+    saved_ = std::make_unique<saved_loops<Exec>>(
+        read_loops<Exec>(archive_.view(), params_.keyframes, path_.most_loops(),
+                         keyframe_task<searched_rig>::depth_cameras, *from));
+  }
+  void forget(Exec const& exec, int) override {
+    forget_all();
+    if (saved_ != nullptr) { enter(exec, *std::exchange(saved_, nullptr)); }
+  }
   void list_placed(std::vector<placed_keyframe>& to) const override {
     for (path_keyframe const& k : path_.keyframes) {
       to.push_back({k.time_ns, k.part, k.T_odom_camera, k.T_world_camera});
@@ -321,10 +339,25 @@ private:
     T_world_odom_ = path_.T_world_odom();  // a map that began since stays where it is
     corrected_ = true;
   }
+  /// The path and the archive of a file take the place of none.
+  void enter(Exec const& exec, saved_loops<Exec> const& from) {
+    copy_columns(exec, archive_.view(), from.archive.view());
+    exec.wait();
+    for (path_keyframe const& k : from.keyframes) {
+      path_.keyframes.push_back(k);
+      free_.pop_back();  // its row: they are given in ascending order
+    }
+    path_.loops.assign(from.loops.begin(), from.loops.end());
+    path_.gravity = from.gravity;
+    searched_ = path_.size();
+    T_world_odom_ = path_.T_world_odom();
+    corrected_ = !path_.loops.empty();
+    loaded_ = path_.size() > 0;
+  }
   void forget_all() {
     if (running_) { finish(); }
     failure_ = nullptr;
-    corrected_ = false;
+    corrected_ = loaded_ = false;
     path_.clear();
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
@@ -343,15 +376,15 @@ private:
   int searched_ = 0;    ///< keyframes of which loops were looked for
   int closed_now_ = 0;  ///< loops that entered with the last frame
   bool running_ = false;
-  std::exception_ptr failure_;  ///< of a search
-  bool corrected_ = false;      ///< T_world_odom_ is not the identity
+  std::exception_ptr failure_;                ///< of a search
+  std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
+  bool corrected_ = false;                    ///< T_world_odom_ is not the identity
+  bool loaded_ = false;                       ///< the first keyframes are those of a file
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive
 };
 
 template <typename Rig>
 inline constexpr bool closes_loops = true;
-template <int N>
-inline constexpr bool closes_loops<multi_rig<N>> = false;
 template <typename Camera>
 inline constexpr bool closes_loops<monocular_rig<Camera>> = false;
 
@@ -361,10 +394,10 @@ std::unique_ptr<odometry_part<Exec, Rig>> make_part(
     loops const&, [[maybe_unused]] Exec const& exec,
     [[maybe_unused]] odometry_stages<Exec, Rig>& s) {
   if constexpr (closes_loops<Rig>) {
-    require(s.batch == 1, "loops are closed for one camera pair, not for a batch");
+    require(s.batch == 1, "loops are closed for one rig, not for a batch");
     return std::make_unique<odometry_loops<Exec, Rig>>(exec, s);
   } else {
-    throw bad_argument("ft: loops are not closed with a rig of one or of several cameras");
+    throw bad_argument("ft: loops are not closed with one camera");
   }
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <iosfwd>
 #include <memory>
 #include <vector>
 
@@ -62,6 +63,10 @@ public:
   virtual void describe(int /*b*/, std::int64_t /*time_ns*/, tracking&) {}
   /// Adds the keyframes whose places it has corrected.
   virtual void list_placed(std::vector<placed_keyframe>& /*to*/) const {}
+  /// Writes what belongs to a map, behind it. Waits, and allocates.
+  virtual void save(Exec const&, std::ostream&) const {}
+  /// Reads and checks what save() has written, or null, for the forget() that follows. Allocates.
+  virtual void read(std::istream*) {}
   /// Camera pair b begins anew.
   virtual void reset(int /*b*/) {}
   /// Camera pair b got another map. May wait.

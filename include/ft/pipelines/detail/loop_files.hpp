@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What an odometry knows about its loops, as a file: it follows the map's.
+///
+/// Version 1, little-endian, without padding:
+/// - 16 bytes "ft loop archive" and 0; uint32 version; uint32 0x01020304; uint64 bytes that follow
+///   before the hash;
+/// - int32 keyframes, int32 loops, double gravity[3];
+/// - each keyframe: its numbers by each_number(), int32 points, and of each array of
+///   loop_archive_view after `count` so many entries;
+/// - each loop: its numbers;
+/// - uint64 FNV-1a hash of the bytes after the head.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <istream>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "ft/containers/columns.hpp"
+#include "ft/containers/loop_archive.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/detail/read_stream.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/pipelines/detail/loop_path.hpp"
+#include "ft/pipelines/detail/map_checks.hpp"
+#include "ft/pipelines/detail/odometry_files.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+struct loop_file_head {
+  char magic[16] = "ft loop archive";
+  std::uint32_t version = 1;
+  std::uint32_t order = 0x01020304;
+  std::uint64_t bytes = 0;
+};
+static_assert(sizeof(loop_file_head) == 32, "without padding");
+
+template <typename Visit>
+void each_number(path_keyframe& k, Visit const& visit) {
+  visit(k.map, k.part, k.steps, k.time_ns, k.path, k.T_odom_camera, k.T_world_camera,
+        k.information);
+}
+template <typename Visit>
+void each_number(path_loop& l, Visit const& visit) {
+  visit(l.from, l.to, l.T_from_to, l.information);
+}
+
+/// Calls visit(array, count) for what is kept of a keyframe's points.
+template <typename Visit>
+void each_point_array(loop_archive_view const& archive, int row, Visit const& visit) {
+  loop_archive_view one = skip_entries(archive, row);
+  auto const n = static_cast<std::size_t>(archive.count[row]);
+  each_column(one, [&](auto* array, extent const& e) {
+    if (e.each > 1) { visit(array, n); }
+  });
+}
+
+/// An archive in host memory, and the path of its keyframes, whose rows are 0, 1, ...
+template <typename Exec>
+struct saved_loops {
+  owner<loop_archive_view, staging_space<Exec>> archive;
+  std::vector<path_keyframe> keyframes;
+  std::vector<path_loop> loops;
+  vec3<double> gravity{0, 0, 0};
+
+  /// Of the sizes of another one.
+  explicit saved_loops(loop_archive_view const& like)
+      : archive([&](carver& c, loop_archive_view& v) { carve(c, v, like.rows, like.points); }) {}
+};
+
+/// Waits, and allocates. @throws error if the stream fails
+template <typename Exec>
+void save_loops(Exec const& exec, loop_archive_view const& archive, loop_path const& path,
+                std::ostream& to) {
+  saved_loops<Exec> host(archive);
+  copy_columns(exec, host.archive.view(), archive);
+  exec.wait();
+  std::string bytes;
+  auto const put = [&bytes](auto const&... values) {
+    (bytes.append(reinterpret_cast<char const*>(&values), sizeof values), ...);
+  };
+  put(path.size(), static_cast<int>(path.loops.size()), path.gravity);
+  for (path_keyframe k : path.keyframes) {
+    each_number(k, put);
+    put(host.archive->count[k.row]);
+    each_point_array(host.archive.view(), k.row, [&](auto* array, std::size_t n) {
+      bytes.append(reinterpret_cast<char const*>(array), n * sizeof *array);
+    });
+  }
+  for (path_loop l : path.loops) { each_number(l, put); }
+  loop_file_head head;
+  head.bytes = bytes.size();
+  std::uint64_t const hash = fnv1a(bytes.data(), bytes.size(), fnv1a_start);
+  to.write(reinterpret_cast<char const*>(&head), sizeof head);
+  to.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+  to.write(reinterpret_cast<char const*>(&hash), sizeof hash);
+  to.flush();
+  if (!to) { throw error("ft: the loops could not be written"); }
+}
+
+/// The numbers of a file, one after the other.
+class loop_file_reader {
+public:
+  /// @throws error for what is no such file, or is truncated or damaged
+  explicit loop_file_reader(std::istream& from) {
+    loop_file_head const ours;
+    loop_file_head head;
+    from.read(reinterpret_cast<char*>(&head), sizeof head);
+    if (from.gcount() != sizeof head ||
+        std::memcmp(&head, &ours, offsetof(loop_file_head, bytes)) != 0) {
+      throw error("ft: the map file has no loops of this version behind its map");
+    }
+    constexpr std::uint64_t most = std::uint64_t{1} << 40;
+    require_saved("bytes of loops", head.bytes, std::uint64_t{0}, most);
+    file_ = read_up_to(from, static_cast<std::size_t>(head.bytes));
+    std::uint64_t hash = 0;
+    from.read(reinterpret_cast<char*>(&hash), sizeof hash);
+    if (file_.size != head.bytes || from.gcount() != sizeof hash) {
+      throw error("ft: the map file is truncated: its loops are not whole");
+    }
+    if (hash != fnv1a(file_.data.get(), file_.size, fnv1a_start)) {
+      throw error("ft: the loops of the map file are damaged");
+    }
+  }
+  template <typename T>
+  void take(T* to, std::size_t n) {
+    if (n * sizeof(T) > file_.size - at_) {
+      throw error("ft: the loops of the map file are damaged: numbers are missing");
+    }
+    std::memcpy(static_cast<void*>(to), file_.data.get() + at_, n * sizeof(T));
+    at_ += n * sizeof(T);
+  }
+  bool at_end() const { return at_ == file_.size; }
+
+private:
+  file_bytes file_;
+  std::size_t at_ = 0;
+};
+
+inline void check_saved_information(double const (&information)[21]) {
+  for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) {
+    require_saved("an information of an edge", information[at], 0.0, 1e30);
+  }
+  for (double const v : information) { require_saved("an information of an edge", v, -1e30, 1e30); }
+}
+
+/// @param cameras of the rig
+inline void check_saved_row(loop_archive_view const& a, int row, int cameras) {
+  int camera = 0;
+  for (std::ptrdiff_t i = a.at(row); i < a.at(row) + a.count[row]; ++i) {
+    for (float const v : {a.point[i].x, a.point[i].y, a.point[i].z}) {
+      require_saved("a coordinate of a point", v, -farthest_saved, farthest_saved);
+    }
+    require_saved("a column of a keypoint", a.x[i], -farthest_pixel, farthest_pixel);
+    require_saved("a row of a keypoint", a.y[i], -farthest_pixel, farthest_pixel);
+    require_saved("a right column of a keypoint", a.right_x[i], -farthest_pixel, farthest_pixel);
+    require_saved("an inverse variance of a keypoint", a.inv_sigma2[i], 1e-9f, 1e9f);
+    require_saved("a camera of a keypoint", a.camera[i], camera, cameras - 1);
+    camera = a.camera[i];
+  }
+}
+
+/// Maps of the file get the numbers up to 1: the last one is the map that was saved.
+inline void renumber_maps(std::vector<path_keyframe>& keyframes) {
+  if (keyframes.empty()) { return; }
+  int const last = keyframes.back().map;
+  int const part = keyframes.back().part;
+  for (path_keyframe& k : keyframes) {
+    k.map += 1 - last;
+    k.part = k.part == part ? 1 : k.part - last;
+  }
+}
+
+/// Reads and checks a whole file. @param most keyframes @param most_loops of them, in all
+/// @throws error for a file that is truncated, damaged, larger than there is room for, or has
+///   numbers out of range
+template <typename Exec>
+saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_loops, int cameras,
+                             std::istream& from) {
+  loop_file_reader in(from);
+  auto const get = [&in](auto&... values) { (in.take(&values, 1), ...); };
+  saved_loops<Exec> to(like);
+  loop_archive_view const& a = to.archive.view();
+  int keyframes = 0, loops = 0;
+  get(keyframes, loops, to.gravity);
+  require_saved("keyframes of loops", keyframes, 0, most);
+  require_saved("loops", loops, 0, most_loops);
+  double const gravity[3] = {to.gravity.x, to.gravity.y, to.gravity.z};
+  for (double const g : gravity) { require_saved("gravity", g, -1e3, 1e3); }
+  for (int i = 0; i < keyframes; ++i) {
+    path_keyframe k;
+    each_number(k, get);
+    k.row = i;
+    require_saved("the number of a map", k.map, -most_counted, most_counted);
+    require_saved("the number of a part", k.part, -most_counted, most_counted);
+    require_saved("the steps of a keyframe", k.steps, 1, most_counted);
+    require_saved("the path to a keyframe", k.path, 0.0, 1e12);
+    check_saved_pose(k.T_odom_camera);
+    check_saved_pose(k.T_world_camera);
+    check_saved_information(k.information);
+    get(a.count[i]);
+    require_saved("points of a keyframe", a.count[i], 0, a.points);
+    each_point_array(a, i, [&in](auto* array, std::size_t n) { in.take(array, n); });
+    check_saved_row(a, i, cameras);
+    to.keyframes.push_back(k);
+  }
+  for (int i = 0; i < loops; ++i) {
+    path_loop l;
+    each_number(l, get);
+    require_saved("the begin of a loop", l.from, 0, keyframes - 1);
+    require_saved("the end of a loop", l.to, 0, keyframes - 1);
+    check_saved_pose(l.T_from_to);
+    check_saved_information(l.information);
+    to.loops.push_back(l);
+  }
+  if (!in.at_end()) { throw error("ft: the loops of the map file are damaged: too many numbers"); }
+  renumber_maps(to.keyframes);
+  return to;
+}
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

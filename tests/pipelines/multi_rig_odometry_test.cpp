@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: Apache-2.0
+// Odometry with rigs of several cameras, in a rendered room.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/core/error.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/multi_rig_walk.hpp"
+#include "tests/support/odometry_answers.hpp"
+#include "tests/support/room.hpp"
+
+namespace multi_rig_odometry_test {
+
+using test::room::at;
+using test::room::image;
+using namespace test::rigs;
+
+template <typename Backend>
+class multi_rig_odometry : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(multi_rig_odometry, test::backends);
+
+ft::odometry_params odometry_params() { return test::room::odometry_params(8192); }
+
+template <typename Odometry>
+typename Odometry::images_type views_of(rig_frame const& f) {
+  std::vector<ft::gray_view> views;
+  for (image const& i : f.images) { views.push_back(test::room::view(i)); }
+  typename Odometry::images_type images;
+  if constexpr (sizeof images == 2 * sizeof views[0]) {
+    images = {views[0], views[1]};
+  } else {
+    std::copy(views.begin(), views.end(), images.of);
+  }
+  return images;
+}
+
+template <typename Exec, typename Rig>
+std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
+                                 std::vector<rig_frame> const& walk, int prefetch = 0) {
+  using odometry_type = ft::odometry<Exec, Rig>;
+  auto params = odometry_params();
+  params.prefetch = prefetch;
+  odometry_type odo(exec, rig, params);
+  auto const images_of = views_of<odometry_type>;
+  constexpr std::int64_t period = 50'000'000;
+  if (prefetch > 0) {
+    return test::track_prefetched(odo, walk.size(), period,
+                                  [&](std::size_t i) { return images_of(walk[i]); });
+  }
+  std::vector<ft::tracking> all;
+  std::int64_t time = 0;
+  for (rig_frame const& f : walk) { all.push_back(odo.track(images_of(f), time += period)); }
+  return all;
+}
+
+/// Distance of the body from its true place in the world of the first frame, metres.
+double error_of(ft::rigid<double> const& T, ft::pose const& now, ft::pose const& first) {
+  auto const T_0w = first.cast<double>();
+  auto const d = T.t - (T_0w * now.cast<double>().inverse()).t;
+  return std::sqrt(ft::dot(d, d));
+}
+double rms_of(std::vector<ft::tracking> const& seen, std::vector<rig_frame> const& walk) {
+  double sum = 0;
+  for (std::size_t f = 0; f < seen.size(); ++f) {
+    double const e = error_of(seen[f].T_world_camera, walk[f].T_cw, walk[0].T_cw);
+    sum += e * e;
+  }
+  return std::sqrt(sum / static_cast<double>(seen.size()));
+}
+
+TYPED_TEST(multi_rig_odometry, of_one_pair_has_the_bits_of_a_rectified_rig) {
+  TypeParam backend;
+  ft::multi_rig<1> const one{{pair_at(ft::pose::identity())}};
+  auto const walk = make_walk(one, 0, 16);
+  auto const a = follow(backend.exec, one, walk);
+  auto const b = follow(backend.exec, test::room::rig(), walk);
+  EXPECT_GE(a.back().keyframes, 2);
+  for (std::size_t f = 0; f < a.size(); ++f) {
+    ft::tracking of_rig = a[f];
+    EXPECT_EQ(of_rig.depths, ft::depth_origin::some_pairs);
+    of_rig.depths = b[f].depths;
+    EXPECT_TRUE(test::same(of_rig, b[f])) << f;
+  }
+}
+
+TYPED_TEST(multi_rig_odometry, of_two_pairs_is_as_exact_as_the_better_one) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const walk = make_walk(rig, 0, 16);
+  auto const both = follow(backend.exec, rig, walk);
+  double alone[2] = {};
+  for (std::size_t c = 0; c < 2; ++c) {
+    auto part = walk;
+    for (auto& f : part) { f.images = {f.images[2 * c], f.images[2 * c + 1]}; }
+    alone[c] = rms_of(follow(backend.exec, ft::multi_rig<1>{{rig.of[c]}}, part), part);
+  }
+  for (std::size_t f = 0; f < both.size(); ++f) {
+    EXPECT_EQ(both[f].state, ft::tracking_state::tracking) << f;
+    EXPECT_EQ(both[f].left_out, 0) << f;
+  }
+  EXPECT_GE(both.back().keyframes, 2);
+  double const rms = rms_of(both, walk);
+  EXPECT_LT(rms, 0.01);
+  EXPECT_LE(rms, std::min(alone[0], alone[1]));
+  this->RecordProperty("rms_mm", std::to_string(1000 * rms));
+  this->RecordProperty("rms_mm_alone",
+                       std::to_string(1000 * alone[0]) + " " + std::to_string(1000 * alone[1]));
+}
+
+TYPED_TEST(multi_rig_odometry, goes_on_while_one_pair_is_black) {
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const whole = make_walk(rig, 1, 12);
+  for (std::size_t c = 0; c < 2; ++c) {
+    auto const walk = blackened(whole, c);
+    auto const seen = follow(backend.exec, rig, walk);
+    for (std::size_t f = 0; f < seen.size(); ++f) {
+      EXPECT_EQ(seen[f].state, ft::tracking_state::tracking) << "pair " << c << " frame " << f;
+      EXPECT_EQ(seen[f].maps, 1);
+      EXPECT_LT(error_of(seen[f].T_world_camera, walk[f].T_cw, walk[0].T_cw), 0.03);
+    }
+  }
+}
+
+TYPED_TEST(multi_rig_odometry, gives_the_bits_of_the_host) {
+  if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
+  TypeParam backend;
+  ft::multi_rig<3> const rig{{pair_at(turned(0.1f, {0.1f, 0.02f, 0.2f})),
+                              single_at(turned(-0.1f, {-0.2f, 0, 0.1f})),
+                              pair_at(turned(1.4f, {0.3f, 0, -0.1f}))}};
+  auto const walk = make_walk(rig, 2, 12);
+  auto const here = follow(backend.exec, rig, walk);
+  test::expect_same(follow(backend.exec, rig, walk, 2), here);
+  auto const host = follow(ft::host_exec{}, rig, walk);
+  for (std::size_t f = 0; f < here.size(); ++f) {
+    EXPECT_TRUE(test::same(here[f], host[f])) << f;
+    EXPECT_LT(error_of(here[f].T_world_camera, walk[f].T_cw, walk[0].T_cw), 0.02) << f;
+  }
+}
+
+/// Bodies on a circle of 1.2 m, looking outwards.
+std::vector<rig_frame> round(ft::multi_rig<2> const& rig, int lap, int frames) {
+  std::vector<ft::pose> T_bw;
+  for (int i = 0; i < frames; ++i) {
+    float const yaw = 6.2831853f * static_cast<float>(i) / static_cast<float>(lap);
+    T_bw.push_back(turned(yaw, {0.6f * std::sin(yaw), 0, 1.2f + 0.6f * std::cos(yaw)}));
+  }
+  return make_walk(rig, 0, T_bw);
+}
+
+// Between the pairs there is a third of a turn: what one saw the other one sees 14 frames later.
+TYPED_TEST(multi_rig_odometry, a_lap_is_closed_by_either_pair) {
+  TypeParam backend;
+  using odometry_type = ft::odometry<typename TypeParam::exec_type, ft::multi_rig<2>>;
+  constexpr int lap = 42, frames = lap + 8;
+  ft::multi_rig<2> const rig{
+      {pair_at(turned(0.1f, {0.1f, 0.02f, 0.1f})), pair_at(turned(2.1f, {0.1f, 0, -0.1f}))}};
+  auto const walk = round(rig, lap, frames);
+  auto params = odometry_params();
+  params.window = {4, 2};
+  params.keyframes = 12;  // the odometry itself has forgotten where it began
+  params.local_map.keyframes = 8;
+  params.loops.present = true;
+  params.loops.recent = 6;
+  odometry_type odo(backend.exec, rig, params, 1, ft::loops{});
+  int closed = 0, first = frames;
+  ft::tracking last;
+  for (int i = 0; i < frames; ++i) {
+    last = odo.track(views_of<odometry_type>(walk[at(i)]), (i + 1) * std::int64_t{50'000'000});
+    ASSERT_EQ(last.state, ft::tracking_state::tracking) << i;
+    closed += last.loops_closed;
+    if (last.loops_closed > 0) { first = std::min(first, i); }
+  }
+  EXPECT_GT(closed, 0);
+  EXPECT_LT(first, 28) << "the pairs do not recognise what the other one saw";
+  EXPECT_LT(error_of(last.T_world_camera, walk.back().T_cw, walk[0].T_cw), 0.03);
+  for (auto const& k : odo.placed_keyframes()) {
+    auto const i = at(k.time_ns / 50'000'000 - 1);
+    EXPECT_LT(error_of(k.T_world_camera, walk[i].T_cw, walk[0].T_cw), 0.035) << i;
+  }
+}
+
+TYPED_TEST(multi_rig_odometry, needs_a_pair) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type, ft::multi_rig<1>>;
+  ft::multi_rig<1> const alone{{single_at(ft::pose::identity())}};
+  EXPECT_THROW(odometry(backend.exec, alone, odometry_params()), ft::bad_argument);
+}
+
+}  // namespace multi_rig_odometry_test

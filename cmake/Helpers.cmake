@@ -34,6 +34,9 @@ function(ft_target_defaults target)
   endif()
   set(warnings -Wall -Wextra -Wshadow -Wconversion)
   set(host_warnings ${warnings} -Wpedantic)
+  if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")  # TYPED_TEST_SUITE
+    list(APPEND host_warnings -Wno-gnu-zero-variadic-macro-arguments)
+  endif()
   # nvcc writes line directives and extensions into what the host compiler sees: no -Wpedantic there.
   list(JOIN warnings "," cuda_warnings)
   set(cuda_warnings -Xcompiler=${cuda_warnings})
@@ -168,6 +171,18 @@ function(ft_make_units out folder extension)
   set(${out} ${units} PARENT_SCOPE)
 endfunction()
 
+# ft_add_ptx(target SOURCES files.cu... LIBS targets...)
+# With FT_FAST_COMPILE, what would not run without a device and has no code of its own for the host: it is compiled to
+# PTX (of the newest architecture, where its own is not set), and not linked.
+function(ft_add_ptx target)
+  cmake_parse_arguments(PARSE_ARGV 1 arg "" "" "SOURCES;LIBS")
+  add_library(${target} OBJECT ${arg_SOURCES})
+  target_include_directories(${target} PRIVATE ${PROJECT_SOURCE_DIR})
+  target_link_libraries(${target} PRIVATE ${arg_LIBS})
+  ft_target_defaults(${target})
+  set_target_properties(${target} PROPERTIES CUDA_PTX_COMPILATION ON)
+endfunction()
+
 # ft_add_stage_tests(NAME name SOURCES files.cpp... [HOST_WITHOUT files...] [LIBS targets...] [LABELS labels...])
 # One body, every executor: <name>_host from the sources as C++, but those of HOST_WITHOUT, and, with CUDA,
 # <name>_cuda from the same sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
@@ -196,11 +211,7 @@ function(ft_add_stage_tests)
               LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
   if(FT_HAS_CUDA AND FT_FAST_COMPILE)
     ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
-    add_library(${arg_NAME}_cuda OBJECT ${units})
-    target_include_directories(${arg_NAME}_cuda PRIVATE ${PROJECT_SOURCE_DIR})
-    target_link_libraries(${arg_NAME}_cuda PRIVATE ft::cuda GTest::gtest ${arg_LIBS})
-    ft_target_defaults(${arg_NAME}_cuda)
-    set_target_properties(${arg_NAME}_cuda PROPERTIES CUDA_PTX_COMPILATION ON)
+    ft_add_ptx(${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda GTest::gtest ${arg_LIBS})
   elseif(FT_HAS_CUDA)
     ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
     ft_add_test(NAME ${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda ${arg_LIBS}

@@ -21,14 +21,14 @@ std::vector<std::size_t> longest_ascending(std::vector<std::int64_t> const& time
   std::vector<std::size_t> last;  // of the subsequence of each length that ends lowest
   std::vector<std::size_t> before(times.size());
   for (std::size_t i = 0; i < times.size(); ++i) {
-    auto const place =
+    auto const found =
         std::lower_bound(last.begin(), last.end(), times[i],
                          [&](std::size_t k, std::int64_t time) { return times[k] < time; });
-    before[i] = place == last.begin() ? i : *(place - 1);
-    if (place == last.end()) {
+    before[i] = found == last.begin() ? i : *(found - 1);
+    if (found == last.end()) {
       last.push_back(i);
-    } else if (times[*place] != times[i]) {
-      *place = i;
+    } else if (times[*found] != times[i]) {
+      *found = i;
     }
   }
   std::vector<std::size_t> kept(last.size());

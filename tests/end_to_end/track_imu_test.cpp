@@ -15,7 +15,7 @@ namespace {
 
 using namespace app_test;
 
-constexpr int frames = 60;
+constexpr int walk_frames = 60;
 
 /// Each sample as fields: time, gyro, accel. @param spoil of a sample's number and fields; false
 /// leaves the sample out
@@ -36,8 +36,8 @@ void spoil_samples(spoilt_sequence const& s, std::function<bool(int, strings&)> 
 strings imu_warnings_of(spoilt_sequence const& s) {
   outcome const o = track(s.path(), s.out(), {"--threads", "0"});
   EXPECT_TRUE(succeeded(o));
-  results const r = read_results(s.out(), frames);
-  EXPECT_EQ(r.number("tracked"), frames);
+  results const r = read_results(s.out(), walk_frames);
+  EXPECT_EQ(r.number("tracked"), walk_frames);
   EXPECT_LT(r.summary.at("ate_rmse_m").get<double>(), 0.01);
   std::string const page = read_file(s.out() + "/report.html");
   strings found;
@@ -52,11 +52,11 @@ strings imu_warnings_of(spoilt_sequence const& s) {
 }
 
 TEST(TrackImu, AGoodOneIsNotTalkedAbout) {
-  EXPECT_EQ(imu_warnings_of(spoilt_sequence(frames)), strings{});
+  EXPECT_EQ(imu_warnings_of(spoilt_sequence(walk_frames)), strings{});
 }
 
 TEST(TrackImu, AWrongRateIsSaidOnce) {
-  spoilt_sequence const s(frames);
+  spoilt_sequence const s(walk_frames);
   s.set_line("imu0/sensor.yaml", "rate_hz:", "rate_hz: 100");
   strings const said = imu_warnings_of(s);
   ASSERT_EQ(said.size(), 1u);
@@ -65,7 +65,7 @@ TEST(TrackImu, AWrongRateIsSaidOnce) {
 
 // The recording as a whole has the right rate, so that its reader has nothing to say.
 TEST(TrackImu, SamplesThatGetFewerAreNamed) {
-  spoilt_sequence const s(frames);
+  spoilt_sequence const s(walk_frames);
   spoil_samples(s, [](int i, strings&) { return i < 400 || i % 4 == 0; });
   strings const said = imu_warnings_of(s);
   ASSERT_EQ(said.size(), 1u);
@@ -76,7 +76,7 @@ TEST(TrackImu, SamplesThatGetFewerAreNamed) {
 TEST(TrackImu, ASpikeIsLeftOutAndCounted) {
   for (char const* const value : {"1e7", "-1e7"}) {
     for (std::size_t const field : {1u, 5u}) {  // rad/s, m/s^2
-      spoilt_sequence const s(frames);
+      spoilt_sequence const s(walk_frames);
       spoil_samples(s, [&](int i, strings& fields) {
         if (i == 300) { fields[field] = value; }
         return true;
@@ -90,7 +90,7 @@ TEST(TrackImu, ASpikeIsLeftOutAndCounted) {
 }
 
 TEST(TrackImu, AnotherClockIsNamed) {
-  spoilt_sequence const s(frames);
+  spoilt_sequence const s(walk_frames);
   spoil_samples(s, [](int, strings& fields) {
     fields[0] = std::to_string(std::stoll(fields[0]) + std::int64_t{20'000'000'000});
     return true;

@@ -18,7 +18,7 @@ using seq_test::temp_folder;
 
 using pixels = std::vector<std::uint8_t>;
 
-std::string bytes(std::vector<int> const& values) {
+std::string text_of(std::vector<int> const& values) {
   std::string text;
   for (int const v : values) { text += static_cast<char>(v); }
   return text;
@@ -43,14 +43,14 @@ TEST(image_raw, pgm_of_any_range_is_scaled_to_8_bits) {
   auto const read = [&](std::string const& text) {
     return seq::read_image(folder.write("a.pgm", text));
   };
-  EXPECT_EQ(read("P5\n3 2\n255\n" + bytes({0, 1, 2, 10, 13, 255})).pixels,
+  EXPECT_EQ(read("P5\n3 2\n255\n" + text_of({0, 1, 2, 10, 13, 255})).pixels,
             (pixels{0, 1, 2, 10, 13, 255}));
-  EXPECT_EQ(read("P5 # comment 9\n# another\n 2\t1 65535 " + bytes({255, 255, 18, 200})).pixels,
+  EXPECT_EQ(read("P5 # comment 9\n# another\n 2\t1 65535 " + text_of({255, 255, 18, 200})).pixels,
             (pixels{255, 18}));
-  EXPECT_EQ(read("P5 4 1 1023\n" + bytes({3, 255, 2, 0, 0, 0, 255, 255})).pixels,
+  EXPECT_EQ(read("P5 4 1 1023\n" + text_of({3, 255, 2, 0, 0, 0, 255, 255})).pixels,
             (pixels{255, 128, 0, 255}));  // 1023, 512, 0, beyond
-  EXPECT_EQ(read("P5 3 1 15\n" + bytes({15, 0, 5})).pixels, (pixels{255, 0, 85}));
-  EXPECT_EQ(read("P6 2 1 255\n" + bytes({10, 20, 30, 255, 255, 255})).pixels,
+  EXPECT_EQ(read("P5 3 1 15\n" + text_of({15, 0, 5})).pixels, (pixels{255, 0, 85}));
+  EXPECT_EQ(read("P6 2 1 255\n" + text_of({10, 20, 30, 255, 255, 255})).pixels,
             (pixels{seq::grey_of(10, 20, 30), 255}));
   int width = 0;
   int height = 0;
@@ -65,16 +65,16 @@ TEST(image_raw, bmp_rows_palette_and_colour) {
     return seq::read_image(folder.write("a.bmp", text));
   };
   // 8 bits: rows of 4 bytes from the bottom; a palette of blue, green, red.
-  std::string const palette = bytes({0, 0, 0, 0, 255, 255, 255, 0, 30, 20, 10, 0});
-  std::string const rows = bytes({0, 1, 2, 9, 1, 1, 0, 9});
+  std::string const palette = text_of({0, 0, 0, 0, 255, 255, 255, 0, 30, 20, 10, 0});
+  std::string const rows = text_of({0, 1, 2, 9, 1, 1, 0, 9});
   std::uint8_t const mixed = seq::grey_of(10, 20, 30);
   EXPECT_EQ(read(bmp_head(3, 2, 8, 3) + palette + rows).pixels,
             (pixels{255, 255, 0, 0, 255, mixed}));
   EXPECT_EQ(read(bmp_head(3, -2, 8, 3) + palette + rows).pixels,
             (pixels{0, 255, mixed, 255, 255, 0}));
-  EXPECT_EQ(read(bmp_head(1, 2, 24, 0) + bytes({30, 20, 10, 9, 7, 7, 7, 9})).pixels,
+  EXPECT_EQ(read(bmp_head(1, 2, 24, 0) + text_of({30, 20, 10, 9, 7, 7, 7, 9})).pixels,
             (pixels{7, mixed}));
-  EXPECT_EQ(read(bmp_head(2, 1, 32, 0) + bytes({30, 20, 10, 9, 7, 7, 7, 9})).pixels,
+  EXPECT_EQ(read(bmp_head(2, 1, 32, 0) + text_of({30, 20, 10, 9, 7, 7, 7, 9})).pixels,
             (pixels{mixed, 7}));
 }
 
@@ -84,8 +84,8 @@ TEST(image_raw, rejects_damaged_files) {
     std::string text, expected;
   };
   for (bad_case const& c : std::vector<bad_case>{
-           {"P5 3 2 255\n" + bytes({1, 2, 3, 4, 5}), "truncated: 5 bytes of pixels, must have 6"},
-           {"P5 3 2 256\n" + bytes({1, 2, 3, 4, 5, 6}), "must have 12"},
+           {"P5 3 2 255\n" + text_of({1, 2, 3, 4, 5}), "truncated: 5 bytes of pixels, must have 6"},
+           {"P5 3 2 256\n" + text_of({1, 2, 3, 4, 5, 6}), "must have 12"},
            {"P5 0 2 255\n", "image of 0 x 2"},
            {"P5 99999 2 255\n", "sides must be 1 to 16384"},
            {"P5 999999999999 2 255\n", "16384"},

@@ -20,9 +20,6 @@ using seq_test::message_of;
 using seq_test::replaced;
 using seq_test::temp_folder;
 
-constexpr int width = 64;
-constexpr int height = 48;
-
 std::string const stereo_yaml =
     "%YAML:1.0\n---\nK1: [[40, 0, 32], [0, 40, 24], [0, 0, 1]]\nD1: [0, 0, 0, 0, 0]\nK2: [[40, 0, "
     "32], [0, 40, 24], [0, 0, 1]]\nD2: [0, 0, 0, 0, 0]\nR: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: "
@@ -31,7 +28,7 @@ std::string const stereo_yaml =
 /// An image whose first pixel is `value`.
 void put(temp_folder const& folder, std::string const& name, int value) {
   fs::create_directories(fs::path(folder.path(name)).parent_path());
-  seq::image picture{width, height, std::vector<std::uint8_t>(width * height, 40)};
+  seq::image picture{64, 48, std::vector<std::uint8_t>(64 * 48, 40)};
   picture.pixels[0] = static_cast<std::uint8_t>(value);
   seq::write_png(folder.path(name), picture);
 }

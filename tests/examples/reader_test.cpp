@@ -32,11 +32,11 @@ using seq_test::message_of;
 using seq_test::replaced;
 using seq_test::temp_folder;
 
-constexpr int width = 64;
-constexpr int height = 48;
+constexpr int image_width = 64;
+constexpr int image_height = 48;
 
 /// Pixel values that tell images and places apart.
-seq::image picture(int seed, int w = width, int h = height) {
+seq::image picture(int seed, int w = image_width, int h = image_height) {
   seq::image result;
   result.width = w;
   result.height = h;
@@ -300,7 +300,7 @@ TEST(reader_euroc, takes_jpeg_files) {
     std::vector<std::uint8_t> const bytes = seq::encode_jpeg(picture(camera), 95);
     folder.write(base + ".jpg", std::string(bytes.begin(), bytes.end()));
   }
-  EXPECT_EQ(seq::sequence::open(folder.path()).load(0).left.width, width);
+  EXPECT_EQ(seq::sequence::open(folder.path()).load(0).left.width, image_width);
 }
 
 TEST(reader_euroc, rectifies_distorted_pairs_and_their_ground_truth) {
@@ -315,7 +315,7 @@ TEST(reader_euroc, rectifies_distorted_pairs_and_their_ground_truth) {
   EXPECT_TRUE(s.rig().rectified());
   EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
   EXPECT_NEAR(s.rig().baseline(), std::hypot(0.1, 0.01), 1e-9);
-  EXPECT_EQ(s.load(0).left.width, width);
+  EXPECT_EQ(s.load(0).left.width, image_width);
   EXPECT_NE(s.load(0).left.pixels, picture(0).pixels);
   // The rig is turned by atan(0.01 / 0.1) about the camera's y; its centre stays.
   Eigen::Isometry3d body = Eigen::Isometry3d::Identity();
@@ -413,7 +413,7 @@ TEST(reader_kitti, opens_and_loads) {
   ASSERT_EQ(s.size(), 4);
   EXPECT_EQ(s.time_ns(3), 300'000'000);
   EXPECT_TRUE(s.rig().rectified());
-  EXPECT_EQ(s.rig().left.width, width);
+  EXPECT_EQ(s.rig().left.width, image_width);
   EXPECT_NEAR(s.rig().baseline(), 0.1, 1e-12);
   EXPECT_EQ(s.load(2).right.pixels, picture(5).pixels);
   ASSERT_EQ(s.ground_truth().size(), 2U);
@@ -554,7 +554,7 @@ TEST(reader, one_frame_is_enough) {
   temp_folder const kitti;
   write_kitti(kitti, 1);
   EXPECT_EQ(seq::sequence::open(kitti.path()).size(), 1);
-  EXPECT_EQ(seq::sequence::open(kitti.path()).load(0).left.height, height);
+  EXPECT_EQ(seq::sequence::open(kitti.path()).load(0).left.height, image_height);
   temp_folder const euroc;
   write_euroc(euroc, 1);
   EXPECT_EQ(seq::sequence::open(euroc.path()).size(), 1);
@@ -838,7 +838,7 @@ TEST(reader_one_camera, its_distortion_goes_on_load) {
   folder.write("mav0/cam0/sensor.yaml", sensor_text(0, "[-0.2, 0.02, 0.001, 0.0005]"));
   seq::sequence const s = seq::sequence::open(folder.path());
   EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
-  EXPECT_EQ(s.load(0).left.width, width);
+  EXPECT_EQ(s.load(0).left.width, image_width);
   // A point that the raw camera sees is where the pinhole of the loaded images sees it.
   seq::camera_intrinsics raw = s.rig().left;
   raw.model = seq::lens::radial_tangential;
@@ -846,7 +846,8 @@ TEST(reader_one_camera, its_distortion_goes_on_load) {
   raw.fx = raw.fy = 40;
   raw.cx = 31.5;
   raw.cy = 23.5;
-  seq::image dot{width, height, std::vector<std::uint8_t>(width * height, 0)};
+  seq::image dot{image_width, image_height,
+                 std::vector<std::uint8_t>(image_width * image_height, 0)};
   Eigen::Vector3d const point(0.35, -0.2, 1);
   auto const at = seq::lens_projection(raw)(point).pixel;
   dot.row(static_cast<int>(std::lround(at.y())))[std::lround(at.x())] = 255;
@@ -855,8 +856,8 @@ TEST(reader_one_camera, its_distortion_goes_on_load) {
   auto const brightest = std::max_element(loaded.pixels.begin(), loaded.pixels.end());
   auto const i = static_cast<int>(brightest - loaded.pixels.begin());
   auto const expected = seq::lens_projection(s.rig().left)(point).pixel;
-  EXPECT_NEAR(i % width, expected.x(), 1.2);
-  EXPECT_NEAR(i / width, expected.y(), 1.2);
+  EXPECT_NEAR(i % image_width, expected.x(), 1.2);
+  EXPECT_NEAR(i / image_width, expected.y(), 1.2);
 }
 
 TEST(reader_one_camera, fisheye_stays_or_becomes_a_pinhole) {
@@ -1091,8 +1092,8 @@ TEST(reader_imu, doubled_and_disordered_lines_are_left_out) {
 // ---- TUM RGB-D
 
 seq::depth_image depth_picture(int seed) {
-  seq::depth_image depth{width, height, {}};
-  for (int i = 0; i < width * height; ++i) {
+  seq::depth_image depth{image_width, image_height, {}};
+  for (int i = 0; i < image_width * image_height; ++i) {
     depth.pixels.push_back(static_cast<std::uint16_t>(1500 + (i * 7 + seed * 31) % 1000));
   }
   return depth;
@@ -1230,8 +1231,9 @@ TEST(reader_tum, depth_images_of_another_kind_are_named) {
   truncate_file(folder.path("depth/1.png"));
   seq::sequence const s = seq::sequence::open(folder.path());
   EXPECT_TRUE(contains(message_of([&] { s.load(1); }), "depth/1.png"));
-  seq::write_depth_png(folder.path("depth/0.png"),
-                       {width, height, std::vector<std::uint16_t>(width * height, 0)});
+  seq::write_depth_png(
+      folder.path("depth/0.png"),
+      {image_width, image_height, std::vector<std::uint16_t>(image_width * image_height, 0)});
   EXPECT_TRUE(said(seq::sequence::open(folder.path()).warnings(), {"no pixel has a depth"}));
 }
 
@@ -1240,10 +1242,10 @@ TEST(reader_tum, depth_moves_with_a_distorted_image) {
   write_tum(folder, 1);
   folder.write("camera.txt", "# depth in units of 1 mm\n40 40 31.5 23.5 -0.2 0.02 0.001 0.0005\n");
   // Grey and depth have an edge at the same column, which stays the same after the lens is undone.
-  seq::image grey{width, height, {}};
-  seq::depth_image depth{width, height, {}};
-  for (int i = 0; i < width * height; ++i) {
-    bool const right = i % width >= 50;
+  seq::image grey{image_width, image_height, {}};
+  seq::depth_image depth{image_width, image_height, {}};
+  for (int i = 0; i < image_width * image_height; ++i) {
+    bool const right = i % image_width >= 50;
     grey.pixels.push_back(right ? 200 : 0);
     depth.pixels.push_back(right ? 3000 : 1000);
   }
@@ -1257,7 +1259,7 @@ TEST(reader_tum, depth_moves_with_a_distorted_image) {
     EXPECT_TRUE(d == 1000 || d == 3000) << "no mean of two depths: " << d;
     wrong += static_cast<int>((frame.left.pixels[i] > 100) != (d == 3000));
   }
-  EXPECT_LE(wrong, height);
+  EXPECT_LE(wrong, image_height);
   EXPECT_NE(frame.depth.pixels, depth.pixels);
 }
 

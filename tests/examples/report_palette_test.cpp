@@ -23,7 +23,7 @@ using seq::detail::panel_colour;
 using seq::detail::stage_palette;
 using three = std::array<double, 3>;
 
-constexpr double pi = 3.14159265358979323846;
+constexpr double half_circle = 3.14159265358979323846;  // radians
 
 /// Linear red, green and blue of "#rrggbb".
 three linear(std::string const& colour) {
@@ -62,10 +62,10 @@ three lab(std::string const& colour) {
 /// CIEDE2000. Source: G. Sharma, W. Wu, E. N. Dalal, The CIEDE2000 color-difference formula, 2005.
 double difference(three const& p, three const& q) {
   auto const degrees = [](double y, double x) {
-    double const d = std::atan2(y, x) * 180 / pi;
+    double const d = std::atan2(y, x) * 180 / half_circle;
     return d < 0 ? d + 360 : d;
   };
-  auto const cosine = [](double d) { return std::cos(d * pi / 180); };
+  auto const cosine = [](double d) { return std::cos(d * half_circle / 180); };
   auto const seventh = [](double c) {
     return std::sqrt(std::pow(c, 7) / (std::pow(c, 7) + std::pow(25.0, 7)));
   };
@@ -83,9 +83,10 @@ double difference(three const& p, three const& q) {
   double const from_50 = (l - 50) * (l - 50);
   double const dl = (q[0] - p[0]) / (1 + 0.015 * from_50 / std::sqrt(20 + from_50));
   double const dc = (c2 - c1) / (1 + 0.045 * c);
-  double const dh = 2 * std::sqrt(c1 * c2) * std::sin(turn / 2 * pi / 180) / (1 + 0.015 * c * t);
+  double const dh =
+      2 * std::sqrt(c1 * c2) * std::sin(turn / 2 * half_circle / 180) / (1 + 0.015 * c * t);
   double const bend = std::exp(-((h - 275) / 25) * ((h - 275) / 25));
-  double const rotation = -2 * seventh(c) * std::sin(60 * bend * pi / 180);
+  double const rotation = -2 * seventh(c) * std::sin(60 * bend * half_circle / 180);
   return std::sqrt(dl * dl + dc * dc + dh * dh + rotation * dc * dh);
 }
 

@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/erase.hpp"
 #include "ft/pipelines/odometry.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/imu.hpp"
 #include "library/factories.hpp"
 
@@ -86,7 +87,7 @@ any_odometry made(odometry_request const& of, Rig const& rig) {
   if (with_places) { words = upload(here.exec(), read_vocabulary(of.places.vocabulary).view()); }
   auto const make = [&](place& p, vocabulary_view const& kept) {
     auto const with = [&](auto const&... plugged) {
-      return odometry_type(p.exec(), rig, of.params, of.batch, plugged...);
+      return odometry_type(p.exec(), rig, of.params, of.batch, plugged..., own_features{});
     };
     auto const with_loops = [&](auto const&... plugged) {
       return of.params.loops.present ? with(plugged..., loops{}) : with(plugged...);

@@ -22,7 +22,7 @@
 #include "bench/orbslam3/replaying_device.hpp"
 #include "bench/orbslam3/world.hpp"
 #include "integration/orbslam3/accelerator.hpp"
-#include "integration/orbslam3/host_tracker.hpp"
+#include "integration/orbslam3/executor_tracker.hpp"
 #include "tests/integration/orbslam3/plain_search.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
 

@@ -41,8 +41,7 @@ public:
   void wait_for_features() override {
     if (!replaying_) { device_->wait_for_features(); }
   }
-  void build_pyramids(ft::orbslam3::grey_image const& left,
-                      ft::orbslam3::grey_image const& right) override {
+  void build_pyramids(ft::gray_view const& left, ft::gray_view const& right) override {
     device_->build_pyramids(left, right);
   }
   void match_stereo(int buffer) override {
@@ -51,8 +50,6 @@ public:
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
     device_->download_level(image, level, to, stride);
   }
-  int level_width(int level) const override { return device_->level_width(level); }
-  int level_height(int level) const override { return device_->level_height(level); }
 
   void send(int buffer, ft::orbslam3::frame_part part) override {
     if (!replaying_) { device_->send(buffer, part); }
@@ -90,8 +87,7 @@ public:
   int local_matches() override {
     return answer(local_buffer_, [&] { return counted(device_->local_matches()); }).inliers;
   }
-  ft::orbslam3::pose_result optimize_pose(int buffer,
-                                          ft::orbslam3::transform const& T_cw) override {
+  ft::orbslam3::pose_result optimize_pose(int buffer, ft::pose const& T_cw) override {
     return answer(buffer, [&] { return device_->optimize_pose(buffer, T_cw); });
   }
   float* point_distances() override { return device_->point_distances(); }
@@ -124,7 +120,7 @@ public:
 
   ft::orbslam3::traffic bytes() const override { return device_->bytes(); }
   void reset_bytes() override { device_->reset_bytes(); }
-  void measure(bool on) override { device_->measure(on); }
+  void measure() override { device_->measure(); }
   ft::orbslam3::device_times times() const override {
     return replaying_ ? ft::orbslam3::device_times{} : device_->times();
   }
@@ -136,7 +132,7 @@ private:
   };
   struct noted_view {
     std::vector<int> index;
-    std::vector<ft::orbslam3::sight> by[2];
+    std::vector<ft::visibility> by[2];
   };
   struct noted_frame {
     std::vector<noted> answers;

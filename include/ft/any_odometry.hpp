@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "ft/types/errors.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/loops.hpp"
@@ -57,6 +58,8 @@ public:
   public:
     virtual ~interface() = default;
     virtual tracking const* track(any_images const* images, std::int64_t const* time_ns) = 0;
+    virtual tracking const* track_features(given_features const* features,
+                                           std::int64_t const* time_ns) = 0;
     virtual void prefetch(any_images const* images) = 0;
     virtual void forget_prefetched() = 0;
     virtual tracking const* track_prefetched(std::int64_t const* time_ns) = 0;
@@ -89,6 +92,14 @@ public:
   }
   tracking track(any_images const& images, std::int64_t time_ns) {
     return *single().track(&images, &time_ns);
+  }
+  /// Of keypoints of the caller, with odometry_params::own_features.
+  /// @param features [batch] @param time_ns [batch] @return [batch] valid until the next call
+  tracking const* track(given_features const* features, std::int64_t const* time_ns) {
+    return made().track_features(features, time_ns);
+  }
+  tracking track(given_features const& features, std::int64_t time_ns) {
+    return *single().track_features(&features, &time_ns);
   }
   /// @param images [batch]
   void prefetch(any_images const* images) { made().prefetch(images); }
@@ -147,7 +158,7 @@ private:
 /// distorted pairs of radtan8; fisheye pairs of kannala_brandt; rgbd of pinhole or radtan8;
 /// monocular of pinhole or kannala_brandt; multi rigs. For other camera models: erase().
 /// Has the part inertial if odometry_params::imu is present, loops if odometry_params::loops are,
-/// and places if a vocabulary is named.
+/// places if a vocabulary is named, and own_features if odometry_params::own_features is true.
 /// @throws error for a vocabulary that cannot be read; bad_argument as odometry's constructor, for
 /// a rig that is not in the library, for a GPU
 ///   that is not there, or any GPU if the library was built without CUDA; std::bad_alloc,

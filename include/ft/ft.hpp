@@ -31,6 +31,7 @@
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
 #include "ft/types/errors.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/odometry_params.hpp"

@@ -13,18 +13,15 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/feature_stages.hpp"
 #include "integration/orbslam3/held_points.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
-#include "integration/orbslam3/local_room.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/recovery_stages.hpp"
-#include "integration/orbslam3/statistics.hpp"
-#include "integration/orbslam3/word_stages.hpp"
+#include "integration/orbslam3/settings_of.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -72,7 +69,7 @@ public:
     held_.send(request.last, last, true);
     mirror_.flush();
     request.T_cw = transform_of(current.GetPose());
-    rotation_of(current.GetPose(), request.rotation);
+    request.rotation = rotation_of(current.GetPose());
     request.T_lw = transform_of(last.GetPose());
     request.image = frames_.bounds_of(current);
     request.window_radius = th;
@@ -135,7 +132,7 @@ public:
     if (held < 3) { return 0; }
     map_call_end const end(mirror_);
     int const b = held_.bind(frame);
-    transform const start = transform_of(frame.GetPose());
+    pose const start = transform_of(frame.GetPose());
     pose_result const result = timer.on_device([&] { return device_->optimize_pose(b, start); });
     held_.write_outliers(b, frame);
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
@@ -146,13 +143,13 @@ public:
   /// bRecInit false: pose, velocity, bias, mpcpi, mvbOutlier; returns the number of observations
   /// without outliers. Of the last frame mpcpi is deleted, if it was read.
   ///
-  /// Returns inertial_refused, and changes nothing, if the last keyframe, the last frame, its
+  /// Returns call_refused, and changes nothing, if the last keyframe, the last frame, its
   /// prior or an integral is not there, an integral has no steps, or a number is not finite.
   /// @param which pose_inertial_last_frame or pose_inertial_last_keyframe
   int inertial_pose_optimization(frame_type& frame, stage which) {
     stage_timer timer(sums(which), *device_);
     bool const from_last = which == stage::pose_inertial_last_frame;
-    if (!can_optimize_inertial(frame, which)) { return inertial_refused; }
+    if (!can_optimize_inertial(frame, which)) { return call_refused; }
     inertial_request request = inertial_request_of(frame, from_last);
     map_call_end const end(mirror_);
     request.buffer = held_.bind(frame);
@@ -161,7 +158,7 @@ public:
       distance[number] = held_.holds(frame, i) ? frame.mvpMapPoints[i]->mTrackDepth : 0.0f;
     });
     auto const result = timer.on_device([&] { return device_->optimize_inertial_pose(request); });
-    if (result.refused) { return inertial_refused; }
+    if (result.refused) { return call_refused; }
     held_.write_outliers(request.buffer, frame);
     take_inertial_result(frame, from_last, result);
     return result.tracked;
@@ -201,14 +198,14 @@ public:
   /// ORBmatcher(ratio, orientation_check).SearchByBoW(&keyframe, frame, matches): `matches` gets an
   /// entry for each keypoint of the frame. Returns their number.
   ///
-  /// Returns words_refused, and changes nothing, if one of both has no words or no descriptors,
+  /// Returns call_refused, and changes nothing, if one of both has no words or no descriptors,
   /// more keypoints than there is room for, or words of keypoints that it does not have.
   template <typename KeyFrame>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check = true) {
     stage_timer timer(sums(stage::search_by_bow), *device_);
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
-    if (!put_word_search(*device_, keyframe, frame, points)) { return words_refused; }
+    if (!put_word_search(*device_, keyframe, frame, points)) { return call_refused; }
     word_matches const found = timer.on_device_timed([&] {
       return device_->search_by_words({ratio, orientation_check});
     });
@@ -226,7 +223,7 @@ public:
   /// the keyframe's points that are not in `found` in the frame, whose keypoints keep what they
   /// hold. Returns the number of keypoints that take a point.
   ///
-  /// Returns recovery_refused, and changes nothing, unless can_search_keyframe().
+  /// Returns call_refused, and changes nothing, unless can_search_keyframe().
   /// @param found with count(): std::set<MapPoint*>
   /// @param th half side of a window at scale 1, pixels
   /// @param max_distance largest Hamming distance of a match, bits
@@ -235,7 +232,7 @@ public:
                       int max_distance) {
     stage_timer timer(sums(stage::search_keyframe), *device_);
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
-    if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return recovery_refused; }
+    if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return call_refused; }
     map_call_end const end(mirror_);
     mirror_.begin_call();
     keyframe_search_request request;
@@ -258,7 +255,7 @@ public:
   /// else 0: also for fewer than ten correspondences, which has no more. With other draws than the
   /// original's: equal calls have equal answers.
   ///
-  /// Returns recovery_refused, and changes nothing, for more keypoints than there is room for, or
+  /// Returns call_refused, and changes nothing, for more keypoints than there is room for, or
   /// an octave without an entry in mvLevelSigma2.
   /// @param matches by keypoint; bad ones are left out
   /// @param progress of this frame and these matches
@@ -267,7 +264,7 @@ public:
     stage_timer timer(sums(stage::solve_pnp), *device_);
     if (!put_correspondences(frame, frames_.keys(frame, 0), matches, device_->correspondences(),
                              pnp_keypoints_)) {
-      return recovery_refused;
+      return call_refused;
     }
     pnp_progress turn = progress;
     turn.seed += frame.mnId;

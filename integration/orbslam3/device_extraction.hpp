@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <string>
 #include <type_traits>
 #include <vector>
 
@@ -20,12 +19,10 @@
 #include "ft/pipelines/frame_tracker.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/types/poses.hpp"
-#include "integration/orbslam3/call_clock.hpp"
 #include "integration/orbslam3/device_frames.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
-#include "integration/orbslam3/stream_mark.hpp"
-#include "integration/orbslam3/undistortion.hpp"
-#include "integration/orbslam3/word_mover.hpp"
+#include "integration/orbslam3/rigs.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -87,15 +84,6 @@ public:
   /// Allocates all memory; waits. @throws bad_argument
   device_extraction(Exec const& exec, Rig const& rig, settings const& s, helper_threads& helpers)
       : settings_(s), helpers_(helpers), rig_(rig) {
-    orb_params params;
-    params.width = s.width;
-    params.height = s.height;
-    params.features = s.features;
-    params.levels = s.levels;
-    params.scale_factor = s.scale_factor;
-    params.ini_threshold = s.ini_threshold;
-    params.min_threshold = s.min_threshold;
-    params.ties = s.std_sort_ties ? tie_rule::std_sort : tie_rule::stable;
     std::vector<stereo_overlap> overlaps;
     for (int i = 0; pair() && !Rig::rectified && i < 2; ++i) {
       overlaps.push_back({s.overlap[i][0], s.overlap[i][1]});
@@ -103,7 +91,7 @@ public:
     if (!pair() && s.bf == 0) {
       overlaps.push_back({s.monocular_overlap[0], s.monocular_overlap[1]});
     }
-    extractor_ = orb_extractor<Exec>(exec, params, s.images, overlaps);
+    extractor_ = orb_extractor<Exec>(exec, s, s.images, overlaps);
     stereo_.bf = s.bf;
     stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf / Frame::mb
     grid_geometry rows;
@@ -112,10 +100,7 @@ public:
     memory_ = arena<space>([&](carver& c) { carve(c, right_rows_, rows, capacity(), 1); });
     host_memory_ = arena<staging>([&](carver& c) {
       images_ = c.take<std::uint8_t>(2 * image_bytes());
-      sources_ = c.take<image_source>(2);
-      all_sources_ = c.take<image_source>(2);
-      no_sources_ = c.take<image_source>(2);
-      bands_ = c.take<image_source>(4);
+      c.place(2, sources_, all_sources_, no_sources_, rest_sources_);
     });
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
     for (int i = 0; i < 2; ++i) { stage_with(i, extractor_.geometry().stride[0]); }
@@ -150,7 +135,6 @@ public:
     for (int b = 0; b < buffers && stereo_at_once(); ++b) {
       stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
-    features_there_.make();
   }
 
   /// Enqueues all stages.
@@ -170,30 +154,22 @@ public:
   void wait_for_features() const { features_there_.wait(); }
   /// Enqueues the same launch by launch, with marks of the clock.
   void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames,
-                        extraction_request const& r, call_clock<Exec>& clock) {
+                        extraction_request const& r, stage_clock<Exec>& clock) {
     if (follow(r.lens)) { record_features(exec, frames); }
-    stage_image(0, r.left);
-    if (pair()) { stage_image(1, r.right); }
-    clock.mark(exec, 0);
+    stage_whole(r.left, r.right);
+    clock.begin(exec);
     receive_images(exec, all_sources_, extractor_.pyramid());
-    clock.mark(exec, 1);
+    clock.mark(exec, transferred);
     queue_features(exec, frames, r.buffer, no_sources_);
     if (stereo_at_once()) { queue_stereo(exec, frames, r.buffer, true); }
     make_grid(exec, frames, r);
-    clock.mark(exec, 2);
+    clock.mark(exec, computed);
   }
 
   /// Enqueues the pyramids of two images.
-  void build_pyramids(Exec const& exec, grey_image const& left, grey_image const& right) {
-    for (int i = 0; i < 2; ++i) {
-      grey_image const& image = i == 0 ? left : right;
-      require_size(image);
-      stage_with(i, extractor_.geometry().stride[0]);
-      stage_rows(i, image, 0, settings_.height);
-    }
-    auto const pyramid_bytes = static_cast<std::size_t>(geometry().bytes);
-    copy_rows(exec, {extractor_.pyramid().data, pyramid_bytes}, {images_, image_bytes()},
-              image_bytes(), settings_.images);
+  void build_pyramids(Exec const& exec, gray_view const& left, gray_view const& right) {
+    stage_whole(left, right);
+    receive_images(exec, all_sources_, extractor_.pyramid());
     extractor_.build_pyramids(exec);
   }
   /// Enqueues the download of a level. @return its bytes
@@ -225,7 +201,7 @@ public:
                            f.keypoints, f.fisheye);
       down.add(exec, a.partner, f.fisheye.partner, 2 * capacity());
       down.add(exec, a.depth, f.fisheye.depth, capacity());
-      down.add(exec, reinterpret_cast<vec3<float>*>(a.point), f.fisheye.point, capacity());
+      down.add(exec, a.point, f.fisheye.point, capacity());
     }
     down.flush(exec);
   }
@@ -251,20 +227,25 @@ private:
   void stage_with(int i, int stride) {
     all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
     no_sources_[i] = {nullptr, stride};
-    bands_[2 * i] = all_sources_[i];
-    bands_[2 * i + 1] = all_sources_[i];
-    bands_[2 * i + 1].data += static_cast<std::ptrdiff_t>(half_height()) * stride;
+    rest_sources_[i] = all_sources_[i];
+    rest_sources_[i].first_row = half_height();
     // All but the last half of the last image is transferred while the host copies the rest.
-    sources_[i] = pair() && i == 0 ? no_sources_[i] : all_sources_[i];
-    sources_[i].first_row = half_height();
+    sources_[i] = pair() && i == 0 ? no_sources_[i] : rest_sources_[i];
   }
   /// Rows without gaps, as most images have them, are copied many at a time.
-  static bool is_packed(grey_image const& image) {
+  static bool is_packed(gray_view const& image) {
     return image.stride == image.width && image.width % 16 == 0;
   }
-  void begin_staging(int i, grey_image const& image) {
+  void begin_staging(int i, gray_view const& image) {
     require_size(image);
     stage_with(i, is_packed(image) ? image.width : extractor_.geometry().stride[0]);
+  }
+  void stage_whole(gray_view const& left, gray_view const& right) {
+    for (int i = 0; i < settings_.images; ++i) {
+      gray_view const& image = i == 0 ? left : right;
+      begin_staging(i, image);
+      stage_rows(i, image, 0, settings_.height);
+    }
   }
   /// Copies the images half by half, and enqueues the transfer of each half but the last, which the
   /// recorded launches receive.
@@ -272,7 +253,7 @@ private:
     begin_staging(0, r.left);
     if (pair()) { begin_staging(1, r.right); }
     for (int i = 0; i < settings_.images; ++i) {
-      grey_image const& image = i == 0 ? r.left : r.right;
+      gray_view const& image = i == 0 ? r.left : r.right;
       stage_rows(i, image, 0, half_height());
       receive_band(exec, i, 0);
       stage_rows(i, image, half_height(), settings_.height);
@@ -282,31 +263,19 @@ private:
   /// @param half 0 the upper one, 1 the lower one
   void receive_band(Exec const& exec, int image, int half) {
     image_pyramid_view to = extractor_.pyramid();
-    int const first = half == 0 ? 0 : half_height();
-    int const rows = half == 0 ? half_height() : settings_.height - half_height();
-    if (rows == 0) { return; }
-    to.data +=
-        image * to.geometry.bytes + static_cast<std::ptrdiff_t>(first) * to.geometry.stride[0];
-    to.geometry.height[0] = rows;
+    to.data += image * to.geometry.bytes;
     to.batch = 1;
-    receive_images(exec, bands_ + 2 * image + half, to);
+    if (half == 0) { to.geometry.height[0] = half_height(); }
+    receive_images(exec, (half == 0 ? all_sources_ : rest_sources_) + image, to);
   }
-  void stage_image(int i, grey_image const& image) {
-    begin_staging(i, image);
-    stage_rows(i, image, 0, settings_.height);
-  }
-  void require_size(grey_image const& image) const {
-    detail::require(image.data != nullptr, "the image is null");
-    if (image.width != settings_.width || image.height != settings_.height) {
-      throw bad_argument("ft: the image is " + std::to_string(image.width) + "x" +
-                         std::to_string(image.height) + ", the settings say " +
-                         std::to_string(settings_.width) + "x" + std::to_string(settings_.height));
-    }
-    detail::require(image.stride >= image.width, "the image's stride is below its width");
+  void require_size(gray_view const& image) const {
+    detail::require(image.data != nullptr && image.width == settings_.width &&
+                        image.height == settings_.height && image.stride >= image.width,
+                    "the image is null, or of another size than the settings say");
   }
   /// Copies rows [first, last) to the staging memory that the executor reads, in parts shared among
   /// the helper threads.
-  void stage_rows(int i, grey_image const& image, int first, int last) {
+  void stage_rows(int i, gray_view const& image, int first, int last) {
     auto const stride = static_cast<std::size_t>(all_sources_[i].stride);
     std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
     auto const width = static_cast<std::size_t>(image.width);
@@ -383,7 +352,7 @@ private:
   image_source* sources_ = nullptr;  ///< [2] that the recordings read
   image_source* all_sources_ = nullptr;
   image_source* no_sources_ = nullptr;
-  image_source* bands_ = nullptr;  ///< [2][2] halves of images
+  image_source* rest_sources_ = nullptr;  ///< the lower halves
   arena<space> memory_;
   arena<staging> host_memory_;
   stream_mark<Exec> features_there_;

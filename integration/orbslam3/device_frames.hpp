@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
 #include <cstring>
 
 #include "ft/containers/feature_grid.hpp"
@@ -14,8 +13,8 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/rigs.hpp"
-#include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -71,31 +70,26 @@ public:
   void send(Exec const& exec, word_mover<Exec>& up, int b, frame_part part) {
     device_frame& f = frames_[b];
     frame_arrays const& a = arrays_[b];
+    auto const both = [&](auto* to, auto const* from) {
+      for (int c = 0; c < 2; ++c) {
+        up.add(exec, to + c * capacity_, from + c * capacity_, a.count[c]);
+      }
+    };
     switch (part) {
       case frame_part::keypoints:
-        for (int c = 0; c < 2; ++c) {
-          int const at = c * capacity_;
-          up.add(exec, array_of<field::orb>(f.keypoints) + at,
-                 reinterpret_cast<descriptor const*>(a.descriptor + 8 * at), a.count[c]);
-        }
+        both(array_of<field::orb>(f.keypoints), reinterpret_cast<descriptor const*>(a.descriptor));
         up.add(exec, f.mono, a.mono, 2);
         send(exec, up, b, frame_part::octaves);
         send(exec, up, b, frame_part::positions);
         break;
       case frame_part::octaves:
         up.add(exec, f.keypoints.count, a.count, 2);
-        for (int c = 0; c < 2; ++c) {
-          int const at = c * capacity_;
-          up.add(exec, array_of<field::angle>(f.keypoints) + at, a.angle + at, a.count[c]);
-          up.add(exec, array_of<field::octave>(f.keypoints) + at, a.octave + at, a.count[c]);
-        }
+        both(array_of<field::angle>(f.keypoints), a.angle);
+        both(array_of<field::octave>(f.keypoints), a.octave);
         break;
       case frame_part::positions:
-        for (int c = 0; c < 2; ++c) {
-          int const at = c * capacity_;
-          up.add(exec, array_of<field::x>(f.keypoints) + at, a.x + at, a.count[c]);
-          up.add(exec, array_of<field::y>(f.keypoints) + at, a.y + at, a.count[c]);
-        }
+        both(array_of<field::x>(f.keypoints), a.x);
+        both(array_of<field::y>(f.keypoints), a.y);
         f.grid_made = false;
         break;
       case frame_part::right_x:
@@ -146,23 +140,11 @@ public:
 
 private:
   static void carve_arrays(carver& c, frame_arrays& a, int capacity) {
-    auto const n = static_cast<std::size_t>(capacity);
     a.capacity = capacity;
-    a.count = c.take<int>(2);
-    a.mono = c.take<int>(2);
-    a.x = c.take<float>(2 * n);
-    a.y = c.take<float>(2 * n);
-    a.raw_x = c.take<float>(n);
-    a.raw_y = c.take<float>(n);
-    a.angle = c.take<float>(2 * n);
-    a.response = c.take<float>(2 * n);
-    a.octave = c.take<int>(2 * n);
-    a.descriptor = c.take<std::uint32_t>(16 * n);
-    a.right_x = c.take<float>(n);
-    a.depth = c.take<float>(n);
-    a.partner = c.take<int>(2 * n);
-    a.point = c.take<float>(3 * n);
-    a.holder = c.take<int>(2 * n);
+    c.place(2, a.count, a.mono);
+    c.place({2, capacity}, a.x, a.y, a.angle, a.response, a.octave, a.partner, a.holder);
+    c.place(capacity, a.raw_x, a.raw_y, a.right_x, a.depth, a.point);
+    c.place({2, capacity, 8}, a.descriptor);
   }
 
   int capacity_ = 0;

@@ -13,9 +13,9 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/inertial/optimize_inertial_pose.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
-#include "integration/orbslam3/inertial_types.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/rigs.hpp"
-#include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -84,39 +84,28 @@ class device_inertial {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
 
-  /// What a call uploads.
-  struct call_inputs {
-    inertial_prior prior;
-    stored_inertial_state first, start;
-    preintegrated integral, since_keyframe;
-    int from_last_frame;
-    int unused;
-  };
   /// What it downloads.
   struct call_outputs {
     inertial_prior next_prior;
     inertial_pose_result result;
   };
-  static_assert(sizeof(call_inputs) % 8 == 0 && sizeof(call_outputs) % 8 == 0, "moved as words");
+  static_assert(sizeof(inertial_request) % 8 == 0 && sizeof(call_outputs) % 8 == 0,
+                "moved as words");
 
 public:
   /// Allocates memory and enqueues its initial values. @param keypoints per image
   device_inertial(Exec const& exec, Rig const& rig, settings const& s, int keypoints)
       : rig_(rig), numbers_(searched_cameras<Rig> * keypoints) {
     params_.reference_quirks = s.reference_quirks;
-    auto const n = static_cast<std::size_t>(numbers_);
     memory_ = arena<space>([&](carver& c) {
       carve(c, seen_, numbers_, 1);
-      noted_ = c.take<float>(n);
-      distance_ = c.take<float>(n);
-      chi2_ = c.take<float>(inertial_rounds * n);
-      inputs_ = c.take<call_inputs>(1);
-      outputs_ = c.take<call_outputs>(1);
+      c.place(numbers_, noted_, distance_);
+      c.place({inertial_rounds, numbers_}, chi2_);
+      c.place(1, inputs_, outputs_);
     });
     host_memory_ = arena<staging>([&](carver& c) {
-      staged_noted_ = c.take<float>(n);
-      staged_ = c.take<call_inputs>(1);
-      staged_outputs_ = c.take<call_outputs>(1);
+      c.place(numbers_, staged_noted_);
+      c.place(1, staged_, staged_outputs_);
     });
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
@@ -128,20 +117,16 @@ public:
   /// Stages the rest. @return the number of mounts so far: what was recorded with another one is
   /// obsolete
   int set(inertial_request const& r) {
-    imu_mount const mount{to_pose(r.T_bc), to_pose(r.T_cb)};
-    if (std::memcmp(&mount, &mount_, sizeof mount) != 0) { ++mounts_; }
-    mount_ = mount;
-    staged_->from_last_frame = r.from_last_frame ? 1 : 0;
-    copy_bytes(staged_->first, r.first);
-    copy_bytes(staged_->start, r.start);
-    set(staged_->integral, r.integral);
-    set(staged_->since_keyframe, r.since_keyframe);
-    std::memcpy(static_cast<void*>(&staged_->prior), &r.prior, sizeof r.prior);
-    staged_->prior.known = r.from_last_frame ? 1 : 0;
+    if (std::memcmp(&r.mount, &mount_, sizeof mount_) != 0) { ++mounts_; }
+    mount_ = r.mount;
+    *staged_ = r;
+    for (preintegrated* const i : {&staged_->integral, &staged_->since_keyframe}) {
+      if (i->steps <= 0) { i->status = integration_status::no_steps; }
+    }
     return mounts_;
   }
   std::size_t input_bytes() const {
-    return sizeof(call_inputs) + sizeof(float) * static_cast<std::size_t>(numbers_);
+    return sizeof(inertial_request) + sizeof(float) * static_cast<std::size_t>(numbers_);
   }
   static constexpr std::size_t output_bytes = sizeof(call_outputs);
 
@@ -190,25 +175,12 @@ public:
     r.refused = from.status != inertial_pose_status::optimised &&
                 from.status != inertial_pose_status::ended_early;
     r.tracked = from.tracked;
-    copy_bytes(r.state, from.stored);
-    std::memcpy(&r.prior, &staged_outputs_->next_prior, sizeof r.prior);
+    r.state = from.stored;
+    r.prior = staged_outputs_->next_prior;
     return r;
   }
 
 private:
-  template <typename To, typename From>
-  static void copy_bytes(To& to, From const& from) {
-    static_assert(sizeof to == sizeof from, "the same numbers in the same order");
-    std::memcpy(static_cast<void*>(&to), &from, sizeof to);
-  }
-  static void set(preintegrated& to, imu_integral const& from) {
-    static_assert(offsetof(preintegrated, steps) == offsetof(imu_integral, steps), "same order");
-    std::memcpy(static_cast<void*>(&to), &from, offsetof(imu_integral, steps));
-    to.steps = from.steps;
-    to.status = from.steps > 0 ? integration_status::integrated : integration_status::no_steps;
-  }
-  static_assert(offsetof(inertial_prior, known) == sizeof(imu_prior), "the same order");
-
   Rig rig_;
   int numbers_;
   inertial_pose_params params_;
@@ -218,10 +190,10 @@ private:
   float* noted_ = nullptr;
   float* distance_ = nullptr;
   float* chi2_ = nullptr;
-  call_inputs* inputs_ = nullptr;
+  inertial_request* inputs_ = nullptr;
   call_outputs* outputs_ = nullptr;
   float* staged_noted_ = nullptr;
-  call_inputs* staged_ = nullptr;
+  inertial_request* staged_ = nullptr;
   call_outputs* staged_outputs_ = nullptr;
   arena<space> memory_;
   arena<staging> host_memory_;

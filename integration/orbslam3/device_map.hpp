@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Map points in executor memory, by slot: changes and growth.
+/// @file Map points in executor memory, by slot, and memory for the search of a local map. Both
+/// grow while other threads track.
 #pragma once
 
+#include <algorithm>
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -12,11 +15,49 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/search/frustum.hpp"
+#include "ft/kernels/search/workspace.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
+
+/// Memory in use, and larger memory that another thread may allocate.
+/// @tparam Blocks with `capacity`, 0 by default
+template <typename Blocks>
+class growing_memory {
+public:
+  Blocks* operator->() { return &used_; }
+  Blocks const* operator->() const { return &used_; }
+
+  /// Capacity for which grow() finds memory. From any thread.
+  int room() const { return room_; }
+  /// Takes what make(capacity) allocates, unless there is room. From any thread.
+  template <typename Make>
+  void prepare(int capacity, Make const& make) {
+    if (capacity <= room_) { return; }
+    Blocks made = make(capacity);
+    std::lock_guard<std::mutex> const lock(mutex_);
+    retired_ = {};
+    if (capacity <= room_) { return; }
+    next_ = std::move(made);
+    room_ = capacity;
+  }
+  /// Uses what was prepared. @return the old memory, which stays until the next prepare() or grow()
+  Blocks const& grow() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    retired_ = std::exchange(used_, std::exchange(next_, Blocks{}));
+    return retired_;
+  }
+
+private:
+  Blocks used_;  ///< by the thread that calls grow()
+  std::mutex mutex_;
+  Blocks next_;
+  Blocks retired_;
+  std::atomic<int> room_{0};
+};
 
 /// Writes one record of a map change.
 struct apply_map_change {
@@ -24,36 +65,32 @@ struct apply_map_change {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, map_change const& change,
-                                 std::uint32_t const* words, map_points_view const& map) const {
-    std::uint32_t const* at = words;
-    if (item < change.positions) {
-      at += item * map_change::position_words;
-      map.position(slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
-      return;
+                                 std::uint32_t const* at, map_points_view const& map) const {
+    int field = 0;
+    for (; item >= change.count[field]; ++field) {
+      item -= change.count[field];
+      at += change.count[field] * map_change::words_of(field);
     }
-    item -= change.positions;
-    at += change.positions * map_change::position_words;
-    if (item < change.views) {
-      at += item * map_change::view_words;
-      map.normal(slot(at)) = {number(at[1]), number(at[2]), number(at[3])};
-      map.min_distance(slot(at)) = number(at[4]);
-      map.max_distance(slot(at)) = number(at[5]);
-      return;
+    at += item * map_change::words_of(field);
+    auto const slot = static_cast<int>(*at++);
+    switch (field) {
+      case map_change::position:
+        map.position(slot) = {number(at[0]), number(at[1]), number(at[2])};
+        break;
+      case map_change::view:
+        map.normal(slot) = {number(at[0]), number(at[1]), number(at[2])};
+        map.min_distance(slot) = number(at[3]);
+        map.max_distance(slot) = number(at[4]);
+        break;
+      case map_change::descriptor:
+        for (int w = 0; w < 8; ++w) { map.orb(slot).words[w] = at[w]; }
+        break;
+      default:
+        map.observations(slot) = static_cast<int>(*at);
     }
-    item -= change.views;
-    at += change.views * map_change::view_words;
-    if (item < change.descriptors) {
-      at += item * map_change::descriptor_words;
-      for (int w = 0; w < 8; ++w) { map.orb(slot(at)).words[w] = at[1 + w]; }
-      return;
-    }
-    item -= change.descriptors;
-    at += change.descriptors * map_change::descriptor_words + item * map_change::observation_words;
-    map.observations(slot(at)) = static_cast<int>(at[1]);
   }
 
 private:
-  FT_HOST_DEVICE static int slot(std::uint32_t const* at) { return static_cast<int>(at[0]); }
   FT_HOST_DEVICE static float number(std::uint32_t bits) {
     float v;
     memcpy(&v, &bits, sizeof v);
@@ -64,76 +101,138 @@ private:
 /// Memory of a map, and of one change of all its points.
 template <typename Exec>
 class device_map {
-  static constexpr memory_space space = Exec::space;
-  static constexpr memory_space staging = staging_space<Exec>;
-
 public:
-  map_points_view const& view() const { return blocks_.map; }
-  int capacity() const { return blocks_.map.capacity; }
+  map_points_view const& view() const { return memory_->map; }
 
   /// Allocates the memory for `slots` points that the next reserve() will use. From any thread.
   void prepare(int slots) {
     detail::require_range("map points", slots, 1, 1 << 26);
-    blocks taken(slots);
-    std::lock_guard<std::mutex> const lock(mutex_);
-    retired_ = {};
-    if (slots > next_.map.capacity) { next_ = std::move(taken); }
+    memory_.prepare(slots, [](int n) { return blocks(n); });
   }
-  /// Makes room for `slots` points and keeps the current ones. Enqueues their copy. The old memory
-  /// stays until the next prepare() or reserve(). Returns whether view() has changed.
+  /// Makes room for `slots` points and keeps the current ones. Enqueues their copy. Returns whether
+  /// view() has changed.
   bool reserve(Exec const& exec, int slots) {
-    if (slots <= capacity()) { return false; }
-    std::unique_lock<std::mutex> lock(mutex_);
-    if (next_.map.capacity < slots) {
-      lock.unlock();
-      prepare(slots);
-      lock.lock();
+    if (slots <= memory_->capacity) { return false; }
+    prepare(slots);
+    blocks const& old = memory_.grow();
+    if (old.capacity > 0) {
+      map_points_view first = view();
+      first.capacity = old.capacity;
+      copy(exec, first, old.map);
     }
-    blocks old = std::exchange(blocks_, std::exchange(next_, blocks{}));
-    if (old.map.capacity > 0) { copy_map(exec, old.map, blocks_.map); }
-    retired_ = std::move(old);
     return true;
   }
 
   /// Enqueues a change. Two changes need an exec.wait() in between.
   void change(Exec const& exec, map_change const& change, std::uint32_t const* words) {
     std::size_t const n = change.words();
-    detail::require(n <= blocks_.staged.size(), "a change has one record a field and slot at most");
-    std::memcpy(blocks_.staged.data(), words, n * sizeof *words);
-    copy(exec, blocks_.words.data(), static_cast<std::uint32_t const*>(blocks_.staged.data()), n);
-    for_each_item<per_thread>(exec, change.records(), apply_map_change{}, change,
-                              static_cast<std::uint32_t const*>(blocks_.words.data()), blocks_.map);
+    detail::require(n <= memory_->staged.size(),
+                    "a change has one record a field and slot at most");
+    std::memcpy(memory_->staged.data(), words, n * sizeof *words);
+    std::uint32_t const* const staged = memory_->staged.data();
+    copy(exec, memory_->words.data(), staged, n);
+    std::uint32_t const* const there = memory_->words.data();
+    for_each_item<per_thread>(exec, change.records(), apply_map_change{}, change, there, view());
   }
 
 private:
   struct blocks {
     blocks() = default;
     explicit blocks(int slots)
-        : memory([&](carver& c) { carve(c, map, slots, 1); }),
+        : capacity(slots),
+          memory([&](carver& c) { carve(c, map, slots, 1); }),
           staged(static_cast<std::size_t>(slots) * map_change::point_words),
           words(static_cast<std::size_t>(slots) * map_change::point_words) {}
 
+    int capacity = 0;
     map_points_view map;
-    arena<space> memory;
-    buffer<std::uint32_t, staging> staged;
-    buffer<std::uint32_t, space> words;
+    arena<Exec::space> memory;
+    buffer<std::uint32_t, staging_space<Exec>> staged;
+    buffer<std::uint32_t, Exec::space> words;
   };
+  growing_memory<blocks> memory_;
+};
 
-  static void copy_map(Exec const& exec, map_points_view const& from, map_points_view const& to) {
-    auto const n = static_cast<std::size_t>(from.capacity);
-    auto const column = [&](auto* target, auto const* source) { copy(exec, target, source, n); };
-    column(array_of<field::position>(to), array_of<field::position>(from));
-    column(array_of<field::normal>(to), array_of<field::normal>(from));
-    column(array_of<field::min_distance>(to), array_of<field::min_distance>(from));
-    column(array_of<field::max_distance>(to), array_of<field::max_distance>(from));
-    column(array_of<field::orb>(to), array_of<field::orb>(from));
-    column(array_of<field::observations>(to), array_of<field::observations>(from));
+/// A window computed by the host.
+struct recorded_window {
+  int index;
+  int camera;
+  search_window window;
+};
+
+/// Memory of one size.
+template <typename Exec>
+struct local_blocks {
+  int capacity = 0;  ///< points
+  search_buffers buffers;
+  int* slots = nullptr;
+  visibility* seen = nullptr;
+  int* listed = nullptr;  ///< points in view
+  recorded_window* recorded = nullptr;
+  int* staged_slots = nullptr;
+  int* staged_index = nullptr;
+  visibility* staged_sights = nullptr;
+  recorded_window* staged_windows = nullptr;
+
+  local_blocks() = default;
+  /// @param windows least number of search windows @param keypoints per image
+  local_blocks(int points, int windows, int keypoints, int cameras) : capacity(points) {
+    int const room = std::max(points, windows);
+    memory = arena<Exec::space>([&](carver& c) {
+      c.place(points, slots, listed);
+      c.place({cameras, points}, seen, recorded);
+      carve(c, buffers.windows, room, 1, cameras);
+      carve(c, buffers.work, room, keypoints, 1, cameras);
+    });
+    staging = arena<staging_space<Exec>>([&](carver& c) {
+      c.place(points, staged_slots, staged_index);
+      c.place({cameras, points}, staged_sights, staged_windows);
+    });
+    std::fill_n(staged_slots, points, no_slot_yet);
   }
 
-  blocks blocks_;
-  std::mutex mutex_;
-  blocks next_;
-  blocks retired_;
+  static constexpr int no_slot_yet = -2;  ///< differs from every value that callers write
+  arena<Exec::space> memory;
+  arena<staging_space<Exec>> staging;
+};
+
+/// That of a local map.
+template <typename Exec>
+class local_memory : public growing_memory<local_blocks<Exec>> {
+public:
+  /// @param keypoints per image
+  local_memory(int keypoints, int cameras) : keypoints_(keypoints), cameras_(cameras) {}
+
+  /// Allocates memory for `points`. From any thread.
+  void prepare(int points) {
+    growing_memory<local_blocks<Exec>>::prepare(size_of(points), [&](int n) {
+      return local_blocks<Exec>(n, cameras_ * keypoints_, keypoints_, cameras_);
+    });
+  }
+  /// Makes room for `points`. Waits if less is in use, and allocates unless prepared.
+  /// @return whether the memory has moved
+  bool reserve(Exec const& exec, int points) {
+    if (points <= (*this)->capacity) { return false; }
+    prepare(points);
+    exec.wait();
+    this->grow();
+    // Candidates are prefetched before their count is known.
+    auto const& work = (*this)->buffers.work;
+    fill_bytes(exec, work.list, 0xff, work.list_bytes());
+    return true;
+  }
+
+  /// Items of the launches for a local map of `points`: rounded up to a power of two, so that one
+  /// recording serves many frames.
+  static int size_of(int points) {
+    int n = 1024;
+    while (n < points) { n *= 2; }
+    return n;
+  }
+
+private:
+  int keypoints_;
+  int cameras_;
 };
 
 }  // namespace FT_ABI

@@ -3,6 +3,7 @@
 /// launches.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -19,9 +20,9 @@
 #include "ft/kernels/search/local_map.hpp"
 #include "ft/kernels/search/workspace.hpp"
 #include "integration/orbslam3/device_frames.hpp"
-#include "integration/orbslam3/local_memory.hpp"
+#include "integration/orbslam3/device_map.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/rigs.hpp"
-#include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -140,15 +141,12 @@ public:
     int const numbers = 2 * keypoints;
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, numbers, 1);
-      inputs_ = c.take<call_inputs>(1);
-      optimized_ = c.take<pose>(1);
+      c.place(1, inputs_, optimized_);
     });
     host_memory_ = arena<staging>([&](carver& c) {
-      staged_ = c.take<call_inputs>(1);
-      staged_optimized_ = c.take<pose>(1);
-      found_ = c.take<int>(2);
-      kept_ = c.take<int>(static_cast<std::size_t>(numbers));
-      in_view_ = c.take<int>(1);
+      c.place(1, staged_, staged_optimized_, in_view_);
+      c.place(2, found_);
+      c.place(numbers, kept_);
     });
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     local_.reserve(exec, s.local_points);
@@ -164,29 +162,25 @@ public:
 
   // ---- inputs: staged here, uploaded by the first launch of a call
 
-  void set_pose(transform const& T_cw) { staged_->T_cw = to_pose(T_cw); }
+  void set_pose(pose const& T_cw) { staged_->T_cw = T_cw; }
   void set_last_frame(last_frame_request const& r) {
     set_pose(r.T_cw);
-    staged_->T_lw = to_pose(r.T_lw);
-    staged_->rotation = {r.rotation[0], r.rotation[1], r.rotation[2], r.rotation[3]};
+    staged_->T_lw = r.T_lw;
+    staged_->rotation = r.rotation;
   }
   /// Adds slots and recorded windows to `up`, which precedes the search.
   void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
                      pyramid_geometry const& geometry) {
     set_pose(r.T_cw);
     staged_->slots = r.points;
-    for (int i = 0; i < 2; ++i) {
-      staged_->centres[i] = {r.centres[i][0], r.centres[i][1], r.centres[i][2]};
-    }
+    std::copy_n(r.centres, 2, staged_->centres);
     if (r.slots_changed) { up.add(exec, local_->slots, local_->staged_slots, r.points); }
     for (int i = 0; i < r.recorded; ++i) {
       recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
-      visibility const v{s.seen.x,      s.seen.y,        s.seen.right_x,
-                         s.seen.cosine, s.seen.distance, s.seen.level};
       search_window window = search_window::none();
       if (s.camera != recorded_sight::not_right_alone) {
-        window =
-            window_of(v, s.slot, s.camera == 0 ? r.radius_factor : 1.0f, Rig::rectified, geometry);
+        window = window_of(s.seen, s.slot, s.camera == 0 ? r.radius_factor : 1.0f, Rig::rectified,
+                           geometry);
       }
       local_->staged_windows[i] = {s.index, s.camera, window};
     }
@@ -295,10 +289,9 @@ public:
   }
   int const* kept() const { return kept_; }
   int matches() const { return found_[0]; }
-  pose_result optimized() const { return {to_transform(*staged_optimized_), found_[1]}; }
+  pose_result optimized() const { return {*staged_optimized_, found_[1]}; }
   points_in_view in_view() const {
-    static_assert(sizeof(sight) == sizeof(visibility), "the same fields in the same order");
-    auto const* const sights = reinterpret_cast<sight const*>(local_->staged_sights);
+    visibility const* const sights = local_->staged_sights;
     return {*in_view_, local_->staged_index, {sights, sights + local_->capacity}};
   }
 

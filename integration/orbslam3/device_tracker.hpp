@@ -7,10 +7,7 @@
 #include <string>
 
 #include "integration/orbslam3/helper_threads.hpp"
-#include "integration/orbslam3/inertial_types.hpp"
 #include "integration/orbslam3/plain_types.hpp"
-#include "integration/orbslam3/recovery_types.hpp"
-#include "integration/orbslam3/word_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -52,7 +49,7 @@ public:
   virtual void wait_for_features() = 0;
   /// Builds the pyramids of two images, for match_stereo() of keypoints that were extracted
   /// elsewhere.
-  virtual void build_pyramids(grey_image const& left, grey_image const& right) = 0;
+  virtual void build_pyramids(gray_view const& left, gray_view const& right) = 0;
   /// Matches the keypoints of a buffer in the current pyramids and downloads the result into
   /// frame(buffer). If extract() has enqueued that, only waits.
   virtual void match_stereo(int buffer) = 0;
@@ -60,8 +57,6 @@ public:
   virtual void settle() = 0;
   /// Downloads a level of an image's pyramid. @param to rows of `stride` bytes
   virtual void download_level(int image, int level, unsigned char* to, std::size_t stride) = 0;
-  virtual int level_width(int level) const = 0;
-  virtual int level_height(int level) const = 0;
 
   /// Enqueues the upload of a part of frame(buffer).
   virtual void send(int buffer, frame_part part) = 0;
@@ -91,7 +86,7 @@ public:
   /// Waits for the search, which fills the holders. Returns the number of matches.
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
-  virtual pose_result optimize_pose(int buffer, transform const& T_cw) = 0;
+  virtual pose_result optimize_pose(int buffer, pose const& T_cw) = 0;
 
   /// Starts from the holders in both buffers; fills frame(request.frame).holder. Returns the number
   /// of keypoints that take a point.
@@ -123,8 +118,8 @@ public:
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;
-  /// Turns the measurement of device times on or off.
-  virtual void measure(bool on) = 0;
+  /// From now on device times are measured. Once, before other calls.
+  virtual void measure() = 0;
   /// Times of the last call that waited.
   virtual device_times times() const = 0;
 };

@@ -10,7 +10,6 @@
 #include <mutex>
 #include <new>
 #include <thread>
-#include <utility>
 #include <vector>
 
 namespace ft {

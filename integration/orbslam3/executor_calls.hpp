@@ -1,20 +1,266 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file How calls of a tracker on an executor begin, wait and are counted.
+/// @file How calls on an executor move words, are recorded, wait, and are timed and counted.
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "integration/orbslam3/call_clock.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/core/recording.hpp"
+#include "ft/core/stage_clock.hpp"
+#include "ft/types/tracking.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/stream_mark.hpp"
-#include "integration/orbslam3/word_mover.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
+
+struct word_segment {
+  std::uint32_t const* from;
+  std::uint32_t* to;
+  int words;
+};
+
+struct word_segments {
+  static constexpr int most = 18;
+  word_segment segment[most];
+  int count = 0;
+  int words = 0;
+};
+
+/// One word of all segments.
+struct move_word {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, word_segments const& all) const {
+    for (int s = 0; s < all.count; ++s) {
+      word_segment const& segment = all.segment[s];
+      if (item < segment.words) {
+        segment.to[item] = segment.from[item];
+        return;
+      }
+      item -= segment.words;
+    }
+  }
+};
+
+/// Collects copies and makes them together: on a device by one launch, which reads and writes
+/// pinned memory; on the host by plain copies.
+template <typename Exec>
+class word_mover {
+public:
+  /// @param count elements of a size that is a multiple of 4 bytes
+  template <typename T>
+  void add(Exec const& exec, T* to, std::remove_const_t<T> const* from, int count) {
+    static_assert(std::is_trivially_copyable<T>::value && sizeof(T) % 4 == 0, "moved as words");
+    if (count <= 0) { return; }
+    if (all_.count == word_segments::most) { flush(exec); }
+    int const words = count * static_cast<int>(sizeof(T) / 4);
+    all_.segment[all_.count++] = {reinterpret_cast<std::uint32_t const*>(from),
+                                  reinterpret_cast<std::uint32_t*>(to), words};
+    all_.words += words;
+  }
+
+  /// Makes the copies; asynchronous where the executor is.
+  void flush(Exec const& exec) {
+    if constexpr (Exec::asynchronous) {
+      for_each_item<per_thread>(exec, all_.words, move_word{}, all_);
+    } else {
+      for (int s = 0; s < all_.count; ++s) {
+        word_segment const& segment = all_.segment[s];
+        copy(exec, segment.to, segment.from, static_cast<std::size_t>(segment.words));
+      }
+    }
+    moved_ += 4 * static_cast<std::size_t>(all_.words);
+    all_ = {};
+  }
+
+  /// Bytes moved since the last take.
+  std::size_t take_bytes() { return std::exchange(moved_, 0); }
+
+private:
+  word_segments all_;
+  std::size_t moved_ = 0;
+};
+
+/// A mark in a stream that the host can wait for while later work goes on. On the host all work is
+/// done when a call returns.
+template <typename Exec>
+class stream_mark {
+public:
+  void set(Exec const&) {}
+  void wait() const {}
+};
+
+/// The device of the thread that constructed the object, for other threads.
+template <typename Exec>
+class thread_device {
+public:
+  void enter() const {}
+};
+
+/// An executor for another thread than that of `beside`: on a device with a stream of its own. On
+/// the host both share the thread pool. The destructor waits.
+template <typename Exec>
+class own_stream {
+public:
+  explicit own_stream(Exec const& beside) : exec_(beside) {}
+  Exec const& exec() const { return exec_; }
+
+private:
+  Exec exec_;
+};
+
+#if defined(__CUDACC__)
+template <>
+class stream_mark<cuda_exec> : event {
+public:
+  void set(cuda_exec const& exec) { record(exec.stream); }
+  /// Waits for the work that was enqueued before set(). @throws cuda_error
+  void wait() const { throw_on_error(cudaEventSynchronize(get()), "cudaEventSynchronize"); }
+};
+
+template <>
+class thread_device<cuda_exec> {
+public:
+  thread_device() { throw_on_error(cudaGetDevice(&device_), "cudaGetDevice"); }
+  /// Makes this the current device of the calling thread.
+  void enter() const { throw_on_error(cudaSetDevice(device_), "cudaSetDevice"); }
+
+private:
+  int device_ = 0;
+};
+
+template <>
+class own_stream<cuda_exec> {
+public:
+  explicit own_stream(cuda_exec const& /*beside*/) : exec_(stream_.get()) {}
+  own_stream(own_stream const&) = delete;
+  own_stream& operator=(own_stream const&) = delete;
+  ~own_stream() {
+    try {
+      exec_.wait();
+    } catch (error const&) {  // the device is lost, and so is the work on it
+    }
+  }
+  cuda_exec const& exec() const { return exec_; }
+
+private:
+  stream stream_;
+  cuda_exec exec_;
+};
+#endif
+
+// The marks of a call, after the first one.
+inline constexpr char const* transferred = "transfer";
+inline constexpr char const* computed = "kernel";
+
+/// What the marks of a call say, after the executor's wait(); zeros of a clock that is not enabled.
+template <typename Exec>
+device_times times_of(stage_clock<Exec> const& clock) {
+  device_times t;
+  for (stage_time const& s : clock.times()) {
+    (std::strcmp(s.name, transferred) == 0 ? t.transfer : t.kernel) += s.us;
+  }
+  return t;
+}
+
+/// The parameters of a call's launches, apart from data in memory.
+struct call_key {
+  int call = 0;
+  int buffer = 0;
+  int size = 0;  ///< of the launches
+  float values[6] = {};
+
+  static call_key of(int call, int buffer, int size, bounds const& image, float a, float b) {
+    return {call, buffer, size, {image.min_x, image.min_y, image.max_x, image.max_y, a, b}};
+  }
+  friend bool operator==(call_key const& a, call_key const& b) {
+    return a.call == b.call && a.buffer == b.buffer && a.size == b.size &&
+           std::memcmp(a.values, b.values, sizeof a.values) == 0;
+  }
+};
+
+/// Replays the call of a key, and records it when the key is new. If there are more keys than
+/// entries, which does not happen in tracking, calls are enqueued launch by launch.
+template <typename Exec>
+class call_graphs {
+public:
+  template <typename Queue>
+  void replay(Exec const& exec, call_key const& key, Queue const& queue) {
+    for (entry const& e : entries_) {
+      if (e.key == key) { return e.graph.replay(exec, queue); }
+    }
+    if (!Exec::asynchronous || entries_.size() == most) { return queue(exec); }
+    entries_.push_back({key, {}});
+    entries_.back().graph.record(exec, queue);
+    entries_.back().graph.replay(exec, queue);
+  }
+  /// To be called when the memory that the calls use has moved.
+  void clear() { entries_.clear(); }
+
+private:
+  static constexpr std::size_t most = 64;
+  struct entry {
+    call_key key;
+    recording<Exec> graph;
+  };
+  std::vector<entry> entries_;
+};
+
+/// Base of calls that depend on no frame: on a stream and with memory of their own, so what
+/// tracking has started for the next call goes on.
+template <typename Exec>
+class own_calls {
+public:
+  void measure() { clock_.enable(); }
+
+protected:
+  explicit own_calls(Exec const& beside) : stream_(beside) {}
+
+  Exec const& exec() const { return stream_.exec(); }
+  /// Allocates zeros in executor memory and in staging memory. Waits.
+  template <typename Layout, typename HostLayout>
+  void allocate(Layout const& layout, HostLayout const& host_layout) {
+    memory_ = arena<Exec::space>(layout);
+    host_memory_ = arena<staging_space<Exec>>(host_layout);
+    std::memset(host_memory_.data(), 0, host_memory_.bytes());
+    fill_bytes(exec(), memory_.data(), 0, memory_.bytes());
+    exec().wait();
+  }
+  /// A call that waits. @param send,fetch void(word_mover&): what is moved before and after
+  template <typename Send, typename Compute, typename Fetch>
+  device_times call(Send const& send, Compute const& compute, Fetch const& fetch) {
+    word_mover<Exec> words;
+    clock_.begin(exec());
+    send(words);
+    words.flush(exec());
+    clock_.mark(exec(), transferred);
+    compute();
+    clock_.mark(exec(), computed);
+    fetch(words);
+    words.flush(exec());
+    clock_.mark(exec(), transferred);
+    exec().wait();
+    return times_of(clock_);
+  }
+
+private:
+  own_stream<Exec> stream_;
+  stage_clock<Exec> clock_;
+  arena<Exec::space> memory_;
+  arena<staging_space<Exec>> host_memory_;
+};
 
 /// Base of a tracker on an executor.
 template <typename Exec>
@@ -33,16 +279,17 @@ protected:
   /// Marks the start of a call, before its first launch.
   void start() {
     settle();
-    if (!started_) { clock_.mark(exec_, 0); }
+    if (!started_) { clock_.begin(exec_); }
     started_ = true;
   }
   /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
   void begin(std::size_t staged = 0) {
     start();
-    bool const collected = up_.flush(exec_) > 0;
-    if (collected || staged > 0) { ++bytes_.uploads; }
-    bytes_.frame += up_.take_bytes() + staged;
-    if (staged == 0) { clock_.mark(exec_, 1); }
+    up_.flush(exec_);
+    std::size_t const bytes = up_.take_bytes() + staged;
+    bytes_.uploads += static_cast<int>(bytes > 0);
+    bytes_.frame += bytes;
+    if (staged == 0) { clock_.mark(exec_, transferred); }
   }
   void count_download(std::size_t bytes) {
     ++bytes_.downloads;
@@ -51,9 +298,9 @@ protected:
   /// @param bytes that are being downloaded
   void finish(std::size_t bytes) {
     count_download(bytes);
-    clock_.mark(exec_, 3);
+    clock_.mark(exec_, transferred);
     wait();
-    times_ = clock_.read();
+    times_ = times_of(clock_);
   }
   void wait() {
     exec_.wait();
@@ -64,7 +311,7 @@ protected:
 
   Exec exec_;
   word_mover<Exec> up_;
-  call_clock<Exec> clock_;
+  stage_clock<Exec> clock_;
   traffic bytes_;
   device_times times_;
   bool in_flight_ = false;  ///< the last call left work that it did not wait for

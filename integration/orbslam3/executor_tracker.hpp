@@ -1,37 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The device's part of the shim on an executor: ft's stages over two frames and a map.
+///
 /// Compiled by nvcc for CUDA, else by the host compiler; includes nothing of ORB-SLAM3.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <memory>
 #include <utility>
 
+#include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "integration/orbslam3/call_clock.hpp"
-#include "integration/orbslam3/call_graphs.hpp"
 #include "integration/orbslam3/device_extraction.hpp"
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/device_inertial.hpp"
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/device_words.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
-#include "integration/orbslam3/stream_mark.hpp"
-#include "integration/orbslam3/word_calls.hpp"
-#include "integration/orbslam3/word_mover.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
 /// Calls of every frame are recorded the first time and then replayed, one graph launch each; with
-/// measure(true) they are enqueued launch by launch.
+/// measure() they are enqueued launch by launch.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
 class executor_tracker : public word_calls<Exec, Rig> {
@@ -67,8 +66,6 @@ public:
     this->make_words(exec_, s, capacity());
     exec_.wait();
     extraction_.record(exec_, frames_);
-    sights_there_.make();
-    matches_there_.make();
   }
   /// Waits, because enqueued work uses memory of this object.
   ~executor_tracker() override {
@@ -87,9 +84,9 @@ public:
     drop_pose(true);
     settle();
     times_ = {};
-    if (clock_.measuring()) {
+    if (clock_.enabled()) {
       extraction_.extract_measured(exec_, frames_, request, clock_);
-      clock_.mark(exec_, 3);
+      clock_.mark(exec_, transferred);
     } else {
       extraction_.extract(exec_, frames_, request);
     }
@@ -101,16 +98,16 @@ public:
   }
 
   void wait_for_features() override {
-    if (clock_.measuring()) {
+    if (clock_.enabled()) {
       wait();
-      times_ = clock_.read();
+      times_ = times_of(clock_);
     } else {
       extraction_.wait_for_features();
       in_flight_ = extraction_.stereo_at_once();
     }
   }
 
-  void build_pyramids(grey_image const& left, grey_image const& right) override {
+  void build_pyramids(gray_view const& left, gray_view const& right) override {
     wait();
     extraction_.build_pyramids(exec_, left, right);
     wait();
@@ -128,7 +125,7 @@ public:
     }
     begin();
     extraction_.queue_stereo(exec_, frames_, buffer, false);
-    clock_.mark(exec_, 2);
+    clock_.mark(exec_, computed);
     finish(extraction_.stereo_bytes());
   }
 
@@ -136,8 +133,6 @@ public:
     count_download(extraction_.download_level(exec_, image, level, to, stride));
     wait();
   }
-  int level_width(int level) const override { return extraction_.geometry().width[level]; }
-  int level_height(int level) const override { return extraction_.geometry().height[level]; }
 
   void send(int buffer, frame_part part) override {
     if (part == frame_part::keypoints && stereo_of_ == buffer) { stereo_of_ = -1; }
@@ -192,12 +187,12 @@ public:
                         r.ignore_motion_direction ? 1.0f : 0.0f),
            [&](Exec const& exec) {
              searches_.upload(exec);
-             clock_.mark(exec, 1);
+             clock_.mark(exec, transferred);
              searches_.queue_last_frame(exec, call, r, frames_[r.last]);
-             clock_.mark(exec, 2);
+             clock_.mark(exec, computed);
              searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
            });
-    clock_.mark(exec_, 3);
+    clock_.mark(exec_, transferred);
     start_pose(pose_ahead::after::last_frame, r.current, r.T_cw);
     count_download(sizeof(int) + frames_.holder_bytes());
     wait_for_matches();
@@ -213,12 +208,12 @@ public:
     auto const call = context_of(r.buffer);
     auto const lists = [&](Exec const& exec) {
       searches_.upload(exec);
-      clock_.mark(exec, 1);
+      clock_.mark(exec, transferred);
       searches_.queue_local_lists(exec, call, r);
     };
     auto const choice = [&](Exec const& exec) {
       searches_.queue_local_choice(exec, call, r);
-      clock_.mark(exec, 2);
+      clock_.mark(exec, computed);
       searches_.download_matches(exec, frames_.arrays(r.buffer).holder, call.frame);
     };
     if (r.recorded == 0) {
@@ -231,13 +226,13 @@ public:
       sights_there_.set(exec_);
       choice(exec_);
     }
-    clock_.mark(exec_, 3);
+    clock_.mark(exec_, transferred);
     start_pose(pose_ahead::after::local_map, r.buffer, r.T_cw);
     sights_there_.wait();
     points_in_view const found = searches_.in_view();
     count_download(sizeof(int) + frames_.holder_bytes() +
                    static_cast<std::size_t>(found.count) *
-                       (sizeof(int) + searched * sizeof(sight)));
+                       (sizeof(int) + searched * sizeof(visibility)));
     in_flight_ = true;
     return found;
   }
@@ -246,7 +241,7 @@ public:
     return searches_.matches();
   }
 
-  pose_result optimize_pose(int buffer, transform const& T_cw) override {
+  pose_result optimize_pose(int buffer, pose const& T_cw) override {
     if (pose_ahead_.take(buffer, T_cw)) { return take_pose(buffer); }
     drop_pose(false);
     searches_.set_pose(T_cw);
@@ -254,9 +249,9 @@ public:
     auto const call = context_of(buffer);
     replay(call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
       searches_.upload(exec);
-      clock_.mark(exec, 1);
+      clock_.mark(exec, transferred);
       searches_.queue_pose(exec, call);
-      clock_.mark(exec, 2);
+      clock_.mark(exec, computed);
       searches_.download_pose(exec, frames_.arrays(buffer).holder, call.frame);
     });
     finish(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
@@ -270,9 +265,9 @@ public:
     frames_.make_grid(exec_, r.frame, r.image);
     auto const call = context_of(r.frame);
     searches_.upload(exec_);
-    clock_.mark(exec_, 1);
+    clock_.mark(exec_, transferred);
     searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
-    clock_.mark(exec_, 2);
+    clock_.mark(exec_, computed);
     searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
     finish(sizeof(int) + frames_.holder_bytes());
     return searches_.matches();
@@ -286,18 +281,18 @@ public:
     auto const call = context_of(r.buffer);
     replay(call_key::of(6, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
       inertial_.upload(exec);
-      clock_.mark(exec, 1);
+      clock_.mark(exec, transferred);
       inertial_.queue(exec, {call.frame, call.map, call.geometry});
-      clock_.mark(exec, 2);
+      clock_.mark(exec, computed);
       inertial_.download(exec, frames_.arrays(r.buffer).holder, call.frame);
     });
     finish(inertial_.output_bytes + frames_.holder_bytes());
     return inertial_.result();
   }
 
-  void measure(bool on) override {
-    clock_.measure(on);
-    this->measure_words(on);
+  void measure() override {
+    clock_.enable();
+    this->measure_words();
   }
 
 private:
@@ -308,14 +303,14 @@ private:
   }
   template <typename Queue>
   void replay(call_key const& key, Queue const& queue) {
-    clock_.measuring() ? queue(exec_) : graphs_.replay(exec_, key, queue);
+    clock_.enabled() ? queue(exec_) : graphs_.replay(exec_, key, queue);
   }
 
   /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
   /// while times are measured, so that each call has its own.
-  void start_pose(pose_ahead::after search, int buffer, transform const& T_cw) {
+  void start_pose(pose_ahead::after search, int buffer, pose const& T_cw) {
     matches_there_.set(exec_);
-    if (!settings_.poses_ahead || clock_.measuring()) { return; }
+    if (!settings_.poses_ahead || clock_.enabled()) { return; }
     if (!pose_ahead_.expect(search, buffer, T_cw)) { return; }
     auto const call = context_of(buffer);
     replay(call_key::of(5, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
@@ -333,7 +328,7 @@ private:
       started_ = false;
       in_flight_ = true;
     }
-    times_ = clock_.read();
+    times_ = times_of(clock_);
   }
   /// The result of the optimisation that was started.
   pose_result take_pose(int buffer) {
@@ -367,6 +362,41 @@ private:
   pose_ahead pose_ahead_;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
+
+/// The tracker for the kind of cameras in the settings.
+template <typename Exec>
+std::unique_ptr<device_tracker> make_tracker_on(Exec const& exec, settings const& s) {
+  if (s.left.kind == lens::pinhole) {
+    return std::make_unique<executor_tracker<Exec, rectified_rig>>(exec, s);
+  }
+  return std::make_unique<executor_tracker<Exec, fisheye_rig>>(exec, s);
+}
+
+/// For machines without a GPU, and for tests.
+/// @param threads as in host_exec; 0 = all
+/// @throws bad_argument for invalid settings
+inline std::unique_ptr<device_tracker> make_host_tracker(settings const& s, int threads = 0) {
+  return make_tracker_on(host_exec(threads), s);
+}
+
+#if defined(__CUDACC__)
+/// The stream is declared first, so that it is destroyed last.
+template <typename Rig>
+class streaming_tracker final : stream, public executor_tracker<cuda_exec, Rig> {
+public:
+  explicit streaming_tracker(settings const& s)
+      : executor_tracker<cuda_exec, Rig>(cuda_exec(stream::get()), s) {}
+};
+
+/// On the current device, with a stream of its own. make_tracker_on() takes one of the caller.
+/// @throws bad_argument for invalid settings, cuda_error without a device or memory
+inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s) {
+  if (s.left.kind == lens::pinhole) {
+    return std::make_unique<streaming_tracker<rectified_rig>>(s);
+  }
+  return std::make_unique<streaming_tracker<fisheye_rig>>(s);
+}
+#endif
 
 }  // namespace FT_ABI
 }  // namespace orbslam3

@@ -10,15 +10,79 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/cell_lists.hpp"
-#include "integration/orbslam3/depth_stereo.hpp"
+#include "ft/kernels/grid.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/options.hpp"
-#include "integration/orbslam3/statistics.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
+
+/// Fills grids on the host: nearly all of the time goes into taking memory for a thousand lists,
+/// which is shared among threads, and which a device could not do. To work out the cells takes a
+/// few microseconds, and a grid from the device would have to be transferred.
+class cell_lists {
+public:
+  explicit cell_lists(helper_threads& helpers) : helpers_(&helpers) {}
+
+  /// Replaces the contents of all cells: indices of keypoints, ascending. Keypoints outside of the
+  /// cells are left out.
+  /// @param image bounds that the cells cover, pixels
+  /// @param grid [column][row]
+  template <typename Keypoint, typename List, std::size_t Columns, std::size_t Rows>
+  void fill(bounds const& image, std::vector<Keypoint> const& keypoints,
+            List (&grid)[Columns][Rows]) {
+    sort(grid_geometry::over(image.min_x, image.min_y, image.max_x, image.max_y,
+                             static_cast<int>(Columns), static_cast<int>(Rows)),
+         keypoints);
+    constexpr int parts = static_cast<int>((Columns + columns_at_a_time - 1) / columns_at_a_time);
+    helpers_->share(parts, [&](int part) {
+      std::size_t const begin = static_cast<std::size_t>(part) * columns_at_a_time;
+      for (std::size_t x = begin; x < begin + columns_at_a_time && x < Columns; ++x) {
+        for (std::size_t y = 0; y < Rows; ++y) {
+          std::size_t const cell = x * Rows + y;
+          grid[x][y].assign(sorted_.begin() + (cell == 0 ? 0 : end_[cell - 1]),
+                            sorted_.begin() + end_[cell]);
+        }
+      }
+    });
+  }
+
+private:
+  static constexpr std::size_t columns_at_a_time = 4;
+
+  /// Fills sorted_, the indices cell by cell, and end_, where each cell ends in it.
+  template <typename Keypoint>
+  void sort(grid_geometry const& geometry, std::vector<Keypoint> const& keypoints) {
+    std::size_t const n = keypoints.size();
+    cell_.resize(n);
+    sorted_.resize(n);
+    end_.assign(static_cast<std::size_t>(geometry.cells()), 0);
+    for (std::size_t i = 0; i < n; ++i) {
+      int const c = nearest_cell::of(geometry, keypoints[i].pt.x, keypoints[i].pt.y);
+      cell_[i] = c;
+      if (c >= 0) { ++end_[static_cast<std::size_t>(c)]; }
+    }
+    std::ptrdiff_t before = 0;
+    for (std::ptrdiff_t& e : end_) {
+      std::ptrdiff_t const here = e;
+      e = before;
+      before += here;
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+      if (cell_[i] < 0) { continue; }
+      std::ptrdiff_t& at = end_[static_cast<std::size_t>(cell_[i])];
+      sorted_[static_cast<std::size_t>(at++)] = i;
+    }
+  }
+
+  helper_threads* helpers_;
+  std::vector<int> cell_;  ///< by keypoint, -1 = none
+  std::vector<std::ptrdiff_t> end_;
+  std::vector<std::size_t> sorted_;
+};
 
 /// Base of the accelerator: owns the device, and what all stages share.
 /// @tparam Types with `frame`: ORB_SLAM3::Frame
@@ -59,7 +123,7 @@ public:
     levels.resize(static_cast<std::size_t>(settings_.levels));
     for (int l = 0; l < settings_.levels; ++l) {
       Image level;
-      level.create(device_->level_height(l), device_->level_width(l), grey_type);
+      level.create(frames_.levels().height[l], frames_.levels().width[l], grey_type);
       device_->download_level(image, l, level.data, static_cast<std::size_t>(level.step));
       levels[static_cast<std::size_t>(l)] = level;
     }
@@ -110,7 +174,7 @@ public:
                               std::vector<Image> const& right) {
     stage_timer timer(sums(stage::stereo), *device_);
     detail::require(!left.empty() && !right.empty(), "the pyramids are empty");
-    grey_image const images[2] = {view_of(left.front()), view_of(right.front())};
+    gray_view const images[2] = {view_of(left.front()), view_of(right.front())};
     int const b = frames_.load(frame, frame.mvKeys, true, -1);
     timer.on_device([&] {
       device_->build_pyramids(images[0], images[1]);
@@ -133,19 +197,10 @@ public:
     frames_.fill_fisheye_stereo(b, frame);
   }
 
-  /// Frame::ComputeStereoFromRGBD: mvuRight and mvDepth from the depth image. Runs on the host: it
-  /// reads one pixel per keypoint, and sending the image would take longer.
-  /// @param depth metres, CV_32F
-  template <typename Image>
-  void compute_stereo_from_depth(frame_type& frame, Image const& depth) {
-    stage_timer timer(sums(stage::stereo), *device_);
-    fill_stereo_from_depth(frame, depth, settings_.bf);
-  }
-
 protected:
   feature_stages(std::unique_ptr<device_tracker> device, settings const& s, options const& o)
       : device_(std::move(device)), settings_(s), options_(o) {
-    device_->measure(o.statistics);
+    if (o.statistics) { device_->measure(); }
   }
   ~feature_stages() = default;
 
@@ -161,7 +216,7 @@ protected:
 
 private:
   template <typename Image>
-  grey_image view_of(Image const& image) const {
+  gray_view view_of(Image const& image) const {
     if (image.cols != settings_.width || image.rows != settings_.height) {
       throw frame_refused("ft: the image is " + std::to_string(image.cols) + "x" +
                           std::to_string(image.rows) + ", the settings say " +
@@ -174,7 +229,7 @@ private:
     return {image.data, image.cols, image.rows,
             static_cast<int>(static_cast<std::size_t>(image.step))};
   }
-  void extract_images(grey_image const& left, grey_image const& right, frame_type& frame) {
+  void extract_images(gray_view const& left, gray_view const& right, frame_type& frame) {
     stage_timer timer(sums(stage::extract), *device_);
     extraction_request const request =
         frames_.begin_extraction(frame, left, right, uses(stage::undistort));

@@ -13,10 +13,9 @@
 
 #include "ft/core/error.hpp"
 #include "ft/core/views.hpp"
-#include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/frame_changes.hpp"
-#include "integration/orbslam3/scale_tables.hpp"
+#include "integration/orbslam3/frame_fields.hpp"
+#include "integration/orbslam3/settings_of.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -36,6 +35,7 @@ class frame_exchange {
 public:
   frame_exchange(device_tracker& device, settings const& s) : device_(&device), settings_(s) {}
 
+  pyramid_geometry const& levels() const { return tables_.levels(); }
   static bounds bounds_of(Frame const& frame) {
     return {frame.mnMinX, frame.mnMinY, frame.mnMaxX, frame.mnMaxY};
   }
@@ -69,8 +69,8 @@ public:
 
   /// The request for the next extraction. The buffer that it fills holds no frame until took().
   /// @param undistort whether the device undistorts the keypoints of a single image
-  extraction_request begin_extraction(Frame const& frame, grey_image const& left,
-                                      grey_image const& right, bool undistort) {
+  extraction_request begin_extraction(Frame const& frame, gray_view const& left,
+                                      gray_view const& right, bool undistort) {
     extraction_request r;
     r.buffer = 1 - newest_;
     r.left = left;
@@ -261,9 +261,9 @@ public:
     for (int i = 0; i < a.count[0]; ++i) {
       auto const at = static_cast<std::size_t>(i);
       frame.mvLeftToRightMatch[at] = a.partner[i] < 0 ? -1 : a.partner[i] - a.capacity;
-      float const* const p = a.point + 3 * i;
+      vec3<float> const& p = a.point[i];
       frame.mvStereo3Dpoints[at] =
-          typename std::decay_t<decltype(frame.mvStereo3Dpoints)>::value_type(p[0], p[1], p[2]);
+          typename std::decay_t<decltype(frame.mvStereo3Dpoints)>::value_type(p.x, p.y, p.z);
     }
     frame.mnCloseMPs = 0;  // the original's value: it counts none
     frame.mvRightToLeftMatch.assign(a.partner + a.capacity, a.partner + a.capacity + a.count[1]);

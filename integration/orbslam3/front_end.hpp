@@ -17,13 +17,38 @@
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/change_queue.hpp"
-#include "integration/orbslam3/frame_calls.hpp"
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 #include "integration/orbslam3/verify.hpp"
 
 namespace ft {
 namespace orbslam3 {
+
+template <typename Types>
+class front_end;
+
+template <typename Types, typename Cpu, typename... Images>
+void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
+             Images const&... images) {
+  gpu == nullptr ? cpu() : gpu->extract(frame, cpu, images...);
+}
+template <typename Types, typename Cpu>
+void undistort(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  gpu == nullptr ? cpu() : gpu->undistort(frame, cpu);
+}
+template <typename Types, typename Cpu>
+void assign_to_grid(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  gpu == nullptr ? cpu() : gpu->assign_to_grid(frame, cpu);
+}
+template <typename Types, typename Cpu, typename Image>
+void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
+            std::vector<Image>& left, std::vector<Image>& right) {
+  gpu == nullptr ? cpu() : gpu->stereo(frame, cpu, left, right);
+}
+template <typename Types, typename Cpu>
+void stereo_fisheye(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  gpu == nullptr ? cpu() : gpu->stereo_fisheye(frame, cpu);
+}
 
 /// Defined by the unit that includes make_tracker.hpp.
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
@@ -96,50 +121,21 @@ public:
   /// Features of one or two images. @param cpu ExtractORB of all of them
   template <typename Cpu, typename... Images>
   void extract(frame_type& frame, Cpu const& cpu, Images const&... images) {
-    bool done = false;
-    if (uses(stage::extract)) {
-      done = attempt([&] {
-        if (both_) {
-          both_->extract(frame, cpu, images...);
-        } else {
-          gpu_->extract(images..., frame);
-        }
-      });
-    }
-    if (!done) { cpu(); }
+    run(uses(stage::extract), cpu,
+        [&] { both_ ? both_->extract(frame, cpu, images...) : gpu_->extract(images..., frame); });
   }
-
   /// mvKeysUn. @param cpu UndistortKeyPoints
   template <typename Cpu>
   void undistort(frame_type& frame, Cpu const& cpu) {
-    bool const here = uses(stage::undistort) && gpu_->can_undistort(frame);
-    if (here && attempt([&] {
-          if (both_) {
-            both_->undistort(frame, cpu);
-          } else {
-            gpu_->undistort(frame);
-          }
-        })) {
-      return;
-    }
-    cpu();
+    run(uses(stage::undistort) && gpu_->can_undistort(frame), cpu,
+        [&] { both_ ? both_->undistort(frame, cpu) : gpu_->undistort(frame); });
   }
-
   /// mGrid and mGridRight. @param cpu AssignFeaturesToGrid
   template <typename Cpu>
   void assign_to_grid(frame_type& frame, Cpu const& cpu) {
-    if (uses(stage::grid) && attempt([&] {
-          if (both_) {
-            both_->assign_to_grid(frame, cpu);
-          } else {
-            gpu_->assign_to_grid(frame);
-          }
-        })) {
-      return;
-    }
-    cpu();
+    run(uses(stage::grid), cpu,
+        [&] { both_ ? both_->assign_to_grid(frame, cpu) : gpu_->assign_to_grid(frame); });
   }
-
   /// Frame::ComputeStereoMatches. @param left,right the extractors' mvImagePyramid
   template <typename Cpu, typename Image>
   void stereo(frame_type& frame, Cpu const& cpu, std::vector<Image>& left,
@@ -154,26 +150,23 @@ public:
         gpu_->compute_stereo_matches(frame, left, right);
       }
     };
-    if (uses(stage::stereo) && attempt([&] { run_stereo(frame, cpu, on_gpu); })) { return; }
-    bool const there = pyramids || (works_ && attempt([&] {
-                                      gpu_->download_pyramid(0, left);
-                                      gpu_->download_pyramid(1, right);
-                                    }));
-    if (there) {
-      cpu();
-      return;
-    }
-    // The accelerator has failed in between: one frame without stereo.
-    frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
-    frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
+    run_stereo(frame, cpu, on_gpu, [&] {
+      if (pyramids || (works_ && attempt([&] {
+                         gpu_->download_pyramid(0, left);
+                         gpu_->download_pyramid(1, right);
+                       }))) {
+        return cpu();
+      }
+      // The accelerator has failed in between: one frame without stereo.
+      frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
+      frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
+    });
   }
-
   /// Frame::ComputeStereoFishEyeMatches.
   template <typename Cpu>
   void stereo_fisheye(frame_type& frame, Cpu const& cpu) {
-    auto const on_gpu = [&] { gpu_->compute_stereo_fisheye_matches(frame); };
-    if (uses(stage::stereo) && attempt([&] { run_stereo(frame, cpu, on_gpu); })) { return; }
-    cpu();
+    run_stereo(
+        frame, cpu, [&] { gpu_->compute_stereo_fisheye_matches(frame); }, cpu);
   }
 
   // ---- in Tracking; each returns the value of `cpu`
@@ -182,89 +175,65 @@ public:
   template <typename Cpu>
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
                            Cpu const& cpu) {
-    return either(
-        stage::search_last_frame, cpu,
-        [&] { return gpu_->search_by_projection(current, last, th, mono); },
-        [&] { return both_->search_by_projection(current, last, th, mono, cpu); });
+    return either(stage::search_last_frame, cpu, [&](auto& by, auto const&... with) {
+      return by.search_by_projection(current, last, th, mono, with...);
+    });
   }
-
   /// Runs on the CPU also while memory for a larger local map is being allocated.
   /// @param cpu frustum test of all points and ORBmatcher::SearchByProjection of those in view
   template <typename Cpu>
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points, float far_threshold, Cpu const& cpu) {
     if (uses(stage::search_local_map) && !has_room_for(points.size())) { return cpu(); }
-    return either(
-        stage::search_local_map, cpu,
-        [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); },
-        [&] {
-          return both_->search_local_points(frame, points, th, far_points, far_threshold, cpu);
-        });
+    return either(stage::search_local_map, cpu, [&](auto& by, auto const&... with) {
+      return by.search_local_points(frame, points, th, far_points, far_threshold, with...);
+    });
   }
-
   /// @param cpu Optimizer::PoseOptimization
   template <typename Cpu>
   int pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
-    return either(
-        which, cpu, [&] { return gpu_->pose_optimization(frame, which); },
-        [&] { return both_->pose_optimization(frame, which, cpu); });
+    return either(which, cpu, [&](auto& by, auto const&... with) {
+      return by.pose_optimization(frame, which, with...);
+    });
   }
-
   /// Where the frame lacks what it starts from, or a number is not finite, the CPU's own code
   /// decides what becomes of that frame. The accelerator goes on with the next one.
   /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame, as `which` says
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     if (uses(which) && !gpu_->can_optimize_inertial(frame, which)) { return cpu(); }
-    return unless_refused(
-        which, cpu, [&] { return gpu_->inertial_pose_optimization(frame, which); },
-        [&] { return both_->inertial_pose_optimization(frame, which, cpu); });
+    return either(which, cpu, [&](auto& by, auto const&... with) {
+      return by.inertial_pose_optimization(frame, which, with...);
+    });
   }
-
   /// From any thread: mapping computes the words of keyframes.
   /// @param cpu Frame::ComputeBoW or KeyFrame::ComputeBoW
   template <typename Frame, typename Cpu>
   void compute_bow(Frame& frame, Cpu const& cpu) {
-    bool const here =
-        frame.mBowVec.empty() && uses(stage::transform) && gpu_->can_compute_bow(frame);
-    if (here && attempt([&] {
-          if (verified(stage::transform)) {
-            both_->compute_bow(frame, cpu);
-          } else {
-            gpu_->compute_bow(frame);
-          }
-        })) {
-      return;
-    }
-    cpu();
+    run(frame.mBowVec.empty() && uses(stage::transform) && gpu_->can_compute_bow(frame), cpu, [&] {
+      verified(stage::transform) ? both_->compute_bow(frame, cpu) : gpu_->compute_bow(frame);
+    });
   }
-
   /// Without words of both, the CPU's own code searches.
   /// @param ratio,orientation_check the arguments of ORBmatcher
   /// @param cpu ORBmatcher::SearchByBoW of the keyframe and the frame, into `matches`
   template <typename KeyFrame, typename Cpu>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check, Cpu const& cpu) {
-    return unless_refused(
-        stage::search_by_bow, cpu,
-        [&] { return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check); },
-        [&] {
-          return both_->search_by_bow(keyframe, frame, matches, ratio, orientation_check, cpu);
-        });
+    return either(stage::search_by_bow, cpu, [&](auto& by, auto const&... with) {
+      return by.search_by_bow(keyframe, frame, matches, ratio, orientation_check, with...);
+    });
   }
-
   /// Where the frame lacks descriptors, or there is no room, the CPU's own code searches.
   /// @param found map points that are not searched: std::set<MapPoint*>
   /// @param cpu ORBmatcher(0.9, true).SearchByProjection with these arguments
   template <typename KeyFrame, typename Found, typename Cpu>
   int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
                       int max_distance, Cpu const& cpu) {
-    return unless_refused(
-        stage::search_keyframe, cpu,
-        [&] { return gpu_->search_keyframe(frame, keyframe, found, th, max_distance); },
-        [&] { return both_->search_keyframe(frame, keyframe, found, th, max_distance, cpu); });
+    return either(stage::search_keyframe, cpu, [&](auto& by, auto const&... with) {
+      return by.search_keyframe(frame, keyframe, found, th, max_distance, with...);
+    });
   }
-
   /// The next pose of a candidate of relocalisation, and its inliers.
   /// @param matches of the frame's keypoints
   /// @param progress one for each candidate, by default constructed
@@ -273,10 +242,9 @@ public:
   template <typename Cpu>
   bool solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
                  pnp_progress& progress, pnp_answer const& to, Cpu const& cpu) {
-    int const found = unless_refused(
-        stage::solve_pnp, cpu, [&] { return gpu_->solve_pnp(frame, matches, progress, to); },
-        [&] { return static_cast<int>(both_->solve_pnp(frame, matches, progress, to, cpu)); });
-    return found != 0;
+    return either(stage::solve_pnp, cpu, [&](auto& by, auto const&... with) {
+             return static_cast<int>(by.solve_pnp(frame, matches, progress, to, with...));
+           }) != 0;
   }
 
   /// To be called before a map point is deleted.
@@ -296,8 +264,6 @@ public:
   }
 
 private:
-  static constexpr int answer_refused = recovery_refused;
-
   template <typename Vocabulary>
   void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o,
              Vocabulary const* theirs) {
@@ -356,35 +322,26 @@ private:
     }
     return room;
   }
-  template <typename Cpu, typename Gpu>
-  void run_stereo(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu) {
-    if (both_ != nullptr) {
-      both_->stereo(frame, cpu, on_gpu);
-    } else {
-      on_gpu();
-    }
+  /// Calls `here` if the accelerator runs a stage, otherwise or if that fails `cpu`.
+  template <typename Cpu, typename Here>
+  void run(bool runs, Cpu const& cpu, Here const& here) {
+    if (!runs || !attempt(here)) { cpu(); }
   }
-  template <typename Cpu, typename Gpu, typename Both>
-  int either(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
-    int answer = 0;
-    bool const done = uses(s) && attempt([&] { answer = verified(s) ? on_both() : on_gpu(); });
-    return done ? answer : cpu();
+  /// @param otherwise called where the accelerator has no stereo
+  template <typename Cpu, typename Gpu, typename Otherwise>
+  void run_stereo(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu,
+                  Otherwise const& otherwise) {
+    run(uses(stage::stereo), otherwise,
+        [&] { both_ ? both_->stereo(frame, cpu, on_gpu) : on_gpu(); });
   }
-  /// either(), but the CPU's own code has what the accelerator refuses.
-  template <typename Cpu, typename Gpu, typename Both>
-  int unless_refused(stage s, Cpu const& cpu, Gpu const& on_gpu, Both const& on_both) {
-    static_assert(inertial_refused == answer_refused && words_refused == answer_refused,
-                  "one number for all");
-    bool left = false;
-    int const answer = either(
-        s, cpu,
-        [&] {
-          int const n = on_gpu();
-          left = n == answer_refused;
-          return n;
-        },
-        on_both);
-    return left ? cpu() : answer;
+  /// @param call makes the call by the accelerator, or by the verifier with `cpu`. What the
+  ///   accelerator refuses is the CPU's
+  template <typename Cpu, typename Call>
+  int either(stage s, Cpu const& cpu, Call const& call) {
+    int answer = call_refused;
+    run(
+        uses(s), [] {}, [&] { answer = verified(s) ? call(*both_, cpu) : call(*gpu_); });
+    return answer == call_refused ? cpu() : answer;
   }
   bool verified(stage s) const {
     return both_ != nullptr && gpu_->chosen()[s] == stage_mode::device;

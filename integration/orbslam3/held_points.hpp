@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/frame_changes.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 

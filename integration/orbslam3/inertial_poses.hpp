@@ -7,40 +7,22 @@
 #include <cmath>
 #include <type_traits>
 
-#include "integration/orbslam3/conversions.hpp"
-#include "integration/orbslam3/inertial_types.hpp"
+#include "integration/orbslam3/plain_types.hpp"
+#include "integration/orbslam3/settings_of.hpp"
 
 namespace ft {
 namespace orbslam3 {
 
-/// What an inertial optimisation returns instead of a number of observations if it is refused.
-inline constexpr int inertial_refused = -1;
-
 namespace inertial_detail {
 
-/// Row-major.
-template <typename T, int N, typename Matrix>
-void put(T (&to)[N], Matrix const& m) {
-  constexpr int columns = N == 3 ? 1 : N == 9 ? 3 : N == 81 ? 9 : 15;
-  for (int i = 0; i < N; ++i) { to[i] = static_cast<T>(m(i / columns, i % columns)); }
-}
 template <typename Bias>
-void put_bias(float (&gyro)[3], float (&accel)[3], Bias const& from) {
-  gyro[0] = from.bwx;
-  gyro[1] = from.bwy;
-  gyro[2] = from.bwz;
-  accel[0] = from.bax;
-  accel[1] = from.bay;
-  accel[2] = from.baz;
+imu_bias bias_of(Bias const& from) {
+  return {{from.bwx, from.bwy, from.bwz}, {from.bax, from.bay, from.baz}};
 }
-template <typename Bias>
-void take_bias(Bias& to, float const (&gyro)[3], float const (&accel)[3]) {
-  to.bwx = gyro[0];
-  to.bwy = gyro[1];
-  to.bwz = gyro[2];
-  to.bax = accel[0];
-  to.bay = accel[1];
-  to.baz = accel[2];
+
+template <typename T>
+Eigen::Matrix<T, 3, 1> vector_of(vec3<T> const& v) {
+  return {v.x, v.y, v.z};
 }
 template <int Rows, int Columns, typename T>
 Eigen::Matrix<T, Rows, Columns> matrix_of(T const* rows) {
@@ -66,53 +48,46 @@ bool usable(Integral const* integral) {
 
 /// An IMU::Preintegrated.
 template <typename Integral>
-imu_integral integral_of(Integral const& from) {
-  using inertial_detail::put;
-  imu_integral to{};
+preintegrated integral_of(Integral const& from) {
+  preintegrated to{};
   to.dT = from.dT;
-  put(to.dR, from.dR);
-  put(to.dV, from.dV);
-  put(to.dP, from.dP);
-  put(to.JRg, from.JRg);
-  put(to.JVg, from.JVg);
-  put(to.JVa, from.JVa);
-  put(to.JPg, from.JPg);
-  put(to.JPa, from.JPa);
-  put(to.C, from.C);
+  to.dR = mat_of(from.dR);
+  to.dV = vec_of(from.dV);
+  to.dP = vec_of(from.dP);
+  to.JRg = mat_of(from.JRg);
+  to.JVg = mat_of(from.JVg);
+  to.JVa = mat_of(from.JVa);
+  to.JPg = mat_of(from.JPg);
+  to.JPa = mat_of(from.JPa);
+  for (int i = 0; i < 81; ++i) { to.C[i] = from.C(i / 9, i % 9); }
   for (int i = 0; i < 6; ++i) { to.walk[i] = from.C(9 + i, 9 + i); }
-  inertial_detail::put_bias(to.gyro_bias, to.accel_bias, from.b);
-  put(to.mean_accel, from.avgA);
-  put(to.mean_gyro, from.avgW);
+  to.bias = inertial_detail::bias_of(from.b);
+  to.mean_accel = vec_of(from.avgA);
+  to.mean_gyro = vec_of(from.avgW);
   to.steps = inertial_detail::steps_of(from);
+  to.status = to.steps > 0 ? integration_status::integrated : integration_status::no_steps;
   return to;
 }
 
 /// A state from a Sophus::SE3f, a velocity and an IMU::Bias.
 template <typename Pose, typename Vector, typename Bias>
-imu_state state_of(Pose const& T_cw, Vector const& velocity, Bias const& bias) {
-  imu_state s{};
-  rotation_of(T_cw, s.rotation);
-  inertial_detail::put(s.t_cw, T_cw.translation());
-  inertial_detail::put(s.velocity, velocity);
-  inertial_detail::put_bias(s.gyro_bias, s.accel_bias, bias);
-  return s;
+stored_inertial_state state_of(Pose const& T_cw, Vector const& velocity, Bias const& bias) {
+  return {rotation_of(T_cw), vec_of(T_cw.translation()), vec_of(velocity),
+          inertial_detail::bias_of(bias)};
 }
 template <typename Frame>
-imu_state state_of(Frame& frame) {
+stored_inertial_state state_of(Frame& frame) {
   return state_of(frame.GetPose(), frame.GetVelocity(), frame.mImuBias);
 }
 
 /// A ConstraintPoseImu.
 template <typename Constraint>
-imu_prior prior_of(Constraint const& from) {
-  using inertial_detail::put;
-  imu_prior to{};
-  put(to.R, from.Rwb);
-  put(to.p, from.twb);
-  put(to.v, from.vwb);
-  put(to.gyro_bias, from.bg);
-  put(to.accel_bias, from.ba);
-  put(to.information, from.H);
+inertial_prior prior_of(Constraint const& from) {
+  inertial_prior to{};
+  to.state = {mat_of(from.Rwb), vec_of(from.twb), vec_of(from.vwb), vec_of(from.bg),
+              vec_of(from.ba)};
+  for (int i = 0; i < 225; ++i) { to.information[i] = from.H(i / 15, i % 15); }
+  to.known = 1;
   return to;
 }
 
@@ -140,9 +115,8 @@ int inertial_steps(Frame const& frame, bool from_last_frame) {
 template <typename Frame>
 inertial_request inertial_request_of(Frame& frame, bool from_last_frame) {
   inertial_request r;
-  r.from_last_frame = from_last_frame;
-  r.T_bc = transform_of(frame.mImuCalib.mTbc);
-  r.T_cb = transform_of(frame.mImuCalib.mTcb);
+  r.from_last_frame = from_last_frame ? 1 : 0;
+  r.mount = {transform_of(frame.mImuCalib.mTbc), transform_of(frame.mImuCalib.mTcb)};
   r.start = state_of(frame);
   if (from_last_frame) {
     r.first = state_of(*frame.mpPrevFrame);
@@ -166,15 +140,21 @@ void take_inertial_result(Frame& frame, bool from_last_frame, inertial_result co
   using pose = std::decay_t<decltype(frame.GetPose())>;
   using constraint = std::remove_pointer_t<std::decay_t<decltype(frame.mpcpi)>>;
   using inertial_detail::matrix_of;
-  float const* const q = r.state.rotation;
-  frame.SetPose(pose(Eigen::Quaternionf(q[3], q[0], q[1], q[2]), matrix_of<3, 1>(r.state.t_cw)));
-  frame.SetVelocity(matrix_of<3, 1>(r.state.velocity));
-  inertial_detail::take_bias(frame.mImuBias, r.state.gyro_bias, r.state.accel_bias);
-  imu_prior const& p = r.prior;
-  auto const H = matrix_of<15, 15>(p.information);
-  auto* const prior =
-      new constraint(matrix_of<3, 3>(p.R), matrix_of<3, 1>(p.p), matrix_of<3, 1>(p.v),
-                     matrix_of<3, 1>(p.gyro_bias), matrix_of<3, 1>(p.accel_bias), H);
+  using inertial_detail::vector_of;
+  quaternion<float> const& q = r.state.q_cw;
+  frame.SetPose(pose(Eigen::Quaternionf(q.w, q.x, q.y, q.z), vector_of(r.state.t_cw)));
+  frame.SetVelocity(vector_of(r.state.v));
+  auto& bias = frame.mImuBias;
+  bias.bwx = r.state.bias.gyro.x;
+  bias.bwy = r.state.bias.gyro.y;
+  bias.bwz = r.state.bias.gyro.z;
+  bias.bax = r.state.bias.accel.x;
+  bias.bay = r.state.bias.accel.y;
+  bias.baz = r.state.bias.accel.z;
+  inertial_state<double> const& p = r.prior.state;
+  auto const H = matrix_of<15, 15>(r.prior.information);
+  auto* const prior = new constraint(matrix_of<3, 3>(p.R.m), vector_of(p.p), vector_of(p.v),
+                                     vector_of(p.bg), vector_of(p.ba), H);
   prior->H = H;  // its constructor decomposes the matrix once more and rounds it
   frame.mpcpi = prior;
   if (from_last_frame) {

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The local map of a frame: the slots of its points, and the results of the frustum test.
+/// @file The local map of a frame: its memory, the slots of its points, and the results of the
+/// frustum test.
 #pragma once
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstring>
+#include <future>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -16,6 +19,34 @@
 
 namespace ft {
 namespace orbslam3 {
+
+/// Used by the tracking thread.
+class local_room {
+public:
+  explicit local_room(device_tracker& device) : device_(&device) {}
+
+  /// Call before the search of a local map. If it needs more than half of the memory, a thread
+  /// starts to allocate memory for twice as many points. Where that fails, a larger local map tries
+  /// again.
+  /// @return whether there was memory for `points` before that
+  bool follow(int points) {
+    int const room = device_->local_room();
+    int const wanted = 2 * points;
+    bool const busy =
+        growing_.valid() && growing_.wait_for(std::chrono::seconds(0)) != std::future_status::ready;
+    if (wanted > room && wanted > attempted_ && !busy) {
+      attempted_ = wanted;
+      growing_ = std::async(std::launch::async,
+                            [device = device_, wanted] { device->prepare_local(wanted); });
+    }
+    return points <= room;
+  }
+
+private:
+  device_tracker* device_;
+  int attempted_ = 0;  ///< points
+  std::future<void> growing_;
+};
 
 /// Map points are scattered over the heap: prefetches the number of a later one.
 template <typename MapPoint>
@@ -154,7 +185,7 @@ private:
     for (int k = first; k < last; ++k) {
       prefetch_seen(points, seen, k);
       map_point& p = *points[static_cast<std::size_t>(seen.index[k])];
-      sight const& left = seen.by[0][k];
+      visibility const& left = seen.by[0][k];
       if (left.level >= 0) {
         p.mbTrackInView = true;
         p.mTrackProjX = left.x;
@@ -165,7 +196,7 @@ private:
         if (!two) { p.mTrackProjXR = left.right_x; }
       }
       if (two && seen.by[1][k].level >= 0) {
-        sight const& right = seen.by[1][k];
+        visibility const& right = seen.by[1][k];
         p.mbTrackInViewR = true;
         p.mTrackProjXR = right.x;
         p.mTrackProjYR = right.y;
@@ -197,7 +228,7 @@ private:
     using place = typename drawn_points<projections>::place;
     drawn_.begin();
     for (int k = 0; k < seen.count; ++k) {
-      sight const& left = seen.by[0][k];
+      visibility const& left = seen.by[0][k];
       if (left.level < 0) { continue; }
       int const slot = likely_[index(seen.index[k])];
       drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));

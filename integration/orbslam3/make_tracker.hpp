@@ -9,9 +9,8 @@
 #include <string>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/host_tracker.hpp"
+#include "integration/orbslam3/executor_tracker.hpp"
 #if defined(__CUDACC__)
-#include "integration/orbslam3/cuda_tracker.hpp"
 #endif
 
 namespace ft {

@@ -30,45 +30,6 @@ enum class change_detection {
   hooks,    ///< only points pushed into the change_queue are read
 };
 
-/// A number that threads may set to the same value at once.
-class shared_number {
-public:
-  shared_number() = default;
-  shared_number(shared_number const& other) : value_(other) {}
-  shared_number& operator=(shared_number const& other) { return *this = std::uint32_t{other}; }
-  shared_number& operator=(std::uint32_t value) {
-    value_.store(value, std::memory_order_relaxed);
-    return *this;
-  }
-  operator std::uint32_t() const { return value_.load(std::memory_order_relaxed); }
-
-private:
-  std::atomic<std::uint32_t> value_{0};
-};
-
-/// An array that grows by blocks: its elements never move.
-template <typename T>
-class block_array {
-public:
-  block_array() { blocks_.reserve(most / per_block); }
-  /// Grows to at least `size` elements. @param initial value of new ones
-  void reserve(std::size_t size, T const& initial) {
-    detail::require(size <= most, "more map points than the shim can number");
-    while (this->size() < size) {
-      blocks_.push_back(std::make_unique<T[]>(per_block));
-      std::fill_n(blocks_.back().get(), per_block, initial);
-    }
-  }
-  std::size_t size() const { return blocks_.size() * per_block; }
-  T& operator[](std::size_t i) { return blocks_[i / per_block][i % per_block]; }
-  T const& operator[](std::size_t i) const { return blocks_[i / per_block][i % per_block]; }
-
-private:
-  static constexpr std::size_t per_block = 1 << 12;
-  static constexpr std::size_t most = std::size_t{1} << 28;
-  std::vector<std::unique_ptr<T[]>> blocks_;
-};
-
 /// Reads map points through their own locked functions. With hooks, a thread of the mirror does so
 /// while tracking does other work, also for points that tracking has not met yet; it makes room for
 /// more as well. Each call of tracking, from begin_call() to flush(), reads the remaining ones.
@@ -286,12 +247,14 @@ private:
     entries_[index(slot)].bad = read_fields(*owner(slot), r.sent);
     r.read_in = round_;
     point_fields const& now = r.sent;
-    if (differ(before.position, now.position)) { noted_.note_position(slot, now); }
+    if (differ(before.position, now.position)) { noted_.note(map_change::position, slot, now); }
     if (differ(before.normal, now.normal) || differ(before.limits, now.limits)) {
-      noted_.note_view(slot, now);
+      noted_.note(map_change::view, slot, now);
     }
-    if (differ(before.descriptor, now.descriptor)) { noted_.note_descriptor(slot, now); }
-    if (before.observed != now.observed) { noted_.note_observed(slot, now); }
+    if (differ(before.descriptor, now.descriptor)) {
+      noted_.note(map_change::descriptor, slot, now);
+    }
+    if (before.observed != now.observed) { noted_.note(map_change::observed, slot, now); }
   }
   void release(int slot) {
     entry& e = entries_[index(slot)];

@@ -7,8 +7,18 @@
 #include <cstdint>
 #include <cstring>
 
+#include "ft/core/config.hpp"
+#include "ft/types/images.hpp"
+#include "ft/types/imu.hpp"
+#include "ft/types/orb_params.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+
 namespace ft {
 namespace orbslam3 {
+
+/// What a stage returns instead of its answer if its input is refused.
+inline constexpr int call_refused = -1;
 
 enum class lens { pinhole, kannala_brandt };
 
@@ -18,26 +28,16 @@ struct camera_parameters {
   float values[8] = {};
 };
 
-/// x -> R x + t; R row-major, metres.
-struct transform {
-  float R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-  float t[3] = {};
-};
+/// Parameters of the pipelines, fixed at construction. Images given to extract() have the size of
+/// orb_params; keypoints have the order of a build with libstdc++.
+struct settings : orb_params {
+  settings() { ties = tie_rule::std_sort; }
 
-/// Parameters of the pipelines, fixed at construction.
-struct settings {
-  int width = 0;  ///< of every image given to extract(), pixels
-  int height = 0;
-  int features = 1200;  ///< wanted per image
-  int levels = 8;
-  float scale_factor = 1.2f;
-  int ini_threshold = 20;  ///< corner threshold, grey levels
-  int min_threshold = 7;
   int images = 2;  ///< 2: stereo; 1: monocular and RGB-D
   camera_parameters left;
-  camera_parameters right;  ///< of a kannala_brandt pair
-  transform T_rl;           ///< left camera to right camera, of a kannala_brandt pair
-  float bf = 0;             ///< baseline times fx, Frame::mbf; virtual for RGB-D, 0 for monocular
+  camera_parameters right;       ///< of a kannala_brandt pair
+  pose T_rl = pose::identity();  ///< left camera to right camera, of a kannala_brandt pair
+  float bf = 0;  ///< baseline times fx, Frame::mbf; virtual for RGB-D, 0 for monocular
   /// First and last column of the left and of the right image that see the same part of the scene;
   /// only for pairs of kannala_brandt cameras.
   float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};
@@ -45,9 +45,6 @@ struct settings {
   /// last, in reverse, and Frame::monoLeft counts the others. The default is the value of the
   /// original's monocular constructor; RGB-D has none.
   float monocular_overlap[2] = {0, 1000};
-  /// Keypoints in the order of a build with libstdc++ (tie_rule::std_sort); false:
-  /// tie_rule::stable.
-  bool std_sort_ties = true;
   /// Most keypoints per image of a frame that was extracted elsewhere; 0: as many as extract()
   /// yields. Monocular initialisation extracts five times as many.
   int most_keypoints = 0;
@@ -85,14 +82,6 @@ struct lens_distortion {
   }
 };
 
-/// An 8-bit grey image; stride in bytes.
-struct grey_image {
-  unsigned char const* data = nullptr;
-  int width = 0;
-  int height = 0;
-  int stride = 0;
-};
-
 /// Frame's bounds after undistortion, pixels.
 struct bounds {
   float min_x, min_y, max_x, max_y;
@@ -105,8 +94,8 @@ struct bounds {
 
 struct extraction_request {
   int buffer = 0;
-  grey_image left;
-  grey_image right;        ///< of a pair
+  gray_view left;
+  gray_view right;         ///< of a pair
   lens_distortion lens{};  ///< of a single image: keypoints get their undistorted positions
   /// Of a single image: where its keypoints will be searched; without area, this is not known yet.
   bounds searched{};
@@ -129,28 +118,19 @@ struct frame_arrays {
   float* right_x = nullptr;             ///< [capacity] pixels, -1 = none
   float* depth = nullptr;               ///< [capacity] metres, -1 = none; filled by stereo only
   int* partner = nullptr;               ///< [2][capacity] -1 = none
-  float* point = nullptr;  ///< [capacity][3] fisheye stereo, left camera's frame, metres
-  int* holder = nullptr;   ///< [2][capacity] slot of the map point held, -1 = none
+  vec3<float>* point = nullptr;         ///< [capacity] fisheye stereo, left camera's frame, metres
+  int* holder = nullptr;                ///< [2][capacity] slot of the map point held, -1 = none
 };
 
 /// Parts of a frame that are sent together.
 enum class frame_part { keypoints, positions, octaves, right_x, partner, holder };
-
-/// Result of the frustum test of a point in a camera.
-struct sight {
-  float x, y;      ///< pixels
-  float right_x;   ///< pixels
-  float cosine;    ///< of the viewing angle
-  float distance;  ///< metres
-  int level;       ///< predicted octave; -1 = not in view
-};
 
 /// The points of a local map that a camera sees, in the order of the map.
 struct points_in_view {
   int count = 0;
   int const* index = nullptr;  ///< [count] in the local map
   /// [count] seen by the left and the right camera; the latter only for kannala_brandt pairs.
-  sight const* by[2] = {};
+  visibility const* by[2] = {};
 };
 
 /// A point that is searched at its position from an earlier test.
@@ -158,7 +138,7 @@ struct recorded_sight {
   int index;   ///< in the local map
   int camera;  ///< 0 left, 1 right, or not_right_alone
   int slot;
-  sight seen;
+  visibility seen;
 
   /// Instead of a camera: the point is tested, and not searched if only the right camera sees it.
   static constexpr int not_right_alone = 2;
@@ -167,9 +147,9 @@ struct recorded_sight {
 struct last_frame_request {
   int current = 0;  ///< buffers
   int last = 0;
-  transform T_cw;          ///< predicted
-  float rotation[4] = {};  ///< of T_cw, as a unit quaternion: x, y, z, w
-  transform T_lw;
+  pose T_cw = pose::identity();            ///< predicted
+  quaternion<float> rotation{0, 0, 0, 1};  ///< of T_cw
+  pose T_lw = pose::identity();
   bounds image{};
   float window_radius = 7;  ///< half side of a window at scale 1, pixels
   bool ignore_motion_direction = false;
@@ -177,8 +157,8 @@ struct last_frame_request {
 
 struct local_map_request {
   int buffer = 0;
-  transform T_cw;
-  float centres[2][3] = {};  ///< of the left and the right camera in the world, metres
+  pose T_cw = pose::identity();
+  vec3<float> centres[2] = {};  ///< of the left and the right camera in the world, metres
   bounds image{};
   int points = 0;             ///< slots in local_slots(), -1 = not tested
   bool slots_changed = true;  ///< since the last request
@@ -188,31 +168,32 @@ struct local_map_request {
 };
 
 struct pose_result {
-  transform T_cw;
+  pose T_cw = pose::identity();
   int inliers = 0;
 };
 
-/// Numbers of records in a map change. They follow each other in this order as 32-bit words: slot,
-/// then the values.
+/// Numbers of records in a map change, by field. They follow each other in this order as 32-bit
+/// words: slot, then the values.
 struct map_change {
-  int positions = 0;     ///< slot, x, y, z
-  int views = 0;         ///< slot, normal, lowest distance, highest distance
-  int descriptors = 0;   ///< slot, 8 words
-  int observations = 0;  ///< slot, 1 or 0: whether the point is observed
+  enum field {
+    position,    ///< x, y, z
+    view,        ///< normal, lowest distance, highest distance
+    descriptor,  ///< 8 words
+    observed,    ///< 1 or 0: whether the point is observed
+    fields
+  };
+  int count[fields] = {};
 
-  static constexpr int position_words = 4;
-  static constexpr int view_words = 6;
-  static constexpr int descriptor_words = 9;
-  static constexpr int observation_words = 2;
-  static constexpr int point_words =
-      position_words + view_words + descriptor_words + observation_words;
-
-  int records() const { return positions + views + descriptors + observations; }
+  /// Words of a record, slot included.
+  FT_HOST_DEVICE static constexpr int words_of(int f) {
+    return f == position ? 4 : f == view ? 6 : f == descriptor ? 9 : 2;
+  }
+  static constexpr int point_words = 4 + 6 + 9 + 2;
+  int records() const { return count[0] + count[1] + count[2] + count[3]; }
   std::size_t words() const {
-    return static_cast<std::size_t>(positions) * position_words +
-           static_cast<std::size_t>(views) * view_words +
-           static_cast<std::size_t>(descriptors) * descriptor_words +
-           static_cast<std::size_t>(observations) * observation_words;
+    std::size_t n = 0;
+    for (int f = 0; f < fields; ++f) { n += static_cast<std::size_t>(count[f] * words_of(f)); }
+    return n;
   }
 };
 
@@ -230,6 +211,163 @@ struct traffic {
 struct device_times {
   double transfer = 0;
   double kernel = 0;
+};
+
+/// Uploaded as it is.
+struct inertial_request {
+  int buffer = 0;
+  int from_last_frame = 0;  ///< 0: from the last keyframe
+  imu_mount mount{pose::identity(), pose::identity()};
+  stored_inertial_state first{};   ///< of the last keyframe or the last frame
+  stored_inertial_state start{};   ///< of the frame, predicted
+  preintegrated integral{};        ///< from `first` to the frame
+  preintegrated since_keyframe{};  ///< likewise from the last keyframe
+  inertial_prior prior{};          ///< of the last frame, if from there
+};
+
+struct inertial_result {
+  bool refused = false;  ///< integrals of nothing, or numbers that are not finite
+  int tracked = 0;       ///< observations without outliers
+  stored_inertial_state state{};
+  inertial_prior prior{};  ///< for the next frame
+};
+
+struct keyframe_search_request {
+  int frame = 0;     ///< buffer of the frame, with the points that it holds
+  int keyframe = 0;  ///< buffer with counts and angles of the keyframe; holders: what is searched
+  pose T_cw = pose::identity();  ///< of the frame
+  bounds image{};
+  float window_radius = 10;  ///< half side of a window at scale 1, pixels
+  int max_hamming = 100;     ///< largest Hamming distance of a match, bits
+};
+
+/// Correspondences of a pose in host memory, to be filled in by the caller.
+struct pnp_arrays {
+  int capacity = 0;
+  int count = 0;                 ///< at most capacity
+  vec2<float>* pixel = nullptr;  ///< [count] undistorted
+  vec3<float>* point = nullptr;  ///< [count] in the world, metres
+  float* max_error2 = nullptr;   ///< [count] squared error of an inlier, pixels^2
+};
+
+/// How far the RANSAC of one candidate has come. Default constructed before its first call; each
+/// call moves it on.
+struct pnp_progress {
+  std::uint64_t seed = 0;  ///< of the samples, to which the frame's number is added
+  int done = 0;            ///< iterations
+  int kept_inliers = 0;    ///< of the best pose so far, 0 = none
+  rigid<double> kept{};    ///< that pose
+};
+
+/// Answer of one call.
+struct pnp_found {
+  bool any = false;      ///< whether there is a pose
+  bool no_more = false;  ///< as many iterations are made as were planned
+  pose T_cw = pose::identity();
+  int inliers = 0;
+  unsigned char const* inlier = nullptr;  ///< [count] 1 = inlier; until the next call
+  device_times times;
+};
+
+/// What tells one vocabulary from another: its header, and all its words. The inner nodes are left
+/// out, since DBoW2 shows none of them.
+struct vocabulary_facts {
+  int branching = 0;
+  int levels = 0;
+  int scoring = 0;
+  int weighting = 0;
+  std::size_t words = 0;
+  std::uint64_t descriptors = 0;  ///< vocabulary_hash of 32 bytes of each word, in their order
+  std::uint64_t weights = 0;      ///< vocabulary_hash of a double of each word, in their order
+};
+
+/// Hash of Fowler, Noll and Vo (FNV-1a, 64 bits) over words of eight bytes.
+class vocabulary_hash {
+public:
+  /// @param bytes a multiple of 8
+  void add(void const* data, std::size_t bytes) {
+    auto const* const from = static_cast<unsigned char const*>(data);
+    for (std::size_t at = 0; at < bytes; at += 8) {
+      std::uint64_t word = 0;
+      std::memcpy(&word, from + at, 8);
+      value_ = (value_ ^ word) * 0x100000001b3u;
+      value_ ^= value_ >> 32;
+    }
+  }
+  std::uint64_t value() const { return value_; }
+
+private:
+  std::uint64_t value_ = 0xcbf29ce484222325u;
+};
+
+/// `facts` with the hashes of its words, but for those of weight 0 at the end.
+/// @param weight,descriptor of a word: a double; 32 bytes, any type without padding
+template <typename Weight, typename Descriptor>
+vocabulary_facts facts_of(vocabulary_facts facts, Weight const& weight,
+                          Descriptor const& descriptor) {
+  while (facts.words > 0 && weight(facts.words - 1) == 0) { --facts.words; }
+  vocabulary_hash weights;
+  vocabulary_hash descriptors;
+  for (std::size_t w = 0; w < facts.words; ++w) {
+    double const value = weight(w);
+    weights.add(&value, sizeof value);
+    auto const& bits = descriptor(w);
+    descriptors.add(&bits, 32);
+  }
+  facts.weights = weights.value();
+  facts.descriptors = descriptors.value();
+  return facts;
+}
+
+/// Descriptors of a frame: rows of 32 bytes.
+struct descriptor_rows {
+  unsigned char const* data = nullptr;
+  std::size_t step = 0;  ///< bytes from row to row
+  int count = 0;
+};
+
+/// What a vocabulary says about a frame: BowVector and FeatureVector of DBoW2 as arrays, which stay
+/// until the next transform.
+struct word_lists {
+  int words = 0;
+  std::uint32_t const* word = nullptr;  ///< [words] ascending
+  double const* value = nullptr;        ///< [words]
+  int groups = 0;
+  std::uint32_t const* node = nullptr;  ///< [groups] ascending
+  int const* start = nullptr;           ///< [groups + 1] first of a group in `keypoint`
+  int const* keypoint = nullptr;
+  device_times times;
+};
+
+/// The two sides of a search by words.
+enum class word_side { keyframe, frame };
+
+/// Arrays of one side in host memory, to be filled in by the caller. Of two cameras the left
+/// keypoints come first.
+struct word_arrays {
+  int capacity = 0;   ///< keypoints
+  int keypoints = 0;  ///< at most capacity
+  /// First keypoint of the right camera, -1 = there is one camera. Of the frame.
+  int first_right = -1;
+  int groups = 0;                       ///< at most capacity
+  std::uint32_t* descriptor = nullptr;  ///< [keypoints][8]
+  float* angle = nullptr;               ///< [keypoints] degrees
+  int* holder = nullptr;          ///< [keypoints] of the keyframe: -1 = not to be searched, or what
+                                  ///< a match is to say, such as the keypoint's own number
+  std::uint32_t* node = nullptr;  ///< [groups] ascending
+  int* start = nullptr;           ///< [groups + 1] first of a group in `keypoint`; start[0] is 0
+  int* keypoint = nullptr;        ///< each at most once
+};
+
+struct word_search_request {
+  float ratio = 0.75f;  ///< limit of the best distance over the second best one, left camera
+  bool orientation_check = true;
+};
+
+struct word_matches {
+  int count = 0;               ///< keypoints of the frame that are matched
+  int const* match = nullptr;  ///< [keypoints of the frame] the keyframe's holder, -1 = none
+  device_times times;
 };
 
 }  // namespace orbslam3

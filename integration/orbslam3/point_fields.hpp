@@ -3,15 +3,18 @@
 /// the next upload.
 #pragma once
 
+#include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <iterator>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <vector>
 
+#include "ft/core/error.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 
 namespace ft {
@@ -106,35 +109,28 @@ class noted_changes {
 public:
   /// Allocates memory for all of `slots`.
   void reserve(int slots) {
-    for (field_records& field : fields_) {
+    for (int f = 0; f < map_change::fields; ++f) {
+      field_records& field = fields_[f];
+      field.each = static_cast<std::size_t>(map_change::words_of(f));
       field.place.resize(static_cast<std::size_t>(slots), -1);
       field.words.reserve(static_cast<std::size_t>(slots) * field.each);
     }
   }
-  void note_position(int slot, point_fields const& f) { put(0, slot, f.position, 3); }
-  void note_view(int slot, point_fields const& f) {
-    float const values[5] = {f.normal[0], f.normal[1], f.normal[2], f.limits[0], f.limits[1]};
-    put(1, slot, values, 5);
-  }
-  void note_descriptor(int slot, point_fields const& f) { put(2, slot, f.descriptor, 8); }
-  void note_observed(int slot, point_fields const& f) {
+  void note(map_change::field which, int slot, point_fields const& f) {
+    float const view[5] = {f.normal[0], f.normal[1], f.normal[2], f.limits[0], f.limits[1]};
     std::uint32_t const observed = f.observed ? 1u : 0u;
-    put(3, slot, &observed, 1);
+    void const* const values[] = {f.position, view, f.descriptor, &observed};
+    put(which, slot, values[which]);
   }
   void note_all(int slot, point_fields const& f) {
-    note_position(slot, f);
-    note_view(slot, f);
-    note_descriptor(slot, f);
-    note_observed(slot, f);
+    for (int which = 0; which < map_change::fields; ++which) {
+      note(static_cast<map_change::field>(which), slot, f);
+    }
   }
-
   /// Sends the noted changes to the device.
   void flush(device_tracker& device) {
     map_change change;
-    change.positions = fields_[0].count();
-    change.views = fields_[1].count();
-    change.descriptors = fields_[2].count();
-    change.observations = fields_[3].count();
+    for (int f = 0; f < map_change::fields; ++f) { change.count[f] = fields_[f].count(); }
     if (change.records() == 0) { return; }
     all_.clear();
     for (field_records const& field : fields_) {
@@ -154,14 +150,14 @@ public:
 
 private:
   struct field_records {
-    std::size_t each;                  ///< words of a record, slot included
+    std::size_t each = 0;              ///< words of a record, slot included
     std::vector<std::uint32_t> words;  ///< records
     std::vector<int> place;            ///< by slot: first word of its record, -1 = none
 
     int count() const { return static_cast<int>(words.size() / each); }
   };
 
-  void put(int which, int slot, void const* values, std::size_t n) {
+  void put(int which, int slot, void const* values) {
     field_records& field = fields_[which];
     int& place = field.place[static_cast<std::size_t>(slot)];
     if (place < 0) {
@@ -170,14 +166,50 @@ private:
       field.words[static_cast<std::size_t>(place)] = static_cast<std::uint32_t>(slot);
     }
     std::memcpy(&field.words[static_cast<std::size_t>(place) + 1], values,
-                n * sizeof(std::uint32_t));
+                (field.each - 1) * sizeof(std::uint32_t));
   }
 
-  field_records fields_[4] = {{map_change::position_words, {}, {}},
-                              {map_change::view_words, {}, {}},
-                              {map_change::descriptor_words, {}, {}},
-                              {map_change::observation_words, {}, {}}};
+  field_records fields_[map_change::fields];
   std::vector<std::uint32_t> all_;
+};
+
+/// A number that threads may set to the same value at once.
+class shared_number {
+public:
+  shared_number() = default;
+  shared_number(shared_number const& other) : value_(other) {}
+  shared_number& operator=(shared_number const& other) { return *this = std::uint32_t{other}; }
+  shared_number& operator=(std::uint32_t value) {
+    value_.store(value, std::memory_order_relaxed);
+    return *this;
+  }
+  operator std::uint32_t() const { return value_.load(std::memory_order_relaxed); }
+
+private:
+  std::atomic<std::uint32_t> value_{0};
+};
+
+/// An array that grows by blocks: its elements never move.
+template <typename T>
+class block_array {
+public:
+  block_array() { blocks_.reserve(most / per_block); }
+  /// Grows to at least `size` elements. @param initial value of new ones
+  void reserve(std::size_t size, T const& initial) {
+    detail::require(size <= most, "more map points than the shim can number");
+    while (this->size() < size) {
+      blocks_.push_back(std::make_unique<T[]>(per_block));
+      std::fill_n(blocks_.back().get(), per_block, initial);
+    }
+  }
+  std::size_t size() const { return blocks_.size() * per_block; }
+  T& operator[](std::size_t i) { return blocks_[i / per_block][i % per_block]; }
+  T const& operator[](std::size_t i) const { return blocks_[i / per_block][i % per_block]; }
+
+private:
+  static constexpr std::size_t per_block = 1 << 12;
+  static constexpr std::size_t most = std::size_t{1} << 28;
+  std::vector<std::unique_ptr<T[]>> blocks_;
 };
 
 }  // namespace orbslam3

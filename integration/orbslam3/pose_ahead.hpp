@@ -23,7 +23,7 @@ public:
 
   /// A search begins, and with it another expectation.
   /// @return whether optimisation is to be started behind it
-  bool expect(after search, int buffer, transform const& T_cw) {
+  bool expect(after search, int buffer, pose const& T_cw) {
     search_ = search;
     buffer_ = buffer;
     T_cw_ = T_cw;
@@ -35,7 +35,7 @@ public:
   int started() const { return expected_ && started_ ? buffer_ : -1; }
 
   /// An optimisation is asked for. @return whether it is the one that was started
-  bool take(int buffer, transform const& T_cw) {
+  bool take(int buffer, pose const& T_cw) {
     if (!expected_ || buffer != buffer_ || std::memcmp(&T_cw, &T_cw_, sizeof T_cw) != 0) {
       return false;
     }
@@ -56,11 +56,11 @@ public:
   /// Whether a change moves a point that is held. @param words as of device_tracker::change_map()
   bool moves_held(map_change const& change, std::uint32_t const* words, int const* holder,
                   int numbers) {
-    if (change.positions == 0) { return false; }
+    if (change.count[map_change::position] == 0) { return false; }
     mark(holder, numbers, 1);
     bool moved = false;
-    for (int i = 0; i < change.positions && !moved; ++i) {
-      std::uint32_t const slot = words[i * map_change::position_words];
+    for (int i = 0; i < change.count[map_change::position] && !moved; ++i) {
+      std::uint32_t const slot = words[i * map_change::words_of(map_change::position)];
       moved = slot < held_.size() && held_[slot] != 0;
     }
     mark(holder, numbers, 0);
@@ -81,7 +81,7 @@ private:
   bool comes_[2] = {true, true};
   after search_ = after::last_frame;
   int buffer_ = 0;
-  transform T_cw_;
+  pose T_cw_ = pose::identity();
   bool expected_ = false;
   bool started_ = false;
   std::vector<unsigned char> held_;  ///< by slot; all 0 between calls

@@ -1,15 +1,97 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The shim's settings from the members of ORB-SLAM3's Tracking, in one call.
+/// @file The shim's settings from the members of ORB-SLAM3's Tracking, in one call; its cameras and
+/// poses as plain structures, and back.
 #pragma once
 
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cstddef>
+#include <cstring>
 #include <string>
+#include <type_traits>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/conversions.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
+
+/// Parameters of a GeometricCamera: GetType() 0 is a pinhole, 1 Kannala-Brandt.
+/// @throws bad_argument for others
+template <typename Camera>
+camera_parameters parameters_of(Camera& camera) {
+  auto const type = camera.GetType();
+  detail::require(type == 0u || type == 1u, "the camera's type is neither 0 nor 1");
+  camera_parameters p;
+  p.kind = type == 0u ? lens::pinhole : lens::kannala_brandt;
+  for (int i = 0; i < (type == 0u ? 4 : 8); ++i) {
+    p.values[i] = static_cast<float>(camera.getParameter(i));
+  }
+  return p;
+}
+
+inline constexpr int number_type = 5;  ///< CV_32FC1
+
+/// Reads mK and mDistCoef of a frame.
+/// @return whether the distortion is one that undistortion.hpp knows: none, or 4 or 5 coefficients
+template <typename Frame>
+bool read_distortion(Frame const& frame, lens_distortion& d) {
+  d = {};
+  int const n = frame.mDistCoef.rows * frame.mDistCoef.cols;
+  if (n == 0) { return true; }
+  if (frame.mDistCoef.type() != number_type || frame.mK.type() != number_type) { return false; }
+  float k[5] = {};
+  std::memcpy(k, frame.mDistCoef.data, sizeof(float) * static_cast<std::size_t>(n < 5 ? n : 5));
+  if (k[0] == 0) { return true; }
+  if (n < 4 || n > 5) { return false; }
+  float K[9];
+  std::memcpy(K, frame.mK.data, sizeof K);
+  d = {K[0], K[4], K[2], K[5], k[0], k[1], k[2], k[3], k[4]};
+  return true;
+}
+
+template <typename Vector>
+auto vec_of(Vector const& v) {
+  return vec3<std::decay_t<decltype(v(0))>>{v(0), v(1), v(2)};
+}
+template <typename Matrix>
+auto mat_of(Matrix const& m) {
+  mat3<std::decay_t<decltype(m(0, 0))>> to;
+  for (int i = 0; i < 9; ++i) { to.m[i] = m(i / 3, i % 3); }
+  return to;
+}
+/// Of a Sophus::SE3f.
+template <typename Pose>
+pose transform_of(Pose const& T) {
+  return {mat_of(Eigen::Matrix3f(T.rotationMatrix())), vec_of(T.translation())};
+}
+
+/// The rotation of a Sophus::SE3f.
+template <typename Pose>
+quaternion<float> rotation_of(Pose const& T) {
+  Eigen::Quaternionf const q = T.unit_quaternion();
+  return {q.x(), q.y(), q.z(), q.w()};
+}
+/// The centres of a frame's cameras in the world, computed as the frame does: the left one by the
+/// pose's quaternion, whose result differs from the matrix's in the last bit.
+template <typename Frame>
+void centres_of(Frame& frame, int cameras, vec3<float> (&centres)[2]) {
+  auto const T_wc = frame.GetPose().inverse();
+  Eigen::Vector3f const left = T_wc.translation();
+  Eigen::Vector3f right = left;
+  if (cameras == 2) {
+    right = T_wc.rotationMatrix() * frame.GetRelativePoseTlr().translation() + left;
+  }
+  centres[0] = vec_of(left);
+  centres[1] = vec_of(right);
+}
+/// A Sophus::SE3f, through a unit quaternion.
+template <typename Pose>
+Pose pose_of(pose const& T) {
+  Eigen::Map<Eigen::Matrix<float, 3, 3, Eigen::RowMajor> const> const R(T.R.m);
+  return Pose(Eigen::Quaternionf(Eigen::Matrix3f(R)).normalized(),
+              Eigen::Vector3f(T.t.x, T.t.y, T.t.z));
+}
 
 /// A system's types, for the template parameter `Types` of the shim.
 template <typename Frame, typename MapPoint, typename FisheyeCamera>

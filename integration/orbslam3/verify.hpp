@@ -2,8 +2,6 @@
 /// @file Compares CPU and GPU on each frame.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <ostream>
 #include <type_traits>
@@ -11,13 +9,9 @@
 #include <vector>
 
 #include "integration/orbslam3/accelerator.hpp"
-#include "integration/orbslam3/keypoint_sets.hpp"
-#include "integration/orbslam3/verify_grid.hpp"
-#include "integration/orbslam3/verify_inertial.hpp"
-#include "integration/orbslam3/verify_recovery.hpp"
+#include "integration/orbslam3/verify_features.hpp"
 #include "integration/orbslam3/verify_report.hpp"
-#include "integration/orbslam3/verify_tracked.hpp"
-#include "integration/orbslam3/verify_words.hpp"
+#include "integration/orbslam3/verify_states.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -75,15 +69,15 @@ public:
   template <typename Cpu>
   void undistort(frame_type& frame, Cpu const& cpu) {
     begin(frame, stage::undistort);
-    cpu();
-    auto const want = frame.mvKeysUn;
-    gpu_->undistort(frame);
-    log_.compare("number of undistorted keypoints", -1, want.size(), frame.mvKeysUn.size());
-    for (std::size_t i = 0; i < want.size() && i < frame.mvKeysUn.size(); ++i) {
-      auto const at = static_cast<long>(i);
-      log_.compare("x of undistorted keypoint", at, want[i].pt.x, frame.mvKeysUn[i].pt.x);
-      log_.compare("y of undistorted keypoint", at, want[i].pt.y, frame.mvKeysUn[i].pt.y);
-    }
+    compare_both(
+        cpu, [&] { gpu_->undistort(frame); },
+        [&](readings& r) {
+          r.add("number of undistorted keypoints", -1, frame.mvKeysUn.size());
+          for (std::size_t i = 0; i < frame.mvKeysUn.size(); ++i) {
+            r.add("x of undistorted keypoint", static_cast<long>(i), frame.mvKeysUn[i].pt.x);
+            r.add("y of undistorted keypoint", static_cast<long>(i), frame.mvKeysUn[i].pt.y);
+          }
+        });
   }
 
   /// The keypoints of each cell, in order; cells are numbered column by column.
@@ -106,18 +100,12 @@ public:
   template <typename Cpu, typename Gpu>
   void stereo(frame_type& frame, Cpu const& cpu, Gpu const& gpu) {
     begin(frame, stage::stereo);
-    cpu();
-    auto const right_x = frame.mvuRight;
-    auto const depth = frame.mvDepth;
-    auto const left_to_right = frame.mvLeftToRightMatch;
-    auto const right_to_left = frame.mvRightToLeftMatch;
-    gpu();
-    compare_numbers("right column", right_x, frame.mvuRight, tolerances_.pixels, 0);
-    compare_numbers("depth", depth, frame.mvDepth, tolerances_.depth, tolerances_.depth);
-    compare_numbers("right partner of left keypoint", left_to_right, frame.mvLeftToRightMatch, 0,
-                    0);
-    compare_numbers("left partner of right keypoint", right_to_left, frame.mvRightToLeftMatch, 0,
-                    0);
+    compare_both(cpu, gpu, [&](readings& r) {
+      r.add("right column", frame.mvuRight, tolerances_.pixels);
+      r.add("depth", frame.mvDepth, tolerances_.depth, tolerances_.depth);
+      r.add("right partner of left keypoint", frame.mvLeftToRightMatch);
+      r.add("left partner of right keypoint", frame.mvRightToLeftMatch);
+    });
   }
 
   /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
@@ -147,7 +135,7 @@ public:
     begin(frame, stage::solve_pnp);
     pnp_trial const by_cpu(cpu() ? 1 : 0, to);
     pnp_trial const by_gpu(gpu_->solve_pnp(frame, matches, progress, to), to);
-    bool const refused = by_gpu.found == recovery_refused;
+    bool const refused = by_gpu.found == call_refused;
     if (refused) {
       log_.add_refusal();
     } else {
@@ -168,85 +156,83 @@ public:
       hooks_.add(log_, gpu_->mirror(), *p, frame.mnId);
       tested.push_back(p->mnLastFrameSeen != frame.mnId && !p->isBad());
     }
-    local_state const before(0, frame, points);
+    local_state const before(frame, points);
     auto const count_visible = [&](local_state const& state, int n) {
       for (std::size_t i = 0; i < points.size(); ++i) {
-        tracked const& t = state.seen[i];
+        tracked_values const& t = state.seen[i];
         if (tested[i] && (t.in_view || t.in_view_right)) { points[i]->IncreaseVisible(n); }
       }
     };
     auto const put = [&](local_state const& state) {
-      frame.mvpMapPoints = state.held.points;
+      frame.mvpMapPoints = state.held;
       frame.mmProjectPoints = state.drawn;
       for (std::size_t i = 0; i < points.size(); ++i) { state.seen[i].restore(*points[i]); }
     };
     auto const run = [&](auto const& call) {
       int const matches = call();
-      local_state state(matches, frame, points);
-      count_visible(state, -1);
-      put(before);
-      return state;
-    };
-    local_state kept = before;
-    log_.make([&] {
-      local_state const cpu_first = run(cpu);
-      kept = run(
-          [&] { return gpu_->search_local_points(frame, points, th, far_points, far_threshold); });
-      local_state const cpu_again = run(cpu);
-      compare_matches(cpu_first.held, cpu_again.held, kept.held);
+      outcome<local_state> result{matches, {frame, points}, {}};
+      add_matches(result.seen, matches, frame.mvpMapPoints);
       for (std::size_t i = 0; i < points.size(); ++i) {
-        compare_tracked<map_point>(log_, tolerances_, static_cast<long>(i), frame.Nleft != -1,
-                                   {cpu_first.seen[i], cpu_again.seen[i], kept.seen[i]});
+        result.left.seen[i].add_to(result.seen, static_cast<long>(i), frame.Nleft != -1,
+                                   tolerances_);
       }
+      count_visible(result.left, -1);
+      put(before);
+      return result;
+    };
+    auto const kept = trial(outcome<local_state>{0, before, {}}, run, cpu, [&] {
+      return gpu_->search_local_points(frame, points, th, far_points, far_threshold);
     });
-    put(kept);
-    count_visible(kept, 1);
-    return kept.held.matches;
+    put(kept.left);
+    count_visible(kept.left, 1);
+    return kept.answer;
   }
 
   /// @param cpu Optimizer::PoseOptimization; returns its inliers
   template <typename Cpu>
   int pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     begin(frame, which);
-    auto const start = frame.GetPose();
-    auto const outliers = frame.mvbOutlier;
+    auto const before = std::make_pair(frame.GetPose(), frame.mvbOutlier);
+    using left = std::decay_t<decltype(before)>;
+    auto const put = [&](left const& state) {
+      frame.SetPose(state.first);
+      frame.mvbOutlier = state.second;
+    };
     auto const run = [&](auto const& call) {
       int const inliers = call();
-      posed<std::decay_t<decltype(start)>> result{inliers, frame.GetPose(),
-                                                  std::exchange(frame.mvbOutlier, outliers)};
-      frame.SetPose(start);
+      outcome<left> result{inliers, {frame.GetPose(), frame.mvbOutlier}, {}};
+      readings& r = result.seen;
+      r.add("inliers", -1, inliers);
+      for (std::size_t i = 0; i < frame.mvbOutlier.size(); ++i) {
+        if (frame.mvpMapPoints[i] == nullptr) { continue; }
+        r.add("outlier", static_cast<long>(i), frame.mvbOutlier[i]);
+      }
+      pose const T_cw = transform_of(result.left.first);
+      r.add("rotation entry", T_cw.R, tolerances_.pose);
+      r.add("translation entry", T_cw.t, tolerances_.pose);
+      put(before);
       return result;
     };
-    posed<std::decay_t<decltype(start)>> kept{0, start, outliers};
-    log_.make([&] {
-      auto const cpu_first = run(cpu);
-      kept = run([&] { return gpu_->pose_optimization(frame, which); });
-      compare_poses(frame, cpu_first, run(cpu), kept);
-    });
-    frame.SetPose(kept.pose);
-    frame.mvbOutlier = kept.outliers;
-    return kept.inliers;
+    auto const kept = trial(outcome<left>{0, before, {}}, run, cpu,
+                            [&] { return gpu_->pose_optimization(frame, which); });
+    put(kept.left);
+    return kept.answer;
   }
 
   /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     begin(frame, which);
-    inertial_trials<frame_type> trials(frame);
-    typename inertial_trials<frame_type>::outcome kept;
-    log_.make([&] {
-      auto cpu_first = trials.run(cpu);
-      kept = trials.run([&] { return gpu_->inertial_pose_optimization(frame, which); });
-      if (kept.tracked == inertial_refused) {
-        kept = std::move(cpu_first);
-        return log_.add_refusal();
-      }
-      auto const cpu_again = trials.run(cpu);
-      inertial_comparison(log_, tolerances_, cpu_first, cpu_again, kept)
-          .add(frame.mvpMapPoints, inertial_steps(frame, which == stage::pose_inertial_last_frame));
-    });
+    int const steps = gpu_->can_optimize_inertial(frame, which)
+                          ? inertial_steps(frame, which == stage::pose_inertial_last_frame)
+                          : 0;
+    inertial_trials<frame_type> trials(frame, steps, tolerances_);
+    auto kept = trial(
+        typename inertial_trials<frame_type>::outcome{},
+        [&](auto const& call) { return trials.run(call); }, cpu,
+        [&] { return gpu_->inertial_pose_optimization(frame, which); });
     trials.keep(kept);
-    return kept.tracked;
+    return kept.answer;
   }
 
   /// @param cpu Frame::ComputeBoW
@@ -272,118 +258,88 @@ public:
     auto const run = [&](auto const& call) {
       matches.clear();
       int const n = call();
-      return matched{n, matches};
+      outcome<std::vector<map_point*>> result{n, matches, {}};
+      add_matches(result.seen, n, matches);
+      return result;
     };
-    matched const kept = compared_matches(run, cpu, [&] {
+    auto const kept = trial(outcome<std::vector<map_point*>>{}, run, cpu, [&] {
       return gpu_->search_by_bow(keyframe, frame, matches, ratio, orientation_check);
     });
-    matches = kept.points;
-    return kept.matches;
+    matches = kept.left;
+    return kept.answer;
   }
 
 private:
-  using tracked = tracked_values<map_point>;
-  static std::vector<tracked> tracked_of(std::vector<map_point*> const& points) {
-    std::vector<tracked> all;
-    all.reserve(points.size());
-    for (map_point const* const p : points) { all.emplace_back(*p); }
-    return all;
-  }
-  struct matched {
-    int matches;
-    std::vector<map_point*> points;
+  /// What a call returned, what it left, and what is compared of that.
+  template <typename Left>
+  struct outcome {
+    int answer;
+    Left left;
+    readings seen;
   };
+  struct local_state {
+    std::vector<map_point*> held;
+    std::vector<tracked_values> seen;
+    decltype(frame_type::mmProjectPoints) drawn;
+
+    local_state(frame_type const& frame, std::vector<map_point*> const& points)
+        : held(frame.mvpMapPoints), drawn(frame.mmProjectPoints) {
+      for (map_point const* const p : points) { seen.emplace_back(*p); }
+    }
+  };
+
+  /// @param kept an outcome to begin with @param run makes a call, and starts from the same state
+  /// each time @return the accelerator's outcome; where it refuses, the CPU's
+  template <typename Outcome, typename Run, typename Cpu, typename Gpu>
+  Outcome trial(Outcome kept, Run const& run, Cpu const& cpu, Gpu const& on_gpu) {
+    log_.make([&] {
+      Outcome cpu_first = run(cpu);
+      kept = run(on_gpu);
+      if (kept.answer == call_refused) {
+        kept = std::move(cpu_first);
+        return log_.add_refusal();
+      }
+      log_.compare(cpu_first.seen, run(cpu).seen, kept.seen);
+    });
+    return kept;
+  }
   /// A search that changes the points of a frame.
   template <typename Cpu, typename Gpu>
   int search(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu) {
     auto const before = frame.mvpMapPoints;
     auto const run = [&](auto const& call) {
       int const matches = call();
-      return matched{matches, std::exchange(frame.mvpMapPoints, before)};
+      outcome<std::vector<map_point*>> result{
+          matches, std::exchange(frame.mvpMapPoints, before), {}};
+      add_matches(result.seen, matches, result.left);
+      return result;
     };
-    matched const kept = compared_matches(run, cpu, on_gpu);
-    frame.mvpMapPoints = kept.points;
-    return kept.matches;
+    auto const kept = trial(outcome<std::vector<map_point*>>{}, run, cpu, on_gpu);
+    frame.mvpMapPoints = kept.left;
+    return kept.answer;
   }
-  /// @param run makes a call, and starts from the same state each time
-  template <typename Run, typename Cpu, typename Gpu>
-  matched compared_matches(Run const& run, Cpu const& cpu, Gpu const& on_gpu) {
-    matched kept{};
-    log_.make([&] {
-      matched const cpu_first = run(cpu);
-      kept = run(on_gpu);
-      if (kept.matches == recovery_refused) {
-        kept = cpu_first;
-        return log_.add_refusal();
-      }
-      compare_matches(cpu_first, run(cpu), kept);
-    });
-    return kept;
+  static void add_matches(readings& to, int matches, std::vector<map_point*> const& points) {
+    to.add("matches", -1, matches);
+    to.add("keypoints of the search", -1, points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      to.add("map point of keypoint", static_cast<long>(i),
+             points[i] == nullptr ? -1.0 : static_cast<double>(points[i]->mnId));
+    }
   }
-  struct local_state {
-    matched held;
-    std::vector<tracked> seen;
-    decltype(frame_type::mmProjectPoints) drawn;
-
-    local_state(int matches, frame_type const& frame, std::vector<map_point*> const& points)
-        : held{matches, frame.mvpMapPoints},
-          seen(tracked_of(points)),
-          drawn(frame.mmProjectPoints) {}
-  };
-  template <typename Pose>
-  struct posed {
-    int inliers;
-    Pose pose;
-    std::vector<bool> outliers;
-  };
-  template <typename Pose>
-  void compare_poses(frame_type const& frame, posed<Pose> const& cpu, posed<Pose> const& again,
-                     posed<Pose> const& gpu) {
-    log_.compare("inliers", -1, cpu.inliers, again.inliers, gpu.inliers);
-    for (std::size_t i = 0; i < gpu.outliers.size(); ++i) {
-      if (frame.mvpMapPoints[i] == nullptr) { continue; }
-      log_.compare("outlier", static_cast<long>(i), cpu.outliers[i], again.outliers[i],
-                   gpu.outliers[i]);
-    }
-    transform const a = transform_of(cpu.pose);
-    transform const b = transform_of(again.pose);
-    transform const g = transform_of(gpu.pose);
-    for (int i = 0; i < 9; ++i) {
-      log_.compare("rotation entry", i, a.R[i], b.R[i], g.R[i], tolerances_.pose);
-    }
-    for (int i = 0; i < 3; ++i) {
-      log_.compare("translation entry", i, a.t[i], b.t[i], g.t[i], tolerances_.pose);
-    }
+  /// Of a stage that does not read the map: the CPU runs it once. @param read void(readings&)
+  template <typename Cpu, typename Gpu, typename Read>
+  void compare_both(Cpu const& cpu, Gpu const& on_gpu, Read const& read) {
+    readings by_cpu;
+    readings by_gpu;
+    cpu();
+    read(by_cpu);
+    on_gpu();
+    read(by_gpu);
+    log_.compare(by_cpu, by_gpu);
   }
   void begin(frame_type const& frame, stage s) {
     log_.begin(frame.mnId, s);
     elsewhere_.add_to(log_);
-  }
-
-  template <typename T>
-  void compare_numbers(char const* what, std::vector<T> const& cpu, std::vector<T> const& gpu,
-                       double allowed, double relative) {
-    log_.compare(what, -1, cpu.size(), gpu.size());
-    for (std::size_t i = 0; i < cpu.size() && i < gpu.size(); ++i) {
-      auto const size = static_cast<double>(cpu[i]);
-      // A value that only one of them has is not a rounding difference.
-      double const limit = (cpu[i] < 0) != (gpu[i] < 0) ? 0 : allowed + relative * std::abs(size);
-      log_.compare(what, static_cast<long>(i), cpu[i], cpu[i], gpu[i], limit);
-    }
-  }
-  void compare_matches(matched const& cpu, matched const& again, matched const& gpu) {
-    auto const id = [](map_point const* p) {
-      return p == nullptr ? -1.0 : static_cast<double>(p->mnId);
-    };
-    log_.compare("matches", -1, cpu.matches, again.matches, gpu.matches);
-    if (gpu.points.size() != cpu.points.size()) {
-      log_.compare("keypoints of the search", -1, cpu.points.size(), gpu.points.size());
-      return;
-    }
-    for (std::size_t i = 0; i < cpu.points.size(); ++i) {
-      log_.compare("map point of keypoint", static_cast<long>(i), id(cpu.points[i]),
-                   id(again.points[i]), id(gpu.points[i]));
-    }
   }
 
   accelerator<Types>* gpu_;

@@ -2,6 +2,7 @@
 /// @file Differences between CPU and GPU, and a log of them by frame and stage.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -54,6 +55,47 @@ struct tolerances {
   double pnp_inliers = 0.45;  ///< of the larger number
   double pnp_degrees = 6;
   double pnp_shift = 0.1;  ///< of the median distance of the inliers
+};
+
+/// What a call has left, as numbers that are compared one by one.
+class readings {
+public:
+  struct entry {
+    char const* what;
+    long index;
+    double value;
+    double allowed;
+  };
+
+  template <typename T>
+  void add(char const* what, long index, T value, double allowed = 0) {
+    all_.push_back({what, index, static_cast<double>(value), allowed});
+  }
+  /// @param roundings allowed besides, relative to the value
+  void add(char const* what, vec3<float> const& v, double allowed, double roundings = 0) {
+    float const values[] = {v.x, v.y, v.z};
+    add(what, values, values + 3, allowed, roundings);
+  }
+  void add(char const* what, mat3<float> const& m, double allowed, double roundings = 0) {
+    add(what, m.m, m.m + 9, allowed, roundings);
+  }
+  /// Also their number. @param relative allowed besides, of a value
+  template <typename T>
+  void add(char const* what, std::vector<T> const& values, double allowed = 0,
+           double relative = 0) {
+    add(what, -1, values.size());
+    add(what, values.begin(), values.end(), allowed, relative);
+  }
+  std::vector<entry> const& all() const { return all_; }
+
+private:
+  template <typename At>
+  void add(char const* what, At from, At to, double allowed, double relative) {
+    for (long i = 0; from != to; ++from, ++i) {
+      add(what, i, *from, allowed + relative * std::abs(static_cast<double>(*from)));
+    }
+  }
+  std::vector<entry> all_;
 };
 
 /// Counts and prints differences. For one thread.
@@ -121,6 +163,25 @@ public:
   void compare(char const* what, long index, A cpu, B gpu) {
     compare(what, index, cpu, cpu, gpu);
   }
+  /// The same for what all of these have; they are written in the same order.
+  void compare(readings const& cpu, readings const& cpu_again, readings const& gpu) {
+    auto again = cpu_again.all().begin();
+    auto other = gpu.all().begin();
+    auto const find = [](auto const& in, auto& from, readings::entry const& e) {
+      auto const found = std::find_if(from, in.end(), [&](readings::entry const& x) {
+        return x.what == e.what && x.index == e.index;
+      });
+      if (found == in.end()) { return false; }
+      from = found;
+      return true;
+    };
+    for (readings::entry const& e : cpu.all()) {
+      if (!find(gpu.all(), other, e)) { continue; }
+      bool const twice = find(cpu_again.all(), again, e);
+      compare(e.what, e.index, e.value, twice ? again->value : e.value, other->value, e.allowed);
+    }
+  }
+  void compare(readings const& cpu, readings const& gpu) { compare(cpu, cpu, gpu); }
   /// Adds a field of a map point that changed without a hook.
   void add_stale(char const* what, long point) {
     add({stage_, frame_, what, point, 0, 0, false, true});

@@ -20,7 +20,7 @@
 #include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
-#include "integration/orbslam3/word_types.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {

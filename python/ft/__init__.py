@@ -9,7 +9,7 @@ from ._ft import (
     DoubleSphere, ExtendedUnified, FieldOfView, KannalaBrandt, Pinhole, PlaceRecognition, RadTan, Tracking, Unified,
     __version__, devices,
 )
-from .features import Keypoints, OrbExtractor, StereoMatcher, StereoMatches
+from .features import ImageFeatures, Keypoints, OrbExtractor, StereoMatcher, StereoMatches
 from .odometry import Odometry
 from .rectification import Rectifier
 from .rigs import (
@@ -21,7 +21,7 @@ from .streams import Stream
 
 __all__ = [
     "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame",
-    "Imu", "KannalaBrandt", "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
+    "ImageFeatures", "Imu", "KannalaBrandt", "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
     "PlaceRecognition", "RadTan", "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher",
     "StereoMatches", "Stream", "Tracking", "Trajectory", "Unified", "__version__", "check_calibration", "devices",
     "evaluate", "read_sequence", "read_tum",

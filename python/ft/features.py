@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Optional, Sequence, Union, cast, overload
+from typing import TYPE_CHECKING, Optional, Sequence, TypeVar, Union, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
 from .rigs import FisheyePair, RectifiedPair, _two
@@ -50,6 +50,70 @@ class Keypoints:
 
 
 @dataclass
+class ImageFeatures:
+    """Keypoints of an image from any detector, n of them, for Odometry.track_features().
+
+    positions: (n, 2) column and row, pixels, in the image; 0 is the middle of the first pixel. descriptors: (n, 32) uint8,
+    compared by their Hamming distance. octave: (n) pyramid levels; positions have a standard deviation of
+    scale_factor ** octave pixels. deviation: (n) pixels, instead of octave; the nearest one is taken. Without both the
+    octave is 0. angle: (n) degrees, 0 to 360; without, matches are not compared by how they turned. score: (n); of more keypoints
+    than there is room for those with the highest scores are taken, without scores the first ones.
+
+    right_x: (n) columns of the partners in the right image, NaN = none. depth: (n) metres, NaN = none; an RgbdCamera needs
+    it. With one of these no partners are searched. level_positions: positions and right_x are pixels of the octave's
+    level times its scale, as those of OpenCV's ORB, OrbExtractor and Odometry.keypoints() are; no difference on octave 0.
+    """
+
+    positions: ArrayLike
+    descriptors: NDArray[np.uint8]
+    octave: Optional[ArrayLike] = None
+    angle: Optional[ArrayLike] = None
+    score: Optional[ArrayLike] = None
+    deviation: Optional[ArrayLike] = None
+    right_x: Optional[ArrayLike] = None
+    depth: Optional[ArrayLike] = None
+    level_positions: bool = False
+
+    @staticmethod
+    def of(keypoints: Keypoints) -> ImageFeatures:
+        """Those of OrbExtractor or StereoMatcher."""
+        positions, descriptors = keypoints.to_numpy()
+        return ImageFeatures(positions, descriptors, keypoints.octave, keypoints.angle, keypoints.response,
+                             level_positions=True)
+
+    @staticmethod
+    def from_cv2(keypoints: Sequence[cv2.KeyPoint], descriptors: Optional[NDArray[np.uint8]]) -> ImageFeatures:
+        """Those of cv2.ORB_create(scaleFactor=s), whose scale_factor the Odometry has, too. Of another detector of OpenCV
+        the octaves mean something else: set `octave` to None, and `level_positions` to False."""
+        positions = np.array([k.pt for k in keypoints], np.float32).reshape(-1, 2)
+        rows = np.zeros((0, 32), np.uint8) if descriptors is None else descriptors
+        angle = np.array([k.angle for k in keypoints], np.float32)
+        return ImageFeatures(positions, rows, np.array([k.octave for k in keypoints], np.int32),
+                             None if np.any(angle < 0) else angle,
+                             np.array([k.response for k in keypoints], np.float32), level_positions=True)
+
+    def _arrays(self) -> dict[str, object]:
+        def floats(name: str) -> object:
+            values = getattr(self, name)
+            try:
+                return None if values is None else np.ascontiguousarray(values, np.float32)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} of the features is no array of numbers") from None
+
+        octave = None if self.octave is None else np.asarray(self.octave)
+        if octave is not None and octave.size > 0 and octave.dtype.kind not in "iu":
+            raise ValueError(f"octave of the features is {octave.dtype}, must be whole numbers")
+        columns = ("positions", "angle", "score", "deviation", "right_x", "depth")
+        descriptors = self.descriptors
+        return {
+            **{name: floats(name) for name in columns},
+            "octave": None if octave is None else np.ascontiguousarray(octave.clip(-1, 127), np.int32),
+            "descriptors": np.ascontiguousarray(descriptors) if isinstance(descriptors, np.ndarray) else descriptors,
+            "level_positions": bool(self.level_positions),
+        }
+
+
+@dataclass
 class StereoMatches:
     """Keypoints of both images; per left keypoint the column in the right image, pixels, and the depth, metres; -1 = none."""
 
@@ -69,7 +133,10 @@ def _options(width: int, height: int, features: int, levels: int, scale_factor: 
     }
 
 
-def _frames(images: Sequence[Sequence[Array]]) -> list[tuple[Array, ...]]:
+_Item = TypeVar("_Item")
+
+
+def _frames(images: Sequence[Sequence[_Item]]) -> list[tuple[_Item, ...]]:
     """Of a sequence of images for each camera, those of each frame."""
     numbers = [len(of_camera) for of_camera in images]
     if len(set(numbers)) > 1:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
-from .features import _frames, _options
+from .features import ImageFeatures, _frames, _options
 from .rigs import Imu, Rig, _matrix, _two, check_calibration
 from .streams import Array, StreamLike, handle_of
 
@@ -59,7 +59,8 @@ class Odometry:
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
     seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera or
-    batch > 1. measure_stages: record stage_times(). features, levels ...: as those of OrbExtractor.
+    batch > 1. own_features: track_features() takes keypoints of yours. measure_stages: record stage_times(). features,
+    levels ...: as those of OrbExtractor.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
 
@@ -70,8 +71,8 @@ class Odometry:
                  device: str = "auto", near_depth: float = 50.0, map_slots: int = 1 << 14, keyframes: int = 128,
                  local_points: int = 1 << 13, window: tuple[int, int] = (10, 5), window_points: int = 1 << 12,
                  vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
-                 loops: bool = False, measure_stages: bool = False, features: int = 1200, levels: int = 8,
-                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 loops: bool = False, own_features: bool = False, measure_stages: bool = False,
+                 features: int = 1200, levels: int = 8, scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
                  mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size,
                                std_sort, threads)
@@ -81,7 +82,7 @@ class Odometry:
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
                            vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
-                           loops=bool(loops), measure_stages=bool(measure_stages))
+                           loops=bool(loops), own_features=bool(own_features), measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
@@ -124,6 +125,36 @@ class Odometry:
             for t in tracked:
                 if t.reason == "depth_scale":
                     warnings.warn(t.explanation, stacklevel=2)
+        return tracked[0] if single else tracked
+
+    @overload
+    def track_features(self, *features: Union[ImageFeatures, int], time_ns: Optional[int] = None) -> _ft.Tracking: ...
+
+    @overload
+    def track_features(self, *features: Union[Sequence[ImageFeatures], Sequence[int]],
+                       time_ns: Optional[Sequence[int]] = None) -> list[_ft.Tracking]: ...
+
+    def track_features(self, *features: object, time_ns: object = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
+        """Tracks a frame by keypoints of any detector, and returns ft.Tracking. Needs own_features.
+
+        track_features(left, right, time_ns) of a RectifiedPair: partners are found by descriptors, columns are those given.
+        track_features(image, time_ns) with right_x or depth of a RectifiedPair, with depth of an RgbdCamera, or of a
+        MonocularCamera; each is an ImageFeatures. With batch > 1 each is a sequence with an item for each rig, and a list is
+        returned. Other rigs take none. Mixes with track(). Raises ValueError for arrays of other shapes and types, numbers
+        out of range, or a time that is not later; then nothing has changed.
+        """
+        if time_ns is None:
+            if not features:
+                raise ValueError("track_features() has no arguments, needs features and time_ns")
+            time_ns, features = features[-1], features[:-1]
+        single = self._pipeline.batch == 1 and not (features and isinstance(features[0], (list, tuple)))
+        of_cameras = cast("tuple[ImageFeatures, ...]", features)
+        frames = [of_cameras] if single else _frames(cast(Sequence[Sequence[ImageFeatures]], features))
+        for f in (f for frame in frames for f in frame):
+            if not isinstance(f, ImageFeatures):
+                raise ValueError(f"features are {type(f).__name__}, must be ft.ImageFeatures")
+        tracked = self._pipeline.track_features([[f._arrays() for f in frame] for frame in frames],
+                                                [time_ns] if single else time_ns)
         return tracked[0] if single else tracked
 
     def add_imu(self, time_ns: int, accel: ArrayLike, gyro: ArrayLike, b: int = 0) -> None:

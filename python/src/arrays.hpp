@@ -122,8 +122,14 @@ public:
   /// Of doubles, one after the other. @param shape what it must have
   double const* doubles(nb::handle given, std::string const& name,
                         std::initializer_list<std::size_t> shape) {
+    return numbers<double>(given, name, "float64", shape);
+  }
+  /// The same of any type. @param type its name
+  template <typename T>
+  T const* numbers(nb::handle given, std::string const& name, char const* type,
+                   std::initializer_list<std::size_t> shape) {
     any_array const a = take(given, name);
-    bool same = a.ndim() == shape.size() && a.dtype() == nb::dtype<double>();
+    bool same = a.ndim() == shape.size() && a.dtype() == nb::dtype<T>();
     std::size_t n = 1;
     std::size_t i = 0;
     for (std::size_t const s : shape) {
@@ -139,10 +145,10 @@ public:
     if (!same || a.device_type() != nb::device::cpu::value) {
       std::string text;
       for (std::size_t const s : shape) { text += (text.empty() ? "" : ", ") + std::to_string(s); }
-      throw argument_error(name + " must be a float64 array of shape (" + text +
+      throw argument_error(name + " must be a " + type + " array of shape (" + text +
                            ") without gaps, on the host");
     }
-    return static_cast<double const*>(a.data());
+    return static_cast<T const*>(a.data());
   }
   /// An image that a graph reads in place if it is on the device.
   image framed(nb::handle given, std::string const& name) {

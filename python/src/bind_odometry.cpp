@@ -14,6 +14,7 @@
 #include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
 #include "python/src/arrays.hpp"
+#include "python/src/given_features.hpp"
 
 namespace ftpy {
 
@@ -109,6 +110,7 @@ public:
     p.window_points = get("window_points");
     p.measure_stages = nb::cast<bool>(options["measure_stages"]);
     p.loops.present = nb::cast<bool>(options["loops"]);
+    p.own_features = nb::cast<bool>(options["own_features"]);
     if (!inertial.is_none()) { p.imu = imu_of(inertial); }
     is_rgbd_ = r.kind == "rgbd";
     has_depth_scale_ = r.depth_scale.has_value();
@@ -144,15 +146,17 @@ public:
     nb::gil_scoped_release const released;
     return translated([&] {
       wait_for(kept, stream);
-      ft::tracking const* const t = inner_->track(images.data(), time_ns.data());
-      std::vector<tracking> all;
-      for (int b = 0; b < batch_; ++b) {
-        all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
-                       ft::imu_warnings(t[b].imu, inner_->params().imu),
-                       ft::warnings_of(t[b], inner_->params())});
-      }
-      return all;
+      return described(inner_->track(images.data(), time_ns.data()));
     });
+  }
+  /// @param given sequences of the features of a rig, each a dict of arrays or None
+  std::vector<tracking> track_features(nb::sequence const& given, nb::handle at) {
+    arrays kept;
+    std::vector<std::int64_t> const time_ns = times(at, "time_ns");
+    std::vector<ft::given_features> const features = given_features_of(kept, given, batch_ > 1);
+    require_number(features.size(), time_ns.size(), static_cast<std::size_t>(batch_));
+    nb::gil_scoped_release const released;
+    return translated([&] { return described(inner_->track(features.data(), time_ns.data())); });
   }
   std::vector<std::int64_t> track_timed(nb::sequence const& given, nb::handle at,
                                         std::uintptr_t stream) {
@@ -303,6 +307,16 @@ public:
   int batch() const { return batch_; }
 
 private:
+  /// @param t [batch]
+  std::vector<tracking> described(ft::tracking const* t) {
+    std::vector<tracking> all;
+    for (int b = 0; b < batch_; ++b) {
+      all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
+                     ft::imu_warnings(t[b].imu, inner_->params().imu),
+                     ft::warnings_of(t[b], inner_->params())});
+    }
+    return all;
+  }
   static ft::imu_params imu_of(nb::handle given) {
     arrays kept;
     ft::imu_params p;
@@ -564,6 +578,8 @@ void bind_odometry(nb::module_& m) {
            nb::arg("rig").none(), nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
       .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns").none(),
            nb::arg("stream") = 0)
+      .def("track_features", &bound_odometry::track_features, nb::arg("features"),
+           nb::arg("time_ns").none())
       .def("track_timed", &bound_odometry::track_timed, nb::arg("images"),
            nb::arg("time_ns").none(), nb::arg("stream") = 0,
            "track() of several frames in turn, for the bench: what each took in C++, nanoseconds.")

@@ -3,6 +3,7 @@
 name. What is wrong here ends the interpreter."""
 
 import inspect
+import itertools
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ MODELS = {
 T = np.eye(4)
 T[0, 3] = -BASELINE
 FISHEYE = (*CAMERA, 0, 0, 0, 0)
+FEATURES = {"positions": np.ones((2, 2)), "descriptors": np.zeros((2, 32), np.uint8)}
+COLUMNS = ("octave", "angle", "score", "deviation", "right_x", "depth")
 
 
 def odometry(rig=None, **options):
@@ -42,6 +45,7 @@ def entries(folder):
     """Name of an entry and of its argument: a call with an array there."""
     pair, rgbd, mono = odometry(mask_size=(WIDTH, HEIGHT)), odometry(ft.RgbdCamera(CAMERA)), odometry(ft.MonocularCamera(CAMERA))
     inertial = odometry(imu=ft.Imu())
+    own, times = odometry(own_features=True), itertools.count(1)
     orb = ft.OrbExtractor(WIDTH, HEIGHT, device="host", mask_size=(WIDTH, HEIGHT))
     matcher = ft.StereoMatcher(ft.RectifiedPair(CAMERA, BASELINE), WIDTH, HEIGHT, device="host")
     rectifier = ft.Rectifier(distorted(), WIDTH, HEIGHT, device="host")
@@ -63,6 +67,9 @@ def entries(folder):
         "Odometry.track grey": lambda a: rgbd.track(a, DEPTH, 1),
         "Odometry.track depth": lambda a: rgbd.track(IMAGE, a, 1),
         "Odometry.track image": lambda a: mono.track(a, 1),
+        **{f"Odometry.track_features {name}": lambda a, name=name: own.track_features(
+            ft.ImageFeatures(**{**FEATURES, name: a}), next(times)) for name in (*FEATURES, *COLUMNS)},
+        "Odometry.track_features time": lambda a: own.track_features(ft.ImageFeatures(**FEATURES), a),
         "Odometry.set_mask mask": pair.set_mask,
         "Odometry.predict T_world_camera": pair.predict,
         "Odometry.add_imu accel": lambda a: inertial.add_imu(1, a, (0, 0, 0)),
@@ -108,7 +115,7 @@ def calls(tmp_path_factory):
 def test_an_empty_array_has_an_empty_result_or_is_named(calls, shape, kind):
     words = {"time": "time_ns|times", "truth": "ground truth|trajectory", "times": "times|poses", "cameras": "cameras",
              "left": "left", "distortion": "parameters", "frame": "left image", "trajectory": "trajectory|estimate",
-             "mask": "mask", "poses": "poses"}
+             "mask": "mask", "poses": "poses", "descriptors": "descriptors"}
     for name, call in calls.items():
         argument = name.split(" ", 1)[1].strip()
         try:
@@ -124,7 +131,7 @@ def test_every_public_entry_is_called_here(calls):
     """A method that is new needs a line above, or one here: it takes no array."""
     without_arrays = {
         "CalibrationWarning", "CalibrationWarning.count", "CalibrationWarning.index",
-        "Frame", "Keypoints", "Sequence", "Sequence.describe", "StereoMatches", "Stream", "Tracking", "devices", "read_sequence", "read_tum",
+        "Frame", "ImageFeatures", "ImageFeatures.from_cv2", "ImageFeatures.of", "Keypoints", "Sequence", "Sequence.describe", "StereoMatches", "Stream", "Tracking", "devices", "read_sequence", "read_tum",
         "Keypoints.to_cv2", "Keypoints.to_numpy", "Odometry", "Odometry.keypoints", "Odometry.map",
         "Odometry.placed_keyframes", "Odometry.reset", "Odometry.save_map", "Odometry.stage_times", "OrbExtractor", "PlaceRecognition",
         "PlaceRecognition.add", "PlaceRecognition.erase", "PlaceRecognition.query", "PlaceRecognition.words", "Rectifier",

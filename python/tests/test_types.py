@@ -29,6 +29,9 @@ print(len(found), found.descriptors.shape, pixels[valid])
 rig = ft.MultiRig([ft.RigCamera([500, 500, 320, 240], 0.1)])
 several = ft.Odometry(rig, 640, 480, batch=2).track([grey, grey], [grey, grey], time_ns=[0, 0])
 print(several[0].state)
+mine = ft.ImageFeatures(np.zeros((5, 2)), np.zeros((5, 32), np.uint8), depth=[1.0] * 5)
+own = ft.Odometry(ft.RgbdCamera([500, 500, 320, 240]), 640, 480, own_features=True)
+print(own.track_features(mine, time_ns=1).state)
 '''
 
 MISTAKES = [  # in place of what, and what mypy says
@@ -37,6 +40,7 @@ MISTAKES = [  # in place of what, and what mypy says
     ("640, 480).extract(grey)", '640, "480").extract(grey)', "arg-type"),
     ('keypoints()["depth"]', 'keypoints()["depths"]', "typeddict-item"),
     ("sequence.ground_truth)[\"pairs\"]", "sequence.ground_truth).pairs", "attr-defined"),
+    ("track_features(mine, time_ns=1).state", "track_features(mine, time_ns=1)[0].state", "index"),
     ("640, 480, batch=2", "640, 480, batches=2", "call-arg"),
     ("several[0].state", "several.state", "attr-defined"),
     ("ft.RigCamera([500, 500, 320, 240], 0.1)", "ft.Pinhole([500, 500, 320, 240])", "list-item"),

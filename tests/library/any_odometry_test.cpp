@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "ft/pipelines/erase.hpp"
+#include "ft/pipelines/orb_extractor.hpp"
 #include "library/rigs.hpp"
 #include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
@@ -75,6 +76,43 @@ void expect_same(answers const& a, answers const& b) {
   test::expect_same(a.frames, b.frames);
   EXPECT_EQ(a.depth, b.depth);
   EXPECT_TRUE(a.map == b.map);
+}
+
+TEST(any_odometry, tracks_keypoints_of_the_caller_as_the_headers_do) {
+  auto p = params();
+  p.own_features = true;
+  ft::host_exec const exec;
+  ft::orb_extractor extractor(exec, p.orb, 2);
+  auto inner = ft::odometry(exec, test::room::rig(), p, 1, ft::own_features{});
+  auto outer = ft::make_odometry({}, rectified(), p);
+  std::vector<ft::tracking> a, b;
+  for (auto const& f : walk()) {
+    extractor.upload(exec, 0, test::room::view(f.left));
+    extractor.upload(exec, 1, test::room::view(f.right));
+    extractor.extract(exec);
+    ft::given_features given;
+    std::vector<float> positions[2];
+    for (int i = 0; i < 2; ++i) {
+      auto const kp = extractor.keypoints().slice(i);
+      for (int k = 0; k < *kp.count; ++k) {
+        positions[i].insert(positions[i].end(), {kp.x(k), kp.y(k)});
+      }
+      ft::image_features& of = i == 0 ? given.left : given.right;
+      of.count = *kp.count;
+      of.positions = positions[i].data();
+      of.descriptors = &kp.orb(0);
+      of.octave = &kp.octave(0);
+      of.angle = &kp.angle(0);
+      of.level_positions = true;
+    }
+    std::int64_t const time = period * static_cast<std::int64_t>(a.size() + 1);
+    a.push_back(inner.track(given, time));
+    b.push_back(outer.track(given, time));
+    EXPECT_EQ(a.back().state, ft::tracking_state::tracking);
+  }
+  test::expect_same(a, b);
+  auto without = ft::make_odometry({}, rectified(), params());
+  EXPECT_THROW(without.track(ft::given_features{}, period), ft::bad_argument);
 }
 
 TEST(any_odometry, answers_as_the_headers_do) {

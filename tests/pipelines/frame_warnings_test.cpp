@@ -276,6 +276,35 @@ TEST(WarningsOfFrames, WhatIsRightHasNone) {
   }
 }
 
+// Errors that neighbours share begin a doubt above their limit; it goes on while they come back to
+// half of it, and is told for a second more. What never was above the limit is no doubt.
+TEST(WarningsOfFrames, AFaultThatComesAndGoesIsToldInBetween) {
+  struct row {
+    warning wanted;
+    int ft::frame_facts::*share;
+    int limit;
+  };
+  for (row const& r :
+       {row{warning::doubtful_pose, &ft::frame_facts::common, 256},
+        row{warning::stereo_inconsistent, &ft::frame_facts::common_disparity, 512}}) {
+    SCOPED_TRACE(ft::name_of(r.wanted));
+    auto const with = [&](int share) {
+      ft::tracking t = good();
+      t.evidence.facts.*r.share = share;
+      return t;
+    };
+    judged camera;
+    for (int i = 0; i < 40; ++i) { EXPECT_TRUE(camera(with(r.limit)).empty()) << "not begun"; }
+    EXPECT_TRUE(camera(with(r.limit + 1)).has(r.wanted));
+    for (int i = 1; i <= 60; ++i) {  // half of the limit, and more, every 15th frame
+      EXPECT_TRUE(camera(with(i % 15 == 0 ? r.limit / 2 + 1 : 0)).has(r.wanted)) << i;
+    }
+    for (int i = 1; i <= 20; ++i) { EXPECT_TRUE(camera(with(r.limit / 2)).has(r.wanted)) << i; }
+    EXPECT_TRUE(camera(with(r.limit / 2)).empty());
+    EXPECT_TRUE(camera(with(r.limit)).empty()) << "it is over";
+  }
+}
+
 TEST(WarningsOfFrames, ACameraThatIsFoundAgainMayBeElsewhere) {
   judged camera;
   EXPECT_TRUE(camera(good()).empty());

@@ -33,6 +33,7 @@ struct setting {
   double lead_s = 0;    ///< samples come so long before their frame
   double middle_s = 0;  ///< what is said of the offset
   double attitude_noise = 3e-4;
+  double attitude_drift = 0;  ///< of a frame: a map's error goes on to the next one
   int frames = 240;
   double spike_s = -1;  ///< a sample of 34 rad/s
   int new_map = -1;     ///< frame from which the world is another one
@@ -48,6 +49,7 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
   imu_clock clock;
   clock.reserve(200, std::llround(1e9 * s.middle_s));
   auto R = ft::mat3<real64>::identity();
+  auto map = R;
   std::int64_t sample_ns = 0;
   auto const offset_ns = static_cast<std::int64_t>(std::llround(1e9 * s.offset_s));
   auto const lead_ns = static_cast<std::int64_t>(std::llround(1e9 * s.lead_s));
@@ -63,7 +65,8 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
                                           static_cast<float>(w.y - 0.01 + n.y.value),
                                           static_cast<float>(w.z + 0.03 + n.z.value)});
       }
-      auto const seen = R * ft::detail::rotation_exp(noisy(s.attitude_noise));
+      map = map * ft::detail::rotation_exp(noisy(s.attitude_drift));
+      auto const seen = map * R * ft::detail::rotation_exp(noisy(s.attitude_noise));
       clock.add_attitude(t, seen.template cast<double>(), t / 50'000'000 != s.new_map);
       if (t / 50'000'000 + 1 == s.new_map) {
         R = R * ft::detail::rotation_exp(strict_vec3d{1.0, -0.5, 0.3});
@@ -124,6 +127,28 @@ TEST(ImuClock, SaysHowCertainItIs) {
     before = c.sigma_s;
   }
   EXPECT_FALSE(found(s).known);
+}
+
+// Turns that overlap share what the map has drifted between: not each of them tells more.
+TEST(ImuClock, IsAsUncertainAsADriftingMapMakesIt) {
+  for (int const frames : {60, 120, 240}) {
+    double squares = 0;
+    constexpr int runs = 40;
+    for (unsigned seed = 1; seed <= runs; ++seed) {
+      setting s;
+      s.offset_s = 0.005;
+      s.attitude_noise = 1e-4;
+      s.attitude_drift = 1e-3;
+      s.frames = frames;
+      auto const c = found(s, seed);
+      ASSERT_GT(c.sigma_s, 0) << seed;
+      double const off = (c.offset_s - s.offset_s) / c.sigma_s;
+      EXPECT_LT(std::abs(off), 4) << seed << " of " << frames << " frames";
+      squares += off * off;
+    }
+    EXPECT_LT(std::sqrt(squares / runs), 1.5) << frames;
+    EXPECT_GT(std::sqrt(squares / runs), 0.5) << frames;
+  }
 }
 
 TEST(ImuClock, ASpikeOrANewMapDoNotMoveIt) {

@@ -198,11 +198,13 @@ TEST(ImuWarnings, NameWhatWasFoundAndWhatWasExpected) {
       says(ft::imu_warnings(t, p), "20 ms ahead of that of the images, time_offset_s says 0"));
   t.clock.offset_s = -0.03;
   EXPECT_TRUE(says(ft::imu_warnings(t, p), "30 ms behind that of the images"));
-  p.time_offset_s = -0.0285;
+  p.time_offset_s = t.time_offset_s = -0.0285;
   EXPECT_TRUE(ft::imu_warnings(t, p).empty());  // as near as it is known
-  p.time_offset_s = 0;
+  p.time_offset_s = t.time_offset_s = 0;
   t.clock.known = false;
   EXPECT_TRUE(ft::imu_warnings(t, p).empty());
+  t.time_offset_s = 0.012;  // taken into use before it is known within a millisecond
+  EXPECT_TRUE(says(ft::imu_warnings(t, p), "12 ms ahead of that of the images"));
 }
 
 }  // namespace sample_queue_test

@@ -57,6 +57,20 @@ struct pyramid_geometry {
     return (strict_float(z) * (scale[octave] * wide / static_cast<float>(width[0]))).value;
   }
 
+  /// Inverse of column(), row() and depth(), up to rounding: a place in the input image as that of
+  /// a keypoint.
+  FT_HOST_DEVICE float level_column(float x, int octave) const {
+    return exact ? unresized(x, octave, width[0], width[octave]) : x;
+  }
+  FT_HOST_DEVICE float level_row(float y, int octave) const {
+    return exact ? unresized(y, octave, height[0], height[octave]) : y;
+  }
+  FT_HOST_DEVICE float level_depth(float z, int octave) const {
+    if (!exact) { return z; }
+    strict_float const wide = static_cast<float>(width[octave]);
+    return (strict_float(z) / (scale[octave] * wide / static_cast<float>(width[0]))).value;
+  }
+
   /// Patch diameter of a keypoint of an octave, pixels of the input image.
   FT_HOST_DEVICE int patch_size(int octave) const {
     return static_cast<int>(detail::mul(31.0f, scale[octave]));
@@ -98,6 +112,11 @@ private:
     strict_float const ratio = strict_float(static_cast<float>(from)) / static_cast<float>(to);
     strict_float const middle = strict_float(x) * inv_scale[octave] + 0.5f;
     return (middle * ratio - 0.5f).value;
+  }
+  FT_HOST_DEVICE float unresized(float x, int octave, int from, int to) const {
+    if (octave == 0) { return x; }
+    strict_float const ratio = strict_float(static_cast<float>(from)) / static_cast<float>(to);
+    return (((strict_float(x) + 0.5f) / ratio - 0.5f) * scale[octave]).value;
   }
 };
 

@@ -25,12 +25,6 @@ struct imu_variances {
   float walk[6];      ///< added to the biases' covariance with each step; gyro, accelerometer
 };
 
-/// Where an IMU is mounted.
-struct imu_mount {
-  rigid<float> T_bc;  ///< left camera to body, metres
-  rigid<float> T_cb;  ///< its inverse
-};
-
 /// The time between two images, and the samples among which the ones between them are.
 struct imu_interval {
   double from_s, to_s;  ///< stamps of the images
@@ -77,54 +71,6 @@ inline void carve(carver& c, imu_steps_view& v, int intervals, int capacity) {
   c.place({intervals}, v.chosen);
   c.place({intervals, capacity}, v.steps);
 }
-
-/// Preintegrated measurements between two images, in the body's frame at the first one.
-struct preintegrated {
-  float dT;                ///< seconds
-  mat3<float> dR;          ///< second body to first
-  vec3<float> dV;          ///< m/s, without gravity
-  vec3<float> dP;          ///< metres, without gravity and initial velocity
-  mat3<float> JRg;         ///< derivatives by the biases: of dR (right-hand tangent) by the gyro's,
-  mat3<float> JVg;         ///< of dV by the gyro's,
-  mat3<float> JVa;         ///< of dV by the accelerometer's,
-  mat3<float> JPg;         ///< of dP by the gyro's,
-  mat3<float> JPa;         ///< of dP by the accelerometer's
-  float C[81];             ///< row-major covariance: rotation, velocity, position
-  float walk[6];           ///< variances of the biases' change: gyro, accelerometer
-  imu_bias bias;           ///< with which was integrated
-  vec3<float> mean_accel;  ///< mean of the rotated specific force, for an initialisation, m/s^2
-  vec3<float> mean_gyro;   ///< rad/s
-  int steps;
-  integration_status status;
-};
-static_assert(std::is_trivially_copyable<preintegrated>::value, "copied between memories");
-
-/// A body's motion and the biases of its IMU.
-template <typename S>
-struct inertial_state {
-  mat3<S> R;   ///< body to world
-  vec3<S> p;   ///< position in the world, metres
-  vec3<S> v;   ///< velocity in the world, m/s
-  vec3<S> bg;  ///< rad/s
-  vec3<S> ba;  ///< m/s^2
-};
-
-/// A state as frames store it: with the camera's pose as a quaternion.
-struct stored_inertial_state {
-  quaternion<float> q_cw;  ///< world to left camera
-  vec3<float> t_cw;        ///< metres
-  vec3<float> v;           ///< of the body in the world, m/s
-  imu_bias bias;
-};
-
-/// What past measurements say about the state of a frame: a state and an information matrix.
-struct inertial_prior {
-  inertial_state<double> state;
-  /// Row-major 15 x 15, of a small change: rotation (right-hand tangent), position in the body's
-  /// frame, velocity, gyro bias, accelerometer bias.
-  double information[225];
-  int known;  ///< 0: none
-};
 
 }  // namespace FT_ABI
 }  // namespace ft

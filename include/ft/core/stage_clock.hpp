@@ -150,6 +150,7 @@ public:
     events_.reserve(static_cast<std::size_t>(detail::stage_marks::most));
     for (int i = 0; i < detail::stage_marks::most; ++i) { events_.emplace_back(cudaEventDefault); }
   }
+  bool enabled() const { return !events_.empty(); }
   int begin(cuda_exec const& exec) {
     marks_.clear();
     return mark(exec, "");

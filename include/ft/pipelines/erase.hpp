@@ -19,6 +19,7 @@
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/pipelines/odometry.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/tracking.hpp"
@@ -73,6 +74,11 @@ public:
   tracking const* track(any_images const* images, std::int64_t const* time_ns) override {
     [[maybe_unused]] auto const here = place_.enter();
     return inner_.track(given(images), time_ns);
+  }
+  tracking const* track_features(given_features const* features,
+                                 std::int64_t const* time_ns) override {
+    [[maybe_unused]] auto const here = place_.enter();
+    return inner_.track(features, time_ns);
   }
   void prefetch(any_images const* images) override {
     [[maybe_unused]] auto const here = place_.enter();

@@ -172,9 +172,10 @@ inline tracking_explanation explain_doubt(tracking const& t) {
 inline tracking_explanation explain(tracking const& t, tracking_rules const& rules = {},
                                     explanation_limits const& limits = {}) {
   if (t.state == tracking_state::tracking) { return detail::explain_doubt(t); }
-  if (t.light.image < 0) {
+  bool const without_images = t.light.image < 0;  // or keypoints of the caller
+  if (without_images && t.keypoints == 0) {
     return {tracking_reason::not_started, t.state == tracking_state::initialising
-                                              ? "no frame was given yet"
+                                              ? "no frame was given yet, or no keypoint"
                                               : "no frame was given since the map was loaded"};
   }
   bool const few_keypoints = t.keypoints < limits.few_keypoints;
@@ -185,9 +186,10 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
     if (light.reason != tracking_reason::none) { return light; }
   }
   if (few_keypoints) {
-    return {tracking_reason::blurred, "only " + std::to_string(t.keypoints) +
-                                          " keypoints: the image is blurred, or shows little "
-                                          "texture"};
+    return {tracking_reason::blurred,
+            "only " + std::to_string(t.keypoints) +
+                (without_images ? " keypoints were given"
+                                : " keypoints: the image is blurred, or shows little texture")};
   }
   if (few_depths) { return detail::explain_depths(t, rules, limits); }
   if (t.state == tracking_state::initialising && t.depths == depth_origin::motion) {

@@ -21,6 +21,7 @@
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_engine.hpp"
+#include "ft/pipelines/detail/odometry_features.hpp"
 #include "ft/pipelines/detail/odometry_files.hpp"
 #include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "ft/pipelines/detail/odometry_loops.hpp"
@@ -28,6 +29,7 @@
 #include "ft/pipelines/detail/rectifying_parts.hpp"
 #include "ft/pipelines/detail/rgbd_parts.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/loops.hpp"
@@ -78,8 +80,9 @@ public:
   ///     ft::odometry odo(exec, rig, params, 1, ft::inertial{});             // params.imu
   ///     ft::odometry odo(exec, rig, params, 1, ft::places{words.view()});
   ///     ft::odometry odo(exec, rig, params, 1, ft::loops{});                // params.loops
+  ///     ft::odometry odo(exec, rig, params, 1, ft::own_features{});         // params.own_features
   ///
-  /// @param batch camera pairs @param plugged inertial, places, or loops
+  /// @param batch camera pairs @param plugged inertial, places, loops, or own_features
   /// @throws bad_argument also for odometry_params::imu without inertial, and for inertial without
   ///   it; likewise for odometry_params::loops and loops; std::bad_alloc, cuda_error
   template <typename... Plugged>
@@ -109,6 +112,26 @@ public:
   tracking track(images_type const& images, std::int64_t time_ns) {
     require_single();
     return *track(&images, &time_ns);
+  }
+
+  /// Tracks the next frame by keypoints of the caller, see given_features, instead of images: what
+  /// depends on images alone, tracking::light and warnings about them, is not there. Needs
+  /// own_features. Synchronous; allocates nothing.
+  /// @param features [batch] @param time_ns [batch] when they were seen; ascending
+  /// @return [batch] valid until the next call
+  /// @throws bad_argument for features as image_features says, naming the first, for a time that is
+  ///   not after the camera's last one, or without own_features; then nothing has changed
+  tracking const* track(given_features const* features, std::int64_t const* time_ns) {
+    engine& p = made();
+    p.require_later(time_ns);
+    p.take_features(features);
+    forget_prefetched();
+    return p.track(time_ns, detail::frame_extent::given);
+  }
+  /// The same for a batch of one. @throws bad_argument likewise, and for a larger batch
+  tracking track(given_features const& features, std::int64_t time_ns) {
+    require_single();
+    return *track(&features, &time_ns);
   }
 
   /// Gives the images of a frame before it is tracked. Keypoints and stereo are computed beside the

@@ -36,6 +36,9 @@ struct warning_limits {
   /// Likewise of disparities, most of it. Points share the error of the keyframe that measured
   /// them.
   double common_disparities = 0.5;
+  /// A share above its limit is a fault that goes on while it comes back to this part of the limit
+  /// within stays_ns: right poses never begin it.
+  double goes_on = 0.5;
   double dark_mean = 16;
   double bright_mean = 239;
   double least_deviation = 5;          ///< of grey values
@@ -64,20 +67,12 @@ inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
          3 * e.moved > e.textured && e.textured >= 16;
 }
 
-/// Whether a frame's pose may be another one.
-inline bool is_in_doubt(tracking const& t, warning_limits const& limits) {
-  frame_facts const& f = t.evidence.facts;
-  return t.inliers > 0 &&
-         (f.evidence < limits.least_evidence || f.common > 1024 * limits.common_errors);
-}
-
 inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   frame_facts const& f = t.evidence.facts;
   if (f.with_disparity >= limits.moving_points && 4 * f.off_disparity > f.with_disparity) {
     return true;
   }
   if (t.depths != depth_origin::stereo) { return false; }
-  if (f.common_disparity > 1024 * limits.common_disparities) { return true; }
   if (t.keypoints < limits.few_keypoints) { return false; }
   double const share = t.evidence.stereo_share;
   return (t.evidence.rectified && share < limits.least_stereo_share) ||
@@ -97,6 +92,22 @@ inline void add_light_warnings(tracking const& t, warning_limits const& limits, 
     all.add(tracking_warning::blurred);
   }
 }
+
+/// A share of errors that neighbours have in common, from frame to frame.
+class lasting_share {
+public:
+  /// @param share in 1 / 1024 @param limit as a part of 1
+  /// @return whether it is above its limit, or has been, and the fault goes on
+  bool judge(int share, double limit, std::int64_t time_ns, warning_limits const& limits) {
+    bool const began = last_ns_ >= 0 && time_ns - last_ns_ <= limits.stays_ns;
+    bool const there = share > 1024 * limit * (began ? limits.goes_on : 1.0);
+    if (there) { last_ns_ = time_ns; }
+    return there;
+  }
+
+private:
+  std::int64_t last_ns_ = -1;
+};
 
 /// What is kept of a camera to judge its next frame by.
 class frame_warnings {
@@ -120,9 +131,17 @@ public:
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }
     if (t.state == tracking_state::tracking) {
       bool const found_again = lost_before_ && !t.map_begun;
-      if (found_again || is_in_doubt(t, limits)) { all.add(tracking_warning::doubtful_pose); }
+      frame_facts const& f = e.facts;
+      bool const in_doubt =
+          t.inliers > 0 && (errors_.judge(f.common, limits.common_errors, time_ns, limits) ||
+                            f.evidence < limits.least_evidence);
+      bool const errs_in_depth =
+          !unlit && t.depths == depth_origin::stereo &&
+          disparities_.judge(f.common_disparity, limits.common_disparities, time_ns, limits);
+      bool const is_odd = errs_in_depth || (!unlit && has_odd_stereo(t, limits));
+      if (found_again || in_doubt) { all.add(tracking_warning::doubtful_pose); }
       if (has_two_motions(t, limits)) { all.add(tracking_warning::two_motions); }
-      if (!unlit && has_odd_stereo(t, limits)) { all.add(tracking_warning::stereo_inconsistent); }
+      if (is_odd) { all.add(tracking_warning::stereo_inconsistent); }
     }
     lost_before_ = t.state == tracking_state::recovering || t.state == tracking_state::lost;
     if (params.imu.present && !imu_warnings(t.imu, params.imu).empty()) {
@@ -156,6 +175,7 @@ private:
   }
 
   idle_imu idle_;
+  lasting_share errors_, disparities_;
   double usual_share_ = 0;
   bool repeats_ = false;
   bool lost_before_ = false;

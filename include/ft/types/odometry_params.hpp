@@ -131,6 +131,7 @@ struct odometry_params {
   monocular_start_params start;    ///< of a monocular_rig
   imu_params imu;                  ///< present or not; see inertial
   loop_params loops;               ///< present or not; see ft::loops
+  bool own_features = false;       ///< keypoints of the caller are tracked; see ft::own_features
   bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
   bool measure_stages = false;     ///< record stage_times()
   /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each

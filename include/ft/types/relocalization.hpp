@@ -103,5 +103,14 @@ struct place_recovery {
   relocalization_params relocalization;  ///< `frustum` is that of the odometry
 };
 
+/// Result of the frustum test of one map point and one camera.
+struct visibility {
+  float x, y;      ///< projection, pixels
+  float right_x;   ///< in the right image of a rectified pair
+  float cosine;    ///< of the angle between viewing direction and the point's normal
+  float distance;  ///< from the camera's centre, metres: the length in the camera frame
+  int level;       ///< predicted octave; -1 = not visible
+};
+
 }  // namespace v0
 }  // namespace ft

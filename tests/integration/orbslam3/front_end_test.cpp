@@ -457,8 +457,9 @@ TEST_F(settings_of_tracking, of_a_fisheye_pair_have_its_motion_and_lapping_areas
   // What the right camera has at its centre, the left one has at T_lr's translation.
   Eigen::Vector3f const t = T_lr.translation();
   for (int r = 0; r < 3; ++r) {
-    float const* const R = s.T_rl.R + 3 * r;
-    EXPECT_NEAR(R[0] * t.x() + R[1] * t.y() + R[2] * t.z() + s.T_rl.t[r], 0, 1e-6f);
+    float const* const R = s.T_rl.R.m + 3 * r;
+    float const moved = r == 0 ? s.T_rl.t.x : r == 1 ? s.T_rl.t.y : s.T_rl.t.z;
+    EXPECT_NEAR(R[0] * t.x() + R[1] * t.y() + R[2] * t.z() + moved, 0, 1e-6f);
   }
   EXPECT_THROW(of<stand_in::fisheye_camera>(1, &left), ft::bad_argument);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <memory>
 
-#include "integration/orbslam3/host_tracker.hpp"
+#include "integration/orbslam3/executor_tracker.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 
 namespace orbslam3_test {

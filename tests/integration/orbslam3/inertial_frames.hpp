@@ -46,11 +46,7 @@ inline stand_in::bias bias_of(ft::imu_bias const& b) {
   return {b.accel.x, b.accel.y, b.accel.z, b.gyro.x, b.gyro.y, b.gyro.z};
 }
 inline ft::stored_inertial_state stored_state_of(stand_in::frame& f) {
-  ft::orbslam3::imu_state const s = ft::orbslam3::state_of(f);
-  ft::stored_inertial_state out{};
-  static_assert(sizeof out == sizeof s, "the same numbers in the same order");
-  std::memcpy(&out, &s, sizeof out);
-  return out;
+  return ft::orbslam3::state_of(f);
 }
 
 inline stand_in::preintegrated integral_of(ft::preintegrated const& from, float gyro_walk) {

@@ -67,7 +67,7 @@ inertial_setup setup_of(test::inertial_chain const& chain) {
   if (c.family == "fisheye") {
     s.left.kind = s.right.kind = ft::orbslam3::lens::kannala_brandt;
     std::copy_n(c.camera.begin() + 8, 8, s.right.values);
-    s.T_rl = ft::orbslam3::to_transform(c.T_rl);
+    s.T_rl = c.T_rl;
   }
   return setup;
 }

@@ -151,7 +151,7 @@ TEST_P(inertial_poses, are_the_same_after_a_search_that_started_another_pose) {
       int const n = searching.inertial_pose_optimization(f, stage::pose_inertial_last_frame);
       set(other);
       EXPECT_EQ(alone.inertial_pose_optimization(other, stage::pose_inertial_last_frame), n);
-      EXPECT_NE(n, ft::orbslam3::inertial_refused);
+      EXPECT_NE(n, ft::orbslam3::call_refused);
       auto const got = stored_state_of(f);
       auto const want = stored_state_of(other);
       EXPECT_EQ(std::memcmp(&got, &want, sizeof got), 0);

@@ -73,9 +73,9 @@ TEST_P(extracted_order, of_a_monocular_frame_ends_with_the_first_1000_columns_in
 
 TEST_P(extracted_order, is_that_of_std_sort_unless_asked_otherwise) {
   auto s = settings_for(sensor::rgbd);
-  EXPECT_TRUE(s.std_sort_ties);
+  EXPECT_EQ(s.ties, ft::tie_rule::std_sort);
   stand_in::frame const by_std_sort = extract(s);
-  s.std_sort_ties = false;
+  s.ties = ft::tie_rule::stable;
   stand_in::frame const stable = extract(s);
   int other = 0;
   for (std::size_t i = 0; i < std::min(by_std_sort.mvKeys.size(), stable.mvKeys.size()); ++i) {

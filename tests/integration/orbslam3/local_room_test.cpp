@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Memory for local maps is allocated by another thread before a call needs it.
-#include "integration/orbslam3/local_room.hpp"
+#include "integration/orbslam3/local_map.hpp"
 
 #include <gtest/gtest.h>
 

@@ -6,8 +6,8 @@
 #include <algorithm>
 #include <vector>
 
+#include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/recovery_stages.hpp"
-#include "integration/orbslam3/scale_tables.hpp"
 #include "tests/integration/orbslam3/plain_search.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"

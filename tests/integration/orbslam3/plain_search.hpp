@@ -161,10 +161,10 @@ protected:
   static Eigen::Vector3f t(stand_in::frame const& f) { return f.GetPose().translation(); }
   Eigen::Matrix3f R_rl() const {
     Eigen::Matrix3f m;
-    for (int i = 0; i < 9; ++i) { m(i / 3, i % 3) = s_.T_rl.R[i]; }
+    for (int i = 0; i < 9; ++i) { m(i / 3, i % 3) = s_.T_rl.R.m[i]; }
     return m;
   }
-  Eigen::Vector3f t_rl() const { return {s_.T_rl.t[0], s_.T_rl.t[1], s_.T_rl.t[2]}; }
+  Eigen::Vector3f t_rl() const { return {s_.T_rl.t.x, s_.T_rl.t.y, s_.T_rl.t.z}; }
   float scale(int level) const { return scale_[static_cast<std::size_t>(level)]; }
   static std::vector<stand_in::keypoint> const& keys(stand_in::frame const& f, int camera) {
     return camera == 1 ? f.mvKeysRight : f.Nleft != -1 ? f.mvKeys : f.mvKeysUn;

@@ -25,11 +25,10 @@ using accelerator = ft::orbslam3::accelerator<stand_in::types>;
 using ft::orbslam3::map_change;
 using ft::orbslam3::pose_ahead;
 using ft::orbslam3::stage;
-using ft::orbslam3::transform;
 
-transform shifted(float x) {
-  transform T;
-  T.t[0] = x;
+ft::pose shifted(float x) {
+  ft::pose T = ft::pose::identity();
+  T.t.x = x;
   return T;
 }
 
@@ -77,9 +76,9 @@ TEST(pose_ahead, knows_whether_a_change_moves_a_held_point) {
   std::vector<std::uint32_t> words{8, 0, 0, 0, 300, 0, 0, 0};
   map_change change;
   EXPECT_FALSE(p.moves_held(change, words.data(), holder, 5));
-  change.positions = 1;
+  change.count[map_change::position] = 1;
   EXPECT_FALSE(p.moves_held(change, words.data(), holder, 5));
-  change.positions = 2;
+  change.count[map_change::position] = 2;
   EXPECT_TRUE(p.moves_held(change, words.data(), holder, 5));
   EXPECT_FALSE(p.moves_held(change, words.data(), holder, 2)) << "the earlier ones are forgotten";
   words[4] = 1u << 30;
@@ -121,8 +120,8 @@ protected:
     for (auto const* p : f.mvpMapPoints) { to.points.push_back(p == nullptr ? 0 : p->mnId); }
     to.outliers.insert(to.outliers.end(), f.mvbOutlier.begin(), f.mvbOutlier.end());
     auto const T = ft::orbslam3::transform_of(f.GetPose());
-    to.numbers.insert(to.numbers.end(), T.R, T.R + 9);
-    to.numbers.insert(to.numbers.end(), T.t, T.t + 3);
+    to.numbers.insert(to.numbers.end(), T.R.m, T.R.m + 9);
+    to.numbers.insert(to.numbers.end(), {T.t.x, T.t.y, T.t.z});
     to.numbers.push_back(static_cast<float>(count));
   }
   static void disturb(meanwhile what, accelerator& gpu, scene& s, stand_in::frame& f) {

@@ -21,7 +21,7 @@
 
 #include "integration/orbslam3/accelerator.hpp"
 #include "integration/orbslam3/front_end.hpp"
-#include "integration/orbslam3/undistortion.hpp"
+#include "integration/orbslam3/rigs.hpp"
 #include "integration/orbslam3/verify.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/constructors.hpp"
@@ -135,7 +135,7 @@ TEST(undistortion, has_opencvs_positions) {
   }
 }
 
-stand_in::matrix grey_image(unsigned seed) {
+stand_in::matrix gray_view(unsigned seed) {
   auto const pixels = test::random_image(640, 480, seed);
   stand_in::matrix m;
   m.create(480, 640, 0);
@@ -150,13 +150,13 @@ TEST_P(positions_of_frames, are_undistorted_while_the_device_extracts) {
     auto const s = settings_for(kind);
     accelerator gpu(make(s), s);
     stand_in::frame plain;
-    gpu.extract(grey_image(3), plain);
+    gpu.extract(gray_view(3), plain);
     for (lens_distortion const& d : lenses) {
       for (unsigned long again = 0; again < 3; ++again) {  // both buffers
         stand_in::frame f;
         f.mnId = again;
         calibrate(f, d, coefficients_of(d));
-        gpu.extract(grey_image(3), f);
+        gpu.extract(gray_view(3), f);
         ASSERT_TRUE(gpu.can_undistort(f));
         gpu.undistort(f);
         ASSERT_GT(f.mvKeys.size(), 500u);
@@ -181,9 +181,9 @@ TEST_P(positions_of_frames, without_distortion_are_those_of_the_image) {
     // ORB-SLAM3 looks at k1 alone.
     calibrate(f, {458, 457, 317, 243, 0, 0.5f, 0.1f, 0.1f, 0.1f}, 5);
     if (s.images == 2) {
-      gpu.extract(grey_image(3), grey_image(4), f);
+      gpu.extract(gray_view(3), gray_view(4), f);
     } else {
-      gpu.extract(grey_image(3), f);
+      gpu.extract(gray_view(3), f);
     }
     ASSERT_TRUE(gpu.can_undistort(f));
     gpu.undistort(f);
@@ -215,7 +215,7 @@ TEST_P(positions_of_frames, are_on_the_device_for_the_searches) {
       f->mnMaxX = 680;
       f->mnMaxY = 510;
       calibrate(*f, lenses[0], 4);
-      gpu.extract(grey_image(3), *f);
+      gpu.extract(gray_view(3), *f);
       EXPECT_EQ(gpu.can_undistort(*f), by_device);
       if (by_device) {
         gpu.undistort(*f);
@@ -253,9 +253,9 @@ TEST_P(positions_of_frames, are_the_cpus_where_ft_has_no_equal_ones) {
     calibrate(f, lenses[0], r.coefficients);
     auto const nobody = [] { ADD_FAILURE() << "the CPU is asked to extract"; };
     if (s.images == 2) {
-      gpu.extract(f, nobody, grey_image(3), grey_image(4));
+      gpu.extract(f, nobody, gray_view(3), gray_view(4));
     } else {
-      gpu.extract(f, nobody, grey_image(3));
+      gpu.extract(f, nobody, gray_view(3));
     }
     int calls = 0;
     ft::orbslam3::undistort(&gpu, f, [&] { ++calls; });
@@ -364,7 +364,7 @@ TEST_P(positions_of_frames, are_verified_and_each_difference_is_named) {
   ft::orbslam3::verifier<stand_in::types> both(gpu, [&](auto const& d) { found.push_back(d); });
   stand_in::frame f;
   calibrate(f, lenses[0], 4);
-  gpu.extract(grey_image(3), f);
+  gpu.extract(gray_view(3), f);
   f.Nleft = -1;
   f.mnMaxX = 640;
   f.mnMaxY = 480;
@@ -426,10 +426,10 @@ TEST_P(positions_of_frames, in_the_order_of_a_constructor_are_verified_by_the_fr
     by.features = [&](stand_in::frame& f) {
       if (s.images == 2) {
         gpu.extract(
-            f, [&] { cpu.extract(grey_image(3), grey_image(4), f); }, grey_image(3), grey_image(4));
+            f, [&] { cpu.extract(gray_view(3), gray_view(4), f); }, gray_view(3), gray_view(4));
       } else {
         gpu.extract(
-            f, [&] { cpu.extract(grey_image(3), f); }, grey_image(3));
+            f, [&] { cpu.extract(gray_view(3), f); }, gray_view(3));
       }
     };
     by.undistort = [&](stand_in::frame& f) {

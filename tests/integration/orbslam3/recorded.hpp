@@ -77,7 +77,7 @@ public:
     s.ini_threshold = json_["iniThFAST"];
     s.min_threshold = json_["minThFAST"];
     s.bf = json_["bf"];
-    s.std_sort_ties = false;
+    s.ties = ft::tie_rule::stable;
     s.left = camera("camera1_params");
     if (fisheye()) {
       s.right = camera("camera2_params");
@@ -88,11 +88,11 @@ public:
       std::vector<float> const T = json_["Tlr_rowmajor"];
       // The inverse: R^T, -R^T t; each product rounded, summed from the left.
       for (std::size_t r = 0; r < 3; ++r) {
-        for (std::size_t c = 0; c < 3; ++c) { s.T_rl.R[3 * r + c] = T[4 * c + r]; }
+        for (std::size_t c = 0; c < 3; ++c) { s.T_rl.R.m[3 * r + c] = T[4 * c + r]; }
         float const a = T[r] * T[3];
         float const b = T[4 + r] * T[7];
         float const d = T[8 + r] * T[11];
-        s.T_rl.t[r] = -((a + b) + d);
+        (r == 0 ? s.T_rl.t.x : r == 1 ? s.T_rl.t.y : s.T_rl.t.z) = -((a + b) + d);
       }
     }
     return s;

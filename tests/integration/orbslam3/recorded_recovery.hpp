@@ -60,8 +60,9 @@ public:
     if (two_cameras()) {
       s.right = camera("camera2");
       auto const T_rl = T_lr().inverse();
-      for (int i = 0; i < 9; ++i) { s.T_rl.R[i] = T_rl.rotationMatrix()(i / 3, i % 3); }
-      for (int i = 0; i < 3; ++i) { s.T_rl.t[i] = T_rl.translation()(i); }
+      for (int i = 0; i < 9; ++i) { s.T_rl.R.m[i] = T_rl.rotationMatrix()(i / 3, i % 3); }
+      auto const t = T_rl.translation();
+      s.T_rl.t = {t(0), t(1), t(2)};
     }
     if (test::exists(set_ + "/bf.npy") && s.left.kind == ft::orbslam3::lens::pinhole) {
       s.bf = floats("bf")[0];

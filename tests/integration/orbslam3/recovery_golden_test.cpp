@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "integration/orbslam3/accelerator.hpp"
-#include "integration/orbslam3/verify_recovery.hpp"
+#include "integration/orbslam3/verify_features.hpp"
 #include "tests/conformance/golden_words_input.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/lost_frame.hpp"

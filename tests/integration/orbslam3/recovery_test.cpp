@@ -14,8 +14,8 @@
 #include <utility>
 #include <vector>
 
+#include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/front_end.hpp"
-#include "integration/orbslam3/scale_tables.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
 #include "tests/integration/orbslam3/lost_frame.hpp"
@@ -30,8 +30,8 @@ namespace recovery_shim {
 
 using accelerator = ft::orbslam3::accelerator<stand_in::types>;
 using front_end = ft::orbslam3::front_end<stand_in::types>;
+using ft::orbslam3::call_refused;
 using ft::orbslam3::pnp_progress;
-using ft::orbslam3::recovery_refused;
 using ft::orbslam3::stage;
 
 class recovery : public on_executor {};

@@ -45,8 +45,8 @@ inline ft::orbslam3::settings settings_for(sensor kind) {
     s.right = {lens::kannala_brandt, {279, 280, 318, 241, 0.004f, 0.0006f, -0.0019f, 0.0001f}};
     Eigen::Matrix3f const R =
         Eigen::AngleAxisf(0.01f, Eigen::Vector3f(0.3f, 1, 0.2f).normalized()).toRotationMatrix();
-    for (int i = 0; i < 9; ++i) { s.T_rl.R[i] = R(i / 3, i % 3); }
-    s.T_rl.t[0] = -0.1f;
+    for (int i = 0; i < 9; ++i) { s.T_rl.R.m[i] = R(i / 3, i % 3); }
+    s.T_rl.t.x = -0.1f;
   } else {
     s.left = {lens::pinhole, {458, 457, 317, 243}};
     s.bf = kind == sensor::monocular ? 0.0f : 0.11f * 458;
@@ -198,8 +198,8 @@ private:
     features right;
     if (two_cameras()) {
       Eigen::Matrix3f R_rl;
-      for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = settings.T_rl.R[i]; }
-      Eigen::Vector3f const t_rl(settings.T_rl.t[0], settings.T_rl.t[1], settings.T_rl.t[2]);
+      for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = settings.T_rl.R.m[i]; }
+      Eigen::Vector3f const t_rl(settings.T_rl.t.x, settings.T_rl.t.y, settings.T_rl.t.z);
       right = see(R_rl * R, R_rl * t + t_rl, settings.right);
       f.T_lr = stand_in::se3(R_rl, t_rl).inverse();
     }

@@ -222,13 +222,12 @@ TEST_P(shim_searches, leave_out_far_points_of_a_fisheye_pair_by_the_left_cameras
   scene s(sensor::fisheye_stereo, 4);
   s.settings = roomy(s.settings);
   Eigen::Matrix3f R_rl;
-  for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = s.settings.T_rl.R[i]; }
+  for (int i = 0; i < 9; ++i) { R_rl(i / 3, i % 3) = s.settings.T_rl.R.m[i]; }
   auto const& t = s.settings.T_rl.t;
   auto const pose = s.current.GetPose();
   Eigen::Matrix3f const R_wc = pose.rotationMatrix().transpose();
   Eigen::Vector3f const left = -(R_wc * pose.translation());
-  Eigen::Vector3f const right =
-      left - R_wc * (R_rl.transpose() * Eigen::Vector3f(t[0], t[1], t[2]));
+  Eigen::Vector3f const right = left - R_wc * (R_rl.transpose() * Eigen::Vector3f(t.x, t.y, t.z));
   int number = 0;
   for (auto& p : s.map) {
     Eigen::Vector3f const from_left = (p->GetWorldPos() - left).normalized();

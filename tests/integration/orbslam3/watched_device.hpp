@@ -32,8 +32,7 @@ public:
     on_call("wait_for_features");
     to_->wait_for_features();
   }
-  void build_pyramids(ft::orbslam3::grey_image const& left,
-                      ft::orbslam3::grey_image const& right) override {
+  void build_pyramids(ft::gray_view const& left, ft::gray_view const& right) override {
     on_call("build_pyramids");
     to_->build_pyramids(left, right);
   }
@@ -45,8 +44,6 @@ public:
     on_call("download_level");
     to_->download_level(image, level, to, stride);
   }
-  int level_width(int level) const override { return to_->level_width(level); }
-  int level_height(int level) const override { return to_->level_height(level); }
   void send(int b, ft::orbslam3::frame_part part) override {
     on_call("send");
     to_->send(b, part);
@@ -83,7 +80,7 @@ public:
     on_call("local_matches");
     return to_->local_matches();
   }
-  ft::orbslam3::pose_result optimize_pose(int b, ft::orbslam3::transform const& T) override {
+  ft::orbslam3::pose_result optimize_pose(int b, ft::pose const& T) override {
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }
@@ -120,7 +117,7 @@ public:
   }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }
-  void measure(bool on) override { to_->measure(on); }
+  void measure() override { to_->measure(); }
   ft::orbslam3::device_times times() const override { return to_->times(); }
 
 private:

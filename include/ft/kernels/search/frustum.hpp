@@ -19,15 +19,6 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Result of the frustum test of one map point and one camera.
-struct visibility {
-  float x, y;      ///< projection, pixels
-  float right_x;   ///< in the right image of a rectified pair
-  float cosine;    ///< of the angle between viewing direction and the point's normal
-  float distance;  ///< from the camera's centre, metres: the length in the camera frame
-  int level;       ///< predicted octave; -1 = not visible
-};
-
 /// Natural logarithm. Computed in double and rounded once, so that host and device agree. The
 /// reference takes logf() of the C library, which may be a float beside; octaves are the same for
 /// every ratio of [0.5, 32].

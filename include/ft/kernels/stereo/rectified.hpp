@@ -15,6 +15,7 @@
 #include "ft/core/views.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/stereo/detail/least_squares.hpp"
+#include "ft/kernels/stereo/detail/row_candidates.hpp"
 #include "ft/kernels/stereo/outlier_cut.hpp"
 
 namespace ft {
@@ -64,7 +65,7 @@ struct match_left_keypoint {
     keypoints_view const right = keypoints.slice(2 * pair + 1);
     // Loaded together, although the entry may turn out to be past the count.
     int const count = *left.count;
-    feature const mine{left.x(i), left.y(i), left.octave(i), left.orb(i)};
+    row_feature const mine{left.x(i), left.y(i), left.octave(i), left.orb(i)};
     if (g.rank() == 0) {
       out.right_x(item) = -1;
       out.depth(item) = -1;
@@ -88,14 +89,14 @@ struct match_left_keypoint {
       return;
     }
     // Right keypoints whose band may contain this row.
-    int const reach = reach_of(pyramid.geometry, octave);
+    int const reach = row_reach(pyramid.geometry, octave);
     int const begin = rows.start[max_of(row - reach, 0)];
     int const end = rows.start[min_of(row + reach, pyramid.geometry.height[0] - 1) + 1];
     window_part const part(g, level_l, ul, vl);  // in flight while candidates are compared
     g.sync();  // keeps the compiler from making these loads wait for those of the rows
     span<int const> const listed{rows.indices + begin, end - begin};
-    candidate_band const band(pyramid.geometry, mine, row, params);
-    int const j = nearest(g, mine.orb, band, right, listed, params.hamming_limit);
+    candidate_band const band(pyramid.geometry, mine, row, params.max_disparity);
+    int const j = nearest_in_rows(g, mine.orb, band, right, listed, params.hamming_limit).keypoint;
     if (j < 0) { return; }
     int const ur = round_away(mul(right.x(j), inv));
     if (ur < 2 * window_half || ur + window_side >= level_r.width) { return; }  // as above
@@ -115,13 +116,6 @@ struct match_left_keypoint {
   }
 
 private:
-  /// The left keypoint.
-  struct feature {
-    float x, y;
-    int octave;
-    descriptor orb;
-  };
-
   /// The right column with sub-pixel precision.
   struct refined {
     strict_float column, disparity;
@@ -129,7 +123,7 @@ private:
     bool valid;
   };
   /// Fits a parabola to the sums of the best shift and its neighbours.
-  FT_HOST_DEVICE static refined refine(pyramid_geometry const& geometry, feature const& left,
+  FT_HOST_DEVICE static refined refine(pyramid_geometry const& geometry, row_feature const& left,
                                        int ur, int const (&sums)[window_side],
                                        float max_disparity) {
     refined const none{0.0f, 0.0f, 0, false};
@@ -174,13 +168,13 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static refined refined_by_rule(Group g, column_windows const& windows,
                                                 pyramid_geometry const& geometry,
-                                                feature const& left, shifted_sums const& sums) {
+                                                row_feature const& left, shifted_sums const& sums) {
     if constexpr (Rule == column_rule::parabola) {
       return refine(geometry, left, sums.ur, sums.of, sums.max_disparity);
     }
     strict_float const scale = geometry.scale[left.octave];
     strict_float const u = static_cast<float>(windows.u);
-    feature at_pixel = left;
+    row_feature at_pixel = left;
     at_pixel.x = (scale * u).value;
     refined r = refine(geometry, at_pixel, sums.ur, sums.of, sums.max_disparity);
     if (!r.valid) { return r; }
@@ -188,86 +182,6 @@ private:
     if (disparity > 0.0f && disparity < sums.max_disparity) { r.disparity = disparity; }
     r.column = left.x - r.disparity;
     return r;
-  }
-
-  /// Largest distance in rows of a matching right keypoint.
-  FT_HOST_DEVICE static int reach_of(pyramid_geometry const& geometry, int octave) {
-    return static_cast<int>(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) + 2;
-  }
-
-  /// Whether a right keypoint is a candidate: by column, octave and row.
-  struct candidate_band {
-    float lowest_u, u;
-    int octave, row;
-    float finer, same, coarser;  ///< half height of a right keypoint's band, by its octave
-
-    FT_HOST_DEVICE candidate_band(pyramid_geometry const& geometry, feature const& mine, int at_row,
-                                  stereo_params const& params)
-        : lowest_u(mine.x - params.max_disparity),
-          u(mine.x),
-          octave(mine.octave),
-          row(at_row),
-          finer(2.0f * geometry.scale[max_of(octave - 1, 0)]),
-          same(2.0f * geometry.scale[octave]),
-          coarser(2.0f * geometry.scale[min_of(octave + 1, geometry.levels - 1)]) {}
-    /// Without branches, so that no load waits for the value of another.
-    FT_HOST_DEVICE bool operator()(float x, float y, int o) const {
-      float const b = o == octave ? same : (o < octave ? finer : coarser);
-      bool const on_octave = (o >= octave - 1) & (o <= octave + 1);
-      bool const off_columns = (x < lowest_u) | (x > u);
-      // The row, an integer, is in [floor(y - b), ceil(y + b)].
-      bool const on_rows =
-          (y - b < static_cast<float>(row + 1)) & (y + b > static_cast<float>(row - 1));
-      return on_octave & !off_columns & on_rows;
-    }
-  };
-
-  /// Index of the listed right keypoint with the nearest descriptor, the first of equals; -1 if
-  /// none is near enough.
-  template <typename Group>
-  FT_HOST_DEVICE static int nearest(Group g, descriptor const& mine,
-                                    candidate_band const& is_candidate, keypoints_view const& right,
-                                    span<int const> listed, int hamming_limit) {
-    // Candidates per thread whose loads are in flight together. The last one may be loaded again.
-    constexpr int together = Group::max_threads == 1 ? 1 : 3;
-    unsigned long long best = ~0ull;
-    for (int k = 0; k < listed.size; k += together * g.size()) {
-      int j[together];
-      bool near[together];
-      descriptor theirs[together];
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        j[n] = listed[min_of(k + n * g.size() + g.rank(), listed.size - 1)];
-      }
-      g.sync();  // keeps the compiler from making some of these loads wait for others
-      float x[together];
-      float y[together];
-      int o[together];
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        x[n] = right.x(j[n]);
-        y[n] = right.y(j[n]);
-        o[n] = right.octave(j[n]);
-      }
-      g.sync();
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) { near[n] = is_candidate(x[n], y[n], o[n]); }
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        if (near[n]) { theirs[n] = right.orb(j[n]); }
-      }
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        if (!near[n]) { continue; }
-        int const distance = hamming(mine, theirs[n]);
-        best = min_of(
-            best, static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j[n]));
-      }
-    }
-    best = g.reduce(best, min_op{});
-    return static_cast<int>(best >> 32) < hamming_limit && best != ~0ull
-               ? static_cast<int>(best & 0xffffffffu)
-               : -1;
   }
 };
 

@@ -4,15 +4,17 @@
 /// Between two images the camera turns by what the gyroscope measured between the same two moments
 /// of its own clock. For offsets on a grid the squared differences of both turns are summed, with
 /// the gyroscope's bias eliminated; the least sum tells the offset, and its curvature how certain
-/// that is. Turning at a constant rate tells nothing. Neither gravity nor the accelerometer is
-/// needed. (The idea of Kelly and Sukhatme, "A general framework for temporal calibration of
-/// multiple proprioceptive and exteroceptive sensors", ISER 2010, with a bias.)
+/// that is. An image's attitude drifts with its map, so turns that overlap share their errors: as
+/// many count as do not. Turning at a constant rate tells nothing. Neither gravity nor the
+/// accelerometer is needed. (The idea of Kelly and Sukhatme, "A general framework for temporal
+/// calibration of multiple proprioceptive and exteroceptive sensors", ISER 2010, with a bias.)
 #pragma once
 
 #include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "ft/core/arithmetic.hpp"
@@ -166,7 +168,8 @@ private:
   void forget() {
     waiting_ = seen_ = 0;
     sums_.fill({});
-    weight_ = times_ = 0.0;
+    weight_ = apart_ = times_ = 0.0;
+    taken_ns_ = std::numeric_limits<std::int64_t>::min();
   }
   void take_front(bool use) {
     if (use) { take(pairs_[0]); }
@@ -191,6 +194,9 @@ private:
     if (!(least < real64(strange * strange))) { return; }
     real64 const keep = memory;
     weight_ = keep * weight_ + real64(1.0);
+    std::int64_t const since = saturated_difference(to, max_of(taken_ns_, from));
+    apart_ = keep * apart_ + real64(static_cast<double>(since) * 1e-9) / duration;
+    taken_ns_ = to;
     times_ = keep * times_ + duration * duration;
     for (std::size_t j = 0; j < points; ++j) {
       sums& s = sums_[j];
@@ -211,7 +217,9 @@ private:
   std::array<turn, pending> pairs_{};
   int waiting_ = 0;
   std::array<sums, points> sums_{};
-  real64 weight_ = 0.0, times_ = 0.0;
+  real64 weight_ = 0.0, times_ = 0.0;  ///< turns; the sum of their squared durations
+  real64 apart_ = 0.0;  ///< of the turns, as many as do not overlap: others share their errors
+  std::int64_t taken_ns_ = std::numeric_limits<std::int64_t>::min();  ///< end of the last one
 };
 
 inline imu_clock_offset imu_clock::estimate() const {
@@ -229,7 +237,9 @@ inline imu_clock_offset imu_clock::estimate() const {
   real64 const least = at - real64(0.25) * (before - after) * aside;
   real64 const step = static_cast<double>(step_ns) * 1e-9;
   // The sum grows by bend / 2 over a step: in units of a turn's variance, by one over a deviation.
-  real64 const variance = max_of(least, real64(1e-12)) / (real64(3.0) * weight_ - real64(4.0));
+  real64 const degrees = real64(3.0) * apart_ - real64(4.0);
+  if (!(degrees > real64(0.0))) { return out; }
+  real64 const variance = max_of(least, real64(1e-12)) / degrees;
   real64 const sigma = step * scalar::sqrt(real64(2.0) * variance / bend);
   out.offset_s = ((real64(static_cast<double>(best - reach)) + aside) * step).value +
                  static_cast<double>(middle_ns_) * 1e-9;

@@ -10,6 +10,7 @@
 #include <memory>
 #include <string>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "ft/cameras/image_domain.hpp"
@@ -31,6 +32,7 @@
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/tracker_types.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/odometry_params.hpp"
@@ -100,7 +102,7 @@ struct odometry_engine {
   Rig rig;
   odometry_params given;  ///< the caller's; those of the stages follow from them
   stages_type stages;
-  std::vector<std::array<frame_launches, 2>> launches;  ///< [set of features][extent]
+  std::vector<std::array<frame_launches, 3>> launches;  ///< [set of features][extent]
   stage_clock<Exec> const* last_clock = nullptr;        ///< of the last frame
   std::vector<tracking> results;
   std::vector<std::int64_t> times;   ///< of the last frames
@@ -116,8 +118,10 @@ struct odometry_engine {
   odometry_engine(Exec const& e, Rig const& of, odometry_params const& params, int batch,
                   Plugged const&... plugged)
       : exec(e),
-        rig(checked(of, params, batch, (std::is_same_v<Plugged, inertial> || ...),
-                    (std::is_same_v<Plugged, loops> || ...))),
+        rig(checked(
+            of, params, batch,
+            {(std::is_same_v<Plugged, inertial> || ...), (std::is_same_v<Plugged, loops> || ...),
+             (std::is_same_v<Plugged, own_features> || ...)})),
         given(params),
         launches(static_cast<std::size_t>(params.prefetch) + 1),
         results(static_cast<std::size_t>(batch)),
@@ -141,13 +145,9 @@ struct odometry_engine {
   /// Records the launches of frames. Not while frames are given.
   void record() {
     if (!stages.settings.use_graphs) { return; }
-    record(frame_extent::whole);
+    record_extents();
     if (prefetch == nullptr) { return; }
-    record(frame_extent::prefetched);
-    prefetch->for_each_set(stages, [&] {
-      record(frame_extent::whole);
-      record(frame_extent::prefetched);
-    });
+    prefetch->for_each_set(stages, [&] { record_extents(); });
   }
 
   /// @throws bad_argument for a time that is not after the camera's last one
@@ -160,6 +160,17 @@ struct odometry_engine {
                            std::to_string(times[i]));
       }
     }
+  }
+  /// Takes the features of the next frame. @param features [batch]
+  /// @throws bad_argument also without own_features; then no frame has changed
+  void take_features(given_features const* features) {
+    bool taken = false;
+    for (auto const& part : stages.plugged) {
+      for (int b = 0; b < stages.batch; ++b) {
+        taken = part->take_features(b, features[b]) || taken;
+      }
+    }
+    require(taken, "the odometry was made without odometry_params::own_features");
   }
   /// Runs a frame and waits for it. @param time_ns [batch]
   tracking const* track(std::int64_t const* time_ns, frame_extent extent) {
@@ -179,7 +190,13 @@ struct odometry_engine {
 private:
   frame_launches& launches_of(frame_extent extent) {
     return launches[static_cast<std::size_t>(stages.features_number())]
-                   [extent == frame_extent::whole ? 0 : 1];
+                   [static_cast<std::size_t>(extent)];
+  }
+  /// All that frames with the stages' set of features may have.
+  void record_extents() {
+    record(frame_extent::whole);
+    if (prefetch != nullptr) { record(frame_extent::prefetched); }
+    if (given.own_features) { record(frame_extent::given); }
   }
   void record(frame_extent extent) {
     launches_of(extent).graph.record(exec, [&](Exec const& to) { queue(to, extent); });
@@ -212,8 +229,11 @@ private:
     stages.take_all_memory(exec, params.adjustment_delay);
     stages.initialize_all(exec);
     exec.wait();
-    (stages.plugged.push_back(make_part(plugged, exec, stages)), ...);
+    (plug(make_part(plugged, exec, stages)), ...);
     return exec;
+  }
+  void plug(std::unique_ptr<odometry_part<Exec, Rig>> part) {
+    if (part != nullptr) { stages.plugged.push_back(std::move(part)); }
   }
 
   void set_inputs(std::int64_t const* time_ns) {
@@ -253,19 +273,26 @@ private:
     if (!stages_type::starts_from_motion) { return 0; }
     return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
   }
-  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch, bool with_inertial,
-                            bool with_loops) {
+  /// Which parts are named.
+  struct named_parts {
+    bool inertial, loops, own_features;
+  };
+  static Rig const& checked(Rig const& rig, odometry_params const& p, int batch,
+                            named_parts const& with) {
     rig.check();
     require(rig.baseline_length() > 0.0f, "an odometry needs a rig with a stereo pair");
     require_range("batch of camera pairs", batch, 1, 2048);
     ft::check(p);
-    require(with_inertial || !p.imu.present,
+    require(with.inertial || !p.imu.present,
             "params.imu needs its part: odometry(exec, rig, params, batch, ft::inertial{})");
-    require(!with_inertial || p.imu.present,
+    require(!with.inertial || p.imu.present,
             "the part ft::inertial needs params.imu: its member present is false");
-    require(with_loops == p.loops.present,
+    require(with.loops == p.loops.present,
             "params.loops and the part ft::loops need each other: "
             "odometry(exec, rig, params, 1, ft::loops{}) with params.loops.present");
+    require(with.own_features || !p.own_features,
+            "params.own_features needs its part: odometry(exec, rig, params, batch, "
+            "ft::own_features{})");
     require(!(p.prefetch > 0 && stages_type::starts_from_motion),
             "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
     if (!stages_type::starts_from_motion) {

@@ -10,6 +10,7 @@
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/config.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
+#include "ft/types/features.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/tracking.hpp"
 
@@ -46,6 +47,9 @@ public:
   virtual void beside_window(Exec const&, stages_type const&) const {}
   virtual void beside_result(Exec const&, stages_type const&) const {}
 
+  /// Instead of those of images, of a frame whose features were taken.
+  virtual void queue_features(Exec const&, stages_type const&) const {}
+
   // ---- beside frames
 
   /// After an adjustment. @param selected [batch] executor memory: its cameras
@@ -71,6 +75,9 @@ public:
   virtual void reset(int /*b*/) {}
   /// Camera pair b got another map. May wait.
   virtual void forget(Exec const&, int /*b*/) {}
+  /// Takes the features of the next frame of camera pair b; false if this part takes none.
+  /// @throws bad_argument
+  virtual bool take_features(int /*b*/, given_features const&) { return false; }
   /// Takes the samples of camera pair b's IMU; null if this part has no IMU.
   virtual sample_queue* samples(int /*b*/) { return nullptr; }
 };

@@ -37,8 +37,9 @@ void queue_prediction(Exec const& exec, Stages& s) {
 
 /// Which stages a frame has.
 enum class frame_extent {
-  whole,      ///< all
-  prefetched  ///< those that follow frame_features::queue()
+  whole,       ///< all
+  prefetched,  ///< those that follow frame_features::queue()
+  given        ///< those of features that the caller gives; see own_features
 };
 
 /// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
@@ -73,17 +74,33 @@ void queue_odometry_motion(Line& line, Stages& s) {
   }
 }
 
-/// The same of a frame whose features were prefetched.
+/// The search from the last frame and its pose, of features that are there.
 template <typename Line, typename Stages>
-void queue_prefetched_motion(Line& line, Stages& s) {
-  s.watch_images(line.fork(s.result_branch()));
-  queue_prediction(line.then("motion"), s);
+void queue_last_frame(Line& line, Stages& s) {
   s.list_last_frame(line.then("search last frame"));
   s.mark_fixed(line.fork(s.result_branch()));
   s.assign_last_frame(line.then("search last frame"));
   line.join(s.result_branch());
   s.optimize_last(line.then("pose last frame"));
+}
+
+/// The same as queue_odometry_motion() of a frame whose features were prefetched.
+template <typename Line, typename Stages>
+void queue_prefetched_motion(Line& line, Stages& s) {
+  s.watch_images(line.fork(s.result_branch()));
+  queue_prediction(line.then("motion"), s);
+  queue_last_frame(line, s);
   if constexpr (!Stages::rectified) { s.refine_partners(line.then("stereo")); }
+}
+
+/// The same of a frame whose features the caller gives. There are no images.
+template <typename Line, typename Stages>
+void queue_given_motion(Line& line, Stages& s) {
+  using part = typename Stages::part_type;
+  line.beside(
+      s.beginning_branch(), "motion", [&](auto const& exec) { queue_prediction(exec, s); },
+      [&](Line& l) { s.launch_parts(l.then("features"), &part::queue_features); });
+  queue_last_frame(line, s);
 }
 
 /// A frame.
@@ -93,8 +110,10 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   bool const parts = s.parts_launch();
   if (extent == frame_extent::whole) {
     queue_odometry_motion(line, s);
-  } else {
+  } else if (extent == frame_extent::prefetched) {
     queue_prefetched_motion(line, s);
+  } else {
+    queue_given_motion(line, s);
   }
   s.search_without_window(line.then("pose last frame"));
   s.plan_search(line.then("update local map"));

@@ -155,6 +155,7 @@ public:
     return undistorts ? with_columns(raw, memory_->undistorted) : raw;
   }
   std::size_t bytes() const { return memory_.bytes(); }  ///< of executor memory
+  depth_params const& params() const { return params_; }
   stereo_matches_view matches() const { return memory_->matches; }
   float const* depth() const { return array_of<field::depth>(memory_->matches); }
   static fisheye_matches_view fisheye_matches() { return {}; }

@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file The calls of device_tracker that depend on no frame there: words and poses by RANSAC,
+/// their memory and launches.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include "ft/containers/keypoints.hpp"
+#include "ft/containers/soa.hpp"
+#include "ft/containers/vocabulary.hpp"
+#include "ft/containers/words.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/pnp/problem.hpp"
+#include "ft/kernels/pnp/solve_pnp.hpp"
+#include "ft/kernels/words/search_by_words.hpp"
+#include "ft/kernels/words/transform.hpp"
+#include "ft/types/poses.hpp"
+#include "integration/orbslam3/executor_calls.hpp"
+#include "integration/orbslam3/plain_types.hpp"
+#include "integration/orbslam3/rigs.hpp"
+#include "integration/orbslam3/vocabulary_file.hpp"
+
+namespace ft {
+namespace orbslam3 {
+inline namespace FT_ABI {
+
+/// One thread at a time, any thread.
+template <typename Exec>
+class device_bags : public own_calls<Exec> {
+  using own_calls<Exec>::exec;
+
+public:
+  /// Allocates memory, waits. @param keypoints of a frame, of both cameras
+  /// @throws bad_argument for levels_up out of range
+  device_bags(Exec const& beside, int keypoints, int levels_up)
+      : own_calls<Exec>(beside), capacity_(keypoints) {
+    detail::require_range("levels_up", levels_up, 0, max_vocabulary_levels);
+    params_.levels_up = levels_up;
+    auto const n = static_cast<std::size_t>(capacity_);
+    auto const layout = [&](carver& c) {
+      carve(c, in_, capacity_, 1);
+      carve(c, out_, 1, capacity_);
+      carve(c, work_, 1, capacity_);
+    };
+    auto const host_layout = [&](carver& c) {
+      c.place(n, staged_orb_, word_, value_, node_, keypoint_);
+      c.place(n + 1, start_);
+      c.place(3, counts_);
+    };
+    this->allocate(layout, host_layout);
+  }
+
+  /// For set-up: allocates. @throws as read_vocabulary() and require_same()
+  void load(std::string const& path, vocabulary_facts const* expected) {
+    auto const read = read_vocabulary(path);
+    if (expected != nullptr) { require_same(path, facts_of(read.view()), *expected); }
+    device_.enter();
+    vocabulary_ = upload(exec(), read.view());
+  }
+  bool loaded() const { return vocabulary_.view().nodes > 0; }
+
+  /// Waits. @throws bad_argument for more descriptors than there is room for; cuda_error
+  word_lists transform(descriptor_rows const& rows) {
+    detail::require_range("number of descriptors", rows.count, 0, capacity_);
+    if (rows.count == 0) { return {}; }
+    device_.enter();
+    for (int i = 0; i < rows.count; ++i) {
+      std::memcpy(static_cast<void*>(staged_orb_ + i),
+                  rows.data + static_cast<std::size_t>(i) * rows.step, sizeof(descriptor));
+    }
+    counts_[0] = rows.count;
+    int const n = rows.count;
+    auto const times = this->call(
+        [&](auto& up) {
+          up.add(exec(), array_of<field::orb>(in_), staged_orb_, n);
+          up.add(exec(), in_.count, counts_, 1);
+        },
+        [&] {
+          descriptors_view in = in_;
+          in.capacity = n;
+          transform_to_words(exec(), vocabulary_.view(), in, params_, out_, work_);
+        },
+        [&](auto& down) { fetch(down, n); });
+    return {counts_[1], word_, value_, counts_[2], node_, start_, keypoint_, times};
+  }
+
+private:
+  /// As much as n descriptors can have; what is past the counts has no meaning.
+  void fetch(word_mover<Exec>& down, int n) const {
+    down.add(exec(), counts_ + 1, out_.bag.count, 1);
+    down.add(exec(), counts_ + 2, out_.groups.count, 1);
+    down.add(exec(), word_, out_.bag.word, n);
+    down.add(exec(), value_, out_.bag.value, n);
+    down.add(exec(), node_, out_.groups.node, n);
+    down.add(exec(), start_, out_.groups.start, n + 1);
+    down.add(exec(), keypoint_, out_.groups.keypoint, n);
+  }
+
+  thread_device<Exec> device_;
+  int capacity_;
+  transform_params params_;
+  vocabulary<Exec::space> vocabulary_;
+  descriptors_view in_;
+  frame_words_view out_;
+  transform_workspace work_;
+  descriptor* staged_orb_ = nullptr;
+  std::uint32_t* word_ = nullptr;
+  double* value_ = nullptr;
+  std::uint32_t* node_ = nullptr;
+  int* start_ = nullptr;
+  int* keypoint_ = nullptr;
+  int* counts_ = nullptr;  ///< descriptors, words, groups
+};
+
+/// A keyframe and a frame.
+template <typename Exec>
+class device_word_search : public own_calls<Exec> {
+  using own_calls<Exec>::exec;
+
+public:
+  /// Allocates memory, waits. @param keypoints of a frame, of both cameras
+  device_word_search(Exec const& beside, int keypoints)
+      : own_calls<Exec>(beside), capacity_(keypoints) {
+    auto const n = static_cast<std::size_t>(capacity_);
+    auto const layout = [&](carver& c) {
+      for (side& s : sides_) {
+        carve(c, s.groups, 1, capacity_);
+        c.place(n, s.orb, s.angle);
+      }
+      c.place(n, holder_);
+      c.place(1, first_right_);
+      carve(c, matches_, 1, capacity_);
+      carve(c, work_, 1, capacity_);
+    };
+    auto const host_layout = [&](carver& c) {
+      for (side& s : sides_) { carve_staged(c, s); }
+      c.place(n, staged_match_);
+      c.place(1, staged_count_);
+    };
+    this->allocate(layout, host_layout);
+  }
+
+  word_arrays& arrays(word_side which) { return of(which).staged; }
+
+  /// Searches what arrays() hold. Waits. @throws bad_argument, cuda_error
+  word_matches search(word_search_request const& r) {
+    side const& keyframe = of(word_side::keyframe);
+    side const& frame = of(word_side::frame);
+    check(keyframe.staged);
+    check(frame.staged);
+    int const n = frame.staged.keypoints;
+    if (n == 0) { return {}; }
+    words_search_params params;
+    params.ratio = r.ratio;
+    params.orientation_check = r.orientation_check;
+    word_matches_view out = matches_;
+    out.capacity = n;
+    auto const times = this->call(
+        [&](auto& up) { send(up); },
+        [&] {
+          words_search search;
+          search.keyframes = view_of(keyframe, nullptr);
+          search.holder = holder_;
+          search.frames = view_of(frame, frame.staged.first_right < 0 ? nullptr : first_right_);
+          search_by_words(exec(), search, params, out, work_);
+        },
+        [&](auto& down) {
+          down.add(exec(), staged_count_, out.count, 1);
+          down.add(exec(), staged_match_, out.match, n);
+        });
+    return {*staged_count_, staged_match_, times};
+  }
+
+private:
+  struct side {
+    node_groups_view groups;
+    descriptor* orb = nullptr;
+    float* angle = nullptr;
+    word_arrays staged;
+    int* staged_numbers = nullptr;  ///< groups, first_right
+  };
+
+  side& of(word_side which) { return sides_[static_cast<int>(which)]; }
+
+  void carve_staged(carver& c, side& s) const {
+    word_arrays& a = s.staged;
+    a.capacity = capacity_;
+    c.place(capacity_, a.angle, a.holder, a.node, a.keypoint);
+    c.place({capacity_, 8}, a.descriptor);
+    c.place(capacity_ + 1, a.start);
+    c.place(2, s.staged_numbers);
+  }
+  void check(word_arrays const& a) const {
+    detail::require_range("keypoints of a search by words", a.keypoints, 0, capacity_);
+    detail::require_range("groups of a search by words", a.groups, 0, a.keypoints);
+    detail::require_range("grouped keypoints", a.start[a.groups], 0, a.keypoints);
+  }
+  word_keypoints_view view_of(side const& s, int const* first_right) const {
+    return {s.groups, s.orb, s.angle, first_right};
+  }
+  /// Enqueues the upload of both sides: a row of keypoints each, as long as there are keypoints.
+  void send(word_mover<Exec>& up) {
+    for (side& s : sides_) {
+      word_arrays const& a = s.staged;
+      s.groups.capacity = a.keypoints;
+      s.staged_numbers[0] = a.groups;
+      s.staged_numbers[1] = a.first_right;
+      up.add(exec(), s.orb, reinterpret_cast<descriptor const*>(a.descriptor), a.keypoints);
+      up.add(exec(), s.angle, a.angle, a.keypoints);
+      up.add(exec(), s.groups.count, s.staged_numbers, 1);
+      up.add(exec(), s.groups.node, a.node, a.groups);
+      up.add(exec(), s.groups.start, a.start, a.groups + 1);
+      up.add(exec(), s.groups.keypoint, a.keypoint, a.start[a.groups]);
+    }
+    side const& keyframe = of(word_side::keyframe);
+    up.add(exec(), holder_, keyframe.staged.holder, keyframe.staged.keypoints);
+    up.add(exec(), first_right_, of(word_side::frame).staged_numbers + 1, 1);
+  }
+
+  int capacity_;
+  side sides_[2];
+  int* holder_ = nullptr;
+  int* first_right_ = nullptr;
+  word_matches_view matches_;
+  words_search_workspace work_;
+  int* staged_match_ = nullptr;
+  int* staged_count_ = nullptr;
+};
+
+/// One problem at a time, whose state the caller keeps.
+template <typename Exec, typename Camera>
+class device_pnp : public own_calls<Exec> {
+  using own_calls<Exec>::exec;
+  using state = std::remove_pointer_t<decltype(pnp_workspace::state)>;
+
+public:
+  /// Allocates memory, waits. @param keypoints most correspondences
+  device_pnp(Exec const& beside, Camera const& camera, int keypoints)
+      : own_calls<Exec>(beside), camera_(camera) {
+    int const capacity = (keypoints + 3) / 4 * 4;  // flags are moved as words
+    auto const layout = [&](carver& c) {
+      carve(c, problem_, 1, capacity);
+      carve(c, result_, 1, capacity);
+      carve(c, work_, problem_, params_);
+    };
+    auto const n = static_cast<std::size_t>(capacity);
+    auto const host_layout = [&](carver& c) {
+      c.place(n, staged_.pixel, staged_.point, staged_.max_error2);
+      c.place(1, seed_, state_, count_, answer_);
+      inlier_ = c.take<std::uint32_t>(n / 4);
+    };
+    this->allocate(layout, host_layout);
+    staged_.capacity = keypoints;
+  }
+
+  pnp_arrays& arrays() { return staged_; }
+
+  /// The next pose of what arrays() hold. Waits. @throws bad_argument, cuda_error
+  pnp_found solve(pnp_progress& progress) {
+    detail::require_range("correspondences of a pose", staged_.count, 0, staged_.capacity);
+    detail::require_range("iterations of a pose", progress.done, 0, 1 << 30);
+    if (staged_.count == 0) { return {false, true, {}, 0, nullptr, {}}; }
+    auto const times = this->call(
+        [&](auto& up) { send(up, progress); },
+        [&] {
+          pnp_rays(exec(), camera_, problem_);
+          continue_pnp(exec(), camera_, problem_, params_, result_, work_);
+        },
+        [&](auto& down) {
+          down.add(exec(), answer_, result_.result, 1);
+          down.add(exec(), state_, work_.state, 1);
+          down.add(exec(), inlier_, reinterpret_cast<std::uint32_t const*>(result_.inlier),
+                   (staged_.count + 3) / 4);
+        });
+    progress.done = state_->done;
+    progress.kept_inliers = state_->kept_inliers;
+    progress.kept = state_->kept;
+    return {has_pose(answer_->status),
+            no_more(answer_->status),
+            answer_->T_cw,
+            answer_->inliers,
+            reinterpret_cast<unsigned char const*>(inlier_),
+            times};
+  }
+
+private:
+  /// Hypotheses behind the iterations that are done may be another problem's: they are evaluated
+  /// again, to the same bits.
+  void send(word_mover<Exec>& up, pnp_progress const& progress) {
+    int const n = staged_.count;
+    *count_ = n;
+    *seed_ = progress.seed;
+    state_->done = state_->evaluated = progress.done;
+    state_->kept_inliers = progress.kept_inliers;
+    state_->kept = progress.kept;
+    up.add(exec(), problem_.count, count_, 1);
+    up.add(exec(), problem_.seed, seed_, 1);
+    up.add(exec(), work_.state, state_, 1);
+    up.add(exec(), problem_.pixel, staged_.pixel, n);
+    up.add(exec(), problem_.point, staged_.point, n);
+    up.add(exec(), problem_.max_error2, staged_.max_error2, n);
+  }
+  Camera camera_;
+  pnp_params params_;
+  pnp_problems_view problem_;
+  pnp_results_view result_;
+  pnp_workspace work_;
+  pnp_arrays staged_;
+  std::uint64_t* seed_ = nullptr;
+  state* state_ = nullptr;
+  int* count_ = nullptr;
+  pnp_result* answer_ = nullptr;
+  std::uint32_t* inlier_ = nullptr;
+};
+
+/// Base of a tracker on an executor.
+template <typename Exec, typename Rig>
+class word_calls : public executor_calls<Exec> {
+public:
+  explicit word_calls(Exec exec) : executor_calls<Exec>(std::move(exec)) {}
+
+  void load_vocabulary(std::string const& path, vocabulary_facts const* expected) override {
+    bags_->load(path, expected);
+  }
+  bool has_vocabulary() const override { return bags_->loaded(); }
+  word_lists transform_words(descriptor_rows const& rows) override {
+    return bags_->transform(rows);
+  }
+  word_arrays& words_of(word_side side) override { return search_->arrays(side); }
+  word_matches search_by_words(word_search_request const& request) override {
+    return search_->search(request);
+  }
+  pnp_arrays& correspondences() override { return pnp_->arrays(); }
+  pnp_found solve_pnp(pnp_progress& progress) override { return pnp_->solve(progress); }
+
+protected:
+  /// Allocates all memory, waits; called by the constructor. @param keypoints per image
+  void make_words(Exec const& exec, settings const& s, int keypoints) {
+    int const all = this->cameras() * keypoints;
+    bags_ = std::make_unique<device_bags<Exec>>(exec, all, s.levels_up);
+    search_ = std::make_unique<device_word_search<Exec>>(exec, all);
+    pnp_ = std::make_unique<pnp_solver>(exec, left_camera(rig_of<Rig>(s)), keypoints);
+  }
+  void measure_words() {
+    bags_->measure();
+    search_->measure();
+    pnp_->measure();
+  }
+
+private:
+  using pnp_solver = device_pnp<Exec, left_camera_of<Rig>>;
+
+  std::unique_ptr<device_bags<Exec>> bags_;
+  std::unique_ptr<device_word_search<Exec>> search_;
+  std::unique_ptr<pnp_solver> pnp_;
+};
+
+}  // namespace FT_ABI
+}  // namespace orbslam3
+}  // namespace ft

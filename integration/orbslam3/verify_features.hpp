@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Features, grids, words and poses by RANSAC of CPU and GPU, compared.
+#pragma once
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <bitset>
+#include <cmath>
+#include <cstddef>
+#include <map>
+#include <mutex>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "integration/orbslam3/recovery_stages.hpp"
+#include "integration/orbslam3/verify_report.hpp"
+
+namespace ft {
+namespace orbslam3 {
+
+/// Number of differing bits of two descriptors: row `i` of one matrix and row `j` of another.
+template <typename Matrix>
+int other_bits(Matrix const& a, std::size_t i, Matrix const& b, std::size_t j) {
+  unsigned char const* const p = a.data + i * static_cast<std::size_t>(a.step);
+  unsigned char const* const q = b.data + j * static_cast<std::size_t>(b.step);
+  std::size_t bits = 0;
+  for (int byte = 0; byte < 32; ++byte) {
+    bits += std::bitset<8>(static_cast<unsigned char>(p[byte] ^ q[byte])).count();
+  }
+  return static_cast<int>(bits);
+}
+
+/// Adds what differs: as sets first, then of each keypoint. Keypoints are the same if position and
+/// octave are.
+template <typename Keypoint, typename Matrix>
+void compare_features(difference_log& log, char const* order, std::vector<Keypoint> const& cpu,
+                      std::vector<Keypoint> const& gpu, Matrix const& cpu_rows,
+                      Matrix const& gpu_rows) {
+  log.compare("number of keypoints", -1, cpu.size(), gpu.size());
+  auto const key = [](Keypoint const& k) { return std::make_tuple(k.octave, k.pt.y, k.pt.x); };
+  std::multimap<std::tuple<int, float, float>, std::size_t> alone;
+  for (std::size_t j = 0; j < gpu.size(); ++j) { alone.emplace(key(gpu[j]), j); }
+  std::vector<std::size_t> partner(cpu.size(), gpu.size());
+  for (std::size_t i = 0; i < cpu.size(); ++i) {
+    auto const same = alone.lower_bound(key(cpu[i]));
+    if (same == alone.end() || same->first != key(cpu[i])) {
+      log.compare("keypoint of the CPU alone", static_cast<long>(i), 1, 0);
+      continue;
+    }
+    partner[i] = same->second;
+    alone.erase(same);
+  }
+  for (auto const& other : alone) {
+    log.compare("keypoint of the GPU alone", static_cast<long>(other.second), 0, 1);
+  }
+  long moved = 0;
+  bool same_set = alone.empty();
+  for (std::size_t i = 0; i < cpu.size(); ++i) {
+    std::size_t const j = partner[i];
+    same_set = same_set && j < gpu.size();
+    if (j == gpu.size()) { continue; }
+    auto const at = static_cast<long>(i);
+    moved += static_cast<long>(i != j);
+    log.compare("angle of keypoint", at, cpu[i].angle, gpu[j].angle);
+    log.compare("response of keypoint", at, cpu[i].response, gpu[j].response);
+    log.compare("descriptor bits of keypoint", at, 0, other_bits(cpu_rows, i, gpu_rows, j));
+  }
+  if (same_set && moved > 0) { log.add_number(order, moved); }
+}
+
+/// Adds the sizes of two lists, or the first two entries that differ.
+template <typename List>
+void compare_lists(difference_log& log, char const* what, long at, List const& cpu,
+                   List const& gpu) {
+  if (cpu.size() != gpu.size()) { return log.compare(what, at, cpu.size(), gpu.size()); }
+  auto const other = std::mismatch(cpu.begin(), cpu.end(), gpu.begin());
+  if (other.first != cpu.end()) { log.compare(what, at, *other.first, *other.second); }
+}
+
+/// Column by column.
+template <typename List, std::size_t Columns, std::size_t Rows>
+std::vector<List> cells_of(List const (&grid)[Columns][Rows]) {
+  std::vector<List> all;
+  all.reserve(Columns * Rows);
+  for (auto const& column : grid) { all.insert(all.end(), column, column + Rows); }
+  return all;
+}
+template <typename List, std::size_t Columns, std::size_t Rows>
+void clear_cells(List (&grid)[Columns][Rows]) {
+  for (auto& column : grid) {
+    for (List& cell : column) { cell.clear(); }
+  }
+}
+template <typename List>
+void compare_cells(difference_log& log, char const* what, std::vector<List> const& cpu,
+                   std::vector<List> const& gpu) {
+  for (std::size_t c = 0; c < cpu.size(); ++c) {
+    compare_lists(log, what, static_cast<long>(c), cpu[c], gpu[c]);
+  }
+}
+
+namespace word_detail {
+
+/// Words that only one of both has count as 0 of the other.
+template <typename Bag>
+void compare_bags(difference_log& log, Bag const& cpu, Bag const& gpu) {
+  for (auto const& [word, value] : cpu) {
+    auto const other = gpu.find(word);
+    log.compare("value of word", static_cast<long>(word), value,
+                other == gpu.end() ? 0.0 : other->second);
+  }
+  for (auto const& [word, value] : gpu) {
+    if (cpu.count(word) == 0) { log.compare("value of word", static_cast<long>(word), 0.0, value); }
+  }
+}
+/// Groups that only one of both has count as empty of the other.
+template <typename Groups>
+void compare_groups(difference_log& log, Groups const& cpu, Groups const& gpu) {
+  typename Groups::mapped_type const none{};
+  char const* const what = "keypoints of node";
+  for (auto const& [node, group] : cpu) {
+    auto const other = gpu.find(node);
+    compare_lists(log, what, static_cast<long>(node), group,
+                  other == gpu.end() ? none : other->second);
+  }
+  for (auto const& [node, group] : gpu) {
+    if (cpu.count(node) == 0) { compare_lists(log, what, static_cast<long>(node), none, group); }
+  }
+}
+
+}  // namespace word_detail
+
+/// Fills a frame's words by `cpu`, then by `gpu`, whose answer stays.
+template <typename Frame, typename Cpu, typename Gpu>
+void verify_words(difference_log& log, Frame& frame, Cpu const& cpu, Gpu const& gpu) {
+  cpu();
+  auto const bag = std::exchange(frame.mBowVec, {});
+  auto const groups = std::exchange(frame.mFeatVec, {});
+  gpu();
+  word_detail::compare_bags(log, bag, frame.mBowVec);
+  word_detail::compare_groups(log, groups, frame.mFeatVec);
+}
+
+/// Calls of other threads than the log's, which adds them when it comes to it.
+class calls_elsewhere {
+public:
+  /// Makes a call of stage `s`, from any thread. @param call void(difference_log&)
+  template <typename Call>
+  void make(unsigned long frame, stage s, Call const& call) {
+    std::vector<difference> found;
+    difference_log log([&](difference const& d) { found.push_back(d); });
+    log.begin(frame, s);
+    call(log);
+    std::lock_guard<std::mutex> const lock(mutex_);
+    calls_.emplace_back(s, std::move(found));
+  }
+  /// From the log's thread.
+  void add_to(difference_log& log) {
+    std::vector<std::pair<stage, std::vector<difference>>> calls;
+    {
+      std::lock_guard<std::mutex> const lock(mutex_);
+      calls.swap(calls_);
+    }
+    for (auto const& [s, found] : calls) { log.add_call(s, found); }
+  }
+
+private:
+  std::mutex mutex_;
+  std::vector<std::pair<stage, std::vector<difference>>> calls_;
+};
+
+/// One answer, taken out of the caller's variables.
+struct pnp_trial {
+  int found;  ///< 1, 0, or call_refused
+  bool no_more;
+  std::vector<bool> inliers;
+  int count;
+  Eigen::Matrix4f T_cw;
+
+  pnp_trial(int answer, pnp_answer const& from)
+      : found(answer),
+        no_more(from.no_more),
+        inliers(from.inliers),
+        count(from.count),
+        T_cw(from.T_cw) {}
+  void keep(pnp_answer const& to) const {
+    to.no_more = no_more;
+    to.inliers = inliers;
+    to.count = count;
+    to.T_cw = T_cw;
+  }
+  Eigen::Vector3f centre() const {
+    return -(T_cw.topLeftCorner<3, 3>().transpose() * T_cw.topRightCorner<3, 1>());
+  }
+};
+
+/// Angle between two rotations, degrees.
+inline double degrees_between(pnp_trial const& a, pnp_trial const& b) {
+  Eigen::Matrix3d const Ra = a.T_cw.topLeftCorner<3, 3>().cast<double>();
+  Eigen::Matrix3d const Rb = b.T_cw.topLeftCorner<3, 3>().cast<double>();
+  double const sine = std::min((Ra - Rb).norm() / std::sqrt(8.0), 1.0);  // of half the angle
+  return 2 * std::asin(sine) * 180 / 3.14159265358979323846;
+}
+
+/// Distance of the cameras, over the median distance of the first one's inliers.
+template <typename MapPoint>
+double relative_shift(pnp_trial const& a, pnp_trial const& b,
+                      std::vector<MapPoint*> const& matches) {
+  std::vector<float> away;
+  for (std::size_t i = 0; i < matches.size() && i < a.inliers.size(); ++i) {
+    if (!a.inliers[i] || matches[i] == nullptr) { continue; }
+    away.push_back((matches[i]->GetWorldPos() - a.centre()).norm());
+  }
+  if (away.empty()) { return 0; }
+  auto const middle = away.begin() + static_cast<std::ptrdiff_t>(away.size() / 2);
+  std::nth_element(away.begin(), middle, away.end());
+  return static_cast<double>((a.centre() - b.centre()).norm() / *middle);
+}
+
+/// Adds what is farther apart than other draws explain: the two draw other samples, and the pose is
+/// that of six matches, so they are not the same.
+template <typename MapPoint>
+void compare_pnp(difference_log& log, tolerances const& allowed, pnp_trial const& cpu,
+                 pnp_trial const& gpu, std::vector<MapPoint*> const& matches) {
+  log.compare("pose by RANSAC", -1, cpu.found, gpu.found);
+  if (cpu.found != 1 || gpu.found != 1) { return; }
+  log.compare("inliers by RANSAC", -1, cpu.count, cpu.count, gpu.count,
+              allowed.pnp_inliers * std::max(cpu.count, gpu.count));
+  log.compare("degrees between poses by RANSAC", -1, 0.0, 0.0, degrees_between(cpu, gpu),
+              allowed.pnp_degrees);
+  log.compare("relative distance of poses by RANSAC", -1, 0.0, 0.0,
+              relative_shift(cpu, gpu, matches), allowed.pnp_shift);
+}
+
+}  // namespace orbslam3
+}  // namespace ft

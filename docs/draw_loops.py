@@ -17,10 +17,25 @@ matplotlib.use("Agg")
 from matplotlib import pyplot  # noqa: E402  (the backend comes first)
 
 
+def rows_of(file):
+    return [list(map(float, line.split())) for line in file.read_text().splitlines() if not line.startswith("#")]
+
+
 def path(file):
     """Stamps and positions."""
-    rows = [line.split() for line in file.read_text().splitlines() if not line.startswith("#")]
-    return [float(r[0]) for r in rows], [tuple(map(float, r[1:4])) for r in rows]
+    rows = rows_of(file)
+    return [r[0] for r in rows], [tuple(r[1:4]) for r in rows]
+
+
+def truth_of(file):
+    """Positions seen from the first pose, which is where a path begins."""
+    rows = rows_of(file)
+    x, y, z, w = rows[0][4:8]
+    R = ((1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)))
+    moved = [[r[1 + k] - rows[0][1 + k] for k in range(3)] for r in rows]
+    return [tuple(sum(R[k][c] * d[k] for k in range(3)) for c in range(3)) for d in moved]
 
 
 def pieces(times, positions, longest=0.3):
@@ -33,7 +48,7 @@ def pieces(times, positions, longest=0.3):
 
 
 def draw(axes, run, title):
-    truth = path(run / "groundtruth.txt")[1]
+    truth = truth_of(run / "groundtruth.txt")
     axes.plot([p[0] for p in truth], [p[2] for p in truth], color="0.75", linewidth=4, label="truth")
     for k, piece in enumerate(pieces(*path(run / "trajectory.txt"))):
         axes.plot([p[0] for p in piece], [p[2] for p in piece], linewidth=1.2, label=f"tracked, part {k + 1}")
@@ -41,12 +56,12 @@ def draw(axes, run, title):
     axes.set_title(f"{title}: ATE {1000 * ate:.0f} mm" if ate > 0.1 else f"{title}: ATE {1000 * ate:.1f} mm")
     axes.set_aspect("equal")
     axes.set_xlabel("x, m")
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="lower right", fontsize=8)
 
 
 def main():
     before, after, out = map(pathlib.Path, sys.argv[1:4])
-    figure, axes = pyplot.subplots(1, 2, figsize=(10, 4.2), sharey=True)
+    figure, axes = pyplot.subplots(1, 2, figsize=(10, 4.2), sharex=True, sharey=True)
     draw(axes[0], before, "without loops")
     draw(axes[1], after, "with loops")
     axes[0].set_ylabel("z, m")

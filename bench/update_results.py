@@ -255,13 +255,14 @@ def conformance():
 ODOMETRIES = (
     ("runs 2", "rectified", 0, "EuRoC pair"),
     ("runs 2", "rectified", 1, "64 EuRoC pairs, each with its map"),
-    ("on_2026_11_25, runs 1", "rectified", 0, "generated pair"),
+    ("on_2026_11_27", "rectified", 0, "generated pair"),
+    ("on_2026_11_27", "rectified", 2, "64 generated pairs, each with its map"),
     ("on_2026_11_25, runs 3", "rectified", 0, "200 generated pairs"),
-    ("on_2026_11_25, runs 1", "four cameras", 0, "two generated pairs in one rig"),
+    ("on_2026_11_27", "four cameras", 0, "two generated pairs in one rig"),
     ("on_2026_11_25, runs 3", "four cameras", 0, "the same, 200 of them"),
-    ("with_imu, runs 1", "with IMU", 1, "with an IMU"),
-    ("with_imu, runs 1", "with IMU", 0, "the same, 5 ms apart"),
-    ("on_2026_11_26, runs 1", "prefetched", 0, "generated pair, prefetched"),
+    ("on_2026_11_27", "with IMU", 1, "with an IMU"),
+    ("on_2026_11_27", "with IMU", 0, "the same, 5 ms apart"),
+    ("on_2026_11_27", "prefetched", 0, "generated pair, prefetched"),
 )
 
 
